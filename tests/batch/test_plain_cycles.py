@@ -26,7 +26,8 @@ from hilbench.estimation.web_line import tracking_cycle
 from hilbench.results.trace import TraceWriter
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.sample import CycleSample
-from hilbench.twin.machines.web_line_cycle import SpanInVectors
+from hilbench.twin.machines import web_line_cycle
+from hilbench.twin.machines.web_line_cycle import LineInVectors
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 #: The time of the first SYNC: traces have the same times.
@@ -260,10 +261,10 @@ def test_who_reads_and_finds_nothing_ends_no_plain_cycles(tmp_path: Path) -> Non
 
 
 def counts_stages(made: list[int]) -> Callable[..., int]:
-    """`SpanInVectors._go_on_by_objects` that keeps the stages at which it was called."""
-    original = SpanInVectors._go_on_by_objects
+    """`LineInVectors._go_on_by_objects` that keeps the stages at which it was called."""
+    original = LineInVectors._go_on_by_objects
 
-    def counted(self: SpanInVectors, stage: int, time_s: float) -> int:
+    def counted(self: LineInVectors, stage: int, time_s: float) -> int:
         made.append(stage)
         return original(self, stage, time_s)
 
@@ -282,6 +283,23 @@ def test_what_a_twin_has_python_do_now_and_then_is_alike(tmp_path: Path) -> None
         (1300, sets("load.web.broken", 1.0)),
     ]
     loaded = load_with_overrides(CONFIGS / "web_section_step.yaml")
-    with patch.object(SpanInVectors, "_go_on_by_objects", counts_stages(stages)):
+    with patch.object(LineInVectors, "_go_on_by_objects", counts_stages(stages)):
         check(tmp_path, loaded, changes, cycles=1600, least=1000)
     assert {tracking_cycle.HOLD, tracking_cycle.FOUND_WEB} <= set(stages)
+
+
+@pytest.mark.slow
+def test_what_a_twin_of_several_spans_has_python_do_now_and_then_is_alike(tmp_path: Path) -> None:
+    """The same, and another web that comes in."""
+    stages = list[int]()
+    changes = [
+        (20, sets("line_speed_m_s", 1.0)),
+        (600, sets("load.effects.splice.relative_change", 0.3)),
+        (1100, restarts_the_twin),
+        (1400, sets("load.web.span2.youngs_modulus_Pa", 10.5e9)),
+        (1700, sets("load.web.broken", 1.0)),
+    ]
+    loaded = load_with_overrides(CONFIGS / "line_two_spans.yaml")
+    with patch.object(LineInVectors, "_go_on_by_objects", counts_stages(stages)):
+        check(tmp_path, loaded, changes, cycles=1900, least=1000)
+    assert {tracking_cycle.HOLD, web_line_cycle.PASSAGE} <= set(stages)

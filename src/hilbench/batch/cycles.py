@@ -42,6 +42,8 @@ from hilbench.twin.machines.machine import MachineVectors
 
 #: Cycles after which it is looked anew whether cycles are plain, when they were not.
 _LOOK_AGAIN = 8
+#: Plain cycles after which it is looked anew whether the twin's machine may be in vectors, when it was not.
+_LOOK_FOR_VECTORS = 64
 #: Cycles whose lines of the trace are handed over together: some milliseconds of a run's own time.
 _TRACED_TOGETHER = 32
 _ENABLED = Command.ENABLE_OPERATION.value
@@ -321,6 +323,8 @@ class _Run:
     def _still_plain(self, now_ns: int) -> bool:
         here, nodes, sync = self._here, self._nodes, self._sync
         if self._hardware.over or self._twin.over or here.bus.waiting or here.machine.leaves_vectors:
+            return False
+        if not (self._in_vectors or (self._cycles + 1) % _LOOK_FOR_VECTORS) and here.machine.goes_in_vectors:
             return False
         if sync.due_always is not self._due or nodes.supervised != self._supervised:
             return False

@@ -11,20 +11,83 @@ balance of its own, which a change in no other span disturbs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
-from hilbench.estimation.web_line.balance import mass_at_web_kg, web_force_N
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import COUNT, MATRIX, REAL, VECTOR, compiled, entry_point
+from hilbench.estimation.web_line import balance
+from hilbench.estimation.web_line.balance import mass_at_web_kg, measured_force_N
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
+from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 
+Matrix = NDArray[np.float64]
 
-@dataclass(frozen=True, slots=True)
-class _Roller:
-    p: Vector  #: of the roller and the one before it
-    mass_kg: float  #: at the web
+#: State of M rollers (1 + 2 M,): whether they have positions; these, at the web; the force of each motor there, less
+#: its roller's resistance.
+_HAS_POSITIONS, _POSITIONS = 0, 1
+
+
+@compiled
+def take(p: Matrix, s: Vector, x_m: Vector, torques_Nm: Vector, duration_s: float) -> None:
+    """See `Rollers.update`; p (M, P): parameters of each roller and the one before it, s: state."""
+    count = p.shape[0]
+    for j in range(count):
+        now_m = x_m[j + 1]
+        before_m = s[_POSITIONS + j] if s[_HAS_POSITIONS] != 0.0 else now_m
+        s[_POSITIONS + j] = now_m
+        velocity_m_s = (now_m - before_m) / duration_s
+        s[_POSITIONS + count + j] = measured_force_N(p[j], torques_Nm[j + 1], now_m, velocity_m_s, 0.0)
+    s[_HAS_POSITIONS] = 1.0
+
+
+@compiled
+def force_behind_N(masses_kg: Vector, s: Vector, axis: int) -> float:
+    """See `Rollers.force_behind_N`; masses_kg (M,): at the web."""
+    total_N, count = 0.0, len(masses_kg)
+    for j in range(axis - 1, count):
+        total_N += s[_POSITIONS + count + j]
+    return total_N
+
+
+@compiled
+def centre_m(masses_kg: Vector, s: Vector, axis: int) -> float:
+    """See `Rollers.centre_m`."""
+    moments, total_kg = 0.0, 0.0
+    for j in range(axis - 2, len(masses_kg)):
+        moments += masses_kg[j] * s[_POSITIONS + j]
+        total_kg += masses_kg[j]
+    return moments / total_kg
+
+
+Take = Callable[[Matrix, Vector, Vector, Vector, float], None]
+OfAxis = Callable[[Vector, Vector, int], float]
+
+
+def _entry_points(sources: int) -> tuple[Take, OfAxis, OfAxis]:
+    """For Python; `sources` as in the kernel."""
+
+    @entry_point(MATRIX, VECTOR, VECTOR, VECTOR, REAL)
+    def take_once(p: Matrix, s: Vector, x_m: Vector, torques_Nm: Vector, duration_s: float) -> None:
+        if sources >= 0:
+            take(p, s, x_m, torques_Nm, duration_s)
+
+    @entry_point(VECTOR, VECTOR, COUNT)
+    def force_once(masses_kg: Vector, s: Vector, axis: int) -> float:
+        return force_behind_N(masses_kg, s, axis) if sources >= 0 else 0.0
+
+    @entry_point(VECTOR, VECTOR, COUNT)
+    def centre_once(masses_kg: Vector, s: Vector, axis: int) -> float:
+        return centre_m(masses_kg, s, axis) if sources >= 0 else 0.0
+
+    return take_once, force_once, centre_once
+
+
+_take, _force_behind_N, _centre_m = _entry_points(kernel.source_number(str(balance.__file__), __file__))
 
 
 class Rollers:
@@ -34,44 +97,32 @@ class Rollers:
     """
 
     def __init__(self, model: ModelParameters) -> None:
-        self._rollers = []
-        for axis in range(2, model.axis_count + 1):
-            p = lay.pack(two_rollers(model, axis - 1))
-            self._rollers.append(_Roller(p, mass_at_web_kg(p)))
-        self._positions_m: list[float] | None = None
-        self._forces_N = [0.0] * len(self._rollers)
+        rows = [lay.pack(two_rollers(model, axis - 1)) for axis in range(2, model.axis_count + 1)]
+        #: For compiled callers: parameters (M, P), masses at the web (M,) and state of `take`.
+        self.p, self.masses_kg = np.array(rows), np.array([mass_at_web_kg(p) for p in rows])
+        self.state = np.zeros(_POSITIONS + 2 * len(rows))
 
     def reset(self) -> None:
         """The next positions are the first."""
-        self._positions_m = None
+        self.state[_HAS_POSITIONS] = 0.0
 
     def update(self, positions_m: Sequence[float], torques_Nm: Sequence[float], duration_s: float) -> None:
         """The rollers are at these positions (N,) at the web, with these torques (N,) at the motors, `duration_s`
         after the last."""
-        x_m = list(positions_m[1:])
-        before_m = self._positions_m or x_m
-        self._positions_m = x_m
-        self._forces_N = [
-            float(web_force_N(roller.p, torque_Nm, x, (x - before) / duration_s, 0.0))
-            for roller, x, before, torque_Nm in zip(self._rollers, x_m, before_m, torques_Nm[1:], strict=True)
-        ]
+        _take(self.p, self.state, np.array(positions_m), np.array(torques_Nm), duration_s)
 
     def masses_behind_kg(self, axis: int) -> list[float]:
         """At the web, of the rollers behind that of `axis`, from 2."""
-        return [roller.mass_kg for roller in self._rollers[axis - 1 :]]
+        return [float(mass_kg) for mass_kg in self.masses_kg[axis - 1 :]]
 
     def force_behind_N(self, axis: int) -> float:
         """Force at the web of the motors behind that of `axis`, from 2, less their rollers' resistance."""
-        return sum(self._forces_N[axis - 1 :])
+        return _force_behind_N(self.masses_kg, self.state, axis)
 
     def centre_m(self, axis: int) -> float:
         """Position of the centre of mass of the roller of `axis`, from 2, and all behind it, at the web."""
-        assert self._positions_m is not None, "asked for before the first positions"
-        moments, total_kg = 0.0, 0.0
-        for roller, x_m in zip(self._rollers[axis - 2 :], self._positions_m[axis - 2 :], strict=True):
-            moments += roller.mass_kg * x_m
-            total_kg += roller.mass_kg
-        return moments / total_kg
+        assert self.state[_HAS_POSITIONS], "asked for before the first positions"
+        return _centre_m(self.masses_kg, self.state, axis)
 
 
 def two_rollers(model: ModelParameters, span: int, masses_behind_kg: Sequence[float] = ()) -> ModelParameters:

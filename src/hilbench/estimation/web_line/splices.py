@@ -17,7 +17,7 @@ be that is no joint.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Set
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass
 from enum import Enum
 from math import exp, inf
@@ -26,9 +26,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point, number_of_sources
 from hilbench.estimation.web_line.balance import BalanceSample
 
 Array = NDArray[np.float64]
+Vector = NDArray[np.float64]
 
 #: Length of a block, time between two looks, and the most and the fewest blocks that are looked at.
 _BLOCK_S, _LOOK_S = 0.02, 0.1
@@ -44,6 +46,51 @@ _LEAST_WAY, _THROUGH = 0.12, 1.0
 _SAME_SPEED = 0.02
 #: A short piece is taken to be so long, m, and no softer or stiffer than this share of the span allows.
 _SHORT_M, _LEAST_SHARE = 0.3, 0.5
+
+
+#: What is added up of a block: so many cycles of so many, forces, h (`balance`) as it seems, positions of the roller
+#: before the span; its first speed.
+COUNT, CYCLES, _FORCES_N, _WEBS, _WAYS_M, _FIRST_M_S = range(6)
+_SIZE = 6
+
+
+@compiled
+def interrupt(s: Vector) -> None:
+    """A new block begins; s: what is added up."""
+    s[COUNT] = s[_FORCES_N] = s[_WEBS] = s[_WAYS_M] = s[_FIRST_M_S] = 0.0
+
+
+@compiled
+def collect(s: Vector, force_N: float, web_per_Pa: float, velocity_m_s: float, before_m: float) -> bool:
+    """Add the balance of a cycle up, with h as it seems and the position of the roller before the span; whether the
+    block is complete."""
+    if s[COUNT] == 0.0:
+        s[_FIRST_M_S] = velocity_m_s
+    s[_FORCES_N] += force_N
+    s[_WEBS] += web_per_Pa
+    s[_WAYS_M] += before_m
+    s[COUNT] += 1.0
+    return bool(s[COUNT] >= s[CYCLES])
+
+
+def _entry_points(
+    sources: int,
+) -> tuple[Callable[[Vector], None], Callable[[Vector, float, float, float, float], bool]]:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(VECTOR)
+    def interrupt_once(s: Vector) -> None:
+        if sources >= 0:
+            interrupt(s)
+
+    @entry_point(VECTOR, REAL, REAL, REAL, REAL)
+    def collect_once(s: Vector, force_N: float, web_per_Pa: float, velocity_m_s: float, before_m: float) -> bool:
+        return collect(s, force_N, web_per_Pa, velocity_m_s, before_m) if sources >= 0 else False
+
+    return interrupt_once, collect_once
+
+
+_interrupt, _collect = _entry_points(number_of_sources(__file__))
 
 
 class Joint(NamedTuple):
@@ -91,8 +138,9 @@ class SpliceFinder:
     def __init__(self, span_length_m: float, mass_kg: float, cycle_s: float) -> None:
         self._length_m = span_length_m
         self._mass_kg = mass_kg
-        self._cycles = max(2, round(_BLOCK_S / cycle_s))
-        self._block_s = self._cycles * cycle_s
+        self.state = np.zeros(_SIZE)  #: what is added up
+        self.state[CYCLES] = cycles = max(2, round(_BLOCK_S / cycle_s))
+        self._block_s = cycles * cycle_s
         self._every = max(1, round(_LOOK_S / self._block_s))
         self.reset()
 
@@ -106,32 +154,22 @@ class SpliceFinder:
         self._kind: _Kind | None = None
         self._joint: Joint | None = None
         self.suspects = False  #: something has changed that may be inside, and it is open yet what
-        self._interrupt()
-
-    def _interrupt(self) -> None:
-        self._count = 0
-        self._force_N = self._web = self._way_m = self._first_m_s = 0.0
+        _interrupt(self.state)
 
     def update(self, now: BalanceSample | None, before_m: float, seeming: float) -> Entered | None:
         """Take the balance of this cycle (None: it can't be used), the position of the roller before the span in m,
         and what the tension would be by the strain as it seems, over that of the balance. A joint when one is found, or
         is known better; it stays the same one until `reset`."""
         if now is None:
-            self._interrupt()
+            _interrupt(self.state)
             return None
-        if not self._count:
-            self._first_m_s = now.velocity_m_s
-        self._force_N += now.force_N
-        self._web += now.web_per_Pa * seeming
-        self._way_m += before_m
-        self._count += 1
-        if self._count < self._cycles:
+        if not _collect(self.state, now.force_N, now.web_per_Pa * seeming, now.velocity_m_s, before_m):
             return None
-        count = self._count
-        gained_N = self._mass_kg * (now.velocity_m_s - self._first_m_s) / ((count - 1) * self._block_s / count)
-        tension_N = self._force_N / count - gained_N
-        way_m, web = self._way_m / count, self._web / count
-        self._interrupt()
+        count, _, force_N, web, way_m, first_m_s = self.state.tolist()
+        gained_N = self._mass_kg * (now.velocity_m_s - first_m_s) / ((count - 1) * self._block_s / count)
+        tension_N = force_N / count - gained_N
+        way_m, web = way_m / count, web / count
+        _interrupt(self.state)
         if not tension_N > 0.0:
             self._blocks.clear()
             return None

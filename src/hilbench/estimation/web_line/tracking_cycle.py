@@ -389,6 +389,13 @@ def run(
 
 
 @compiled
+def leaving_strain(t: Vector, strain: float) -> float:
+    """Of the web that leaves the span, of which `strain` is measured: all of it pulls alike, and each piece has its
+    strain."""
+    return float(strain * t[SERIES_FACTOR] / t[END_FACTOR])
+
+
+@compiled
 def is_synchronized(t: Vector, most_pct: float) -> bool:
     """Whether E is known as well as `most_pct`, the web in the span is the one that was measured, and the simulated web
     is strained as that."""
@@ -396,10 +403,10 @@ def is_synchronized(t: Vector, most_pct: float) -> bool:
     return bool(known and t[OWN_DEVIATION_PA] <= 0.01 * most_pct * t[MODULUS_PA])
 
 
-#: Rows in the table of `flat`: the state; that of what looks for shifts of the torque; parameters, state, inputs,
-#: scratch space and outputs of the line, one behind the other; how many there are, behind which a caller's own may
-#: stand. Inputs, places and mixture of the bank.
-STATE_ROW, SHIFT_ROW, LINE_ROW, ROWS = 0, 3, 46, 52
+#: Rows in the table of `flat`: the state; that of what looks for shifts of the torque; parameters and state of the web
+#: that is followed; parameters, state, inputs, scratch space and outputs of the line, one behind the other; how many
+#: there are. Inputs, places and mixture of the bank.
+STATE_ROW, SHIFT_ROW, WEB_ROW, LINE_ROW, ROWS = 0, 3, 8, 46, 52
 BANK_INPUTS_ROW, BANK_PLACES_ROW, BANK_OUT_ROW = 33, 41, 43
 
 

@@ -273,11 +273,6 @@ class Layout:
         start = S_Y + self.y_size + self.axes * SA_SIZE
         return state[start : start + self.motors * SM_SIZE].reshape(self.motors, SM_SIZE)
 
-    def past_torques(self, state: Vector) -> Vector:
-        """View (M, RING): that of sample k, N·m, at k modulo RING."""
-        start = S_Y + self.y_size + self.axes * SA_SIZE + self.motors * SM_SIZE
-        return state[start : start + self.motors * RING].reshape(self.motors, RING)
-
     def motor_inputs(self, inputs: Vector) -> Vector:
         """View (M, UM_SIZE)."""
         return inputs[U_MOTORS : U_MOTORS + self.motors * UM_SIZE].reshape(self.motors, UM_SIZE)

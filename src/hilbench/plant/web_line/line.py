@@ -18,7 +18,7 @@ from hilbench.plant.sampling import samples_per
 from hilbench.plant.web_line import laws, motion, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
-from hilbench.plant.web_line.line_vectors import LineVectors
+from hilbench.plant.web_line.line_vectors import LineVectors, torque_ripples
 from hilbench.plant.web_line.modes import needed_substeps
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -76,8 +76,6 @@ class Line(SimulatedLine):
         self._moduli = moduli_by_name(self._p)
         self._inputs[lay.U_STRAIN_PREV] = parameters.upstream_strain
         self._inputs[lay.U_F_NEXT_N] = parameters.boundary.downstream_tension_N
-        self._over: dict[int, tuple[NDArray[np.int64], Vector]] = {}  # times over which torques are compared
-        self._driven_rows = np.array(self._driven)[:, None]
         self._elastic = any(_acts_on_elasticity(entry.effect) for entry in parameters.effects)
         self._observe()
 
@@ -174,14 +172,9 @@ class Line(SimulatedLine):
         Raises ValueError for a duration that is no multiple of the drives' sample time.
         """
         samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
-        if samples not in self._over:
-            weights = np.full(samples + 1, 1.0 / samples)
-            weights[[0, -1]] = 0.5 / samples - 0.5
-            self._over[samples] = (np.arange(-samples, 1), weights)
-        back, weights = self._over[samples]
-        places = (int(self._state.item(lay.S_COUNT)) + back) % lay.RING
-        past = self._layout.past_torques(self._state)
-        return np.asarray(past[self._driven_rows, places] @ weights, np.float64)
+        ripples_Nm = np.zeros(len(self._driven))
+        torque_ripples(self._p, self._state, self._places_of_motors, samples, ripples_Nm)
+        return ripples_Nm
 
     @property
     def x_m(self) -> Vector:

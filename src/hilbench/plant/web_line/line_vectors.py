@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
-from hilbench.compiled import compiled
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import COUNT, INDICES, VECTOR, compiled, entry_point
 from hilbench.plant.web_line import kernel, laws, places
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
@@ -83,3 +87,38 @@ def is_as_fast(line: LineVectors, axis: int, v1_m_s: float, v2_m_s: float, limit
     first = int(line.p[lay.W_MOTORS]) + axis
     apart_1_m_s, apart_2_m_s = abs(v1_m_s - line.out[first]), abs(v2_m_s - line.out[first + 1])
     return bool(max(apart_1_m_s, apart_2_m_s) <= limit_m_s)
+
+
+@compiled
+def put_torque_ripples(p: Vector, s: Vector, motors: NDArray[np.int64], samples: int, ripples_Nm: Vector) -> None:
+    """By how much the torque of the first N of these motors was larger in the mean of the last `samples` sample times
+    of the drives than in the mean of their begin and end, N·m, into `ripples_Nm` (N,)."""
+    (n, m, k), now = places.counts(p), int(s[lay.S_COUNT])
+    # Fours are added up in two sums beside each other, as a vector unit does.
+    inner, ends = 1.0 / samples, 0.5 / samples - 0.5
+    fours = (samples + 1) // 4 * 4
+    for row in range(len(ripples_Nm)):
+        past, even, odd = places.past(n, m, k, motors[row]), 0.0, 0.0
+        for back in range(samples + 1):
+            weighted = (ends if back in (0, samples) else inner) * s[past + (now - samples + back) % lay.RING]
+            if back >= fours or back % 2 == 0:
+                even += weighted
+            else:
+                odd += weighted
+            if back == fours - 1:
+                even += odd
+        ripples_Nm[row] = even
+
+
+def _entry_point(sources: int) -> Callable[[Vector, Vector, NDArray[np.int64], int, Vector], None]:
+    """For Python; `sources` as in the kernel."""
+
+    @entry_point(VECTOR, VECTOR, INDICES, COUNT, VECTOR)
+    def put_once(p: Vector, s: Vector, motors: NDArray[np.int64], samples: int, ripples_Nm: Vector) -> None:
+        if sources >= 0:
+            put_torque_ripples(p, s, motors, samples, ripples_Nm)
+
+    return put_once
+
+
+torque_ripples = _entry_point(kernel.source_number(__file__))

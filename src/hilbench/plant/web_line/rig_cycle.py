@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, INDICES, TABLE, VECTOR, entry_point, floats, integers
+from hilbench.compiled import COUNT, INDICES, TABLE, VECTOR, compiled, entry_point, floats, integers
 from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.kernel import advance, observe
@@ -20,6 +20,27 @@ Step = Callable[[Vector, Vector, Vector, Vector, Vector, NDArray[np.int64], Vect
 SHOWN = 5
 #: Of each motor: standard deviations of position, velocity and torque, and what the encoder counts.
 SENSOR = 4
+
+
+@compiled
+def show(
+    p: Vector, s: Vector, out: Vector, motors: NDArray[np.int64], sensors: Vector, noise: Vector, shown: Vector
+) -> None:
+    """What the motors show of what was observed, into `shown`; arguments as of `step`."""
+    axes, count, spans = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
+    rows = lay.W_SIZE + axes * lay.A_SIZE
+    states = lay.S_Y + 4 * axes + 2 * spans + axes * lay.SA_SIZE
+    for k in range(len(motors)):
+        j, at, of = motors[k], k * SHOWN, k * SENSOR
+        rad_per_m, state = p[rows + j * lay.M_SIZE + lay.M_RAD_PER_M], states + j * lay.SM_SIZE
+        position = out[j] * rad_per_m + sensors[of] * noise[3 * k]
+        counts = sensors[of + 3]
+        # A count is a whole number, which has no -0.0.
+        shown[at] = (np.rint(position / counts) + 0.0) * counts if counts > 0.0 else position
+        shown[at + 1] = out[count + j] * rad_per_m + sensors[of + 1] * noise[3 * k + 1]
+        shown[at + 2] = out[2 * count + j] + sensors[of + 2] * noise[3 * k + 2]
+        shown[at + 3] = s[state + lay.SM_REFERENCE]
+        shown[at + 4] = s[state + lay.SM_LIMITED] != 0.0
 
 
 def _entry_point(sources: int) -> Step:
@@ -40,7 +61,6 @@ def _entry_point(sources: int) -> Step:
         if sources < 0:
             return
         axes, count, spans = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
-        rows = lay.W_SIZE + axes * lay.A_SIZE
         states = lay.S_Y + 4 * axes + 2 * spans + axes * lay.SA_SIZE
         for k in range(len(motors)):
             u[lay.U_MOTORS + motors[k] * lay.UM_SIZE + lay.UM_SETPOINT] = set_points[k]
@@ -48,17 +68,7 @@ def _entry_point(sources: int) -> Step:
             s[states + j * lay.SM_SIZE + lay.SM_LIMITED] = 0.0
         advance(p, s, u, work, samples)
         observe(p, s, u, work, out)
-        for k in range(len(motors)):
-            j, at, of = motors[k], k * SHOWN, k * SENSOR
-            rad_per_m, state = p[rows + j * lay.M_SIZE + lay.M_RAD_PER_M], states + j * lay.SM_SIZE
-            position = out[j] * rad_per_m + sensors[of] * noise[3 * k]
-            counts = sensors[of + 3]
-            # A count is a whole number, which has no -0.0.
-            shown[at] = (np.rint(position / counts) + 0.0) * counts if counts > 0.0 else position
-            shown[at + 1] = out[count + j] * rad_per_m + sensors[of + 1] * noise[3 * k + 1]
-            shown[at + 2] = out[2 * count + j] + sensors[of + 2] * noise[3 * k + 2]
-            shown[at + 3] = s[state + lay.SM_REFERENCE]
-            shown[at + 4] = s[state + lay.SM_LIMITED] != 0.0
+        show(p, s, out, motors, sensors, noise, shown)
 
     return step
 

@@ -291,8 +291,14 @@ def modulus_place(p: Vector) -> int:
 @inlined
 def first_strain(web: SpanVectors) -> float:
     """Strain of the first span, of two rollers."""
-    unstretched_m, length_m = web.s[POSITIONS + 2], web.s[POSITIONS + 3]
-    return float(length_m * laws.length_factor(web.p, _first_span(web.p)) / unstretched_m - 1.0)
+    return first_strain_of(web.p, web.s)
+
+
+@inlined
+def first_strain_of(p: Vector, s: Vector) -> float:
+    """The same by parameters and state of `SpanVectors`."""
+    unstretched_m, length_m = s[POSITIONS + 2], s[POSITIONS + 3]
+    return float(length_m * laws.length_factor(p, _first_span(p)) / unstretched_m - 1.0)
 
 
 @compiled

@@ -27,7 +27,7 @@ from hilbench.topology.signals import Shape
 from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines import web_line_cycle
 from hilbench.twin.machines.machine import MachineVectors, Measured, Told
-from hilbench.twin.machines.web_line_cycle import SpanInVectors
+from hilbench.twin.machines.web_line_cycle import LineInVectors
 from hilbench.twin.machines.web_line_errors import as_effects
 from hilbench.twin.machines.web_passage import Passage
 from hilbench.twin.machines.web_section import WebSection
@@ -300,29 +300,30 @@ class WebLineTwin:
 
     @property
     def goes_in_vectors(self) -> bool:
-        """Whether `in_vectors` does all that is done in a cycle: with one span and no effects on E in the model."""
-        only = self._only
-        if only is None or self._several or self._passage is not None:
+        """Whether `in_vectors` does all that is done in a cycle: where E of every span is found, and no effects on E
+        are in the model."""
+        if self._others is not None or self.plant.changes_elasticity:
             return False
-        tracking = only.tracking  # while it refuses what is measured, the simulation may have to be brought back
-        return tracking.in_vectors and not (only.waiting or tracking.refused or self.plant.changes_elasticity)
+        # While it refuses what is measured, the simulation may have to be brought back.
+        return all(each.tracking.in_vectors and not (each.waiting or each.tracking.refused) for each in self._all)
 
     def warm_up_in_vectors(self) -> None:
         """Compile, or load, what it runs on then."""
-        if self._only is not None and not self._several:
+        if self._others is None:
             web_line_cycle.warm_up()
 
-    def in_vectors(self, vectors: MachineVectors) -> SpanInVectors:
+    def in_vectors(self, vectors: MachineVectors) -> LineInVectors:
         """While this goes on in vectors; see `VectorMachine`."""
-        assert self._only is not None, "a line of one span"
-        return SpanInVectors(
-            self._only.tracking,
+        return LineInVectors(
+            self._all,
             self._pairing,
             self._steady,
             self.plant.step_in_vectors(self._cycle_s),
-            self._metres_per_rad,
+            [self._model.motor_rad_per_m(axis) for axis in range(1, self._model.axis_count + 1)],
             least_way_m(self._model),
-            self._only,
+            self._cycle_s,
+            self._rollers,
+            self._passage,
             vectors,
         )
 

@@ -1,8 +1,9 @@
-"""A cycle of the twin of two rollers and the span between them, compiled: `WebLineTwin.compare`, `listen`, the step of
-its line and `published`, with the status that `TwinApplication` says with the next SYNC.
+"""A cycle of the twin of a web line, compiled: `WebLineTwin.compare`, `listen`, the step of its line and `published`,
+with the status that `TwinApplication` says with the next SYNC.
 
 It goes by stages as `tracking_cycle.run` does: where something happens that is rare it returns the stage, Python does
-its part, and calls it again from FINISH. All of it stands in vectors, by a table of where these are.
+its part, and calls it again from the stage behind. All of it stands in vectors, by a table of where these are: those of
+the line, then those of each span with the rollers around it, one span after the other.
 """
 
 from __future__ import annotations
@@ -15,33 +16,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers, table_of
-from hilbench.estimation.web_line import torque_shift
+from hilbench.estimation.web_line import rollers, splices, torque_shift
 from hilbench.estimation.web_line import tracking_cycle as cycle
+from hilbench.estimation.web_line.rollers import Rollers
 from hilbench.estimation.web_line.synchronizers import changepoint
 from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.estimation.web_line.tracking_cycle import run_vectors
 from hilbench.plant import pairing
 from hilbench.plant.pairing import Pairing, SteadyWay, comes_steadily, paired
-from hilbench.plant.web_line import kernel, rig_cycle
+from hilbench.plant.web_line import kernel, line_vectors, rig_cycle, span_kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import LineStep
+from hilbench.twin.machines import web_passage
 from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, MachineVectors
+from hilbench.twin.machines.web_passage import Passage
 from hilbench.twin.virtual_io import TwinStatus
 
 Places = NDArray[np.int64]
+Matrix = NDArray[np.float64]
 
-#: Where to go on behind what is Python's: with a measurement that was compared, or without; what `run` returns is one
-#: of the stages of `tracking_cycle` that are Python's, or these.
-_FINISH, _FINISH_WITHOUT, _UNPAIRED, _DONE, _LOOK = range(cycle.DONE + 1, cycle.DONE + 6)
+#: Where to go on behind what is Python's: at the next span; with measurements that were compared, or without. What
+#: `run` returns is one of the stages of `tracking_cycle` that are Python's, or one of these.
+_NEXT_SPAN, _FINISH, _FINISH_WITHOUT, _UNPAIRED, PASSAGE, _DONE, _LOOK, _WITHOUT = range(cycle.DONE + 1, cycle.DONE + 9)
+#: What the machine has done where nothing is left to do.
+_ENDS = {_DONE: WENT_ON, _LOOK: LOOK, _WITHOUT: MISSED}
 
-# Rows of the table behind those of the tracking.
+# Rows of the table; behind them those of the trackings.
 (
     _WAYS,
     _STEADY,
     _FIGURES,
+    _SPANS,
+    _RAD_PER_M,
     _SAID,
     _POSITIONS,
+    _TORQUES,
     _MEASURED,
     _ASKED,
     _SHOWN,
@@ -51,20 +61,29 @@ _FINISH, _FINISH_WITHOUT, _UNPAIRED, _DONE, _LOOK = range(cycle.DONE + 1, cycle.
     _VALUES,
     _WHOLE,
     _AT,
-) = range(cycle.ROWS, cycle.ROWS + 14)
-#: Figures: metres at the web per rad of each motor, by how much ways may differ, drive samples of a cycle; from which
-#: deviation E counts as known; of a method that is Python's what it takes the strain upstream for beyond what is told,
-#: and whether it tells all apart.
-_M_PER_RAD_1, _M_PER_RAD_2, _LEAST_WAY_M, _SAMPLES, _KNOWN_PCT, _INPUT_STRAIN, _SEPARABLE = range(7)
-#: What was said last: residual of the torque, shift of the torque and whether it is undecided as they were reported,
-#: the status of the last SYNC.
-_RESIDUAL_NM, _SHIFT_NM, _UNDECIDED, _STATUS = range(4)
-#: Places in the values: strain upstream and tension downstream as told, then what is published; among the whole
-#: numbers: number of the SYNC and status.
+    _ROLLERS,
+    _MASSES,
+    _OF_ROLLERS,
+    _OF_PASSAGE,
+    _OF_BLOCK,
+    _OWN,
+) = range(23)
+#: Parameters, state, inputs, scratch space and outputs of the line, among those of the first tracking.
+_LINE = _OWN + cycle.LINE_ROW
+#: Figures: by how much ways may differ, drive samples of a cycle, its length; of a method that is Python's what it
+#: takes the strain upstream for beyond what is told.
+_LEAST_WAY_M, _SAMPLES, _CYCLE_S, _INPUT_STRAIN = range(4)
+#: Of each span (K, 6): from which deviation E counts as known; whether a method that is Python's tells all apart;
+#: strain of the web that enters; residual of the torque; its shift and whether it is undecided, as they were reported.
+_KNOWN_PCT, _SEPARABLE, _STRAIN_BEFORE, _RESIDUAL_NM, _SHIFT_NM, _UNDECIDED = range(6)
+#: What was said last: the span at which Python has its part, from 0, and the status of the last SYNC.
+_AT_SPAN, _STATUS = range(2)
+#: Places in the values: strain upstream and tension downstream as told, then what is published of each span; among the
+#: whole numbers: number of the SYNC and status.
 _STRAIN_PREV, _F_NEXT_N, _NUMBER, _STATUS_AT, _PUBLISHED = range(5)
 _F_SIM_N, _E_SIM_PA, _E_DEVIATION_PA, _TORQUE_SIM_NM, _TORQUE_RESIDUAL_NM, _COUNT_PUBLISHED = range(6)
-#: Of the second axis in what is measured, and in what its motor shows.
-_TORQUE_2, _SHOWN_TORQUE_2 = 4 + 2, rig_cycle.SHOWN + 2
+#: What is measured of an axis, and the torque among that and among what its motor shows.
+_MEASURED_SIZE, _TORQUE = 4, 2
 _NUMBERS = 0x10000
 _RUNNING, _SYNCHRONIZED, _HOLDING, _REFUSED, _NOT_SEPARABLE = (
     int(bit)
@@ -79,29 +98,155 @@ _RUNNING, _SYNCHRONIZED, _HOLDING, _REFUSED, _NOT_SEPARABLE = (
 
 
 @compiled
-def _status(t: Vector, known_pct: float, separable: bool) -> int:
-    """`TwinApplication._status` of a machine that is released, with the model that it was configured with."""
-    status = _RUNNING
-    if cycle.is_synchronized(t, known_pct):
-        status |= _SYNCHRONIZED
-    if t[cycle.PROBLEM] != 0.0:
-        status |= _HOLDING
-    if t[cycle.REFUSED] != 0.0:
-        status |= _REFUSED
-    if not separable:
-        status |= _NOT_SEPARABLE
-    return status
+def _torque_of_motors_Nm(shown: Vector, rad_per_m: Vector, span: int) -> float:
+    """`WebSection.torque_Nm`."""
+    total_Nm = 0.0
+    for axis in range(span + 1, len(rad_per_m)):
+        total_Nm += shown[rig_cycle.SHOWN * axis + _TORQUE] * (rad_per_m[axis] / rad_per_m[span + 1])
+    return total_Nm
 
 
 @compiled
-def _publish(t: Vector, tension_N: float, torque_Nm: float, residual_Nm: float, at: Places, values: Vector) -> None:
-    """`WebLineTwin.published` of a line without effects on E."""
-    factor = t[cycle.SERIES_FACTOR]
-    values[at[_PUBLISHED + _F_SIM_N]] = tension_N
-    values[at[_PUBLISHED + _E_SIM_PA]] = factor * t[cycle.MODULUS_PA]
-    values[at[_PUBLISHED + _E_DEVIATION_PA]] = factor * t[cycle.DEVIATION_PA]
-    values[at[_PUBLISHED + _TORQUE_SIM_NM]] = torque_Nm
-    values[at[_PUBLISHED + _TORQUE_RESIDUAL_NM]] = residual_Nm
+def _measured(table: Places) -> bool:
+    """Take positions and torques over; whether the positions are of one instant."""
+    x_m, measured, rad_per_m = (
+        floats(table, _POSITIONS, (1,)),
+        floats(table, _MEASURED, (1,)),
+        floats(table, _RAD_PER_M, (1,)),
+    )
+    steady, figures = floats(table, _STEADY, (1,)), floats(table, _FIGURES, (1,))
+    for axis in range(len(x_m)):
+        x_m[axis] = measured[_MEASURED_SIZE * axis] * (1.0 / rad_per_m[axis])
+    if not paired(floats(table, _WAYS, (1,)), x_m, figures[_LEAST_WAY_M]):
+        steady[pairing.STEADY_MISSED] += 1.0
+        return False
+    if not comes_steadily(steady, x_m[1]):
+        return False
+    if len(x_m) > 2:  # as `WebLineTwin.compare`
+        torques_Nm, p, s = floats(table, _TORQUES, (1,)), floats(table, _LINE, (1,)), floats(table, _LINE + 1, (1,))
+        line_vectors.put_torque_ripples(p, s, integers(table, _MOTORS, (1,)), int(figures[_SAMPLES]), torques_Nm)
+        for axis in range(len(x_m)):
+            torques_Nm[axis] += measured[_MEASURED_SIZE * axis + _TORQUE]
+        of_rollers = floats(table, _OF_ROLLERS, (1,))
+        rollers.take(floats(table, _ROLLERS, (1, 2)), of_rollers, x_m, torques_Nm, figures[_CYCLE_S])
+    return True
+
+
+@compiled
+def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> int:
+    """Let the spans from this one on (from 0) compare; the stage at which Python has its part, or _FINISH."""
+    spans, rad_per_m = floats(table, _SPANS, (1, 2)), floats(table, _RAD_PER_M, (1,))
+    shown, x_m = floats(table, _SHOWN, (1,)), floats(table, _POSITIONS, (1,))
+    measured, torques_Nm = floats(table, _MEASURED, (1,)), floats(table, _TORQUES, (1,))
+    masses_kg, of_rollers = floats(table, _MASSES, (1,)), floats(table, _OF_ROLLERS, (1,))
+    for k in range(first, len(spans)):
+        of_span, strain_before = table[_OWN + k * cycle.ROWS :], strain_prev
+        t, at = floats(of_span, cycle.STATE_ROW, (1,)), rig_cycle.SHOWN * (k + 1) + _TORQUE
+        if k > 0:
+            before = table[_OWN + (k - 1) * cycle.ROWS :]
+            t_before = floats(before, cycle.STATE_ROW, (1,))
+            strain_before = cycle.leaving_strain(t_before, _strain(before))
+            if t_before[cycle.MOVED] != 0.0:
+                _show(table)
+        torque_Nm, centre_m = measured[_MEASURED_SIZE * (k + 1) + _TORQUE], nan
+        spans[k, _RESIDUAL_NM] = torque_Nm - t[cycle.SHIFT_NM] - shown[at]
+        if len(spans) > 1:
+            torque_Nm = torques_Nm[k + 1] + rollers.force_behind_N(masses_kg, of_rollers, k + 2) / rad_per_m[k + 1]
+            centre_m = rollers.centre_m(masses_kg, of_rollers, k + 2)
+        torque_sim_Nm = _torque_of_motors_Nm(shown, rad_per_m, k)
+        compared = x_m[k], x_m[k + 1], torque_Nm, torque_sim_Nm, strain_before, F_next_N, centre_m
+        stage = run_vectors(cycle.COMPARE, compared, of_span)
+        if stage != cycle.DONE:
+            floats(table, _SAID, (1,))[_AT_SPAN], spans[k, _STRAIN_BEFORE] = k, strain_before
+            return stage
+    of_passage = floats(table, _OF_PASSAGE, (1,))
+    if len(of_passage) > 0:
+        block, t = floats(table, _OF_BLOCK, (1,)), floats(table, _OWN + cycle.STATE_ROW, (1,))
+        if not web_passage.goes_by(of_passage, block, t, _strain(table[_OWN:]), x_m[0]):
+            return PASSAGE
+    return _FINISH
+
+
+@compiled
+def _strain(of_span: Places) -> float:
+    """Of the web in a span, as measured."""
+    web = floats(of_span, cycle.WEB_ROW, (1,)), floats(of_span, cycle.WEB_ROW + 1, (1,))
+    return span_kernel.first_strain_of(web[0], web[1])
+
+
+@compiled
+def _show(table: Places) -> None:
+    """A state was changed: bring the motors up to it."""
+    p, s, out = floats(table, _LINE, (1,)), floats(table, _LINE + 1, (1,)), floats(table, _LINE + 4, (1,))
+    motors, sensors, silence = (
+        integers(table, _MOTORS, (1,)),
+        floats(table, _SENSORS, (1,)),
+        floats(table, _SILENCE, (1,)),
+    )
+    rig_cycle.show(p, s, out, motors, sensors, silence, floats(table, _SHOWN, (1,)))
+
+
+@compiled
+def _go_on(table: Places, strain_prev: float, F_next_N: float) -> None:
+    """A step of the line."""
+    p, s, u = floats(table, _LINE, (1,)), floats(table, _LINE + 1, (1,)), floats(table, _LINE + 2, (1,))
+    work, out, figures = floats(table, _LINE + 3, (1,)), floats(table, _LINE + 4, (1,)), floats(table, _FIGURES, (1,))
+    u[lay.U_STRAIN_PREV], u[lay.U_F_NEXT_N] = strain_prev + figures[_INPUT_STRAIN], F_next_N
+    motors, asked, shown = integers(table, _MOTORS, (1,)), floats(table, _ASKED, (1,)), floats(table, _SHOWN, (1,))
+    sensors, silence = floats(table, _SENSORS, (1,)), floats(table, _SILENCE, (1,))
+    rig_cycle.step(p, s, u, work, out, motors, asked, int(figures[_SAMPLES]), sensors, silence, shown)
+
+
+@compiled
+def _publish(table: Places, k: int) -> None:
+    """`WebLineTwin.published` of a span, from 0, of a line without effects on E."""
+    t = floats(table, _OWN + k * cycle.ROWS + cycle.STATE_ROW, (1,))
+    at, values, first = integers(table, _AT, (1,)), floats(table, _VALUES, (1,)), _PUBLISHED + k * _COUNT_PUBLISHED
+    tension, factor = 3 * int(floats(table, _LINE, (1,))[lay.W_MOTORS]) + k, t[cycle.SERIES_FACTOR]
+    values[at[first + _F_SIM_N]] = floats(table, _LINE + 4, (1,))[tension]
+    values[at[first + _E_SIM_PA]] = factor * t[cycle.MODULUS_PA]
+    values[at[first + _E_DEVIATION_PA]] = factor * t[cycle.DEVIATION_PA]
+    values[at[first + _TORQUE_SIM_NM]] = floats(table, _SHOWN, (1,))[rig_cycle.SHOWN * (k + 1) + _TORQUE]
+    values[at[first + _TORQUE_RESIDUAL_NM]] = floats(table, _SPANS, (1, 2))[k, _RESIDUAL_NM]
+
+
+@compiled
+def _separable(of_span: Places) -> bool:
+    """Whether the bank tells all apart."""
+    inputs, mixture = floats(of_span, cycle.BANK_INPUTS_ROW, (1,)), floats(of_span, cycle.BANK_OUT_ROW, (1, 2))
+    return changepoint.separable(inputs, integers(of_span, cycle.BANK_PLACES_ROW, (1,)), mixture)
+
+
+@compiled
+def _status(table: Places) -> int:
+    """`TwinApplication._status` of a machine that is released, with the model that it was configured with."""
+    spans, synchronized, status = floats(table, _SPANS, (1, 2)), _SYNCHRONIZED, _RUNNING
+    for k in range(len(spans)):
+        of_span = table[_OWN + k * cycle.ROWS :]
+        t = floats(of_span, cycle.STATE_ROW, (1,))
+        if not cycle.is_synchronized(t, spans[k, _KNOWN_PCT]):
+            synchronized = 0
+        if t[cycle.PROBLEM] != 0.0:
+            status |= _HOLDING
+        if t[cycle.REFUSED] != 0.0:
+            status |= _REFUSED
+        separable = _separable(of_span) if t[cycle.BANK] != 0.0 else spans[k, _SEPARABLE] != 0.0
+        if not separable:
+            status |= _NOT_SEPARABLE
+    return status | synchronized
+
+
+@compiled
+def _told(table: Places) -> bool:
+    """Whether all that was reported of the torques is so still."""
+    spans, told = floats(table, _SPANS, (1, 2)), True
+    for k in range(len(spans)):
+        of_span = table[_OWN + k * cycle.ROWS :]
+        shift_Nm = floats(of_span, cycle.STATE_ROW, (1,))[cycle.SHIFT_NM]
+        undecided = 1.0 if torque_shift.undecided(floats(of_span, cycle.SHIFT_ROW, (1,))) else 0.0
+        told = told and spans[k, _SHIFT_NM] == shift_Nm and spans[k, _UNDECIDED] == undecided
+        spans[k, _SHIFT_NM], spans[k, _UNDECIDED] = shift_Nm, undecided
+    return told
 
 
 def _entry_point(sources: int) -> Callable[[int, Places], int]:
@@ -111,56 +256,31 @@ def _entry_point(sources: int) -> Callable[[int, Places], int]:
     def run(stage: int, table: Places) -> int:
         if sources < 0 or stage < 0:
             return stage
-        t, shift = floats(table, cycle.STATE_ROW, (1,)), floats(table, cycle.SHIFT_ROW, (1,))
-        figures, said, values = floats(table, _FIGURES, (1,)), floats(table, _SAID, (1,)), floats(table, _VALUES, (1,))
-        whole, at = integers(table, _WHOLE, (1,)), integers(table, _AT, (1,))
-        shown, measured = floats(table, _SHOWN, (1,)), floats(table, _MEASURED, (1,))
+        said, whole, at = floats(table, _SAID, (1,)), integers(table, _WHOLE, (1,)), integers(table, _AT, (1,))
+        values = floats(table, _VALUES, (1,))
         strain_prev, F_next_N = values[at[_STRAIN_PREV]], values[at[_F_NEXT_N]]
-        if stage == cycle.COMPARE:
-            steady, x_m = floats(table, _STEADY, (1,)), floats(table, _POSITIONS, (1,))
-            for axis in range(2):
-                x_m[axis] = measured[4 * axis] * figures[_M_PER_RAD_1 + axis]
-            if not paired(floats(table, _WAYS, (1,)), x_m, figures[_LEAST_WAY_M]):
-                steady[pairing.STEADY_MISSED] += 1.0
-                return _UNPAIRED
-            if not comes_steadily(steady, x_m[1]):
-                return _UNPAIRED
-            torque_Nm, torque_sim_Nm = measured[_TORQUE_2], shown[_SHOWN_TORQUE_2]
-            said[_RESIDUAL_NM] = torque_Nm - t[cycle.SHIFT_NM] - torque_sim_Nm
-            compared = x_m[0], x_m[1], torque_Nm, torque_sim_Nm, strain_prev, F_next_N, nan
-            stage = run_vectors(cycle.COMPARE, compared, table)
-            if stage != cycle.DONE:
+        if stage == cycle.COMPARE and not _measured(table):
+            return _UNPAIRED
+        if stage == cycle.COMPARE or stage == _NEXT_SPAN:
+            stage = _compare(table, 0 if stage == cycle.COMPARE else int(said[_AT_SPAN]) + 1, strain_prev, F_next_N)
+            if stage != _FINISH:
                 return stage
-            stage = _FINISH
-        p, s = floats(table, cycle.LINE_ROW, (1,)), floats(table, cycle.LINE_ROW + 1, (1,))
-        u, work = floats(table, cycle.LINE_ROW + 2, (1,)), floats(table, cycle.LINE_ROW + 3, (1,))
-        out, motors = floats(table, cycle.LINE_ROW + 4, (1,)), integers(table, _MOTORS, (1,))
-        u[lay.U_STRAIN_PREV], u[lay.U_F_NEXT_N] = strain_prev + figures[_INPUT_STRAIN], F_next_N
-        asked, sensors = floats(table, _ASKED, (1,)), floats(table, _SENSORS, (1,))
-        silence = floats(table, _SILENCE, (1,))
-        rig_cycle.step(p, s, u, work, out, motors, asked, int(figures[_SAMPLES]), sensors, silence, shown)
-        tension_N = out[3 * int(p[lay.W_MOTORS])]
-        _publish(t, tension_N, shown[_SHOWN_TORQUE_2], said[_RESIDUAL_NM], at, values)
-        separable = figures[_SEPARABLE] != 0.0
-        if t[cycle.BANK] != 0.0:
-            inputs, out_of_bank = floats(table, cycle.BANK_INPUTS_ROW, (1,)), floats(table, cycle.BANK_OUT_ROW, (1, 2))
-            separable = changepoint.separable(inputs, integers(table, cycle.BANK_PLACES_ROW, (1,)), out_of_bank)
-        said[_STATUS] = whole[at[_STATUS_AT]]
-        whole[at[_STATUS_AT]] = _status(t, figures[_KNOWN_PCT], separable)
+        _go_on(table, strain_prev, F_next_N)
+        for k in range(len(floats(table, _SPANS, (1, 2)))):
+            _publish(table, k)
+        status = _status(table)
+        said[_STATUS], whole[at[_STATUS_AT]] = whole[at[_STATUS_AT]], status
         whole[at[_NUMBER]] = (whole[at[_NUMBER]] + 1) % _NUMBERS
         if stage == _FINISH_WITHOUT:
-            return _UNPAIRED
-        undecided = 1.0 if torque_shift.undecided(shift) else 0.0
-        told = said[_SHIFT_NM] == t[cycle.SHIFT_NM] and said[_UNDECIDED] == undecided
-        said[_SHIFT_NM], said[_UNDECIDED] = t[cycle.SHIFT_NM], undecided
-        return _DONE if told and t[cycle.PROBLEM] == 0.0 and t[cycle.REFUSED] == 0.0 else _LOOK
+            return _WITHOUT
+        return _DONE if _told(table) and not status & (_HOLDING | _REFUSED) else _LOOK
 
     return run
 
 
 _run = _entry_point(
     kernel.source_number(
-        *(str(module.__file__) for module in (pairing, rig_cycle)),
+        *(str(module.__file__) for module in (pairing, rig_cycle, rollers, splices, web_passage)),
         *cycle.SOURCES,
         __file__,
     )
@@ -172,77 +292,92 @@ def warm_up() -> None:
     _run(-1, np.zeros((1, 1), np.int64))
 
 
-class Residual(Protocol):
-    """Who keeps the residual of the torque."""
+class Estimated(Protocol):
+    """Who finds E of a span, and keeps the residual of its torque."""
 
+    tracking: Tracking
     residual_Nm: float
 
 
-class SpanInVectors:
-    """A `WebLineTwin` of two rollers that goes on in vectors; see `machine.InVectors`.
+class LineInVectors:
+    """A `WebLineTwin` that goes on in vectors; see `machine.InVectors`.
 
-    `metres_per_rad` (2,): at the web, of the motors; `keeps`: who is to have the residual afterwards.
+    `estimated` (K,): of all spans; `rad_per_m` (N,): of the motors, at the web; `passage`: None where nobody looks for
+    other web.
     """
 
     def __init__(
         self,
-        tracking: Tracking,
+        estimated: Sequence[Estimated],
         pairing_of_axes: Pairing,
         steady: SteadyWay,
         line: LineStep,
-        metres_per_rad: Sequence[float],
+        rad_per_m: Sequence[float],
         least_way_m: float,
-        keeps: Residual,
+        cycle_s: float,
+        of_rollers: Rollers,
+        passage: Passage | None,
         vectors: MachineVectors,
     ) -> None:
-        self._tracking, self._keeps, self._values = tracking, keeps, vectors.values
-        ways, positions_m = pairing_of_axes.vectors(len(metres_per_rad))
-        figures = [*metres_per_rad, least_way_m, float(line.samples), tracking.config.synchronized_pct, 0.0, 1.0]
-        self._figures = np.array(figures)
-        self._said = np.array([keeps.residual_Nm, nan, nan, 0.0])
-        self._at = np.array(
-            [vectors.told["strain_prev"], vectors.told["F_next_N"], vectors.number, vectors.status, *vectors.published],
-            np.int64,
-        )
+        self._estimated, self._passage, self._values = estimated, passage, vectors.values
+        ways, positions_m = pairing_of_axes.vectors(len(rad_per_m))
+        self._positions_m = positions_m
+        self._figures = np.array([least_way_m, float(line.samples), cycle_s, 0.0])
+        known = [(each.tracking.config.synchronized_pct, each.residual_Nm) for each in estimated]
+        self._spans = np.array([(pct, 1.0, 0.0, residual_Nm, nan, nan) for pct, residual_Nm in known])
+        self._said = np.zeros(_STATUS + 1)
+        told = vectors.told["strain_prev"], vectors.told["F_next_N"]
+        self._at = np.array([*told, vectors.number, vectors.status, *vectors.published], np.int64)
+        nothing = np.zeros(0)
         self._own = (
-            *(ways, steady.state, self._figures, self._said, positions_m),
-            *(vectors.measured, vectors.asked, vectors.shown, line.motors, line.sensors, line.silence),
-            *(vectors.values, vectors.whole, self._at),
+            *(ways, steady.state, self._figures, self._spans, np.array(rad_per_m), self._said),
+            *(positions_m, np.zeros(len(rad_per_m)), vectors.measured, vectors.asked, vectors.shown),
+            *(line.motors, line.sensors, line.silence, vectors.values, vectors.whole, self._at),
+            *(of_rollers.p, of_rollers.masses_kg, of_rollers.state),
+            *((nothing, nothing) if passage is None else passage.vectors),
         )
-        self._of, self._table = tracking.table, np.zeros((0, 0), np.int64)
+        self._of, self._table = [each.tracking.table for each in estimated], np.zeros((0, 0), np.int64)
         self._take_method()
 
     def _take_method(self) -> None:
-        """The method, or what it consists of, may be another one."""
-        tracking = self._tracking
-        if self._of is not tracking.table or not len(self._table):
-            self._of = tracking.table
-            self._table = np.concatenate([self._of, table_of(self._own)])
-        self._figures[_INPUT_STRAIN] = tracking.input_strain
-        self._figures[_SEPARABLE] = tracking.separable
+        """The methods, or what they consist of, may be other ones."""
+        tables = [each.tracking.table for each in self._estimated]
+        if not len(self._table) or any(now is not then for now, then in zip(tables, self._of, strict=True)):
+            self._of = tables
+            self._table = np.concatenate([table_of(self._own), *tables])
+        self._figures[_INPUT_STRAIN] = self._estimated[0].tracking.input_strain
+        self._spans[:, _SEPARABLE] = [each.tracking.separable for each in self._estimated]
 
     def go_on(self, time_s: float) -> int:
         """See `machine.InVectors`."""
         stage = _run(cycle.COMPARE, self._table)
-        if stage == _DONE:
-            return WENT_ON
-        if stage != _LOOK:
+        while stage not in _ENDS:
             stage = self._go_on_by_objects(stage, time_s)
-        return LOOK if stage == _LOOK else MISSED if stage == _UNPAIRED else WENT_ON
+        return _ENDS[stage]
 
     def _go_on_by_objects(self, stage: int, time_s: float) -> int:
-        """A cycle of which a stage is Python's."""
-        tracking = self._tracking
-        tracking.has_gone_on()
+        """What is Python's of a stage, and what is behind that."""
+        for each in self._estimated:
+            each.tracking.has_gone_on()
         if stage == _UNPAIRED:
-            tracking.miss()
+            for each in self._estimated:
+                each.tracking.miss()
+            behind = _FINISH_WITHOUT
+        elif stage == PASSAGE:
+            assert self._passage is not None, "it said so"
+            self._passage.update(self._positions_m.tolist())
+            behind = _FINISH
         else:
-            tracking.go_on_from(stage, time_s, self._values.item(self._at.item(_STRAIN_PREV)))
+            span = int(self._said.item(_AT_SPAN))
+            strain_before = self._spans.item(span, _STRAIN_BEFORE)
+            self._estimated[span].tracking.go_on_from(stage, time_s, strain_before)
+            behind = _NEXT_SPAN
         self._take_method()
-        return _run(_FINISH_WITHOUT if stage == _UNPAIRED else _FINISH, self._table)
+        return _run(behind, self._table)
 
     def give(self) -> int:
         """See `machine.InVectors`."""
-        self._tracking.has_gone_on()
-        self._keeps.residual_Nm = self._said.item(_RESIDUAL_NM)
+        for each, residual_Nm in zip(self._estimated, self._spans[:, _RESIDUAL_NM].tolist(), strict=True):
+            each.tracking.has_gone_on()
+            each.residual_Nm = residual_Nm
         return int(self._said.item(_STATUS))

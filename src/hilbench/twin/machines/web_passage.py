@@ -12,14 +12,43 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import isinf
 
+import numpy as np
+
+from hilbench.compiled import compiled
+from hilbench.estimation.web_line import splices
+from hilbench.estimation.web_line import tracking_cycle as cycle
 from hilbench.estimation.web_line.splices import Entered, Joint, SpliceFinder
 from hilbench.estimation.web_line.tracking import Known, Tracking
+from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.splices import Piece
 
 #: How often what is known is remembered, and how long, s: a joint is found after it has come in.
 _REMEMBERED_S, _LONGEST_S = 0.1, 3.0
 #: Length of a piece that has no end, m.
 _ENDLESS_M = 1e9
+#: State of a passage: whether there are joints; cycles, and after how many what is known is remembered; in the first
+#: span, the strain that would be seen without a joint over that which is, and that of the cycle before.
+_JOINTS, _CYCLE, _EVERY, _SEEMING, _STRAIN = range(5)
+
+
+@compiled
+def goes_by(s: Vector, block: Vector, t: Vector, strain: float, before_m: float) -> bool:
+    """`Passage.update` of a cycle in which nothing is found or remembered; False, and nothing done, where there is more
+    to it. s: state of the passage, block: that of its finder; t: of the first span's tracking, strain: as measured
+    there, before_m: position of the roller before it."""
+    used = t[cycle.USED] != 0.0
+    if s[_JOINTS] != 0.0 or s[_SEEMING] != 1.0 or (s[_CYCLE] + 1.0) % s[_EVERY] == 0.0:
+        return False
+    if used and block[splices.COUNT] + 1.0 >= block[splices.CYCLES]:
+        return False
+    s[_CYCLE] += 1.0
+    s[_STRAIN] = strain
+    if used:
+        web_per_Pa = t[cycle.USED_PER_PA] * (1.0 / t[cycle.SERIES_FACTOR])
+        splices.collect(block, t[cycle.USED_N], web_per_Pa, t[cycle.USED_M_S], before_m)
+    else:
+        splices.interrupt(block)
+    return True
 
 
 @dataclass
@@ -55,14 +84,21 @@ class Passage:
         first = trackings[0]
         self._finder = SpliceFinder(first.span_length_m, first.mass_kg, cycle_s)
         self._cycle_s = cycle_s
-        self._remembered_every, self._cycle = max(1, round(_REMEMBERED_S / cycle_s)), 0
+        self._state = np.zeros(_STRAIN + 1)
+        self._state[_EVERY] = max(1, round(_REMEMBERED_S / cycle_s))
         #: What was known in the first span, by the position of the roller before it, m.
         self._memories: deque[tuple[float, Known]] = deque(maxlen=round(_LONGEST_S / _REMEMBERED_S))
         self.reset()
 
+    @property
+    def vectors(self) -> tuple[Vector, Vector]:
+        """Its state and that of its finder, for compiled callers of `goes_by`."""
+        return self._state, self._finder.state
+
     def reset(self) -> None:
         """The web is all of one kind."""
         self._look_anew()
+        self._state[_JOINTS] = 0.0
         for span in self._spans:
             if span.joints:
                 span.joints.clear()
@@ -70,8 +106,7 @@ class Passage:
 
     def _look_anew(self) -> None:
         self._finder.reset()
-        #: In the first span, the strain that would be seen without a joint over that which is; of the cycle before.
-        self._seeming, self._strain = 1.0, 0.0
+        self._state[_SEEMING], self._state[_STRAIN] = 1.0, 0.0
         self._memories.clear()
         self._before: Known | None = None
 
@@ -91,7 +126,12 @@ class Passage:
                 self._hand_on(span, behind, positions_m[place], positions_m[place + 1])
         if entered is None and self._seeming != 1.0 and not first.joints:
             self._look_anew()
-        self._strain = first.tracking.measured_strain
+        self._state[_JOINTS] = any(span.joints for span in self._spans)
+        self._state[_STRAIN] = first.tracking.measured_strain
+
+    @property
+    def _seeming(self) -> float:
+        return self._state.item(_SEEMING)
 
     def _enter(self, first: _Span, entered: Entered) -> None:
         """A joint has been found, or is known better, or was none."""
@@ -101,7 +141,7 @@ class Passage:
         tracking.believe(known, tracking.measured_strain * self._seeming * entered.strain_ratio)
         first.joints = [] if entered.joint is None else [_Inside(entered.joint)]
         first.put()
-        self._seeming = 1.0 / entered.strain_ratio
+        self._state[_SEEMING] = 1.0 / entered.strain_ratio
 
     def _known_before(self, joint: Joint | None) -> Known:
         """What was known before a joint came in; what was known at the first one is kept as long as it is inside."""
@@ -112,19 +152,19 @@ class Passage:
         return self._before
 
     def _remember(self, first: _Span, at_m: float) -> None:
-        self._cycle += 1
-        if self._cycle % self._remembered_every == 0 and not first.joints and first.tracking.used is not None:
+        self._state[_CYCLE] += 1.0
+        if self._state[_CYCLE] % self._state[_EVERY] == 0.0 and not first.joints and first.tracking.used is not None:
             self._memories.append((at_m, first.tracking.known()))
 
     def _follow_seeming(self, first: _Span) -> None:
         """The strain as it would be seen without a joint: as if all web in the span were alike."""
-        tracking, before = first.tracking, self._strain
+        tracking, before = first.tracking, self._state.item(_STRAIN)
         strain, now = tracking.measured_strain, tracking.used
         if not first.joints or now is None or not strain > 0.0:
             return
         share = abs(now.velocity_m_s) * self._cycle_s / tracking.span_length_m
         seems = self._seeming * before
-        self._seeming = (seems + strain - before + share * (tracking.leaving_strain - seems)) / strain
+        self._state[_SEEMING] = (seems + strain - before + share * (tracking.leaving_strain - seems)) / strain
 
     def _hand_on(self, span: _Span, behind: _Span | None, before_m: float, behind_m: float) -> None:
         """What has come through a span is in the next one; a span that is full of it consists of it."""
