@@ -55,17 +55,17 @@ def test_a_web_that_tears_beside_a_dancer_is_told_there() -> None:
     assert after_s <= WITHIN_S
 
 
-@pytest.mark.parametrize("factor", [0.65, 1.5, *slow(0.85, 1.2)])
-def test_another_web_is_no_torn_one_and_its_tension_is_found(factor: float) -> None:
+@pytest.mark.parametrize(("factor", "within"), [(0.65, 0.025), (1.2, 0.01), *slow((0.85, 0.01), (1.5, 0.015))])
+def test_another_web_is_no_torn_one_and_is_found(factor: float, within: float) -> None:
     line = beside(dancer_line(), dancer_line())
     line.go(1.0, 1.0, 1.0, 1.0, ramp_s=0.8)
     for span in (3, 4):
         line.line.set_parameter(f"span{span}.youngs_modulus_Pa", factor * 8.7e9)
     assert first_told(line, 1.8, 1.0, 1.0, 1.0) == (np.inf, {})
     found = line.table()
-    assert found["E4_sim_Pa"][-1] == pytest.approx(factor * 8.7e9, rel=0.15)
+    assert found["E4_sim_Pa"][found["t_s"] > 1.5] == pytest.approx(factor * 8.7e9, rel=within)
     late = found["t_s"] > 1.4
-    assert np.max(np.abs(found["F4_sim_N"] - found["F4_true_N"])[late]) < 2.0
+    assert np.max(np.abs(found["F4_sim_N"] - found["F4_true_N"])[late]) < 1.0
 
 
 def test_a_section_whose_rollers_push_its_web_hangs_slack() -> None:

@@ -30,9 +30,10 @@ class Belief:
 
 class Unknowns:
     """`start` (n, n): covariance of the unknowns at the start; `offsets` (m,): deviations of the constant errors of the
-    measurements."""
+    measurements; `swings` (m,): of innovations by which a change is seen, how far each measurement may be off, as what
+    is measured swings after it otherwise than the model says; `swings_on`: what is left of that an update later."""
 
-    def __init__(self, start: Vector, offsets: Vector) -> None:
+    def __init__(self, start: Vector, offsets: Vector, swings: Vector, swings_on: float) -> None:
         self._count = len(start)
         size = self._count + len(offsets)
         self.covariance = np.zeros((size, size))
@@ -40,6 +41,7 @@ class Unknowns:
         self.covariance[self._count :, self._count :] = np.diag(offsets**2)
         self._offsets = np.zeros(len(offsets))
         self._far_off = 0
+        self._swings, self._swings_on, self._swing = swings, swings_on, np.zeros(len(offsets))
 
     @property
     def has_begun_to_change(self) -> bool:
@@ -66,6 +68,7 @@ class Unknowns:
         self.covariance[others, others] = variances[others]
         self._offsets = earlier.offsets.copy()
         self._far_off = 0
+        self._swing[:] = 0.0
 
     def grow(self, variances: Vector, of_offsets: Vector) -> None:
         """What unknowns (n,) and offsets (m,) may have changed by in the meantime, as variances."""
@@ -91,6 +94,8 @@ class Unknowns:
         and no offset from any then: how little is known of the rest is reckoned with all the same. None: all."""
         known = np.hstack([slopes, np.eye(len(innovations))])
         left = innovations - self._offsets
+        self._swing = self._swings_on * self._swing
+        variances = variances + self._swing**2
         spread = known @ self.covariance @ known.T + np.diag(variances)
         off = bool(np.any(np.abs(left) > _FAR_OFF * np.sqrt(np.diag(spread))))
         self._far_off = self._far_off + 1 if off else 0
@@ -98,6 +103,8 @@ class Unknowns:
             return np.zeros(self._count)
         if self._far_off == _TWICE:
             self.covariance[: self._count, : self._count] += jumps
+            self._swing = self._swings * np.abs(left)
+            variances = variances + self._swing**2
             spread = known @ self.covariance @ known.T + np.diag(variances)
             self._far_off = 0
         gain = np.linalg.solve(spread, known @ self.covariance).T

@@ -271,7 +271,9 @@ class VariedLine:
             modulus = Unknown(Kind.MODULUS, unknown.number)
             if unknown.kind is Kind.STRAIN and modulus in self.unknowns:
                 strain = self._seen(unknown, self.line) / self.modulus_factor(unknown.number)
-                turned[c, self.unknowns.index(modulus)] = strain
+                slopes, i = self._slopes_seen(unknown), self.unknowns.index(modulus)
+                # Of the strain that has come since the last `renew` the modulus makes another tension by itself.
+                turned[c, i] = (strain - slopes[i]) / slopes[c] if slopes[c] > _LEAST_LEFT else 0.0
         return turned
 
     def _slopes_seen(self, unknown: Unknown) -> Vector:

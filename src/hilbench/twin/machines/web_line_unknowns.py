@@ -31,6 +31,8 @@ _WINDOW_S: Final = 0.03  #: of which the means are looked at
 _RADIUS_SHARE: Final = 0.02
 _MODULUS_SHARE: Final = 0.2
 _SECTION_SHARE: Final = 0.03  #: by which E of a section is another than that of the whole web
+#: By which E changes at once: that of the whole web, and besides that of a section.
+_JUMP_SHARE, _SECTION_JUMP_SHARE = 0.15, 0.15
 _STRAIN_AT_REST, _STRAIN_UNDER_WAY = 0.02, 0.5  #: of the strain with which the web comes in
 #: Of its way. Of one that is under way nothing is believed but its stops, nor of one whose spring will tell.
 _CARRIAGE_AT_REST: Final = 0.01
@@ -48,6 +50,8 @@ _OFFSET_SHARE_PER_SQRT_S: Final = 5e-4  #: by which that changes
 _LEAST_NOISE_SHARE: Final = 2e-3  #: of a window: idlers swing, by which it is no white noise
 #: Of a limit, at first: the line is let go in another state than it is in, and swings; and for how long.
 _SWING_SHARE, _SWING_S = 0.2, 0.05
+#: After a change of the web: of the torques that show it, and for how long; of sensors nothing.
+_CHANGE_SWING_SHARE, _CHANGE_SWINGS_S = 0.3, 0.13
 _INERTIA_SHARE: Final = 0.05  #: of the torque that accelerates
 _SENSOR_M: Final = 2e-4  #: of a carriage
 _SENSOR_SHARE: Final = 2e-4  #: of a radius
@@ -124,8 +128,13 @@ class LineUnknowns:
         believed = np.diag([self._believed(each, under_way) ** 2 for each in self.varied.unknowns])
         # Which of E and strain makes the tension of a line that is joined under way is not known.
         self._tells_moduli = not under_way and any(each.kind is Kind.MODULUS for each in self.varied.unknowns)
-        self._moduli = self._moduli_apart() if self._tells_moduli else np.zeros_like(believed)
-        self._filter = Unknowns(believed + self._moduli, self._offsets)
+        nothing = np.zeros_like(believed)
+        common = sqrt(_MODULUS_SHARE**2 - _SECTION_SHARE**2)
+        moduli = self._moduli_apart(common, _SECTION_SHARE) if self._tells_moduli else nothing
+        self._jumps = self._moduli_apart(_JUMP_SHARE, _SECTION_JUMP_SHARE) if self._tells_moduli else nothing
+        swings_on = exp(-self._window * self._cycle_s / _CHANGE_SWINGS_S)
+        swings = np.where(np.arange(len(self._offsets)) < len(self._axes), _CHANGE_SWING_SHARE, 0.0)
+        self._filter = Unknowns(believed + moduli, self._offsets, swings, swings_on)
         self._noise = [NoiseLevel(0.01 * limit_Nm, 1e-4 * limit_Nm) for limit_Nm in self._limits_Nm]
         self._positions_m, self._way_m, self._window_way_m = list(positions_m), 0.0, 0.0
         self._time_s = 0.0
@@ -149,11 +158,10 @@ class LineUnknowns:
             return self._model.upstream_strain * (_STRAIN_UNDER_WAY if under_way else _STRAIN_AT_REST)
         return _RADIUS_SHARE if unknown.kind is Kind.RADIUS else 0.0
 
-    def _moduli_apart(self) -> Vector:
-        """Covariance of E of the sections: it is one web."""
+    def _moduli_apart(self, common: float, apart: float) -> Vector:
+        """Covariance of E of the sections, of one web: deviations of what all have, and each for itself."""
         moduli = np.array([each.kind is Kind.MODULUS for each in self.varied.unknowns], float)
-        common = _MODULUS_SHARE**2 - _SECTION_SHARE**2
-        return common * np.outer(moduli, moduli) + _SECTION_SHARE**2 * np.diag(moduli)
+        return common**2 * np.outer(moduli, moduli) + apart**2 * np.diag(moduli)
 
     def _shows_in_torques(self, unknown: Unknown) -> bool:
         """Where a carriage stands no tension tells, but against a spring or on an arm: that a longer web yields more is
@@ -250,7 +258,7 @@ class LineUnknowns:
         self._time_s += time_s
         self._filter.grow(self._growth(time_s), self._offset_growth * time_s)
         turned = self.varied.web_changed()
-        jumps = turned @ self._moduli @ turned.T
+        jumps = turned @ self._jumps @ turned.T
         learns = self._learns_slipping if self._slips else None
         innovations, slopes = self._sum / count, self._slopes / count
         changes = self._filter.update(innovations, slopes, self._variances(count), jumps, learns)
