@@ -12,7 +12,7 @@ from tests.bench.missed_cycles import missed
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import EXIT_PASSED, UnusableInputError
-from hilbench.live.web_line.gap import SHORT
+from hilbench.live.machine import SHORT
 from hilbench.report.html import write_report
 from hilbench.results.journal import read_journal
 from hilbench.results.recording import read_recording

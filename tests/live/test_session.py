@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from hilbench.bench.reports.found import CHUNK_CYCLES, News, Samples
-from hilbench.live.web_line.session import Session
+from hilbench.live.session import Session
+from hilbench.live.web_line.machine import LiveLine
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.live_config import LiveDiagnosisConfig
 
@@ -31,7 +32,7 @@ def told(end_s: float, *more_s: tuple[float, float]) -> list[News]:
     channels["F_next_N"] = np.full(count, boundary.downstream_tension_N)
     channels["F_sim_N"] = np.full(count, boundary.upstream_tension_N)
     channels["E_sim_Pa"] = np.full(count, MODEL.youngs_modulus_Pa(1))
-    session = Session(list(channels), MODEL, None, LiveDiagnosisConfig(), CYCLE_S)
+    session = Session(list(channels), LiveLine(MODEL, None, CYCLE_S), LiveDiagnosisConfig(), CYCLE_S)
     news: list[News] = []
     for end in range(CHUNK_CYCLES, count + 1, CHUNK_CYCLES):
         chunk = np.column_stack([values[end - CHUNK_CYCLES : end] for values in channels.values()])

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.imitated import imitation_of
-from hilbench.live.web_line.stretch import Stretch, packed
+from hilbench.live.stretch import Stretch
+from hilbench.live.web_line.machine import LiveLine
+from hilbench.live.web_line.stretch import packed
 from hilbench.live.window import Window
 from hilbench.plant.web_line.imitation import Imitation, simulate_imitated
 from hilbench.plant.web_line.offline import start_state
@@ -62,7 +64,7 @@ def stretch(taken: Array, F_next_N: Array, late: Rows) -> Stretch:
     window = Window(list(channels), len(told), CYCLE_S)
     rows = np.column_stack([*channels.values(), np.arange(len(told)), late])
     window.add(len(told) - 1, rows.tobytes())
-    return Stretch.of(window, MODEL, imitation(), round(FIRST_S / CYCLE_S), len(told), CYCLE_S)
+    return Stretch.of(LiveLine(MODEL, imitation(), CYCLE_S), window, MODEL, round(FIRST_S / CYCLE_S), len(told))
 
 
 def left_by_the_right_model(found: Stretch) -> dict[str, float]:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hilbench.live.web_line.watch import Watch
-from hilbench.plant.web_line.sizes import machine_sizes
+from hilbench.live.watch import Watch
+from hilbench.live.web_line.machine import LiveLine
 from hilbench.runs.config import load_with_overrides
 
 CONFIG = load_with_overrides(Path(__file__).resolve().parents[2] / "bench_configs" / "live_friction.yaml").config
@@ -18,8 +18,7 @@ TORQUE_NOISE_Nm, SPEED_M_S, CHUNKS, STANDS = 0.05, 1.0, 16, 10
 def most_in_a_row(seed: int, tighter_N: float = 0.0) -> int:
     """Pieces that part, of a line that runs at one speed as its model does; its web was that much tighter than the
     model's when the watch began."""
-    usual_Nm = np.array([machine_sizes(MODEL, k).force_N / MODEL.motor_rad_per_m(k) for k in (1, 2)])
-    one = Watch(MODEL, CYCLE_S, usual_Nm)
+    one = Watch(LiveLine(MODEL, None, CYCLE_S), MODEL)
     noise, most = np.random.default_rng(seed), 0
     pulls_N = (0.0, MODEL.boundary.upstream_tension_N - MODEL.boundary.downstream_tension_N)
     for chunk in range(CHUNKS):

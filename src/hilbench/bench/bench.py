@@ -231,7 +231,7 @@ class Bench:
             exchange,
             self._live,
             config.signals,
-            config.web_line.effects,
+            config.machine,
             apply=simulated if live.model_changes is None else live.model_changes == "apply",
             lockstep=config.pace == "lockstep",
         )

@@ -7,11 +7,8 @@ from pathlib import Path
 from typing import get_args
 
 from hilbench.bench.reports.found import Ready, Samples, Told
-from hilbench.diagnosis.imitated import imitation_of
 from hilbench.ending import ended
-from hilbench.live.web_line.session import Session
-from hilbench.live.web_line.warm_up import warm_up
-from hilbench.plant.web_line.imitation import Imitation
+from hilbench.live.create import session_of
 from hilbench.real_time import give_way
 from hilbench.topology.blocks import Pace
 from hilbench.topology.config import BenchConfig
@@ -32,13 +29,7 @@ def main() -> None:
 
 def answer(connection: Connection, config: BenchConfig) -> None:
     """Answer what comes, until nobody is there any more."""
-    live = config.twin.live_diagnosis
-    assert live is not None, "it is started where there is one"
-    imitation = imitation_of(config) if config.load_motors else None
-    assert imitation is None or isinstance(imitation, Imitation), "of a web"
-    names, model = [signal.name for signal in config.signals], config.web_line
-    warm_up(names, model, imitation, live, config.cycle_time_s)
-    session = Session(names, model, imitation, live, config.cycle_time_s)
+    session = session_of(config)
     if config.pace == "realtime":
         cores = config.realtime.cores
         taken = {core for core in (cores.bench, cores.hardware, cores.twin) if core is not None}

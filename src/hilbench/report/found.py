@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from itertools import groupby
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
 from hilbench.report.chart import GREEN, INK, VERMILLION
 from hilbench.report.page import number
@@ -113,8 +115,10 @@ def _words(found: FoundRecord) -> str:
 
 def _size(found: FoundRecord) -> str:
     """Its strength, in a unit that is read easily."""
-    name = find_effect(found.effect).strength[0]
-    each = found.parameters.get(name) or next(iter(found.parameters.values()))
+    each = next(iter(found.parameters.values()))
+    for kind in MachineKind:
+        with suppress(KeyError):
+            each = found.parameters[find_effect(found.effect, kind).strength[0]]
     if each.unit == "m":
         return f"{1e6 * each.value:.3g} µm"
     return f"{each.value:.3g} {'' if each.unit == '1' else each.unit}".strip()

@@ -126,7 +126,7 @@ def _check_criteria(loaded: LoadedConfig) -> None:
     config = loaded.config
     known = {**metrics_of(config.machine_kind, config.shape).metrics, **OF_RUNS}
     for number, criterion in enumerate(config.criteria):
-        if find_found_metric(criterion.metric) is not None:
+        if find_found_metric(criterion.metric, (config.machine_kind,)) is not None:
             if config.twin.live_diagnosis is None:
                 raise UnusableInputError(
                     loaded.document.place(("criteria", number, "metric")),

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Final
 
 from hilbench.bench.reports.found import FoundEffect, ModelChange
+from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
 from hilbench.runs.stretch import Metric
 
@@ -37,23 +39,23 @@ FIGURES: Final[Mapping[str, Metric]] = {
 }
 
 
-def find_metric(name: str) -> Metric | None:
-    """What is meant by a name; None for one that is no metric of what was found."""
+def find_metric(name: str, kinds: Sequence[MachineKind] = tuple(MachineKind)) -> Metric | None:
+    """What is meant by a name, of one of these kinds of machine; None for one that is no metric of what was found."""
     if name in METRICS:
         return METRICS[name]
     parts = _NAME.fullmatch(name)
     if parts is None:
         return None
     _, effect_id, axis, figure = parts.groups()
-    try:
-        effect = find_effect(effect_id)
-        if effect.axis_problem(None if axis is None else int(axis)):
-            return None
-        if figure in _FIGURES:
-            return Metric(*_FIGURES[figure], _NOT_FOUND)
-        return Metric(effect.parameter(figure).unit, f"{figure} of {effect_id} as it was found", _NOT_FOUND)
-    except KeyError:
-        return None
+    for kind in kinds:
+        with suppress(KeyError):
+            effect = find_effect(effect_id, kind)
+            if effect.axis_problem(None if axis is None else int(axis)):
+                continue
+            if figure in _FIGURES:
+                return Metric(*_FIGURES[figure], _NOT_FOUND)
+            return Metric(effect.parameter(figure).unit, f"{figure} of {effect_id} as it was found", _NOT_FOUND)
+    return None
 
 
 def metrics(changes: Sequence[ModelChange]) -> dict[str, float | None]:

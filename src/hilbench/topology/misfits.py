@@ -22,7 +22,7 @@ from hilbench.topology.web_line_config import (
 #: Keys of `twin:` that every kind of machine has, and those of machines whose equations are known; the others say how
 #: one kind finds what it estimates.
 _OF_EVERY_TWIN = {"node", "synchronized_pct", "behind", "virtual_tpdo_every"}
-_OF_EQUATIONS = {"prediction"}
+_OF_EQUATIONS = {"prediction", "live_diagnosis"}
 _OF_THE_SHAFT = {"inertia"}
 
 

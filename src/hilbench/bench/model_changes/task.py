@@ -33,9 +33,8 @@ from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Exchange, Inputs
 from hilbench.exchange.nodes import Nodes
-from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
-from hilbench.plant.parameters import EffectEntry
+from hilbench.plant.model_file import Machine
 from hilbench.real_time import leave_the_cycle
 from hilbench.topology.quantities import MODEL_CHANGE, parse_effect_path
 from hilbench.topology.sample import CycleSample
@@ -53,7 +52,7 @@ _MOST_OUTSTANDING = 240
 class ModelChanges(CyclicTask):
     """Looks after the diagnosis beside one run. `apply`: models that it has decided for are taken at once.
 
-    `signals`: of a sample, in the order of a row; `effects`: those that the model is configured with.
+    `signals`: of a sample, in the order of a row; `model`: as it is configured.
     """
 
     def __init__(
@@ -63,7 +62,7 @@ class ModelChanges(CyclicTask):
         exchange: Exchange,
         process: LiveProcess,
         signals: Sequence[Signal],
-        effects: Sequence[EffectEntry],
+        model: Machine,
         *,
         apply: bool,
         lockstep: bool,
@@ -84,7 +83,7 @@ class ModelChanges(CyclicTask):
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="twin-model", initializer=leave_the_cycle)
         self._request: Future[None] | None = None
         self._in_use = ""  # effects of the twin's model
-        self._configured = [entry.model_dump() for entry in effects]
+        self._kind, self._configured = model.machine_kind, [entry.model_dump() for entry in model.effects]
         self._entries = self._configured  # what the machine is believed to have
         self._announced: ModelChange | None = None  # waits until the twin is free
         self._applying: ModelChange | None = None
@@ -119,11 +118,11 @@ class ModelChanges(CyclicTask):
 
     def announced(self, path: str, value: float) -> None:
         """The machine has got an effect on purpose: it is in the twin's model from now on, and no anomaly."""
-        of = parse_effect_path(path, MachineKind.WEB_LINE)
+        of = parse_effect_path(path, self._kind)
         place = {"effect": of.effect, "axis": of.axis, "span": of.section}
         entries = [entry for entry in self._entries if any(entry[key] != each for key, each in place.items())]
         mine: dict[str, float] = next((entry["parameters"] for entry in self._entries if entry not in entries), {})
-        parameters = {**find_effect(of.effect).filled(mine), of.parameter: value}
+        parameters = {**find_effect(of.effect, self._kind).filled(mine), of.parameter: value}
         model = json.dumps([*entries, {**place, "parameters": parameters}], separators=(",", ":"))
         now_s = self._state.sample.t_s
         self._state.journal(Change(self._cycle, "model_announced", f"{path.split('.effects.', 1)[1]}", value))

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.live.machine import SHORT
 from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
@@ -24,8 +25,6 @@ from hilbench.plant.web_line.span import SpanFollower
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
-#: Cycles of a mean.
-SHORT = 10
 #: Cycles after one in which the plant was not measured in which what is imitated still catches up.
 _CATCHES_UP = 4
 #: Lengths of the longest span after which the web that was found in it, of unknown strain, has left: exp(-5) of it is
@@ -64,9 +63,9 @@ class ModelGap:
         self._last_known = np.empty(0, bool)
         self._came_m = 0.0  # of web, since then
 
-    def use_modulus(self, youngs_modulus_Pa: float) -> None:
-        """E of the web from now on."""
-        self._follower.set_parameter("youngs_modulus_Pa", youngs_modulus_Pa)
+    def use_estimate(self, estimate: float) -> None:
+        """E of the web from now on, Pa."""
+        self._follower.set_parameter("youngs_modulus_Pa", estimate)
 
     def follow(self, channels: Mapping[str, Array], known: Rows) -> Array:
         """(n // SHORT, N): of the next rows (n,) of x{k}_m, tau{k}_Nm, strain_prev and F_next_N; n a multiple.

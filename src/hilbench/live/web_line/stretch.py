@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.measured import Before, Measured, measured_from
-from hilbench.diagnosis.predictor import Predictor, choice
+from hilbench.diagnosis.predictor import choice
 from hilbench.errors import UnusableInputError
 from hilbench.live.window import Window
 from hilbench.plant.web_line import layout as lay
@@ -34,8 +34,6 @@ _AWAY = "x1_m - x2_m"
 #: Rows over which a way bends that is left at once, and behind a late one within which it does; how far, in deviations
 #: of what a right model leaves.
 _PUSH, _PUSH_AFTER, _PUSHED = 10, 60, 3.0
-#: Share of its noise by which the gap of a torque is smaller, at least, with a changed model.
-_SHOWS = 0.02
 
 
 def quiet_cycle(window: Window, first: int, end: int, cycle_s: float) -> int | None:
@@ -52,43 +50,6 @@ def quiet_cycle(window: Window, first: int, end: int, cycle_s: float) -> int | N
     steady = np.abs(pulls[before:] - pulls[:-before]) < _QUIET_SHARE * np.abs(pulls[:-before])
     quiet = np.flatnonzero((moved < _QUIET_M_S) & (np.abs(speeds[before:, 1]) > _MOVES_M_S) & steady)
     return None if len(quiet) == 0 else end - len(moved) + int(quiet[0])
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """Data from a cycle on, and a way to predict them by a model."""
-
-    data: Measured
-    predictor: Predictor
-
-    @classmethod
-    def of(
-        cls,
-        window: Window,
-        model: ModelParameters,
-        imitation: Imitation | None,
-        first: int,
-        end: int,
-        cycle_s: float,
-    ) -> Stretch:
-        """The cycles from `first` to before `end`. Raises UnusableInputError for what can't be diagnosed."""
-        data = data_of(window, model, imitation, first, end, cycle_s)
-        return cls(data, choice(model, data, imitation).predictor)
-
-    @property
-    def deviations(self) -> Array:
-        """(signals,): what a right model is off by."""
-        predictor = self.predictor
-        floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
-        return np.asarray(np.hypot(floors, predictor.tolerances))
-
-    def residual(self, parameters: Array) -> Array:
-        """(signals, n): measured less predicted."""
-        return np.asarray(self.predictor.measured - self.predictor.predict(parameters[None])[0])
-
-    def misfit(self, residual: Array) -> float:
-        """Sum of squares of a residual in units of what a right model leaves, on the rows that count."""
-        return float(np.sum((residual / self.deviations[:, None])[:, self.predictor.rows] ** 2))
 
 
 def data_of(
@@ -161,17 +122,6 @@ def _smooth_end(x: Array) -> Array:
     rows = x[-min(_SMOOTHED, len(x)) :]
     at = np.arange(len(rows)) - (len(rows) - 1.0)
     return np.array([np.polyfit(at, column - column[-1], 2)[-1] + column[-1] for column in rows.T])
-
-
-def shows_in_torque(stretch: Stretch, before: Array, after: Array) -> bool:
-    """Whether a change of the model takes something off the gap of a torque: of residuals (signals, n) before and after
-    it."""
-    rows, predictor = stretch.predictor.rows, stretch.predictor
-    torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
-    less_Nm = np.sqrt(np.mean(before[torques][:, rows] ** 2, axis=1)) - np.sqrt(
-        np.mean(after[torques][:, rows] ** 2, axis=1)
-    )
-    return bool(np.any(less_Nm > _SHOWS * np.array([predictor.floor(k) for k in torques])))
 
 
 def packed(model: ModelParameters) -> Array:

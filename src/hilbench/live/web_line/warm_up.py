@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from hilbench.bench.reports.found import CHUNK_CYCLES, Samples
 from hilbench.diagnosis.measured import SHORTEST_S
 from hilbench.errors import UnusableInputError
+from hilbench.live.session import Session
+from hilbench.live.stretch import Stretch
+from hilbench.live.watch import ROW
 from hilbench.live.web_line.gap import exchanged_m
-from hilbench.live.web_line.session import Session
-from hilbench.live.web_line.stretch import Stretch, packed
-from hilbench.live.web_line.watch import ROW
+from hilbench.live.web_line.machine import LiveLine
 from hilbench.live.window import Window
-from hilbench.plant.web_line.imitation import Imitation
-from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.live_config import LiveDiagnosisConfig
 
 Array = NDArray[np.float64]
@@ -28,16 +27,10 @@ _NOISE_Nm = 0.05
 _BEFORE_S, _STRETCH_S = 2.0, SHORTEST_S + 0.5
 
 
-def warm_up(
-    names: Sequence[str],
-    model: ModelParameters,
-    imitation: Imitation | None,
-    config: LiveDiagnosisConfig,
-    cycle_s: float,
-) -> None:
+def warm_up(names: Sequence[str], machine: LiveLine, config: LiveDiagnosisConfig, cycle_s: float) -> None:
     """As `Session` is given; nothing is left of it but what is compiled."""
     first, count = round(_BEFORE_S / cycle_s), round((_BEFORE_S + _STRETCH_S) / cycle_s)
-    noise = np.random.default_rng(0)
+    noise, model = np.random.default_rng(0), machine.configured
     # All of its web is another one with the second chunk: only then the watch looks at anything.
     speed_m_s = exchanged_m(model) / (CHUNK_CYCLES * cycle_s)
     channels: dict[str, Array] = {name: np.zeros(count) for name in names}
@@ -52,13 +45,13 @@ def warm_up(
     channels["strain_prev"] += model.upstream_strain
     channels["F_next_N"] += model.boundary.downstream_tension_N
     channels["E_sim_Pa"] += model.youngs_modulus_Pa(1)
-    session = Session(names, model, imitation, config, cycle_s)
+    session = Session(names, machine, config, cycle_s)
     for end in range(CHUNK_CYCLES, (ROW + 1) * CHUNK_CYCLES, CHUNK_CYCLES):
         chunk = np.column_stack([channels[name][end - CHUNK_CYCLES : end] for name in names])
         session.samples(Samples.of(end - 1, chunk))
     with suppress(UnusableInputError):  # of made-up data nothing has to come
-        stretch = Stretch.of(_window(channels, cycle_s), model, imitation, first, count, cycle_s)
-        stretch.residual(packed(model))
+        stretch = Stretch.of(machine, _window(channels, cycle_s), model, first, count)
+        stretch.residual(machine.packed(model))
 
 
 def _window(channels: Mapping[str, Array], cycle_s: float) -> Window:

@@ -22,21 +22,17 @@ from hilbench.diagnosis.diagnosis import Diagnosis, diagnosed
 from hilbench.diagnosis.misfit import largest_ratio, misfits, ratios
 from hilbench.diagnosis.noise import floor, rms
 from hilbench.errors import UnusableInputError
-from hilbench.live.web_line import models
-from hilbench.live.web_line.gap import SHORT, ModelGap
-from hilbench.live.web_line.stretch import Stretch, data_of, packed, quiet_cycle, shows_in_torque
-from hilbench.live.web_line.watch import ROW, Piece, Watch
+from hilbench.live import models
+from hilbench.live.machine import SHORT, LiveMachine
+from hilbench.live.stretch import Stretch, shows_in_torque
+from hilbench.live.watch import ROW, Piece, Watch
 from hilbench.live.window import Window
-from hilbench.plant.web_line.imitation import Imitation
-from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.sizes import machine_sizes
+from hilbench.plant.model_file import Machine
 from hilbench.topology.live_config import LiveDiagnosisConfig
 from hilbench.twin.model_change import with_effects
 
 Array = NDArray[np.float64]
 
-#: Signals that the watch looks at.
-_NEEDED: Final = ("x1_m", "x2_m", "v1_m_s", "v2_m_s", "tau1_Nm", "tau2_Nm", "strain_prev", "F_next_N")
 #: From the first piece that parts until the transient of what happened is over, s.
 _SETTLED_S: Final = 1.0
 #: How much less a sum of squares has to be for a model to be better, beside its price: far beyond chance.
@@ -45,14 +41,14 @@ _DECISIVE: Final = 40.0
 _LASTING: Final = 2 * ROW
 #: Times the configured window after which nothing more is hoped for from more of it, and lengths of a trial.
 _LONGEST, _TRIALS = 4, 3
-#: E that the model goes by is the twin's, as it was between these times before now, s.
-_E_FROM_S, _E_TO_S = 6.0, 2.0
-#: For how long the strain of the web is followed before its gap is looked at, s.
+#: What is estimated, as the model goes by it, is the twin's, as it was between these times before now, s.
+_FROM_S, _TO_S = 6.0, 2.0
+#: For how long a machine is followed before its gap is looked at, s.
 _FOLLOWED_S: Final = 5.0
-#: How far off it may be from what it was, as a share, while nothing parts.
-_E_DRIFT: Final = 0.01
+#: How far off the estimate may be from what it was, as a share, while nothing parts.
+_DRIFT: Final = 0.01
 #: How well it is known then, as a share, and in which steps its best value is looked for.
-_E_KNOWN, _E_STEP = 0.005, 0.02
+_SURE, _STEP = 0.005, 0.02
 
 
 @dataclass(frozen=True)
@@ -61,39 +57,25 @@ class _Case:
 
     begun: int
     lacking: int  #: shortest data that could say more, in cycles
-    candidate: ModelParameters | None = None
+    candidate: Machine | None = None
     effects: tuple[FoundEffect, ...] = ()
     gone: tuple[FoundEffect, ...] = ()
     trial: int = 0  #: cycle from which data are new
 
 
 class Session:
-    """The diagnosis beside one run of a line of two rollers.
+    """The diagnosis beside one run of a machine; `names`: of the signals of a row."""
 
-    `names`: of the signals of a row; `model`: as it was configured; `imitation`: how the web is imitated, None where
-    it is there.
-    """
-
-    def __init__(
-        self,
-        names: Sequence[str],
-        model: ModelParameters,
-        imitation: Imitation | None,
-        config: LiveDiagnosisConfig,
-        cycle_s: float,
-    ) -> None:
-        self._configured = model
-        self._in_use = model
-        self._imitation = imitation
+    def __init__(self, names: Sequence[str], machine: LiveMachine, config: LiveDiagnosisConfig, cycle_s: float) -> None:
+        self._machine = machine
+        self._configured: Machine = machine.configured
+        self._in_use: Machine = machine.configured
         self._config = config
         self._cycle_s = cycle_s
         self._window = Window(names, round(config.memory_s / cycle_s), cycle_s)
-        self._usual_Nm = np.array(
-            [machine_sizes(model, k).force_N / model.motor_rad_per_m(k) for k in range(1, model.axis_count + 1)]
-        )
-        self._watch = Watch(model, cycle_s, self._usual_Nm)
-        self._original = Watch(model, cycle_s, self._usual_Nm)
-        self._modulus_Pa = model.youngs_modulus_Pa(1)
+        self._watch = Watch(machine, machine.configured)
+        self._original = Watch(machine, machine.configured)
+        self._estimate = machine.estimate_of(machine.configured)
         self._state: Literal["watching", "naming", "trial", "waiting"] = "watching"
         self._case: _Case | None = None
         self._pieces: deque[Piece] = deque(maxlen=round(config.memory_s / (CHUNK_CYCLES * cycle_s)))
@@ -131,7 +113,7 @@ class Session:
         if end - self._seen_until < SHORT:
             return None, None
         rows, known = window.rows(self._seen_until, end), window.known(self._seen_until, end)
-        channels = {name: window.column(rows, name) for name in _NEEDED}
+        channels = {name: window.column(rows, name) for name in self._machine.needed}
         self._seen_until = end
         piece, original = (watch.update(end - 1, channels, known) for watch in watches)
         if piece is not None:
@@ -143,24 +125,24 @@ class Session:
         if told.what == "refused":
             self._rest_until_it_ends()
             return
-        model = with_effects(self._configured, told.model)
-        assert isinstance(model, ModelParameters), "of the same kind"
-        self._use(model)
+        self._use(with_effects(self._configured, told.model))
 
     def _gap_rows(self, cycle: int, piece: Piece | None, original: Piece | None) -> tuple[GapRow, ...]:
-        """Of the roller that carries the web."""
+        """Of the axis that shows it to a person."""
+        at = self._machine.shown_axis - 1
+        signal = f"tau{at + 1}_Nm"
         if piece is None or original is None:
-            return (GapRow(cycle, "tau2_Nm", float("nan"), float("nan")),)
-        return (GapRow(cycle, "tau2_Nm", float(original.size[1]), float(piece.size[1])),)
+            return (GapRow(cycle, signal, float("nan"), float("nan")),)
+        return (GapRow(cycle, signal, float(original.size[at]), float(piece.size[at])),)
 
     # -- watching --------------------------------------------------------------------------------------------
 
-    def _use(self, model: ModelParameters) -> None:
+    def _use(self, model: Machine) -> None:
         """Watch with another model from now on."""
         self._in_use = model
-        anew = Watch(model, self._cycle_s, self._usual_Nm)
+        anew = Watch(self._machine, model)
         anew.learned_from(self._watch)
-        anew.use_modulus(self._modulus_Pa)
+        anew.use_estimate(self._estimate)
         self._watch = anew
         self._state, self._case = "watching", None
 
@@ -177,20 +159,20 @@ class Session:
         self._say("seen", begun, "model and measurement part")
 
     def _follow_estimate(self) -> None:
-        """Keep to the E that the twin finds, while nothing is wrong."""
-        end = self._window.end - self._cycles(_E_TO_S)
-        rows = self._window.rows(self._window.end - self._cycles(_E_FROM_S), end)
-        if self._watch.in_a_row or len(rows) < self._cycles(_E_FROM_S - _E_TO_S):
+        """Keep to what the twin finds, while nothing is wrong."""
+        end = self._window.end - self._cycles(_TO_S)
+        rows = self._window.rows(self._window.end - self._cycles(_FROM_S), end)
+        if self._watch.in_a_row or len(rows) < self._cycles(_FROM_S - _TO_S):
             return
-        found_Pa = float(np.median(self._window.column(rows, "E_sim_Pa")))
-        # More at once, and nothing parts: the twin has mistaken something else for E, and will find out.
-        if abs(found_Pa / self._modulus_Pa - 1.0) < _E_DRIFT:
-            self._use_modulus(found_Pa)
+        found = float(np.median(self._window.column(rows, self._machine.estimated)))
+        # More at once, and nothing parts: the twin has mistaken something else for it, and will find out.
+        if abs(found / self._estimate - 1.0) < _DRIFT:
+            self._use_estimate(found)
 
-    def _use_modulus(self, youngs_modulus_Pa: float) -> None:
-        self._modulus_Pa = youngs_modulus_Pa
-        self._watch.use_modulus(youngs_modulus_Pa)
-        self._original.use_modulus(youngs_modulus_Pa)
+    def _use_estimate(self, estimate: float) -> None:
+        self._estimate = estimate
+        self._watch.use_estimate(estimate)
+        self._original.use_estimate(estimate)
 
     # -- naming ----------------------------------------------------------------------------------------------
 
@@ -201,22 +183,24 @@ class Session:
             case = self._case = _Case(self._watch.begun_cycle, self._cycles(self._config.window_s))
             self._say("seen", case.begun, "model and measurement part again")
         earliest, end = case.begun + self._cycles(_SETTLED_S), self._window.end
-        first = quiet_cycle(self._window, earliest, end, self._cycle_s)
+        first = self._machine.quiet_cycle(self._window, earliest, end)
         if first is None or end - first < case.lacking:
             return
         if sum(piece.parts for piece in self._pieces if piece.cycle >= first) < ROW:
             self._say("ended", case.begun, "it has passed by itself: the model stays as it is")
             self._state, self._case = "watching", None
             return
-        before = models.with_modulus(self._in_use, self._modulus_Pa)
         try:
+            estimate = self._machine.estimate_in(self._window, self._in_use, self._estimate, first, end)
+            before = self._machine.with_estimate(self._in_use, estimate)
             simpler = self._explained_without(before, first, end)
             if simpler is not None:
-                gone = [e for e in self._in_use.effects if e not in simpler.effects]
-                self._found(replace(case, candidate=simpler, gone=tuple(map(models.of_entry, gone)), trial=end))
+                without = [entry for entry in self._in_use.effects if entry not in simpler.effects]
+                gone = tuple(models.of_entry(entry, self._machine.kind) for entry in without)
+                self._found(replace(case, candidate=simpler, gone=gone, trial=end))
                 return
-            data = data_of(self._window, before, self._imitation, first, end, self._cycle_s)
-            found = diagnosed(data, before, imitation=self._imitation)
+            data = self._machine.data_of(self._window, before, first, end)
+            found = diagnosed(data, before, imitation=self._machine.imitation)
         except UnusableInputError as error:
             self._say("ended", case.begun, f"can't be diagnosed: {error}")
             self._rest_until_it_ends()
@@ -231,7 +215,7 @@ class Session:
         between = [piece.parts for piece in self._pieces if case.begun <= piece.cycle < begun]
         return 2 * sum(between) < len(between)
 
-    def _explained_without(self, before: ModelParameters, first: int, end: int) -> ModelParameters | None:
+    def _explained_without(self, before: Machine, first: int, end: int) -> Machine | None:
         """The model in use without what has been added to it, where that explains these data as well as any."""
         added = [entry for entry in self._in_use.effects if entry not in self._configured.effects]
         if not added:
@@ -241,13 +225,13 @@ class Session:
             for entry in added:
                 kept = [other for other in self._in_use.effects if other != entry]
                 options.append(models.with_entries(self._configured, kept))
-        stretch = Stretch.of(self._window, before, self._imitation, first, end, self._cycle_s)
+        stretch = Stretch.of(self._machine, self._window, before, first, end)
         for option in options:
             if self._is_noise(stretch, option):
                 return option
         return None
 
-    def _is_noise(self, stretch: Stretch, model: ModelParameters) -> bool:
+    def _is_noise(self, stretch: Stretch, model: Machine) -> bool:
         """Whether a model leaves nothing but noise of the torques."""
         predictor, (residual, _) = stretch.predictor, self._fitted(stretch, model)
         torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
@@ -256,16 +240,16 @@ class Session:
             return False
         scaled = residual[torques] / np.array([floors[k] for k in torques])[:, None]
         names = tuple(predictor.names[k] for k in torques)
-        found = misfits(names, scaled, predictor.rows, predictor.conditions(packed(model)))
+        found = misfits(names, scaled, predictor.rows, predictor.conditions(self._machine.packed(model)))
         return not any(each.significant for each in found)
 
     def _judge(self, found: Diagnosis, case: _Case, end: int) -> None:
-        structure = [e for e in found.effects if not models.is_of_estimate(e.effect)]
-        undecided = found.verdict == "unknown" or any(map(models.is_of_estimate, _tied(found)))
+        structure = [e for e in found.effects if not self._machine.is_of_estimate(e.effect)]
+        undecided = found.verdict == "unknown" or any(map(self._machine.is_of_estimate, _tied(found)))
         if found.verdict == "complete" or (found.effects and not structure and found.verdict == "named"):
             why = "nothing is missing" if found.verdict == "complete" else "it is the twin's estimate that has changed"
             self._say("ended", case.begun, f"{why}: the model stays as it is")
-            self._modulus_Pa = models.modulus_at(found.model, float(found.t_s[-1]))
+            self._estimate = self._machine.estimate_at(found.model, float(found.t_s[-1]))
             self._begin_anew()
             return
         if undecided:
@@ -275,8 +259,8 @@ class Session:
             else:
                 self._case = replace(case, lacking=2 * case.lacking)
             return
-        candidate = models.without_estimate(found.model, self._configured)
-        effects = tuple(map(models.found_effect, structure))
+        candidate = self._machine.without_estimate(found.model)
+        effects = tuple(models.found_effect(each, self._machine.kind) for each in structure)
         self._found(replace(case, candidate=candidate, effects=effects, trial=end))
 
     def _found(self, case: _Case) -> None:
@@ -292,18 +276,18 @@ class Session:
         assert case is not None
         assert case.candidate is not None
         end = self._window.end
-        first = quiet_cycle(self._window, case.trial, end, self._cycle_s)
+        first = self._machine.quiet_cycle(self._window, case.trial, end)
         length = self._cycles(self._config.trial_s) + 1
         if first is None or end - first < length:
             return
-        new = models.with_modulus(case.candidate, self._modulus_Pa)
+        new = self._machine.with_estimate(case.candidate, self._estimate)
         try:
-            stretch = Stretch.of(self._window, new, self._imitation, first, end, self._cycle_s)
+            stretch = Stretch.of(self._machine, self._window, new, first, end)
         except UnusableInputError as error:
             self._say("ended", case.begun, f"can't be tried: {error}")
             self._begin_anew()
             return
-        before = stretch.residual(packed(models.with_modulus(self._in_use, self._modulus_Pa)))
+        before = stretch.residual(self._packed(self._in_use, 1.0))
         (_, old_cost), (after, new_cost) = (self._fitted(stretch, model) for model in (self._in_use, case.candidate))
         gain = old_cost - new_cost
         # A change that many samples make certain may still be one that nobody would see: of an effect that the model
@@ -314,29 +298,32 @@ class Session:
             self._say("dismissed", case.begun, "on new data the model in use is as good as the changed one: it stays")
             self._begin_anew()
 
-    def _fitted(self, stretch: Stretch, model: ModelParameters) -> tuple[Array, float]:
-        """Residual (signals, n) and cost of a model on a stretch, with the E that suits it best there: in so far as it
-        is not far from what E was known to be before model and measurement parted."""
-        at = [models.with_modulus(model, self._modulus_Pa * (1.0 + share)) for share in (0.0, _E_STEP)]
-        here, there = (stretch.residual(packed(one)) for one in at)
+    def _fitted(self, stretch: Stretch, model: Machine) -> tuple[Array, float]:
+        """Residual (signals, n) and cost of a model on a stretch, with the estimate that suits it best there: in so far
+        as it is not far from what was known before model and measurement parted."""
+        here, there = (stretch.residual(self._packed(model, 1.0 + share)) for share in (0.0, _STEP))
         rows, scale = stretch.predictor.rows, stretch.deviations[:, None]
-        slope = ((there - here) / scale)[:, rows].ravel() / _E_STEP
+        slope = ((there - here) / scale)[:, rows].ravel() / _STEP
         rest = (here / scale)[:, rows].ravel()
-        best = -float(slope @ rest) / (float(slope @ slope) + _E_KNOWN**-2)
+        best = -float(slope @ rest) / (float(slope @ slope) + _SURE**-2)
         best = float(np.clip(best, -0.5, 1.0))
-        residual = stretch.residual(packed(models.with_modulus(model, self._modulus_Pa * (1.0 + best))))
-        return residual, stretch.misfit(residual) + (best / _E_KNOWN) ** 2
+        residual = stretch.residual(self._packed(model, 1.0 + best))
+        return residual, stretch.misfit(residual) + (best / _SURE) ** 2
 
-    def _gap(self, candidate: ModelParameters, first: int, end: int) -> FoundGap:
+    def _packed(self, model: Machine, share: float) -> Array:
+        """A model with this share of the estimate, as a predictor takes it."""
+        return self._machine.packed(self._machine.with_estimate(model, share * self._estimate))
+
+    def _gap(self, candidate: Machine, first: int, end: int) -> FoundGap:
         """Of the models in use and changed, from cycle `first` to before `end`, as the watch sees it."""
         lead = self._cycles(_FOLLOWED_S)
         rows, known = self._window.rows(first - lead, end), self._window.measured(first - lead, end)
         counted = len(rows) // SHORT * SHORT
-        channels = {name: self._window.column(rows, name)[-counted:] for name in _NEEDED}
+        channels = {name: self._window.column(rows, name)[-counted:] for name in self._machine.needed}
         seen = []
         for model in (self._in_use, candidate):
-            gap = ModelGap(model, self._cycle_s)
-            gap.use_modulus(self._modulus_Pa)
+            gap = self._machine.gap(model)
+            gap.use_estimate(self._estimate)
             seen.append(gap.follow(channels, known[-counted:])[-((end - first) // SHORT) :])
         before, after = (each[np.all(np.isfinite(each), axis=1)] for each in seen)
         floors = np.array([floor(column) for column in after.T])
@@ -352,7 +339,7 @@ class Session:
     def _decide(self, case: _Case, gap: FoundGap) -> None:
         assert case.candidate is not None
         self._state = "waiting"
-        if not all(models.can_be_carried(effect.effect) for effect in case.effects):
+        if not all(models.can_be_carried(effect.effect, self._machine.kind) for effect in case.effects):
             self._say("ended", case.begun, "it goes by a clock that the twin does not have: the model stays as it is")
             return
         text = models.as_text(case.candidate, self._configured)
@@ -362,7 +349,7 @@ class Session:
 
     def _begin_anew(self) -> None:
         self._use(self._in_use)
-        self._original.use_modulus(self._modulus_Pa)
+        self._original.use_estimate(self._estimate)
 
     # -- words -----------------------------------------------------------------------------------------------
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.noise import floor
-from hilbench.live.web_line.gap import SHORT, ModelGap
-from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.live.machine import SHORT, LiveMachine
+from hilbench.plant.model_file import Machine
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
@@ -27,8 +27,6 @@ _TOLERATED = 0.008
 _LEVELS, _ROUGHER = 6.0, 1.8
 #: Means of a piece that are not left out, at least.
 _LEAST_MEANS = 8
-#: Speed below which friction is not one law but many, m/s.
-_MOVES_M_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -50,11 +48,11 @@ class Piece:
 
 
 class Watch:
-    """The gap of one model; `usual_Nm` (N,): torques that are usual at the motors."""
+    """The gap of one model of a machine."""
 
-    def __init__(self, model: ModelParameters, cycle_s: float, usual_Nm: Array) -> None:
-        self._gap = ModelGap(model, cycle_s)
-        self._usual_Nm = usual_Nm
+    def __init__(self, machine: LiveMachine, model: Machine) -> None:
+        self._gap = machine.gap(model)
+        self._machine = machine
         self._rests: deque[Array] = deque(maxlen=_LEARNED)
         self.in_a_row = 0  #: pieces until now that part
         self.begun_cycle = 0  #: the first of them begins there
@@ -68,9 +66,9 @@ class Watch:
         """(N,): what is about the level of a piece while nothing parts; None before the first."""
         return np.mean(np.array(self._rests), axis=0) if self._rests else None
 
-    def use_modulus(self, youngs_modulus_Pa: float) -> None:
-        """E of the web from now on."""
-        self._gap.use_modulus(youngs_modulus_Pa)
+    def use_estimate(self, estimate: float) -> None:
+        """What the twin estimates, from now on."""
+        self._gap.use_estimate(estimate)
 
     def restart(self) -> None:
         """The next chunk is not the one that follows the last."""
@@ -78,12 +76,11 @@ class Watch:
         self.in_a_row = 0
 
     def update(self, last_cycle: int, channels: Mapping[str, Array], known: Rows) -> Piece | None:
-        """The next chunk (n,) of each channel; `known`: the rows that are no guess. None of one in which the line
-        stands, or of which too little is known: that says nothing."""
+        """The next chunk (n,) of each channel; `known`: the rows that are no guess. None of one in which the
+        machine stands, or of which too little is known: that says nothing."""
         values = self._gap.follow(channels, known)
-        cycles = len(channels["v2_m_s"])
-        slow = min(float(np.min(np.abs(channels[f"v{k}_m_s"]))) for k in (1, 2)) < _MOVES_M_S
-        if slow:
+        cycles = len(known)
+        if min(float(np.min(np.abs(channels[name]))) for name in self._machine.speeds) < self._machine.moves:
             self.in_a_row = 0
             return None
         values = values[np.all(np.isfinite(values), axis=1)]
@@ -111,5 +108,5 @@ class Watch:
         if len(self._rests) < _KNOWN:
             noise = np.maximum(noise, white)
         of_level = _LEVELS * 1.25 * noise / np.sqrt(means)
-        off = np.abs(piece.level) > np.maximum(of_level, _TOLERATED * self._usual_Nm)
+        off = np.abs(piece.level) > np.maximum(of_level, _TOLERATED * self._machine.usual_Nm)
         return bool(np.any(off | (piece.rest > _ROUGHER * noise)))

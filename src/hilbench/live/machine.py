@@ -1,0 +1,105 @@
+"""What a kind of machine is to the diagnosis beside a running bench."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.machines import AnyImitation
+from hilbench.diagnosis.measured import Measured
+from hilbench.live.window import Window
+from hilbench.plant.effect import MachineKind
+from hilbench.plant.model_file import Machine
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
+
+#: Cycles of a mean of a gap.
+SHORT: Final = 10
+
+
+class Gap(Protocol):
+    """How far measurement and one model part, in N·m at the motor of each axis (N,)."""
+
+    def restart(self) -> None:
+        """The next rows are not those that follow the last."""
+
+    def use_estimate(self, estimate: float) -> None:
+        """What the twin estimates, from now on."""
+
+    def follow(self, channels: Mapping[str, Array], known: Rows) -> Array:
+        """(n // SHORT, N): of the next rows (n,) of `LiveMachine.needed`; n a multiple. NaN where nothing is known."""
+
+
+class LiveMachine(Protocol):
+    """One machine of N axes, as it was configured. What the twin estimates is one number, in the unit of its signal."""
+
+    @property
+    def kind(self) -> MachineKind:
+        """By whose effects it goes."""
+
+    @property
+    def configured(self) -> Machine:
+        """The model."""
+
+    @property
+    def imitation(self) -> AnyImitation | None:
+        """How load motors imitate what is not there; None where it is there."""
+
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """Signals that a gap is made from, and `speeds`."""
+
+    @property
+    def speeds(self) -> tuple[str, ...]:
+        """Of the axes."""
+
+    @property
+    def moves(self) -> float:
+        """Speed below which friction is not one law but many."""
+
+    @property
+    def usual_Nm(self) -> Array:
+        """(N,): torques that are usual at the motors."""
+
+    @property
+    def shown_axis(self) -> int:
+        """The axis (from 1) whose gap is shown to a person."""
+
+    @property
+    def estimated(self) -> str:
+        """The signal of what the twin estimates."""
+
+    def gap(self, model: Machine) -> Gap:
+        """Of one model."""
+
+    def estimate_of(self, model: Machine) -> float:
+        """As the model has it."""
+
+    def with_estimate(self, model: Machine, estimate: float) -> Machine:
+        """The model with another one."""
+
+    def estimate_at(self, model: Machine, time_s: float) -> float:
+        """As the model's effects make it at a time of theirs."""
+
+    def is_of_estimate(self, effect_id: str) -> bool:
+        """Whether an effect is a change of what the twin estimates anyway."""
+
+    def without_estimate(self, model: Machine) -> Machine:
+        """The model without changes of it but for those that it was configured with."""
+
+    def quiet_cycle(self, window: Window, first: int, end: int) -> int | None:
+        """The first cycle of a range at which a prediction can begin; None where there is none yet."""
+
+    def estimate_in(self, window: Window, model: Machine, known: float, first: int, end: int) -> float:
+        """What these cycles tell of it, whatever else the model lacks; `known` where they tell nothing beyond that.
+        Raises UnusableInputError for what can't be diagnosed."""
+
+    def data_of(self, window: Window, model: Machine, first: int, end: int) -> Measured:
+        """What a diagnosis takes from these cycles. Raises UnusableInputError for what can't be diagnosed."""
+
+    def packed(self, model: Machine) -> Array:
+        """(P,): as a predictor takes it."""

@@ -1,0 +1,1 @@
+"""Diagnosis of a servo axis while its bench runs."""

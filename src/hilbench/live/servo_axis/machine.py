@@ -1,0 +1,97 @@
+"""A servo axis, as it is diagnosed while it runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.measured import Measured, measured_from
+from hilbench.errors import UnusableInputError
+from hilbench.live.servo_axis import models
+from hilbench.live.servo_axis.gap import ShaftGap
+from hilbench.live.stretch import Stretch
+from hilbench.live.window import Window
+from hilbench.plant.effect import MachineKind
+from hilbench.plant.model_file import Machine
+from hilbench.plant.servo_axis import layout as lay
+from hilbench.plant.servo_axis.imitated_run import ShaftImitation
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.plant.servo_axis.sizes import machine_sizes
+
+Array = NDArray[np.float64]
+
+#: In which steps of its share the inertia's best value is looked for, and the largest of them at once.
+_STEP: Final = 0.02
+_MOST: Final = 0.5
+
+
+class LiveShaft:
+    """A `LiveMachine` whose twin estimates the inertia. `imitation`: how the load motor imitates what is not there."""
+
+    kind = MachineKind.SERVO_AXIS
+    speeds = ("v1_rad_s",)
+    needed = ("x1_rad", *speeds, "tau1_Nm")
+    moves = 0.5  #: rad/s
+    shown_axis = 1
+    estimated = "J_sim_kg_m2"
+
+    def __init__(self, model: ServoAxisParameters, imitation: ShaftImitation | None, cycle_s: float) -> None:
+        self.configured, self.imitation = model, imitation
+        self.usual_Nm = np.array([machine_sizes(model).force_N])
+        self._cycle_s = cycle_s
+
+    def gap(self, model: Machine) -> ShaftGap:
+        """Of one model."""
+        return ShaftGap(models.shaft(model), self._cycle_s)
+
+    def estimate_of(self, model: Machine) -> float:
+        """Inertia as the model has it, kg·m²."""
+        return self.estimate_at(model, 0.0)
+
+    def with_estimate(self, model: Machine, estimate: float) -> ServoAxisParameters:
+        """The model with another inertia."""
+        return models.with_inertia(models.shaft(model), estimate)
+
+    def estimate_at(self, model: Machine, time_s: float) -> float:
+        """Inertia as the model's effects make it at a time of theirs."""
+        of_shaft = models.shaft(model)
+        return of_shaft.inertia_kg_m2 * models.inertia_factor(of_shaft, time_s)
+
+    def is_of_estimate(self, effect_id: str) -> bool:
+        """Whether an effect is a change of the inertia."""
+        return models.is_of_estimate(effect_id)
+
+    def without_estimate(self, model: Machine) -> ServoAxisParameters:
+        """The model with the inertia that it was configured with."""
+        return models.without_estimate(models.shaft(model), self.configured)
+
+    def quiet_cycle(self, window: Window, first: int, end: int) -> int | None:
+        """The first of the range that is kept: the shaft is where its commands are, whatever it does."""
+        begin = max(first, window.first)
+        return begin if begin < end else None
+
+    def estimate_in(self, window: Window, model: Machine, known: float, first: int, end: int) -> float:
+        """By the torques of its accelerations, beside a constant one and one in proportion to the speed."""
+        stretch = Stretch.of(self, window, self.with_estimate(model, known), first, end)
+        here, there = (
+            stretch.residual(self.packed(self.with_estimate(model, known * (1.0 + share))))[0] for share in (0.0, _STEP)
+        )
+        rows, speed = stretch.predictor.rows, stretch.data.commands_m_s[:, 0]
+        columns = np.column_stack([(there - here) / _STEP, np.ones(len(here)), speed])[rows]
+        share = -float(np.linalg.lstsq(columns, here[rows], rcond=None)[0][0])
+        return known * (1.0 + float(np.clip(share, -_MOST, _MOST)))
+
+    def data_of(self, window: Window, model: Machine, first: int, end: int) -> Measured:
+        """What a diagnosis takes from these cycles. Raises UnusableInputError for what can't be diagnosed."""
+        data = measured_from(window.recording(first, end), model, "the running bench")
+        known = window.known(first, end)
+        if len(known) != len(data.t_s):
+            raise UnusableInputError("the running bench", "rows could not be placed in time, expected one each cycle")
+        return replace(data, left_out=~known | data.left_out)
+
+    def packed(self, model: Machine) -> Array:
+        """(P,): as a predictor takes it."""
+        return lay.pack(models.shaft(model))

@@ -1,0 +1,60 @@
+"""A stretch of a running bench, and how a model predicts it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.measured import Measured
+from hilbench.diagnosis.predictor import Predictor, choice
+from hilbench.live.machine import LiveMachine
+from hilbench.live.window import Window
+from hilbench.plant.model_file import Machine
+
+Array = NDArray[np.float64]
+
+#: Share of its noise by which the gap of a torque is smaller, at least, with a changed model.
+_SHOWS: Final = 0.02
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Data from a cycle on, and a way to predict them by a model."""
+
+    data: Measured
+    predictor: Predictor
+
+    @classmethod
+    def of(cls, machine: LiveMachine, window: Window, model: Machine, first: int, end: int) -> Stretch:
+        """The cycles from `first` to before `end`. Raises UnusableInputError for what can't be diagnosed."""
+        data = machine.data_of(window, model, first, end)
+        return cls(data, choice(model, data, machine.imitation).predictor)
+
+    @property
+    def deviations(self) -> Array:
+        """(signals,): what a right model is off by."""
+        predictor = self.predictor
+        floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
+        return np.asarray(np.hypot(floors, predictor.tolerances))
+
+    def residual(self, parameters: Array) -> Array:
+        """(signals, n): measured less predicted."""
+        return np.asarray(self.predictor.measured - self.predictor.predict(parameters[None])[0])
+
+    def misfit(self, residual: Array) -> float:
+        """Sum of squares of a residual in units of what a right model leaves, on the rows that count."""
+        return float(np.sum((residual / self.deviations[:, None])[:, self.predictor.rows] ** 2))
+
+
+def shows_in_torque(stretch: Stretch, before: Array, after: Array) -> bool:
+    """Whether a change of the model takes something off the gap of a torque: of residuals (signals, n) before and after
+    it."""
+    rows, predictor = stretch.predictor.rows, stretch.predictor
+    torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
+    less_Nm = np.sqrt(np.mean(before[torques][:, rows] ** 2, axis=1)) - np.sqrt(
+        np.mean(after[torques][:, rows] ** 2, axis=1)
+    )
+    return bool(np.any(less_Nm > _SHOWS * np.array([predictor.floor(k) for k in torques])))
