@@ -68,7 +68,7 @@ class Trace:
 class Bench:
     """The cyclic path with its producer, and a drive on the other side."""
 
-    def __init__(self, period_ns: int = PERIOD_NS, missing_limit: int = 1000) -> None:
+    def __init__(self, period_ns: int, heartbeat_ms: int) -> None:
         channel = f"producer{os.getpid()}"
         self.drive = Answers(channel)
         self.link = EmbeddedLink(channel, 1_000_000, "real")
@@ -81,8 +81,8 @@ class Bench:
             lockstep=False,
             expected=[ExpectedPdo(TPDO, 1, "drive")],
             timeout_s=5.0,
-            missing_limit=missing_limit,
-            heartbeat=(127, 0),
+            missing_limit=1000,
+            heartbeat=(127, heartbeat_ms),
             tap=self.trace,
             producer=self.producer,
         )
@@ -97,8 +97,8 @@ class Bench:
 
 
 @contextmanager
-def running(period_ns: int = PERIOD_NS) -> Iterator[Bench]:
-    bench = Bench(period_ns)
+def running(period_ns: int = PERIOD_NS, heartbeat_ms: int = 0) -> Iterator[Bench]:
+    bench = Bench(period_ns, heartbeat_ms)
     try:
         yield bench
     finally:
@@ -212,3 +212,15 @@ def test_after_its_end_no_sync_goes_out() -> None:
         time.sleep(3 * PERIOD_NS * 1e-9)
         assert (len(bench.drive.syncs_ns), bench.producer.sent) == sent
         assert "sync" not in [thread.name for thread in threading.enumerate()]
+
+
+def test_heartbeats_come_as_often_when_cycles_are_missed() -> None:
+    with running(heartbeat_ms=60) as bench:
+        for _ in range(6):
+            bench.run(2)
+            hold_the_interpreter(2.2 * PERIOD_NS * 1e-9)
+        bench.run(1)
+        periods = bench.cycle.timing.cycles + bench.cycle.pacing.missed
+        said = sum(frame.can_id == 0x77F for frame in bench.trace.frames)
+    # One in three periods; it waits for the next cycle, here three periods later at most.
+    assert periods / 5 - 1 <= said <= periods / 3 + 1

@@ -129,6 +129,7 @@ class SyncCycle:
         self._unwritten: tuple[Sequence[Frame], Sequence[int], int] | None = None  # last answers, bits, when they began
         node_id, period_ms = heartbeat
         self._heartbeat = Frame(HEARTBEAT + node_id, _OPERATIONAL)
+        self._next_heartbeat = 0  # in periods, by the clock
         self._heartbeat_cycles = max(1, period_ms * 1_000_000 // cycle_ns) if period_ms else 0
 
     def wait_for_turn(self) -> None:
@@ -219,10 +220,16 @@ class SyncCycle:
         return received
 
     def _heartbeat_is_due(self) -> bool:
-        """By cycles, so that runs are alike; where these take very long in lockstep, before the supervisor wonders."""
+        """By cycles, so that runs are alike; where these take very long in lockstep, before the supervisor wonders.
+        By the clock those count that were missed."""
         if not self._heartbeat_cycles:
             return False
-        slow = self._lockstep and time.monotonic() - self._alive_s > _SLOW * self._timeout_s
+        if not self._lockstep:
+            periods = self.timing.cycles + self.pacing.missed
+            due = periods >= self._next_heartbeat
+            self._next_heartbeat = periods + self._heartbeat_cycles if due else self._next_heartbeat
+            return due
+        slow = time.monotonic() - self._alive_s > _SLOW * self._timeout_s
         return slow or self.timing.cycles % self._heartbeat_cycles == 0
 
     def expect(self, pdos: Sequence[ExpectedPdo]) -> None:
