@@ -16,7 +16,7 @@ from pathlib import Path
 from hilbench.can import protocol
 from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.can.hub import Client, Hub
-from hilbench.can.requests import RefusedError, parse
+from hilbench.can.requests import RefusedError, Settings, parse
 from hilbench.canopen.clock import MonotonicClock
 from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds
@@ -165,10 +165,13 @@ def _to_hub(data: bytes) -> None:
     try:
         client = Client(here, 1)
         client.fd = bool(data[:1] > b"\x7f")
+        hub.settings = Settings(timing="virtual" if data[:1] < b"\x40" else "real")
         at = 1
         while at + 1 < len(data):
             size = data[at] + 1
-            hub._take_frames(client, data[at + 1 : at + 1 + size])
+            packet = data[at + 1 : at + 1 + size]
+            if not hub._pass_on(client, packet):
+                hub._take_frames(client, packet)
             at += 1 + size
         assert hub.malformed >= 0
     finally:

@@ -18,10 +18,12 @@ import os
 import select
 import signal
 import socket
+import struct
 import sys
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import cache
 from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
@@ -42,6 +44,9 @@ TRANSMIT_LIMIT = 512
 RECEIVE_LIMIT = 16384
 #: Records in one packet to a client.
 DELIVERED_RECORDS = 512
+#: Packets of different frames whose receivers are kept.
+_KNOWN_PACKETS = 4096
+_FIELDS = 4  # of a classical record
 #: Connections at a time; further ones are closed at once.
 MAX_CLIENTS = 128
 
@@ -78,6 +83,10 @@ class Client(Station):
         self.blocked = False  # epoll tells when its socket has room again
 
 
+#: Clients, each with the places of the frames that it hears in a packet; None: all.
+_Receivers = list[tuple[Client, list[int] | None]]
+
+
 class Hub:
     """The server: one thread, one epoll loop."""
 
@@ -89,6 +98,7 @@ class Hub:
         self._clients: dict[int, Client] = {}  # connected, by file descriptor
         self._departed: list[Client] = []  # gone, with frames still to send
         self._listeners = Listeners(lambda: [client for client in self._clients.values() if client.joined])
+        self._known_receivers: dict[tuple[Client, tuple[int, ...], tuple[int, ...]], _Receivers] = {}
         self._identities = 0
         self._fd = False  # whether a station that may send FD frames has joined
         self._epoll = select.epoll()
@@ -102,11 +112,12 @@ class Hub:
         """Serve until nobody is connected for GRACE_S and `may_end()` agrees."""
         idle_since = time.monotonic()
         while True:
-            for descriptor, events in self._poll():
+            ready = self._poll()
+            for descriptor, events in ready:
                 if descriptor == self._listener.fileno():
                     self._accept()
-                else:
-                    self._attend(self._clients[descriptor], events)
+                elif descriptor in self._clients:
+                    self._attend(self._clients[descriptor], events, alone=len(ready) == 1)
             self._run()
             if self._clients or self._departed:
                 idle_since = time.monotonic()
@@ -114,6 +125,10 @@ class Hub:
                 if may_end():
                     return
                 idle_since = time.monotonic()
+
+    def wake_by(self, descriptor: int) -> None:
+        """Don't wait while this can be read: nobody's connection."""
+        self._epoll.register(descriptor, select.EPOLLIN)
 
     def _poll(self) -> list[tuple[int, int]]:
         """Ready descriptors; waits at most until the wire has something to do."""
@@ -140,12 +155,18 @@ class Hub:
         if not protocol.may_join(connection) or len(self._clients) >= MAX_CLIENTS:
             connection.close()
             return
+        self.connect(connection)
+
+    def connect(self, connection: socket.socket) -> Client:
+        """Serve who is at the other end."""
         connection.setblocking(False)
         self._identities += 1
-        self._clients[connection.fileno()] = Client(connection, self._identities)
+        client = self._clients[connection.fileno()] = Client(connection, self._identities)
         self._epoll.register(connection, select.EPOLLIN)
+        return client
 
-    def _attend(self, client: Client, events: int) -> None:
+    def _attend(self, client: Client, events: int, *, alone: bool) -> None:
+        """`alone`: nobody else has anything to say."""
         if events & select.EPOLLOUT:
             self._flush(client)
         if not client.reading or not events & (select.EPOLLIN | select.EPOLLHUP | select.EPOLLERR):
@@ -159,7 +180,8 @@ class Hub:
         if not packet:
             self._disconnect(client)
         elif client.joined:
-            self._take_frames(client, packet)
+            if not (alone and self._pass_on(client, packet)):
+                self._take_frames(client, packet)
         else:
             self._answer(client, packet)
 
@@ -170,7 +192,7 @@ class Hub:
         client.connection.close()
         if client.joined:
             self._departed.append(client)
-            self._listeners.forget()
+            self._forget_listeners()
 
     def _watch(self, client: Client) -> None:
         """Tell epoll what to wait for. A paused socket would report its hang-up again and again: edges only."""
@@ -180,6 +202,56 @@ class Hub:
         self._epoll.modify(client.connection, events)
 
     # --- frames in
+
+    def _pass_on(self, client: Client, packet: bytes) -> bool:
+        """What is done with a packet of classical frames, in one go: where time is virtual, nobody competes, and
+        nothing happens to frames but that they come. False: not so, and nothing was done."""
+        count, rest = divmod(len(packet) - protocol.HEADER.size, protocol.CAN_RECORD.size)
+        if self.settings.timing == "real" or not self._medium.undisturbed or client.receive_own:
+            return False
+        if rest or not 0 < count <= protocol.MAX_RECORDS or packet[0] != protocol.KIND_CLASSICAL:
+            return False
+        values = _layout(count).unpack_from(packet, protocol.HEADER.size)
+        can_ids, lengths, data = values[::_FIELDS], values[1::_FIELDS], values[3::_FIELDS]
+        receivers = self._receivers(client, can_ids, lengths)
+        if receivers is None:
+            return False
+        all_bits = [
+            bits_on_wire(can_id, content[:length])
+            for can_id, length, content in zip(can_ids, lengths, data, strict=True)
+        ]
+        start, size, pack_time = protocol.HEADER.size, protocol.CAN_RECORD.size, protocol.STAMP.pack
+        records = []
+        for over_ns in self._medium.carry(all_bits):
+            records.append(packet[start : start + size] + pack_time(over_ns))
+            start += size
+        for receiver, places in receivers:
+            self._deliver(receiver, records if places is None else [records[place] for place in places])
+        return True
+
+    def _receivers(self, sender: Client, can_ids: tuple[int, ...], lengths: tuple[int, ...]) -> _Receivers | None:
+        """Who hears which of the frames of a packet, by their places; None for all. None at all: one is no frame."""
+        key = sender, can_ids, lengths
+        found = self._known_receivers.get(key)
+        if found is None:
+            for can_id, length in zip(can_ids, lengths, strict=True):
+                if not _is_classical(can_id, length):
+                    return None
+            if len(self._known_receivers) >= _KNOWN_PACKETS:
+                self._known_receivers.clear()
+            places: dict[Client, list[int]] = {}
+            for place, can_id in enumerate(can_ids):
+                for client in self._listeners.of(can_id):
+                    if client is not sender:
+                        places.setdefault(client, []).append(place)
+            found = [(client, None if len(those) == len(can_ids) else those) for client, those in places.items()]
+            self._known_receivers[key] = found
+        return found
+
+    def _forget_listeners(self) -> None:
+        """Somebody has come or gone, or has other filters."""
+        self._listeners.forget()
+        self._known_receivers.clear()
 
     def _take_frames(self, client: Client, packet: bytes) -> None:
         kind = packet[0]
@@ -333,7 +405,7 @@ class Hub:
             return self._join(client, request)
         if isinstance(request, requests.SetFilters):
             self._station(request.station).filters = request.filters
-            self._listeners.forget()
+            self._forget_listeners()
             return {}
         if isinstance(request, requests.SetErrors):
             self._medium.disturber = Disturber(request.injection)
@@ -361,7 +433,7 @@ class Hub:
         else:
             join.wanted.check_against(self.settings)
         client.filters = join.filters
-        self._listeners.forget()
+        self._forget_listeners()
         client.receive_own, client.fd, client.single = join.receive_own, join.fd, join.single
         client.joined = True
         self._fd = (self._fd and not alone) or client.fd
@@ -386,9 +458,17 @@ class Hub:
 
 def _classical_bits(can_id: int, length: int, data: bytes) -> int:
     """Bit times of a classical record; 0: no frame that could be on a wire."""
-    if length > 8 or can_id & ERROR_FLAG or (can_id & 0x1FFFF800 and not can_id & EXTENDED_FLAG):
-        return 0
-    return bits_on_wire(can_id, data[:length])
+    return bits_on_wire(can_id, data[:length]) if _is_classical(can_id, length) else 0
+
+
+def _is_classical(can_id: int, length: int) -> bool:
+    return length <= 8 and not can_id & ERROR_FLAG and not (can_id & 0x1FFFF800 and not can_id & EXTENDED_FLAG)
+
+
+@cache
+def _layout(count: int) -> struct.Struct:
+    """Of so many classical records."""
+    return struct.Struct("=" + count * protocol.CAN_RECORD.format[1:])
 
 
 def _marked_own(record: bytes) -> bytes:
@@ -432,7 +512,12 @@ def main(arguments: list[str] | None = None) -> None:
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     try:
-        Hub(options.channel, listener).serve(lambda: _end(path, log, lock, listener))
+        hub = Hub(options.channel, listener)
+        # A signal that comes just before the hub waits would be handled after that, which may be never.
+        signalled, wakes = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        signal.set_wakeup_fd(wakes)
+        hub.wake_by(signalled)
+        hub.serve(lambda: _end(path, log, lock, listener))
     except SystemExit:  # terminated: the listening socket is still ours, so nobody else can have taken the place
         path.unlink(missing_ok=True)
         log.unlink(missing_ok=True)

@@ -10,6 +10,7 @@ it joins anew (as a SocketCAN interface without restart-ms).
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -146,6 +147,16 @@ class Medium:
             and not self._counting
             and not any(station.queue for station in self._stations)
         )
+
+    def carry(self, all_bits: Sequence[int]) -> list[int]:
+        """When frames of so many bit times are over that one station sends now while the wire is `undisturbed`: what
+        `queue` and `run(FOREVER)` do with them."""
+        over_ns, free_ns, bitrate = [], self.free_ns, self.bitrate
+        for bits in all_bits:
+            free_ns += bits * 1_000_000_000 // bitrate
+            over_ns.append(free_ns)
+        self.account(len(over_ns), sum(all_bits), free_ns - self.free_ns)
+        return over_ns
 
     def account(self, frames: int, bits: int, duration_ns: int) -> None:
         """So many frames went over the wire while it was undisturbed, one after the other."""

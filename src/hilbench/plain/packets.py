@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class Packets:
         return True
 
 
-@cache
+@lru_cache(64)
 def _layout(count: int) -> struct.Struct:
     """Of so many records."""
     return struct.Struct("=" + count * _ONE.format[1:])

@@ -1,0 +1,68 @@
+"""Programs on the embedded bus that are killed (SIGKILL) at any moment: nobody else hangs, and the wire stays free."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+import uuid
+from contextlib import closing
+
+import pytest
+from tests.tiers import slow
+
+from hilbench.can import hub_client
+from hilbench.can.frame import Frame
+from hilbench.can.link import Link
+from hilbench.can.open import BusAddress, open_link
+
+#: What the killed ones send and receive; they fill queues as fast as they can.
+NOISE = [Frame(0x300 + at, bytes((at,)) * 8) for at in range(8)]
+#: The longest life of one, s: some are killed before they have joined, others in the middle of a packet.
+LONGEST_LIFE_S = 0.02
+
+
+def joins_and_floods(bus: BusAddress, *, reads: bool) -> int:
+    """A process of its own that does so until it is killed."""
+    pid = os.fork()
+    if pid == 0:
+        try:
+            link = open_link(bus)
+            while True:
+                link.send(NOISE)
+                if reads:
+                    link.receive(0.0)
+        finally:
+            os._exit(1)
+    return pid
+
+
+def passes(sender: Link, receiver: Link, number: int) -> bool:
+    """Whether a frame comes through within 10 s."""
+    frame = Frame(0x100, number.to_bytes(4, "little"))
+    sender.send([frame])
+    deadline_s = time.monotonic() + 10.0
+    while time.monotonic() < deadline_s:
+        if any(came.data == frame.data for came in receiver.receive(0.1)):
+            return True
+    return False
+
+
+@pytest.mark.parametrize(
+    ("timing", "seed", "tries"), [("virtual", 1, 20), *slow(("virtual", 2, 1000), ("real", 3, 300))]
+)
+def test_killed_at_any_moment_a_program_leaves_nobody_hanging(runtime, timing, seed, tries):
+    drawn = random.Random(seed)
+    bus = BusAddress(channel=f"k{uuid.uuid4().hex[:10]}", timing=timing)
+    with closing(open_link(bus)) as one, closing(open_link(bus)) as other:
+        other.set_filters([(0x100, 0x7FF)])
+        one.set_filters([])
+        for number in range(tries):
+            pids = [joins_and_floods(bus, reads=drawn.random() < 0.5) for _ in range(drawn.randint(1, 2))]
+            for pid in pids:
+                time.sleep(drawn.uniform(0.0, LONGEST_LIFE_S))
+                os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
+            assert passes(one, other, number)
+        assert runtime.eventually(lambda: hub_client.statistics(bus.channel).stations == 2)
