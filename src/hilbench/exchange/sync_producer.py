@@ -82,7 +82,7 @@ class SyncProducer:
     def _run(self) -> None:
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # else the kernel may be 50 µs late to save energy
         policy, priority = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
-        if policy == os.SCHED_FIFO:  # the bench's, which would keep it waiting on the same core
+        if policy in (os.SCHED_FIFO, os.SCHED_RR):  # the bench's, which would keep it waiting on the same core
             highest = os.sched_get_priority_max(policy)
             with suppress(PermissionError):
                 os.sched_setscheduler(0, policy, os.sched_param(min(priority + 1, highest)))
