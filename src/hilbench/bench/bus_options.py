@@ -18,7 +18,7 @@ from hilbench.can.load import CyclicFrame
 from hilbench.can.wire import worst_case_fd_bits
 from hilbench.canopen.identifiers import FUNCTION_CODE, HEARTBEAT, RPDOS, SYNC
 from hilbench.exchange.nodes import Nodes
-from hilbench.exchange.sync_cycle import GUARD_FRACTION
+from hilbench.exchange.pacing import GUARD_FRACTION
 from hilbench.topology.config import BenchConfig
 
 BitsOf = Callable[[CyclicFrame], float]

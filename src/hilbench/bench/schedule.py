@@ -17,7 +17,7 @@ from hilbench.can.frame import EXTENDED_FLAG
 from hilbench.can.load import CyclicFrame
 from hilbench.can.wire import worst_case_bits
 from hilbench.canopen.identifiers import FUNCTION_CODE, HEARTBEAT, RPDOS, SYNC
-from hilbench.exchange.sync_cycle import GUARD_FRACTION
+from hilbench.exchange.pacing import GUARD_FRACTION
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,10 @@ from array import array
 from dataclasses import dataclass, field
 from functools import partial
 
+#: Part of the cycle, at its end, that is kept for computing and sending the next set points: answers that are not there
+#: by then count as missing.
+GUARD_FRACTION = 0.3
+
 
 @dataclass
 class Pacing:

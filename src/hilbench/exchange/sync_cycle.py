@@ -25,9 +25,6 @@ from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.sync_marks import Met, SyncMarks
 from hilbench.exchange.sync_producer import SyncProducer
 
-#: Part of the cycle, at its end, that is kept for computing and sending the next set points (realtime pace):
-#: answers that are not there by then count as missing.
-GUARD_FRACTION = 0.3
 #: Lockstep: part of the time-out after which a bench that waits for an answer says that it is alive.
 _ALIVE = 0.3
 #: The longest time between two of them while the bus stands still, far less than the nodes wait for SYNC.
@@ -462,7 +459,7 @@ class SyncCycle:
         return remaining_s
 
     def _remaining_s(self) -> float:
-        guard_ns = self.pacing.deadline_ns - int(GUARD_FRACTION * self._cycle_ns)
+        guard_ns = self.pacing.deadline_ns - int(pacing.GUARD_FRACTION * self._cycle_ns)
         return (guard_ns - time.monotonic_ns()) * 1e-9
 
     def _missing(self, due: dict[int, ExpectedPdo]) -> NoAnswerError | None:

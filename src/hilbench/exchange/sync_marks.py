@@ -10,12 +10,12 @@ from enum import Enum
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.canopen.identifiers import SYNC
-from hilbench.exchange.pacing import Pacing
+from hilbench.exchange.pacing import GUARD_FRACTION, Pacing
 from hilbench.exchange.sync_producer import SyncProducer
 
 #: Part of the cycle, from SYNC on, in which a bench that comes too late for it still takes its answers: as long as it
 #: would wait for them.
-_JOIN_FRACTION = 0.7
+_JOIN_FRACTION = 1.0 - GUARD_FRACTION
 
 
 class _Whose(Enum):
