@@ -179,6 +179,8 @@ def sets(path: str, value: float) -> Change:
     return lambda bench: bench.set(path, value)
 
 
+#: Not a SYNC of somebody else, nor a virtual axis that starts anew: there it depends on who is faster what comes of it,
+#: interpreted, too. `tests/batch` has them in one process.
 LINE = [
     sets("line_speed_m_s", 0.4),
     sets("tension_control.set_point_N", 90.0),
@@ -192,9 +194,7 @@ LINE = [
     writes(32, 0x1017, 0, 2),  # and none
     writes(3, 0x60B2, 10, 2),  # torque offset
     sends(Frame(0x182, bytes(8))),
-    sends(Frame(0x080, b"")),
     sends(Frame(NMT, bytes((0x80, 1)))),
-    sends(Frame(NMT, bytes((0x82, 17)))),
     sends(Frame(0x001, b"")),
     sends(Frame(0x123, b"abc")),
     sends(Frame(0x67F, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0)))),
@@ -215,7 +215,7 @@ def test_a_line_runs_alike_with_set_points_an_effect_and_a_fault(tmp_path: Path)
     heartbeat_ms=st.sampled_from([0, 37, 100]),
     virtual_tpdo_every=st.sampled_from([0, 1, 3]),
 )
-@settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=8, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_line_runs_alike_whatever_comes_between(
     tmp_path: Path,
     changes: list[tuple[int, Change]],

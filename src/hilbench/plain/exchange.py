@@ -31,8 +31,9 @@ from hilbench.plain.kernel import Table
 from hilbench.plain.packets import RECORD, Packets
 from hilbench.plain.tables import Frames, NotPlainError, Slots, octets, reals, table
 
-#: Cycles after which it is looked anew whether cycles are plain, when they were not.
-_LOOK_AGAIN = 8
+#: Cycles after which it is looked anew whether cycles are plain, when they were not; twice as many each time that so
+#: few were plain in a row that it did not pay, up to the longest.
+_LOOK_AGAIN, _LONGEST_PAUSE, _PAYS = 8, 512, 64
 #: So long it is waited for a packet before the interpreted cycle goes on waiting.
 _PATIENCE_S = 0.1
 _ENABLED = Command.ENABLE_OPERATION.value
@@ -46,6 +47,7 @@ class PlainExchange:
         self._link, self._nodes, self._sync, self._own, self._tap = link, nodes, sync, own, tap
         self._run: _Run | None = None
         self._wait = 0  # cycles until it is looked again
+        self._pause = _LOOK_AGAIN  # cycles to wait when they are plain no more
         sync.before_use = self.settle
 
     def cycle(self, outputs: Mapping[str, float]) -> bool:
@@ -68,6 +70,8 @@ class PlainExchange:
         """Give the objects what the arrays have."""
         run, self._run = self._run, None
         if run is not None:
+            self._wait = self._pause
+            self._pause = _LOOK_AGAIN if run.cycles >= _PAYS else min(2 * self._pause, _LONGEST_PAUSE)
             run.end()
 
     def _begin(self) -> _Run | None:
@@ -90,7 +94,7 @@ class _Run:
     def __init__(self, link: EmbeddedLink, nodes: Nodes, sync: SyncCycle, tap: LineTap | None) -> None:
         """Raises NotPlainError where cycles are not plain."""
         self._link, self._nodes, self._sync, self._tap = link, nodes, sync, tap
-        self._cycles = 0
+        self.cycles = 0  #: plain ones so far
         self.sent = False  #: whether the cycle that is no plain one has begun
         slots, self._frames = Slots(), Frames()
         self._bench = BenchFrames(nodes, sync, self._frames, slots)
@@ -216,7 +220,7 @@ class _Run:
         own = self._bench.own_heartbeat
         said_alive = own >= 0 and bool(self._left[lay.O_SIZE + own])
         sync.count(bits, begun_ns, time.monotonic_ns(), said_alive=said_alive)
-        self._cycles += 1
+        self.cycles += 1
         self.sent = False
         fault, self.fault = self.fault, None
         if fault is not None:
@@ -282,7 +286,7 @@ class _Run:
             self._text_end = int(order.left[lay.O_TEXT])
             self._traced += int(left[lay.O_FRAMES] + order.left[lay.O_FRAMES])
         for cob_id, row in order.rare.items():
-            self._rare[cob_id] = self._cycles, data[8 * row : 8 * row + order.sizes[row]]
+            self._rare[cob_id] = self.cycles, data[8 * row : 8 * row + order.sizes[row]]
         self._last = order
         return int(left[lay.O_BITS] + order.left[lay.O_BITS])
 
@@ -321,18 +325,18 @@ class _Run:
         """The objects get what the arrays have."""
         if self._text_end and self._tap is not None:
             self._give_lines(self._tap, self._text_end)
-        if not self._cycles or self._last is None:
+        if not self.cycles or self._last is None:
             return
         data = self._last.data.tobytes()
         for row, cob_id in enumerate(self._last.cob_ids):
             answer = self._nodes.answers.get(cob_id)
             if answer is not None and answer.every == 1:
-                answer.answered_until(self._cycles, data[8 * row : 8 * row + answer.size], 0)
+                answer.answered_until(self.cycles, data[8 * row : 8 * row + answer.size], 0)
         for cob_id, answer in self._nodes.answers.items():
             if answer.every != 1:
                 at, content = self._rare.get(cob_id, (-1, None))
-                answer.answered_until(self._cycles, content, self._cycles - 1 - at)
+                answer.answered_until(self.cycles, content, self.cycles - 1 - at)
         self._seen.give(self._seen_rows, self._whole)
         for (drive, _, _), (at, _, _) in zip(self._nodes.set_points, self._names, strict=True):
             drive.setpoint = float(self._set_points[at])
-        self._nodes.end_plain(self._cycles)
+        self._nodes.end_plain(self.cycles)

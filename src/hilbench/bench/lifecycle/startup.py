@@ -33,6 +33,7 @@ from hilbench.exchange.frame_tap import FrameTap, LineTap
 from hilbench.exchange.node_data import FILE, ask_all, stand_data
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_producer import SyncProducer
+from hilbench.plain import kernel
 from hilbench.plain.exchange import PlainExchange
 from hilbench.processes import ChildProcess
 from hilbench.real_time import kept_ready
@@ -116,6 +117,8 @@ def bring_up(
             elif participants is Participants.STARTED:
                 announce("start simulated hardware and twin")
                 children = start_children(config, folder, copies)
+                if config.pace == "lockstep":
+                    kernel.warm_up()  # while they start
             else:
                 announce("look for simulated hardware and twin")
             for child in children:
