@@ -26,7 +26,8 @@ from hilbench.estimation.web_line import tracking_cycle
 from hilbench.results.trace import TraceWriter
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.sample import CycleSample
-from hilbench.twin.machines import web_line_cycle
+from hilbench.twin.machines import servo_axis_cycle, web_line_cycle
+from hilbench.twin.machines.servo_axis_cycle import ShaftInVectors
 from hilbench.twin.machines.web_line_cycle import LineInVectors
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
@@ -260,15 +261,15 @@ def test_who_reads_and_finds_nothing_ends_no_plain_cycles(tmp_path: Path) -> Non
     assert left.ending == ""
 
 
-def counts_stages(made: list[int]) -> Callable[..., int]:
-    """`LineInVectors._go_on_by_objects` that keeps the stages at which it was called."""
-    original = LineInVectors._go_on_by_objects
+def counts_stages(machine: type[LineInVectors | ShaftInVectors], made: list[int]) -> Any:
+    """`_go_on_by_objects` of a machine in vectors keeps the stages at which it was called."""
+    original: Callable[..., int] = machine._go_on_by_objects
 
-    def counted(self: LineInVectors, stage: int, time_s: float) -> int:
+    def counted(self: object, stage: int, *arguments: float) -> int:
         made.append(stage)
-        return original(self, stage, time_s)
+        return original(self, stage, *arguments)
 
-    return counted
+    return patch.object(machine, "_go_on_by_objects", counted)
 
 
 @pytest.mark.slow
@@ -283,7 +284,7 @@ def test_what_a_twin_has_python_do_now_and_then_is_alike(tmp_path: Path) -> None
         (1300, sets("load.web.broken", 1.0)),
     ]
     loaded = load_with_overrides(CONFIGS / "web_section_step.yaml")
-    with patch.object(LineInVectors, "_go_on_by_objects", counts_stages(stages)):
+    with counts_stages(LineInVectors, stages):
         check(tmp_path, loaded, changes, cycles=1600, least=1000)
     assert {tracking_cycle.HOLD, tracking_cycle.FOUND_WEB} <= set(stages)
 
@@ -299,7 +300,23 @@ def test_what_a_twin_of_several_spans_has_python_do_now_and_then_is_alike(tmp_pa
         (1400, sets("load.web.span2.youngs_modulus_Pa", 10.5e9)),
         (1700, sets("load.web.broken", 1.0)),
     ]
-    loaded = load_with_overrides(CONFIGS / "line_two_spans.yaml")
-    with patch.object(LineInVectors, "_go_on_by_objects", counts_stages(stages)):
+    # A twin that boots takes some of the machine's time, by which the bench's heartbeats go.
+    loaded = load_with_overrides(CONFIGS / "line_two_spans.yaml", changes=["master.heartbeat_ms=0"])
+    with counts_stages(LineInVectors, stages):
         check(tmp_path, loaded, changes, cycles=1900, least=1000)
     assert {tracking_cycle.HOLD, web_line_cycle.PASSAGE} <= set(stages)
+
+
+def test_what_a_twin_of_a_servo_axis_has_python_do_now_and_then_is_alike(tmp_path: Path) -> None:
+    """A standstill, a start, another inertia, and more torque than the drive has."""
+    stages = list[int]()
+    changes = [
+        (5, sets("speed_rad_s", 2.0)),
+        (180, sets("speed_rad_s", 4.0)),
+        (200, sets("load.shaft.inertia_kg_m2", 0.06)),
+        (260, sets("speed_rad_s", 20.0)),
+    ]
+    loaded = load_with_overrides(CONFIGS / "servo_axis.yaml")
+    with counts_stages(ShaftInVectors, stages):
+        check(tmp_path, loaded, changes, cycles=320, least=250)
+    assert {servo_axis_cycle.NOT_NEXT, servo_axis_cycle.HOLD} <= set(stages)

@@ -53,6 +53,12 @@ def variance(s: Array) -> float:
 
 
 @inlined
+def is_known(s: Array) -> bool:
+    """Whether it is measured, and not only believed."""
+    return bool(s[_COUNT] > _SETTLE)
+
+
+@inlined
 def interrupt(s: Array) -> None:
     """The next sample is not one cycle after the last: no difference is formed across the gap."""
     s[_APART] = _DIFFERENCES

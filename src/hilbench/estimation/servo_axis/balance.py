@@ -4,20 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import exp, inf, nan
+from math import cos, exp, inf, isnan, nan, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, entry_point
-from hilbench.estimation.bank import Array
+from hilbench.compiled import (
+    COUNT,
+    FLAG,
+    MATRIX,
+    REAL,
+    TABLE,
+    VECTOR,
+    compiled,
+    entry_point,
+    floats,
+    merged,
+    table_of,
+)
+from hilbench.estimation import noise_level
+from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.servo_axis import kalman
 from hilbench.estimation.servo_axis.config import InertiaConfig
 from hilbench.plant.parameters import per_item
-from hilbench.plant.servo_axis import kernel, laws
+from hilbench.plant.servo_axis import kernel, laws, tracking_filter
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
-from hilbench.plant.servo_axis.tracking_filter import TrackingFilter, gains, transition
+from hilbench.plant.servo_axis.tracking_filter import ORDER, TrackingFilter, follow, gains, later, transition
 
 #: Encoder noise believed before it is measured, and the least that is believed; least noise of the torque.
 _POSITION_NOISE_RAD, _POSITION_FLOOR_RAD = 3e-6, 1e-7
@@ -63,24 +77,183 @@ class ShaftSample:
     ripple_Nm: float = 0.0
 
 
-Known = Callable[[Array, float, float, float], float]
+class InputVectors(NamedTuple):
+    """What a `FilterInputs` consists of, for compiled callers."""
+
+    p: Array  #: parameters of the shaft
+    s: Array  #: state and figures
+    u: Array  #: inputs of the filters
+    torque: Array  #: state of the noise level of the torque,
+    position: Array  #: and of the position
+    motion: Array  #: of the filter that says how fast the shaft turns and accelerates
+    forward: Array  #: (4, 4): `transition` over a cycle
+    gain: Array  #: (4,): `gains` of a cycle
+    back: Array  #: (4, 4): `transition` over half a cycle, back
 
 
-def _compiled_known(sources: int) -> Known:
-    """The function that is called from Python; `sources` as in the kernel."""
+# State: cycles that the motion has been followed (-1: it is not); cycles without a sample since the last one; samples
+# in a row that were not so many cycles after the one before as was expected; 1: what dry friction is may be anything;
+# torque and position of the last sample (NaN: none); whether the filters of the inertia have lost the motion. Figures:
+# length of a cycle; noise of the filter's acceleration by that of the position; ratio of the gear; breakaway of dry
+# friction.
+(
+    FOLLOWED,
+    _MISSING,
+    _ODD,
+    _STICKING,
+    _BEFORE_NM,
+    _BEFORE_RAD,
+    LOST,
+    CYCLE_S,
+    _NOISE_GAIN,
+    _GEAR_RATIO,
+    _BREAKAWAY_NM,
+) = range(11)
+_SIZE = 11
 
-    @entry_point(VECTOR, REAL, REAL, REAL)
-    def known_torque(p: Array, measured_Nm: float, x: float, v: float) -> float:
-        """Torque on the shaft by the model: from the reported one, without offset, friction and unbalance."""
-        motor = laws.shaft_torque_Nm(p, measured_Nm - laws.reported_offset_Nm(p), x) if sources >= 0 else 0.0
-        torque = motor + laws.unbalance_Nm(p, x) - laws.smooth_friction_Nm(p, v)
-        direction = min(max(v / _STANDSTILL_RAD_S, -1.0), 1.0)
-        return float(torque - direction * (laws.dry_friction_Nm(p, v) + laws.load_friction_Nm(p, motor)))
 
-    return known_torque
+@compiled
+def _known_torque_Nm(p: Array, measured_Nm: float, x: float, v: float) -> float:
+    """Torque on the shaft by the model: from the reported one, without offset, friction and unbalance."""
+    motor = laws.shaft_torque_Nm(p, measured_Nm - laws.reported_offset_Nm(p), x)
+    torque = motor + laws.unbalance_Nm(p, x) - laws.smooth_friction_Nm(p, v)
+    direction = min(max(v / _STANDSTILL_RAD_S, -1.0), 1.0)
+    return float(torque - direction * (laws.dry_friction_Nm(p, v) + laws.load_friction_Nm(p, motor)))
 
 
-_known_torque = _compiled_known(kernel.source_number(__file__))
+@compiled
+def _slack_rad(position: Array, cycles: int) -> float:
+    """What a position is off by without anything being wrong: as the motion changes, and by the encoder's noise."""
+    known = noise_level.is_known(position)
+    noise_rad = _NOISE_SLACK * sqrt(noise_level.variance(position)) if known else _COARSEST_RAD
+    return float(_POSITION_SLACK_RAD * (cycles * cycles) + min(noise_rad, _COARSEST_RAD))
+
+
+@compiled
+def _take_noise(v: InputVectors, position_rad: float, torque_Nm: float, duration_s: float, next_cycle: bool) -> None:
+    """How noisy both are, of a sample `duration_s` after the one before; whether that was in the cycle before."""
+    if next_cycle:
+        noise_level.take(v.torque, torque_Nm)
+    else:
+        noise_level.interrupt(v.position)
+    # An encoder at rest shows no noise, whatever it counts by.
+    if abs(position_rad - v.s[_BEFORE_RAD]) > _STANDSTILL_RAD_S * duration_s:
+        noise_level.take(v.position, position_rad)
+    v.s[_BEFORE_RAD] = position_rad
+
+
+@compiled
+def _fill(
+    v: InputVectors,
+    back: Array,
+    before_Nm: float,
+    position_rad: float,
+    torque_Nm: float,
+    ripple_Nm: float,
+    duration_s: float,
+    next_cycle: bool,
+) -> None:
+    """The inputs of the filters; `back` (4, 4): `transition` over half of the duration, back; `before_Nm`: torque of
+    the sample before."""
+    s, u, variance = v.s, v.u, noise_level.variance(v.position)
+    x, speed, a = later(v.motion, back, 0), later(v.motion, back, 1), later(v.motion, back, 2)
+    significant = abs(a) > _SIGNIFICANT * s[_NOISE_GAIN] * sqrt(variance)
+    direction = min(max(speed / _STANDSTILL_RAD_S, -1.0), 1.0)
+    s[_STICKING] = max(s[_STICKING] * exp(-duration_s / _AFTER_STANDSTILL_S), 1.0 - direction * direction)
+    phi = x / s[_GEAR_RATIO]
+    torque, between_Nm = 0.5 * (before_Nm + torque_Nm), 0.0
+    if next_cycle:
+        torque += ripple_Nm
+    else:  # of the torque between nothing is known but where it came from and went
+        between_Nm = abs(torque_Nm - before_Nm) + abs(ripple_Nm)
+    shaking_Nm = _SHAKING * u[kalman.INERTIA_KG_M2] * a
+    u[kalman.DURATION_S] = duration_s
+    u[kalman.TORQUE_NM] = _known_torque_Nm(v.p, torque, x, speed)
+    u[kalman.ACCELERATION_RAD_S2] = a if significant else 0.0
+    u[kalman.TORQUE_VARIANCE] = (
+        noise_level.variance(v.torque)
+        + between_Nm * between_Nm
+        + shaking_Nm * shaking_Nm
+        + s[_BREAKAWAY_NM] * s[_BREAKAWAY_NM] * s[_STICKING]
+    )
+    u[kalman.POSITION_RAD] = position_rad
+    u[kalman.POSITION_VARIANCE] = variance
+    at = kalman.REGRESSORS
+    u[at], u[at + 1], u[at + 2], u[at + 3], u[at + 4] = 1.0, speed, direction, -sin(phi), -cos(phi)
+
+
+@compiled
+def take_next(v: InputVectors, position_rad: float, torque_Nm: float, ripple_Nm: float) -> bool:
+    """`FilterInputs.update` of a sample that is the next of a motion that is well known, one cycle after the last;
+    False, and nothing done, where it is not."""
+    s = v.s
+    if s[LOST] != 0.0 or s[FOLLOWED] < _SETTLED_CYCLES or s[_MISSING] != 0.0 or isnan(s[_BEFORE_NM]):
+        return False
+    # Not <=: a position that is no number is not.
+    if not abs(position_rad - later(v.motion, v.forward, 0)) <= _slack_rad(v.position, 1):
+        return False
+    before_Nm, s[_BEFORE_NM], s[_ODD] = s[_BEFORE_NM], torque_Nm, 0.0
+    _take_noise(v, position_rad, torque_Nm, s[CYCLE_S], True)
+    s[FOLLOWED] += 1.0
+    follow(v.motion, v.forward, v.gain, position_rad)
+    _fill(v, v.back, before_Nm, position_rad, torque_Nm, ripple_Nm, s[CYCLE_S], True)
+    return True
+
+
+@merged
+def of_table(table: Places, first: int) -> InputVectors:
+    """The vectors that stand in a `table_of` them from this row on."""
+    return InputVectors(
+        floats(table, first, (1,)),
+        floats(table, first + 1, (1,)),
+        floats(table, first + 2, (1,)),
+        floats(table, first + 3, (1,)),
+        floats(table, first + 4, (1,)),
+        floats(table, first + 5, (1,)),
+        floats(table, first + 6, (1, 2)),
+        floats(table, first + 7, (1,)),
+        floats(table, first + 8, (1, 2)),
+    )
+
+
+Noise = Callable[[Places, float, float, float, bool], None]
+Fill = Callable[[Places, Array, float, float, float, float, float, bool], None]
+
+
+def _entry_points(sources: int) -> tuple[Noise, Fill, Callable[[Array, int], float]]:
+    """For Python, with a `table_of` the `InputVectors`; `sources` as in the kernel."""
+
+    @entry_point(TABLE, REAL, REAL, REAL, FLAG)
+    def noise_once(table: Places, position_rad: float, torque_Nm: float, duration_s: float, next_cycle: bool) -> None:
+        if sources >= 0:
+            v = of_table(table, 0)
+            _take_noise(v, position_rad, torque_Nm, duration_s, next_cycle)
+
+    @entry_point(TABLE, MATRIX, REAL, REAL, REAL, REAL, REAL, FLAG)
+    def fill_once(
+        table: Places,
+        back: Array,
+        before_Nm: float,
+        position_rad: float,
+        torque_Nm: float,
+        ripple_Nm: float,
+        duration_s: float,
+        next_cycle: bool,
+    ) -> None:
+        if sources >= 0:
+            v = of_table(table, 0)
+            _fill(v, back, before_Nm, position_rad, torque_Nm, ripple_Nm, duration_s, next_cycle)
+
+    @entry_point(VECTOR, COUNT)
+    def slack_once(position: Array, cycles: int) -> float:
+        return _slack_rad(position, cycles) if sources >= 0 else 0.0
+
+    return noise_once, fill_once, slack_once
+
+
+#: The files of what is compiled here, beside those of the kernel.
+SOURCES = (noise_level.__file__, tracking_filter.__file__, kalman.__file__, __file__)
+_take_noise_of, _fill_from, _slack = _entry_points(kernel.source_number(*SOURCES))
 
 
 class FilterInputs:
@@ -90,8 +263,9 @@ class FilterInputs:
         also = config.also
         self._p = lay.pack(model)
         factor, breakaway_Nm, _ = kernel.look(self._p, 0.0)
-        self._breakaway_Nm = breakaway_Nm + also.coulomb_friction_Nm
-        self._gear_ratio = model.shaft.gear_ratio
+        self._state = np.zeros(_SIZE)
+        self._state[_BREAKAWAY_NM] = breakaway_Nm + also.coulomb_friction_Nm
+        self._state[_GEAR_RATIO] = model.shaft.gear_ratio
         self.inertia_kg_m2 = model.inertia_kg_m2 * factor  #: J0
         self.priors = np.array(
             [
@@ -109,17 +283,22 @@ class FilterInputs:
         self.u[kalman.PRIORS :] = self.priors
         self._torque = NoiseLevel(config.torque_noise_Nm, _TORQUE_FLOOR_NM)
         self._position = NoiseLevel(_POSITION_NOISE_RAD, _POSITION_FLOOR_RAD)
-        self._motion: TrackingFilter | None = None
-        self._cycles = 0  # that the motion has been followed
-        self._missing = 0  # cycles without a sample since the last one
+        self._motion = TrackingFilter(0.0)
+        self._forward, self._back, self._gain = np.zeros((ORDER, ORDER)), np.zeros((ORDER, ORDER)), np.zeros(ORDER)
         self.in_doubt = False  #: whether the last sample may be one of another time than it was taken for
-        self._odd = 0  # samples in a row that were not so many cycles after the one before as was expected
         largest_Nm = per_item(model.drives.torque_limit_Nm, 1) if model.drives else inf
         self._largest_change_rad_s2 = _TORQUE_CHANGE * largest_Nm / self.inertia_kg_m2
-        self._noise_gain = 0.0
-        self._sticking = 0.0  # 1: what dry friction is may be anything
-        self._before_Nm: float | None = None
-        self._before_rad = nan
+        self._state[FOLLOWED] = -1.0
+        self._state[_BEFORE_NM] = self._state[_BEFORE_RAD] = nan
+        self._state[LOST] = 1.0
+        self._gather()
+
+    def _gather(self) -> None:
+        """The vectors of what there is now, and where they stand."""
+        noise = self._torque.state, self._position.state
+        of_a_cycle = self._forward, self._gain, self._back
+        self.vectors = InputVectors(self._p, self._state, self.u, *noise, self._motion.motion, *of_a_cycle)
+        self._table = table_of(self.vectors)
 
     @property
     def speed_rad_s(self) -> float:
@@ -134,66 +313,49 @@ class FilterInputs:
     @property
     def lost(self) -> bool:
         """Whether the motion is being found anew."""
-        return self._motion is None or self._cycles < _SETTLED_CYCLES
+        return self._state.item(FOLLOWED) < _SETTLED_CYCLES
 
     def interrupt(self) -> None:
         """No mean is formed across what is coming, and the motion is found anew."""
-        self._before_Nm = None
-        self._motion = None
-        self._missing = self._odd = 0
+        s = self._state
+        s[_BEFORE_NM], s[FOLLOWED], s[_MISSING], s[_ODD] = nan, -1.0, 0.0, 0.0
         self._position.interrupt()
 
     def miss(self) -> None:
         """A cycle is missing; so many of them that nothing can be said of the time between are an interruption."""
-        self._missing += 1
-        if self._missing > _LONGEST_GAP_CYCLES:
+        self._state[_MISSING] += 1.0
+        if self._state[_MISSING] > _LONGEST_GAP_CYCLES:
             self.interrupt()
 
     def update(self, sample: ShaftSample) -> bool:
         """Fill `u`; False for a sample that says nothing new, and for the first of a row, of whose motion too little is
         known."""
-        cycles = self._cycles_gone(sample)
+        cycles, s = self._cycles_gone(sample), self._state
         if cycles == 0:
             return False
-        duration_s, self._missing = cycles * sample.cycle_s, 0
-        before, self._before_Nm = self._before_Nm, sample.torque_Nm
-        if cycles == 1:
-            self._torque.update(sample.torque_Nm)
-        else:
-            self._position.interrupt()
-        # An encoder at rest shows no noise, whatever it counts by.
-        if abs(sample.position_rad - self._before_rad) > _STANDSTILL_RAD_S * duration_s:
-            self._position.update(sample.position_rad)
-        self._before_rad = sample.position_rad
+        duration_s, s[_MISSING] = cycles * sample.cycle_s, 0.0
+        before_Nm, s[_BEFORE_NM] = s.item(_BEFORE_NM), sample.torque_Nm
+        measured = sample.position_rad, sample.torque_Nm
+        _take_noise_of(self._table, *measured, duration_s, cycles == 1)
         self._follow(sample.position_rad, sample.cycle_s, duration_s)
-        if before is None or self._motion is None or self._cycles < _SETTLED_CYCLES:
+        if isnan(before_Nm) or self.lost:
             return False
-        x, v, a, _ = self._motion.predicted(-0.5 * duration_s).tolist()
-        u, variance = self.u, self._position.variance
-        significant = abs(a) > _SIGNIFICANT * self._noise_gain * variance**0.5
-        direction = min(max(v / _STANDSTILL_RAD_S, -1.0), 1.0)
-        self._sticking *= exp(-duration_s / _AFTER_STANDSTILL_S)
-        self._sticking = max(self._sticking, 1.0 - direction * direction)
-        phi = x / self._gear_ratio
-        torque = 0.5 * (before + sample.torque_Nm)
-        between_Nm = 0.0
-        if cycles == 1:
-            torque += sample.ripple_Nm
-        else:  # of the torque between nothing is known but where it came from and went
-            between_Nm = abs(sample.torque_Nm - before) + abs(sample.ripple_Nm)
-        u[kalman.DURATION_S] = duration_s
-        u[kalman.TORQUE_NM] = _known_torque(self._p, torque, x, v)
-        u[kalman.ACCELERATION_RAD_S2] = a if significant else 0.0
-        u[kalman.TORQUE_VARIANCE] = (
-            self._torque.variance
-            + between_Nm**2
-            + (_SHAKING * self.inertia_kg_m2 * a) ** 2
-            + self._breakaway_Nm**2 * self._sticking
-        )
-        u[kalman.POSITION_RAD] = sample.position_rad
-        u[kalman.POSITION_VARIANCE] = variance
-        u[kalman.REGRESSORS : kalman.PRIORS] = 1.0, v, direction, -np.sin(phi), -np.cos(phi)
+        back = transition(-0.5 * duration_s)
+        _fill_from(self._table, back, before_Nm, *measured, sample.ripple_Nm, duration_s, cycles == 1)
         return True
+
+    def _find_anew(self, position_rad: float, cycle_s: float) -> None:
+        """The motion is followed from here on."""
+        s = self._state
+        if s[CYCLE_S] != cycle_s:
+            filter_s = _FILTER_CYCLES * cycle_s
+            self._motion = TrackingFilter(filter_s)
+            self._forward[:], self._back[:] = transition(cycle_s), transition(-0.5 * cycle_s)
+            self._gain[:] = gains(cycle_s, filter_s)
+            s[CYCLE_S], s[_NOISE_GAIN] = cycle_s, _acceleration_gain(cycle_s, filter_s)
+            self._gather()
+        self._motion.reset(position_rad)
+        s[FOLLOWED] = 0.0
 
     def _cycles_gone(self, sample: ShaftSample) -> int:
         """Cycles since the sample before, as the motion tells; no frame does, of a SYNC that was lost or sent late.
@@ -201,20 +363,21 @@ class FilterInputs:
         0 for a position of the same instant. Where no number fits, or another one again and again, the motion is lost.
         A shaft that hardly turns does not tell a position of another time from one after a jolt: that is in doubt.
         """
-        expected, self.in_doubt = 1 + self._missing, False
-        if self._motion is None or self._cycles < 1:
+        s = self._state
+        expected, self.in_doubt = 1 + int(s.item(_MISSING)), False
+        if s[FOLLOWED] < 1.0:
             return expected
-        if self._off_rad(sample, expected) <= self._slack_rad(expected):
-            self._odd = 0
+        if self._off_rad(sample, expected) <= _slack(self._position.state, expected):
+            s[_ODD] = 0.0
             return expected
         found, way_of_a_cycle = expected, abs(self._motion.motion.item(1)) * sample.cycle_s
         tells = way_of_a_cycle > 2.0 * self._accelerated_rad(sample, 1)
         if tells:
             found = min(range(expected + _MORE_CYCLES + 1), key=lambda n: self._off_rad(sample, n))
         off_rad = self._off_rad(sample, found)
-        self._odd = self._odd + 1 if found != expected else 0
+        s[_ODD] = s[_ODD] + 1.0 if found != expected else 0.0
         between = tells and off_rad > _BETWEEN * way_of_a_cycle
-        if between or off_rad > self._accelerated_rad(sample, found) or self._odd > _MOST_ODD:
+        if between or off_rad > self._accelerated_rad(sample, found) or s[_ODD] > _MOST_ODD:
             self.interrupt()
             return 1
         self.in_doubt = not tells
@@ -223,27 +386,19 @@ class FilterInputs:
     def _accelerated_rad(self, sample: ShaftSample, cycles: int) -> float:
         """What the position can be off by in so many cycles because the shaft is accelerated otherwise than before."""
         way_rad = 0.5 * self._largest_change_rad_s2 * (cycles * sample.cycle_s) ** 2
-        return way_rad + self._slack_rad(cycles)
-
-    def _slack_rad(self, cycles: int) -> float:
-        """What a position is off by without anything being wrong: as the motion changes, and by the encoder's noise."""
-        noise_rad = _NOISE_SLACK * self._position.deviation if self._position.known else _COARSEST_RAD
-        return _POSITION_SLACK_RAD * cycles**2 + min(noise_rad, _COARSEST_RAD)
+        return way_rad + _slack(self._position.state, cycles)
 
     def _off_rad(self, sample: ShaftSample, cycles: int) -> float:
-        assert self._motion is not None, "compared with a motion that is known"
         return abs(sample.position_rad - self._motion.predicted(cycles * sample.cycle_s).item(0))
 
     def _follow(self, position_rad: float, cycle_s: float, duration_s: float) -> None:
         """Position, speed and acceleration with a sample, `duration_s` after the one before."""
-        if self._motion is None:
-            self._motion = TrackingFilter(_FILTER_CYCLES * cycle_s)
-            self._motion.reset(position_rad)
-            self._noise_gain = _acceleration_gain(cycle_s, _FILTER_CYCLES * cycle_s)
-            self._cycles = 0
+        s = self._state
+        if s[FOLLOWED] < 0.0:
+            self._find_anew(position_rad, cycle_s)
             return
-        self._cycles += 1
-        if self._cycles == 1:  # two positions are a speed
+        s[FOLLOWED] += 1.0
+        if s[FOLLOWED] == 1.0:  # two positions are a speed
             speed = (position_rad - self._motion.motion.item(0)) / duration_s
             self._motion.reset(position_rad, speed)
         else:

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import hypot, sqrt
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import CUBE, INDICES, MATRIX, VECTOR, entry_point, number_of_sources
+from hilbench.compiled import REAL, TABLE, VECTOR, compiled, entry_point, floats, integers, merged, table_of
 from hilbench.estimation import bank, correction
 from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.nuisance import Nuisance
-from hilbench.estimation.servo_axis import kalman
-from hilbench.estimation.servo_axis.balance import FilterInputs, ShaftSample
+from hilbench.estimation.servo_axis import balance, kalman
+from hilbench.estimation.servo_axis.balance import LOST, FilterInputs, InputVectors, ShaftSample
 from hilbench.estimation.servo_axis.config import InertiaConfig
 from hilbench.plant.servo_axis import kernel
 from hilbench.plant.servo_axis import layout as lay
@@ -32,32 +33,122 @@ _FOUND = 0.7
 #: Model's inertia over the one that is found, below which it is none.
 _LEAST_BETA = 0.01
 
-BankStep = Callable[[Array, Array, Array, Array, Array, Places, Array, Array], None]
+
+class BankVectors(NamedTuple):
+    """The bank's, for compiled callers: means and covariances of the filters, records, settings, places of all states,
+    scratch, means and standard deviations of the mixture, figures."""
+
+    z: Array
+    p: Array
+    records: Array
+    settings: Array
+    places: Places
+    work: Array
+    out: Array
+    figures: Array
 
 
-def _compiled_step(sources: int) -> BankStep:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
+#: Figures: priors of a birth at the length of a cycle; what the inertia may be off by, and the share from which it is
+#: separable; then the prior deviations of what is estimated beside it, and what the model has of that.
+_LOG_JUMP, _LOG_DRIFT, _UNMODELLED, _SEPARABLE, PRIORS = range(5)
+OF_MODEL: Final = PRIORS + kalman.TERMS
+#: What is told (5,): inertia and its deviation, whether it is separable; viscous and dry friction, with the model's.
+INERTIA, DEVIATION, SEPARABLE, VISCOUS, COULOMB = range(5)
+#: Rows of a table of an estimator: those of its inputs, then those of the bank.
+_BANK_ROW: Final = len(InputVectors._fields)
+ROWS: Final = _BANK_ROW + len(BankVectors._fields)
 
-    @entry_point(MATRIX, CUBE, MATRIX, VECTOR, VECTOR, INDICES, MATRIX, MATRIX)
-    def bank_step(
-        z: Array, p: Array, records: Array, settings: Array, u: Array, places: Places, work: Array, out: Array
-    ) -> None:
-        """One cycle of all hypotheses. places: of all states; work (2·SIZE + 5, H): scratch; out (2, SIZE): means and
-        standard deviations of the mixture."""
+
+@compiled
+def _step(v: BankVectors, u: Array) -> bool:
+    """One cycle of all hypotheses; False where what they have found is none."""
+    size, work = v.z.shape[0], v.work
+    rows, g, likelihoods, shares = work[: size + 3], work[size + 5 :], work[size + 3], work[size + 4]
+    kalman.step(v.z, v.p, u, v.places, g, rows, likelihoods)
+    bank.weigh(v.records, likelihoods)
+    bank.compare(v.records, shares)
+    bank.mix(v.z, v.p, shares, v.places, v.out)
+    bank.births(v.z, v.p, v.records, v.settings, kalman.BETA, kalman.RATE)
+    return bool(v.out[0, kalman.BETA] > _LEAST_BETA)
+
+
+@compiled
+def _tell(v: BankVectors, inertia_kg_m2: float, told: Array) -> None:
+    """What is known, into `told`; `inertia_kg_m2`: the model's."""
+    share = v.out[1, kalman.BETA] / v.out[0, kalman.BETA]
+    told[INERTIA] = inertia_kg_m2 / v.out[0, kalman.BETA]
+    told[DEVIATION] = told[INERTIA] * hypot(share, v.figures[_UNMODELLED])
+    told[SEPARABLE] = 1.0 if share < v.figures[_SEPARABLE] else 0.0
+    told[VISCOUS] = v.out[0, kalman.Q + 1] + v.figures[OF_MODEL + 1]
+    told[COULOMB] = v.out[0, kalman.Q + 2] + v.figures[OF_MODEL + 2]
+
+
+@merged
+def of_table(table: Places, first: int) -> BankVectors:
+    """The vectors that stand in a table from this row on."""
+    return BankVectors(
+        floats(table, first, (1, 2)),
+        floats(table, first + 1, (1, 2, 3)),
+        floats(table, first + 2, (1, 2)),
+        floats(table, first + 3, (1,)),
+        integers(table, first + 4, (1,)),
+        floats(table, first + 5, (1, 2)),
+        floats(table, first + 6, (1, 2)),
+        floats(table, first + 7, (1,)),
+    )
+
+
+#: What a cycle of `take_next` was: none, all is Python's; one that has misled the bank, which begins anew; one as any.
+NOT_NEXT, MISLED, TAKEN = range(3)
+
+
+@compiled
+def take_next(
+    inputs: InputVectors, v: BankVectors, position_rad: float, torque_Nm: float, ripple_Nm: float, told: Array
+) -> int:
+    """`InertiaEstimator.update` of a sample as `balance.take_next` has them."""
+    if not balance.take_next(inputs, position_rad, torque_Nm, ripple_Nm):
+        return NOT_NEXT
+    v.settings[bank.CYCLE] += 1.0
+    v.settings[bank.LOG_JUMP], v.settings[bank.LOG_DRIFT] = v.figures[_LOG_JUMP], v.figures[_LOG_DRIFT]
+    if not _step(v, inputs.u):
+        return MISLED
+    _tell(v, inputs.u[kalman.INERTIA_KG_M2], told)
+    return TAKEN
+
+
+Next = Callable[[Places, float, float, float, Array], int]
+
+
+def _entry_points(sources: int) -> tuple[Next, Callable[[Places], bool], Callable[[Places, float, Array], None]]:
+    """For Python, with the table of an estimator; `sources` as in the kernel."""
+
+    @entry_point(TABLE, REAL, REAL, REAL, VECTOR)
+    def next_once(table: Places, position_rad: float, torque_Nm: float, ripple_Nm: float, told: Array) -> int:
         if sources < 0:
-            return
-        size = z.shape[0]
-        rows, g, likelihoods, shares = work[: size + 3], work[size + 5 :], work[size + 3], work[size + 4]
-        kalman.step(z, p, u, places, g, rows, likelihoods)
-        bank.weigh(records, likelihoods)
-        bank.compare(records, shares)
-        bank.mix(z, p, shares, places, out)
-        bank.births(z, p, records, settings, kalman.BETA, kalman.RATE)
+            return NOT_NEXT
+        inputs, v = balance.of_table(table, 0), of_table(table, _BANK_ROW)
+        return take_next(inputs, v, position_rad, torque_Nm, ripple_Nm, told)
 
-    return bank_step
+    @entry_point(TABLE)
+    def step_once(table: Places) -> bool:
+        if sources < 0:
+            return False
+        inputs, v = balance.of_table(table, 0), of_table(table, _BANK_ROW)
+        return _step(v, inputs.u)
+
+    @entry_point(TABLE, REAL, VECTOR)
+    def tell_once(table: Places, inertia_kg_m2: float, told: Array) -> None:
+        if sources >= 0:
+            v = of_table(table, _BANK_ROW)
+            _tell(v, inertia_kg_m2, told)
+
+    return next_once, step_once, tell_once
 
 
-_bank_step = _compiled_step(number_of_sources(kalman.__file__, correction.__file__, bank.__file__, __file__))
+#: The files of what is compiled here, beside those of the kernel.
+SOURCES = (*balance.SOURCES, *(str(module.__file__) for module in (kalman, correction, bank)), __file__)
+_take_next, _step_once, _tell_once = _entry_points(kernel.source_number(*SOURCES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,22 +168,42 @@ class InertiaEstimator:
     def __init__(self, config: InertiaConfig, model: ServoAxisParameters) -> None:
         self._config = config
         self._inputs = FilterInputs(model, config)
-        self._priors: list[float] = self._inputs.priors.tolist()
         p = lay.pack(model)
-        self._of_model = np.zeros(kalman.TERMS)
-        self._of_model[1] = model.shaft.viscous_friction_Nm_s_per_rad
-        self._of_model[2] = model.shaft.coulomb_friction_Nm
-        self._of_model[0] = kernel.look(p, 0.0)[2]
-        self._places = np.arange(kalman.SIZE)
-        self._z = np.zeros((kalman.SIZE, bank.CAPACITY))
-        self._p = np.zeros((kalman.SIZE, kalman.SIZE, bank.CAPACITY))
-        self._records = np.zeros((bank.CAPACITY, bank.RECORD))
+        figures = np.zeros(OF_MODEL + kalman.TERMS)
+        figures[_UNMODELLED] = 0.01 * config.unmodelled_pct
+        figures[_SEPARABLE] = _FOUND * 0.01 * config.initial_deviation_pct
+        figures[PRIORS:OF_MODEL] = self._inputs.priors
+        figures[OF_MODEL + 1] = model.shaft.viscous_friction_Nm_s_per_rad
+        figures[OF_MODEL + 2] = model.shaft.coulomb_friction_Nm
+        figures[OF_MODEL] = kernel.look(p, 0.0)[2]
         self._settings = np.zeros(bank.SETTINGS)
         self._settings[bank.JUMP_VARIANCE] = (0.01 * config.jump_pct) ** 2
         self._settings[bank.DRIFT_VARIANCE] = (0.01 * config.drift_pct_per_s) ** 2
-        self._work = np.zeros((2 * kalman.SIZE + 5, bank.CAPACITY))
+        self._z = np.zeros((kalman.SIZE, bank.CAPACITY))
+        self._p = np.zeros((kalman.SIZE, kalman.SIZE, bank.CAPACITY))
+        self._records = np.zeros((bank.CAPACITY, bank.RECORD))
         self._out = np.zeros((2, kalman.SIZE))
+        work = np.zeros((2 * kalman.SIZE + 5, bank.CAPACITY))
+        places = np.arange(kalman.SIZE)
+        self._bank = BankVectors(self._z, self._p, self._records, self._settings, places, work, self._out, figures)
+        self._cycle_s = 0.0  # that the priors of a birth are of
+        #: What is told, by INERTIA and so on.
+        self.told = np.zeros(COULOMB + 1)
         self._begin()
+        self._gather()
+        self._tell()
+
+    def _gather(self) -> None:
+        """The vectors of what there is now, and where they stand."""
+        self._gathered = self._inputs.vectors
+        self._table = table_of((*self._gathered, *self._bank))
+
+    @property
+    def table(self) -> Places:
+        """Where its vectors stand, for compiled callers of `take_next`; another one whenever they are."""
+        if self._gathered is not self._inputs.vectors:
+            self._gather()
+        return self._table
 
     def _begin(self) -> None:
         """At the model's inertia, as little sure of it as at the start."""
@@ -102,26 +213,53 @@ class InertiaEstimator:
         self._records[0, bank.ALIVE] = 1.0
         self._out[0] = self._z[:, 0]
         self._out[1] = np.sqrt(np.diag(self._p[:, :, 0]))
-        self._lost = True  # the motion, not what is known of the shaft
+        self._lose(lost=True)  # the motion, not what is known of the shaft
+
+    def _lose(self, *, lost: bool) -> None:
+        self._inputs.vectors.s[LOST] = lost
+
+    def _tell(self) -> None:
+        _tell_once(self.table, self._inputs.inertia_kg_m2, self.told)
 
     def update(self, sample: ShaftSample) -> ShaftEstimate:
         """One step of every hypothesis, and the births of the next."""
+        measured = sample.position_rad, sample.torque_Nm, sample.ripple_Nm
+        return self.go_on_from(_take_next(self.table, *measured, self.told), sample)
+
+    def go_on_from(self, stage: int, sample: ShaftSample) -> ShaftEstimate:
+        """What is Python's part of a cycle, behind `take_next`."""
+        if stage == NOT_NEXT:
+            self._update(sample)
+        elif stage == MISLED:
+            self._begin()
+        if stage != TAKEN:
+            self._tell()
+        return self.estimate
+
+    def _update(self, sample: ShaftSample) -> None:
         usable = self._inputs.update(sample)
-        self._lost = self._lost or self._inputs.lost
-        if usable:
-            if self._lost or self._inputs.in_doubt:
-                speed = self._inputs.speed_rad_s
-                kalman.place_motion(self._z, self._p, sample.position_rad - self._inputs.duration_s * speed, speed)
-                self._lost = False
-            c, settings = self._config, self._settings
-            settings[bank.CYCLE] += 1.0
-            bank.set_priors(settings, c.jumps_per_s, c.drift_onsets_per_s, self._inputs.duration_s)
-            u, work = self._inputs.u, self._work
-            _bank_step(self._z, self._p, self._records, settings, u, self._places, work, self._out)
-            # No shaft turns against its torque: what says so (a strong ripple that the model lacks) has misled it.
-            if not self._out[0, kalman.BETA] > _LEAST_BETA:
-                self._begin()
-        return self._estimate()
+        if self._inputs.lost:
+            self._lose(lost=True)
+        if not usable:
+            return
+        if self._inputs.vectors.s[LOST] or self._inputs.in_doubt:
+            speed = self._inputs.speed_rad_s
+            kalman.place_motion(self._z, self._p, sample.position_rad - self._inputs.duration_s * speed, speed)
+            self._lose(lost=False)
+        self._settings[bank.CYCLE] += 1.0
+        self._put_priors(sample.cycle_s)
+        # No shaft turns against its torque: what says so (a strong ripple that the model lacks) has misled it.
+        if not _step_once(self.table):
+            self._begin()
+
+    def _put_priors(self, cycle_s: float) -> None:
+        """Of a birth, in a time as long as from the sample before to the last."""
+        c, figures = self._config, self._bank.figures
+        if self._cycle_s != cycle_s:
+            bank.set_priors(self._settings, c.jumps_per_s, c.drift_onsets_per_s, cycle_s)
+            figures[_LOG_JUMP], figures[_LOG_DRIFT] = self._settings[bank.LOG_JUMP], self._settings[bank.LOG_DRIFT]
+            self._cycle_s = cycle_s
+        bank.set_priors(self._settings, c.jumps_per_s, c.drift_onsets_per_s, self._inputs.duration_s)
 
     def miss(self, duration_s: float) -> ShaftEstimate:
         """A cycle whose sample has not come: the next one is compared over all the time since the last."""
@@ -134,21 +272,20 @@ class InertiaEstimator:
         return self._less_sure(duration_s)
 
     def _less_sure(self, duration_s: float) -> ShaftEstimate:
-        self._lost = self._lost or self._inputs.lost
+        if self._inputs.lost:
+            self._lose(lost=True)
         walk = 0.01 * self._config.hold_growth_pct_per_s
         self._p[kalman.BETA, kalman.BETA] += walk**2 * duration_s
         self._out[1, kalman.BETA] = sqrt(self._out[1, kalman.BETA] ** 2 + walk**2 * duration_s)
-        return self._estimate()
+        self._tell()
+        return self.estimate
 
-    def _estimate(self) -> ShaftEstimate:
-        mean, deviation = self._out
-        inertia = self._inputs.inertia_kg_m2 / mean.item(kalman.BETA)
-        share = deviation.item(kalman.BETA) / mean.item(kalman.BETA)
-        values, deviations = (mean[kalman.Q :] + self._of_model).tolist(), deviation[kalman.Q :].tolist()
-        rows = zip(_NAMES, values, deviations, self._priors, strict=True)
-        return ShaftEstimate(
-            inertia,
-            inertia * hypot(share, 0.01 * self._config.unmodelled_pct),
-            share < _FOUND * 0.01 * self._config.initial_deviation_pct,
-            tuple([Nuisance(n, v, d, d < _FOUND * prior) for n, v, d, prior in rows if prior > 0.0]),
-        )
+    @property
+    def estimate(self) -> ShaftEstimate:
+        """As of the last cycle."""
+        inertia, deviation_kg_m2, separable, _, _ = self.told.tolist()
+        values = self._out[0, kalman.Q :] + self._bank.figures[OF_MODEL:]
+        deviations, priors = self._out[1, kalman.Q :].tolist(), self._inputs.priors.tolist()
+        rows = zip(_NAMES, values.tolist(), deviations, priors, strict=True)
+        also = tuple([Nuisance(n, v, d, d < _FOUND * prior) for n, v, d, prior in rows if prior > 0.0])
+        return ShaftEstimate(inertia, deviation_kg_m2, separable != 0.0, also)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,14 @@ PARAMETERS: Final[Mapping[str, tuple[Quantity, int]]] = {
     )
 }
 _TORQUE = Quantity("external_torque_Nm", "N·m", "torque on the shaft from outside, forward")
+
+
+class ShaftStep(NamedTuple):
+    """What `rig_cycle.step` takes."""
+
+    samples: int  #: of the drives
+    vectors: tuple[Vector, ...]  #: those of its table; who calls it keeps them
+    silence: Vector  #: in the place of noise
 
 
 def checked_parameter(name: str, value: float) -> float:
@@ -127,18 +135,23 @@ class Shaft:
 
         The ports do not learn of it; who calls it keeps the vectors. Raises ValueError as `step`.
         """
+        of = self.step_in_vectors(duration_s, set_points, shown)
+        table = table_of(of.vectors)
+
+        def step() -> None:
+            rig_cycle.step(table, of.samples, of.silence if self._noise is None else self._noise.row())
+
+        return step
+
+    def step_in_vectors(self, duration_s: float, set_points: Vector, shown: Vector) -> ShaftStep:
+        """The same for compiled callers, of a shaft without sensors."""
         samples = samples_per(duration_s, self._p.item(lay.P_SAMPLE_TIME_S))
         self._read_ports()
         motors = len(self._ports)
         sensors = np.zeros(rig_cycle.SENSOR * motors) if self._noise is None else self._sensor_figures
         silence = np.full(3 * motors, -0.0)  # what -0.0 is added to keeps its sign
         kept = self._p, self._state, self._inputs, self._out, set_points, sensors, shown
-        table = table_of(kept)
-
-        def step() -> None:
-            rig_cycle.step(table, samples, silence if self._noise is None else self._noise.row())
-
-        return step
+        return ShaftStep(samples, kept, silence)
 
     def _go(self, samples: int) -> None:
         kernel.advance(self._p, self._state, self._inputs, samples)

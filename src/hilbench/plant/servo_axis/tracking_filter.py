@@ -6,15 +6,59 @@ with constant jerk has no lag, whatever T_f is; T_f trades noise against how fas
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from math import exp, factorial
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point, number_of_sources
 from hilbench.plant.servo_axis.layout import Vector
+
+Matrix = NDArray[np.float64]
 
 #: Position, speed, acceleration, jerk.
 ORDER = 4
+
+
+@compiled
+def later(motion: Vector, forward: Matrix, place: int) -> float:
+    """One of these, after the time of which `forward` (4, 4) is the `transition`."""
+    # Two sums beside each other, as a vector unit has them.
+    even = forward[place, 0] * motion[0] + forward[place, 2] * motion[2]
+    return float(even + (forward[place, 1] * motion[1] + forward[place, 3] * motion[3]))
+
+
+@compiled
+def follow(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -> None:
+    """See `TrackingFilter.update`; `forward` (4, 4), `gain` (4,): `transition` and `gains` of the time since."""
+    x, v = later(motion, forward, 0), later(motion, forward, 1)
+    a, j = later(motion, forward, 2), later(motion, forward, 3)
+    off_rad = position_rad - x
+    motion[0], motion[1] = x + gain[0] * off_rad, v + gain[1] * off_rad
+    motion[2], motion[3] = a + gain[2] * off_rad, j + gain[3] * off_rad
+
+
+def _entry_points(
+    sources: int,
+) -> tuple[Callable[[Vector, Matrix, Vector], None], Callable[[Vector, Matrix, Vector, float], None]]:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(VECTOR, MATRIX, VECTOR)
+    def put_later(motion: Vector, forward: Matrix, out: Vector) -> None:
+        for place in range(ORDER if sources >= 0 else 0):
+            out[place] = later(motion, forward, place)
+
+    @entry_point(VECTOR, MATRIX, VECTOR, REAL)
+    def follow_once(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -> None:
+        if sources >= 0:
+            follow(motion, forward, gain, position_rad)
+
+    return put_later, follow_once
+
+
+_put_later, _follow = _entry_points(number_of_sources(__file__))
 
 
 @lru_cache(64)
@@ -52,13 +96,14 @@ class TrackingFilter:
 
     def reset(self, position_rad: float, speed_rad_s: float = 0.0) -> None:
         """At this position, with this even speed."""
-        self.motion = np.array([position_rad, speed_rad_s, 0.0, 0.0])
+        self.motion[:] = position_rad, speed_rad_s, 0.0, 0.0
 
     def update(self, position_rad: float, duration_s: float) -> None:
         """The shaft is at `position_rad`, `duration_s` after the last."""
-        ahead = transition(duration_s) @ self.motion
-        self.motion = ahead + gains(duration_s, self._filter_s) * (position_rad - ahead[0])
+        _follow(self.motion, transition(duration_s), gains(duration_s, self._filter_s), position_rad)
 
     def predicted(self, lead_s: float) -> Vector:
         """(4,): the motion `lead_s` later, with constant jerk."""
-        return np.asarray(transition(lead_s) @ self.motion)
+        motion = np.zeros(ORDER)
+        _put_later(self.motion, transition(lead_s), motion)
+        return motion

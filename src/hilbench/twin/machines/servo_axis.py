@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import inf
+from math import inf, isnan, nan
 
 from hilbench.estimation.plausibility import Plausibility, Problem
 from hilbench.estimation.servo_axis.balance import ShaftSample
@@ -13,11 +13,14 @@ from hilbench.plant.fmu.shaft import FmuAxis
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import per_item
 from hilbench.plant.servo_axis.axis import ServoAxis
+from hilbench.plant.servo_axis.layout import Vector
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.processes import log
 from hilbench.topology.blocks import TwinConfig
 from hilbench.twin.found import FoundBeside
-from hilbench.twin.machines.machine import Measured, Told
+from hilbench.twin.machines import servo_axis_cycle as cycle
+from hilbench.twin.machines.machine import MachineVectors, Measured, Told
+from hilbench.twin.machines.servo_axis_cycle import ShaftInVectors
 
 #: Above this speed the plant runs already when the twin joins.
 _MOVES_RAD_S = 0.02
@@ -124,6 +127,43 @@ class ServoAxisTwin:
         """A cycle without measurement."""
         self._torque_before_Nm = None
         self._estimate = self._estimator.miss(self._cycle_s)
+
+    @property
+    def goes_in_vectors(self) -> bool:
+        """Whether `in_vectors` does all that is done in a cycle: not with an FMU, which is somebody else's code."""
+        return not isinstance(self.plant, FmuAxis)
+
+    def warm_up_in_vectors(self) -> None:
+        """Compile, or load, what it runs on then."""
+        cycle.warm_up()
+
+    def in_vectors(self, vectors: MachineVectors) -> ShaftInVectors:
+        """While this goes on in vectors; see `VectorMachine`."""
+        before_Nm = nan if self._torque_before_Nm is None else self._torque_before_Nm
+        said = {
+            cycle.RESIDUAL_NM: self._residual_Nm,
+            cycle.BEFORE_NM: before_Nm,
+            cycle.PROBLEM: float(self.problem or 0),
+            cycle.COULOMB: self._found[_COULOMB],
+            cycle.VISCOUS: self._found[_VISCOUS],
+        }
+        return ShaftInVectors(
+            self._estimator,
+            self._plausibility,
+            self.plant.step_in_vectors(self._cycle_s, vectors.asked, vectors.shown),
+            self._cycle_s,
+            0.01 * self._config.synchronized_pct,
+            said,
+            self._take_over,
+            vectors,
+        )
+
+    def _take_over(self, said: Vector) -> None:
+        """What was said in vectors."""
+        self._estimate, self.problem = self._estimator.estimate, cycle.problem_of(said)
+        self._residual_Nm, before_Nm = said.item(cycle.RESIDUAL_NM), said.item(cycle.BEFORE_NM)
+        self._torque_before_Nm = None if isnan(before_Nm) else before_Nm
+        self._found = {_COULOMB: said.item(cycle.COULOMB), _VISCOUS: said.item(cycle.VISCOUS)}
 
     def listen(self) -> None:
         """There is nothing around the shaft."""

@@ -1,0 +1,221 @@
+"""A cycle of the twin of a servo axis, compiled: `ServoAxisTwin.compare`, the step of its shaft and `published`, with
+the status that `TwinApplication` says with the next SYNC.
+
+It goes by stages: where something happens that is rare it returns the stage, Python does its part, and calls it again
+from the stage behind. All of it stands in vectors, by a table of where these are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import isnan, nan
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers, table_of
+from hilbench.estimation import plausibility
+from hilbench.estimation.plausibility import PROBLEMS, Plausibility, Problem, find_problem
+from hilbench.estimation.servo_axis import balance, inertia
+from hilbench.estimation.servo_axis.balance import ShaftSample
+from hilbench.estimation.servo_axis.inertia import InertiaEstimator, take_next
+from hilbench.plant.servo_axis import kernel, laws, rig_cycle
+from hilbench.plant.servo_axis import layout as lay
+from hilbench.plant.servo_axis.layout import Vector
+from hilbench.plant.servo_axis.shaft import ShaftStep
+from hilbench.twin.machines.machine import LOOK, WENT_ON, MachineVectors
+from hilbench.twin.virtual_io import TwinStatus
+
+Places = NDArray[np.int64]
+
+#: Where a cycle begins; what `inertia.take_next` leaves to Python, and that nothing can be used; where to go on with
+#: what is found, or without; the ends.
+_COMPARE, NOT_NEXT, _MISLED, HOLD, _SIMULATE, _FINISH, _DONE, _LOOK = range(8)
+_STAGE_OF = {NOT_NEXT: inertia.NOT_NEXT, _MISLED: inertia.MISLED}
+#: What the machine has done where nothing is left to do.
+_ENDS = {_DONE: WENT_ON, _LOOK: LOOK}
+# Rows of the table: those of `rig_cycle.step`, then the machine's own, then those of the estimator.
+_P, _S, _U, _OUT, _SET_POINTS, _SENSORS, _SHOWN = range(7)
+_SILENCE, _FIGURES, _SAID, _MEASURED, _VALUES, _WHOLE, _AT, _PLAUSIBILITY, _TOLD, _INPUTS = range(7, 17)
+_BANK = _INPUTS + len(balance.InputVectors._fields)
+#: Figures: drive samples of a cycle, share of the inertia up to which its deviation is that of a known one.
+_SAMPLES, _KNOWN = range(2)
+#: What was said last: residual of the torque, what was simulated (NaN: nothing) and its ripple; the `Problem`; dry and
+#: viscous friction as they are found; the status of the last SYNC.
+RESIDUAL_NM, BEFORE_NM, _RIPPLE_NM, PROBLEM, COULOMB, VISCOUS, _STATUS = range(7)
+#: Places: number of the SYNC and status among the whole numbers; among the values what is published.
+_NUMBER, _STATUS_AT, _PUBLISHED = range(3)
+#: Position and torque in what is measured, torque in what the motor shows.
+_POSITION, _TORQUE = 0, 2
+_NUMBERS = 0x10000
+_RUNNING, _SYNCHRONIZED, _HOLDING, _NOT_SEPARABLE = (
+    int(bit) for bit in (TwinStatus.RUNNING, TwinStatus.SYNCHRONIZED, TwinStatus.HOLDING, TwinStatus.NOT_SEPARABLE)
+)
+
+
+@compiled
+def _ripple_Nm(said: Vector, out: Vector, simulated_Nm: float) -> float:
+    """What the mean of the simulated torque is more than that of both ends of the cycle."""
+    before_Nm, said[BEFORE_NM] = said[BEFORE_NM], simulated_Nm
+    return 0.0 if isnan(before_Nm) else out[lay.O_MEAN] - 0.5 * (before_Nm + simulated_Nm)
+
+
+@compiled
+def _simulate(
+    p: Vector, s: Vector, out: Vector, said: Vector, told: Vector, figures: Vector, position_rad: float
+) -> None:
+    """`ServoAxisTwin._simulate`; `figures`: those of the bank."""
+    if figures[inertia.PRIORS + 1] > 0.0:
+        said[VISCOUS] = told[inertia.VISCOUS]
+    if figures[inertia.PRIORS + 2] > 0.0:
+        said[COULOMB] = told[inertia.COULOMB]
+    p[lay.P_INERTIA] = told[inertia.INERTIA] / laws.inertia_factor(p, s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S])
+    p[lay.P_COULOMB], p[lay.P_VISCOUS] = max(said[COULOMB], 0.0), max(said[VISCOUS], 0.0)
+    s[lay.S_X], speed = position_rad, s[lay.S_V]
+    s[lay.S_DIRECTION] = 1.0 if speed > 0.0 else (-1.0 if speed < 0.0 else 0.0)
+    kernel.report(p, s, out, 0)
+
+
+@compiled
+def _publish(values: Vector, at: Places, told: Vector, said: Vector, torque_Nm: float) -> None:
+    """`ServoAxisTwin.published`."""
+    values[at[_PUBLISHED]] = told[inertia.INERTIA]
+    values[at[_PUBLISHED + 1]] = said[COULOMB]
+    values[at[_PUBLISHED + 2]] = told[inertia.DEVIATION]
+    values[at[_PUBLISHED + 3]] = torque_Nm
+    values[at[_PUBLISHED + 4]] = said[RESIDUAL_NM]
+
+
+@compiled
+def _status(told: Vector, problem: float, known: float) -> int:
+    """`TwinApplication._status` of a machine that is released, with the model that it was configured with."""
+    status = _RUNNING
+    if problem != 0.0:
+        status |= _HOLDING
+    elif told[inertia.DEVIATION] <= known * told[inertia.INERTIA]:
+        status |= _SYNCHRONIZED
+    if told[inertia.SEPARABLE] == 0.0:
+        status |= _NOT_SEPARABLE
+    return status
+
+
+def _entry_point(sources: int) -> Callable[[int, Places], int]:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(COUNT, TABLE)
+    def run(stage: int, table: Places) -> int:
+        if sources < 0 or stage < 0:
+            return stage
+        out, shown = floats(table, _OUT, (1,)), floats(table, _SHOWN, (1,))
+        measured, said, told = floats(table, _MEASURED, (1,)), floats(table, _SAID, (1,)), floats(table, _TOLD, (1,))
+        figures, whole, at = floats(table, _FIGURES, (1,)), integers(table, _WHOLE, (1,)), integers(table, _AT, (1,))
+        position_rad, torque_Nm = measured[_POSITION], measured[_TORQUE]
+        if stage == _COMPARE:
+            said[RESIDUAL_NM] = torque_Nm - shown[_TORQUE]
+            said[PROBLEM] = find_problem(floats(table, _PLAUSIBILITY, (1,)), torque_Nm, 1.0, position_rad)
+            if said[PROBLEM] != 0.0:
+                return HOLD
+            said[_RIPPLE_NM] = _ripple_Nm(said, out, shown[_TORQUE])
+            inputs, of_bank = balance.of_table(table, _INPUTS), inertia.of_table(table, _BANK)
+            found = take_next(inputs, of_bank, position_rad, torque_Nm, said[_RIPPLE_NM], told)
+            if found != inertia.TAKEN:
+                return NOT_NEXT if found == inertia.NOT_NEXT else _MISLED
+            stage = _SIMULATE
+        p, s = floats(table, _P, (1,)), floats(table, _S, (1,))
+        if stage == _SIMULATE:
+            _simulate(p, s, out, said, told, floats(table, _BANK + 7, (1,)), position_rad)
+        rig_cycle.step(table, int(figures[_SAMPLES]), floats(table, _SILENCE, (1,)))
+        _publish(floats(table, _VALUES, (1,)), at, told, said, shown[_TORQUE])
+        said[_STATUS] = whole[at[_STATUS_AT]]
+        whole[at[_STATUS_AT]] = _status(told, said[PROBLEM], figures[_KNOWN])
+        whole[at[_NUMBER]] = (whole[at[_NUMBER]] + 1) % _NUMBERS
+        return _DONE if said[PROBLEM] == 0.0 else _LOOK
+
+    return run
+
+
+_run = _entry_point(
+    kernel.source_number(
+        *(str(module.__file__) for module in (plausibility, rig_cycle)),
+        *inertia.SOURCES,
+        __file__,
+    )
+)
+
+
+def warm_up() -> None:
+    """Compile, or load, before anybody waits for a cycle."""
+    _run(-1, np.zeros((1, 1), np.int64))
+
+
+class ShaftInVectors:
+    """A `ServoAxisTwin` that goes on in vectors; see `machine.InVectors`.
+
+    `said`: by RESIDUAL_NM and so on, what it has said last; `keeps`: who takes what was said over, in the end and when
+    there is a problem, or none any more.
+    """
+
+    def __init__(
+        self,
+        estimator: InertiaEstimator,
+        of_torque: Plausibility,
+        shaft: ShaftStep,
+        cycle_s: float,
+        known: float,
+        said: dict[int, float],
+        keeps: Callable[[Vector], None],
+        vectors: MachineVectors,
+    ) -> None:
+        self._estimator, self._cycle_s, self._keeps = estimator, cycle_s, keeps
+        self._measured = vectors.measured
+        self._said = np.zeros(_STATUS + 1)
+        for place, value in said.items():
+            self._said[place] = value
+        at = np.array([vectors.number, vectors.status, *vectors.published], np.int64)
+        figures = np.array([float(shaft.samples), known])
+        own = figures, self._said, vectors.measured, vectors.values, vectors.whole, at
+        self._own: tuple[NDArray[Any], ...] = (
+            *(*shaft.vectors, shaft.silence, *own),
+            *(of_torque.state, estimator.told),
+        )
+        self._take_table()
+
+    def _take_table(self) -> None:
+        """What the estimator consists of may be other vectors."""
+        self._of = self._estimator.table
+        self._table = np.concatenate([table_of(self._own), self._of])
+
+    def go_on(self, time_s: float) -> int:
+        """See `machine.InVectors`."""
+        had_problem = self._said.item(PROBLEM) != 0.0
+        stage = _run(_COMPARE, self._table)
+        if stage not in _ENDS:
+            stage = self._go_on_by_objects(stage)
+        if had_problem or stage == _LOOK:
+            self._keeps(self._said)
+            return LOOK
+        return _ENDS[stage]
+
+    def _go_on_by_objects(self, stage: int) -> int:
+        """What is Python's of a stage, and what is behind that."""
+        if stage == HOLD:
+            self._said[BEFORE_NM] = nan
+            self._estimator.hold(self._cycle_s)
+        else:
+            position_rad, torque_Nm = self._measured.item(_POSITION), self._measured.item(_TORQUE)
+            sample = ShaftSample(self._cycle_s, position_rad, torque_Nm, self._said.item(_RIPPLE_NM))
+            self._estimator.go_on_from(_STAGE_OF[stage], sample)
+        if self._of is not self._estimator.table:
+            self._take_table()
+        return _run(_FINISH if stage == HOLD else _SIMULATE, self._table)
+
+    def give(self) -> int:
+        """See `machine.InVectors`."""
+        self._keeps(self._said)
+        return int(self._said.item(_STATUS))
+
+
+def problem_of(said: Vector) -> Problem | None:
+    """Why the last measurement could not be used."""
+    return PROBLEMS[int(said.item(PROBLEM))]
