@@ -73,6 +73,18 @@ def test_a_cycle_that_fits_lockstep_alone_is_noted_in_real_time() -> None:
     assert not [note for note in in_lockstep.notes if "real time" in note]
 
 
+@pytest.mark.parametrize(
+    ("name", "cycle_ms"), [("line_three_spans", 4), ("winding_line", 4), ("line_with_dancer", 3), ("servo_axis", 2)]
+)
+def test_in_real_time_it_is_the_least_cycle_in_which_every_frame_is_in_time(name: str, cycle_ms: int) -> None:
+    config = load_with_overrides(CONFIGS / f"{name}.yaml").config
+    nodes = Nodes(config)
+    frames, least_s = nodes.cyclic_frames(), bus_options(config, nodes).one_wire.least_realtime_s
+    assert least_s == pytest.approx(1e-3 * cycle_ms)
+    assert all(slot.fits for slot in schedule(frames, least_s, config.bus.bitrate))
+    assert not all(slot.fits for slot in schedule(frames, least_s - 1e-3, config.bus.bitrate))
+
+
 def test_the_command_shows_all() -> None:
     said = hilbench("check", LINE).stdout
     assert "on one wire of 1000000 bit/s: at worst" in said

@@ -1,10 +1,11 @@
 """Which cycles the PDO set of a bench fits: on its one wire, and what it would be on others.
 
 Lockstep needs a wire that is not full. In real time the set points go out in the part of the cycle that the exchange
-keeps for them at its end, and the answers come in the rest. On two wires, each with a SYNC, every axis is with its load
-motor and its virtual axis on one of them: a virtual axis still hears what its axis is told. The twin is on both. With
-the twin on a wire of its own it hears the other one as well; what it says and what it is told is not there. As CAN FD
-frames the same PDOs go out at another bit rate from the data length on.
+keeps for them at its end, and the answers come in the rest: each frame, at worst (`hilbench.bench.schedule`). On two
+wires, each with a SYNC, every axis is with its load motor and its virtual axis on one of them: a virtual axis still
+hears what its axis is told. The twin is on both. With the twin on a wire of its own it hears the other one as well;
+what it says and what it is told is not there. As CAN FD frames the same PDOs go out at another bit rate from the data
+length on.
 """
 
 from __future__ import annotations
@@ -13,12 +14,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 
+from hilbench.bench.schedule import bits_on_wire, schedule
 from hilbench.can.frame import EXTENDED_FLAG
 from hilbench.can.load import CyclicFrame
 from hilbench.can.wire import worst_case_fd_bits
-from hilbench.canopen.identifiers import FUNCTION_CODE, HEARTBEAT, RPDOS, SYNC
+from hilbench.canopen.identifiers import FUNCTION_CODE, HEARTBEAT, SYNC
 from hilbench.exchange.nodes import Nodes
-from hilbench.exchange.pacing import GUARD_FRACTION
 from hilbench.topology.config import BenchConfig
 
 BitsOf = Callable[[CyclicFrame], float]
@@ -76,11 +77,11 @@ def _twin_apart(config: BenchConfig, frames: Sequence[CyclicFrame]) -> dict[str,
 
 
 def _fd_bits(config: BenchConfig) -> BitsOf:
-    """Of a frame in a cycle, if it were one of CAN FD."""
+    """Of a frame each time that it goes out, if it were one of CAN FD."""
 
     def bits(frame: CyclicFrame) -> float:
         slow, fast = worst_case_fd_bits(frame.data_bytes, bool(frame.can_id & EXTENDED_FLAG))
-        return frame.per_cycle * (slow + fast * config.bus.bitrate / FD_BITRATE)
+        return slow + fast * config.bus.bitrate / FD_BITRATE
 
     return bits
 
@@ -98,26 +99,21 @@ def _shared(config: BenchConfig, frames: Sequence[CyclicFrame]) -> dict[str, Seq
     return {"wire 1": wires[0], "wire 2": wires[1]}
 
 
-def _classical_bits(frame: CyclicFrame) -> float:
-    return frame.worst_case_bits
-
-
-def _bits(frames: Sequence[CyclicFrame], bits_of: BitsOf = _classical_bits) -> float:
-    return sum(map(bits_of, frames))
+def _bits(frames: Sequence[CyclicFrame], bits_of: BitsOf = bits_on_wire) -> float:
+    """In a cycle, on average."""
+    return sum(frame.per_cycle * bits_of(frame) for frame in frames)
 
 
 def _option(
-    config: BenchConfig, layout: str, wires: dict[str, Sequence[CyclicFrame]], bits_of: BitsOf = _classical_bits
+    config: BenchConfig, layout: str, wires: dict[str, Sequence[CyclicFrame]], bits_of: BitsOf = bits_on_wire
 ) -> BusOption:
     sample_s, bit_s = config.drive_parameters.sample_time_s, 1.0 / config.bus.bitrate
 
     def least_s(needed_s: float) -> float:
         return ceil(needed_s / sample_s - 1e-9) * sample_s
 
-    bits, in_real_time = [], []
-    for frames in wires.values():
-        total = _bits(frames, bits_of)
-        told = _bits([frame for frame in frames if frame.can_id & FUNCTION_CODE in RPDOS], bits_of)
-        bits.append(total)
-        in_real_time.append(max(told / GUARD_FRACTION, (total - told) / (1.0 - GUARD_FRACTION)))
-    return BusOption(layout, tuple(wires), tuple(bits), least_s(max(bits) * bit_s), least_s(max(in_real_time) * bit_s))
+    bits = [_bits(frames, bits_of) for frames in wires.values()]
+    # Of a cycle of 1 s, the share that is due is the same of any.
+    slots = [slot for frames in wires.values() for slot in schedule(frames, 1.0, config.bus.bitrate, bits_of)]
+    in_real_time_s = max(slot.ends_s / slot.due_s for slot in slots)
+    return BusOption(layout, tuple(wires), tuple(bits), least_s(max(bits) * bit_s), least_s(in_real_time_s))

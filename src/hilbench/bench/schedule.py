@@ -10,7 +10,7 @@ longer; a heartbeat may have begun then. Emergencies and SDO transfers are no pa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from hilbench.can.frame import EXTENDED_FLAG
@@ -37,25 +37,33 @@ class Slot:
         return self.ends_s <= self.due_s
 
 
-def schedule(frames: Sequence[CyclicFrame], cycle_s: float, bitrate: int) -> list[Slot]:
-    """Of all frames of a cycle (`Nodes.cyclic_frames`), in the order of the wire: SYNC and answers, then set points."""
+def bits_on_wire(frame: CyclicFrame) -> float:
+    """Bit times of the frame at worst, each time that it goes out."""
+    return worst_case_bits(frame.data_bytes, bool(frame.can_id & EXTENDED_FLAG))
+
+
+def schedule(
+    frames: Sequence[CyclicFrame],
+    cycle_s: float,
+    bitrate: int,
+    bits_of: Callable[[CyclicFrame], float] = bits_on_wire,
+) -> list[Slot]:
+    """Of all frames of a cycle (`Nodes.cyclic_frames`), in the order of the wire: SYNC and answers, then set points.
+    `bits_of`: bit times of a frame."""
     told = [frame for frame in frames if frame.can_id & FUNCTION_CODE in RPDOS]
     at_any_time = [frame for frame in frames if frame.can_id & FUNCTION_CODE == HEARTBEAT]
     answers = sorted((f for f in frames if f not in told and f not in at_any_time), key=lambda frame: frame.can_id)
-    slots, before = [], 0
+    slots: list[Slot] = []
+    before = 0.0
     for place, frame in enumerate(answers):
         # Nobody sends before SYNC what answers it, but a heartbeat may have begun.
         lower = [*at_any_time, *(answers[place + 1 :] if frame.can_id != SYNC else [])]
-        blocked = max((_bits(other) for other in lower), default=0)
-        ends_s = (before + blocked + _bits(frame)) / bitrate
+        blocked = max((bits_of(other) for other in lower), default=0.0)
+        ends_s = (before + blocked + bits_of(frame)) / bitrate
         slots.append(Slot(frame.name, frame.can_id, ends_s, (1.0 - GUARD_FRACTION) * cycle_s, False))
-        before += _bits(frame)
-    blocked, before = max((_bits(frame) for frame in at_any_time), default=0), 0
+        before += bits_of(frame)
+    blocked, before = max((bits_of(frame) for frame in at_any_time), default=0.0), 0.0
     for frame in told:  # the bench's alone, sent in this order
-        before += _bits(frame)
+        before += bits_of(frame)
         slots.append(Slot(frame.name, frame.can_id, (blocked + before) / bitrate, GUARD_FRACTION * cycle_s, True))
     return slots
-
-
-def _bits(frame: CyclicFrame) -> int:
-    return worst_case_bits(frame.data_bytes, bool(frame.can_id & EXTENDED_FLAG))
