@@ -1,11 +1,13 @@
-"""How well the probabilities of predicted limits are calibrated: seeded runs of the demonstrator, one forecast each.
+"""How well the probabilities of predicted limits are calibrated: seeded runs of a shipped bench, one forecast each.
 
-    python tools/prediction_calibration.py [--runs 200] [--first 1]
+    python tools/prediction_calibration.py [--runs 200] [--first 1] [--machine web_line]
 
 Each run is drawn from its seed: a speed, the true E of the web (the twin starts from the model's), an experiment (a
 step of E, of the tension set-point, or a faster or slower ramp), what is hidden from the model (dry friction, a torque
 scale, or nothing), and a warning level around what the experiment will reach (standard deviation 5 % of a tension, 0.3
-N·m of a torque). The forecast is the last one a second before the experiment moves; the run says whether the level was
+N·m of a torque). Of a servo axis: the inertia, dry and viscous friction of the imitated shaft (the twin starts from the
+model's), a ramp of the speed, one behind a step of the inertia, or one that reverses, and a level of the torque. The
+forecast is the last one a second before the experiment moves; the run says whether the level was
 crossed within the horizon. Printed are the Brier score (Brier, Monthly Weather Review 78(1), 1950), that of a forecast
 that always says the share of crossings, and what came of the forecasts of each probability. Deterministic: lockstep,
 one process.
@@ -15,7 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -29,7 +31,8 @@ from hilbench.runs.config import ExperimentConfig, load_with_overrides
 from hilbench.runs.foresight import Foresight
 from hilbench.topology.sample import CycleSample
 
-CONFIG = Path(__file__).resolve().parents[1] / "bench_configs" / "predicted_limit.yaml"
+CONFIGS = Path(__file__).resolve().parents[1] / "bench_configs"
+CONFIG, SERVO = CONFIGS / "predicted_limit.yaml", CONFIGS / "servo_predicted_limit.yaml"
 HORIZON_S = 2.5
 #: When the experiment moves, s; the forecast is made `LEAD_S` before.
 MOVES_S, LEAD_S = 3.5, 1.0
@@ -51,7 +54,10 @@ class Case:
     crossed: bool
 
 
-def drawn(seed: int) -> tuple[ExperimentConfig, str, str, str]:
+Drawn = tuple[ExperimentConfig, str, str, str]
+
+
+def drawn(seed: int) -> Drawn:
     """The config of a seed, its experiment, what is hidden, and the signal whose level may be crossed."""
     random = np.random.default_rng((seed, 18))
     speed_m_s, modulus_Pa = random.uniform(1.0, 3.0), 8.7e9 * random.uniform(0.97, 1.03)
@@ -105,6 +111,44 @@ def drawn(seed: int) -> tuple[ExperimentConfig, str, str, str]:
     return load_with_overrides(CONFIG, changes=given).config, experiment, hidden, signal
 
 
+def drawn_shaft(seed: int) -> Drawn:
+    """The same of a servo axis."""
+    random = np.random.default_rng((seed, 19))
+    inertia, dry = 0.048 * random.uniform(0.95, 1.1), 0.2 * random.uniform(0.5, 1.5)
+    near, rate = random.normal(), random.uniform(25.0, 50.0)
+    experiment = str(random.choice(["ramp", "inertia", "reversal"]))
+    viscous = 0.004 * (random.uniform(0.0, 2.0) if random.random() < 0.5 else 1.0)
+    hidden = "nothing" if viscous == 0.004 else "viscous friction"
+    factor = random.uniform(0.9, 1.2) if experiment == "inertia" else 1.0
+    to = -15.0 if experiment == "reversal" else 25.0
+    moves: list[dict[str, Any]] = [
+        {"ramp": {"path": "speed_rad_s", "to": to, "duration_s": abs(to - 5.0) / rate}},
+        {"hold": {"duration_s": HORIZON_S - LEAD_S - abs(to - 5.0) / rate}},
+    ]
+    if experiment == "inertia":
+        moves.insert(0, {"step": {"path": "load.shaft.inertia_kg_m2", "to": inertia * factor}})
+    friction_Nm = -0.1 if experiment == "reversal" else dry + 0.05
+    level = 1.2 * factor * inertia * rate + friction_Nm + 0.3 * near
+    swing = [(25.0, 0.6), (5.0, 0.6), (25.0, 0.6), (5.0, 0.6)]
+    ramps = [{"ramp": {"path": "speed_rad_s", "to": speed, "duration_s": lasts}} for speed, lasts in swing]
+    shaft = {"inertia_kg_m2": inertia, "coulomb_friction_Nm": dry, "viscous_friction_Nm_s_per_rad": viscous}
+    changes = {
+        "seed": seed,
+        "bus.address": "embedded",
+        "load.shaft": shaft,
+        "safety.limits": {"torque_Nm": {"warning": float(max(level, 0.1))}, "speed_rad_s": {}, "estimate_ratio": {}},
+        "twin.prediction": {"horizon_s": HORIZON_S, "announce_above": 0.5},
+        "steps": [*ramps, {"hold": {"until_s": MOVES_S}}, *moves],
+        "criteria": [],
+    }
+    given = [f"{key}={json.dumps(value)}" for key, value in changes.items()]
+    return load_with_overrides(SERVO, changes=given).config, experiment, hidden, "tau1_Nm"
+
+
+#: Of each kind of machine.
+DRAWN: dict[str, Callable[[int], Drawn]] = {"web_line": drawn, "servo_axis": drawn_shaft}
+
+
 class Largest:
     """The largest size of a signal since `size` was set to 0."""
 
@@ -117,14 +161,15 @@ class Largest:
         self.size = max(self.size, abs(float(getattr(sample, self._signal))))
 
 
-def run(seed: int) -> Case:
+def run(seed: int, machine: str = "web_line") -> Case:
     """The run of a seed."""
-    config, experiment, hidden, signal = drawn(seed)
+    config, experiment, hidden, signal = DRAWN[machine](seed)
+    waits = next(number for number, step in enumerate(config.steps) if step.hold and step.hold.until_s == MOVES_S)
     foresight, largest = Foresight(config), Largest(signal)
     with Bench(config, observers=[largest], participants=Participants.IN_PROCESS) as bench:
-        for number, step in enumerate(config.steps[:2]):
+        for number, step in enumerate(config.steps[: waits + 1]):
             bench.foresee(foresight.plan(number, bench.time_s))
-            if number == 0:
+            if number < waits:
                 step.run(bench, [])
         bench.run(MOVES_S - LEAD_S - bench.time_s)
         assert bench.prediction is not None, "the config asks for it"
@@ -134,8 +179,8 @@ def run(seed: int) -> Case:
         probability, level = float(outlook.probability[place, 0]), outlook.watched[place].warning
 
         largest.size = 0.0
-        config.steps[1].run(bench, [])
-        for number, step in enumerate(config.steps[2:], 2):
+        config.steps[waits].run(bench, [])
+        for number, step in enumerate(config.steps[waits + 1 :], waits + 1):
             bench.foresee(foresight.plan(number, bench.time_s))
             step.run(bench, [])
     assert level is not None, "it was drawn"
@@ -185,11 +230,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=200, help="how many seeds")
     parser.add_argument("--first", type=int, default=1, help="the first one")
+    parser.add_argument("--machine", choices=DRAWN, default="web_line", help="which kind of bench")
     parser.add_argument("--out", type=Path, help="JSON lines, one a run")
     options = parser.parse_args()
     cases = []
     for seed in range(options.first, options.first + options.runs):
-        cases.append(run(seed))
+        cases.append(run(seed, options.machine))
         if options.out:
             with open(options.out, "a", encoding="utf-8") as file:
                 file.write(json.dumps(asdict(cases[-1])) + "\n")

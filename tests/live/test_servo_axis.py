@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.bench.late_senders import late
+from tests.bench.missed_cycles import missed
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import EXIT_PASSED
@@ -103,20 +105,40 @@ def test_the_report_shows_it(friction: RunOutcome) -> None:
     assert "coulomb friction, axis 1: 0.3 N·m" in page
 
 
+SWINGS = {"table": {"file": str(CONFIG.with_name("servo_axis.csv"))}}
+BEGIN = {"ramp": {"path": "speed_rad_s", "to": 5.0, "duration_s": 0.5}}
+
+
+@pytest.mark.slow
+def test_an_unbalance_that_comes_is_in_the_model_within_a_minute(tmp_path: Path) -> None:
+    comes = {"step": {"path": "load.effects.unbalance.axis1.amplitude_Nm", "to": 0.2}}
+    outcome = run(tmp_path, [BEGIN, SWINGS, comes, SWINGS, SWINGS, SWINGS, SWINGS])
+    (came,) = outcome.result.found or []
+    low, high = came.parameters["amplitude_Nm"].ci95
+    assert (came.effect, came.tied_with) == ("unbalance", [])
+    assert low < 0.2 < high
+    assert came.applied_after_s is not None
+    assert came.applied_after_s < 60.0
+
+
+@pytest.mark.slow
+def test_friction_is_in_the_model_within_a_minute_beside_a_bench_that_misses_cycles(tmp_path: Path) -> None:
+    comes = {"step": {"path": "load.effects.coulomb_friction.axis1.torque_Nm", "to": 0.3}}
+    with missed(0.005, from_cycle=500) as left_out, late(0.018, {0x181}, from_cycle=500):
+        outcome = run(tmp_path, [BEGIN, SWINGS, comes, SWINGS, SWINGS, SWINGS, SWINGS])
+    assert len(left_out) > 50
+    (came,) = outcome.result.found or []
+    low, high = came.parameters["torque_Nm"].ci95
+    assert came.effect == "coulomb_friction"
+    assert low < 0.3 < high
+    assert came.applied_after_s is not None
+    assert came.applied_after_s < 60.0
+
+
 @pytest.mark.slow
 def test_another_inertia_is_no_change_of_the_model(tmp_path: Path) -> None:
-    swings = {"table": {"file": str(CONFIG.with_name("servo_axis.csv"))}}
-    outcome = run(
-        tmp_path,
-        [
-            {"ramp": {"path": "speed_rad_s", "to": 5.0, "duration_s": 0.5}},
-            swings,
-            {"step": {"path": "load.shaft.inertia_kg_m2", "to": 0.06}},
-            swings,
-            swings,
-            swings,
-        ],
-    )
+    comes = {"step": {"path": "load.shaft.inertia_kg_m2", "to": 0.06}}
+    outcome = run(tmp_path, [BEGIN, SWINGS, comes, SWINGS, SWINGS, SWINGS])
     assert outcome.exit_code == EXIT_PASSED
     said = " ".join(notice.text for notice in outcome.result.warnings or ())
     assert "model and measurement part" in said

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,8 @@ Array = NDArray[np.float64]
 _COMMAND = "v1_cmd_rad_s"
 #: So many of its stated deviations away an inertia is another one.
 _ANOTHER = 3.0
+#: Weight of the latest look in the mean of an estimate, and in its mean square.
+_NEW = 0.1
 #: The quantities whose courses futures follow. When the twin finds another inertia plays no part: no controller goes by
 #: it.
 FORESEEN = {SPEED: _COMMAND, SHAFT_INERTIA: "J_true_kg_m2", SHAFT_COULOMB_FRICTION: "coulomb_true_Nm"}
@@ -46,7 +49,7 @@ class ShaftLook:
         self.signals = (*self._quantities, "x1_rad", _COMMAND, "J_sim_kg_m2", "J_sd_kg_m2", "coulomb_sim_Nm")
         self._compared = np.array([k for k, each in enumerate(self.watched) if each.unit == "N·m"])
         self._believed = 0.0, 0.0  # inertia and its deviation
-        self._found = _FoundInertia()
+        self._found, self._dry = _FoundInertia(), _Wandering()
         drives = config.servo_axis.drives
         self._looks = drives.sample_time_s / config.cycle_time_s if drives else 0.0  # of the drive's loop, in cycles
         self.futures = ShaftFutures(
@@ -105,8 +108,24 @@ class ShaftLook:
             inertia_kg_m2=inertia,
             inertia_sd_kg_m2=deviation,
             dry_friction_Nm=dry,
-            dry_friction_sd_Nm=0.0,
+            dry_friction_sd_Nm=self._dry.deviation(dry),
         )
+
+
+class _Wandering:
+    """How far an estimate whose deviation the twin does not tell has lately been from its mean."""
+
+    def __init__(self) -> None:
+        self._mean = self._square = 0.0
+        self._count = 0
+
+    def deviation(self, estimate: float) -> float:
+        """With the estimate of another look; 0 with the first."""
+        self._count += 1
+        new = max(_NEW, 1.0 / self._count)
+        self._mean += new * (estimate - self._mean)
+        self._square += new * ((estimate - self._mean) ** 2 - self._square)
+        return sqrt(self._square)
 
 
 class _FoundInertia:
