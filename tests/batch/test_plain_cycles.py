@@ -307,8 +307,8 @@ def test_what_a_twin_of_several_spans_has_python_do_now_and_then_is_alike(tmp_pa
 
 @pytest.mark.slow
 def test_a_twin_of_several_spans_that_joins_under_way_finds_the_same(tmp_path: Path) -> None:
-    """One span waits for the other, in objects; then both are in vectors. While the twin boots, heartbeats may go by the
-    wall clock: the frames are not compared."""
+    """One span waits for the other, in objects; then both are in vectors. While the twin boots, heartbeats may go by
+    the wall clock: the frames are not compared."""
     changes = [(20, sets("line_speed_m_s", 1.0)), (300, restarts_the_twin)]
     loaded = load_with_overrides(CONFIGS / "line_two_spans.yaml")
     one, other = (run(tmp_path, loaded, changes, 1000, compiled=compiled) for compiled in (True, False))

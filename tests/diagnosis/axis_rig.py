@@ -38,6 +38,12 @@ class Rig:
     shaft_Nm_per_rad: float = 0.0  #: its stiffness
     shaft_Nm_s_per_rad: float = 0.0  #: its damping
     stepped: bool = False  #: steps of the speed both ways in place of triangles
+    swing: tuple[float, float] | None = None  #: Hz and rad/s of one steady sine in their place
+
+    def _speed(self, t_s: float) -> float:
+        if self.swing is not None:
+            return self.swing[1] * float(np.sin(_TURN * self.swing[0] * t_s))
+        return _stepped(t_s) if self.stepped else _triangle(t_s)
 
     def recordings(self, repeats: int, seed: int = 0) -> list[Recording]:
         """Triangles of speed in both directions at 1 kHz, or steps of it, as often."""
@@ -48,7 +54,7 @@ class Rig:
         rows = []
         for k in range(steps):
             t = k * _STEP_S
-            speed = _stepped(t) if self.stepped else _triangle(t)
+            speed = self._speed(t)
             error = speed - v
             integral += 0.4 * error * _STEP_S
             torque = np.clip(0.02 * error + integral, -0.3, 0.3)

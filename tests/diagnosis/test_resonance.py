@@ -16,6 +16,8 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParam
 from hilbench.results.recording import Recording, read_recording
 
 STIFF = Rig(stepped=True)
+#: The rig's angle is that after a step of its simulation, its torque that of the step: late by as much.
+STEP_S = 2e-4
 
 
 def twisting(share: float, frequency_Hz: float, damping: float) -> Rig:
@@ -56,8 +58,44 @@ def test_a_torsional_shaft_is_named_with_its_share_and_frequency(
     assert named.parameters["inertia_share"].value == pytest.approx(share, rel=0.1)
     assert named.parameters["frequency_Hz"].value == pytest.approx(frequency_Hz, rel=0.03)
     assert named.parameters["damping"].value == pytest.approx(damping, rel=0.5)
-    assert names(found) - {"resonance"} <= KNOWN
+    others = [item for item in found.effects if item.effect != "resonance"]
+    for late in (item for item in others if item.effect == "torque_delay"):
+        assert late.parameters["delay_s"].value == pytest.approx(STEP_S, rel=0.25)
+    assert {item.effect for item in others} - {"torque_delay"} <= KNOWN
     assert "coulomb_friction" in names(found)
+
+
+@pytest.mark.parametrize(("share", "frequency_Hz", "damping"), [(0.6, 20.0, 0.03), *slow((0.5, 6.0, 0.05))])
+def test_the_interval_of_a_share_contains_it_where_the_speed_is_stepped(
+    share: float, frequency_Hz: float, damping: float
+) -> None:
+    (recording,) = twisting(share, frequency_Hz, damping).recordings(1, seed=3)
+    (named,) = (item for item in examined(recording).effects if item.effect == "resonance")
+    for name, value in {"inertia_share": share, "frequency_Hz": frequency_Hz, "damping": damping}.items():
+        low, high = named.parameters[name].ci95
+        assert low <= value <= high
+        assert high - low < 0.1 * value
+
+
+@pytest.mark.parametrize(
+    ("swing_Hz", "swing_rad_s"),
+    [(1.0, 30.0), (3.0, 20.0), *slow((2.0, 30.0), (2.5, 20.0), (3.5, 15.0), (5.0, 10.0), (8.0, 20.0), (10.0, 10.0))],
+)
+def test_one_steady_sine_names_no_resonance_with_an_interval_that_does_not_hold(
+    swing_Hz: float, swing_rad_s: float
+) -> None:
+    rig = replace(twisting(0.5, 6.0, 0.05), stepped=False, swing=(swing_Hz, swing_rad_s))
+    (recording,) = rig.recordings(1, seed=3)
+    found = examined(recording)
+    named = [item for item in found.effects if item.effect == "resonance"]
+    for item in named:
+        low, high = item.parameters["inertia_share"].ci95
+        assert low <= 0.5 <= high
+        low, high = item.parameters["frequency_Hz"].ci95
+        assert low <= 6.0 <= high
+    if not named:
+        assert found.verdict == "unknown"
+        assert unseen(found) != []
 
 
 @pytest.mark.slow

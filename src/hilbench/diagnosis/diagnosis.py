@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis import machines
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_profile
 from hilbench.diagnosis.fit_beside_rest import uncertainty_of, weights
 from hilbench.diagnosis.machines import AnyImitation
@@ -25,11 +26,11 @@ from hilbench.diagnosis.select import Search, Selection
 from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
+from hilbench.diagnosis.swinging import beside_swinging, untold
 from hilbench.diagnosis.terms import Place, Term, extended, pack_with
 from hilbench.diagnosis.unseen_resonance import first_unseen
 from hilbench.diagnosis.web_line.loop_check import nuisance_of
 from hilbench.plant.effect import Effect, Section
-from hilbench.plant.effects import find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
@@ -220,6 +221,9 @@ def _predicted_by(chosen: Choice, model: Machine, data: Measured, announce: Anno
         selection = Search(space, proposer, announce, predictor.every).run()
     else:
         selection = MeasuredSearch(space, proposer, announce).run()
+        if (settled := beside_swinging(space, selection.fit.terms)) is not None:
+            chosen, space = replace(chosen, predictor=settled), Space(model, settled, data.period_s)
+            selection = MeasuredSearch(space, proposer, announce).run()
     return concluded(space, chosen, data, selection, announce)
 
 
@@ -249,14 +253,18 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         left = max(rms(final.residual[k, rows]) / rms(predictor.measured[k, rows]) for k in torques)
         unknown = left > LARGEST_REST
     better = selection.better
-    unknown |= selection.exhausted or better is not None
+    too_few = [] if predictor.exact else untold(space, final)
+    unexplained += [Misfit(names[0], *_swing(term), 0.0, 0.0, "always") for term in too_few]
+    unknown |= selection.exhausted or better is not None or bool(too_few)
     if better is not None:  # what pulls at the last roller shows in its torque
         unexplained = [Misfit(names[-1], better.name, better.detail, 0.0, 0.0, "always"), *unexplained]
     verdict = "unknown" if unknown else ("named" if final.terms else "complete")
     # Where a right model leaves noise alone what leaves more is right in nothing; elsewhere each effect was judged with
     # the rest as noise.
     certain = [] if unknown and predictor.exact else final.terms
-    effects = _named(certain, judged, selection)
+    effects = _named(space.model, certain, judged, selection)
+    certain = [term for term in certain if term not in too_few]
+    effects = [effect for effect in effects if effect.place not in [term.place for term in too_few]]
     test = space.split.test
     gaps = [_gap(predictor.names[k], before[k], trained.residual[k], floors[k], test) for k in torques]
     where = located(names, before[torques] / scale, rows, conditions, _ROWS_OF_WHERE)
@@ -270,7 +278,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         where=_where(where),
         profiles=_profiles(found, after, floor_of, max(gaps, key=_size).signal),
         unexplained=unexplained,
-        unobservable=_all_unobservable(space, Proposer(space.model, data), selection),
+        unobservable=[*_all_unobservable(space, Proposer(space.model, data), selection), *map(_asked, too_few)],
         missing_channels=data.missing,
         model=extended(space.model, certain),
         names=predictor.names,
@@ -285,6 +293,18 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         laws=_laws(space, names, final.residual[torques], conditions) if unexplained else [],
         repairs=data.repairs,
     )
+
+
+def _swing(term: Term) -> tuple[str, str]:
+    """What is said of a term of which the motion has too few frequencies: what it is, and why it has no name."""
+    about_Hz = f"{term.values['frequency_Hz']:.2g} Hz"
+    return f"a {term.effect.id}", f"perhaps near {about_Hz}, which the few frequencies of this motion can't tell"
+
+
+def _asked(term: Term) -> Unobservable:
+    """The experiment that would tell it."""
+    unit = term.effect.parameter(term.effect.strength[0]).unit
+    return Unobservable(term.effect.id, term.axis, None, unit, f"{term.effect.shown_by}, to many speeds")
 
 
 def _astray(space: Space, final: Fit) -> list[Misfit]:
@@ -428,7 +448,7 @@ def _moments(
     return found
 
 
-def _named(terms: list[Term], judged: _Judged, selection: Selection) -> list[NamedEffect]:
+def _named(model: Machine, terms: list[Term], judged: _Judged, selection: Selection) -> list[NamedEffect]:
     result, at = [], 0
     for place, term in enumerate(terms):
         size = len(term.coordinates())
@@ -444,7 +464,7 @@ def _named(terms: list[Term], judged: _Judged, selection: Selection) -> list[Nam
             values[parameter.name] = Value(rounded(value), (rounded(low), rounded(high)), parameter.unit)
         tied = [other for other in selection.tied.get(term.key, []) if other != term.place]
         names = [other.beside(term.place) for other in tied]
-        advice = _experiment(term.effect, tied[0].effect) if tied else None
+        advice = _experiment(model, term.effect, tied[0].effect) if tied else None
         evidence = selection.evidence.get(term.key, {})
         result.append(NamedEffect(term.effect.id, term.axis, values, evidence, names, advice, term.section))
     return _joined(terms, result)
@@ -469,11 +489,11 @@ def _joined(terms: list[Term], named: list[NamedEffect]) -> list[NamedEffect]:
     return list(joined.values())
 
 
-def _experiment(effect: Effect, other: str) -> str:
+def _experiment(model: Machine, effect: Effect, other: str) -> str:
     """What tells an effect from another effect, by its id, or from what it may be mistaken for."""
     if effect.lookalike is not None and other == effect.lookalike.name:
         return effect.lookalike.told_apart_by
-    return effect.told_apart_from(find_effect(other))
+    return effect.told_apart_from(machines.effect_of(model, other))
 
 
 def rounded(value: float) -> float:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import Fit, fit
 from hilbench.diagnosis.noise import Whitening, scaling
-from hilbench.diagnosis.rest import Uncertainty, uncertainty
+from hilbench.diagnosis.rest import Uncertainty, uncertainty, with_doubts
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Term
 
@@ -24,10 +24,18 @@ def weights(space: Space, terms: list[Term]) -> Whitening:
 
 
 def uncertainty_of(space: Space, found: Fit, rows: NDArray[np.bool_] | None = None) -> Uncertainty:
-    """Of a fit's coordinates, with what it leaves as noise; rows (n,) of the fit, by default all that count."""
+    """Of a fit's coordinates, with what it leaves as noise; rows (n,) of the fit, by default all that count.
+
+    What swings at a frequency of its own is told by few frequencies, at which friction or an inertia that are a little
+    other look alike: there it counts by what the prediction may be off.
+    """
     rows = space.predictor.rows if rows is None else rows
-    derivatives = space.point(found.terms, found.residual).derivatives
-    return uncertainty(derivatives[..., rows], found.residual[..., rows])
+    derivatives = space.point(found.terms, found.residual).derivatives[..., rows]
+    known = uncertainty(derivatives, found.residual[..., rows])
+    doubted = np.concatenate([np.zeros(0, bool), *(np.full(len(t.coordinates()), t.swings) for t in found.terms)])
+    if not np.any(doubted):
+        return known
+    return with_doubts(known, derivatives, found.residual[..., rows], space.doubts(found.terms)[..., rows], doubted)
 
 
 def firsts(terms: list[Term]) -> list[int]:

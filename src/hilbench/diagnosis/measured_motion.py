@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -15,8 +16,8 @@ from scipy.signal import butter, sosfiltfilt
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
 from hilbench.diagnosis.misfit import Condition
-from hilbench.diagnosis.noise import floor
-from hilbench.diagnosis.presliding import Presliding, presliding
+from hilbench.diagnosis.noise import NORMAL_95, floor
+from hilbench.diagnosis.presliding import Presliding, presliding, unseen
 from hilbench.plant.model_file import Machine
 
 Array = NDArray[np.float64]
@@ -32,6 +33,8 @@ _HIGHEST_HZ, _LOWEST_HZ, _FINER = 60.0, 5.0, 0.9
 #: axis that reverses passes through standstill: what is predicted passes it as fast, in the same filter. The same
 #: where it is known how friction turns over.
 _REACH, _PASSES, _TURNS_OVER = 1.5, 0.5, 4.0
+#: Share of the inertia to which a right model may have it, one standard deviation.
+_INERTIA_KNOWN: Final = 0.02
 #: Corner as a share of the Nyquist frequency, and rows per period of it.
 _OF_NYQUIST, _ROWS_PER_PERIOD = 0.8, 4.0
 
@@ -117,8 +120,10 @@ class OnMeasuredMotion:
         torque = self._filter.smooth(data.tau_Nm[1])
         self.measured = torque[None, :: self.every]
         self._noise_Nm = floor(data.tau_Nm[1]) * float(np.sqrt(2.0 * self.corner_hz * data.period_s))
-        self.presliding: Presliding | None = self._presliding(torque) if wider is None else wider.presliding
-        self.rows = self._moving(_PASSES if self.presliding is None else _TURNS_OVER)[:: self.every]
+        self._torque = torque
+        self._memory_s: float = 0.0 if wider is None else wider._memory_s
+        self.presliding: Presliding | None = self._presliding() if wider is None else wider.presliding
+        self.rows = self._rows()
         self._t_s = data.t_s
 
     @property
@@ -131,10 +136,28 @@ class OnMeasuredMotion:
         """The same with half the corner."""
         return OnMeasuredMotion(self._model, self._data, self)
 
-    def _presliding(self, torque: Array) -> Presliding | None:
-        """How friction turns over at reversals, however long they take."""
+    def beside_swinging(self, swinging: Array, memory_s: float) -> OnMeasuredMotion:
+        """The same, with rows that count once the swing of before the recording is forgotten, and the way over which
+        friction turns over looked for again beside what swings.
+
+        swinging (1 + J, P): parameters without it, and each with something of it, of which any multiple may be there.
+        """
+        result = copy(self)
+        result._memory_s = memory_s
+        without, *torques = self._required(swinging)
+        result.presliding = result._presliding(np.array(torques) - without)
+        result.rows = result._rows()
+        return result
+
+    def _presliding(self, beside: Array | None = None) -> Presliding | None:
+        """How friction turns over at reversals, however long they take; beside other torques (J, n)."""
         rows = self._moving(len(self._x) * self._period_s * self.corner_hz)
-        return presliding((self._x, self._v, self._a), torque, self._filter.smooth, rows, self.every)
+        motion = (self._x, self._v, self._a)
+        return presliding(motion, self._torque, self._filter.smooth, rows, self.every, beside)
+
+    def _rows(self) -> NDArray[np.bool_]:
+        """(n,): those that count, of those that are compared."""
+        return self._moving(_PASSES if self.presliding is None else _TURNS_OVER)[:: self.every]
 
     def _moving(self, passes: float) -> NDArray[np.bool_]:
         """(n,): where the axis moves, and no standstill, gap or end of the recording is within reach of the filter.
@@ -144,8 +167,11 @@ class OnMeasuredMotion:
         usual = float(np.quantile(np.abs(self._v), 0.99))
         stands = np.abs(self._v) < max(STANDSTILL_M_S, _STANDSTILL_SHARE * usual)
         stands &= ~_passing(self._v, stands, round(passes / self.corner_hz / self._period_s))
-        stands |= _with_surroundings(~self._data.usable())
-        stands[[0, -1]] = True
+        unknown = ~self._data.usable()
+        stands |= _with_surroundings(unknown)
+        stands[[0, -1]] = unknown[0] = True
+        for _, end in _runs(unknown):
+            stands[end : end + round(self._memory_s / self._period_s)] = True
         return ~binary_dilation(stands, iterations=round(_REACH / self.corner_hz / self._period_s))
 
     def floor(self, signal: int) -> float:
@@ -170,12 +196,35 @@ class OnMeasuredMotion:
 
     def predict(self, parameters: Array) -> Array:
         """(B, P) to (B, 1, n): torque by the laws, filtered as the measurement is."""
+        return self._required(parameters)[:, None, :: self.every]
+
+    def doubts(self, parameters: Array) -> Array:
+        """(shapes, 1, n): by what a right prediction may be off beside the noise, each to one standard deviation.
+
+        A rigid inertia that the model has not, a torque that is read some time within a row, what the filter takes
+        twice of a motion near its corner, and friction that turns over a way too short to be seen, or as sure as that
+        is known.
+        """
+        inertia_Nm = _INERTIA_KNOWN * machines.Nm_per_acceleration(self._model, 1) * self._filter.smooth(self._a)
+        here = self._required(parameters)[0]
+        other = copy(self)
+        if self.presliding is None:
+            other.presliding = unseen(float(np.ptp(self._x)))
+        else:
+            way, (_, most) = self.presliding.way, self.presliding.ci95
+            other.presliding = Presliding(way + (most - way) / NORMAL_95, self.presliding.ci95)
+        turning_Nm = other._required(parameters)[0] - here
+        shapes = np.array([inertia_Nm, 0.5 * np.gradient(here), here - self._filter.smooth(here), turning_Nm])
+        return shapes[:, None, :: self.every]
+
+    def _required(self, parameters: Array) -> Array:
+        """(B, P) to (B, n): the same at every row of the recording."""
         many = np.atleast_2d(parameters)
         torque = np.empty((len(many), len(self._x)))
         way = self.presliding.way if self.presliding is not None else 0.0
         for vector, out in zip(many, torque, strict=True):
             machines.required_Nm(self._model, vector, self._x, self._v, self._a, self._period_s, out, way)
-        return self._filter.smooth(torque)[:, None, :: self.every]
+        return self._filter.smooth(torque)
 
 
 def _filter_for(data: Measured) -> MotionFilter:

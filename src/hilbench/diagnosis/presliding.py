@@ -43,19 +43,32 @@ class Presliding:
     ci95: tuple[float, float]
 
 
+def unseen(stroke: float) -> Presliding:
+    """The least way that is looked for on an axis that covers so much: one that is found in none may be there."""
+    way = float(_SHARES[0]) * stroke
+    return Presliding(way, (0.0, way))
+
+
 def presliding(
-    motion: tuple[Array, Array, Array], torque: Array, smooth: Callable[[Array], Array], rows: Rows, every: int = 1
+    motion: tuple[Array, Array, Array],
+    torque: Array,
+    smooth: Callable[[Array], Array],
+    rows: Rows,
+    every: int = 1,
+    others: Array | None = None,
 ) -> Presliding | None:
     """The way that explains the torque best beside inertia, offset, and friction that grows with the speed.
 
     motion: x, v, a (n,); torque (n,), filtered as `smooth` filters (…, n); rows (n,): those that count, of which every
-    so many are looked at. None where friction that turns over with the sign of the speed explains as much.
+    so many are looked at; others (J, n): torques of which any multiple may be there. None where friction that turns
+    over with the sign of the speed explains as much.
     """
     x, v, a = motion
     if np.count_nonzero(np.diff(np.sign(v[rows]))) < _LEAST_REVERSALS:
         return None
     looked_at = np.flatnonzero(rows)[::every]
-    plain = np.array([a, v, np.abs(v), np.ones(len(x)), x - np.mean(x)])[:, looked_at]
+    plain = np.array([a, v, np.abs(v), np.ones(len(x)), x - np.mean(x), *([] if others is None else others)])
+    plain = plain[:, looked_at]
     fixed, _ = np.linalg.qr((plain / np.maximum(np.linalg.norm(plain, axis=1), 1e-300)[:, None]).T)
     beside = torque[looked_at] - fixed @ (fixed.T @ torque[looked_at])
 

@@ -20,6 +20,8 @@ from scipy.special import fdtrc, stdtrit
 
 Array = NDArray[np.float64]
 
+#: Share of a line of the spectrum that a fit takes at most: of one that it takes whole nothing is known.
+_MOST_TAKEN: Final = 0.95
 #: Ratio of the upper to the lower edge of a band, and degrees of freedom that a fit has to leave in each.
 _WIDTH: Final = 1.5
 _LEAST_FREEDOM: Final = 8.0
@@ -80,6 +82,53 @@ def uncertainty(columns: Array, residual: Array) -> Uncertainty:
             squares += np.diag(part) ** 2 / left
     freedom = np.diag(covariance) ** 2 / np.maximum(squares, 1e-300)
     return Uncertainty(covariance / np.outer(size, size), np.maximum(freedom, 1.0))
+
+
+def with_doubts(
+    known: Uncertainty, columns: Array, residual: Array, shapes: Array, doubted: NDArray[np.bool_]
+) -> Uncertainty:
+    """The same with what the prediction may be off by beside the noise, for some of the coordinates (J,).
+
+    columns, residual: as in `uncertainty`; shapes (K, signals, n): by what it may be off, each to one standard
+    deviation before anything was recorded; what the recording tells of each, and how surely, counts as well. Of a
+    motion that repeats itself, whose rest is lines, each line is a noise of its own.
+    """
+    count = len(columns)
+    wide = np.concatenate([columns, shapes])
+    told = np.maximum(np.diag(uncertainty(wide, residual).covariance), _variances_by_lines(wide, residual))[count:]
+    found = _least_squares(wide, residual.reshape(1, -1))[count:, 0]
+    off = np.sqrt((found / (1.0 + told)) ** 2 + told / (1.0 + told))
+    moved = _least_squares(columns, shapes.reshape(len(shapes), -1)) * off
+    moved[~doubted] = 0.0
+    larger = _variances_by_lines(columns, residual) / np.maximum(np.diag(known.covariance), 1e-300)
+    wider = np.where(doubted, np.sqrt(np.maximum(larger, 1.0)), 1.0)
+    return Uncertainty(known.covariance * np.outer(wider, wider) + moved @ moved.T, known.freedom)
+
+
+def _least_squares(columns: Array, values: Array) -> Array:
+    """Coordinates (J, K) of values (K, signals·n) by columns (J, signals, n)."""
+    flat = columns.reshape(len(columns), -1)
+    size = np.sqrt(np.maximum(np.einsum("ij,ij->i", flat, flat), 1e-300))
+    flat = flat / size[:, None]
+    inverse = np.linalg.pinv(flat @ flat.T, rcond=1e-12, hermitian=True)
+    return np.asarray(inverse @ (flat @ values.T) / size[:, None])
+
+
+def _variances_by_lines(columns: Array, residual: Array) -> Array:
+    """(J,): variances of least squares, with what is left at each frequency as the noise there, as if the fit had not
+    seen it (MacKinnon and White 1985)."""
+    count, _, n = columns.shape
+    size = np.sqrt(np.maximum(np.sum(columns**2, axis=(1, 2)), 1e-300))
+    scaled = columns / size[:, None, None]
+    flat = scaled.reshape(count, -1)
+    inverse = np.linalg.pinv(flat @ flat.T, rcond=1e-12, hermitian=True)
+    spectra = np.fft.rfft(scaled, axis=-1)
+    weights = np.full(n // 2 + 1, 2.0 / n)
+    weights[0] = 1.0 / n
+    taken = 0.5 * n * weights * np.real(np.einsum("jsf,jk,ksf->sf", spectra.conj(), inverse, spectra)) * weights
+    noise = np.abs(np.fft.rfft(residual, axis=-1)) ** 2 / n / (1.0 - np.minimum(taken, _MOST_TAKEN)) ** 2
+    middle = np.real(np.einsum("jsf,sf,ksf->jk", spectra, noise * weights, spectra.conj()))
+    return np.asarray(np.diag(inverse @ middle @ inverse) / size**2)
 
 
 def _edges(free: Array) -> list[int]:

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.noise import ORDER, Whitening, scaling, whitening
 from hilbench.diagnosis.predictor import Predictor
 from hilbench.diagnosis.terms import Term, pack_with
@@ -197,7 +198,7 @@ class Space:
     def doubts(self, terms: list[Term]) -> Array:
         """(shapes, signals, n): by what a right prediction may be off beside the noise, each to one standard
         deviation."""
-        if not isinstance(self.predictor, LineOnMeasuredMotion):
+        if not isinstance(self.predictor, LineOnMeasuredMotion | OnMeasuredMotion):
             return np.empty((0, *self.predictor.measured.shape))
         return self.predictor.doubts(pack_with(self.model, terms))
 

@@ -148,6 +148,11 @@ class Term:
         return self.has_phase or (self.effect.probe is not None and self.effect.probe.over is ProbeOver.FREQUENCIES)
 
     @property
+    def swings(self) -> bool:
+        """Whether it is a part of the machine that swings at a frequency of its own."""
+        return self.is_of_a_frequency and not self.has_phase
+
+    @property
     def _strength(self) -> str:
         return self.part or self.effect.strength[0]
 
