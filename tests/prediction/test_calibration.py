@@ -25,3 +25,11 @@ def test_over_seeded_runs_the_probabilities_are_those_of_what_comes() -> None:
     assert brier(cases) <= 0.05, cases
     assert {case.experiment for case in cases} == {"modulus", "set-point", "ramp"}
     assert {case.crossed for case in cases} == {True, False}
+
+
+@pytest.mark.slow
+def test_over_seeded_runs_of_a_servo_axis_too() -> None:
+    cases = [run(seed, "servo_axis") for seed in range(1, 9)]
+    assert brier(cases) <= 0.05, cases
+    assert {case.experiment for case in cases} == {"ramp", "inertia", "reversal"}
+    assert {case.crossed for case in cases} == {True, False}
