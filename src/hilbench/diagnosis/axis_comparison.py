@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 from scipy.stats import t as student
 
+from hilbench.diagnosis import machines
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Unobservable, Value
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.misfit import located
@@ -25,7 +26,7 @@ from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Term, extended, pack_with
 from hilbench.plant.effect import Domain
-from hilbench.plant.effects import EFFECTS, find_effect
+from hilbench.plant.effects import EFFECTS
 from hilbench.plant.model_file import Machine
 
 Array = NDArray[np.float64]
@@ -423,7 +424,7 @@ def _concluded(
     terms = [*base, *(term.neutral() for term in terms[len(base) :])]
     found = replace(found, terms=terms)
     rest_now, rest_then = problem.rests(found.solved)
-    effects = [_named(found, k, problem, chosen) for k in chosen]
+    effects = [_named(model, found, k, problem, chosen) for k in chosen]
     predictor = now.predictor
     before, after = _residuals(now, then, chosen, now.rows)
     noise = predictor.floor(0)
@@ -481,7 +482,7 @@ def _residuals(now: _Side, then: _Side, chosen: list[int], rows: Rows) -> tuple[
     return as_it_was, as_it_was - solved.change @ columns[problem.columns_of(chosen)]
 
 
-def _named(found: _Found, one: int, problem: _Problem, chosen: list[int]) -> NamedEffect:
+def _named(model: Machine, found: _Found, one: int, problem: _Problem, chosen: list[int]) -> NamedEffect:
     """A change with its 95 % interval, and what else it may be."""
     term, change = found.terms[one], found.change(one)
     covariance = found.solved.covariance[found.columns(one), found.columns(one)]
@@ -518,7 +519,7 @@ def _named(found: _Found, one: int, problem: _Problem, chosen: list[int]) -> Nam
         if gain - problem.gain(without, rest, k) < allowed:
             tied.append(other.effect.id)
     tied += [other for other in _left_out_of_the_torque(term, then, change) if other not in tied]
-    advice = term.effect.told_apart_from(find_effect(tied[0])) if tied else None
+    advice = term.effect.told_apart_from(machines.effect_of(model, tied[0])) if tied else None
     evidence = {"likelihood_ratio": gain / max(problem.colour(found.solved.residual), 1e-300)}
     return NamedEffect(term.effect.id, term.axis, values, evidence, tied, advice)
 
