@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from hilbench.real_time import ProcessSettings, kept_ready
+from hilbench.real_time import ProcessSettings, comes_first, kept_ready
 
 
 def locked_kib() -> int:
@@ -24,6 +24,8 @@ def test_everything_that_is_permitted_is_given_and_taken_back() -> None:
     before, core, told = as_it_is(), min(os.sched_getaffinity(0)), list[str]()
     with kept_ready(ProcessSettings(priority=1, core=core, lock_memory=True), told.append):
         policy, cores, locked, collects = as_it_is()
+        assert comes_first() is (policy == os.SCHED_FIFO)
+    assert not comes_first()
     assert cores == {core}
     assert not collects
     assert (policy == os.SCHED_FIFO) is not any("rtprio is" in text for text in told)

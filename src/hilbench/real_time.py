@@ -80,6 +80,11 @@ def _pinned(core: int | None, report: Callable[[str], None]) -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
+def comes_first() -> bool:
+    """Whether this process comes before all that have no priority of real time, as soon as there is anything to do."""
+    return os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR)
+
+
 @contextmanager
 def _first(priority: int | None, report: Callable[[str], None]) -> Iterator[None]:
     if priority is None:

@@ -36,7 +36,7 @@ from hilbench.exchange.sync_producer import SyncProducer
 from hilbench.plain import kernel
 from hilbench.plain.exchange import PlainExchange
 from hilbench.processes import ChildProcess
-from hilbench.real_time import kept_ready
+from hilbench.real_time import comes_first, kept_ready
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import write_resolved
 from hilbench.twin.machines.kinds import warm_up
@@ -142,7 +142,7 @@ def bring_up(
         resources.enter_context(kept_ready(config.process_settings("bench"), warnings.append))
         if not here:
             warnings += _wire_first(config)
-        producer = None if here else _sync_producer(config, link)
+        producer = None if here else sync_producer(config, link)
         exchange = Exchange(nodes, link, objects, tap=tap, in_process=here is not None, producer=producer)
         if here and inside:
             exchange.use(here.plain_cycles(inside, nodes, tap))
@@ -167,10 +167,14 @@ def _wire_first(config: BenchConfig) -> list[str]:
     return []
 
 
-def _sync_producer(config: BenchConfig, link: Link) -> SyncProducer | None:
-    """Who sends SYNC by the clock, over a connection of its own; None: nobody, in lockstep or on an interface that
-    takes frames through Python only."""
-    if config.pace == "lockstep" or not isinstance(link, PacketLink):
+def sync_producer(config: BenchConfig, link: Link) -> SyncProducer | None:
+    """Who sends SYNC by the clock, over a connection of its own; None: the bench itself, in lockstep, on an interface
+    that takes frames through Python only, and without a priority.
+
+    A bench that has to wait for the machine itself would find most of its SYNCs gone by, and control with the rest:
+    rather its cycles become longer.
+    """
+    if config.pace == "lockstep" or not isinstance(link, PacketLink) or not comes_first():
         return None
     own = open_link(config.bus_address)
     assert isinstance(own, PacketLink)
