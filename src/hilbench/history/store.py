@@ -8,6 +8,7 @@ folders.
 from __future__ import annotations
 
 import sqlite3
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from hilbench.errors import UnusableInputError
 
 #: How long a run waits for another one that writes, s.
 _PATIENCE_S: Final = 10.0
+_A_MOMENT_S: Final = 0.005
 _VERSION: Final = 1
 _TABLES: Final = """
 CREATE TABLE run (
@@ -130,7 +132,7 @@ class History:
         connection.execute("PRAGMA foreign_keys = ON")
         version = _version(connection)
         if version == 0:
-            connection.execute("PRAGMA journal_mode = WAL")
+            _write_ahead(connection)
             with connection:
                 connection.execute("BEGIN IMMEDIATE")
                 if _version(connection) == 0:  # nobody else was faster
@@ -145,6 +147,20 @@ class History:
             raise UnusableInputError(
                 self.path, f"is of version {version}, expected {_VERSION}: remove it, and hilbench history --rebuild"
             )
+
+
+def _write_ahead(connection: sqlite3.Connection) -> None:
+    """Give a new file its write-ahead log. For the lock that this needs SQLite itself does not wait: of several that
+    make the file at a time each but one would fail."""
+    end_s = time.monotonic() + _PATIENCE_S
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+            return
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode != sqlite3.SQLITE_BUSY or time.monotonic() > end_s:
+                raise
+            time.sleep(_A_MOMENT_S)
 
 
 def _version(connection: sqlite3.Connection) -> int:
