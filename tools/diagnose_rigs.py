@@ -6,6 +6,8 @@ FOLDER holds one folder a rig (`servo`, `emps`, `motor_pair`, `friction_damper`,
 it gzip CSV as their sources have published them; none of it is kept in this repository. Of rotary axes an angle stands
 for the position: with a radius of 1 m and no gear N·m are N. `--docs` writes the table, and what is wrong, into the
 page.
+
+A joint of an arm is a `servo_axis` (rad), and the other joint's angle stands beside it.
 """
 
 from __future__ import annotations
@@ -22,6 +24,8 @@ import numpy as np
 
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.plant.effects import find_effect
+from hilbench.plant.model_file import Machine
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
@@ -40,6 +44,7 @@ class Rig:
     must: frozenset[str]  #: effects that are known to be there
     may: frozenset[str]  #: effects that are there, and may be too small to be certain
     known: str
+    other: str = ""  #: the column of the angle of the axis that it is coupled with
 
 
 RIGS = (
@@ -74,12 +79,12 @@ RIGS = (
     ),
     Rig(
         "pendulum, joint 1", "double_pendulum/*", ("time", "pos_meas1", "tau_meas1"), 1e-2,
-        frozenset({"unbalance"}), _SERVO, "gravity of order 1",
+        frozenset({"unbalance"}), _SERVO, "gravity of order 1", "pos_meas2",
     ),
     Rig(
         "pendulum, joint 2", "double_pendulum/*", ("time", "pos_meas2", "tau_meas2"), 1e-2,
         frozenset({"coulomb_friction", "unbalance"}), _SERVO,
-        "Coulomb 0.17 to 0.19 (published 0.11 to 0.12 times arctan(100·v)), gravity",
+        "Coulomb 0.17 to 0.19 (published 0.11 to 0.12 times arctan(100·v)), gravity", "pos_meas1",
     ),
     Rig(
         "robot joint", "robot_joint/case*", ("time", "q", "tau_J"), 1e-3, frozenset({"coulomb_friction"}),
@@ -90,21 +95,30 @@ RIGS = (
 )  # fmt: skip
 
 
-def recording(path: Path, columns: tuple[str, str, str]) -> Recording:
-    """The columns of a file, which begin with these names or hold them; times made even."""
+def recording(path: Path, rig: Rig) -> Recording:
+    """The rig's columns of a file, which begin with these names or hold them; times made even."""
     with gzip.open(path, "rt", encoding="utf-8") as file:
         names = file.readline().strip().split(",")
         table = np.genfromtxt(file, delimiter=",")
-    found = [next(k for k, name in enumerate(names) if name == want or want in name) for want in columns]
-    t, x, torque = table[:, found].T
+    wanted = dict(zip(("t_s", "x1_rad" if rig.other else "x1_m", "tau1_Nm"), rig.columns, strict=True))
+    if rig.other:
+        wanted["x2_rad"] = rig.other
+    found = {
+        channel: table[:, next(k for k, name in enumerate(names) if name == want or want in name)]
+        for channel, want in wanted.items()
+    }
+    t = found.pop("t_s")
     period = float(np.median(np.diff(t)))
     even = np.arange(t[0], t[-1], period)
-    return Recording({"t_s": even - t[0], "x1_m": np.interp(even, t, x), "tau1_Nm": np.interp(even, t, torque)})
+    channels = {channel: np.interp(even, t, values) for channel, values in found.items()}
+    return Recording({"t_s": even - t[0], **channels})
 
 
-def model(inertia: float) -> ModelParameters:
+def model(rig: Rig) -> Machine:
     """Of a lone axis of which nothing but the inertia is known."""
-    rollers = {"radius_m": 1.0, "inertia_kg_m2": inertia, "gear_ratio": 1.0}
+    if rig.other:
+        return ServoAxisParameters.model_validate({"kind": "servo_axis", "shaft": {"inertia_kg_m2": rig.inertia}})
+    rollers = {"radius_m": 1.0, "inertia_kg_m2": rig.inertia, "gear_ratio": 1.0}
     return ModelParameters.model_validate({"rollers": rollers, "motors": {"inertia_kg_m2": 0.0}, "effects": []})
 
 
@@ -134,7 +148,9 @@ def _said(found: Diagnosis) -> str:
         tied = f", tied with {', '.join(item.tied_with)}" if item.tied_with else ""
         words.append(f"{item.effect}{order} {value.value:.3g} ± {half:.1g}{tied}")
     for item in found.nuisance:
-        words += [f"beside it {item.effect} {value.value:.3g} {value.unit}" for value in item.parameters.values()]
+        sizes = [(name, f"{value.value:.3g} {value.unit}") for name, value in item.parameters.items()]
+        said = [size if len(sizes) == 1 else f"{name} {size}" for name, size in sizes]
+        words.append(f"beside it {item.effect} {', '.join(said)}")
     return "; ".join(words) or "nothing"
 
 
@@ -147,8 +163,8 @@ def main() -> None:
     rows, wrong = [], []
     for rig in (rig for rig in RIGS if options.only in rig.name):
         for path in sorted(options.folder.glob(f"{rig.files}.csv.gz")):
-            data, began = recording(path, rig.columns), time.monotonic()
-            found = diagnose(data, model(rig.inertia), path)
+            data, began = recording(path, rig), time.monotonic()
+            found = diagnose(data, model(rig), path)
             share = 100.0 * found.gap.after / float(np.std(np.asarray(data["tau1_Nm"])))
             said = (
                 f"| {rig.name} | {path.name.removesuffix('.csv.gz')} | {found.verdict} | {_said(found)} | {share:.1f} |"

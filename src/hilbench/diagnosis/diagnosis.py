@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
+from hilbench.diagnosis.coupled_axis import couplings, simple_beside, vocabulary_beside
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_profile
 from hilbench.diagnosis.fit_beside_rest import uncertainty_of, weights
 from hilbench.diagnosis.machines import AnyImitation
@@ -216,14 +217,15 @@ def diagnosed(
 def _predicted_by(chosen: Choice, model: Machine, data: Measured, announce: Announce) -> Diagnosis:
     predictor = chosen.predictor
     space = Space(model, predictor, data.period_s)
-    proposer = Proposer(model, data)
+    proposer = Proposer(model, data, vocabulary_beside(predictor, model))
     if predictor.exact:
         selection = Search(space, proposer, announce, predictor.every).run()
     else:
-        selection = MeasuredSearch(space, proposer, announce).run()
+        as_simple = simple_beside(predictor)
+        selection = MeasuredSearch(space, proposer, announce, as_simple).run()
         if (settled := beside_swinging(space, selection.fit.terms)) is not None:
             chosen, space = replace(chosen, predictor=settled), Space(model, settled, data.period_s)
-            selection = MeasuredSearch(space, proposer, announce).run()
+            selection = MeasuredSearch(space, proposer, announce, as_simple).run()
     return concluded(space, chosen, data, selection, announce)
 
 
@@ -243,6 +245,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
     conditions = predictor.conditions(pack_with(space.model, final.terms))
     scale = np.array([floors[k] for k in torques])[:, None]
     names = tuple(predictor.names[k] for k in torques)
+    proposer = Proposer(space.model, data, vocabulary_beside(predictor, space.model))
     after = misfits(names, final.residual[torques] / scale, rows, conditions)
     unexplained = [m for m in after if m.significant]
     found = misfits(names, before[torques] / scale, rows, conditions)
@@ -278,7 +281,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         where=_where(where),
         profiles=_profiles(found, after, floor_of, max(gaps, key=_size).signal),
         unexplained=unexplained,
-        unobservable=[*_all_unobservable(space, Proposer(space.model, data), selection), *map(_asked, too_few)],
+        unobservable=[*_all_unobservable(space, proposer, selection), *map(_asked, too_few)],
         missing_channels=data.missing,
         model=extended(space.model, certain),
         names=predictor.names,
@@ -289,7 +292,11 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         simulations=space.simulations,
         imitation=predictor.imitation,
         predicted_on=chosen.basis,
-        nuisance=[*_nuisance(space.model, chosen, effects), *_presliding(space.model, chosen)],
+        nuisance=[
+            *_nuisance(space.model, chosen, effects),
+            *_presliding(space.model, chosen),
+            *_coupling(space, final),
+        ],
         laws=_laws(space, names, final.residual[torques], conditions) if unexplained else [],
         repairs=data.repairs,
     )
@@ -345,6 +352,15 @@ def _presliding(model: Machine, chosen: Choice) -> list[NamedEffect]:
     low, high = found.ci95
     way = Value(rounded(found.way), (rounded(low), rounded(high)), model.position_unit)
     return [NamedEffect("presliding", 1, {f"way_{model.position_unit}": way}, {}, [], None)]
+
+
+def _coupling(space: Space, final: Fit) -> list[NamedEffect]:
+    """What another axis makes at a lone one, where its motion was recorded."""
+    values = {
+        name: Value(rounded(value), (rounded(low), rounded(high)), unit)
+        for name, (value, (low, high), unit) in couplings(space, final).items()
+    }
+    return [NamedEffect("coupling", 1, values, {}, [], None)] if values else []
 
 
 def _laws(space: Space, names: tuple[str, ...], residuals: Array, conditions: list[Condition]) -> list[SparseLaw]:

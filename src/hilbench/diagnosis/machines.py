@@ -157,6 +157,13 @@ def sizes(
     return machine_sizes(model, axis, top_speed_m_s=top_speed, torque_Nm=torque_Nm, sample_time_s=sample_time_s)
 
 
+def without_unbalance(parameters: Array) -> Array:
+    """The parameter vector of a servo axis with nothing unbalanced."""
+    balanced = parameters.copy()
+    balanced[[shaft_layout.P_UNBALANCE, shaft_layout.place("unbalance")]] = 0.0
+    return balanced
+
+
 def turns_apart(model: Machine, axis: int) -> bool:
     """Whether a play can be between motor and roller: with a web there has to be inertia on both sides of it."""
     if isinstance(model, ServoAxisParameters):

@@ -113,6 +113,8 @@ class Measured:
     put_off_m: float = 0.0
     #: Rows at which something beyond machine and commands has pushed the axes.
     pushed: tuple[int, ...] = ()
+    #: Angle (n,) of another axis that the only one of a rotary machine is coupled with, relative to it.
+    other_rad: Array | None = None
 
     @property
     def duration_s(self) -> float:
@@ -171,6 +173,8 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
     else:
         _check_lone(recording, model, place)
     there = [name for name in wanted if name in recording] + list(tensions.values())
+    if other := _other_axis(recording, model):
+        there.append(other)
     recording.require(there, place)
 
     def channels(names: dict[int, str]) -> dict[int, Array]:
@@ -202,11 +206,18 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         F_N=channels(tensions),
         integrated=integrated,
         sensors_m=station_sensors(recording, model),
+        other_rad=np.asarray(recording[other], np.float64) if other else None,
     )
     if machines.has_stations(model) and abs(float(measured.commands_m_s[0, -1])) > STANDSTILL_M_S:
         raise UnusableInputError(place, "a line with 'stations' under way at the first row, expected it at rest there")
     _check_plausible(measured, model, place)
     return measured
+
+
+def _other_axis(recording: Recording, model: Machine) -> str | None:
+    """The channel of the axis that the only one of a rotary machine is coupled with, where it is recorded."""
+    name = machines.position_channel(model, 2)
+    return name if model.position_unit == "rad" and name in recording else None
 
 
 def _check_lone(recording: Recording, model: Machine, place: str | Path) -> None:

@@ -14,6 +14,7 @@ from scipy.ndimage import binary_dilation
 from scipy.signal import butter, sosfiltfilt
 
 from hilbench.diagnosis import machines
+from hilbench.diagnosis.coupling import Arm, Motion, columns, explains, left_unseen
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import NORMAL_95, floor
@@ -37,6 +38,8 @@ _REACH, _PASSES, _TURNS_OVER = 1.5, 0.5, 4.0
 _INERTIA_KNOWN: Final = 0.02
 #: Corner as a share of the Nyquist frequency, and rows per period of it.
 _OF_NYQUIST, _ROWS_PER_PERIOD = 0.8, 4.0
+#: The lowest corner beside another axis, Hz, and the ratio of one that is tried to the next.
+_LOWEST_COUPLED_HZ, _NEXT_COUPLED = 3.0, 0.8
 
 
 @dataclass(frozen=True)
@@ -104,13 +107,27 @@ class OnMeasuredMotion:
     Motion and torque pass the same filter, which is as wide as the encoder's noise allows.
     """
 
-    def __init__(self, model: Machine, data: Measured, wider: OnMeasuredMotion | None = None) -> None:
-        """`wider`: the one of which this has half the corner; without it as wide as the position's noise allows."""
+    def __init__(
+        self,
+        model: Machine,
+        data: Measured,
+        wider: OnMeasuredMotion | None = None,
+        arm: Arm | None = None,
+        corner_hz: float | None = None,
+    ) -> None:
+        """`wider`: one of which it is known how friction turns over, and of which this has half the corner unless
+        `corner_hz` says another; without both as wide as the position's noise allows.
+
+        arm: how the axis is coupled with the other one that the recording has; None: it is not.
+        """
         self._model, self._data = model, data
+        self.arm = arm
         self.names = ("tau1_Nm",)
         self.imitation = None
         self._period_s = data.period_s
-        self._filter = _filter_for(data) if wider is None else MotionFilter(0.5 * wider.corner_hz, data.period_s)
+        if wider is not None and corner_hz is None:
+            corner_hz = 0.5 * wider.corner_hz
+        self._filter = _filter_for(data) if corner_hz is None else MotionFilter(corner_hz, data.period_s)
         self._x = self._filter.smooth(data.x_m[1])
         self._v = np.gradient(self._x, data.period_s)
         self._a = np.gradient(self._v, data.period_s)
@@ -122,6 +139,8 @@ class OnMeasuredMotion:
         self._noise_Nm = floor(data.tau_Nm[1]) * float(np.sqrt(2.0 * self.corner_hz * data.period_s))
         self._torque = torque
         self._memory_s: float = 0.0 if wider is None else wider._memory_s
+        self._upright = self._x
+        self._coupled = self._couplings()
         self.presliding: Presliding | None = self._presliding() if wider is None else wider.presliding
         self.rows = self._rows()
         self._t_s = data.t_s
@@ -134,7 +153,7 @@ class OnMeasuredMotion:
     @property
     def narrower(self) -> OnMeasuredMotion:
         """The same with half the corner."""
-        return OnMeasuredMotion(self._model, self._data, self)
+        return OnMeasuredMotion(self._model, self._data, self, self.arm)
 
     def beside_swinging(self, swinging: Array, memory_s: float) -> OnMeasuredMotion:
         """The same, with rows that count once the swing of before the recording is forgotten, and the way over which
@@ -153,7 +172,37 @@ class OnMeasuredMotion:
         """How friction turns over at reversals, however long they take; beside other torques (J, n)."""
         rows = self._moving(len(self._x) * self._period_s * self.corner_hz)
         motion = (self._x, self._v, self._a)
-        return presliding(motion, self._torque, self._filter.smooth, rows, self.every, beside)
+        coupled = list(self._coupled.values())
+        others = [*coupled, *([] if beside is None else beside)]
+        return presliding(
+            motion, self._torque, self._filter.smooth, rows, self.every, np.array(others) if others else None
+        )
+
+    def _couplings(self) -> dict[str, Array]:
+        """(n,) each: the torques of which any multiple may be there beside the other axis."""
+        if self.arm is None or self._data.other_rad is None:
+            return {}
+        ratio = self._model.gear_ratio(1)
+        own = Motion(self._x / ratio, self._v / ratio, self._a / ratio)
+        other = Motion.of(self._filter.smooth(self._data.other_rad), self._period_s)
+        if self.arm is Arm.CARRIED:
+            self._upright = self._x + ratio * other.angle
+        return {name: self._filter.smooth(column) for name, column in columns(self.arm, own, other).items()}
+
+    def left_unseen(self) -> float:
+        """Share of the torque's rms that a regression by the simple effects, its gravity and the couplings leaves,
+        stretches predicted from one another."""
+        angle = self._upright / self._model.gear_ratio(1)
+        simple = np.array(
+            [self._a, self._v, np.tanh(self._v / self._slow), np.sin(angle), np.cos(angle), np.ones(len(angle))]
+        )
+        explaining = np.array([*self._filter.smooth(simple), *self._coupled.values()])
+        return left_unseen(self.measured[0, self.rows], explaining[:, :: self.every][:, self.rows])
+
+    @property
+    def _slow(self) -> float:
+        """Speed below which the axis stands."""
+        return max(STANDSTILL_M_S, _STANDSTILL_SHARE * float(np.quantile(np.abs(self._v), 0.99)))
 
     def _rows(self) -> NDArray[np.bool_]:
         """(n,): those that count, of those that are compared."""
@@ -164,8 +213,7 @@ class OnMeasuredMotion:
 
         passes: periods of the corner within which a reversal is no standstill.
         """
-        usual = float(np.quantile(np.abs(self._v), 0.99))
-        stands = np.abs(self._v) < max(STANDSTILL_M_S, _STANDSTILL_SHARE * usual)
+        stands = np.abs(self._v) < self._slow
         stands &= ~_passing(self._v, stands, round(passes / self.corner_hz / self._period_s))
         unknown = ~self._data.usable()
         stands |= _with_surroundings(unknown)
@@ -195,8 +243,37 @@ class OnMeasuredMotion:
         return np.asarray(self._x - np.repeat(self._x[turns[:-1]], np.diff(turns)))
 
     def predict(self, parameters: Array) -> Array:
-        """(B, P) to (B, 1, n): torque by the laws, filtered as the measurement is."""
-        return self._required(parameters)[:, None, :: self.every]
+        """(B, P) to (B, 1, n): torque by the laws, filtered as the measurement is, and what the couplings explain of
+        what these leave."""
+        required = self._required(parameters)[:, None, :: self.every]
+        if not self._coupled:
+            return required
+        return self.measured - self._beside(self.measured - required)
+
+    def _beside(self, values: Array) -> Array:
+        """Values (…, n of the prediction) without what the couplings explain of them in the rows that count."""
+        return values - self._coupled_in(values) @ self.couplings if self._coupled else values
+
+    def _coupled_in(self, values: Array) -> Array:
+        """Of values (…, n of the prediction), how much (…, J) of each coupling explains them best."""
+        return np.asarray(values[..., self.rows] @ np.linalg.pinv(self.couplings[:, self.rows]))
+
+    @property
+    def couplings(self) -> Array:
+        """(J, n of the prediction): torque per unit of each coupling with the other axis."""
+        return np.array(list(self._coupled.values()))[:, :: self.every]
+
+    def coupled_by(self, parameters: Array) -> dict[str, float]:
+        """How much of each coupling explains best what the laws leave with these parameters (P,)."""
+        left = self.measured[0] - self._required(parameters)[0, :: self.every]
+        return dict(zip(self._coupled, self._coupled_in(left).tolist(), strict=True))
+
+    @property
+    def uncoupled(self) -> OnMeasuredMotion:
+        """The same laws on the same rows, without what the other axis makes."""
+        result = copy(self)
+        result._coupled = {}
+        return result
 
     def doubts(self, parameters: Array) -> Array:
         """(shapes, 1, n): by what a right prediction may be off beside the noise, each to one standard deviation.
@@ -215,16 +292,61 @@ class OnMeasuredMotion:
             other.presliding = Presliding(way + (most - way) / NORMAL_95, self.presliding.ci95)
         turning_Nm = other._required(parameters)[0] - here
         shapes = np.array([inertia_Nm, 0.5 * np.gradient(here), here - self._filter.smooth(here), turning_Nm])
-        return shapes[:, None, :: self.every]
+        return self._beside(shapes[:, None, :: self.every])
 
     def _required(self, parameters: Array) -> Array:
         """(B, P) to (B, n): the same at every row of the recording."""
         many = np.atleast_2d(parameters)
         torque = np.empty((len(many), len(self._x)))
-        way = self.presliding.way if self.presliding is not None else 0.0
         for vector, out in zip(many, torque, strict=True):
-            machines.required_Nm(self._model, vector, self._x, self._v, self._a, self._period_s, out, way)
+            self._write_required(vector, self._x, out)
+            if self.arm is Arm.CARRIED:
+                out += self._gravity_moved(vector)
         return self._filter.smooth(torque)
+
+    def _write_required(self, vector: Array, x: Array, out: Array) -> None:
+        way = self.presliding.way if self.presliding is not None else 0.0
+        machines.required_Nm(self._model, vector, x, self._v, self._a, self._period_s, out, way)
+
+    def _gravity_moved(self, vector: Array) -> Array:
+        """(n,): by how much the torque of what is unbalanced is another because it goes with the angle of both axes."""
+        balanced = machines.without_unbalance(vector)
+        moved = np.zeros(len(self._x))
+        if np.array_equal(balanced, vector):
+            return moved
+        for x, sign in ((self._upright, 1.0), (self._x, -1.0)):
+            for parameters, of in ((vector, sign), (balanced, -sign)):
+                out = np.empty(len(x))
+                self._write_required(parameters, x, out)
+                moved += of * out
+        return moved
+
+
+def coupled_motion(model: Machine, data: Measured) -> OnMeasuredMotion | None:
+    """The prediction beside the other axis that the recording has; None without one, or where its motion does not
+    explain much.
+
+    Gravity, inertia and what an axis swings nearly make up for one another in an arm that swings freely, so that noise
+    that hardly shows in an acceleration shows in them: the corner, as well as what carries what, is that with which the
+    stretches of the recording predict one another best.
+    """
+    if data.other_rad is None:
+        return None
+    wide = OnMeasuredMotion(model, data)
+    corners = [wide.corner_hz]
+    while corners[-1] * _NEXT_COUPLED >= _LOWEST_COUPLED_HZ:
+        corners.append(corners[-1] * _NEXT_COUPLED)
+    tried = [OnMeasuredMotion(model, data, wide, arm, corner) for corner in corners for arm in Arm]
+    best = min(tried, key=OnMeasuredMotion.left_unseen)
+    alone = OnMeasuredMotion(model, data, wide, None, best.corner_hz)
+    if not explains(best.left_unseen(), alone.left_unseen()):
+        return None
+    return OnMeasuredMotion(model, data, None, best.arm, best.corner_hz)
+
+
+def is_coupled(predictor: object) -> bool:
+    """Whether a prediction is one beside another axis."""
+    return isinstance(predictor, OnMeasuredMotion) and predictor.arm is not None
 
 
 def _filter_for(data: Measured) -> MotionFilter:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final
 
@@ -38,9 +39,15 @@ class Offer:
         return float(np.linalg.norm(moved)) / self.term.size
 
 
-def in_order(offers: list[Offer]) -> list[Offer]:
-    """The simple first, then what leaves least; of those that leave the same, what is named first."""
-    waiting = sorted(offers, key=lambda offer: (offer.term.effect.removable, offer.left))
+def in_order(offers: list[Offer], as_simple: Collection[str] = ()) -> list[Offer]:
+    """The simple first, then what leaves least; of those that leave the same, what is named first.
+
+    as_simple: effects that are as simple in this recording.
+    """
+    waiting = sorted(
+        offers,
+        key=lambda offer: (offer.term.effect.removable and offer.term.effect.id not in as_simple, offer.left),
+    )
     ordered = []
     while waiting:
         first = waiting[0]

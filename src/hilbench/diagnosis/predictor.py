@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.axis_free_run import AxisFreeRun
+from hilbench.diagnosis.coupling import Arm
 from hilbench.diagnosis.machines import AnyImitation
 from hilbench.diagnosis.measured import Measured
-from hilbench.diagnosis.measured_motion import OnMeasuredMotion
+from hilbench.diagnosis.measured_motion import OnMeasuredMotion, coupled_motion
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.web_line.free_run import FreeRun
 from hilbench.diagnosis.web_line.loop_check import Loop
@@ -94,6 +95,9 @@ def choice(model: Machine, data: Measured, imitation: AnyImitation | None = None
     commands = "the recorded commands"
     if isinstance(model, ServoAxisParameters):
         shaft = imitation if isinstance(imitation, ShaftImitation) else None
+        if not data.imitated and (beside := coupled_motion(model, data)) is not None and beside.arm is not None:
+            gravity = "; gravity goes with the angles of both" if beside.arm is Arm.CARRIED else ""
+            return Choice(beside, f"measured motion of an axis {beside.arm}, below {beside.corner_hz:.2g} Hz{gravity}")
         if not data.imitated or not data.commands_m_s.size:
             return Choice(OnMeasuredMotion(model, data), "measured motion of a lone axis")
         shaft = shaft or ShaftImitation(data.period_s, ServoRigParameters.matching(model))
@@ -142,5 +146,5 @@ def _blind(motion: LineOnMeasuredMotion) -> str:
 
 
 def predictor_for(model: Machine, data: Measured, imitation: AnyImitation | None = None) -> Predictor:
-    """The way to predict that `choice` chooses."""
-    return choice(model, data, imitation).predictor
+    """The way to predict that `choice` chooses, of an axis by itself."""
+    return choice(model, replace(data, other_rad=None), imitation).predictor

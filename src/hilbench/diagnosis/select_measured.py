@@ -16,7 +16,7 @@ How often that is right: tools/diagnose_rigs.py, docs/diagnosis.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import Final
 
 import numpy as np
@@ -66,8 +66,10 @@ _CONTENDERS: Final = 6
 class MeasuredSearch:
     """The search over one space."""
 
-    def __init__(self, space: Space, proposer: Proposer, announce: Announce) -> None:
+    def __init__(self, space: Space, proposer: Proposer, announce: Announce, as_simple: Collection[str] = ()) -> None:
+        """as_simple: effects that are looked for as early as friction and offset are."""
         self._space, self._proposer, self._announce = space, proposer, announce
+        self._as_simple = as_simple
         self._rows = space.predictor.rows
 
     def run(self) -> Selection:
@@ -211,7 +213,7 @@ class MeasuredSearch:
             free = problem.gain_by_stretch(mine, group) if term.has_phase else 0.0
             offers.append(Offer(started[1], started[0], problem.own_share(group[0], mine), free))
         offers = [offer for offer in offers if not is_beside_a_whole_order(offer, whole)]
-        for offer in in_order(offers)[:_CONTENDERS]:
+        for offer in in_order(offers, self._as_simple)[:_CONTENDERS]:
             found = self._fitted([*current.terms, offer.term])
             if self._left_beside(found, current) < (1.0 - least_share(offer.term)) * before:
                 return found

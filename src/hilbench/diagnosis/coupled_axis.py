@@ -1,0 +1,54 @@
+"""A diagnosis of a lone axis beside another one: which effects can be told there, and what the coupling is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from hilbench.diagnosis import machines
+from hilbench.diagnosis.fit import Fit
+from hilbench.diagnosis.measured_motion import OnMeasuredMotion, is_coupled
+from hilbench.diagnosis.predictor import Predictor
+from hilbench.diagnosis.rest import uncertainty
+from hilbench.diagnosis.space import Space
+from hilbench.diagnosis.terms import pack_with
+from hilbench.plant.effect import Effect
+from hilbench.plant.model_file import Machine
+
+#: Effects that change all of a torque, and so what the other axis makes of it, which is not known beforehand; and a
+#: shaft that swings, which an arm does by itself.
+_OF_ALL_TORQUE: Final = frozenset({"torque_scale", "torque_delay", "resonance"})
+
+
+def vocabulary_beside(predictor: Predictor, model: Machine) -> tuple[Effect, ...]:
+    """What a machine may lack as far as a prediction can tell it."""
+    known = machines.vocabulary(model)
+    if not is_coupled(predictor):
+        return known
+    return tuple(effect for effect in known if effect.id not in _OF_ALL_TORQUE)
+
+
+def simple_beside(predictor: Predictor) -> tuple[str, ...]:
+    """Effects that are as simple as friction: beside another axis gravity, of which an offset may be a part."""
+    return ("unbalance",) if is_coupled(predictor) else ()
+
+
+def couplings(space: Space, found: Fit) -> dict[str, tuple[float, tuple[float, float], str]]:
+    """What another axis makes at the joint, by name: value, 95 % interval and unit, beside the terms that were found;
+    empty where no other axis does."""
+    predictor = space.predictor
+    if not isinstance(predictor, OnMeasuredMotion) or predictor.arm is None:
+        return {}
+    rows = predictor.rows
+    alone = replace(space, predictor=predictor.uncoupled)
+    beside = alone.point(found.terms, alone.residual(found.terms)).derivatives
+    wide = np.concatenate([predictor.couplings[:, None], beside])[..., rows]
+    known = uncertainty(wide, found.residual[..., rows])
+    half = known.deviations * known.quantiles(0.95)
+    strengths = predictor.coupled_by(pack_with(space.model, found.terms))
+    return {
+        name: (value, (value - error, value + error), "N·m" if name.endswith("_Nm") else "kg·m²")
+        for (name, value), error in zip(strengths.items(), half.tolist(), strict=False)
+    }

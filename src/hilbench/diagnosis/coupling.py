@@ -1,0 +1,87 @@
+"""Torque that the motion of another axis makes at a joint: of a rigid arm of two links, from the angles of both.
+
+The joint carries the other's link, or is carried by it. With φ the joint's own angle, ψ the other's (that of the joint
+that is carried relative to the link that carries it), and θ = ψ of a joint that carries, φ of one that is carried:
+
+- carries: φ″ and ψ″;  cos θ·(ψ″ + 2φ″) − sin θ·ψ′(ψ′ + 2φ′);  sin(φ + ψ) and cos(φ + ψ), gravity of the other's link,
+- carried: φ″ and ψ″;  cos θ·ψ″ + sin θ·ψ′²;  its own gravity goes with φ + ψ.
+
+The torque has any multiple of each (the equations of a planar arm of two links: Spong, Hutchinson and Vidyasagar, Robot
+Modeling and Control, chapter 7), of the third with any phase of θ. What is carried adds to the joint's own inertia.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.stretched_problem import StretchedProblem
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
+
+#: Share of what is left of the torque by a joint alone, its stretches predicted from one another, that the other's
+#: motion has to explain.
+_LEAST_SHARE: Final = 0.3
+#: Rows per column from which a regression is one.
+_LEAST_ROWS: Final = 4
+
+
+class Arm(StrEnum):
+    """Where a joint stands in an arm."""
+
+    CARRIES = "carries the other axis"
+    CARRIED = "carried by the other axis"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Angle, speed and acceleration of a joint (n,): rad, rad/s, rad/s²."""
+
+    angle: Array
+    speed: Array
+    acceleration: Array
+
+    @classmethod
+    def of(cls, angle: Array, period_s: float) -> Motion:
+        """By differences."""
+        speed = np.gradient(angle, period_s)
+        return cls(angle, speed, np.gradient(speed, period_s))
+
+
+def columns(arm: Arm, own: Motion, other: Motion) -> dict[str, Array]:
+    """Torque (n,) per unit of each coupling, by name."""
+    elbow = other.angle if arm is Arm.CARRIES else own.angle
+    if arm is Arm.CARRIES:
+        swinging, turning = other.acceleration + 2.0 * own.acceleration, other.speed * (other.speed + 2.0 * own.speed)
+    else:
+        swinging, turning = other.acceleration, -(other.speed**2)
+    found = {
+        "own_inertia_change_kg_m2": own.acceleration,
+        "inertia_kg_m2": other.acceleration,
+        "arm_kg_m2": np.cos(elbow) * swinging - np.sin(elbow) * turning,
+        "arm_turned_kg_m2": np.sin(elbow) * swinging + np.cos(elbow) * turning,
+    }
+    if arm is Arm.CARRIES:
+        both = own.angle + other.angle
+        found |= {"gravity_sin_Nm": np.sin(both), "gravity_cos_Nm": np.cos(both)}
+    return found
+
+
+def left_unseen(torque: Array, explaining: Array) -> float:
+    """Share of the rms of a torque (m,) that columns (J, m) leave, its stretches predicted from one another; inf where
+    there are too few rows."""
+    if len(torque) < _LEAST_ROWS * len(explaining):
+        return float("inf")
+    scaled = explaining / np.maximum(np.linalg.norm(explaining, axis=1), 1e-300)[:, None]
+    problem = StretchedProblem.of(torque[None], scaled[:, None])
+    return float(np.sqrt(problem.left_unseen(list(range(len(scaled)))) / max(float(np.sum(torque**2)), 1e-300)))
+
+
+def explains(beside: float, alone: float) -> bool:
+    """Whether what the other's motion leaves is so much less than what the joint alone does."""
+    return beside < (1.0 - _LEAST_SHARE) * alone
