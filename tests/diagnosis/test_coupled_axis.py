@@ -70,6 +70,11 @@ def test_what_the_other_axis_makes_is_no_effect_but_said_with_its_size() -> None
     assert "carried" in of_joint(2).predicted_on
 
 
+def test_what_can_not_be_told_beside_another_axis_asks_for_it_to_be_held() -> None:
+    asked = {blind.effect for blind in of_joint(1).unobservable if "held" in blind.experiment}
+    assert asked == {"torque_scale", "torque_delay", "feed_forward", "inertia_mismatch", "resonance"}
+
+
 def test_an_axis_that_is_not_coupled_changes_nothing() -> None:
     alone = ARM.recording(2, with_other=False)
     elsewhere = np.cumsum(np.sin(3.0 * alone.time_s) * 2e-3)

@@ -17,17 +17,24 @@ from hilbench.diagnosis.terms import pack_with
 from hilbench.plant.effect import Effect
 from hilbench.plant.model_file import Machine
 
-#: Effects that change all of a torque, and so what the other axis makes of it, which is not known beforehand; and a
-#: shaft that swings, which an arm does by itself.
-_OF_ALL_TORQUE: Final = frozenset({"torque_scale", "torque_delay", "resonance"})
+#: Effects that change all of a torque, and so what the other axis makes of it, which is not known beforehand; an
+#: inertia, to which what is carried adds; and a shaft that swings, which an arm does by itself.
+_UNTOLD: Final = frozenset({"torque_scale", "torque_delay", "feed_forward", "inertia_mismatch", "resonance"})
+#: The experiment that tells them.
+OTHER_HELD: Final = "the same motion while the other axis is held"
+
+
+def untold_beside(predictor: Predictor, model: Machine) -> tuple[Effect, ...]:
+    """Effects that a prediction beside another axis can't tell; none where there is no other."""
+    if not is_coupled(predictor):
+        return ()
+    return tuple(effect for effect in machines.vocabulary(model) if effect.id in _UNTOLD)
 
 
 def vocabulary_beside(predictor: Predictor, model: Machine) -> tuple[Effect, ...]:
     """What a machine may lack as far as a prediction can tell it."""
-    known = machines.vocabulary(model)
-    if not is_coupled(predictor):
-        return known
-    return tuple(effect for effect in known if effect.id not in _OF_ALL_TORQUE)
+    untold = untold_beside(predictor, model)
+    return tuple(effect for effect in machines.vocabulary(model) if effect not in untold)
 
 
 def simple_beside(predictor: Predictor) -> tuple[str, ...]:

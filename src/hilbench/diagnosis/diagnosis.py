@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.coupled_axis import couplings, simple_beside, vocabulary_beside
+from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, simple_beside, untold_beside, vocabulary_beside
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_profile
 from hilbench.diagnosis.fit_beside_rest import uncertainty_of, weights
 from hilbench.diagnosis.machines import AnyImitation
@@ -281,7 +281,11 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         where=_where(where),
         profiles=_profiles(found, after, floor_of, max(gaps, key=_size).signal),
         unexplained=unexplained,
-        unobservable=[*_all_unobservable(space, proposer, selection), *map(_asked, too_few)],
+        unobservable=[
+            *_all_unobservable(space, proposer, selection),
+            *map(_asked, too_few),
+            *(_without_other(effect) for effect in untold_beside(predictor, space.model)),
+        ],
         missing_channels=data.missing,
         model=extended(space.model, certain),
         names=predictor.names,
@@ -312,6 +316,11 @@ def _asked(term: Term) -> Unobservable:
     """The experiment that would tell it."""
     unit = term.effect.parameter(term.effect.strength[0]).unit
     return Unobservable(term.effect.id, term.axis, None, unit, f"{term.effect.shown_by}, to many speeds")
+
+
+def _without_other(effect: Effect) -> Unobservable:
+    """What an axis does not show beside another one, and what would."""
+    return Unobservable(effect.id, 1, None, effect.parameter(effect.strength[0]).unit, OTHER_HELD)
 
 
 def _astray(space: Space, final: Fit) -> list[Misfit]:
