@@ -9,8 +9,10 @@ import numpy as np
 
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.fit import Fit
+from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion, is_coupled
 from hilbench.diagnosis.predictor import Predictor
+from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.rest import uncertainty
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import pack_with
@@ -31,10 +33,14 @@ def untold_beside(predictor: Predictor, model: Machine) -> tuple[Effect, ...]:
     return tuple(effect for effect in machines.vocabulary(model) if effect.id in _UNTOLD)
 
 
-def vocabulary_beside(predictor: Predictor, model: Machine) -> tuple[Effect, ...]:
-    """What a machine may lack as far as a prediction can tell it."""
+def proposer_for(predictor: Predictor, model: Machine, data: Measured) -> Proposer:
+    """Of what a machine may lack as far as a prediction can tell it.
+
+    Beside another axis gravity is looked for in any arc: else it is taken for one of the torques that go with both.
+    """
     untold = untold_beside(predictor, model)
-    return tuple(effect for effect in machines.vocabulary(model) if effect not in untold)
+    vocabulary = tuple(effect for effect in machines.vocabulary(model) if effect not in untold)
+    return Proposer(model, data, vocabulary, any_arc=is_coupled(predictor))
 
 
 def simple_beside(predictor: Predictor) -> tuple[str, ...]:

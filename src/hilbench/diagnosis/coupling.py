@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
 #: Share of what is left of the torque by a joint alone, its stretches predicted from one another, that the other's
-#: motion has to explain.
-_LEAST_SHARE: Final = 0.3
+#: motion has to explain; and what it may leave of the torque's rms where they are an arm.
+_LEAST_SHARE, _MOST_LEFT = 0.3, 0.15
 #: Rows per column from which a regression is one.
 _LEAST_ROWS: Final = 4
 
@@ -83,5 +83,5 @@ def left_unseen(torque: Array, explaining: Array) -> float:
 
 
 def explains(beside: float, alone: float) -> bool:
-    """Whether what the other's motion leaves is so much less than what the joint alone does."""
-    return beside < (1.0 - _LEAST_SHARE) * alone
+    """Whether what the other's motion leaves is little, and so much less than what the joint alone does."""
+    return beside < min((1.0 - _LEAST_SHARE) * alone, _MOST_LEFT)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, simple_beside, untold_beside, vocabulary_beside
+from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, untold_beside
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_profile
 from hilbench.diagnosis.fit_beside_rest import uncertainty_of, weights
 from hilbench.diagnosis.machines import AnyImitation
@@ -217,7 +217,7 @@ def diagnosed(
 def _predicted_by(chosen: Choice, model: Machine, data: Measured, announce: Announce) -> Diagnosis:
     predictor = chosen.predictor
     space = Space(model, predictor, data.period_s)
-    proposer = Proposer(model, data, vocabulary_beside(predictor, model))
+    proposer = proposer_for(predictor, model, data)
     if predictor.exact:
         selection = Search(space, proposer, announce, predictor.every).run()
     else:
@@ -245,7 +245,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
     conditions = predictor.conditions(pack_with(space.model, final.terms))
     scale = np.array([floors[k] for k in torques])[:, None]
     names = tuple(predictor.names[k] for k in torques)
-    proposer = Proposer(space.model, data, vocabulary_beside(predictor, space.model))
+    proposer = proposer_for(predictor, space.model, data)
     after = misfits(names, final.residual[torques] / scale, rows, conditions)
     unexplained = [m for m in after if m.significant]
     found = misfits(names, before[torques] / scale, rows, conditions)

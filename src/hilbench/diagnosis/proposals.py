@@ -59,8 +59,12 @@ _NEAR_STEP: Final = 0.25
 class Proposer:
     """Makes terms for one model and recording, of the effects that its kind of machine has."""
 
-    def __init__(self, model: Machine, data: Measured, vocabulary: Sequence[Effect] | None = None) -> None:
-        """`vocabulary`: by default that of the machine."""
+    def __init__(
+        self, model: Machine, data: Measured, vocabulary: Sequence[Effect] | None = None, *, any_arc: bool = False
+    ) -> None:
+        """`vocabulary`: by default that of the machine; `any_arc`: whether torques that go with the angle are looked
+        for however little of a turn there is."""
+        self._any_arc = any_arc
         known = machines.vocabulary(model) if vocabulary is None else vocabulary
         self._model = model
         self._data = data
@@ -168,7 +172,7 @@ class Proposer:
         # In less than a turn an encoder's error once a turn is one of its scale, or a torque that goes with the angle.
         if effect.domain is Domain.POSITION_MEASUREMENT and axis in self._data.x_m and self._turns(axis) < 1.0:
             return False
-        if effect.domain is Domain.ROLLER_TORQUE and axis in self._data.x_m:
+        if effect.domain is Domain.ROLLER_TORQUE and axis in self._data.x_m and not self._any_arc:
             turned_rad = self._turns(axis) * _TURN / self._model.gear_ratio(axis)
             if turned_rad < _LEAST_ARC_RAD:
                 return False
