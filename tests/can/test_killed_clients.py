@@ -17,8 +17,10 @@ from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link
 
-#: What the killed ones send and receive; they fill queues as fast as they can.
+#: What the killed ones send and receive. In virtual time they fill queues as fast as they can; by the clock two of them
+#: send as much as the wire carries, or what the dead have sent would be on it for minutes.
 NOISE = [Frame(0x300 + at, bytes((at,)) * 8) for at in range(8)]
+PAUSE_S = {"virtual": 0.0, "real": 2 * 8 * 135e-6}
 #: The longest life of one, s: some are killed before they have joined, others in the middle of a packet.
 LONGEST_LIFE_S = 0.02
 
@@ -31,6 +33,7 @@ def joins_and_floods(bus: BusAddress, *, reads: bool) -> int:
             link = open_link(bus)
             while True:
                 link.send(NOISE)
+                time.sleep(PAUSE_S[bus.timing])
                 if reads:
                     link.receive(0.0)
         finally:
