@@ -65,7 +65,7 @@ def test_a_torsional_shaft_is_named_with_its_share_and_frequency(
     assert "coulomb_friction" in names(found)
 
 
-@pytest.mark.parametrize(("share", "frequency_Hz", "damping"), [(0.6, 20.0, 0.03), *slow((0.5, 6.0, 0.05))])
+@pytest.mark.parametrize(("share", "frequency_Hz", "damping"), slow((0.6, 20.0, 0.03), (0.5, 6.0, 0.05)))
 def test_the_interval_of_a_share_contains_it_where_the_speed_is_stepped(
     share: float, frequency_Hz: float, damping: float
 ) -> None:
@@ -79,7 +79,7 @@ def test_the_interval_of_a_share_contains_it_where_the_speed_is_stepped(
 
 @pytest.mark.parametrize(
     ("swing_Hz", "swing_rad_s"),
-    [(1.0, 30.0), (3.0, 20.0), *slow((2.0, 30.0), (2.5, 20.0), (3.5, 15.0), (5.0, 10.0), (8.0, 20.0), (10.0, 10.0))],
+    [(3.0, 20.0), *slow((1.0, 30.0), (2.0, 30.0), (2.5, 20.0), (3.5, 15.0), (5.0, 10.0), (8.0, 20.0), (10.0, 10.0))],
 )
 def test_one_steady_sine_names_no_resonance_with_an_interval_that_does_not_hold(
     swing_Hz: float, swing_rad_s: float
