@@ -14,6 +14,7 @@ from unittest.mock import patch
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tests.plain_runs import CONFIGS, NMT, Change, download, ending_of, notices_of, objects_of, sets
 
 from hilbench.batch.cycles import PlainCycles
 from hilbench.bench.bench import Bench
@@ -21,7 +22,6 @@ from hilbench.bench.lifecycle import in_process
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.can.frame import Frame
 from hilbench.canopen.host import HostedDevices
-from hilbench.errors import HilbenchError
 from hilbench.estimation.web_line import tracking_cycle
 from hilbench.results.trace import TraceWriter
 from hilbench.runs.config import load_with_overrides
@@ -30,12 +30,8 @@ from hilbench.twin.machines import servo_axis_cycle, web_line_cycle
 from hilbench.twin.machines.servo_axis_cycle import ShaftInVectors
 from hilbench.twin.machines.web_line_cycle import LineInVectors
 
-CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 #: The time of the first SYNC: traces have the same times.
 EPOCH_NS = 1_700_000_000_123_456_789
-NMT, SDO = 0x000, 0x600
-
-Change = Callable[[Bench], None]
 
 
 @dataclass
@@ -89,23 +85,10 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
         TraceWriter(trace, "can0") as tap,
     ):
         bench = Bench(loaded.config, observers=[samples], tap=tap, participants=Participants.IN_PROCESS)
-        try:
-            with bench:
-                for cycle in range(cycles):
-                    for at, change in changes:
-                        if at == cycle:
-                            change(bench)
-                    bench.cycle()
-        except HilbenchError as error:
-            left.ending = f"{type(error).__name__}: {error}"
+        left.ending = ending_of(bench, cycles, changes)
     left.samples = samples.kept
-    left.notices = [(each.time_s, each.source, each.text, each.count) for each in bench.notices]
-    left.objects = [
-        (device.node_id, hex(cell.variable.index), cell.variable.subindex, repr(cell.value))
-        for each in hosted
-        for device in each.devices
-        for cell in device._store
-    ]
+    left.notices = notices_of(bench)
+    left.objects = objects_of(hosted)
     lines = trace.read_text().splitlines()
     first = next(at for at, line in enumerate(lines) if " 080#" in line)
     last = max(at for at, line in enumerate(lines) if " 080#" in line)
@@ -143,12 +126,7 @@ def sends(*frames: Frame) -> Change:
 
 
 def writes(node_id: int, index: int, value: int, size: int, sub: int = 0) -> Change:
-    head = bytes((0x23 | (4 - size) << 2,)) + index.to_bytes(2, "little") + bytes((sub,))
-    return sends(Frame(SDO + node_id, head + value.to_bytes(4, "little")))
-
-
-def sets(path: str, value: float) -> Change:
-    return lambda bench: bench.set(path, value)
+    return sends(download(node_id, index, value, size, sub))
 
 
 def restarts_the_twin(bench: Bench) -> None:

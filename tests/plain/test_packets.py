@@ -7,7 +7,7 @@ import threading
 import time
 import uuid
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +18,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.bench.whole_runs import frames_by_cycle
+from tests.plain_runs import CONFIGS, NMT, Change, download, ending_of, notices_of, objects_of, sets
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -25,7 +26,6 @@ from hilbench.can import hub_client
 from hilbench.can.frame import Frame
 from hilbench.can.open import open_link
 from hilbench.canopen.host import DeviceHost, HostedDevices
-from hilbench.errors import HilbenchError
 from hilbench.hardware.simulation import hardware, plain_host
 from hilbench.plain.exchange import PlainExchange
 from hilbench.plain.host import PlainHost
@@ -35,12 +35,8 @@ from hilbench.topology.sample import CycleSample
 from hilbench.twin.process import twin
 from hilbench.twin.setup import twin_setup
 
-CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
-NMT, SDO = 0x000, 0x600
 #: Until what somebody has sent is answered, and the answer is there.
 A_MOMENT_S = 0.05
-
-Change = Callable[[Bench], None]
 
 
 @dataclass
@@ -113,25 +109,12 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
         served(loaded, compiled=compiled) as all_hosted,
     ):
         bench = Bench(loaded.config, observers=[samples], tap=tap, participants=Participants.PRESENT)
-        try:
-            with bench:
-                for at_cycle in range(cycles):
-                    for at, change in changes:
-                        if at == at_cycle:
-                            change(bench)
-                    bench.cycle()
-        except HilbenchError as error:
-            left.ending = f"{type(error).__name__}: {error}"
+        left.ending = ending_of(bench, cycles, changes)
     left.samples = samples.kept
-    left.notices = [(each.time_s, each.source, each.text, each.count) for each in bench.notices]
+    left.notices = notices_of(bench)
     # While the drives are stopped nobody waits for the twin.
     left.trace = frames_by_cycle(trace)[: len(samples.kept) - 1]
-    left.objects = [
-        (device.node_id, hex(cell.variable.index), cell.variable.subindex, repr(cell.value))
-        for hosted in all_hosted
-        for device in hosted.devices
-        for cell in device._store
-    ]
+    left.objects = objects_of(all_hosted)
     return left
 
 
@@ -171,12 +154,7 @@ def sends(*frames: Frame) -> Change:
 
 
 def writes(node_id: int, index: int, value: int, size: int, sub: int = 0) -> Change:
-    head = bytes((0x23 | (4 - size) << 2,)) + index.to_bytes(2, "little") + bytes((sub,))
-    return sends(Frame(SDO + node_id, head + value.to_bytes(4, "little")))
-
-
-def sets(path: str, value: float) -> Change:
-    return lambda bench: bench.set(path, value)
+    return sends(download(node_id, index, value, size, sub))
 
 
 #: Not a SYNC of somebody else, nor a virtual axis that starts anew: there it depends on who is faster what comes of it,

@@ -1,0 +1,54 @@
+"""Runs whose plain and interpreted cycles are compared: what is done between cycles, and what a run leaves behind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from hilbench.bench.bench import Bench
+from hilbench.can.frame import Frame
+from hilbench.canopen.host import HostedDevices
+from hilbench.errors import HilbenchError
+
+CONFIGS = Path(__file__).resolve().parents[1] / "bench_configs"
+NMT, SDO = 0x000, 0x600
+
+Change = Callable[[Bench], None]
+
+
+def ending_of(bench: Bench, cycles: int, changes: Sequence[tuple[int, Change]]) -> str:
+    """Run so many cycles, with what is done in between, by cycle; the error that has ended it, or nothing."""
+    try:
+        with bench:
+            for cycle in range(cycles):
+                for at, change in changes:
+                    if at == cycle:
+                        change(bench)
+                bench.cycle()
+    except HilbenchError as error:
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
+def notices_of(bench: Bench) -> list[tuple[float, str, str, int]]:
+    return [(each.time_s, each.source, each.text, each.count) for each in bench.notices]
+
+
+def objects_of(all_hosted: Iterable[HostedDevices]) -> list[object]:
+    """Every object of every device, with its value."""
+    return [
+        (device.node_id, hex(cell.variable.index), cell.variable.subindex, repr(cell.value))
+        for hosted in all_hosted
+        for device in hosted.devices
+        for cell in device._store
+    ]
+
+
+def download(node_id: int, index: int, value: int, size: int, sub: int = 0) -> Frame:
+    """What asks a node to write an object (SDO, expedited)."""
+    head = bytes((0x23 | (4 - size) << 2,)) + index.to_bytes(2, "little") + bytes((sub,))
+    return Frame(SDO + node_id, head + value.to_bytes(4, "little"))
+
+
+def sets(path: str, value: float) -> Change:
+    return lambda bench: bench.set(path, value)
