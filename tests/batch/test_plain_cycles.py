@@ -142,7 +142,7 @@ LINE = [
     sets("line_speed_m_s", -0.1),
     sets("tension_control.set_point_N", 90.0),
     sets("load.web.youngs_modulus_Pa", 10.5e9),
-    sets("hardware.effects.viscous_friction.axis2.viscous_Nm_s_per_rad", 0.01),
+    sets("hardware.effects.viscous_friction.axis2.coefficient_N_s_per_m", 3.0),
     restarts_the_twin,
     interrupts,
     writes(1, 0x2001, 0x7305, 2),  # axis 1 fails

@@ -1,5 +1,5 @@
-"""Plain cycles of bench and hardware on the embedded bus (`hilbench.plain`) against the interpreted ones: the same
-samples, frames, objects and endings, bit by bit, whatever comes between."""
+"""Plain cycles of bench, hardware and twin on the embedded bus (`hilbench.plain`) against the interpreted ones: the
+same samples, frames, objects and endings, bit by bit, whatever comes between."""
 
 from __future__ import annotations
 
@@ -29,10 +29,13 @@ from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.hardware.simulation import hardware, plain_host
 from hilbench.plain.exchange import PlainExchange
 from hilbench.plain.host import PlainHost
+from hilbench.plain.rig_run import RigRun
 from hilbench.results.trace import TraceWriter
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.sample import CycleSample
+from hilbench.twin.plain_run import TwinRun
 from hilbench.twin.process import twin
+from hilbench.twin.run import plain_host as twins_plain_host
 from hilbench.twin.setup import twin_setup
 
 #: Until what somebody has sent is answered, and the answer is there.
@@ -44,7 +47,7 @@ class Left:
     """What a run left behind."""
 
     plain: int = 0  #: cycles of the bench
-    packets: int = 0  #: that the hardware has answered on arrays
+    of_hosts: Counter[type] = field(default_factory=Counter)  #: SYNCs that hardware and twin have answered on arrays
     samples: list[bytes] = field(default_factory=list)
     notices: list[tuple[float, str, str, int]] = field(default_factory=list)
     trace: list[Counter[str]] = field(default_factory=list)
@@ -71,9 +74,13 @@ def served(loaded: Any, *, compiled: bool) -> Iterator[list[HostedDevices]]:
     threads = []
     for hosted, link in zip(all_hosted, links, strict=True):
         host = DeviceHost(link, *hosted)
-        is_rig = compiled and hosted is all_hosted[0]
-        plain = plain_host(host, link, hosted, config) if is_rig else None
-        arguments = (stop.is_set, None if plain is None else plain.serve)
+        of_twin = hosted is all_hosted[1]
+        plain = (
+            twins_plain_host(host, link, hosted, twin_setup(config))
+            if of_twin
+            else plain_host(host, link, hosted, config)
+        )
+        arguments = (stop.is_set, plain.serve if compiled and plain is not None else None)
         threads.append(threading.Thread(target=host.run, args=arguments, daemon=True))
     try:
         for thread in threads:
@@ -99,7 +106,9 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
 
     def counted_by_host(self: PlainHost, timeout_s: float) -> None:
         serve(self, timeout_s)
-        left.packets = max(left.packets, 0 if self._run is None else self._run._cycles)
+        if isinstance(self._run, RigRun | TwinRun):
+            kind, cycles = type(self._run), self._run._answers._cycles
+            left.of_hosts[kind] = max(left.of_hosts[kind], cycles)
 
     trace = folder / f"trace-{uuid.uuid4().hex}.log"
     with (
@@ -127,8 +136,8 @@ def check(folder: Path, options: Sequence[str], changes: Sequence[tuple[int, Cha
         loaded = load_with_overrides(CONFIGS / f"{name}.yaml", changes=[f"bus.address={bus}", *options])
         kinds.append(run(folder, loaded, changes, cycles, compiled=compiled))
     one, other = kinds
-    assert min(one.plain, one.packets) >= least
-    assert (other.plain, other.packets) == (0, 0)
+    assert min(one.plain, one.of_hosts[RigRun], one.of_hosts[TwinRun]) >= least
+    assert (other.plain, other.of_hosts.total()) == (0, 0)
     assert one.ending == other.ending
     assert one.samples == other.samples
     assert one.notices == other.notices

@@ -4,9 +4,6 @@ A cycle is *plain* when all drives follow their set points and the wire carries 
 heartbeats. Then nothing of its course is decided in Python: `kernel` does it on arrays. Whatever else there is (SDO,
 NMT, EMCY, another state, a fault, a timer that runs out, a frame of somebody else) is for the interpreted cycle, which
 is the reference: before it, and before anybody uses the bus, objects get back what the arrays have.
-
-The twin's machine is in vectors as well where it can be (`twin.machines.machine.VectorMachine`); where not, it and what
-the twin says are objects all the time, and of its virtual I/O only the PDOs are in the arrays.
 """
 
 from __future__ import annotations
@@ -21,7 +18,6 @@ from hilbench.batch.wiring import InOneProcess, Wiring
 from hilbench.can.frame import Frame
 from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.identifiers import HEARTBEAT
-from hilbench.canopen.object_store import Cell
 from hilbench.cia402.state_machine import Command
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.frame_tap import FrameTap, LineTap
@@ -38,12 +34,10 @@ from hilbench.plain.tables import (
     reals,
     table,
 )
-from hilbench.twin.machines.machine import MachineVectors
+from hilbench.twin.in_arrays import TwinInArrays, give_counters
 
 #: Cycles after which it is looked anew whether cycles are plain, when they were not.
 _LOOK_AGAIN = 8
-#: Plain cycles after which it is looked anew whether the twin's machine may be in vectors, when it was not.
-_LOOK_FOR_VECTORS = 64
 #: Cycles whose lines of the trace are handed over together: some milliseconds of a run's own time.
 _TRACED_TOGETHER = 32
 _ENABLED = Command.ENABLE_OPERATION.value
@@ -145,8 +139,8 @@ class _Run:
             drives += [drive_row(drive, slots) for drive in of_side]
         self._drives = table(drives, lay.DRIVE)
         self._seen_rows = table([*self._wiring.seen.rows, *self._wiring.heard], lay.SEEN)
-        self._in_vectors = here.machine.goes_in_vectors
-        self._of_twin()
+        slots.side = 1
+        self._machine = TwinInArrays(here.machine, self._wiring.hosts[1], slots)
         self._whole, self._real = np.array(slots.whole, np.int64), np.array(slots.real, np.float64)
         self._real = self._real if len(self._real) else np.zeros(1)
         # One value goes faster through these than through the array.
@@ -173,33 +167,36 @@ class _Run:
         self._trace()
         measured = self._nodes.measured
         self._vectors = kernel.Vectors(
-            self._target_rows,
-            self._set_points,
-            self._rows,
-            self._sent,
-            self._received,
-            self._drives,
-            self._seen_rows,
-            self._whole,
-            self._real,
-            self._given,
-            self._left,
-            self._data.reshape(-1),
-            self._heads,
-            self._text,
-            np.zeros(8, np.uint8),
-            self._feedback,
-            self._asked,
-            self._shown,
-            table(self._wiring.said, lay.SAID),
-            *(measured.came, measured.torques, measured.before_Nm, measured.of_drives, measured.said),
+            targets=self._target_rows,
+            set_points=self._set_points,
+            frames=self._rows,
+            sent=self._sent,
+            received=self._received,
+            drives=self._drives,
+            seen=self._seen_rows,
+            whole=self._whole,
+            real=self._real,
+            given=self._given,
+            left=self._left,
+            data=self._data.reshape(-1),
+            heads=self._heads,
+            text=self._text,
+            feedback=self._feedback,
+            asked=self._asked,
+            shown=self._shown,
+            said_rows=table(self._wiring.said, lay.SAID),
+            came=measured.came,
+            torques=measured.torques,
+            before_Nm=measured.before_Nm,
+            of_drives=measured.of_drives,
+            said=measured.said,
         )
         self._table, self._bitrate = self._vectors.table(), self._nodes.config.bus.bitrate
 
     def _join_motors(self) -> None:
         """The drives on both sides, with what they turn."""
         here, count = self._here, len(self._here.rig.drives)
-        of_hardware, of_twin = self._slots.cells
+        of_hardware, _ = self._slots.cells
         vectors = self._whole, self._real
         self._hardware = Motors(
             here.rig.drives,
@@ -211,36 +208,12 @@ class _Run:
             alone=count == len(here.rig.ports),
             shows_ports=False,
         )
-        asked, shown = self._asked[count:], self._shown[lay.PORT_SIZE * count :]
-        self._twin = Motors(
-            here.machine.drives,
+        self._machine.join(
             self._drives[count:],
-            *(*vectors, asked, shown),
-            None if self._in_vectors else here.machine.turned,
-            here.machine.cycle_s,
-            [each for each in of_twin if id(each[0]) not in self._of_io],
-            alone=True,
-            shows_ports=True,
-        )
-        if self._in_vectors:
-            self._begin_machine(asked, shown)
-
-    def _begin_machine(self, asked: lay.Real, shown: lay.Real) -> None:
-        """The twin's machine goes on in the arrays."""
-        io, place = self._here.machine.io, self._slots.of_cells
-        number, _, status = io.status_cells
-        self._here.machine.begin_in_vectors(
-            MachineVectors(
-                measured=self._feedback[self._wiring.heard_axes[0] :],
-                asked=asked,
-                shown=shown,
-                values=self._real,
-                told={name: place[id(cell)] for name, cell in io.told_cells.items()},
-                published=[place[id(cell)] for cell in io.published_cells],
-                whole=self._whole,
-                number=place[id(number)],
-                status=place[id(status)],
-            )
+            *vectors,
+            self._asked[count:],
+            self._shown[lay.PORT_SIZE * count :],
+            self._feedback[self._wiring.heard_axes[0] :],
         )
 
     def _trace(self) -> None:
@@ -257,33 +230,6 @@ class _Run:
         self._heads = octets(len(heads))
         self._heads[: len(heads)] = np.frombuffer(heads, np.uint8)
         self._waiting = self._waiting_frames = 0  # cycles and frames whose lines are in the text
-
-    def _of_twin(self) -> None:
-        """The objects of the virtual I/O that its PDOs read and write: they hold their values themselves, unless the
-        machine is in vectors."""
-        slots, io = self._slots, self._here.machine.device
-        self._read_real: list[tuple[Cell, int]] = []
-        self._read_whole: list[tuple[Cell, int]] = []
-        self._written: list[tuple[Cell, int]] = []
-        self._of_io: set[int] = set()
-        if self._in_vectors:
-            shown = self._here.machine.io
-            real = [slots.of(cell, is_float=True) for cell in (*shown.published_cells, *shown.told_cells.values())]
-            whole = [slots.of(cell) for cell in shown.status_cells]
-            known = {(slot, is_float) for _, slot, is_float in slots.cells[1]}
-            if not {(slot, True) for slot in real} | {(slot, False) for slot in whole} <= known:
-                raise NotPlainError  # of another type than what a twin says and hears
-            return
-        places = {id(cell): (cell, slot, is_float) for cell, slot, is_float in slots.cells[1]}
-        of_twin = self._wiring.hosts[1]
-        read = [places[id(cell)] for device, tpdo, _ in of_twin.answering if device is io for cell in tpdo.cells]
-        written = [places[id(cell)] for device, rpdo, _ in of_twin.taken if device is io for cell in rpdo.cells]
-        self._read_real = [(cell, slot) for cell, slot, is_float in read if is_float]
-        self._read_whole = [(cell, slot) for cell, slot, is_float in read if not is_float]
-        if not all(is_float for _, _, is_float in written):
-            raise NotPlainError
-        self._written = [(cell, slot) for cell, slot, _ in written]
-        self._of_io = {id(cell) for cell, _, _ in (*read, *written)}
 
     def _deadlines(self) -> None:
         """Until when, by each host's clock, no device has to notice that a heartbeat stays away."""
@@ -303,13 +249,10 @@ class _Run:
         here.hardware.clock.tick_at(begun_ns)
         here.twin.clock.tick_at(begun_ns)
         self._hardware.step()
-        if self._in_vectors:
-            here.machine.go_on_in_vectors()
-        else:
-            self._move_twin()
+        self._machine.go_on()
         if not kernel.publish(self._table):
             self._hardware.publish_by_objects()
-            self._twin.publish_by_objects()
+            self._machine.publish_by_objects()
         left = self._left_now
         sync.count(left[lay.O_BITS], begun_ns, time.monotonic_ns(), said_alive=said_alive)
         self._cycles += 1
@@ -322,9 +265,7 @@ class _Run:
 
     def _still_plain(self, now_ns: int) -> bool:
         here, nodes, sync = self._here, self._nodes, self._sync
-        if self._hardware.over or self._twin.over or here.bus.waiting or here.machine.leaves_vectors:
-            return False
-        if not (self._in_vectors or (self._cycles + 1) % _LOOK_FOR_VECTORS) and here.machine.goes_in_vectors:
+        if self._hardware.over or here.bus.waiting or not self._machine.stays():
             return False
         if sync.due_always is not self._due or nodes.supervised != self._supervised:
             return False
@@ -346,12 +287,7 @@ class _Run:
             set_points[at] = outputs.get(name, 0.0) * per_unit
         for slot, name in self._told:
             real[slot] = outputs[name]
-        if not self._in_vectors:
-            here.machine.begin_plain()
-            for cell, slot in self._read_real:
-                real[slot] = cell.value
-            for cell, slot in self._read_whole:
-                self._whole_at[slot] = cell.value
+        self._machine.before_sync()
         given[lay.I_START_NS] = self._sync.next_sync_ns
         given[lay.I_CLOCKS], given[lay.I_CLOCKS + 1] = here.hardware.clock.next_ns, here.twin.clock.next_ns
         return kernel.exchange(self._table, self._bitrate)
@@ -387,13 +323,6 @@ class _Run:
             if self._left_now[lay.O_SIZE + row]
         ]
 
-    def _move_twin(self) -> None:
-        real, feedback = self._real_at, self._feedback.tolist()
-        for cell, slot in self._written:
-            cell.value = real[slot]
-        measured = [(feedback[at], feedback[at + 2]) for at in self._wiring.heard_axes]
-        self._here.machine.go_on(measured, self._twin.step)
-
     def _heard(self) -> list[int]:
         return [device.node_id for device, row in self._heartbeats if self._left_now[lay.O_SIZE + row]]
 
@@ -422,8 +351,7 @@ class _Run:
         if not self._cycles:
             return
         self._hardware.give()
-        self._twin.give()
-        self._here.machine.end_in_vectors()
+        self._machine.give()
         self._give_bench()
         now_s = time.monotonic()
         for served in (self._here.hardware, self._here.twin):
@@ -440,8 +368,7 @@ class _Run:
             count, data = last[cob_id]
             answer.answered_until(cycles, data, count)
         of_drives = len(self._wiring.seen.rows)
-        for listener, seen in zip(here.machine.listeners, self._seen_rows[of_drives:], strict=True):
-            listener.counter.counted_until(int(seen["value"]), int(seen["last"]))
+        give_counters(here.machine.listeners, self._seen_rows[of_drives:])
         self._wiring.seen.give(self._seen_rows[:of_drives], self._whole)
         for (drive, _, _), (at, _, _) in zip(self._nodes.set_points, self._names, strict=True):
             drive.setpoint = float(self._set_points[at])

@@ -19,8 +19,8 @@ from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
 from hilbench.hardware.simulation import RigApplication
 from hilbench.plain.bench import BenchFrames, SeenDrives, told_slots
 from hilbench.plain.devices import HostFrames
-from hilbench.plain.tables import NO_SLOT, Frames, NotPlainError, Slots, new_slots
-from hilbench.twin.axis_listener import AxisListener
+from hilbench.plain.tables import Frames, NotPlainError, Slots, new_slots
+from hilbench.twin.in_arrays import heard_row
 from hilbench.twin.process import TwinApplication
 
 
@@ -120,7 +120,7 @@ class Wiring:
                 raise NotPlainError
             frames.take(row, listener.pdo, taken)
             self.heard_axes.append(4 * (len(self.seen.rows) + len(self.heard)))
-            self.heard.append(_heard_row(listener, taken))
+            self.heard.append(heard_row(listener, taken[listener.position], taken[listener.torque]))
 
     def _hear_of(self, pdo: PdoMap, *, is_float: bool) -> tuple[int, int, int]:
         """What the bench takes from a TPDO of the virtual I/O: row, and slots."""
@@ -149,16 +149,3 @@ class Wiring:
                 raise NotPlainError
             if answer.every != 1 and answer.since != tpdo.syncs and answer.since < answer.every:
                 raise NotPlainError
-
-
-def _heard_row(listener: AxisListener, taken: Sequence[int]) -> tuple[Any, ...]:
-    """An axis as the twin hears it; `taken`: slots of what its PDO brings. Raises NotPlainError."""
-    counter, units = listener.counter, listener.units
-    if counter.value is None:
-        raise NotPlainError
-    position, torque = taken[listener.position], taken[listener.torque]
-    return (
-        *(position, NO_SLOT, torque, position),  # a state is not looked for
-        *(counter.value, counter.last, units.position_rad, 0.0, units.torque_Nm),
-        *(0.0, 1.0, 0),
-    )

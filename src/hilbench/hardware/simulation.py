@@ -23,6 +23,8 @@ from hilbench.exchange.effect_objects import bind_effect_objects
 from hilbench.hardware.plant_time import ByClock, BySync, PlantTime
 from hilbench.hardware.rigs import new_rig
 from hilbench.plain.host import PlainHost
+from hilbench.plain.rig_run import RigRun
+from hilbench.plain.sync_answers import SyncAnswers
 from hilbench.plant.interface import Plant, Steps, StepsInModes
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.processes import log, started_by_bench, stop_request
@@ -74,6 +76,11 @@ class RigApplication:
     def rig(self) -> Steps:
         """What the motors turn."""
         return self._rig
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the rig goes on with each SYNC by as much."""
+        return self.plain_step_s() is not None
 
     def plain_step_s(self) -> float | None:
         """How far the rig goes with each SYNC, in one step; None where that is not known before."""
@@ -145,7 +152,12 @@ def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, config: Benc
         return None
     assert isinstance(hosted.application, RigApplication), "as `hardware` makes it"
     warm_up_in_modes(config)
-    return PlainHost(host, link, hosted.devices, hosted.clock, hosted.application, config.cycle_ns)
+    devices, clock, application = hosted.devices, hosted.clock, hosted.application
+
+    def begin(expected: Sequence[Frame]) -> RigRun:
+        return RigRun(SyncAnswers(link, devices, application.drives, clock, expected, config.cycle_ns), application)
+
+    return PlainHost(host, link, clock, application, begin)
 
 
 def hardware(config: BenchConfig) -> HostedDevices:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -135,20 +135,11 @@ class _Run:
         self._data = data
         self._records = np.zeros(len(frames.rows), RECORD)
         self._records["can_id"], self._records["size"] = frames.cob_ids, frames.sizes
-        vectors = self._vectors(frames, table((), lay.SAID), data, self._left)
-        none, measured = np.zeros(0), nodes.measured
         # Nobody has answered yet: what stands there from the last cycle stays.
-        self._sent_by = replace(
-            vectors,
+        self._sent_by = kernel.Vectors(
             targets=self._targets,
             set_points=self._set_points,
-            seen=table((), lay.SEEN),
-            feedback=none,
-            came=np.zeros(0, np.int64),
-            torques=measured.torques[:0],
-            before_Nm=none,
-            of_drives=none,
-            said=none,
+            **self._wire(frames, data, self._left),
         )
         self._table = self._sent_by.table()
         self._bitrate = nodes.config.bus.bitrate
@@ -172,33 +163,37 @@ class _Run:
         return vectors.table()
 
     def _vectors(self, frames: Frames, said: lay.Rows, data: lay.Bytes, left: lay.Whole) -> kernel.Vectors:
-        """With these frames; all else is that of the run."""
+        """Of what answers in these frames."""
+        measured = self._nodes.measured
+        return kernel.Vectors(
+            **self._wire(frames, data, left),
+            seen=self._seen_rows,
+            feedback=self._feedback,
+            said_rows=said,
+            came=measured.came,
+            torques=measured.torques,
+            before_Nm=measured.before_Nm,
+            of_drives=measured.of_drives,
+            said=measured.said,
+        )
+
+    def _wire(self, frames: Frames, data: lay.Bytes, left: lay.Whole) -> dict[str, Any]:
+        """These frames, with values and text, which are those of the run."""
         rows = table(frames.rows, lay.FRAME)
         for row, cob_id in zip(rows, frames.cob_ids, strict=True):
             row["head"], row["head_end"] = self._heads_of.get(cob_id, (0, 0))
-        measured, none = self._nodes.measured, np.zeros(0)
-        return kernel.Vectors(
-            table((), lay.TARGET),
-            none,
-            rows,
-            table(frames.sent, lay.FIELD),
-            table(sorted(frames.received), lay.FIELD),
-            table((), lay.DRIVE),
-            self._seen_rows,
-            self._whole,
-            self._real,
-            self._given,
-            left,
-            data.reshape(-1),
-            self._heads,
-            self._text,
-            np.zeros(8, np.uint8),
-            self._feedback,
-            none,
-            none,
-            said,
-            *(measured.came, measured.torques, measured.before_Nm, measured.of_drives, measured.said),
-        )
+        return {
+            "frames": rows,
+            "sent": table(frames.sent, lay.FIELD),
+            "received": table(sorted(frames.received), lay.FIELD),
+            "whole": self._whole,
+            "real": self._real,
+            "given": self._given,
+            "left": left,
+            "data": data.reshape(-1),
+            "heads": self._heads,
+            "text": self._text,
+        }
 
     # -- cycle by cycle --------------------------------------------------------------------------------------
 

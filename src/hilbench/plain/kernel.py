@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,39 +76,44 @@ Exchange = Callable[[Table, int], bool]
 Publish = Callable[[Table], bool]
 
 
-@dataclass(frozen=True)
-class Vectors:
-    """All that a plain cycle works on, in the order of the table: rows of `layout`, values, bytes."""
+#: What is not given.
+_NOTHING = np.zeros(0, np.int64)
 
-    targets: Rows
-    set_points: Real  #: by target
+
+@dataclass(frozen=True, kw_only=True)
+class Vectors:
+    """All that a plain cycle works on, in the order of the table: rows of `layout`, values, bytes. What is not given
+    is empty: nobody's work."""
+
+    targets: Rows | None = None
+    set_points: Real | None = None  #: by target
     frames: Rows
-    sent: Rows  #: fields
-    received: Rows
-    drives: Rows
-    seen: Rows
+    sent: Rows | None = None  #: fields
+    received: Rows | None = None
+    drives: Rows | None = None
+    seen: Rows | None = None
     whole: Whole
     real: Real
     given: Whole
     left: Whole
     data: Bytes  #: (8 F,)
-    heads: Bytes  #: of the trace's lines
-    text: Bytes  #: of length 0: no trace
-    scratch: Bytes  #: (8,)
-    feedback: Real
-    asked: Real  #: set points that the drives follow
-    shown: Real  #: by their ports
-    said_rows: Rows
-    came: Whole  #: this and what follows: as of `exchange.measured`
-    torques: Whole
-    before_Nm: Real
-    of_drives: Real
-    said: Real
+    heads: Bytes | None = None  #: of the trace's lines
+    text: Bytes | None = None  #: of length 0: no trace
+    scratch: Bytes = field(default_factory=lambda: np.zeros(8, np.uint8))
+    feedback: Real | None = None
+    asked: Real | None = None  #: set points that the drives follow
+    shown: Real | None = None  #: by their ports
+    said_rows: Rows | None = None
+    came: Whole | None = None  #: this and what follows: as of `exchange.measured`
+    torques: Whole | None = None
+    before_Nm: Real | None = None
+    of_drives: Real | None = None
+    said: Real | None = None
 
     def table(self) -> Table:
         """Where they stand; they are to be kept. Lengths in bytes are whole eights."""
-        vectors = [getattr(self, each.name) for each in fields(self)]
-        return table_of([each if each.dtype == np.float64 else each.view(np.int64) for each in vectors])
+        given = [_NOTHING if vector is None else vector for vector in (getattr(self, f.name) for f in fields(self))]
+        return table_of([each if each.dtype == np.float64 else each.view(np.int64) for each in given])
 
 
 @compiled

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from struct import pack
 
 from hilbench.can.frame import Frame
-from hilbench.can.open import BusAddress, open_link
+from hilbench.can.open import BusAddress
 from hilbench.canopen.clock import Clock, SyncClock
 from hilbench.canopen.device import Device, SdoAbort
 from hilbench.canopen.eds import load_eds
-from hilbench.canopen.host import DeviceHost, HostedDevices
+from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.identifiers import NmtState
 from hilbench.canopen.sync_time import SyncTime
 from hilbench.cia402.simulated import SimulatedDrive
@@ -22,7 +22,7 @@ from hilbench.estimation.web_line.torque_shift import TORQUE_SHIFT, UNDECIDED
 from hilbench.plant.interface import Steps
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.pairing import cycles_gone, play
-from hilbench.real_time import ProcessSettings, kept_ready
+from hilbench.real_time import ProcessSettings
 from hilbench.topology.blocks import MachineParameters, TwinConfig
 from hilbench.topology.process_data.of_kind import process_data
 from hilbench.topology.signals import Shape
@@ -217,7 +217,7 @@ class TwinApplication:
                     self._advance()
                 return
 
-    # -- cycles that somebody else runs (`hilbench.batch`) -----------------------------------------------
+    # -- cycles that somebody else runs (`twin.in_arrays`) -----------------------------------------------
 
     @property
     def is_plain(self) -> bool:
@@ -279,6 +279,7 @@ class TwinApplication:
         self._behind = 0
         vectors.whole[vectors.number], vectors.whole[vectors.status] = (self._sync_number + 1) & 0xFFFF, self._status()
         self._in_vectors, self.leaves_vectors = machine.in_vectors(vectors), False
+        self._vectors = vectors
 
     def go_on_in_vectors(self) -> None:
         """`begin_plain` and `go_on`."""
@@ -291,10 +292,19 @@ class TwinApplication:
             self.leaves_vectors = self._machine.refused
         self._time_s += self._cycle_s
 
+    def awaits_measurements(self) -> None:
+        """Of the cycle that has begun, plain or in vectors, nobody runs the rest: it goes on as the axes answer."""
+        self._sync_number += 1
+        self._measured = list(self._nothing)
+        self._owed = [owed + 1 for owed in self._owed]
+        self._pending = True
+
     def end_in_vectors(self) -> None:
         """The machine is in its objects again."""
         if self._in_vectors is not None:
-            self._io.publish_status(self._sync_number, 0, self._in_vectors.give())
+            said, vectors = self._in_vectors.give(), self._vectors
+            status = int(vectors.whole[vectors.status]) if self._pending else said
+            self._io.publish_status(self._sync_number, 0, status)
             self._in_vectors = None
 
     def tick(self, duration_s: float) -> None:
@@ -455,21 +465,6 @@ class _Ways:
 def _at(part: int) -> bytes:
     """The manufacturer's five bytes of an EMCY message: the number of the span in the last; 0: there is one."""
     return bytes((0, 0, 0, 0, part))
-
-
-def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], None]) -> int | None:
-    """Run the twin on its bus until `stop` says so. Raises BusError when the bus is lost.
-
-    Returns how many frames were lost because they were not read in time (None: the bus cannot tell).
-    """
-    hosted = twin(setup)
-    link = open_link(setup.bus)
-    try:
-        with kept_ready(setup.process, say):
-            DeviceHost(link, *hosted).run(stop)
-    finally:
-        link.close()
-    return link.dropped
 
 
 def twin(setup: TwinSetup) -> HostedDevices:

@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
+from hilbench.can.embedded import EmbeddedLink
+from hilbench.can.frame import Frame
+from hilbench.can.link import Link
+from hilbench.can.open import open_link
+from hilbench.canopen.clock import SyncClock
+from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.canopen.mastery import nodes_of_ours
+from hilbench.plain.host import PlainHost
+from hilbench.plain.sync_answers import SyncAnswers
 from hilbench.processes import log, started_by_bench, stop_request
+from hilbench.real_time import kept_ready
 from hilbench.topology.config import BenchConfig
-from hilbench.twin.process import run_twin
+from hilbench.twin.machines.kinds import warm_up_in_vectors
+from hilbench.twin.plain_run import TwinRun
+from hilbench.twin.process import TwinApplication, TwinSetup, twin
 from hilbench.twin.setup import twin_setup
 
 
@@ -18,3 +31,36 @@ def run(config: BenchConfig) -> int | None:
     stop = stop_request()
     with nodes_of_ours(config.bus_address, config.virtual_nodes, "twin", by_bench=started_by_bench()):
         return run_twin(twin_setup(config), stop, log)
+
+
+def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], None]) -> int | None:
+    """Run the twin on its bus until `stop` says so. Raises BusError when the bus is lost.
+
+    Returns how many frames were lost because they were not read in time (None: the bus cannot tell).
+    """
+    hosted = twin(setup)
+    link = open_link(setup.bus)
+    try:
+        host = DeviceHost(link, *hosted)
+        plain = plain_host(host, link, hosted, setup)
+        with kept_ready(setup.process, say):
+            host.run(stop, None if plain is None else plain.serve)
+    finally:
+        link.close()
+    return link.dropped
+
+
+def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, setup: TwinSetup) -> PlainHost | None:
+    """Who serves the twin's devices where SYNC is all the time that there is."""
+    if not (isinstance(link, EmbeddedLink) and isinstance(hosted.clock, SyncClock)):
+        return None
+    devices, clock, application = hosted.devices, hosted.clock, hosted.application
+    assert isinstance(application, TwinApplication), "as `twin` makes it"
+    warm_up_in_vectors(setup.model, setup.twin, setup.shape, setup.cycle_s)
+
+    def begin(expected: Sequence[Frame]) -> TwinRun:
+        cycle_ns = round(setup.cycle_s * 1e9)
+        answers = SyncAnswers(link, devices, application.drives, clock, expected, cycle_ns)
+        return TwinRun(answers, application, link.dropped)
+
+    return PlainHost(host, link, clock, application, begin)

@@ -1,0 +1,74 @@
+"""Plain cycles of simulated hardware: the devices' answers to a SYNC, then a step of the rig."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from hilbench.cia402.simulated import SimulatedDrive
+from hilbench.plain import kernel
+from hilbench.plain.motors import Motors
+from hilbench.plain.sync_answers import SyncAnswers
+from hilbench.plain.tables import NotPlainError
+from hilbench.plant.interface import Steps
+
+
+class Rig(Protocol):
+    """What stands behind the drives."""
+
+    @property
+    def drives(self) -> Sequence[SimulatedDrive]:
+        """The simulated ones."""
+
+    @property
+    def ports(self) -> Sequence[Any]:
+        """Those of all motors, simulated drive or not."""
+
+    @property
+    def rig(self) -> Steps:
+        """What the motors turn."""
+
+    def plain_step_s(self) -> float | None:
+        """How far the rig goes with each SYNC, in one step; None where that is not known before."""
+
+
+class RigRun:
+    """See `host.PacketRun`."""
+
+    def __init__(self, answers: SyncAnswers, rig: Rig) -> None:
+        """Raises NotPlainError where cycles are not plain."""
+        self.came: Sequence[bytes] = ()
+        self._answers = answers
+        step_s, drives = rig.plain_step_s(), rig.drives
+        if step_s is None:
+            raise NotPlainError
+        answers.fill()
+        self._motors = Motors(
+            drives,
+            answers.drives,
+            answers.whole,
+            answers.real,
+            answers.asked,
+            answers.shown,
+            rig.rig,
+            step_s,
+            answers.slots.cells[0],
+            alone=len(drives) == len(rig.ports),
+            shows_ports=False,
+        )
+
+    def take(self, packet: bytes) -> bool:
+        """See `host.PacketRun`."""
+        if self._motors.over or not self._answers.answer(packet):
+            self.came = (packet,)
+            return False
+        self._motors.step()
+        if not kernel.publish(self._answers.table):
+            self._motors.publish_by_objects()
+        return True
+
+    def end(self) -> None:
+        """See `host.PacketRun`."""
+        if self._answers.has_answered:
+            self._motors.give()
+            self._answers.give()

@@ -1,0 +1,160 @@
+"""The twin's machine and its virtual I/O in the arrays of a plain cycle.
+
+The machine is in vectors as well where it can be (`twin.machines.machine.VectorMachine`); where not, it and what the
+twin says are objects all the time, and of its virtual I/O only the PDOs are in the arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hilbench.canopen.object_store import Cell
+from hilbench.plain import layout as lay
+from hilbench.plain.devices import HostFrames
+from hilbench.plain.motors import Motors
+from hilbench.plain.tables import NO_SLOT, NotPlainError, Slots, reals
+from hilbench.twin.axis_listener import AxisListener
+from hilbench.twin.machines.machine import MachineVectors
+from hilbench.twin.process import TwinApplication
+
+#: Plain cycles after which it is looked anew whether the machine may be in vectors, when it was not.
+_LOOK_FOR_VECTORS = 64
+
+
+class TwinInArrays:
+    """What the twin does in a plain cycle, beside the frames.
+
+    `of_host`: its devices, which have their slots (of the side that `slots` is at). `join` is to be called before the
+    first cycle.
+    """
+
+    def __init__(self, application: TwinApplication, of_host: HostFrames, slots: Slots) -> None:
+        """Raises NotPlainError where the objects of the virtual I/O are of another type than what a twin says."""
+        self._application, self._slots, self._cells = application, slots, slots.cells[slots.side]
+        self._in_vectors = application.goes_in_vectors
+        self._read_real: list[tuple[Cell, int]] = []
+        self._read_whole: list[tuple[Cell, int]] = []
+        self._written: list[tuple[Cell, int]] = []
+        self._of_io: set[int] = set()  # cells that hold their values themselves
+        self._cycles = 0
+        if self._in_vectors:
+            self._find_slots()
+        else:
+            self._find_cells(of_host)
+
+    def _find_slots(self) -> None:
+        """All that the machine says and hears is in the arrays."""
+        slots, shown = self._slots, self._application.io
+        real = [slots.of(cell, is_float=True) for cell in (*shown.published_cells, *shown.told_cells.values())]
+        whole = [slots.of(cell) for cell in shown.status_cells]
+        known = {(slot, is_float) for _, slot, is_float in self._cells}
+        if not {(slot, True) for slot in real} | {(slot, False) for slot in whole} <= known:
+            raise NotPlainError
+
+    def _find_cells(self, of_host: HostFrames) -> None:
+        """The objects that its PDOs read and write."""
+        device, places = self._application.device, {id(each[0]): each for each in self._cells}
+        read = [places[id(cell)] for of, tpdo, _ in of_host.answering if of is device for cell in tpdo.cells]
+        written = [places[id(cell)] for of, rpdo, _ in of_host.taken if of is device for cell in rpdo.cells]
+        self._read_real = [(cell, slot) for cell, slot, is_float in read if is_float]
+        self._read_whole = [(cell, slot) for cell, slot, is_float in read if not is_float]
+        if not all(is_float for _, _, is_float in written):
+            raise NotPlainError
+        self._written = [(cell, slot) for cell, slot, _ in written]
+        self._of_io = {id(cell) for cell, _, _ in (*read, *written)}
+
+    def join(
+        self, rows: lay.Rows, whole: lay.Whole, real: lay.Real, asked: lay.Real, shown: lay.Real, measured: lay.Real
+    ) -> None:
+        """Go on in these: the virtual axes (N,) by their rows, with what they ask for (N,) and show (N PORT_SIZE,),
+        and what is measured of the real ones, (4 N,)."""
+        application = self._application
+        self._whole_at, self._real_at, self._measured = whole.data, reals(real), measured
+        self._motors = Motors(
+            application.drives,
+            rows,
+            *(whole, real, asked, shown),
+            None if self._in_vectors else application.turned,
+            application.cycle_s,
+            [each for each in self._cells if id(each[0]) not in self._of_io],
+            alone=True,
+            shows_ports=True,
+        )
+        if not self._in_vectors:
+            return
+        place = self._slots.of_cells
+        number, _, status = application.io.status_cells
+        application.begin_in_vectors(
+            MachineVectors(
+                measured=measured,
+                asked=asked,
+                shown=shown,
+                values=real,
+                told={name: place[id(cell)] for name, cell in application.io.told_cells.items()},
+                published=[place[id(cell)] for cell in application.io.published_cells],
+                whole=whole,
+                number=place[id(number)],
+                status=place[id(status)],
+            )
+        )
+
+    def stays(self) -> bool:
+        """Whether the next cycle can go on in the arrays as this one did."""
+        if self._motors.over or self._application.leaves_vectors:
+            return False
+        looks = not (self._in_vectors or (self._cycles + 1) % _LOOK_FOR_VECTORS)
+        return not (looks and self._application.goes_in_vectors)
+
+    def before_sync(self) -> None:
+        """What the TPDOs of this SYNC carry goes into the arrays."""
+        if self._in_vectors:
+            return
+        self._application.begin_plain()
+        for cell, slot in self._read_real:
+            self._real_at[slot] = cell.value
+        for cell, slot in self._read_whole:
+            self._whole_at[slot] = cell.value
+
+    def go_on(self) -> None:
+        """The axes have answered this SYNC."""
+        self._cycles += 1
+        if self._in_vectors:
+            self._application.go_on_in_vectors()
+            return
+        self._give_told()
+        values = self._measured.tolist()
+        self._application.go_on(list(zip(values[::4], values[2::4], strict=True)), self._motors.step)
+
+    def _give_told(self) -> None:
+        for cell, slot in self._written:
+            cell.value = self._real_at[slot]
+
+    def publish_by_objects(self) -> None:
+        """A virtual axis can't go on as it did."""
+        self._motors.publish_by_objects()
+
+    def give(self, *, awaits: bool = False) -> None:
+        """The objects get what the arrays have; `awaits`: the axes have not answered the last SYNC yet."""
+        self._motors.give()
+        if awaits:
+            self._give_told()
+            self._application.awaits_measurements()
+        self._application.end_in_vectors()
+
+
+def heard_row(listener: AxisListener, position: int, torque: int) -> tuple[object, ...]:
+    """An axis as the twin hears it, a row of `layout.SEEN`: slots of position and torque. Raises NotPlainError."""
+    counter, units = listener.counter, listener.units
+    if counter.value is None:
+        raise NotPlainError
+    return (
+        *(position, NO_SLOT, torque, position),  # a state is not looked for
+        *(counter.value, counter.last, units.position_rad, 0.0, units.torque_Nm),
+        *(0.0, 1.0, 0),
+    )
+
+
+def give_counters(listeners: Sequence[AxisListener], seen: lay.Rows) -> None:
+    """Who hears the axes gets how far they have come by their rows."""
+    for listener, row in zip(listeners, seen, strict=True):
+        listener.counter.counted_until(int(row["value"]), int(row["last"]))
