@@ -47,12 +47,22 @@ NOT_IN_ENVIRONMENT = [
     *(
         f"*/site-packages/{name}"
         for name in (
-            "pyarrow",
+            "cmake",
+            "dask",
+            "distributed",
+            "fmpy",
+            "foxglove",
+            "grimp",
+            "lxml",
+            "mkdocs",
             "mypy",
             "mypyc",
             "pip",
-            "lxml",
+            "playwright",
+            "pyarrow",
+            "setuptools",
             "textual",
+            "xarray",
         )
     ),
 ]
