@@ -49,6 +49,11 @@ _STANDSTILL_RAD_S = 0.2
 _AFTER_STANDSTILL_S = 0.02
 #: Share of the accelerating torque that counts as noise: what is imitated follows it only so well.
 _SHAKING = 0.01
+#: How fast an acceleration that was not foreseen is known again: till then that of the filter is behind the motion, and
+#: so is what a load motor imitates. Torque that goes with it is noise; it would make the shaft seem heavier.
+_FORESEEN_AGAIN_S = 0.02
+#: Share of the acceleration up to which it was.
+_FORESEEN = 0.05
 #: Of the motor's torque limit: by how much more or less torque than before, load motor included, the shaft may be
 #: turned. A position that is further off than this accelerates it is not one cycle after the last.
 _TORQUE_CHANGE = 2.0
@@ -95,7 +100,7 @@ class InputVectors(NamedTuple):
 # in a row that were not so many cycles after the one before as was expected; 1: what dry friction is may be anything;
 # torque and position of the last sample (NaN: none); whether the filters of the inertia have lost the motion. Figures:
 # length of a cycle; noise of the filter's acceleration by that of the position; ratio of the gear; breakaway of dry
-# friction.
+# friction; acceleration that the filter has lately not foreseen, and how much of it there is by a position that is off.
 (
     FOLLOWED,
     _MISSING,
@@ -108,8 +113,10 @@ class InputVectors(NamedTuple):
     _NOISE_GAIN,
     _GEAR_RATIO,
     _BREAKAWAY_NM,
-) = range(11)
-_SIZE = 11
+    _UNFORESEEN_RAD_S2,
+    _UNFORESEEN_GAIN,
+) = range(13)
+_SIZE = 13
 
 
 @compiled
@@ -130,16 +137,25 @@ def _slack_rad(position: Array, cycles: int) -> float:
 
 
 @compiled
-def _take_noise(v: InputVectors, position_rad: float, torque_Nm: float, duration_s: float, next_cycle: bool) -> None:
-    """How noisy both are, of a sample `duration_s` after the one before; whether that was in the cycle before."""
+def _take_quality(
+    v: InputVectors, position_rad: float, torque_Nm: float, off_rad: float, duration_s: float, next_cycle: bool
+) -> None:
+    """How noisy both are, of a sample `duration_s` after the one before, and how well the acceleration is known, by how
+    far the position is off its prediction; `next_cycle`: whether that was in the cycle before."""
+    s = v.s
     if next_cycle:
         noise_level.take(v.torque, torque_Nm)
     else:
         noise_level.interrupt(v.position)
     # An encoder at rest shows no noise, whatever it counts by.
-    if abs(position_rad - v.s[_BEFORE_RAD]) > _STANDSTILL_RAD_S * duration_s:
+    if abs(position_rad - s[_BEFORE_RAD]) > _STANDSTILL_RAD_S * duration_s:
         noise_level.take(v.position, position_rad)
-    v.s[_BEFORE_RAD] = position_rad
+    s[_BEFORE_RAD] = position_rad
+    s[_UNFORESEEN_RAD_S2] *= exp(-duration_s / _FORESEEN_AGAIN_S)
+    unforeseen = s[_UNFORESEEN_GAIN] * abs(off_rad)
+    noisy = abs(off_rad) <= _SIGNIFICANT * sqrt(noise_level.variance(v.position))
+    if not noisy and unforeseen > _FORESEEN * abs(v.motion[_ACCELERATION]):
+        s[_UNFORESEEN_RAD_S2] = max(s[_UNFORESEEN_RAD_S2], unforeseen)
 
 
 @compiled
@@ -167,6 +183,7 @@ def _fill(
     else:  # of the torque between nothing is known but where it came from and went
         between_Nm = abs(torque_Nm - before_Nm) + abs(ripple_Nm)
     shaking_Nm = _SHAKING * u[kalman.INERTIA_KG_M2] * a
+    unforeseen_Nm = u[kalman.INERTIA_KG_M2] * s[_UNFORESEEN_RAD_S2]
     u[kalman.DURATION_S] = duration_s
     u[kalman.TORQUE_NM] = _known_torque_Nm(v.p, torque, x, speed)
     u[kalman.ACCELERATION_RAD_S2] = a if significant else 0.0
@@ -174,6 +191,7 @@ def _fill(
         noise_level.variance(v.torque)
         + between_Nm * between_Nm
         + shaking_Nm * shaking_Nm
+        + unforeseen_Nm * unforeseen_Nm
         + s[_BREAKAWAY_NM] * s[_BREAKAWAY_NM] * s[_STICKING]
     )
     u[kalman.POSITION_RAD] = position_rad
@@ -190,10 +208,11 @@ def take_next(v: InputVectors, position_rad: float, torque_Nm: float, ripple_Nm:
     if s[LOST] != 0.0 or s[FOLLOWED] < _SETTLED_CYCLES or s[_MISSING] != 0.0 or isnan(s[_BEFORE_NM]):
         return False
     # Not <=: a position that is no number is not.
-    if not abs(position_rad - later(v.motion, v.forward, 0)) <= _slack_rad(v.position, 1):
+    off_rad = position_rad - later(v.motion, v.forward, 0)
+    if not abs(off_rad) <= _slack_rad(v.position, 1):
         return False
     before_Nm, s[_BEFORE_NM], s[_ODD] = s[_BEFORE_NM], torque_Nm, 0.0
-    _take_noise(v, position_rad, torque_Nm, s[CYCLE_S], True)
+    _take_quality(v, position_rad, torque_Nm, off_rad, s[CYCLE_S], True)
     s[FOLLOWED] += 1.0
     follow(v.motion, v.forward, v.gain, position_rad)
     _fill(v, v.back, before_Nm, position_rad, torque_Nm, ripple_Nm, s[CYCLE_S], True)
@@ -216,18 +235,19 @@ def of_table(table: Places, first: int) -> InputVectors:
     )
 
 
-Noise = Callable[[Places, float, float, float, bool], None]
+Quality = Callable[[Places, float, float, float, float, bool], None]
 Fill = Callable[[Places, Array, float, float, float, float, float, bool], None]
 
 
-def _entry_points(sources: int) -> tuple[Noise, Fill, Callable[[Array, int], float]]:
+def _entry_points(sources: int) -> tuple[Quality, Fill, Callable[[Array, int], float]]:
     """For Python, with a `table_of` the `InputVectors`; `sources` as in the kernel."""
 
-    @entry_point(TABLE, REAL, REAL, REAL, FLAG)
-    def noise_once(table: Places, position_rad: float, torque_Nm: float, duration_s: float, next_cycle: bool) -> None:
+    @entry_point(TABLE, REAL, REAL, REAL, REAL, FLAG)
+    def quality_once(
+        table: Places, position_rad: float, torque_Nm: float, off_rad: float, duration_s: float, next_cycle: bool
+    ) -> None:
         if sources >= 0:
-            v = of_table(table, 0)
-            _take_noise(v, position_rad, torque_Nm, duration_s, next_cycle)
+            _take_quality(of_table(table, 0), position_rad, torque_Nm, off_rad, duration_s, next_cycle)
 
     @entry_point(TABLE, MATRIX, REAL, REAL, REAL, REAL, REAL, FLAG)
     def fill_once(
@@ -248,12 +268,12 @@ def _entry_points(sources: int) -> tuple[Noise, Fill, Callable[[Array, int], flo
     def slack_once(position: Array, cycles: int) -> float:
         return _slack_rad(position, cycles) if sources >= 0 else 0.0
 
-    return noise_once, fill_once, slack_once
+    return quality_once, fill_once, slack_once
 
 
 #: The files of what is compiled here, beside those of the kernel.
 SOURCES = (noise_level.__file__, tracking_filter.__file__, kalman.__file__, __file__)
-_take_noise_of, _fill_from, _slack = _entry_points(kernel.source_number(*SOURCES))
+_take_quality_of, _fill_from, _slack = _entry_points(kernel.source_number(*SOURCES))
 
 
 class FilterInputs:
@@ -336,7 +356,8 @@ class FilterInputs:
         duration_s, s[_MISSING] = cycles * sample.cycle_s, 0.0
         before_Nm, s[_BEFORE_NM] = s.item(_BEFORE_NM), sample.torque_Nm
         measured = sample.position_rad, sample.torque_Nm
-        _take_noise_of(self._table, *measured, duration_s, cycles == 1)
+        off_rad = sample.position_rad - self._motion.predicted(duration_s).item(0) if s[FOLLOWED] >= 1.0 else 0.0
+        _take_quality_of(self._table, *measured, off_rad, duration_s, cycles == 1)
         self._follow(sample.position_rad, sample.cycle_s, duration_s)
         if isnan(before_Nm) or self.lost:
             return False
@@ -353,6 +374,7 @@ class FilterInputs:
             self._forward[:], self._back[:] = transition(cycle_s), transition(-0.5 * cycle_s)
             self._gain[:] = gains(cycle_s, filter_s)
             s[CYCLE_S], s[_NOISE_GAIN] = cycle_s, _acceleration_gain(cycle_s, filter_s)
+            s[_UNFORESEEN_GAIN] = 4.0 / filter_s**2
             self._gather()
         self._motion.reset(position_rad)
         s[FOLLOWED] = 0.0
