@@ -82,7 +82,7 @@ class Before:
 
     x_m: Array  #: (m, axes)
     boundary: Array  #: (m, 2) upstream strain, downstream tension (N)
-    strain: float  #: of the web at the first of these rows
+    strain: Array  #: (spans,) of the web at the first of these rows
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,6 @@ def session_of(config: BenchConfig) -> Session:
         warm_up_shaft(names, of_shaft, live, cycle_s)
         return Session(names, of_shaft, live, cycle_s)
     assert imitation is None or isinstance(imitation, Imitation), "of a web"
-    of_line = LiveLine(config.web_line, imitation, cycle_s)
+    of_line = LiveLine(config.web_line, imitation, cycle_s, config.shape.estimated)
     warm_up_line(names, of_line, live, cycle_s)
     return Session(names, of_line, live, cycle_s)

@@ -27,15 +27,15 @@ class Gap(Protocol):
     def restart(self) -> None:
         """The next rows are not those that follow the last."""
 
-    def use_estimate(self, estimate: float) -> None:
-        """What the twin estimates, from now on."""
+    def use_estimate(self, estimate: Array) -> None:
+        """What the twin estimates (M,), from now on."""
 
     def follow(self, channels: Mapping[str, Array], known: Rows) -> Array:
         """(n // SHORT, N): of the next rows (n,) of `LiveMachine.needed`; n a multiple. NaN where nothing is known."""
 
 
 class LiveMachine(Protocol):
-    """One machine of N axes, as it was configured. What the twin estimates is one number, in the unit of its signal."""
+    """One machine of N axes, as it was configured. What the twin estimates are M numbers, in units of their signals."""
 
     @property
     def kind(self) -> MachineKind:
@@ -66,37 +66,39 @@ class LiveMachine(Protocol):
         """(N,): torques that are usual at the motors."""
 
     @property
-    def shown_axis(self) -> int:
-        """The axis (from 1) whose gap is shown to a person."""
-
-    @property
-    def estimated(self) -> str:
-        """The signal of what the twin estimates."""
+    def estimated(self) -> tuple[str, ...]:
+        """The signals of what the twin estimates (M,)."""
 
     def gap(self, model: Machine) -> Gap:
         """Of one model."""
 
-    def estimate_of(self, model: Machine) -> float:
-        """As the model has it."""
+    def estimate_of(self, model: Machine) -> Array:
+        """(M,) as the model has it."""
 
-    def with_estimate(self, model: Machine, estimate: float) -> Machine:
-        """The model with another one."""
+    def with_estimate(self, model: Machine, estimate: Array) -> Machine:
+        """The model with another one (M,)."""
 
-    def estimate_at(self, model: Machine, time_s: float) -> float:
-        """As the model's effects make it at a time of theirs."""
+    def estimate_at(self, model: Machine, time_s: float) -> Array:
+        """(M,) as the model's effects make it at a time of theirs."""
 
     def is_of_estimate(self, effect_id: str) -> bool:
         """Whether an effect is a change of what the twin estimates anyway."""
 
+    def why_not_carried(self, effect_id: str) -> str:
+        """Why the twin can't have an effect in its model; "" where it can."""
+
     def without_estimate(self, model: Machine) -> Machine:
         """The model without changes of it but for those that it was configured with."""
+
+    def followed_from(self, window: Window, first: int) -> int:
+        """The cycle from which on a gap has to be followed to be known from cycle `first` on."""
 
     def quiet_cycle(self, window: Window, first: int, end: int) -> int | None:
         """The first cycle of a range at which a prediction can begin; None where there is none yet."""
 
-    def estimate_in(self, window: Window, model: Machine, known: float, first: int, end: int) -> float:
-        """What these cycles tell of it, whatever else the model lacks; `known` where they tell nothing beyond that.
-        Raises UnusableInputError for what can't be diagnosed."""
+    def estimate_in(self, window: Window, model: Machine, known: Array, first: int, end: int) -> Array:
+        """(M,) what these cycles tell of it, whatever else the model lacks; `known` where they tell nothing beyond
+        that. Raises UnusableInputError for what can't be diagnosed."""
 
     def data_of(self, window: Window, model: Machine, first: int, end: int) -> Measured:
         """What a diagnosis takes from these cycles. Raises UnusableInputError for what can't be diagnosed."""

@@ -8,7 +8,7 @@ from typing import TypeVar, cast
 
 from hilbench.bench.reports.found import FoundEffect, FoundValue
 from hilbench.diagnosis.diagnosis import NamedEffect
-from hilbench.plant.effect import MachineKind, ProbeOver
+from hilbench.plant.effect import Effect, MachineKind, ProbeOver, Section
 from hilbench.plant.effects import find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
@@ -19,10 +19,11 @@ Model = TypeVar("Model", bound=Machine)
 _BY_THE_CLOCK = (ProbeOver.TIME, ProbeOver.ONSET, ProbeOver.ONSET_AND_DURATION, ProbeOver.PASSAGE)
 
 
-def can_be_carried(effect_id: str, kind: MachineKind) -> bool:
-    """Whether it means the same in the twin as in a window of data."""
+def why_not_carried(effect_id: str, kind: MachineKind) -> str:
+    """Why it does not mean the same in a twin as in a window of data; "" where it does."""
     probe = find_effect(effect_id, kind).probe
-    return probe is None or probe.over not in _BY_THE_CLOCK
+    by_the_clock = probe is not None and probe.over in _BY_THE_CLOCK
+    return "it goes by a clock that the twin does not have" if by_the_clock else ""
 
 
 def with_entries(model: Model, entries: Sequence[EffectEntry]) -> Model:
@@ -39,20 +40,27 @@ def as_text(model: Machine, configured: Machine) -> str:
     return json.dumps([entry.model_dump() for entry in model.effects], separators=(",", ":"))
 
 
-def found_effect(named: NamedEffect, kind: MachineKind) -> FoundEffect:
-    """As it is told to the bench."""
+def found_effect(named: NamedEffect, model: Machine) -> FoundEffect:
+    """As it is told to the bench: of what a model lacks."""
     values = {
         name: FoundValue(value.value, value.ci95[0], value.ci95[1], value.unit)
         for name, value in named.parameters.items()
     }
-    span = 1 if find_effect(named.effect, kind).per_section else None
-    return FoundEffect(named.effect, named.axis, span, values, tuple(named.tied_with))
+    section = _section(find_effect(named.effect, model.machine_kind), named.section, model)
+    return FoundEffect(named.effect, named.axis, section, values, tuple(named.tied_with))
 
 
-def of_entry(entry: EffectEntry, kind: MachineKind) -> FoundEffect:
+def of_entry(entry: EffectEntry, model: Machine) -> FoundEffect:
     """An effect of a model, whose values are what they are."""
-    effect = find_effect(entry.effect, kind)
+    effect = find_effect(entry.effect, model.machine_kind)
     values = {
         name: FoundValue(value, value, value, effect.parameter(name).unit) for name, value in entry.parameters.items()
     }
-    return FoundEffect(entry.effect, entry.axis, 1 if effect.per_section else None, values)
+    return FoundEffect(entry.effect, entry.axis, _section(effect, entry.section, model), values)
+
+
+def _section(effect: Effect, section: Section | None, model: Machine) -> int | None:
+    """The number of the section that an effect is in: of the only one 1, None for one that is in all of them."""
+    if not effect.per_section:
+        return None
+    return 1 if model.span_count == 1 else section if isinstance(section, int) else None

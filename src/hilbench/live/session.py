@@ -32,6 +32,7 @@ from hilbench.topology.live_config import LiveDiagnosisConfig
 from hilbench.twin.model_change import with_effects
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
 
 #: From the first piece that parts until the transient of what happened is over, s.
 _SETTLED_S: Final = 1.0
@@ -43,8 +44,6 @@ _LASTING: Final = 2 * ROW
 _LONGEST, _TRIALS = 4, 3
 #: What is estimated, as the model goes by it, is the twin's, as it was between these times before now, s.
 _FROM_S, _TO_S = 6.0, 2.0
-#: For how long a machine is followed before its gap is looked at, s.
-_FOLLOWED_S: Final = 5.0
 #: How far off the estimate may be from what it was, as a share, while nothing parts.
 _DRIFT: Final = 0.01
 #: How well it is known then, as a share, and in which steps its best value is looked for.
@@ -112,13 +111,19 @@ class Session:
         end = self._seen_until + (window.end - self._seen_until) // SHORT * SHORT
         if end - self._seen_until < SHORT:
             return None, None
-        rows, known = window.rows(self._seen_until, end), window.known(self._seen_until, end)
-        channels = {name: window.column(rows, name) for name in self._machine.needed}
+        channels, known = self._channels(self._seen_until, end)
         self._seen_until = end
         piece, original = (watch.update(end - 1, channels, known) for watch in watches)
         if piece is not None:
             self._pieces.append(piece)
         return piece, original
+
+    def _channels(self, first: int, end: int) -> tuple[dict[str, Array], Rows]:
+        """What a gap is made from, of the cycles until `end` that are kept, in whole means; and which are known."""
+        rows, known = self._window.rows(first, end), self._window.known(first, end)
+        counted = len(rows) // SHORT * SHORT
+        at = slice(len(rows) - counted, None)
+        return {name: self._window.column(rows, name)[at] for name in self._machine.needed}, known[at]
 
     def told(self, told: Told) -> None:
         """What became of a change, or was announced."""
@@ -128,12 +133,11 @@ class Session:
         self._use(with_effects(self._configured, told.model))
 
     def _gap_rows(self, cycle: int, piece: Piece | None, original: Piece | None) -> tuple[GapRow, ...]:
-        """Of the axis that shows it to a person."""
-        at = self._machine.shown_axis - 1
-        signal = f"tau{at + 1}_Nm"
-        if piece is None or original is None:
-            return (GapRow(cycle, signal, float("nan"), float("nan")),)
-        return (GapRow(cycle, signal, float(original.size[at]), float(piece.size[at])),)
+        """Of each axis."""
+        nothing = np.full(len(self._machine.speeds), np.nan)
+        sizes = (nothing if each is None else each.size for each in (original, piece))
+        pairs = zip(*sizes, strict=True)
+        return tuple(GapRow(cycle, f"tau{k}_Nm", float(was), float(now)) for k, (was, now) in enumerate(pairs, 1))
 
     # -- watching --------------------------------------------------------------------------------------------
 
@@ -143,6 +147,7 @@ class Session:
         anew = Watch(self._machine, model)
         anew.learned_from(self._watch)
         anew.use_estimate(self._estimate)
+        anew.follow(*self._channels(self._machine.followed_from(self._window, self._seen_until), self._seen_until))
         self._watch = anew
         self._state, self._case = "watching", None
 
@@ -164,12 +169,11 @@ class Session:
         rows = self._window.rows(self._window.end - self._cycles(_FROM_S), end)
         if self._watch.in_a_row or len(rows) < self._cycles(_FROM_S - _TO_S):
             return
-        found = float(np.median(self._window.column(rows, self._machine.estimated)))
+        found = np.array([np.median(self._window.column(rows, name)) for name in self._machine.estimated])
         # More at once, and nothing parts: the twin has mistaken something else for it, and will find out.
-        if abs(found / self._estimate - 1.0) < _DRIFT:
-            self._use_estimate(found)
+        self._use_estimate(np.where(np.abs(found / self._estimate - 1.0) < _DRIFT, found, self._estimate))
 
-    def _use_estimate(self, estimate: float) -> None:
+    def _use_estimate(self, estimate: Array) -> None:
         self._estimate = estimate
         self._watch.use_estimate(estimate)
         self._original.use_estimate(estimate)
@@ -196,7 +200,7 @@ class Session:
             simpler = self._explained_without(before, first, end)
             if simpler is not None:
                 without = [entry for entry in self._in_use.effects if entry not in simpler.effects]
-                gone = tuple(models.of_entry(entry, self._machine.kind) for entry in without)
+                gone = tuple(models.of_entry(entry, self._configured) for entry in without)
                 self._found(replace(case, candidate=simpler, gone=gone, trial=end))
                 return
             data = self._machine.data_of(self._window, before, first, end)
@@ -260,7 +264,7 @@ class Session:
                 self._case = replace(case, lacking=2 * case.lacking)
             return
         candidate = self._machine.without_estimate(found.model)
-        effects = tuple(models.found_effect(each, self._machine.kind) for each in structure)
+        effects = tuple(models.found_effect(each, self._configured) for each in structure)
         self._found(replace(case, candidate=candidate, effects=effects, trial=end))
 
     def _found(self, case: _Case) -> None:
@@ -287,7 +291,7 @@ class Session:
             self._say("ended", case.begun, f"can't be tried: {error}")
             self._begin_anew()
             return
-        before = stretch.residual(self._packed(self._in_use, 1.0))
+        before = stretch.residual(self._machine.packed(self._machine.with_estimate(self._in_use, self._estimate)))
         (_, old_cost), (after, new_cost) = (self._fitted(stretch, model) for model in (self._in_use, case.candidate))
         gain = old_cost - new_cost
         # A change that many samples make certain may still be one that nobody would see: of an effect that the model
@@ -301,30 +305,28 @@ class Session:
     def _fitted(self, stretch: Stretch, model: Machine) -> tuple[Array, float]:
         """Residual (signals, n) and cost of a model on a stretch, with the estimate that suits it best there: in so far
         as it is not far from what was known before model and measurement parted."""
-        here, there = (stretch.residual(self._packed(model, 1.0 + share)) for share in (0.0, _STEP))
+        count = len(self._estimate)
+        changes = np.vstack([np.zeros(count), _STEP * np.eye(count)])
         rows, scale = stretch.predictor.rows, stretch.deviations[:, None]
-        slope = ((there - here) / scale)[:, rows].ravel() / _STEP
-        rest = (here / scale)[:, rows].ravel()
-        best = -float(slope @ rest) / (float(slope @ slope) + _SURE**-2)
-        best = float(np.clip(best, -0.5, 1.0))
-        residual = stretch.residual(self._packed(model, 1.0 + best))
-        return residual, stretch.misfit(residual) + (best / _SURE) ** 2
+        here, *there = ((stretch.residual(self._changed(model, change)) / scale)[:, rows].ravel() for change in changes)
+        slopes = (np.array(there) - here) / _STEP
+        best = -np.linalg.solve(slopes @ slopes.T + np.eye(count) / _SURE**2, slopes @ here)
+        best = np.clip(best, -0.5, 1.0)
+        residual = stretch.residual(self._changed(model, best))
+        return residual, stretch.misfit(residual) + float(np.sum((best / _SURE) ** 2))
 
-    def _packed(self, model: Machine, share: float) -> Array:
-        """A model with this share of the estimate, as a predictor takes it."""
-        return self._machine.packed(self._machine.with_estimate(model, share * self._estimate))
+    def _changed(self, model: Machine, shares: Array) -> Array:
+        """A model whose estimate is more by these shares (M,) of what it is, as a predictor takes it."""
+        return self._machine.packed(self._machine.with_estimate(model, (1.0 + shares) * self._estimate))
 
     def _gap(self, candidate: Machine, first: int, end: int) -> FoundGap:
         """Of the models in use and changed, from cycle `first` to before `end`, as the watch sees it."""
-        lead = self._cycles(_FOLLOWED_S)
-        rows, known = self._window.rows(first - lead, end), self._window.measured(first - lead, end)
-        counted = len(rows) // SHORT * SHORT
-        channels = {name: self._window.column(rows, name)[-counted:] for name in self._machine.needed}
+        channels, known = self._channels(self._machine.followed_from(self._window, first), end)
         seen = []
         for model in (self._in_use, candidate):
             gap = self._machine.gap(model)
             gap.use_estimate(self._estimate)
-            seen.append(gap.follow(channels, known[-counted:])[-((end - first) // SHORT) :])
+            seen.append(gap.follow(channels, known)[-((end - first) // SHORT) :])
         before, after = (each[np.all(np.isfinite(each), axis=1)] for each in seen)
         floors = np.array([floor(column) for column in after.T])
         if (learned := self._watch.noise_Nm) is not None:
@@ -339,8 +341,9 @@ class Session:
     def _decide(self, case: _Case, gap: FoundGap) -> None:
         assert case.candidate is not None
         self._state = "waiting"
-        if not all(models.can_be_carried(effect.effect, self._machine.kind) for effect in case.effects):
-            self._say("ended", case.begun, "it goes by a clock that the twin does not have: the model stays as it is")
+        why = next(filter(None, (self._machine.why_not_carried(effect.effect) for effect in case.effects)), "")
+        if why:
+            self._say("ended", case.begun, f"{why}: the model stays as it is")
             return
         text = models.as_text(case.candidate, self._configured)
         smaller = f"{gap.signal} {gap.before:.3g} → {gap.after:.3g} {gap.unit} on new data, noise {gap.noise_floor:.3g}"
@@ -368,7 +371,7 @@ def _tied(found: Diagnosis) -> list[str]:
 
 
 def _place(effect: FoundEffect) -> str:
-    return effect.effect if effect.axis is None else f"{effect.effect} of axis {effect.axis}"
+    return f"{effect.effect} of {effect.part}" if effect.part else effect.effect
 
 
 def _text(effect: FoundEffect) -> str:

@@ -66,9 +66,14 @@ class Watch:
         """(N,): what is about the level of a piece while nothing parts; None before the first."""
         return np.mean(np.array(self._rests), axis=0) if self._rests else None
 
-    def use_estimate(self, estimate: float) -> None:
-        """What the twin estimates, from now on."""
+    def use_estimate(self, estimate: Array) -> None:
+        """What the twin estimates (M,), from now on."""
         self._gap.use_estimate(estimate)
+
+    def follow(self, channels: Mapping[str, Array], known: Rows) -> None:
+        """What was before the next chunk: it is not looked at, and what comes is known by it."""
+        if len(known):
+            self._gap.follow(channels, known)
 
     def restart(self) -> None:
         """The next chunk is not the one that follows the last."""

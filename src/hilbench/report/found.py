@@ -26,7 +26,12 @@ _CAPTION: Final = (
     "was configured."
 )
 #: Columns of the table of what was found.
-COLUMNS: Final = (">Since, s", "What", "Where", "Size", ">Named after, s", ">In the model after, s", ">Gap, N·m", "")
+COLUMNS: Final = (
+    *(">Since, s", "What", "Where", "Size"),
+    *(">Named after, s", ">In the model after, s", ">Gap, N·m", "Could also be"),
+)
+#: Heights in the picture, as shares: up to which lines go, of the arrow between two of them, and of the words above.
+_LINES, _ARROW, _BECAME, _WHAT = 0.77, 0.73, 0.79, 0.87
 
 
 #: Columns of the table of what the twin found of errors of its model.
@@ -66,15 +71,23 @@ def found_rows(result: Result) -> list[tuple[str, ...]]:
 def _row(found: FoundRecord) -> Iterator[str]:
     yield number(found.t_s, 6)
     yield ("no longer " if found.gone else "") + found.effect.replace("_", " ")
-    yield f"axis {found.axis}" if found.axis is not None else ("" if found.span is None else f"span {found.span}")
+    yield _where(found)
     yield ", ".join(
         f"{name} {each.value:.4g}" + (f" ({each.ci95[0]:.4g} to {each.ci95[1]:.4g})" if not found.gone else "")
         for name, each in found.parameters.items()
     )
     yield number(found.named_after_s)
-    yield number(found.applied_after_s) if found.applied_after_s is not None else "–"
+    never = "refused" if found.refused else "–"
+    yield number(found.applied_after_s) if found.applied_after_s is not None else never
     yield "" if found.gap is None else f"{found.gap.before:.3g} → {found.gap.after:.3g}"
-    yield "refused" if found.refused else ("" if not found.tied_with else f"or {', '.join(found.tied_with)}")
+    yield ", ".join(found.tied_with).replace("_", " ")
+
+
+def _where(found: FoundRecord) -> str:
+    """Its part of the machine; "" of what is everywhere."""
+    if found.axis is not None:
+        return f"axis {found.axis}"
+    return "" if found.span is None else f"span {found.span}"
 
 
 def _draw(figure: Any, history: GapHistory, found: Sequence[FoundRecord]) -> list[Panel]:
@@ -84,7 +97,7 @@ def _draw(figure: Any, history: GapHistory, found: Sequence[FoundRecord]) -> lis
     axes.fill_between(t_s, 0.0, in_use, where=~parts, color=GREEN, alpha=0.55, linewidth=0, step="pre")
     axes.fill_between(t_s, 0.0, in_use, where=parts, color=VERMILLION, alpha=0.55, linewidth=0, step="pre")
     axes.step(t_s, configured, color=INK, linewidth=1.0, linestyle=(0, (3, 2)), alpha=0.7, where="pre")
-    axes.set_ylim(0.0, 1.35 * float(np.nanmax([*in_use, *configured, 1e-9])))
+    axes.set_ylim(0.0, 1.45 * float(np.nanmax([*in_use, *configured, 1e-9])))
     axes.set_xlim(t_s[0], t_s[-1])
     axes.set_xlabel("time in s")
     axes.set_ylabel(f"gap of {history.signal} in {history.unit}")
@@ -94,23 +107,23 @@ def _draw(figure: Any, history: GapHistory, found: Sequence[FoundRecord]) -> lis
 
 
 def _mark(axes: Any, t_s: float, found: Sequence[FoundRecord]) -> None:
-    """When it came, and from when on the model had it, joined by an arrow that says what it was."""
+    """When it came, and from when on the model had it, joined by an arrow; above the lines what it was."""
     top = axes.get_ylim()[1]
-    axes.axvline(t_s, color=VERMILLION, linewidth=1.0)
+    axes.axvline(t_s, ymax=_LINES, color=VERMILLION, linewidth=1.0)
     after_s = found[0].applied_after_s
     if after_s is not None:
-        axes.axvline(t_s + after_s, color=GREEN, linewidth=1.0)
+        axes.axvline(t_s + after_s, ymax=_LINES, color=GREEN, linewidth=1.0)
         style = {"arrowstyle": "->", "color": INK, "linewidth": 0.8}
-        axes.annotate("", (t_s + after_s, 0.78 * top), (t_s, 0.78 * top), arrowprops=style)
-        words = " out of the model" if found[0].gone else " in the model"
-        axes.text(t_s + after_s, 0.78 * top, words, va="center", ha="left", fontsize=8, color=GREEN)
-    axes.text(t_s, 0.82 * top, "\n".join(map(_words, found)), va="bottom", ha="left", fontsize=8)
+        axes.annotate("", (t_s + after_s, _ARROW * top), (t_s, _ARROW * top), arrowprops=style)
+        words = "out of the model" if found[0].gone else "in the model"
+        axes.text(t_s + after_s, _BECAME * top, words, va="bottom", ha="right", fontsize=8, color=GREEN)
+    axes.text(t_s, _WHAT * top, "\n".join(map(_words, found)), va="bottom", ha="left", fontsize=8)
 
 
 def _words(found: FoundRecord) -> str:
-    where = "" if found.axis is None else f", axis {found.axis}"
+    where = f", {_where(found)}" if _where(found) else ""
     size = "" if found.gone else f": {_size(found)}"
-    return f" {'no ' if found.gone else ''}{found.effect.replace('_', ' ')}{where}{size}"
+    return f"{'no ' if found.gone else ''}{found.effect.replace('_', ' ')}{where}{size}"
 
 
 def _size(found: FoundRecord) -> str:

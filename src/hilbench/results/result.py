@@ -440,11 +440,15 @@ class GapHistory(Strict):
     in_use: list[float | None]
 
     @classmethod
-    def of(cls, rows: Sequence[GapRow], time_s: Callable[[int], float]) -> Self | None:
-        """Of at most `MOST_GAPS` pieces, the largest of each few of a longer run; None without one. `time_s`: of a
-        cycle."""
+    def of(cls, rows: Sequence[GapRow], changes: Sequence[ModelChange], time_s: Callable[[int], float]) -> Self | None:
+        """Of at most `MOST_GAPS` pieces, the largest of each few of a longer run; None without one. Of the signal that
+        showed the first change, or that of the largest gap. `time_s`: of a cycle."""
         if not rows:
             return None
+        shown = next((change.gap.signal for change in changes if change.gap is not None), None)
+        if shown is None:
+            shown = max(rows, key=lambda row: row.in_use if isfinite(row.in_use) else -1.0).signal
+        rows = [row for row in rows if row.signal == shown]
         every = -(-len(rows) // MOST_GAPS)
         parts = [rows[at : at + every] for at in range(0, len(rows), every)]
         return cls(

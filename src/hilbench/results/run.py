@@ -236,7 +236,7 @@ class RunRecord:
         if changes is not None:
             metrics |= found_metrics(changes.changes)
             found = [record for change in changes.changes for record in FoundRecord.of(change)]
-            history = GapHistory.of(changes.gaps, bench.experiment_time_s)
+            history = GapHistory.of(changes.gaps, changes.changes, bench.experiment_time_s)
         verdicts = self.verdicts + evaluate(criteria, metrics, judged)
         warnings = [_warned(notice) for notice in bench.notices]
         environment = Environment.here(config.seed)

@@ -1,7 +1,8 @@
 """What the diagnosis beside a run found, as metrics that criteria can bound.
 
-``found.EFFECT[.axisN].FIGURE`` is a figure of the first time that the effect was found, ``gone.EFFECT[.axisN].FIGURE``
-of the first time that it was found to have gone again; a figure is one of `_FIGURES`, or a parameter of the effect.
+``found.EFFECT[.axisN|.spanN].FIGURE`` is a figure of the first time that the effect was found there (without a span:
+in whichever), ``gone.EFFECT[.axisN|.spanN].FIGURE`` of the first time that it was found to have gone again; a figure is
+one of `_FIGURES`, or a parameter of the effect.
 ``found.count`` is how many effects were found, for runs in which there is nothing to be found.
 """
 
@@ -18,7 +19,7 @@ from hilbench.plant.effects import find_effect
 from hilbench.runs.stretch import Metric
 
 COUNT: Final = "found.count"
-_NAME: Final = re.compile(r"(found|gone)\.([a-z_]+)(?:\.axis([1-9]\d{0,3}))?\.(\w+)")
+_NAME: Final = re.compile(r"(found|gone)\.([a-z_]+)(?:\.([a-z]+)[1-9]\d{0,3})?\.(\w+)")
 _NOT_FOUND: Final = "it was not found, or no diagnosis ran beside it"
 #: Unit and meaning of what is known of every effect that was found.
 _FIGURES: Final[Mapping[str, tuple[str, str]]] = {
@@ -46,11 +47,11 @@ def find_metric(name: str, kinds: Sequence[MachineKind] = tuple(MachineKind)) ->
     parts = _NAME.fullmatch(name)
     if parts is None:
         return None
-    _, effect_id, axis, figure = parts.groups()
+    _, effect_id, part, figure = parts.groups()
     for kind in kinds:
         with suppress(KeyError):
             effect = find_effect(effect_id, kind)
-            if effect.axis_problem(None if axis is None else int(axis)):
+            if part != effect.part and (part is not None or effect.per_axis):
                 continue
             if figure in _FIGURES:
                 return Metric(*_FIGURES[figure], _NOT_FOUND)
@@ -64,14 +65,11 @@ def metrics(changes: Sequence[ModelChange]) -> dict[str, float | None]:
     for change in changes:
         for kind, effects in (("found", change.effects), ("gone", change.gone)):
             for effect in effects:
+                names = [effect.place] if effect.axis is not None else [effect.place, effect.effect]
                 for figure, value in _figures(change, effect).items():
-                    found.setdefault(f"{kind}.{place_of(effect)}.{figure}", value)
+                    for name in names:
+                        found.setdefault(f"{kind}.{name}.{figure}", value)
     return found
-
-
-def place_of(effect: FoundEffect) -> str:
-    """As names of metrics have it: ``coulomb_friction.axis2``."""
-    return effect.effect if effect.axis is None else f"{effect.effect}.axis{effect.axis}"
 
 
 def _figures(change: ModelChange, effect: FoundEffect) -> dict[str, float | None]:

@@ -54,6 +54,7 @@ class ChangeableMachine:
         self._fresh = True  # whether what is shown is of a cycle with measurement
         self._cycles_since = 0  # that the models have gone since the last one
         self._apart: Sequence[float] = ()  # what is shown, less what the model in use alone would show
+        self._shown: Sequence[float] = ()
         #: Of each shown value the largest step from one cycle to the next that the last change has made; none before.
         self.largest_steps: Sequence[float] = ()
 
@@ -68,7 +69,7 @@ class ChangeableMachine:
         self._candidate, self._effects_beside = self._make(effects), effects
         self._before, self._released = None, False
         self._synchronized_cycles = self._cycles_over = 0
-        self._apart = self.largest_steps = ()
+        self._apart = self._shown = self.largest_steps = ()
 
     @property
     def changing(self) -> bool:
@@ -213,21 +214,26 @@ class ChangeableMachine:
         if self._candidate is None or self._share == 0.0:
             return shown
         apart = [self._share * (new - old) for old, new in zip(shown, self._candidate.published(), strict=True)]
-        self._note_steps(apart)
-        return [old + more for old, more in zip(shown, apart, strict=True)]
+        both = [old + more for old, more in zip(shown, apart, strict=True)]
+        self._note_steps(apart, both)
+        return both
 
-    def _note_steps(self, apart: Sequence[float]) -> None:
-        """How much more the shown values change in a cycle than those of the model in use alone.
+    def _note_steps(self, apart: Sequence[float], shown: Sequence[float]) -> None:
+        """How much more the shown values change in a cycle than those of the model in use alone; where that one jumps
+        and the changed one does not, they change by less than that.
 
         What is shown after cycles without measurement has the changes of all of them.
         """
         if not self._fresh:
             return
-        before, cycles = self._apart or [0.0] * len(apart), max(self._cycles_since, 1)
-        steps = [abs(now - then) / cycles for now, then in zip(apart, before, strict=True)]
+        cycles = max(self._cycles_since, 1)
+        more = _steps(self._apart or [0.0] * len(apart), apart)
+        steps = [
+            min(pair) / cycles for pair in zip(more, _steps(self._shown, shown) if self._shown else more, strict=True)
+        ]
         self._cycles_since = 0
         self.largest_steps = [max(pair) for pair in zip(steps, self.largest_steps or steps, strict=True)]
-        self._apart = apart
+        self._apart, self._shown = apart, shown
 
     # -- a change ----------------------------------------------------------------------------------------
 
@@ -253,3 +259,8 @@ class ChangeableMachine:
     def _take_over(self, candidate: TwinMachine) -> None:
         self._current, self._candidate, self._share = candidate, None, 0.0
         self._effects = self._effects_beside
+
+
+def _steps(before: Sequence[float], now: Sequence[float]) -> list[float]:
+    """How far each of these has gone."""
+    return [abs(new - old) for old, new in zip(before, now, strict=True)]

@@ -285,15 +285,10 @@ class ModelChanges(CyclicTask):
     def _journal(self, what: What, change: ModelChange, effects: Sequence[FoundEffect] | None = None) -> None:
         for effect in [*change.effects, *change.gone] if effects is None else effects:
             strength = next(iter(effect.parameters.values())).value
-            self._state.journal(Change(self._cycle, what, path_of(effect), strength))
-
-
-def path_of(effect: FoundEffect) -> str:
-    """Of an effect, as paths of quantities have it: ``coulomb_friction.axis2``."""
-    return effect.effect if effect.axis is None else f"{effect.effect}.axis{effect.axis}"
+            self._state.journal(Change(self._cycle, what, effect.place, strength))
 
 
 def _names(change: ModelChange) -> str:
-    there = ", ".join(map(path_of, change.effects))
-    gone = ", ".join(f"no {path_of(effect)}" for effect in change.gone)
+    there = ", ".join(effect.place for effect in change.effects)
+    gone = ", ".join(f"no {effect.place}" for effect in change.gone)
     return ", ".join(filter(None, (there, gone))) or "the changed model"

@@ -37,6 +37,17 @@ class FoundEffect:
     parameters: Mapping[str, FoundValue]
     tied_with: tuple[str, ...] = ()  #: what these data can't tell it from
 
+    @property
+    def part(self) -> str:
+        """Its part of the machine: "axis 2"; "" of what has none."""
+        numbers = {"axis": self.axis, "span": self.span}
+        return next((f"{name} {number}" for name, number in numbers.items() if number is not None), "")
+
+    @property
+    def place(self) -> str:
+        """As paths of quantities and metrics have it: ``coulomb_friction.axis2``."""
+        return ".".join(filter(None, (self.effect, self.part.replace(" ", ""))))
+
 
 @dataclass(frozen=True)
 class FoundGap:

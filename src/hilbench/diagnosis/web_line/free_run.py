@@ -16,9 +16,9 @@ from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.web_line.loop_check import Loop
 from hilbench.diagnosis.web_tensions import tension_names
-from hilbench.estimation.web_line.balance import web_force_N
 from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.driving_force import driving_force_N
 from hilbench.plant.web_line.imitation import Imitation, simulate_imitated
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.plant.web_line.line_imitation import simulate_imitated_line
@@ -123,10 +123,11 @@ class FreeRun:
         self.exact = True
         self.narrower = None
         self._start = self._start_state(data)
-        self._before, self._more_Nm = data.before, 0.0
+        self._before, self._more_Nm = data.before, np.zeros(model.axis_count)
         self._web_before = None if data.before is None else SpanFollower(model)
         self._pushed = data.pushed
-        self._slow: dict[int, tuple[Array, Array]] = {}  # by creep, in steps
+        self._pulled = [axis for axis in range(1, model.axis_count + 1) if model.carries_web_load(axis)]
+        self._slow: dict[tuple[int, ...], tuple[Array, Array]] = {}  # by creep of each span, in steps
         if data.period_s > 1.5 * self._cycle_s:
             self._choose_hold(data)
 
@@ -200,31 +201,35 @@ class FreeRun:
         return state
 
     def _begin_after(self, before: Before, parameters: Array, state: Array) -> None:
-        """The web strained as it was by `parameters` on the motion before, and axis 2 with the torque that it needs.
+        """The web strained as it was by `parameters` on the motion before, and axes that it pulls at with the torque
+        that they need.
 
-        It is that of the mean tension over the last whole turns.
+        It is that of the mean tensions around them over the last whole turns.
         """
         layout = lay.Layout.of(parameters)
         y, n = layout.y(state), layout.axes
-        x2, v2, F_next_N = y.item(1), y.item(n + 1), self._boundary.item(0, 1)
         assert self._web_before is not None, "there are rows before the first one"
         tension_N, strain = self._web_before.follow_on(
             parameters, before.x_m, before.boundary, self._period_s, before.strain
         )
         lay.set_strain(parameters, state, strain)
-        turn_m = 2.0 * np.pi * self._model.radius_m(2)
-        turn = turn_m / max(abs(v2), 1e-9) / self._period_s
-        rows = round(turn * np.ceil(_TURNS_S / self._period_s / turn))
-        mean_N = float(np.mean(tension_N[-rows:, 0]))
-        places = x2 + np.arange(_PLACES) * (turn_m / _PLACES)
-        idle_N, driven_N = (
-            float(np.mean([web_force_N(parameters, torque, float(x), v2, F_next_N) for x in places]))
-            for torque in (0.0, 1.0)
-        )
-        motor = lay.W_SIZE + n * lay.A_SIZE + lay.M_SIZE
-        torque_Nm = laws.true_torque_Nm(parameters, motor, (mean_N - idle_N) / (driven_N - idle_N))
-        torque_Nm += self._more_Nm
-        layout.motor_states(state)[1, [lay.SM_TORQUE_NM, lay.SM_COMMAND_NM, lay.SM_INTEGRAL_NM]] = torque_Nm
+        entering_N = before.boundary[:, :1] * parameters[lay.W_UPSTREAM_STIFFNESS_N]
+        around_N = np.column_stack([entering_N, tension_N, before.boundary[:, 1]])
+        for axis in self._pulled:
+            x, v = y.item(axis - 1), y.item(n + axis - 1)
+            turn_m = 2.0 * np.pi * self._model.radius_m(axis)
+            turn = turn_m / max(abs(v), 1e-9) / self._period_s
+            rows = round(turn * np.ceil(_TURNS_S / self._period_s / turn))
+            pull_N = float(np.mean(around_N[-rows:, axis - 1] - around_N[-rows:, axis]))
+            places = x + np.arange(_PLACES) * (turn_m / _PLACES)
+            idle_N, driven_N = (
+                float(np.mean([driving_force_N(parameters, axis, torque, float(place), v) for place in places]))
+                for torque in (0.0, 1.0)
+            )
+            motor = lay.W_SIZE + n * lay.A_SIZE + (axis - 1) * lay.M_SIZE
+            torque_Nm = laws.true_torque_Nm(parameters, motor, (pull_N - idle_N) / (driven_N - idle_N))
+            torque_Nm += self._more_Nm.item(axis - 1)
+            layout.motor_states(state)[axis - 1, [lay.SM_TORQUE_NM, lay.SM_COMMAND_NM, lay.SM_INTEGRAL_NM]] = torque_Nm
 
     def _choose_hold(self, data: Measured) -> None:
         """A recording coarser than the cycle: were commands held, or did they go on between its rows?"""
@@ -252,17 +257,18 @@ class FreeRun:
         return predicted
 
     def _slow_modes(self, parameters: Array) -> tuple[Array, Array]:
-        """(modes, signals, n) each: what another integral of the loop of axis 2 does, at the start and from each push
-        on, and what tells how much.
+        """(modes, signals, n) each: what another integral of the loop of each axis does that the web pulls at, at the
+        start and from each push on, and what tells how much.
 
-        With a stiff web behind it the loop forgets that only over E·S/(v·ki·(i/r)²), which is seconds; and nobody knows
+        With a stiff web the loop forgets that only over E·S/(v·ki·(i/r)²), which is seconds; and nobody knows
         it to better than what the torque swings by. Of what a model may lack only creep makes it much quicker.
         """
-        creep = parameters.item(lay.Layout.of(parameters).first_span + _CREEP)
-        key = round(creep / _CREEP_STEP)
+        creep = lay.Layout.of(parameters).span_rows(parameters)[:, _CREEP]
+        key = tuple(np.round(creep / _CREEP_STEP).astype(int).tolist())
         if key not in self._slow:
-            changed = [self._begun_with(_A_TORQUE_NM, parameters)] if self._before is not None else []
-            changed += [self._moved_on_at(row, parameters) for row in self._pushed]
+            begun = self._pulled if self._before is not None else []
+            changed = [self._begun_with(_A_TORQUE_NM, axis, parameters) for axis in begun]
+            changed += [self._moved_on_at(row, axis, parameters) for row in self._pushed for axis in self._pulled]
             modes = np.array(changed) - self._predicted(parameters[None])
             floors = np.array([self.floor(k) for k in range(len(self.names))])
             weighted = np.where(self.rows, modes, 0.0) / np.hypot(floors, self.tolerances)[:, None] ** 2
@@ -270,19 +276,19 @@ class FreeRun:
             self._slow[key] = modes, np.tensordot(np.linalg.pinv(gram, hermitian=True), weighted, 1)
         return self._slow[key]
 
-    def _begun_with(self, more_Nm: float, parameters: Array) -> Array:
-        """(signals, n): with another integral of the loop of axis 2 at the start."""
-        self._more_Nm = more_Nm
+    def _begun_with(self, more_Nm: float, axis: int, parameters: Array) -> Array:
+        """(signals, n): with another integral of the loop of an axis at the start."""
+        self._more_Nm[axis - 1] = more_Nm
         try:
             return np.asarray(self._predicted(parameters[None])[0])
         finally:
-            self._more_Nm = 0.0
+            self._more_Nm[axis - 1] = 0.0
 
-    def _moved_on_at(self, row: int, parameters: Array) -> Array:
-        """(signals, n): axis 2 commanded to be somewhat further from a row on, by which its integral differs."""
+    def _moved_on_at(self, row: int, axis: int, parameters: Array) -> Array:
+        """(signals, n): an axis commanded to be somewhat further from a row on, by which its integral differs."""
         commands = self._commands
         self._commands = [commands[0].copy(), *commands[1:]]
-        self._commands[0][row, 1] += _A_WAY_M / self._period_s
+        self._commands[0][row, axis - 1] += _A_WAY_M / self._period_s
         try:
             return np.asarray(self._predicted(parameters[None])[0])
         finally:

@@ -37,9 +37,9 @@ class ShaftGap:
         """The next rows are not those that follow the last."""
         self._kept = np.full((_NEIGHBOURS, 2), np.nan)  # position and torque of the last means
 
-    def use_estimate(self, estimate: float) -> None:
-        """Inertia of the shaft from now on, kg·m²."""
-        self._p[lay.P_INERTIA] = estimate / self._factor
+    def use_estimate(self, estimate: Array) -> None:
+        """Inertia of the shaft (1,) from now on, kg·m²."""
+        self._p[lay.P_INERTIA] = estimate[0] / self._factor
 
     def follow(self, channels: Mapping[str, Array], known: Rows) -> Array:
         """(n // SHORT, 1): of the next rows (n,) of x1_rad and tau1_Nm; n a multiple. Each is of the mean before.

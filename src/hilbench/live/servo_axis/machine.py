@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.errors import UnusableInputError
+from hilbench.live.machine import SHORT
+from hilbench.live.models import why_not_carried
 from hilbench.live.servo_axis import models
 from hilbench.live.servo_axis.gap import ShaftGap
 from hilbench.live.stretch import Stretch
@@ -26,6 +28,8 @@ Array = NDArray[np.float64]
 #: In which steps of its share the inertia's best value is looked for, and the largest of them at once.
 _STEP: Final = 0.02
 _MOST: Final = 0.5
+#: Means that are followed before a gap is looked at.
+_FOLLOWED: Final = 4
 
 
 class LiveShaft:
@@ -35,8 +39,7 @@ class LiveShaft:
     speeds = ("v1_rad_s",)
     needed = ("x1_rad", *speeds, "tau1_Nm")
     moves = 0.5  #: rad/s
-    shown_axis = 1
-    estimated = "J_sim_kg_m2"
+    estimated = ("J_sim_kg_m2",)
 
     def __init__(self, model: ServoAxisParameters, imitation: ShaftImitation | None, cycle_s: float) -> None:
         self.configured, self.imitation = model, imitation
@@ -47,33 +50,41 @@ class LiveShaft:
         """Of one model."""
         return ShaftGap(models.shaft(model), self._cycle_s)
 
-    def estimate_of(self, model: Machine) -> float:
-        """Inertia as the model has it, kg·m²."""
+    def estimate_of(self, model: Machine) -> Array:
+        """Inertia (1,) as the model has it, kg·m²."""
         return self.estimate_at(model, 0.0)
 
-    def with_estimate(self, model: Machine, estimate: float) -> ServoAxisParameters:
-        """The model with another inertia."""
-        return models.with_inertia(models.shaft(model), estimate)
+    def with_estimate(self, model: Machine, estimate: Array) -> ServoAxisParameters:
+        """The model with another inertia (1,)."""
+        return models.with_inertia(models.shaft(model), float(estimate[0]))
 
-    def estimate_at(self, model: Machine, time_s: float) -> float:
-        """Inertia as the model's effects make it at a time of theirs."""
+    def estimate_at(self, model: Machine, time_s: float) -> Array:
+        """Inertia (1,) as the model's effects make it at a time of theirs."""
         of_shaft = models.shaft(model)
-        return of_shaft.inertia_kg_m2 * models.inertia_factor(of_shaft, time_s)
+        return np.array([of_shaft.inertia_kg_m2 * models.inertia_factor(of_shaft, time_s)])
 
     def is_of_estimate(self, effect_id: str) -> bool:
         """Whether an effect is a change of the inertia."""
         return models.is_of_estimate(effect_id)
 
+    def why_not_carried(self, effect_id: str) -> str:
+        """Where it goes by a clock."""
+        return why_not_carried(effect_id, self.kind)
+
     def without_estimate(self, model: Machine) -> ServoAxisParameters:
         """The model with the inertia that it was configured with."""
         return models.without_estimate(models.shaft(model), self.configured)
+
+    def followed_from(self, window: Window, first: int) -> int:
+        """Some means before it."""
+        return max(first - _FOLLOWED * SHORT, window.first)
 
     def quiet_cycle(self, window: Window, first: int, end: int) -> int | None:
         """The first of the range that is kept: the shaft is where its commands are, whatever it does."""
         begin = max(first, window.first)
         return begin if begin < end else None
 
-    def estimate_in(self, window: Window, model: Machine, known: float, first: int, end: int) -> float:
+    def estimate_in(self, window: Window, model: Machine, known: Array, first: int, end: int) -> Array:
         """By the torques of its accelerations, beside a constant one and one in proportion to the speed."""
         stretch = Stretch.of(self, window, self.with_estimate(model, known), first, end)
         here, there = (
@@ -82,7 +93,7 @@ class LiveShaft:
         rows, speed = stretch.predictor.rows, stretch.data.commands_m_s[:, 0]
         columns = np.column_stack([(there - here) / _STEP, np.ones(len(here)), speed])[rows]
         share = -float(np.linalg.lstsq(columns, here[rows], rcond=None)[0][0])
-        return known * (1.0 + float(np.clip(share, -_MOST, _MOST)))
+        return np.asarray(known * (1.0 + float(np.clip(share, -_MOST, _MOST))))
 
     def data_of(self, window: Window, model: Machine, first: int, end: int) -> Measured:
         """What a diagnosis takes from these cycles. Raises UnusableInputError for what can't be diagnosed."""

@@ -35,7 +35,8 @@ def warm_up(names: Sequence[str], machine: LiveShaft, config: LiveDiagnosisConfi
     for name in names:
         if name.startswith("tau_") and name.endswith("_cmd_Nm"):
             channels[name] += 1.0  # a load motor imitates
-    channels[machine.estimated] += machine.estimate_of(machine.configured)
+    for name, value in zip(machine.estimated, machine.estimate_of(machine.configured), strict=True):
+        channels[name] += value
     rows = np.column_stack([channels[name] for name in names])
     session = Session(names, machine, config, cycle_s)
     for end in range(CHUNK_CYCLES, (ROW + 1) * CHUNK_CYCLES, CHUNK_CYCLES):

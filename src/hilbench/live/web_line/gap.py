@@ -8,16 +8,16 @@ included. What is left is looked at as means over `SHORT` cycles, whose accelera
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis.web_line.free_run import remembered_m
 from hilbench.live.machine import SHORT
-from hilbench.plant.motor_laws import measured_direction
-from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.driving_force import driving_force_N
 from hilbench.plant.web_line.layout import Layout
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.span import SpanFollower
@@ -34,13 +34,13 @@ _EXCHANGED: Final = 5.0
 
 def exchanged_m(model: ModelParameters) -> float:
     """Way of the web after which nothing is left of that which was in the spans."""
-    return _EXCHANGED * max(model.span_length_m(span) for span in range(1, model.span_count + 1))
+    return remembered_m(model, _EXCHANGED)
 
 
 class ModelGap:
-    """The gap of one model along a run of a line of N rollers, in N·m at the motor of each."""
+    """The gap of one model along a run of a line of N rollers, N·m at the motor of each; E is estimated in `spans`."""
 
-    def __init__(self, model: ModelParameters, cycle_s: float) -> None:
+    def __init__(self, model: ModelParameters, spans: Sequence[int], cycle_s: float) -> None:
         self._model = model
         self._cycle_s = cycle_s
         self._axes = model.axis_count
@@ -51,21 +51,23 @@ class ModelGap:
         self._mass_kg = (rows[:, lay.A_MOTOR_MASS_KG] + rows[:, lay.A_ROLLER_MASS_KG]) * more
         self._per_m = motors[: self._axes, lay.M_RAD_PER_M].copy()
         self._web_load = rows[:, lay.A_WEB_LOAD].copy()
-        self._axis_at = [lay.W_SIZE + k * lay.A_SIZE for k in range(self._axes)]
-        self._motor_at = [lay.W_SIZE + self._axes * lay.A_SIZE + k * lay.M_SIZE for k in range(self._axes)]
         self._follower = SpanFollower(model)
+        several = model.span_count > 1
+        self._moduli = [f"span{span}.youngs_modulus_Pa" if several else "youngs_modulus_Pa" for span in spans]
         self._exchanged_m = exchanged_m(model)
         self.restart()
 
     def restart(self) -> None:
         """The next rows are not those that follow the last."""
         self._last: Array | None = None
+        self._last_around = np.empty((0, 2))
         self._last_known = np.empty(0, bool)
         self._came_m = 0.0  # of web, since then
 
-    def use_estimate(self, estimate: float) -> None:
-        """E of the web from now on, Pa."""
-        self._follower.set_parameter("youngs_modulus_Pa", estimate)
+    def use_estimate(self, estimate: Array) -> None:
+        """E of the web in the spans in which it is estimated (M,), from now on, Pa."""
+        for name, modulus_Pa in zip(self._moduli, estimate.tolist(), strict=True):
+            self._follower.set_parameter(name, modulus_Pa)
 
     def follow(self, channels: Mapping[str, Array], known: Rows) -> Array:
         """(n // SHORT, N): of the next rows (n,) of x{k}_m, tau{k}_Nm, strain_prev and F_next_N; n a multiple.
@@ -96,19 +98,13 @@ class ModelGap:
 
     def _tensions(self, x: Array, around: Array) -> Array:
         """(n, N + 1): before, between and behind the rollers."""
-        web, stiffness_N = self._follower, self._p.item(lay.W_UPSTREAM_STIFFNESS_N)
-        result = np.empty((len(x), self._axes + 1))
-        for row, (here, (strain, F_next_N)) in enumerate(zip(x.tolist(), around.tolist(), strict=True)):
-            if row == 0 and self._last is None:
-                web.reset(here, strain=[strain] * (self._axes - 1))
-            else:
-                web.follow(here, self._cycle_s)
-            web.set_input("strain_prev", strain)
-            web.set_input("F_next_N", F_next_N)
-            result[row, 0] = strain * stiffness_N
-            result[row, 1:-1] = web.tension_N
-            result[row, -1] = F_next_N
-        return result
+        before = x[:0] if self._last is None else self._last[-1:]
+        if self._last is None:
+            self._follower.reset(x[0], strain=[around.item(0, 0)] * (self._axes - 1))
+        rows, limits = np.concatenate([before, x]), np.concatenate([self._last_around, around])
+        between = self._follower.follow_rows(rows, limits, self._cycle_s)[len(before) :]
+        self._last_around = around[-1:]
+        return np.column_stack([around[:, 0] * self._p.item(lay.W_UPSTREAM_STIFFNESS_N), between, around[:, 1]])
 
     def _of(self, positions: Array, end: int, torque_Nm: Array, tension_N: Array, around: Array) -> Array:
         """At the means over the SHORT rows up to and with row `end` of positions."""
@@ -120,13 +116,7 @@ class ModelGap:
         acceleration = (now - was) / (SHORT * self._cycle_s**2)
         gap = np.empty(self._axes)
         for k in range(self._axes):
-            place, v = float(positions[end, k]), float(speed[k])
-            at, motor, per_m = self._axis_at[k], self._motor_at[k], float(self._per_m[k])
-            true_Nm = laws.true_torque_Nm(self._p, motor, float(torque_Nm[k]))
-            drive_Nm = laws.shaft_torque_Nm(self._p, motor, true_Nm, place * per_m)
-            direction = measured_direction(v, laws.FRICTION_WIDTH_M_S)
-            resistance_N = laws.measured_resistance_N(self._p, at, place, v, direction)
-            passed_N = laws.passed_on_N(self._p, at, per_m * drive_Nm, direction)
+            driven_N = driving_force_N(self._p, k + 1, float(torque_Nm[k]), float(positions[end, k]), float(speed[k]))
             web_N = self._web_load[k] * (tension_N[k + 1] - tension_N[k])
-            gap[k] = (passed_N - resistance_N + web_N - self._mass_kg[k] * acceleration[k]) / per_m
+            gap[k] = (driven_N + web_N - self._mass_kg[k] * acceleration[k]) / float(self._per_m[k])
         return gap

@@ -1,13 +1,17 @@
-"""A line of two driven rollers, as it is diagnosed while it runs."""
+"""A line of driven rollers, as it is diagnosed while it runs."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.measured import Measured
+from hilbench.live.machine import SHORT
+from hilbench.live.models import why_not_carried
 from hilbench.live.web_line import models, stretch
-from hilbench.live.web_line.gap import ModelGap
+from hilbench.live.web_line.gap import ModelGap, exchanged_m
 from hilbench.live.window import Window
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.model_file import Machine
@@ -19,17 +23,30 @@ Array = NDArray[np.float64]
 
 
 class LiveLine:
-    """A `LiveMachine` whose twin estimates E. `imitation`: how the web is imitated, None where it is there."""
+    """A `LiveMachine` whose twin estimates E. `imitation`: how the web is imitated, None where it is there;
+    `spans`: in which E is estimated, None for all of them."""
 
     kind = MachineKind.WEB_LINE
-    speeds = ("v1_m_s", "v2_m_s")
-    needed = ("x1_m", "x2_m", *speeds, "tau1_Nm", "tau2_Nm", "strain_prev", "F_next_N")
     moves = 0.05  #: m/s
-    shown_axis = 2  #: it carries the web
-    estimated = "E_sim_Pa"
 
-    def __init__(self, model: ModelParameters, imitation: Imitation | None, cycle_s: float) -> None:
+    def __init__(
+        self,
+        model: ModelParameters,
+        imitation: Imitation | None,
+        cycle_s: float,
+        spans: Sequence[int] | None = None,
+    ) -> None:
         self.configured, self.imitation = model, imitation
+        self._spans = tuple(range(1, model.span_count + 1) if spans is None else spans)
+        axes = range(1, model.axis_count + 1)
+        self.speeds = tuple(f"v{axis}_m_s" for axis in axes)
+        self.needed = (
+            *(f"x{axis}_m" for axis in axes),
+            *self.speeds,
+            *(f"tau{axis}_Nm" for axis in axes),
+            *("strain_prev", "F_next_N"),
+        )
+        self.estimated = tuple(f"E{models.numbered(model, span)}_sim_Pa" for span in self._spans)
         self.usual_Nm = np.array(
             [machine_sizes(model, k).force_N / model.motor_rad_per_m(k) for k in range(1, model.axis_count + 1)]
         )
@@ -37,33 +54,45 @@ class LiveLine:
 
     def gap(self, model: Machine) -> ModelGap:
         """Of one model."""
-        return ModelGap(models.line(model), self._cycle_s)
+        return ModelGap(models.line(model), self._spans, self._cycle_s)
 
-    def estimate_of(self, model: Machine) -> float:
-        """E as the model has it, Pa."""
-        return models.line(model).youngs_modulus_Pa(1)
+    def estimate_of(self, model: Machine) -> Array:
+        """E of each span in which it is estimated (M,) as the model has it, Pa."""
+        return np.array([models.line(model).youngs_modulus_Pa(span) for span in self._spans])
 
-    def with_estimate(self, model: Machine, estimate: float) -> ModelParameters:
-        """The model with another E."""
-        return models.with_modulus(models.line(model), estimate)
+    def with_estimate(self, model: Machine, estimate: Array) -> ModelParameters:
+        """The model with another E in these spans (M,)."""
+        moduli_Pa = dict(zip(self._spans, estimate.tolist(), strict=True))
+        return models.with_moduli(models.line(model), moduli_Pa)
 
-    def estimate_at(self, model: Machine, time_s: float) -> float:
-        """E as the model's effects make it at a time of theirs."""
-        return models.modulus_at(model, time_s)
+    def estimate_at(self, model: Machine, time_s: float) -> Array:
+        """E in these spans (M,) as the model's effects make it at a time of theirs."""
+        return np.array([models.modulus_at(model, span, time_s) for span in self._spans])
 
     def is_of_estimate(self, effect_id: str) -> bool:
         """Whether an effect is a change of E."""
         return models.is_of_estimate(effect_id)
 
+    def why_not_carried(self, effect_id: str) -> str:
+        """Where it goes by a clock; and creep over a roller between two spans: what the twin finds E of a span from
+        ends at the roller behind it."""
+        if effect_id == "web_slip" and self.configured.span_count > 1:
+            return "creep between two spans is more than the twin follows"
+        return why_not_carried(effect_id, self.kind)
+
     def without_estimate(self, model: Machine) -> ModelParameters:
         """The model without changes of E but for those that it was configured with."""
         return models.without_estimate(model, self.configured)
 
-    def quiet_cycle(self, window: Window, first: int, end: int) -> int | None:
-        """The first cycle before which, for a while, neither speeds nor tension change; None where there is none."""
-        return stretch.quiet_cycle(window, first, end, self._cycle_s)
+    def followed_from(self, window: Window, first: int) -> int:
+        """Until all of its web is another one."""
+        return first - stretch.rows_of_way(window, self.configured, first, exchanged_m(self.configured)) - SHORT
 
-    def estimate_in(self, window: Window, model: Machine, known: float, first: int, end: int) -> float:
+    def quiet_cycle(self, window: Window, first: int, end: int) -> int | None:
+        """The first cycle before which, for a while, neither speeds nor tensions change; None where there is none."""
+        return stretch.quiet_cycle(window, self.configured, first, end, self._cycle_s)
+
+    def estimate_in(self, window: Window, model: Machine, known: Array, first: int, end: int) -> Array:
         """As it is known: what a line lacks looks like another E too often."""
         return known
 

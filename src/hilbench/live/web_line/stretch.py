@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,10 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.measured import Before, Measured, measured_from
 from hilbench.diagnosis.predictor import choice
+from hilbench.diagnosis.web_line.free_run import remembered_m
 from hilbench.errors import UnusableInputError
+from hilbench.live.web_line.gap import exchanged_m
+from hilbench.live.web_line.models import numbered
 from hilbench.live.window import Window
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.imitation import Imitation
@@ -19,36 +23,39 @@ from hilbench.plant.web_line.span import SpanFollower
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
-#: How long before a start a candidate follows the web, and for how long before that the model, s.
-_SHOWN_S, _KNOWN_S = 3.0, 5.0
+#: For how long before a start a candidate follows the web at least, and for how long before that the model, s; and
+#: for how many lengths of the longest span the candidate.
+_SHOWN_S, _KNOWN_S, _SHOWN_LENGTHS = 3.0, 5.0, 2.0
 #: Rows by which the last position before it is smoothed.
 _SMOOTHED = 40
 #: For how long before it nothing much happens, s; how far the speed may change meanwhile.
 _QUIET_S, _QUIET_M_S = 0.5, 0.01
 #: Speed from which a line runs, m/s.
 _MOVES_M_S = 0.05
-#: The same of the mean tension, from that time to the one before, as a share of it.
+#: The same of a mean tension, from that time to the one before, as a share of it.
 _QUIET_SHARE = 0.006
-#: Signal that shows how far the web is stretched.
-_AWAY = "x1_m - x2_m"
+#: Signals that show how far the web is stretched.
+_AWAY = re.compile(r"x\d+_m - x\d+_m")
 #: Rows over which a way bends that is left at once, and behind a late one within which it does; how far, in deviations
 #: of what a right model leaves.
 _PUSH, _PUSH_AFTER, _PUSHED = 10, 60, 3.0
 
 
-def quiet_cycle(window: Window, first: int, end: int, cycle_s: float) -> int | None:
-    """The first cycle of a range before which, for a while, neither speeds nor tension change; None where there is none
-    yet."""
+def quiet_cycle(window: Window, model: ModelParameters, first: int, end: int, cycle_s: float) -> int | None:
+    """The first cycle of a range before which, for a while, neither speeds nor tensions change; None where there is
+    none yet."""
     before = round(_QUIET_S / cycle_s)
     rows = window.rows(first - 2 * before, end)
     if len(rows) <= 2 * before:
         return None
-    speeds = np.column_stack([window.column(rows, name) for name in ("v1_cmd_m_s", "v2_cmd_m_s")])[before:]
+    axes, spans = range(1, model.axis_count + 1), range(1, model.span_count + 1)
+    speeds = np.column_stack([window.column(rows, f"v{axis}_cmd_m_s") for axis in axes])[before:]
     moved = np.abs(speeds[before:] - speeds[:-before]).max(axis=1)
-    total = np.cumsum(window.column(rows, "F_sim_N"))
+    tensions = [window.column(rows, f"F{numbered(model, span)}_sim_N") for span in spans]
+    total = np.cumsum(np.column_stack(tensions), axis=0)
     pulls = (total[before:] - total[:-before]) / before
-    steady = np.abs(pulls[before:] - pulls[:-before]) < _QUIET_SHARE * np.abs(pulls[:-before])
-    quiet = np.flatnonzero((moved < _QUIET_M_S) & (np.abs(speeds[before:, 1]) > _MOVES_M_S) & steady)
+    steady = np.all(np.abs(pulls[before:] - pulls[:-before]) < _QUIET_SHARE * np.abs(pulls[:-before]), axis=1)
+    quiet = np.flatnonzero((moved < _QUIET_M_S) & (np.abs(speeds[before:, -1]) > _MOVES_M_S) & steady)
     return None if len(quiet) == 0 else end - len(moved) + int(quiet[0])
 
 
@@ -79,15 +86,14 @@ def _pushed(data: Measured, model: ModelParameters, imitation: Imitation | None,
     motor goes on with the torque that it has as long as the bench does not hear from it, and that pushes the rollers.
     """
     predictor = choice(model, data, imitation).predictor
-    if _AWAY not in predictor.names:  # on measured motion: whatever made the rollers move so
+    away = [place for place, name in enumerate(predictor.names) if _AWAY.fullmatch(name)]
+    if not away:  # on measured motion: whatever made the rollers move so
         return ()
-    away = predictor.names.index(_AWAY)
     residual = predictor.measured[away] - predictor.predict(packed(model)[None])[0, away]
-    bend = np.abs(residual[2 * _PUSH :] - 2.0 * residual[_PUSH:-_PUSH] + residual[: -2 * _PUSH])
-    late = np.convolve(~measured, np.ones(_PUSH_AFTER), "full")[: len(residual)] > 0.5
-    odd = np.flatnonzero(
-        (bend > _PUSHED * np.hypot(predictor.tolerances[away], predictor.floor(away))) & late[_PUSH:-_PUSH]
-    )
+    bend = np.abs(residual[:, 2 * _PUSH :] - 2.0 * residual[:, _PUSH:-_PUSH] + residual[:, : -2 * _PUSH])
+    late = np.convolve(~measured, np.ones(_PUSH_AFTER), "full")[: residual.shape[1]] > 0.5
+    usual = np.array([np.hypot(predictor.tolerances[place], predictor.floor(place)) for place in away])
+    odd = np.flatnonzero(np.any(bend > _PUSHED * usual[:, None], axis=0) & late[_PUSH:-_PUSH])
     if not len(odd):
         return ()
     begins = np.concatenate([[True], np.diff(odd) > _PUSH_AFTER])
@@ -104,17 +110,26 @@ def _put_off_m(commands_m_s: Array, measured: Rows, cycle_s: float) -> float:
 
 def _before(window: Window, model: ModelParameters, cycle: int, cycle_s: float) -> Before:
     """How the rollers turned until a cycle. The strain at the beginning of that is the model's, on what was before."""
-    shown, known = (round(duration_s / cycle_s) for duration_s in (_SHOWN_S, _SHOWN_S + _KNOWN_S))
-    rows = window.rows(cycle - known, cycle + 1)
-    x = np.column_stack([window.column(rows, name) for name in ("x1_m", "x2_m")])
+    shown = max(rows_of_way(window, model, cycle, remembered_m(model, _SHOWN_LENGTHS)), round(_SHOWN_S / cycle_s))
+    exchanged = rows_of_way(window, model, cycle - shown, exchanged_m(model))
+    rows = window.rows(cycle - shown - max(exchanged, round(_KNOWN_S / cycle_s)), cycle + 1)
+    x = np.column_stack([window.column(rows, f"x{axis}_m") for axis in range(1, model.axis_count + 1)])
     boundary = np.column_stack([window.column(rows, name) for name in ("strain_prev", "F_next_N")])
     x[-1] = _smooth_end(x)
     split = max(len(rows) - shown, 0)
-    strain = model.upstream_strain
+    strain = np.full(model.span_count, model.upstream_strain)
     if split > 1:
-        _, at_split = SpanFollower(model).follow_on(packed(model), x[:split], boundary[:split], cycle_s, strain)
-        strain = float(at_split[0])
+        _, strain = SpanFollower(model).follow_on(packed(model), x[:split], boundary[:split], cycle_s, strain)
     return Before(x[max(split - 1, 0) :], boundary[max(split - 1, 0) :], strain)
+
+
+def rows_of_way(window: Window, model: ModelParameters, end: int, way_m: float) -> int:
+    """Rows until a cycle, as far as they are kept, in which the web has gone so far."""
+    x = window.column(window.rows(window.first, end), f"x{model.axis_count}_m")
+    if not len(x):
+        return 0
+    nearer = np.abs(x - x[-1]) < way_m
+    return len(x) if np.all(nearer) else int(np.argmin(nearer[::-1]))
 
 
 def _smooth_end(x: Array) -> Array:

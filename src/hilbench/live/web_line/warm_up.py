@@ -44,7 +44,8 @@ def warm_up(names: Sequence[str], machine: LiveLine, config: LiveDiagnosisConfig
     channels["t_s"] += cycle_s * np.arange(count)
     channels["strain_prev"] += model.upstream_strain
     channels["F_next_N"] += model.boundary.downstream_tension_N
-    channels["E_sim_Pa"] += model.youngs_modulus_Pa(1)
+    for name, value in zip(machine.estimated, machine.estimate_of(model), strict=True):
+        channels[name] += value
     session = Session(names, machine, config, cycle_s)
     for end in range(CHUNK_CYCLES, (ROW + 1) * CHUNK_CYCLES, CHUNK_CYCLES):
         chunk = np.column_stack([channels[name][end - CHUNK_CYCLES : end] for name in names])

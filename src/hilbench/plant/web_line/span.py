@@ -118,19 +118,21 @@ class SpanFollower:
         self._stale = False
 
     def follow_on(
-        self, p: Vector, x_m: NDArray[np.float64], boundary: NDArray[np.float64], dt_s: float, strain: float
+        self, p: Vector, x_m: NDArray[np.float64], boundary: NDArray[np.float64], dt_s: float, strain: Vector
     ) -> tuple[Vector, Vector]:
-        """Tensions (n, K) on positions (n, N) as `follow`, from spans that are strained by `strain` on; and the strains
-        (K,) at the end.
+        """Tensions (n, K) on positions (n, N) as `follow`, from spans that are strained by `strain` (K,) on; and the
+        strains (K,) at the end.
 
         From now on the web is that of a parameter vector `p` (P,): the model's with other effects.
         """
         self._p[:] = p
         self._state[:] = 0.0
-        self.reset(x_m[0], np.full(self._layout.spans, strain))
-        return self._follow_rows(x_m, boundary, dt_s), self.strain
+        self.reset(x_m[0], strain)
+        return self.follow_rows(x_m, boundary, dt_s), self.strain
 
-    def _follow_rows(self, x_m: NDArray[np.float64], boundary: NDArray[np.float64], dt_s: float) -> Vector:
+    def follow_rows(self, x_m: NDArray[np.float64], boundary: NDArray[np.float64], dt_s: float) -> Vector:
+        """Tensions (n, K) on positions (n, N) as `follow`; the first row is where the rollers are. `boundary` (n, 2):
+        strain of the web that enters, tension behind the line in N."""
         out = np.empty((len(x_m), self._layout.spans))
         x, limits = np.ascontiguousarray(x_m, dtype=float), np.ascontiguousarray(boundary, dtype=float)
         span_kernel.follow_rows(self._p, self._state, self._work, x, limits, dt_s, self._v, out)
@@ -408,4 +410,4 @@ def follow(parameters: ModelParameters, x_m: NDArray[np.float64], boundary: NDAr
     n = start._layout.axes
     if x_m.shape != (len(x_m), n) or boundary.shape != (len(x_m), 2):
         raise ValueError(f"positions {x_m.shape}, boundary {boundary.shape}, expected (n, {n}) and (n, 2)")
-    return start._follow_rows(x_m, boundary, dt_s)
+    return start.follow_rows(x_m, boundary, dt_s)
