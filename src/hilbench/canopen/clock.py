@@ -69,6 +69,11 @@ class SyncClock:
         """What it shows after the next SYNC, unless that stays away."""
         return self._time_ns + self._cycle_ns
 
+    @property
+    def stalls_at_ns(self) -> int:
+        """Until when, by the monotonic clock, SYNC runs though none comes."""
+        return self._last_sync_ns + self._stall_ns
+
     def runs_until(self, monotonic_ns: int, until_ns: int) -> bool:
         """Whether SYNC runs by the monotonic clock, and the next one does not lead beyond a time."""
         return monotonic_ns - self._last_sync_ns <= self._stall_ns and self._time_ns + self._cycle_ns <= until_ns

@@ -157,7 +157,7 @@ def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, config: Benc
     def begin(expected: Sequence[Frame]) -> RigRun:
         return RigRun(SyncAnswers(link, devices, application.drives, clock, expected, config.cycle_ns), application)
 
-    return PlainHost(host, link, clock, application, begin)
+    return PlainHost(host, link, application, begin)
 
 
 def hardware(config: BenchConfig) -> HostedDevices:

@@ -13,10 +13,9 @@ from typing import Protocol
 
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
-from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, SYNC
-from hilbench.plain import kernel
+from hilbench.plain import kernel, packet_kernel
 from hilbench.plain.tables import NotPlainError
 
 #: Times that it is served after which it is looked anew whether cycles are plain, when they were not.
@@ -28,10 +27,11 @@ class PacketRun(Protocol):
 
     @property
     def came(self) -> Sequence[bytes]:
-        """The packets that are for the host, where `take` says so."""
+        """The packets that are for the host, once `serve` says so."""
 
-    def take(self, packet: bytes) -> bool:
-        """Do what it asks for; False where that is not plain, and nothing was done with it."""
+    def serve(self, timeout_s: float) -> bool:
+        """Do what the next packet asks for, where one comes within the time; False where that, or what is due, is not
+        plain: it is for the host, and nothing was done with it."""
 
     def end(self) -> None:
         """The objects get what the arrays have."""
@@ -51,20 +51,19 @@ class Application(Protocol):
 class PlainHost:
     """Serves the devices of a host, by packets where its cycles are plain.
 
-    `clock` is that of the devices; `begin` makes a run, which expects such frames with each SYNC, itself the last;
-    raises NotPlainError.
+    `begin` makes a run, which expects such frames with each SYNC, itself the last; raises NotPlainError.
     """
 
     def __init__(
         self,
         host: DeviceHost,
         link: EmbeddedLink,
-        clock: SyncClock,
         application: Application,
         begin: Callable[[Sequence[Frame]], PacketRun],
     ) -> None:
         kernel.warm_up()
-        self._host, self._link, self._clock = host, link, clock
+        packet_kernel.warm_up()
+        self._host, self._link = host, link
         self._application, self._new_run = application, begin
         self._run: PacketRun | None = None
         self._expected: Sequence[Frame] = ()  # what came with the last SYNC
@@ -72,15 +71,14 @@ class PlainHost:
 
     def serve(self, timeout_s: float) -> None:
         """As `DeviceHost.serve`."""
-        packet = self._link.receive_packet(timeout_s)
         run = self._run
         if run is not None:
-            if self._clock.stalled_ns() == 0 if packet is None else run.take(packet):
+            if run.serve(timeout_s):
                 return
             self.settle()
             frames = self._link.frames_from(*run.came)
         else:
-            frames = self._link.frames_from(packet)
+            frames = self._link.frames_from(self._link.receive_packet(timeout_s))
         self._host.handle(frames)
         self._note(frames)
         if self._wait:

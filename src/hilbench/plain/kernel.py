@@ -408,12 +408,12 @@ def _show(drive: Row, port: Real, whole: Whole) -> None:
     whole[drive.statusword] = bits
 
 
+#: Files that the machine code depends on.
+SOURCES = (__file__, *(str(module.__file__) for module in (lay, compiled_wire, wire, measured)))
 #: exchange(table of `Vectors`, bitrate): the frames of a cycle over the wire; False, and nothing done, where a value
 #: does not fit.
 #: publish(table): feedback into the objects; False, and nothing done, where a fault would follow.
-exchange, publish = _entry_points(
-    number_of_sources(__file__, *(str(module.__file__) for module in (lay, compiled_wire, wire, measured)))
-)
+exchange, publish = _entry_points(number_of_sources(*SOURCES))
 
 
 def warm_up() -> None:

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.plain import kernel
 from hilbench.plain.motors import Motors
+from hilbench.plain.packet_kernel import ANSWERED, NOTHING
 from hilbench.plain.sync_answers import SyncAnswers
 from hilbench.plain.tables import NotPlainError
 from hilbench.plant.interface import Steps
@@ -37,7 +38,6 @@ class RigRun:
 
     def __init__(self, answers: SyncAnswers, rig: Rig) -> None:
         """Raises NotPlainError where cycles are not plain."""
-        self.came: Sequence[bytes] = ()
         self._answers = answers
         step_s, drives = rig.plain_step_s(), rig.drives
         if step_s is None:
@@ -57,11 +57,18 @@ class RigRun:
             shows_ports=False,
         )
 
-    def take(self, packet: bytes) -> bool:
+    @property
+    def came(self) -> Sequence[bytes]:
         """See `host.PacketRun`."""
-        if self._motors.over or not self._answers.answer(packet):
-            self.came = (packet,)
+        return self._answers.came
+
+    def serve(self, timeout_s: float) -> bool:
+        """See `host.PacketRun`."""
+        if self._motors.over:
             return False
+        outcome = self._answers.serve(timeout_s)
+        if outcome != ANSWERED:
+            return outcome == NOTHING and not self._answers.stands
         self._motors.step()
         if not kernel.publish(self._answers.table):
             self._motors.publish_by_objects()

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 
 import numpy as np
 
+from hilbench.can import protocol
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.device import Device
-from hilbench.canopen.identifiers import HEARTBEAT, SYNC, NmtState
+from hilbench.canopen.identifiers import HEARTBEAT, SYNC
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.cia402.state_machine import Command
-from hilbench.plain import kernel
+from hilbench.plain import kernel, packet_kernel
 from hilbench.plain import layout as lay
 from hilbench.plain.devices import HostFrames
-from hilbench.plain.host import is_heartbeat
-from hilbench.plain.packets import RECORD, Packets
+from hilbench.plain.packet_kernel import ANSWERED, NOTHING, OTHER
 from hilbench.plain.tables import Frames, NotPlainError, Slots, drive_row, table
 
 _ENABLED = Command.ENABLE_OPERATION.value
-_OPERATIONAL = NmtState.OPERATIONAL.heartbeat
-#: Bus time is the hub's: what the kernel makes of it here nobody asks for.
-BITRATE = 1_000_000
 
 
 class SyncAnswers:
@@ -46,6 +42,8 @@ class SyncAnswers:
         """Raises NotPlainError where cycles are not plain."""
         self._link, self._devices, self._clock, self._cycle_ns = link, devices, clock, cycle_ns
         self._cycles = 0
+        self.came: Sequence[bytes] = ()  #: what is for the host
+        self.received = packet_kernel.buffer()
         if not all(drive.follows(_ENABLED) for drive in drives):
             raise NotPlainError
         if any(device.sync_cob_id != SYNC for device in devices):
@@ -55,28 +53,21 @@ class SyncAnswers:
             self._frames.add(frame.can_id, lay.SYNC if frame.can_id == SYNC else lay.BEFORE_SYNC, frame.data)
         if len(set(self._frames.cob_ids)) != len(expected):
             raise NotPlainError
-        self._expects(expected)
+        self._count = len(expected)
         #: What the devices take, answer, and say of themselves.
         self.host = HostFrames(0, devices, drives, self._frames, self.slots, cycle_ns)
         self.host.receive()
-        self._find_controlwords(drives)
+        self._checks = self._controlwords(drives)
         self.host.answer()
         self.drives = table([drive_row(drive, self.slots) for drive in drives], lay.DRIVE)
         self._until_ns = self.host.quiet_until_ns()
 
-    def _expects(self, expected: Sequence[Frame]) -> None:
-        """What is in the packet of a cycle, but for the bench's heartbeat, which comes before SYNC."""
-        self._count = len(expected)
-        self._cob_ids = tuple(frame.can_id for frame in expected)
-        self._sizes = tuple(len(frame.data) for frame in expected)
-        self._packets = Packets(self._link.dropped)
-
-    def _find_controlwords(self, drives: Sequence[SimulatedDrive]) -> None:
-        """Where they are in the data of a cycle's frames."""
+    def _controlwords(self, drives: Sequence[SimulatedDrive]) -> list[tuple[int, ...]]:
+        """What they have to be in each cycle, as `packet_kernel.Port` has it."""
         cells = [drive.firmware.controlword for drive in drives]
         slots = {self.slots.of_cells[id(cell)] for cell in cells if id(cell) in self.slots.of_cells}
         fields = [field for field in self._frames.received if field[1] in slots and field[4] != lay.FLOAT]
-        self._controlwords = [(8 * row + offset, 8 * row + offset + width) for row, _, offset, width, _ in fields]
+        return [(row, offset, width, (1 << 8 * width) - 1, _ENABLED) for row, _, offset, width, _ in fields]
 
     def fill(self) -> None:
         """The arrays, of what has slots by now."""
@@ -87,15 +78,10 @@ class SyncAnswers:
         self._data = np.zeros((len(frames.rows), 8), np.uint8)
         for row, content in frames.constants.items():
             self._data[row, : len(content)] = np.frombuffer(content, np.uint8)
-        self._data_at = self._data.reshape(-1).data
         self._given = np.zeros(lay.I_SIZE, np.int64)
         self._given_at = self._given.data
         self._left = np.zeros(lay.O_SIZE + len(frames.rows), np.int64)
-        self._sent = self._left[lay.O_SIZE + self._count :]  # bits of each answer; 0: not its turn
         self.asked, self.shown = np.zeros(len(drives)), np.zeros(lay.PORT_SIZE * len(drives))
-        answers = len(frames.rows) - self._count
-        self._records = np.zeros(answers, RECORD)
-        self._records["can_id"], self._records["size"] = frames.cob_ids[self._count :], frames.sizes[self._count :]
         self._vectors = kernel.Vectors(
             frames=self._rows,
             sent=table(frames.sent, lay.FIELD),
@@ -110,66 +96,86 @@ class SyncAnswers:
             shown=self.shown,
         )
         self.table = self._vectors.table()
+        wire = np.column_stack((frames.cob_ids, frames.sizes)).astype(np.int64)
+        self._port = packet_kernel.new_port(
+            self._link.fileno(),
+            self._link.dropped,
+            wire[: self._count].copy(),
+            np.array(self._checks, np.int64).reshape((-1, 5)),
+            wire[self._count :].copy(),
+            self._left,
+            self._data.reshape(-1),
+            self.received,
+        )
+        self._port_table, self._numbers = self._port.table(), self._port.numbers.data
 
-    def answer(self, packet: bytes) -> bool:
-        """Answer what a packet asks for; False where that is not plain, and nothing was done."""
-        begun_ns = time.monotonic_ns()
-        if not self._still_plain(begun_ns) or not self._take(packet):
-            return False
-        self._given_at[lay.I_CLOCKS] = self._clock.next_ns
-        if not kernel.exchange(self.table, BITRATE):
-            return False
-        self._clock.tick_at(begun_ns)
-        self._link.send_records(self._answers())
+    def serve(self, timeout_s: float) -> int:
+        """Answer the next packet: ANSWERED; NOTHING: none came within the time; OTHER: it, or what is due, is not
+        plain, and nothing was done: `came` has it."""
+        clock, numbers = self._clock, self._numbers
+        if self._is_due():
+            return self._leave(timeout_s)
+        self._given_at[lay.I_CLOCKS] = clock.next_ns
+        numbers[packet_kernel.UNTIL_NS] = clock.stalls_at_ns
+        outcome = packet_kernel.answer(self.table, self._port_table, packet_kernel.RECEIVE)
+        if outcome != ANSWERED:
+            outcome = self._see_to(outcome, timeout_s)
+            if outcome != ANSWERED:
+                return outcome
+        clock.tick_at(numbers[packet_kernel.NOW_NS])
         self._cycles += 1
-        return True
+        return ANSWERED
 
-    def _still_plain(self, now_ns: int) -> bool:
-        if not self._clock.runs_until(now_ns, self._until_ns):
-            return False
-        return not any(device.outbox for device in self._devices)
+    def _is_due(self) -> bool:
+        """Whether a device has to say, or notice, something of its own."""
+        if self._clock.next_ns > self._until_ns:
+            return True
+        return any(device.outbox for device in self._devices)
 
-    def _take(self, packet: bytes) -> bool:
-        """Data of the frames that are expected; False where the packet has others."""
-        packets = self._packets
-        packets.begin()
-        if not packets.take(packet):
-            return False
-        cob_ids, sizes, data = packets.cob_ids, packets.sizes, packets.data
-        if len(cob_ids) == self._count + 1:
-            heartbeat = cob_ids[-2]
-            if not is_heartbeat(heartbeat) or sizes[-2] != 1 or data[-16:-15] != _OPERATIONAL:
-                return False
-            self._hear(heartbeat)
-            cob_ids, sizes = cob_ids[:-2] + cob_ids[-1:], sizes[:-2] + sizes[-1:]
-            data = data[:-16] + data[-8:]
-        if cob_ids != self._cob_ids or sizes != self._sizes:
-            return False
-        for begin, end in self._controlwords:
-            if int.from_bytes(data[begin:end], "little") != _ENABLED:
-                return False
-        self._data_at[: len(data)] = data
-        return True
+    def _leave(self, timeout_s: float) -> int:
+        packet = self._link.receive_packet(timeout_s)
+        self.came = () if packet is None else (packet,)
+        return NOTHING if packet is None else OTHER
+
+    def _see_to(self, outcome: int, timeout_s: float) -> int:
+        """What happens rarely."""
+        numbers, tables = self._numbers, (self.table, self._port_table)
+        if outcome == NOTHING:
+            packet = self._link.receive_packet(timeout_s)
+            if packet is None:
+                return NOTHING
+            self.received[: len(packet)] = np.frombuffer(packet, np.uint8)
+            numbers[packet_kernel.LENGTH] = len(packet)
+            outcome = packet_kernel.answer(*tables, packet_kernel.TAKEN)
+        if outcome == packet_kernel.ALIVE:
+            self._hear(numbers[packet_kernel.HEARTBEAT_OF])
+            outcome = OTHER if self._is_due() else packet_kernel.answer(*tables, packet_kernel.HEARD)
+        if outcome == packet_kernel.UNSENT:
+            at, end = protocol.HEADER.size, numbers[packet_kernel.OUT_LENGTH]
+            self._link.send_records(self._port.sent[at:end].tobytes())
+            outcome = ANSWERED
+        if outcome == OTHER:
+            self.came = (self.received[: numbers[packet_kernel.LENGTH]].tobytes(),)
+        return outcome
 
     def _hear(self, heartbeat: int) -> None:
         """What the host does with a heartbeat of the bench, which may come again."""
         if heartbeat == self._clock.kept_by:
             self._clock.keep()
+            self._numbers[packet_kernel.UNTIL_NS] = self._clock.stalls_at_ns
         for device in self._devices:
             device.consumer.heard(heartbeat - HEARTBEAT)
         self._until_ns = self.host.quiet_until_ns()
-
-    def _answers(self) -> bytes:
-        """Records of those whose turn it is."""
-        self._records["data"] = self._data[self._count :]
-        if self._left[lay.O_FRAMES] == len(self._rows):
-            return bytes(self._records)
-        return bytes(self._records[self._sent != 0])
 
     @property
     def has_answered(self) -> bool:
         """Whether it has at all."""
         return self._cycles > 0
+
+    @property
+    def stands(self) -> bool:
+        """Whether SYNC has stopped."""
+        return self._clock.stalled_ns() > 0
 
     def give(self) -> None:
         """The devices get what the arrays have of their PDOs and heartbeats."""

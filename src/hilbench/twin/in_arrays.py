@@ -7,6 +7,7 @@ twin says are objects all the time, and of its virtual I/O only the PDOs are in 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from hilbench.canopen.object_store import Cell
 from hilbench.plain import layout as lay
@@ -106,14 +107,16 @@ class TwinInArrays:
         return not (looks and self._application.goes_in_vectors)
 
     def before_sync(self) -> None:
-        """What the TPDOs of this SYNC carry goes into the arrays."""
+        """What the TPDOs of the next SYNC carry goes into the arrays."""
         if self._in_vectors:
             return
-        self._application.begin_plain()
+        cells, values = self._application.io.status_cells, self._application.begin_plain()
+        said: dict[int, Any] = {id(cell): value for cell, value in zip(cells, values, strict=True)}
         for cell, slot in self._read_real:
             self._real_at[slot] = cell.value
         for cell, slot in self._read_whole:
-            self._whole_at[slot] = cell.value
+            value: Any = said.get(id(cell), cell.value)
+            self._whole_at[slot] = value
 
     def go_on(self) -> None:
         """The axes have answered this SYNC."""

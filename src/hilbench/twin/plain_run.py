@@ -7,14 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilbench.plain import kernel
+from hilbench.can.embedded import EmbeddedLink
+from hilbench.plain import kernel, packet_kernel
 from hilbench.plain import layout as lay
+from hilbench.plain.packet_kernel import ANSWERED, BITRATE, NOTHING, OTHER
 from hilbench.plain.packets import Packets
-from hilbench.plain.sync_answers import BITRATE, SyncAnswers
+from hilbench.plain.sync_answers import SyncAnswers
 from hilbench.plain.tables import Frames, NotPlainError, new_slots, table
 from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.in_arrays import TwinInArrays, give_counters, heard_row
 from hilbench.twin.process import TwinApplication
+
+_EVER_NS = 1 << 62
 
 
 @dataclass(frozen=True)
@@ -22,16 +26,17 @@ class _Order:
     """The axes' TPDOs in the order in which they come; `data`: (8 N,)."""
 
     vectors: kernel.Vectors
+    port: packet_kernel.Port
     table: kernel.Table
-    data: memoryview[int]
+    port_table: kernel.Table
 
 
 class HeardAxes:
     """What the twin hears of the axes: takes their TPDOs out of packets, until each has answered."""
 
-    def __init__(self, listeners: Sequence[AxisListener], answers: SyncAnswers, dropped: int) -> None:
+    def __init__(self, link: EmbeddedLink, listeners: Sequence[AxisListener], answers: SyncAnswers) -> None:
         """Raises NotPlainError."""
-        self._listeners, self._answers = listeners, answers
+        self._link, self._listeners, self._answers = link, listeners, answers
         self._by_cob_id = {listener.cob_id: listener for listener in listeners}
         self._slots = {listener.cob_id: new_slots(answers.slots, listener.pdo) for listener in listeners}
         self._seen = table([self._row(listener) for listener in listeners], lay.SEEN)
@@ -39,30 +44,53 @@ class HeardAxes:
             raise NotPlainError
         self.measured = np.zeros(4 * len(listeners))
         self._orders: dict[tuple[int, ...], _Order] = {}
-        self.packets = Packets(dropped)
+        self._last: _Order | None = None
+        self._packets = Packets(link.dropped)
 
     def _row(self, listener: AxisListener) -> tuple[object, ...]:
         taken = self._slots[listener.cob_id]
         return heard_row(listener, taken[listener.position], taken[listener.torque])
 
-    def take(self, packet: bytes) -> bool | None:
-        """Whether all have answered; None where something else has come."""
-        packets = self.packets
+    @property
+    def came(self) -> Sequence[bytes]:
+        """Packets of this cycle that have not been all, or are not plain."""
+        return self._packets.all
+
+    def begin(self) -> None:
+        """SYNC is answered."""
+        self._packets.begin()
+
+    def serve(self, timeout_s: float) -> int:
+        """Take the next packet: ANSWERED, by all axes; NOTHING new is there, or not all; OTHER: it is not plain."""
+        last = self._last
+        if last is not None and not self._packets.all:
+            outcome = packet_kernel.answer(last.table, last.port_table, packet_kernel.RECEIVE)
+            if outcome == ANSWERED:
+                return outcome
+            if outcome != NOTHING:
+                return self._take(last.port.received[: last.port.numbers[packet_kernel.LENGTH]].tobytes())
+        packet = self._link.receive_packet(timeout_s)
+        return NOTHING if packet is None else self._take(packet)
+
+    def _take(self, packet: bytes) -> int:
+        """A packet that does not have the same as the last one, or not all."""
+        packets = self._packets
         if not packets.take(packet):
-            return None
+            return OTHER
         cob_ids = packets.cob_ids
         order = self._orders.get(cob_ids)
         if order is None:
             if len(set(cob_ids)) != len(cob_ids) or not set(cob_ids) <= set(self._by_cob_id):
-                return None
+                return OTHER
             if len(cob_ids) < len(self._listeners):
-                return False
+                return NOTHING
             order = self._orders[cob_ids] = self._new(cob_ids)
         if packets.sizes != tuple(self._by_cob_id[cob_id].size for cob_id in cob_ids):
-            return None
-        order.data[: len(packets.data)] = packets.data
+            return OTHER
+        order.port.data[: len(packets.data)] = np.frombuffer(packets.data, np.uint8)
         kernel.exchange(order.table, BITRATE)
-        return True
+        self._last = order
+        return ANSWERED
 
     def _new(self, cob_ids: Sequence[int]) -> _Order:
         frames, answers = Frames(), self._answers
@@ -81,7 +109,13 @@ class HeardAxes:
             left=np.zeros(lay.O_SIZE + len(cob_ids), np.int64),
             data=data,
         )
-        return _Order(vectors, vectors.table(), data.data)
+        wire = np.column_stack((frames.cob_ids, frames.sizes)).astype(np.int64)
+        none, link = np.zeros((0, 5), np.int64), self._link
+        port = packet_kernel.new_port(
+            link.fileno(), link.dropped, wire, none, wire[:0], vectors.left, data, answers.received
+        )
+        port.numbers[packet_kernel.UNTIL_NS] = _EVER_NS
+        return _Order(vectors, port, vectors.table(), port.table())
 
     def give(self) -> None:
         """The listeners know what has come."""
@@ -91,43 +125,45 @@ class HeardAxes:
 class TwinRun:
     """See `plain.host.PacketRun`."""
 
-    def __init__(self, answers: SyncAnswers, application: TwinApplication, dropped: int) -> None:
+    def __init__(self, link: EmbeddedLink, answers: SyncAnswers, application: TwinApplication) -> None:
         """Raises NotPlainError where cycles are not plain."""
-        self.came: Sequence[bytes] = ()
         self._awaits = False  # SYNC is answered, the axes have to
         self._answers, self._application = answers, application
         self._machine = TwinInArrays(application, answers.host, answers.slots)
-        self._axes = HeardAxes(application.listeners, answers, dropped)
+        self._axes = HeardAxes(link, application.listeners, answers)
         answers.fill()
         self._machine.join(
             answers.drives, answers.whole, answers.real, answers.asked, answers.shown, self._axes.measured
         )
+        self._machine.before_sync()
 
-    def take(self, packet: bytes) -> bool:
+    @property
+    def came(self) -> Sequence[bytes]:
+        """See `plain.host.PacketRun`."""
+        return self._axes.came if self._awaits else self._answers.came
+
+    def serve(self, timeout_s: float) -> bool:
         """See `plain.host.PacketRun`."""
         if self._awaits:
-            return self._go_on(packet)
-        self.came = (packet,)
-        if not self._machine.stays():
+            outcome = self._axes.serve(timeout_s)
+            if outcome == ANSWERED:
+                self._go_on()
+        elif not self._machine.stays():
             return False
-        self._machine.before_sync()
-        if not self._answers.answer(packet):
-            return False
-        self._axes.packets.begin()
-        self.came, self._awaits = self._axes.packets.all, True
-        return True
+        else:
+            outcome = self._answers.serve(timeout_s)
+            if outcome == ANSWERED:
+                self._axes.begin()
+                self._awaits = True
+        return outcome == ANSWERED or (outcome == NOTHING and not self._answers.stands)
 
-    def _go_on(self, packet: bytes) -> bool:
-        """With what the axes say; False where something else has come."""
-        is_all = self._axes.take(packet)
-        if is_all is None:
-            return False
-        if is_all:
-            self._machine.go_on()
-            if not kernel.publish(self._answers.table):
-                self._machine.publish_by_objects()
-            self._awaits = False
-        return True
+    def _go_on(self) -> None:
+        """With what the axes have said."""
+        self._machine.go_on()
+        if not kernel.publish(self._answers.table):
+            self._machine.publish_by_objects()
+        self._machine.before_sync()
+        self._awaits = False
 
     def end(self) -> None:
         """See `plain.host.PacketRun`."""

@@ -119,6 +119,7 @@ class TwinApplication:
         self._sync_time = None if isinstance(setup.clock, SyncClock) else SyncTime(round(setup.cycle_s * 1e9))
         self._skipped = 0  # cycles that by the clock the axes have gone, less the SYNCs that came
         self._ways = _Ways(setup)
+        self._said = (0, 0, 0)  # with the last SYNC of a plain cycle
         self._in_vectors: InVectors | None = None
         self.leaves_vectors = False  #: what is in vectors has to go on in objects
         virtual_io.on_method(self._use_method)
@@ -250,21 +251,32 @@ class TwinApplication:
         """What it shows and hears."""
         return self._io
 
-    def begin_plain(self) -> None:
+    def begin_plain(self) -> tuple[int, int, int]:
         """`before_sync` of a cycle in which all that is asked for comes in time, as far as it shows: nothing is owed
-        behind it."""
+        behind it. What is said with that SYNC: its number, age and status, which the objects have once it goes on."""
         self._behind = 0
-        self._io.publish_status(self._sync_number + 1, 0, self._status())
+        self._said = (self._sync_number + 1) & 0xFFFF, 0, self._status()
+        return self._said
 
     def go_on(self, measured: list[Measured], step: Callable[[], None]) -> None:
         """The rest of a cycle after `begin_plain`: what the axes (N,) have measured at SYNC. `step`: what lets the
         virtual axes go on with what they turn, in the place of their `sync` and the machine's `step`."""
         self._sync_number += 1
+        self._io.publish_status(*self._said)
         self._compare(measured)
         self._machine.listen()
         step()
         self._time_s += self._cycle_s
         self._publish()
+
+    def awaits_measurements(self) -> None:
+        """The same where nobody runs the rest: it goes on as the axes answer."""
+        self._sync_number += 1
+        self._measured = list(self._nothing)
+        self._owed = [owed + 1 for owed in self._owed]
+        self._pending = True
+        if self._in_vectors is None:
+            self._io.publish_status(*self._said)
 
     @property
     def goes_in_vectors(self) -> bool:
@@ -291,13 +303,6 @@ class TwinApplication:
             self._report_shift()
             self.leaves_vectors = self._machine.refused
         self._time_s += self._cycle_s
-
-    def awaits_measurements(self) -> None:
-        """Of the cycle that has begun, plain or in vectors, nobody runs the rest: it goes on as the axes answer."""
-        self._sync_number += 1
-        self._measured = list(self._nothing)
-        self._owed = [owed + 1 for owed in self._owed]
-        self._pending = True
 
     def end_in_vectors(self) -> None:
         """The machine is in its objects again."""

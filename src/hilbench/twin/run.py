@@ -61,6 +61,6 @@ def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, setup: TwinS
     def begin(expected: Sequence[Frame]) -> TwinRun:
         cycle_ns = round(setup.cycle_s * 1e9)
         answers = SyncAnswers(link, devices, application.drives, clock, expected, cycle_ns)
-        return TwinRun(answers, application, link.dropped)
+        return TwinRun(link, answers, application)
 
-    return PlainHost(host, link, clock, application, begin)
+    return PlainHost(host, link, application, begin)
