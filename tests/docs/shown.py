@@ -58,6 +58,7 @@ NOT_RUN = {
     r"hilbench sdo write bench ": "needs a running bench; tests/bench/test_beside_a_bench.py writes to one",
     r"hilbench run bench_configs/predicted_limit.yaml": "tests/bench/test_prediction.py runs it",
     r"hilbench run bench_configs/live_servo_friction.yaml": "tests/live/test_servo_axis.py runs it",
+    r"hilbench run bench_configs/live_line_friction.yaml": "tests/live/test_line_of_spans.py runs it",
     r"hilbench run bench_configs/line_three_spans.yaml": "tests/bench/test_line_three_spans.py runs it",
     r"hilbench run bench_configs/winding_line.yaml": "tests/bench/test_line_with_stations.py runs it",
     r"hilbench what-if bench_configs/": "needs a bench that runs: tests/results/test_what_if.py has one",

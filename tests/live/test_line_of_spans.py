@@ -116,7 +116,7 @@ def test_creep_is_named_with_its_span_and_the_twin_keeps_a_model_that_it_can_fol
         {"ramp": {"path": "line_speed_m_s", "to": 2.0, "duration_s": 1.0}},
         {"hold": {"duration_s": 4.0}},
         {"set": {"path": "tension_control.span2.set_point_N", "to": 95.0}},
-        {"hold": {"until_s": 45.0}},
+        {"hold": {"until_s": 52.0}},
     ]
     data["criteria"] = []
     changed = LoadedConfig(type(LOADED.config).model_validate(data), LOADED.document)

@@ -74,6 +74,23 @@ def test_the_tension_goes_to_that_of_the_changed_model_without_a_step() -> None:
     assert max(twin.largest_steps[:1]) < 0.1
 
 
+def test_a_jump_of_the_model_that_is_left_is_a_step_of_the_change_as_far_as_it_is_shown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    twin = machine()
+    line = Line(twin)
+    line.run(3.0)
+    twin.change(FRICTION)
+    while not twin.largest_steps:
+        line.run(CYCLE_S)
+    line.run(0.8 * HAND_OVER_S)
+    tension_N, *others = twin.in_use.published()
+    monkeypatch.setattr(twin.in_use, "published", lambda: [tension_N + 8.0, *others])
+    shown_N = abs(twin.published()[0] - line.shown_N[-1])
+    assert 0.3 < shown_N < 2.0  # of 8 N, most of which is not shown any more
+    assert twin.largest_steps[0] == pytest.approx(shown_N)
+
+
 def test_a_twin_goes_back_to_the_model_that_was_configured() -> None:
     twin = machine()
     line = Line(twin)
