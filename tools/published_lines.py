@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
-from math import copysign, cos, inf, nan, pi
+from math import copysign, cos, exp, inf, nan, pi
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -31,6 +31,7 @@ from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters, load_model
 from hilbench.report.web_line_drawing import LineNotes, drawing
+from hilbench.results.recording import read_recording
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.quantities import LINE_SPEED
@@ -127,6 +128,8 @@ class Ramp:
 
 KOC_N, KOC_FAST, KOC_SLOW = 15.0, 130.0 * PER_MIN, 70.0 * PER_MIN
 KOC_SAMPLE_S = 0.01
+#: Of the loop of the speed: its integral rate is a quarter of its square.
+KOC_SPEED_RAD_S = 3.5
 
 
 @dataclass
@@ -160,7 +163,7 @@ def koc_pid() -> Course:
         Pid(0.0, 2.0 * winder, limits[2], KOC_N * winder),
     ]
     mass_kg = sum(koc_mass_kg(model, axis, model.radius_m(axis)) for axis in (1, 3)) + model.mass_kg(2)
-    radius_m, bandwidth = model.radius_m(2), 3.5
+    radius_m, bandwidth = model.radius_m(2), KOC_SPEED_RAD_S
     speed = Pid(bandwidth * mass_kg * radius_m, 0.25 * bandwidth**2 * mass_kg * radius_m, limits[1])
     torques = (-KOC_N * unwinder, 0.0, KOC_N * winder)
     for sample in range(round(12.0 / KOC_SAMPLE_S)):
@@ -321,13 +324,53 @@ def on_bench_pct(name: str, per: float, *changes: str) -> list[float]:
     return [100.0 * (criterion.value or inf) / per for criterion in result.criteria]
 
 
+def koc_table(folder: Path, before_m_s: float, after_m_s: float) -> Path:
+    """A table of the line's speed as the plant's PID of it answers a step of its reference, without limits."""
+    rows = []
+    for row in range(200):
+        at_s = 0.02 * row
+        share = 1.0 - exp(-0.5 * KOC_SPEED_RAD_S * at_s) * (1.0 - 0.5 * KOC_SPEED_RAD_S * at_s)
+        rows.append(f"{at_s:g},{before_m_s + share * (after_m_s - before_m_s):.6f}")
+    table = folder / f"to_{after_m_s:g}.csv"
+    table.write_text("\n".join(["t_s,ramp:line_speed_m_s", *rows, ""]), encoding="utf-8")
+    return table
+
+
+def torque_mode_pct(*, feed_forward: bool) -> list[float]:
+    """The largest deviation at each load cell, % of 15 N, of the bench whose reels are told torques.
+
+    Without feed-forward the line's speed goes as the PID of the traction motor brings it, as in the paper.
+    """
+    name, changes = "koc_2002_torque", list[str]()
+    with TemporaryDirectory() as kept:
+        folder = Path(kept)
+        if not feed_forward:
+            changes = [f"controllers.{each}_tension.feed_forward=none" for each in ("unwinder", "winder")]
+            for step, before_m_s, after_m_s in ((3, KOC_FAST, KOC_SLOW), (6, KOC_SLOW, KOC_FAST)):
+                changes.append(f"steps.{step}={{table: {{file: {koc_table(folder, before_m_s, after_m_s)}}}}}")
+        given = load_with_overrides(FOLDER.parent / f"{name}.yaml", bus=f"embedded:{name}", changes=changes)
+        outcome = run_experiment(given, folder / "run", participants=Participants.IN_PROCESS)
+        if outcome.result.faults:
+            return [inf, inf]
+        recording = read_recording(outcome.folder.recording)
+    time_s = np.asarray(recording["t_s"])
+    looked = (time_s >= 6.0) & (time_s < time_s[-1] - 3.1)  # from the first change until it is brought to rest
+    cells_N = [np.asarray(recording[f"F_cell{number}_meas_N"])[looked] for number in (1, 2)]
+    return [float(100.0 * np.max(np.abs(cell_N / KOC_N - 1.0))) for cell_N in cells_N]
+
+
 def bench_rows() -> list[tuple[str, str, str, float]]:
     """Rows of the table."""
     alone = [f"controllers.{name}_tension.feed_forward=none" for name in ("unwinder", "winder")]
     ahead, pi = on_bench_pct("koc_2002", KOC_N), on_bench_pct("koc_2002", KOC_N, *alone)
     film_pct, store_pct = on_bench_pct("giannoccaro_2016", FILM_N), on_bench_pct("kuhm_2012", 100.0)
+    torqued, torqued_ahead = torque_mode_pct(feed_forward=False), torque_mode_pct(feed_forward=True)
     return [
-        ("Koç 2002 on a bench", "before the winder, feed-forward", "4 (LPV × radius)", ahead[1]),
+        ("Koç 2002 on a bench, reels in torque mode", "winder's load cell, PID", "75", torqued[1]),
+        ("", "unwinder's load cell, PID", "50 to 70", torqued[0]),
+        ("", "winder's load cell, feed-forward", "4 (LPV × radius)", torqued_ahead[1]),
+        ("", "unwinder's load cell, feed-forward", "–", torqued_ahead[0]),
+        ("Koç 2002 on a bench, all axes by speeds", "before the winder, feed-forward", "4 (LPV × radius)", ahead[1]),
         ("", "behind the unwinder, feed-forward", "–", ahead[0]),
         ("", "before the winder, PI around speeds", "75 (PID, torques)", pi[1]),
         ("", "behind the unwinder, PI around speeds", "50 to 70 (PID, torques)", pi[0]),

@@ -243,3 +243,30 @@ def test_reels_and_an_accumulator_are_brought_to_rest_together_in_the_middle_of_
     assert speeds_m_s[0, 0] < 0.5 * speeds_m_s[0, 1]
     ratios = speeds_m_s[: at_rest // 2] / speeds_m_s[: at_rest // 2, 1:2]
     assert np.ptp(ratios, axis=0).max() < 0.05
+
+
+@pytest.mark.slow
+def test_reels_in_torque_mode_keep_the_tension_while_the_line_is_brought_to_rest(tmp_path: Path, stand: Stand) -> None:
+    given = load_with_overrides(CONFIGS / "koc_2002_torque.yaml", bus=f"embedded:{tmp_path.name}")
+    bench = Bench(given.config, participants=Participants.IN_PROCESS)
+
+    def interrupted() -> None:
+        with bench:
+            bench.ramp("line_speed_m_s", 2.0, duration_s=2.0)
+            bench.run(1.0)
+            stand.began = len(stand.motion)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    model = given.config.web_line
+    per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, model.axis_count + 1)])
+    follower, tensions, ways = LineFollower(imitated_web(model, given.config.load)), [], []
+    for duration_s, angles in stand.motion:
+        follower.follow(np.array(angles) / per_m, duration_s)
+        tensions.append(follower.tension_N)
+        ways.append(np.array(angles) / per_m)
+    speeds_m_s = np.diff(np.array(ways[stand.began :]), axis=0) / stand.motion[-1][0]
+    at_rest = int(np.flatnonzero(np.abs(speeds_m_s).max(axis=1) < 0.03)[0])
+    stopping_N = np.array(tensions[stand.began : stand.began + at_rest])
+    assert np.abs(stopping_N - 15.0).max() < 1.5

@@ -347,7 +347,7 @@ def test_frames_recover_a_line_with_reels(tmp_path: Path) -> None:
         ("controllers.store_position.set_point_m=0.9", "between the stops of 'store', -0.8 to 0.8 m, not 0.9 m"),
         ("controllers.winding_tension.span=2", "one controller between two driven rollers"),
         ("controllers={store: {kind: position, station: store}}", "at least one of a tension"),
-        ("controllers.store_position.kind=speed", "kind: tension or position"),
+        ("controllers.store_position.kind=speed", "kind: tension, position or reel"),
         ("steps.2.step.path=position_control.shop.feed", "a quantity of a web_line"),
         ("steps.2.step.to=0.5", "expected: 0 or 1"),
     ],
@@ -363,7 +363,7 @@ def test_a_loop_of_a_position_that_a_line_can_not_have_is_refused_in_one_line(
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ("load.measured=[guide]", "'load.measured' of dancers, accumulators and reels"),
+        ("load.measured=[nobody]", "'load.measured' of dancers, accumulators, reels and idlers"),
         ("twin.prediction={}", "driven rollers alone"),
         ("controllers.outfeed_tension.probing=on", "driven rollers alone"),
         ("controllers.outfeed_tension.span=5", "a span of 1 to 4"),

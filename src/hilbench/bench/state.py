@@ -62,6 +62,8 @@ class BenchState:
     phase: Literal["made", "running", "ended"] = "made"
     enabled: bool = False  #: the drives are, and the experiment's time goes on
     stopping: bool = False
+    #: Of the speeds that the tasks plan so much is left while the axes are brought to rest in the ratio of these.
+    speed_share: float = 1.0
     interrupt_requested: bool = False
     first_cycle: int = 0  #: number of the first cycle with all drives enabled
     fault_time_s: float | None = None  #: when what led to the safe state was seen

@@ -39,7 +39,7 @@ def check_web_line(config: BenchConfig, document: Document, nodes: Nodes) -> lis
 def _check_set_point(config: BenchConfig, document: Document) -> None:
     """A set-point that no run can reach."""
     trip_N = config.safety.limits.tension_N.trip
-    for span, control in config.tension_controls.items():
+    for span, control in config.set_point_controls.items():
         name = config.controller_of(span)
         if trip_N is not None and control.set_point_N > trip_N:
             raise UnusableInputError(

@@ -139,6 +139,10 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         raise UnusableInputError(
             place, f"channel {TIME} missing, expected beside {', '.join(recording.channels)}: {_MAPPED}"
         )
+    if any(f"tau{axis}_cmd_Nm" in recording for axis in range(1, model.axis_count + 1)):
+        raise UnusableInputError(
+            place, "a recording of an axis in torque mode, expected all axes of a line with 'stations' to follow speeds"
+        )
     found = mended(
         recording,
         place,

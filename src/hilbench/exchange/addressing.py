@@ -81,6 +81,7 @@ def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary
     """How a drive, real or virtual, of a bench is configured."""
     assert part.axis is not None, "the virtual I/O is no drive"
     node, virtual, load = part.node, part.role is Role.VIRTUAL_AXIS, part.role is Role.LOAD_MOTOR
+    torqued = load or part.axis in config.shape.torqued
     rad_per_unit = config.machine.motor_rad_per_unit(part.axis)
     units = declared_units(part, od)
     deceleration = round(config.quick_stop_per_s2 * rad_per_unit / units.acceleration_rad_s2)
@@ -90,11 +91,13 @@ def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary
         (objects.ABORT_CONNECTION_OPTION_CODE, 0): _ABORT_BY_QUICK_STOP,
     }
     real = config.parts_of(Role.AXIS)[part.axis - 1].node
-    copied = config.mirroring == "copy" and not virtual and not load
+    copies: tuple[RpdoCopy, ...] = ()
+    if config.mirroring == "copy" and not virtual and not load:
+        copies = (_copy_for(config.parts_of(Role.VIRTUAL_AXIS)[part.axis - 1], units, torqued=torqued),)
     return DriveSettings(
         name=part.label,
         node_id=node.node_id,
-        mode=OperationMode.CYCLIC_SYNCHRONOUS_TORQUE if load else OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY,
+        mode=OperationMode.CYCLIC_SYNCHRONOUS_TORQUE if torqued else OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY,
         cycle_s=config.cycle_time_s,
         has_velocity=not load,
         units=node.unit_overrides,
@@ -102,17 +105,18 @@ def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary
         heartbeat_ms=config.master.node_heartbeat_ms,
         master_heartbeat=_master_heartbeat(config, virtual),
         listens_to=RPDOS[0] + real.node_id if virtual and config.mirroring == "listen" else None,
-        copies=(_copy_for(config.parts_of(Role.VIRTUAL_AXIS)[part.axis - 1], units),) if copied else (),
+        copies=copies,
         tpdo_type=(config.twin.virtual_tpdo_every or None) if virtual else 1,
         time_out_s=config.safety.drive_timeout_s,
     )
 
 
-def _copy_for(virtual: Part, units: DriveUnits) -> RpdoCopy:
+def _copy_for(virtual: Part, units: DriveUnits, *, torqued: bool) -> RpdoCopy:
     """The copy of an axis' RPDO for its virtual axis, whose units may be others."""
     node_id = virtual.node.node_id
     theirs = declared_units(virtual, load_eds(virtual.node.eds, node_id))
-    return RpdoCopy(RPDOS[0] + node_id, units.velocity_rad_s / theirs.velocity_rad_s)
+    factor = units.torque_Nm / theirs.torque_Nm if torqued else units.velocity_rad_s / theirs.velocity_rad_s
+    return RpdoCopy(RPDOS[0] + node_id, factor)
 
 
 def declared_units(part: Part, od: canopen.ObjectDictionary) -> DriveUnits:

@@ -67,7 +67,7 @@ class Nodes:
         ]
         self._rad_per_unit = [config.machine.motor_rad_per_unit(axis) for axis in range(1, len(self.axes) + 1)]
         self._set_points = [
-            *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), self._rad_per_unit, strict=True),
+            *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), self._per_output(), strict=True),
             *((drive, name, 1.0) for drive, name in zip(self.load_motors, config.load_motors, strict=True)),
         ]
         self._known = {part.node.node_id: part.label for part in parts}
@@ -103,6 +103,11 @@ class Nodes:
         self.supervised = 0  #: how often it has changed whether the twin is counted on
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
         self._expected_boots: set[int] = set()
+
+    def _per_output(self) -> list[float]:
+        """What the output of each axis is multiplied with: its speed becomes the motor's, its torque stays."""
+        torqued = self.config.shape.torqued
+        return [1.0 if axis in torqued else ratio for axis, ratio in enumerate(self._rad_per_unit, 1)]
 
     def _drive_signals(self) -> list[ShownBy]:
         """What each drive fills, in the order of `drives`."""

@@ -69,7 +69,7 @@ def _start_values(config: ExperimentConfig) -> dict[str, float]:
         }
     set_points = {
         quantities.tension_set_point(config.shape.numbered(span)): control.set_point_N
-        for span, control in config.tension_controls.items()
+        for span, control in config.set_point_controls.items()
     }
     return {quantities.LINE_SPEED: 0.0, **set_points, **web_line_values.start_moduli_Pa(config)}
 

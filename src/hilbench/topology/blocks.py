@@ -145,7 +145,8 @@ class LoadConfig(Block):
     measured: list[str] = Field(
         default=[],
         description="dancers and accumulators, by their names, with a sensor of their position, reels with one of "
-        "their radius: imitated as the machine is, its value is the signal x_NAME_meas_m or r_NAME_meas_m",
+        "their radius, idlers that are load cells: imitated as the machine is, its value is the signal x_NAME_meas_m, "
+        "r_NAME_meas_m or F_NAME_meas_N",
     )
 
     @field_validator("effects")

@@ -36,16 +36,20 @@ from hilbench.topology.blocks import (
 )
 from hilbench.topology.misfits import misfits, whole_misfits
 from hilbench.topology.parts import DriveConfig, LoadMotorConfig, Part, PartName, Role
-from hilbench.topology.quantities import MODEL_CHANGE, path_problem, plain_paths
+from hilbench.topology.quantities import MODEL_CHANGE, TENSION_PROBE, path_problem, plain_paths
 from hilbench.topology.safety import SafetyConfig
 from hilbench.topology.signal_kinds import Signal
 from hilbench.topology.signals import Shape, signals_of
 from hilbench.topology.web_line_config import (
     ControllerConfig,
     PositionControlConfig,
+    ReelControlConfig,
     TensionControlConfig,
     position_loops,
+    reel_loops,
+    set_point_controls,
     tension_loops,
+    torqued_reels,
 )
 from hilbench.topology.web_line_shape import web_line_shape
 
@@ -322,6 +326,17 @@ class BenchConfig(Block):
         return {control.station: control for control in position_loops(self.controllers.values())}
 
     @property
+    def reel_controls(self) -> dict[int, ReelControlConfig]:
+        """The controllers of reels in torque mode by the axis of the reel."""
+        found = self.controllers.values()
+        return torqued_reels(self.web_line, found) if reel_loops(found) else {}
+
+    @property
+    def set_point_controls(self) -> dict[int, TensionControlConfig | ReelControlConfig]:
+        """The controllers with a set-point, by the number of what they keep, in the order of these."""
+        return set_point_controls(self.web_line, self.controllers.values())
+
+    @property
     def plain_paths(self) -> tuple[str, ...]:
         """The quantities of this bench that can be set, without those of effects."""
         known = plain_paths(self.machine_kind, self.shape)
@@ -331,11 +346,13 @@ class BenchConfig(Block):
         """Why this bench has no such quantity that can be set, in one line, or None."""
         if path == MODEL_CHANGE and self.twin.live_diagnosis is None:
             return f"'twin: {{live_diagnosis: {{}}}}' for '{path}': nothing proposes changes of the model"
+        if path == TENSION_PROBE and self.reel_controls and not self.tension_controls:
+            return f"a loop by speeds for '{path}': loops of torques are not probed"
         return path_problem(path, self.machine_kind, self.shape, self.loaded_axes)
 
     def controller_of(self, span: int) -> str:
         """The name of the controller that keeps the tension of a span. Raises KeyError for none."""
-        wanted = self.tension_controls[span]
+        wanted = self.set_point_controls[span]
         return next(name for name, control in self.controllers.items() if control is wanted)
 
     @field_validator("cycle_time_s")

@@ -22,12 +22,16 @@ class Per(StrEnum):
     MEASURED_CARRIAGE = "measured_carriage"  #: one with a sensor of its position
     MEASURED_REEL = "measured_reel"  #: one with a sensor of its radius
     POSITIONED_CARRIAGE = "positioned_carriage"  #: one with a loop of its position
+    TORQUED_AXIS = "torqued_axis"  #: a reel in torque mode
+    CELL = "cell"  #: an idler that is a load cell
     WINDER = "winder"  #: a reel as the last axis of a line
 
     @property
     def placeholder(self) -> str:
         """What stands in the name of a declaration for the number or name of the part."""
-        return "span" if self.is_of_span else self.removeprefix("measured_").removeprefix("positioned_")
+        if self.is_of_span:
+            return "span"
+        return self.removeprefix("measured_").removeprefix("positioned_").removeprefix("torqued_")
 
     @property
     def is_of_span(self) -> bool:
@@ -37,7 +41,7 @@ class Per(StrEnum):
     @property
     def is_counted(self) -> bool:
         """Whether a part has a number; others have a name, or there is one."""
-        return self is Per.AXIS or self.is_of_span
+        return self in (Per.AXIS, Per.TORQUED_AXIS) or self.is_of_span
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,7 +59,8 @@ class Shape:
 
     Of a line with more than driven rollers: the number of the driven axis before each span, the spans whose tension the
     twin tells, dancers, accumulators and reels by name, which of these have a sensor of their position or radius, which
-    carriages have a loop of their position, and whether the last axis is a reel, whose speed is not that of the line.
+    carriages have a loop of their position, which axes are reels in torque mode, the idlers that are load cells, and
+    whether the last axis is a reel, whose speed is not that of the line.
     """
 
     axes: int
@@ -73,6 +74,8 @@ class Shape:
     reels: tuple[str, ...] = ()
     measured: tuple[str, ...] = ()
     positioned: tuple[str, ...] = ()
+    torqued: tuple[int, ...] = ()
+    cells: tuple[str, ...] = ()
     winds: bool = False
 
     @property
@@ -120,12 +123,14 @@ class Shape:
             Per.MEASURED_CARRIAGE: [name for name in self.carriages if name in self.measured],
             Per.MEASURED_REEL: [name for name in self.reels if name in self.measured],
             Per.POSITIONED_CARRIAGE: self.positioned,
+            Per.CELL: self.cells,
             Per.WINDER: [""] if self.winds else [],
         }
         if per in named:
             return named[per]
         numbers: Mapping[Per, Iterable[int]] = {
             Per.AXIS: range(1, self.axes + 1),
+            Per.TORQUED_AXIS: self.torqued,
             Per.SPAN: range(1, self.spans + 1),
             Per.ESTIMATED: self.estimated,
             Per.CONTROLLED: self.controlled,
@@ -168,6 +173,7 @@ _PATTERNS: Final = {
     "load_motor": _NAME,
     "carriage": _NAME,
     "reel": _NAME,
+    "cell": _NAME,
 }
 
 
@@ -231,6 +237,8 @@ def shape_of(names: Iterable[str]) -> Shape:
         axes_before=tuple(axes.get(number, 0) for number in range(1, count + 1)) if beyond else (),
         carriages=tuple(named[Per.CARRIAGE]),
         reels=tuple(named[Per.REEL]),
+        torqued=tuple(sorted(found[Per.TORQUED_AXIS])),
+        cells=tuple(named[Per.CELL]),
         winds=LINE_SPEED_SIGNAL in given,
     )
 

@@ -13,7 +13,7 @@ from hilbench.block import Block
 from hilbench.estimation.web_line.config import EstimationConfig, InputConfig
 from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
 from hilbench.plant.web_line.sections import axes_before_spans
-from hilbench.plant.web_line.stations import ONLY_DRIVEN, Reel, StationName, reel_name
+from hilbench.plant.web_line.stations import ONLY_DRIVEN, Idler, Reel, StationName, reel_name
 
 #: What is expected where an axis has two things to keep.
 ONE_CONTROLLER = "one controller between two driven rollers: one axis can keep one tension, or one position"
@@ -114,12 +114,36 @@ class PositionControlConfig(Block):
     )
 
 
+class ReelControlConfig(Block):
+    """The tension loop of a reel in torque mode (cyclic synchronous torque): its torque from a load cell beside it."""
+
+    kind: Literal["reel"] = Field(description="of a reel in torque mode; without a kind: of a tension, by a speed")
+    reel: StationName = Field(description="the unwinder or rewinder, whose drive is told torques")
+    load_cell: StationName = Field(description="the idler beside it whose sensor tells the tension (load: measured)")
+    set_point_N: PositiveFloat = Field(default=80.0, description="of the tension beside the reel")
+    gain: float = Field(default=0.0, ge=0, le=100, description="of the controller, N of the reel's pull per N")
+    rate_per_s: float = Field(default=2.0, ge=0, le=1e3, description="of its integral, N of the reel's pull per N·s")
+    derivative_s: float = Field(
+        default=0.0,
+        ge=0,
+        le=10,
+        description="of its derivative, N of the reel's pull per N/s: damps the swing of the reel against its web",
+    )
+    feed_forward: Literal["none", "twin"] = Field(
+        default="none",
+        description="twin: pull and acceleration by the radius that the twin has, ahead of the controller; none: the "
+        "controller alone, at the radius at the start",
+    )
+
+
 ControllerConfig = Annotated[
-    Annotated[TensionControlConfig, Tag("tension")] | Annotated[PositionControlConfig, Tag("position")],
+    Annotated[TensionControlConfig, Tag("tension")]
+    | Annotated[PositionControlConfig, Tag("position")]
+    | Annotated[ReelControlConfig, Tag("reel")],
     Discriminator(
         lambda value: value.get("kind", "tension") if isinstance(value, Mapping) else getattr(value, "kind", "tension"),
         custom_error_type="kind",
-        custom_error_message="kind: tension or position",
+        custom_error_message="kind: tension, position or reel",
     ),
 ]
 
@@ -134,11 +158,47 @@ def position_loops(controllers: Iterable[ControllerConfig]) -> list[PositionCont
     return [each for each in controllers if isinstance(each, PositionControlConfig)]
 
 
+def reel_loops(controllers: Iterable[ControllerConfig]) -> list[ReelControlConfig]:
+    """Those of them that keep the tension beside a reel by its torque."""
+    return [each for each in controllers if isinstance(each, ReelControlConfig)]
+
+
+def reel_axes(machine: ModelParameters) -> dict[str, int]:
+    """The axis of each reel, by its name."""
+    found = {}
+    for roller in machine.line_rollers:
+        if isinstance(roller.station, Reel) and roller.axis is not None:
+            found[reel_name(roller.station)] = roller.axis
+    return found
+
+
+def span_beside_reel(machine: ModelParameters, axis: int) -> int:
+    """The span, from 1, whose web is wound off, or on, the reel that is an axis."""
+    return 1 if axis == 1 else machine.span_count
+
+
+def torqued_reels(machine: ModelParameters, controllers: Iterable[ControllerConfig]) -> dict[int, ReelControlConfig]:
+    """The controllers of reels in torque mode by the axis of the reel."""
+    axes = reel_axes(machine)
+    return {axes[control.reel]: control for control in sorted(reel_loops(controllers), key=lambda it: axes[it.reel])}
+
+
+def set_point_controls(
+    machine: ModelParameters, controllers: Collection[ControllerConfig]
+) -> dict[int, TensionControlConfig | ReelControlConfig]:
+    """The controllers of tensions, by speeds or torques, by the span whose tension they keep, in the order of these."""
+    by_speeds = {control.span: control for control in tension_loops(controllers)}
+    reels = torqued_reels(machine, controllers) if reel_loops(controllers) else {}
+    by_torques = {span_beside_reel(machine, axis): control for axis, control in reels.items()}
+    kept: dict[int, TensionControlConfig | ReelControlConfig] = {**by_speeds, **by_torques}
+    return {span: kept[span] for span in sorted(kept)}
+
+
 def controller_misfits(controllers: Collection[ControllerConfig], count: int) -> Iterator[str]:
     """Why these can't be the controllers of a line of so many spans."""
     tensions = tension_loops(controllers)
-    if controllers and not tensions:
-        yield "at least one of a tension (kind: tension)"
+    if controllers and not tensions and not reel_loops(controllers):
+        yield "at least one of a tension (kind: tension or reel)"
     yield from _each_once([control.span for control in tensions], count, "one axis can keep one tension")
 
 
@@ -217,6 +277,17 @@ def _loops_misfit(
             ends = f"{lowest_m:g} to {highest_m:g} m"
             return f"a set-point between the stops of '{control.station}', {ends}, not {control.set_point_m:g} m"
         sections.append(before[carriage.first_span - 1])
+    axes = reel_axes(machine)
+    for torqued in reel_loops(given):
+        if torqued.reel not in axes:
+            return f"a reel in torque mode ({', '.join(axes) or 'none here'}), '{torqued.reel}' is none"
+        cells = [cell for cell in load_cells(machine) if cell in measured]
+        if torqued.load_cell not in cells:
+            return (
+                f"an idler with 'load: {{measured: [{torqued.load_cell}]}}' as the load cell of '{torqued.reel}' "
+                f"({', '.join(cells) or 'none here'}), '{torqued.load_cell}' is none"
+            )
+        sections.append(before[span_beside_reel(machine, axes[torqued.reel]) - 1])
     if len(set(sections)) < len(sections):
         return ONE_CONTROLLER
     kept = {before[control.span - 1] for control in tensions}
@@ -252,10 +323,16 @@ def station_names(machine: ModelParameters) -> tuple[str, ...]:
     )
 
 
+def load_cells(machine: ModelParameters) -> tuple[str, ...]:
+    """Idlers, by name, any of which may be the roller of a load cell."""
+    return tuple(roller.station.name for roller in machine.line_rollers if isinstance(roller.station, Idler))
+
+
 def _measured_misfit(measured: Sequence[str], machine: ModelParameters) -> str | None:
     """Why a line can't have sensors of these stations, or None."""
-    known = station_names(machine)
+    known = (*station_names(machine), *load_cells(machine))
     unknown = [name for name in measured if name not in known]
     if not unknown:
         return None
-    return f"'load.measured' of dancers, accumulators and reels ({', '.join(known) or 'none here'}), not {unknown[0]}"
+    expected = f"'load.measured' of dancers, accumulators, reels and idlers ({', '.join(known) or 'none here'})"
+    return f"{expected}, not {unknown[0]}"

@@ -9,7 +9,15 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans, first_spans
 from hilbench.plant.web_line.stations import Reel, reel_name
 from hilbench.topology.signals import Shape
-from hilbench.topology.web_line_config import ControllerConfig, position_loops, tension_loops
+from hilbench.topology.web_line_config import (
+    ControllerConfig,
+    load_cells,
+    position_loops,
+    reel_axes,
+    reel_loops,
+    span_beside_reel,
+    tension_loops,
+)
 
 
 def web_line_shape(
@@ -26,7 +34,9 @@ def web_line_shape(
         spans = machine.span_count
         return Shape(machine.axis_count, load_motors, spans, tuple(twin.by_span(spans)), controlled)
     positioned = tuple(each.station for each in position_loops(given))
-    return _with_stations(machine, load_motors, controlled, positioned, measured)
+    torqued = tuple(sorted(reel_axes(machine).get(each.reel, 1) for each in reel_loops(given)))
+    controlled = tuple(sorted({*controlled, *(span_beside_reel(machine, axis) for axis in torqued)}))
+    return _with_stations(machine, load_motors, controlled, positioned, torqued, measured)
 
 
 def sensors_at_start(machine: ModelParameters, shape: Shape) -> dict[str, float]:
@@ -43,6 +53,7 @@ def _with_stations(
     load_motors: tuple[str, ...],
     controlled: tuple[int, ...],
     positioned: tuple[str, ...],
+    torqued: tuple[int, ...],
     measured: Sequence[str],
 ) -> Shape:
     """Of a line with more than driven rollers: the twin tells the tension of each section once, and where there is a
@@ -62,5 +73,7 @@ def _with_stations(
         reels=tuple(reel_name(roller.station) for roller in rollers if isinstance(roller.station, Reel)),
         measured=tuple(measured),
         positioned=positioned,
+        torqued=torqued,
+        cells=tuple(name for name in load_cells(machine) if name in measured),
         winds=isinstance(rollers[-1].station, Reel),
     )

@@ -21,6 +21,13 @@ WEB_LINE: Final = (
     *TIME_SIGNALS,
     SignalKind(LINE_SPEED_SIGNAL, "m/s", "speed of the web that the rewinder is told", "command", Per.WINDER),
     *axes_signals("m", ", at the web", "roller {axis}: encoder times nominal radius"),
+    SignalKind(
+        "tau{axis}_cmd_Nm",
+        "N·m",
+        "torque command of the reel that is axis {axis}, motor side",
+        "command",
+        Per.TORQUED_AXIS,
+    ),
     SignalKind("strain_prev", "", "strain of the web upstream of roller 1", "boundary"),
     SignalKind("F_next_N", "N", "web tension downstream of the last roller", "boundary"),
     SignalKind("F{span}_ref_N", "N", "tension set-point", "command", Per.CONTROLLED),
@@ -97,6 +104,13 @@ WEB_LINE: Final = (
         "radius of the reel {reel}, as its imitated sensor tells it",
         "measured",
         Per.MEASURED_REEL,
+    ),
+    SignalKind(
+        "F_{cell}_meas_N",
+        "N",
+        "web tension at {cell}, the mean of those beside it, as its imitated load cell tells it",
+        "measured",
+        Per.CELL,
     ),
     *BUS_SIGNALS,
 )

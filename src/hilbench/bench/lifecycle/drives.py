@@ -126,14 +126,16 @@ class Drives:
         by_node = {config.drives[name].node_id: name for name, speed in commands.items() if speed}
         moving = {by_node[node]: drive for drive in self._nodes.drives if (node := drive.settings.node_id) in by_node}
         timing = self._exchange.timing
+        told_torques = {names[axis - 1] for axis in config.shape.torqued}  # their tasks go on, by `speed_share`
         cycles = ceil(fastest_m_s / (config.quick_stop_per_s2 * state.cycle_s))
         state.enabled = True
         try:
             for left in range(cycles - 1, -1, -1):
                 self._look_who_coasts(moving)
-                before = timing.cycles
+                before, state.speed_share = timing.cycles, left / cycles
+                speeds = {name: speed * left / cycles for name, speed in commands.items() if name not in told_torques}
                 try:
-                    self._cycle.exchange({name: speed * left / cycles for name, speed in commands.items()})
+                    self._cycle.exchange(speeds)
                 except (BusError, EmergencyStopError):
                     raise
                 except BenchFaultError:  # of the drive that it is about the quick stop will tell

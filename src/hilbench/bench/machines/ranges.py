@@ -58,13 +58,13 @@ def _of_web_line(config: BenchConfig) -> dict[str, tuple[float, float]]:
     limits = config.safety.limits
     speed_m_s, ratio = _highest(limits.speed_m_s), min(_highest(limits.estimate_ratio), _LARGEST_RATIO)
     moduli_Pa = web_line_ranges.moduli_Pa(config)
-    set_points = [tension_set_point(config.shape.numbered(span)) for span in config.tension_controls]
+    set_points = [tension_set_point(config.shape.numbered(span)) for span in config.set_point_controls]
     return {
         **({} if config.twin.live_diagnosis is None else {MODEL_CHANGE: (0.0, 1.0)}),
         LINE_SPEED: (-speed_m_s, speed_m_s),
         **{path: (0.0, _highest(limits.tension_N)) for path in set_points if path in OPERATOR_OBJECTS},
         **{path: (E / ratio, E * ratio) for path, E in moduli_Pa.items() if path in OPERATOR_OBJECTS},
-        TENSION_PROBE: (0.0, 1.0),
+        **({TENSION_PROBE: (0.0, 1.0)} if config.tension_controls else {}),
     }
 
 

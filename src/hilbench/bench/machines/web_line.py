@@ -26,6 +26,7 @@ from hilbench.bench.tasks.tension_trust import TwinTrust
 from hilbench.bench.tasks.watches import Watch
 from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.bench.tasks.web_positions import CarriageStops, PositionTask
+from hilbench.bench.tasks.web_reel_torque import LoadCells, ReelTorqueTask
 from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelWay
 from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.errors import BenchFaultError
@@ -41,6 +42,9 @@ from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_config import ProbingConfig, TensionControlConfig
 from hilbench.topology.web_line_shape import sensors_at_start
 from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
+
+#: Age of the twin's data, in cycles, up to which a line rides out that they are old where no controller says it.
+_TWIN_AGE = TensionControlConfig().twin_age_limit_cycles
 
 
 def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
@@ -63,10 +67,18 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     }
     loops: dict[int, TensionTask] = {}
     plan = FeedForwardTask(sections, cycle_s, line_speed, loops, ways) if ways else None
-    leading = LeadingAxis(drives[-1], len(drives), line_speed)
+    torqued = config.reel_controls
+    leads = max(axis for axis in range(1, model.axis_count + 1) if axis not in torqued)
+    leading = LeadingAxis(drives[leads - 1], leads, line_speed)
+    reels = [
+        ReelTorqueTask(control, drives[axis - 1], axis, leading, leads, model, config.shape, state)
+        for axis, control in torqued.items()
+    ]
     axes: list[LeadingAxis | FollowingAxis | TensionTask | PositionTask] = [leading]
     trusts: list[TwinTrust] = []
-    for axis in range(model.axis_count - 1, 0, -1):
+    for axis in range(leads - 1, 0, -1):
+        if axis in torqued:
+            continue
         control = by_axis.get(axis)
         carriage = positioned.get(axis)
         if carriage is not None:
@@ -82,7 +94,8 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
             ahead = FeedForward(ways[axis], entering_strain(config, state.twin, axis), plan)
         loops[axis] = _tension_task(config, state, control, names, axes[-1], trusts[-1], ahead)
         axes.append(loops[axis])
-    probing = _probing(config, state, {loop.span: loop for loop in loops.values()}, line_speed)
+    of_spans = {loop.span: loop for loop in loops.values()}
+    probing = [_probing(config, state, of_spans, line_speed)] if of_spans else []
     sensors = sensors_at_start(model, config.shape)
     boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N, sensors)
     load = WebLoadTask(config, partial(reports.note, "load model"))
@@ -92,18 +105,22 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         quantities=(
             line_speed,
             *loops.values(),
+            *reels,
             *(axis for axis in axes if isinstance(axis, PositionTask)),
             load,
-            probing,
+            *probing,
         ),
-        control=(boundary, probing, *([plan] if plan else []), *axes, *_reel_speeds(config, leading), load),
+        control=(
+            *(boundary, *probing, *([plan] if plan else []), *axes, *reels, *_reel_speeds(config, leading)),
+            *(load, *([LoadCells(model, config.shape)] if config.shape.cells else [])),
+        ),
         watches=(
             WebAlarms(trusts, state.twin, stop_on_break=config.safety.on_web_break == "stop"),
             *(CarriageStops(each) for each in model.carriages if each.station.name in config.load.measured),
             Watch("limits", limit_watch.update, reports),
             Watch("saturation", SaturationWatch(config).update, reports),
         ),
-        twin_age_limit_cycles=max(control.twin_age_limit_cycles for control in controls.values()),
+        twin_age_limit_cycles=max((control.twin_age_limit_cycles for control in controls.values()), default=_TWIN_AGE),
         warm_up=load.model.warm_up,
         holds={drive: _spans_beside(config.shape, axis) for axis, drive in enumerate(drives, 1)},
     )
@@ -190,7 +207,8 @@ def _measured_reels(config: BenchConfig) -> list[MeasuredReel]:
 
 def _reel_speeds(config: BenchConfig, leader: Leader) -> list[ReelSpeeds]:
     """What makes the reels of a line turn as their radius asks; nothing for a line without any."""
-    reels, line_speed = _measured_reels(config), LINE_SPEED_SIGNAL if config.shape.winds else ""
+    reels = [reel for reel in _measured_reels(config) if reel.axis not in config.shape.torqued]
+    line_speed = LINE_SPEED_SIGNAL if config.shape.winds else ""
     return [ReelSpeeds(reels, leader, line_speed)] if reels or line_speed else []
 
 

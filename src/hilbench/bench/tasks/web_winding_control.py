@@ -51,9 +51,13 @@ class ReelMechanics:
         """With the web on it."""
         return self.empty_kg_m2 + 0.5 * pi * self.web_kg_per_m3_m * (radius_m**4 - self.core_radius_m**4)
 
-    def torque_Nm(self, tension_N: float, acceleration_m_s2: float, radius_m: float) -> float:
-        """Of the motor, at its shaft, that keeps a tension at an acceleration of the web."""
-        accelerating_Nm = self.inertia_kg_m2(radius_m) * acceleration_m_s2 / radius_m
+    def torque_Nm(
+        self, tension_N: float, acceleration_m_s2: float, radius_m: float, wound_m: float | None = None
+    ) -> float:
+        """Of the motor, at its shaft, that keeps a tension at an acceleration of the web; `wound_m`: radius of what
+        turns with it, where that is another."""
+        inertia_kg_m2 = self.inertia_kg_m2(radius_m if wound_m is None else wound_m)
+        accelerating_Nm = inertia_kg_m2 * acceleration_m_s2 / radius_m
         return (self.side * tension_N * radius_m + accelerating_Nm) / self.gear_ratio
 
 
@@ -62,30 +66,44 @@ def _thickness_m(model: ModelParameters, span: int) -> float:
 
 
 class ReelTension:
-    """A reel's torque from the tension beside it, N·m at the motor: PI on the tension, around what is known ahead.
+    """A reel's torque from the tension beside it, N·m at the motor: PID on the tension, around what is known ahead.
 
-    `gain`: N per N; `rate_per_s`: of the integral; `limit_Nm`: of the motor.
+    `gain`: N per N; `rate_per_s`: of the integral; `derivative_s`: N per N/s of the tension, which damps the swing of
+    the reel against its web; `limit_Nm`: of the motor.
     """
 
-    def __init__(self, reel: ReelMechanics, gain: float, rate_per_s: float, limit_Nm: float) -> None:
+    def __init__(
+        self, reel: ReelMechanics, gain: float, rate_per_s: float, limit_Nm: float, derivative_s: float = 0.0
+    ) -> None:
         self._reel = reel
         self._gain = gain
         self._rate_per_s = rate_per_s
+        self._derivative_s = derivative_s
         self._limit_Nm = limit_Nm
         self.reset()
 
     def reset(self) -> None:
-        """Forget the integral."""
+        """Forget the integral, and the tension of before."""
         self._integral_N = 0.0
+        self._before_N: float | None = None
 
     def torque_Nm(
-        self, set_point_N: float, tension_N: float, acceleration_m_s2: float, radius_m: float, cycle_s: float
+        self,
+        set_point_N: float,
+        tension_N: float,
+        acceleration_m_s2: float,
+        radius_m: float,
+        cycle_s: float,
+        wound_m: float | None = None,
     ) -> float:
-        """One cycle; `acceleration_m_s2`: planned, of the web; `radius_m`: of the reel now."""
+        """One cycle; `acceleration_m_s2`: planned, of the web; `radius_m`: of the reel now; `wound_m` as of
+        `ReelMechanics.torque_Nm`."""
         error_N = set_point_N - tension_N
         integral_N = self._integral_N + self._rate_per_s * error_N * cycle_s
-        pull_N = set_point_N + self._gain * error_N + integral_N
-        torque_Nm = self._reel.torque_Nm(pull_N, acceleration_m_s2, radius_m)
+        changed_N = 0.0 if self._before_N is None else tension_N - self._before_N
+        self._before_N = tension_N
+        pull_N = set_point_N + self._gain * error_N + integral_N - self._derivative_s * changed_N / cycle_s
+        torque_Nm = self._reel.torque_Nm(pull_N, acceleration_m_s2, radius_m, wound_m)
         if abs(torque_Nm) > self._limit_Nm:
             return copysign(self._limit_Nm, torque_Nm)
         self._integral_N = integral_N

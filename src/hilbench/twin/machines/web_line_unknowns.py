@@ -83,12 +83,16 @@ class Found:
 
 
 class LineUnknowns:
-    """Of a line with stations, whose axes answer once a cycle; `measured`: names of stations with a sensor."""
+    """Of a line with stations, whose axes answer once a cycle; `measured`: names of stations with a sensor; `torqued`:
+    axes whose torque is told to them, and so says nothing of the web."""
 
-    def __init__(self, model: ModelParameters, cycle_s: float, measured: Sequence[str]) -> None:
+    def __init__(
+        self, model: ModelParameters, cycle_s: float, measured: Sequence[str], torqued: Sequence[int] = ()
+    ) -> None:
         self.varied = VariedLine(model, measured)
         self._model, self._cycle_s = model, cycle_s
-        self._axes = [axis for axis in range(1, model.axis_count + 1) if model.carries_web_load(axis)]
+        pulled = [axis for axis in range(1, model.axis_count + 1) if model.carries_web_load(axis)]
+        self._axes = [axis for axis in pulled if axis not in torqued]
         self._rows = np.array(self._axes, int) - 1
         self._sensors = [(name, unknown) for name, unknown in _stations(model).items() if name in measured]
         loops, axes = model.drives, range(1, model.axis_count + 1)

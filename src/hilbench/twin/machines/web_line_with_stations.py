@@ -46,7 +46,7 @@ class LineWithStationsTwin:
         self.shift_span = 0
         self.refused, self.synchronized = False, False
         self.torque_shift_Nm, self.torque_undecided = 0.0, False
-        self._unknowns = LineUnknowns(model, cycle_s, shape.measured)
+        self._unknowns = LineUnknowns(model, cycle_s, shape.measured, shape.torqued)
         self._model = model
         self._shape = shape
         self._told = told
@@ -64,7 +64,10 @@ class LineWithStationsTwin:
         self._residuals_Nm = [0.0] * model.axis_count
         self._positions_m: list[float] | None = None
         self._reels = [roller.axis for roller in model.line_rollers if isinstance(roller.station, Reel) and roller.axis]
-        self._of_axes = {f"{name}{axis}_{unit}" for axis in axes for name, unit in _OF_AN_AXIS}
+        #: States that the closed line keeps; how a reel goes that is told torques is as it was measured.
+        driven = [axis for axis in axes if axis not in shape.torqued]
+        self._of_axes = {f"{name}{axis}_{unit}" for axis in driven for name, unit in _OF_AN_AXIS}
+        self._of_axes |= {f"tau{axis}_Nm" for axis in shape.torqued}
 
     @property
     def problems(self) -> Mapping[int, Problem | None]:

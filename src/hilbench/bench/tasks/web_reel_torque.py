@@ -1,0 +1,144 @@
+"""A reel in torque mode: its torque from the load cell beside it, around what is known of its pull and acceleration."""
+
+from __future__ import annotations
+
+from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.tension_task import Leader
+from hilbench.bench.tasks.web_winding_control import ReelMechanics, ReelTension
+from hilbench.exchange.exchange import Inputs
+from hilbench.plant.parameters import per_item
+from hilbench.plant.sampling import samples_per
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.topology.quantities import tension_set_point
+from hilbench.topology.sample import CycleSample
+from hilbench.topology.signals import Shape
+from hilbench.topology.web_line_config import ReelControlConfig, span_beside_reel
+
+
+class RollerMotion:
+    """How a driven roller follows its velocity command: m·v' = kp·(u - v) + ki·∫(u - v), sampled as its drive does; the
+    web pulls at both sides alike."""
+
+    def __init__(self, model: ModelParameters, axis: int, cycle_s: float) -> None:
+        loops, ratio = model.drives, model.motor_rad_per_m(axis)
+        assert loops is not None, "a bench's model has drives"
+        self._mass_kg = model.mass_kg(axis)
+        self._kp_N_s_per_m = per_item(loops.velocity_kp_Nm_s_per_rad, axis) * ratio**2
+        self._ki_N_per_m = per_item(loops.velocity_ki_Nm_per_rad, axis) * ratio**2
+        self._samples = samples_per(cycle_s, loops.sample_time_s)
+        self._sample_s = loops.sample_time_s
+        self.reset()
+
+    def reset(self) -> None:
+        """At rest."""
+        self._speed_m_s = self._integral_N = 0.0
+
+    def acceleration_m_s2(self, command_m_s: float) -> float:
+        """The mean of the next cycle, with this command."""
+        before_m_s = self._speed_m_s
+        for _ in range(self._samples):
+            error_m_s = command_m_s - self._speed_m_s
+            self._integral_N += self._ki_N_per_m * error_m_s * self._sample_s
+            force_N = self._kp_N_s_per_m * error_m_s + self._integral_N
+            self._speed_m_s += force_N / self._mass_kg * self._sample_s
+        return (self._speed_m_s - before_m_s) / (self._samples * self._sample_s)
+
+
+class ReelTorqueTask(CyclicTask):
+    """Torque of the drive of a reel from what the load cell beside it tells.
+
+    The set-point, N, is settable. With the twin's feed-forward the pull acts at the radius that the twin has, and the
+    torque for the acceleration of the leading axis, as its drive follows the line's speed, is told with it. What a
+    bench's reel turns is a flywheel of the web that is on it at the start. `leading`: number of the axis that leads.
+    """
+
+    def __init__(
+        self,
+        control: ReelControlConfig,
+        drive: str,
+        axis: int,
+        leader: Leader,
+        leading: int,
+        model: ModelParameters,
+        shape: Shape,
+        state: BenchState,
+    ) -> None:
+        loops, number = model.drives, shape.numbered(span_beside_reel(model, axis))
+        assert loops is not None, "a bench's model has drives"
+        self._drive, self._leader, self._state = drive, leader, state
+        self._reel = ReelMechanics.of_model(model, axis)
+        limit_Nm = per_item(loops.torque_limit_Nm, axis)
+        self._loop = ReelTension(self._reel, control.gain, control.rate_per_s, limit_Nm, control.derivative_s)
+        self._ahead = RollerMotion(model, leading, state.cycle_s) if control.feed_forward == "twin" else None
+        self._counted_m = model.radius_m(axis)
+        self._path, self._set_point_N = tension_set_point(number), control.set_point_N
+        self._cell, self._shown = f"F_{control.load_cell}_meas_N", f"F{number}_ref_N"
+        self._closed = f"loop{number}_closed"
+        self._radius, self._torque = f"r_{control.reel}_sim_m", f"tau{axis}_cmd_Nm"
+        self._position, self._speed = f"x{axis}_m", f"v{axis}_cmd_m_s"
+        self._at_m: float | None = None
+        self._told = False  # what the load cell says
+
+    def owns(self, path: str) -> bool:
+        """Whether it is the set-point."""
+        return path == self._path
+
+    def value(self, path: str) -> float:
+        """The set-point, N."""
+        return self._set_point_N
+
+    def set(self, path: str, value: float) -> None:
+        """Another set-point, N."""
+        self._set_point_N = value
+
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+        """Torque, N·m at the motor, from the last sample. Nobody commands its speed: what is recorded in the place of
+        that is how fast it went, so that it is nowhere else than where it was told to be."""
+        speed_m_s = self._leader.damped_m_s * self._state.speed_share
+        radius_m, acceleration_m_s2 = self._counted_m, 0.0
+        if self._ahead is not None:
+            radius_m = self._radius_m(sample)
+            acceleration_m_s2 = self._ahead.acceleration_m_s2(speed_m_s)
+        tension_N = getattr(sample, self._cell) if self._told else self._set_point_N
+        now = self._set_point_N, tension_N, acceleration_m_s2, radius_m, self._state.cycle_s, self._counted_m
+        outputs[self._drive] = torque_Nm = self._loop.torque_Nm(*now)
+        setattr(sample, self._torque, torque_Nm)
+        position_m: float = getattr(sample, self._position)
+        went_m = 0.0 if self._at_m is None else position_m - self._at_m
+        setattr(sample, self._speed, went_m / self._state.cycle_s)
+        self._at_m = position_m
+        setattr(sample, self._closed, int(self._told))
+
+    def _radius_m(self, sample: CycleSample) -> float:
+        """That which the twin has told last; before that the one at the start."""
+        radius_m: float = getattr(sample, self._radius)
+        return radius_m if radius_m > 0.0 else self._counted_m
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Record the set-point."""
+        self._told = True
+        setattr(sample, self._shown, self._set_point_N)
+
+    def rest(self, sample: CycleSample, outputs: Outputs) -> None:
+        """No torque, and nothing is known of the line."""
+        self._told = False
+        self._at_m = None
+        self._loop.reset()
+        if self._ahead is not None:
+            self._ahead.reset()
+        setattr(sample, self._shown, self._set_point_N)
+
+
+class LoadCells(CyclicTask):
+    """What the load cells of the imitated line tell: the mean of the tensions on both sides of their idlers."""
+
+    def __init__(self, model: ModelParameters, shape: Shape) -> None:
+        rows = {roller.name: row for row, roller in enumerate(model.line_rollers)}
+        beside = {cell: (shape.numbered(rows[cell]), shape.numbered(rows[cell] + 1)) for cell in shape.cells}
+        self._cells = [(f"F_{cell}_meas_N", f"F{a}_true_N", f"F{b}_true_N") for cell, (a, b) in beside.items()]
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Tell it."""
+        for cell, before, behind in self._cells:
+            setattr(sample, cell, 0.5 * (getattr(sample, before) + getattr(sample, behind)))
