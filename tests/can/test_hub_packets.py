@@ -1,76 +1,195 @@
-"""A packet that the hub passes on in one go: what comes out, and is counted, is what it is frame by frame."""
+"""Packets that the hub forwards without the interpreter: what comes out, and is counted, is what it is with it."""
 
 from __future__ import annotations
 
-import select
+import fcntl
 import socket
+import termios
+import threading
+import time
 from collections.abc import Sequence
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, closing
+from itertools import pairwise
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hilbench.can import hub as hub_module
 from hilbench.can import protocol, requests
 from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from hilbench.can.hub import Hub
+from hilbench.can.hub import Client, Hub
 from hilbench.can.medium import Medium
 
-FLAGS = st.sampled_from([0, 0, 0, REMOTE_FLAG, EXTENDED_FLAG, ERROR_FLAG])
+#: Few identifiers: the hub knows what it has passed on before, and several senders have the same.
+IDENTIFIERS = st.integers(0, 5) | st.integers(0x7FE, 0x801) | st.sampled_from([0x1FFFFFFF, 0x80])
+FLAGS = st.sampled_from([0, 0, 0, 0, 0, 0, REMOTE_FLAG, EXTENDED_FLAG, ERROR_FLAG])
 RECORDS = st.tuples(
-    st.integers(0, 0x803) | st.integers(0, 0x1FFFFFFF),
+    IDENTIFIERS,
     FLAGS,
-    st.integers(0, 9),
+    st.sampled_from([0, 1, 8, 8, 8, 8, 9]),
     st.binary(min_size=8, max_size=8),
 )
-#: Who sends, and what.
-PACKETS = st.lists(st.tuples(st.integers(0, 2), st.lists(RECORDS, max_size=12), st.binary(max_size=2)), max_size=8)
-#: What the three let pass: all, an identifier, nothing.
-FILTERS = [None, [(0x001, 0x003)], []]
+#: Who sends, what, and what is behind it that is no record.
+PACKETS = st.lists(
+    st.tuples(st.integers(0, 3), st.lists(RECORDS, max_size=12), st.sampled_from([b"", b"", b"", b"x"])), max_size=8
+)
+#: What the four let pass: all, an identifier, nothing, all of it one frame a packet.
+FILTERS = [None, [(0x001, 0x003)], [], None]
+#: Of a socket, in bytes: room for one packet of the most records, and a little.
+_SHORT_BUFFER = 1 << 14
 
 
-def delivered(packets: Sequence[tuple[int, list[tuple[int, int, int, bytes]], bytes]], *, alone: bool) -> object:
-    """All that three stations get from a hub, and its counters."""
-    with ExitStack() as resources:
-        hub = Hub("test", resources.enter_context(closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))))
+class CountingHub(Hub):
+    """Knows how many packets it has taken itself."""
+
+    taken = 0
+
+    def _take_frames(self, client: Client, packet: bytes) -> None:
+        self.taken += 1
+        super()._take_frames(client, packet)
+
+
+def packet_of(records: Sequence[tuple[int, int, int, bytes]], rest: bytes = b"") -> bytes:
+    body = [protocol.CAN_RECORD.pack(number | flags, size, 0, data) for number, flags, size, data in records]
+    return protocol.HEADER.pack(protocol.KIND_CLASSICAL, 0) + b"".join(body) + rest
+
+
+class Stations:
+    """Four on a hub of their own, which has not begun to serve them."""
+
+    def __init__(self, resources: ExitStack, *, loaded: bool) -> None:
+        listener = resources.enter_context(closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)))
+        listener.bind("")  # to a name that the kernel finds
+        listener.listen()
+        resources.enter_context(pytest.MonkeyPatch.context()).setattr(hub_module, "GRACE_S", 0.0)
+        self.hub = hub = CountingHub("test", listener)
         resources.callback(hub._epoll.close)
+        if loaded:
+            hub.load_forwarder()
         hub.settings = requests.Settings(timing="virtual")
         hub._medium = Medium(hub.settings.bitrate)
-        others = []
+        self.ends = []
         for filters in FILTERS:
             here, there = (
                 resources.enter_context(closing(end))
                 for end in socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             )
-            there.setblocking(False)
-            others.append(there)
+            there.settimeout(20.0)
+            self.ends.append(there)
             client = hub.connect(here)
             client.filters, client.joined = filters, True
             hub._medium.join(client)
-        came: list[list[bytes]] = [[] for _ in others]
+        self.clients = list(hub._clients.values())
+        self.clients[3].limit = 1
+        self._serves = threading.Thread(target=hub.serve, args=(lambda: True,))
+        resources.callback(lambda: self._serves.ident and self._serves.join())
+        resources.callback(lambda: [end.close() for end in self.ends])
+
+    def serve(self) -> None:
+        """From now on, until all have said their last."""
+        self._serves.start()
+
+    def say_no_more(self) -> None:
+        """Once the hub has taken all that was sent."""
+        deadline_s = time.monotonic() + 20.0
+        for end in self.ends:
+            while fcntl.ioctl(end, termios.TIOCOUTQ, bytes(4)) != bytes(4):
+                assert time.monotonic() < deadline_s, "the hub has not taken what was sent"
+                time.sleep(1e-4)
+        for end in self.ends:
+            end.shutdown(socket.SHUT_WR)
+
+    def left(self) -> list[list[bytes]]:
+        """What each gets until the hub has ended."""
+        return [list(iter(lambda end=end: end.recv(protocol.PACKET_BYTES), b"")) for end in self.ends]
+
+    def counted(self) -> object:
+        self._serves.join()
+        return self.hub._medium.counters, self.hub._medium.free_ns, self.hub.malformed
+
+
+def delivered(packets: Sequence[tuple[int, list[tuple[int, int, int, bytes]], bytes]], *, loaded: bool) -> object:
+    """All that four stations get, and what the hub has counted; the first packets of all compete, then the second."""
+    with ExitStack() as resources:
+        stations = Stations(resources, loaded=loaded)
         for sender, records, rest in packets:
-            body = [protocol.CAN_RECORD.pack(number | flags, size, 0, data) for number, flags, size, data in records]
-            header = protocol.HEADER.pack(protocol.KIND_CLASSICAL, 0)
-            others[sender].send(header + b"".join(body) + rest)
-            hub._attend(list(hub._clients.values())[sender], select.EPOLLIN, alone=alone)
-            hub._run()
-            for at, there in enumerate(others):
-                with suppress(BlockingIOError):
-                    while True:
-                        came[at].append(there.recv(protocol.PACKET_BYTES))
-        return came, hub._medium.counters, hub._medium.free_ns, hub.malformed
+            stations.ends[sender].send(packet_of(records, rest))
+        stations.serve()
+        stations.say_no_more()
+        return stations.left(), stations.counted()
 
 
-@given(PACKETS)
+@given(PACKETS, st.integers(1, 3))
+@settings(max_examples=40, deadline=None, derandomize=True)
+def test_with_and_without_the_interpreter_packets_are_alike(packets, times):
+    assert delivered(times * packets, loaded=True) == delivered(times * packets, loaded=False)
+
+
+@pytest.mark.parametrize("loaded", [True, False])
+def test_what_a_station_hears_of_a_packet_is_one_packet(loaded):
+    with ExitStack() as resources:
+        stations = Stations(resources, loaded=loaded)
+        for _ in range(3):
+            stations.ends[0].send(packet_of([(number, 0, 8, bytes(8)) for number in range(8)]))
+        stations.serve()
+        stations.say_no_more()
+        _, second, third, single = stations.left()
+        heard = [
+            [record[0] for record in protocol.STAMPED_CAN_RECORD.iter_unpack(packet[protocol.HEADER.size :])]
+            for packet in second
+        ]
+        assert heard == 3 * [[1, 5]]
+        assert third == []
+        assert len(single) == 24
+        assert stations.hub.taken == (1 if loaded else 3)
+
+
+#: Frames that compete: two lengths of each identifier.
+COMPETING = [(number, 0, size) for number in (0x001, 0x080, 0x185, 0x7FF) for size in (1, 8)]
+PACKET = st.lists(st.tuples(st.sampled_from(COMPETING), st.binary(min_size=8, max_size=8)), min_size=1)
+ROUNDS = st.lists(st.lists(PACKET, max_size=4), min_size=2, max_size=4)
+
+
+@given(ROUNDS)
 @settings(max_examples=60, deadline=None, derandomize=True)
-def test_in_one_go_and_frame_by_frame_are_alike(packets):
-    assert delivered(packets, alone=True) == delivered(packets, alone=False)
+def test_known_frames_of_several_stations_compete_as_any(rounds):
+    """By their identifiers, and who joined first; the first packet of each makes them known."""
+    packets = [(sender, [(*frame, bytes(8)) for frame in COMPETING], b"") for sender in (2, 0, 3, 1)]
+    packets += [
+        (sender, [(*frame, data) for frame, data in records], b"")
+        for each in rounds
+        for sender, records in enumerate(each)
+    ]
+    assert delivered(packets, loaded=True) == delivered(packets, loaded=False)
 
 
-def test_what_a_station_hears_of_a_packet_is_one_packet():
-    records = [(number, 0, 8, bytes(8)) for number in range(8)]
-    (_, second, third), counters, *_ = delivered([(0, records, b"")], alone=True)
-    (packet,) = second
-    heard = [record[0] for record in protocol.STAMPED_CAN_RECORD.iter_unpack(packet[protocol.HEADER.size :])]
-    assert heard == [1, 5]
-    assert third == []
-    assert counters.frames == 8
+@pytest.mark.parametrize("reader", [0, 3])
+@pytest.mark.parametrize("loaded", [True, False])
+def test_who_reads_late_has_lost_nothing(loaded, reader):
+    """Its socket is full in the middle of what it hears."""
+    with ExitStack() as resources:
+        stations = Stations(resources, loaded=loaded)
+        stations.clients[reader].connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SHORT_BUFFER)
+        stations.serve()
+        came: list[tuple[int, int, int]] = []
+
+        def read_until(frames: int) -> None:
+            while len(came) < frames:
+                packet = stations.ends[reader].recv(protocol.PACKET_BYTES)
+                assert protocol.HEADER.unpack_from(packet)[1] == 0
+                for can_id, _, _, data, time_ns in protocol.STAMPED_CAN_RECORD.iter_unpack(
+                    packet[protocol.HEADER.size :]
+                ):
+                    came.append((int.from_bytes(data, "little"), can_id, time_ns))
+
+        for at in range(40):
+            stations.ends[1].send(packet_of([(number, 0, 8, at.to_bytes(8, "little")) for number in range(100)]))
+            if at == 0:
+                read_until(100)  # known from now on
+        read_until(4000)
+        assert [(at, number) for at, number, _ in came] == [(at, number) for at in range(40) for number in range(100)]
+        assert all(before[2] < behind[2] for before, behind in pairwise(came))
+        stations.say_no_more()
+        stations.left()
+        stations.counted()

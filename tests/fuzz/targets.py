@@ -169,9 +169,7 @@ def _to_hub(data: bytes) -> None:
         at = 1
         while at + 1 < len(data):
             size = data[at] + 1
-            packet = data[at + 1 : at + 1 + size]
-            if not hub._pass_on(client, packet):
-                hub._take_frames(client, packet)
+            hub._take_frames(client, data[at + 1 : at + 1 + size])
             at += 1 + size
         assert hub.malformed >= 0
     finally:

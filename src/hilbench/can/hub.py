@@ -1,7 +1,8 @@
 """The hub of the embedded bus: a process of its own that emulates one CAN wire between its clients.
 
 `python -m hilbench.can.hub` is started by the first client (see `hub_client`) with a listening socket; it ends when no
-connection is left. Only the standard library is imported here, so that it starts fast and without site-packages.
+connection is left. Only the standard library is imported here, so that it starts fast and without site-packages; where
+time is virtual and many frames go by, `forwarding` is loaded while it serves.
 
 Flow of a frame: client's packet, its station's transmit queue, arbitration and bus time (`medium`), one packet for
 every other station that wants some of the frames that were over. A station whose transmit queue is full is not read
@@ -17,24 +18,27 @@ import json
 import os
 import select
 import signal
+import site
 import socket
-import struct
 import sys
+import threading
 import time
 from collections import deque
-from collections.abc import Callable
-from functools import cache
+from collections.abc import Callable, Sequence
 from itertools import islice, takewhile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 from hilbench.can import protocol, requests
 from hilbench.can.confinement import ControllerState
 from hilbench.can.disturbance import Disturber
-from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, is_classical
 from hilbench.can.listeners import Listeners
 from hilbench.can.medium import FOREVER, Delivery, Medium, Station
 from hilbench.can.wire import FD_LENGTHS, bits_on_wire, fd_bits_on_wire
+
+if TYPE_CHECKING:
+    from hilbench.can.forwarding import Forwarder
 
 #: The hub ends when nobody was connected for so long: time for a program to close one bus and open the next.
 GRACE_S = 0.1
@@ -44,9 +48,11 @@ TRANSMIT_LIMIT = 512
 RECEIVE_LIMIT = 16384
 #: Records in one packet to a client.
 DELIVERED_RECORDS = 512
-#: Packets of different frames whose receivers are kept.
-_KNOWN_PACKETS = 4096
-_FIELDS = 4  # of a classical record
+#: Frames in virtual time after which what forwards them without the interpreter is loaded, which takes as much as the
+#: interpreter needs for some 20,000.
+_FRAMES_UNTIL_LOADED = 4096
+#: How long a station waits for the loading thread at most.
+_SWITCH_WHILE_LOADING_S = 0.0002
 #: Connections at a time; further ones are closed at once.
 MAX_CLIENTS = 128
 
@@ -62,9 +68,9 @@ class Client(Station):
         "filters",
         "identity",
         "joined",
+        "limit",
         "reading",
         "receive_own",
-        "single",
         "waiting",
     )
 
@@ -76,15 +82,11 @@ class Client(Station):
         self.filters: list[tuple[int, int]] | None = None
         self.receive_own = False
         self.fd = False
-        self.single = False  # one frame a packet
+        self.limit = DELIVERED_RECORDS  # in one packet
         self.dropped = 0
         self.waiting: deque[bytes] = deque()  # stamped records its socket had no room for
         self.reading = True  # not paused because of its full transmit queue
         self.blocked = False  # epoll tells when its socket has room again
-
-
-#: Clients, each with the places of the frames that it hears in a packet; None: all.
-_Receivers = list[tuple[Client, list[int] | None]]
 
 
 class Hub:
@@ -98,7 +100,8 @@ class Hub:
         self._clients: dict[int, Client] = {}  # connected, by file descriptor
         self._departed: list[Client] = []  # gone, with frames still to send
         self._listeners = Listeners(lambda: [client for client in self._clients.values() if client.joined])
-        self._known_receivers: dict[tuple[Client, tuple[int, ...], tuple[int, ...]], _Receivers] = {}
+        self._forwarder: Forwarder | None = None
+        self._loading: threading.Thread | None = None
         self._identities = 0
         self._fd = False  # whether a station that may send FD frames has joined
         self._epoll = select.epoll()
@@ -112,12 +115,12 @@ class Hub:
         """Serve until nobody is connected for GRACE_S and `may_end()` agrees."""
         idle_since = time.monotonic()
         while True:
-            ready = self._poll()
-            for descriptor, events in ready:
-                if descriptor == self._listener.fileno():
-                    self._accept()
-                elif descriptor in self._clients:
-                    self._attend(self._clients[descriptor], events, alone=len(ready) == 1)
+            if not self._forward():
+                for descriptor, events in self._poll():
+                    if descriptor == self._listener.fileno():
+                        self._accept()
+                    elif descriptor in self._clients:
+                        self._attend(self._clients[descriptor], events)
             self._run()
             if self._clients or self._departed:
                 idle_since = time.monotonic()
@@ -141,9 +144,65 @@ class Hub:
             return self._epoll.poll(0)
         return self._epoll.poll(-1 if self._clients else GRACE_S)
 
+    @property
+    def _is_virtual(self) -> bool:
+        return self.settings.timing == "virtual"
+
     def _now_ns(self) -> int:
         """Bus time of `real` timing: CLOCK_REALTIME when the hub began, never set back or forth since."""
         return time.monotonic_ns() + self._clock_offset_ns
+
+    # --- without the interpreter
+
+    def _forward(self) -> bool:
+        """Have packets of known frames forwarded until something else happens; whether that was done here: it was a
+        packet, or a station that does not read. Nothing is done where that is not all there is to it."""
+        forwarder = self._forwarder
+        if forwarder is None:
+            if self._loading is None and self._medium.counters.frames >= _FRAMES_UNTIL_LOADED and self._is_virtual:
+                self._load()
+            return False
+        stations = cast("Sequence[Client]", self._medium.stations)
+        if not 0 < len(stations) <= forwarder.MAX_STATIONS or not self._is_quiet():
+            return False
+        places = [(each.connection.fileno(), each.limit, each.dropped, each.receive_own) for each in stations]
+        left = [(stations[at], packet) for at, packet in forwarder.forward(self._medium, places)]
+        for _, packet in left:
+            forwarder.learn(packet or b"", self._heard_by)
+        for client, packet in left:
+            if packet is None:
+                self._attend(client, select.EPOLLIN)
+            else:
+                self._take(client, packet)
+        undelivered = list(forwarder.undelivered())
+        for at, records in undelivered:
+            self._deliver(stations[at], records)
+        return bool(left or undelivered)
+
+    def _is_quiet(self) -> bool:
+        """Whether frames, once sent, are over and heard at once, and nothing happens to them."""
+        if not self._is_virtual or self._departed or not self._medium.undisturbed:
+            return False
+        return not any(client.blocked or not client.reading for client in self._clients.values())
+
+    def _heard_by(self, can_id: int) -> int:
+        """The stations that hear an identifier, a bit each."""
+        hearing = self._listeners.of(can_id)
+        return sum(1 << at for at, client in enumerate(self._medium.stations) if client in hearing)
+
+    def _load(self) -> None:
+        """Load what forwards; the stations are served meanwhile."""
+        sys.setswitchinterval(_SWITCH_WHILE_LOADING_S)
+        self._loading = threading.Thread(target=self.load_forwarder)
+        self._loading.start()
+
+    def load_forwarder(self) -> None:
+        """From now on packets of known frames need no interpreter."""
+        if sys.flags.no_site:  # the hub was started without other packages
+            site.main()
+        from hilbench.can.forwarding import Forwarder
+
+        self._forwarder = Forwarder(self._epoll.fileno())
 
     # --- connections
 
@@ -165,8 +224,7 @@ class Hub:
         self._epoll.register(connection, select.EPOLLIN)
         return client
 
-    def _attend(self, client: Client, events: int, *, alone: bool) -> None:
-        """`alone`: nobody else has anything to say."""
+    def _attend(self, client: Client, events: int) -> None:
         if events & select.EPOLLOUT:
             self._flush(client)
         if not client.reading or not events & (select.EPOLLIN | select.EPOLLHUP | select.EPOLLERR):
@@ -177,11 +235,13 @@ class Hub:
             return
         except OSError:  # reset by a client that was killed
             packet = b""
+        self._take(client, packet)
+
+    def _take(self, client: Client, packet: bytes) -> None:
         if not packet:
             self._disconnect(client)
         elif client.joined:
-            if not (alone and self._pass_on(client, packet)):
-                self._take_frames(client, packet)
+            self._take_frames(client, packet)
         else:
             self._answer(client, packet)
 
@@ -203,55 +263,11 @@ class Hub:
 
     # --- frames in
 
-    def _pass_on(self, client: Client, packet: bytes) -> bool:
-        """What is done with a packet of classical frames, in one go: where time is virtual, nobody competes, and
-        nothing happens to frames but that they come. False: not so, and nothing was done."""
-        count, rest = divmod(len(packet) - protocol.HEADER.size, protocol.CAN_RECORD.size)
-        if self.settings.timing == "real" or not self._medium.undisturbed or client.receive_own:
-            return False
-        if rest or not 0 < count <= protocol.MAX_RECORDS or packet[0] != protocol.KIND_CLASSICAL:
-            return False
-        values = _layout(count).unpack_from(packet, protocol.HEADER.size)
-        can_ids, lengths, data = values[::_FIELDS], values[1::_FIELDS], values[3::_FIELDS]
-        receivers = self._receivers(client, can_ids, lengths)
-        if receivers is None:
-            return False
-        all_bits = [
-            bits_on_wire(can_id, content[:length])
-            for can_id, length, content in zip(can_ids, lengths, data, strict=True)
-        ]
-        start, size, pack_time = protocol.HEADER.size, protocol.CAN_RECORD.size, protocol.STAMP.pack
-        records = []
-        for over_ns in self._medium.carry(all_bits):
-            records.append(packet[start : start + size] + pack_time(over_ns))
-            start += size
-        for receiver, places in receivers:
-            self._deliver(receiver, records if places is None else [records[place] for place in places])
-        return True
-
-    def _receivers(self, sender: Client, can_ids: tuple[int, ...], lengths: tuple[int, ...]) -> _Receivers | None:
-        """Who hears which of the frames of a packet, by their places; None for all. None at all: one is no frame."""
-        key = sender, can_ids, lengths
-        found = self._known_receivers.get(key)
-        if found is None:
-            for can_id, length in zip(can_ids, lengths, strict=True):
-                if not _is_classical(can_id, length):
-                    return None
-            if len(self._known_receivers) >= _KNOWN_PACKETS:
-                self._known_receivers.clear()
-            places: dict[Client, list[int]] = {}
-            for place, can_id in enumerate(can_ids):
-                for client in self._listeners.of(can_id):
-                    if client is not sender:
-                        places.setdefault(client, []).append(place)
-            found = [(client, None if len(those) == len(can_ids) else those) for client, those in places.items()]
-            self._known_receivers[key] = found
-        return found
-
     def _forget_listeners(self) -> None:
         """Somebody has come or gone, or has other filters."""
         self._listeners.forget()
-        self._known_receivers.clear()
+        if self._forwarder is not None:
+            self._forwarder.forget()
 
     def _take_frames(self, client: Client, packet: bytes) -> None:
         kind = packet[0]
@@ -380,9 +396,7 @@ class Hub:
     def _next_packet(self, client: Client) -> list[bytes]:
         """The waiting records that go into the next packet: all of one size."""
         waiting = client.waiting
-        if client.single:
-            return [waiting[0]]
-        records = list(waiting) if len(waiting) <= DELIVERED_RECORDS else list(islice(waiting, DELIVERED_RECORDS))
+        records = list(waiting) if len(waiting) <= client.limit else list(islice(waiting, client.limit))
         if not client.fd:
             return records
         size = len(records[0])
@@ -434,7 +448,8 @@ class Hub:
             join.wanted.check_against(self.settings)
         client.filters = join.filters
         self._forget_listeners()
-        client.receive_own, client.fd, client.single = join.receive_own, join.fd, join.single
+        client.receive_own, client.fd = join.receive_own, join.fd
+        client.limit = 1 if join.single else DELIVERED_RECORDS
         client.joined = True
         self._fd = (self._fd and not alone) or client.fd
         self._medium.join(client)
@@ -458,17 +473,7 @@ class Hub:
 
 def _classical_bits(can_id: int, length: int, data: bytes) -> int:
     """Bit times of a classical record; 0: no frame that could be on a wire."""
-    return bits_on_wire(can_id, data[:length]) if _is_classical(can_id, length) else 0
-
-
-def _is_classical(can_id: int, length: int) -> bool:
-    return length <= 8 and not can_id & ERROR_FLAG and not (can_id & 0x1FFFF800 and not can_id & EXTENDED_FLAG)
-
-
-@cache
-def _layout(count: int) -> struct.Struct:
-    """Of so many classical records."""
-    return struct.Struct("=" + count * protocol.CAN_RECORD.format[1:])
+    return bits_on_wire(can_id, data[:length]) if is_classical(can_id, length) else 0
 
 
 def _marked_own(record: bytes) -> bytes:

@@ -89,6 +89,11 @@ class Medium:
     def join(self, station: Station) -> None:
         self._stations.append(station)
 
+    @property
+    def stations(self) -> Sequence[Station]:
+        """Those on the wire, in the order in which they joined."""
+        return self._stations
+
     def leave(self, station: Station) -> None:
         """Take a station off the wire; what is in its queue is not sent."""
         self._stations.remove(station)
@@ -147,16 +152,6 @@ class Medium:
             and not self._counting
             and not any(station.queue for station in self._stations)
         )
-
-    def carry(self, all_bits: Sequence[int]) -> list[int]:
-        """When frames of so many bit times are over that one station sends now while the wire is `undisturbed`: what
-        `queue` and `run(FOREVER)` do with them."""
-        over_ns, free_ns, bitrate = [], self.free_ns, self.bitrate
-        for bits in all_bits:
-            free_ns += bits * 1_000_000_000 // bitrate
-            over_ns.append(free_ns)
-        self.account(len(over_ns), sum(all_bits), free_ns - self.free_ns)
-        return over_ns
 
     def account(self, frames: int, bits: int, duration_ns: int) -> None:
         """So many frames went over the wire while it was undisturbed, one after the other."""

@@ -1,0 +1,126 @@
+"""The hub's way around the interpreter: tables for `forwarding_kernel`, made from the objects that the hub goes by.
+
+Which frames are known, and who hears them, is learnt from what the hub has passed on itself, and forgotten when
+somebody comes or goes or has other filters.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from hilbench.can import forwarding_kernel as kernel
+from hilbench.can import protocol, wire
+from hilbench.can.arbitration import priority
+from hilbench.can.frame import REMOTE_FLAG, is_classical
+from hilbench.can.medium import Medium
+
+_STAMPED_WORDS = protocol.STAMPED_CAN_RECORD.size // 8
+
+
+#: A station on the wire, as far as frames come from it and go there: descriptor, records in one packet to it, frames
+#: dropped so far, whether it hears its own.
+Place = tuple[int, int, int, bool]
+
+
+class Forwarder:
+    """Passes on packets of known frames; `epoll` waits for the stations, and for all else that can happen."""
+
+    #: Who hears a frame is told by the bits of a number.
+    MAX_STATIONS = 62
+
+    def __init__(self, epoll: int) -> None:
+        self._epoll = epoll
+        self._places: list[Place] = []
+        self._state = np.zeros(kernel.OF_STATE, np.int64)
+        self._descriptors = self._of_descriptors = np.zeros(0, np.int64)
+        self._stations = np.zeros((0, kernel.OF_STATION), np.int64)
+        self._known, self._known_count = np.zeros((kernel.KNOWN_ROWS, kernel.OF_FRAME), np.int64), 0
+        self._events = np.zeros((kernel.MAX_READY + 1) * kernel.EVENT_WORDS, np.uint32)
+        self._received = np.zeros((kernel.MAX_READY, kernel.PACKET_WORDS), np.int64)
+        self._packets = np.zeros((kernel.MAX_READY, kernel.OF_PACKET), np.int64)
+        self._rows = np.zeros((kernel.MAX_READY, protocol.MAX_RECORDS), np.int64)
+        self._carried = np.zeros((kernel.MAX_CARRIED, kernel.OF_CARRIED), np.int64)
+        self._out = np.zeros(kernel.PACKET_WORDS, np.int64)
+        kernel.warm_up()
+
+    def forward(self, medium: Medium, places: list[Place]) -> list[tuple[int, bytes | None]]:
+        """Serve the stations at these places, in the order in which they joined, while all that happens is packets of
+        known frames; the wire is `undisturbed`. What it has left: packets and whose, None: none came after all."""
+        if places != self._places:
+            self._take(places)
+        state = self._state
+        state[kernel.BITRATE], state[kernel.FREE_NS] = medium.bitrate, medium.free_ns
+        state[kernel.CARRIED_FRAMES] = state[kernel.CARRIED_BITS] = 0
+        kernel.forward(
+            self._epoll,
+            state,
+            self._descriptors,
+            self._of_descriptors,
+            self._stations,
+            self._known,
+            self._events,
+            self._received,
+            self._packets,
+            self._rows,
+            self._carried,
+            self._out,
+        )
+        frames, bits, free_ns = state[[kernel.CARRIED_FRAMES, kernel.CARRIED_BITS, kernel.FREE_NS]].tolist()
+        medium.account(frames, bits, free_ns - medium.free_ns)
+        return [self._packet(at) for at in range(state[kernel.PACKETS_LEFT])]
+
+    def _packet(self, at: int) -> tuple[int, bytes | None]:
+        station, size = self._packets[at, [kernel.STATION, kernel.SIZE]].tolist()
+        return station, None if size < 0 else self._received[at].tobytes()[:size]
+
+    def _take(self, places: list[Place]) -> None:
+        self._places = places
+        self._descriptors = np.array([descriptor for descriptor, *_ in places], np.int64)
+        self._of_descriptors = np.full(max(self._descriptors, default=0) + 1, -1)
+        self._of_descriptors[self._descriptors] = range(len(places))
+        self._stations = np.zeros((len(places), kernel.OF_STATION), np.int64)
+        for row, (_, limit, dropped, receive_own) in zip(self._stations, places, strict=True):
+            header = protocol.HEADER.pack(protocol.KIND_CLASSICAL, dropped & 0xFFFFFFFF)
+            row[kernel.LIMIT], row[kernel.OWN] = limit, receive_own
+            row[kernel.HEADER] = int.from_bytes(header, sys.byteorder)
+
+    def undelivered(self) -> Iterator[tuple[int, list[bytes]]]:
+        """Stations, and the records for each that the one before them, whose socket was full, has kept from it."""
+        carried = self._carried[: self._state[kernel.FRAMES_LEFT]]
+        receiver, since = self._state[[kernel.RECEIVER, kernel.RECEIVED]].tolist()
+        if not len(carried):
+            return
+        for station in range(receiver, len(self._places)):
+            yield station, [row[:_STAMPED_WORDS].tobytes() for row in carried[since:] if row[kernel.TO] >> station & 1]
+            since = 0
+
+    def learn(self, packet: bytes, heard_by: Callable[[int], int]) -> None:
+        """What there is to know of the frames of a packet; `heard_by`: stations that hear an identifier, a bit each."""
+        body = memoryview(packet)[protocol.HEADER.size :]
+        if len(packet) < protocol.HEADER.size or packet[0] != protocol.KIND_CLASSICAL:
+            return
+        if len(body) % protocol.CAN_RECORD.size == 0:
+            for can_id, length, _, _ in protocol.CAN_RECORD.iter_unpack(body):
+                if is_classical(can_id, length):
+                    self._know(can_id, length, heard_by(can_id))
+
+    def _know(self, can_id: int, length: int, heard_by: int) -> None:
+        if 2 * self._known_count >= kernel.KNOWN_ROWS:
+            self.forget()
+        key = kernel.key_of(can_id, length)
+        row = kernel.first_row(key)
+        while self._known[row, kernel.KEY] not in (0, key + 1):
+            row = (row + 1) % kernel.KNOWN_ROWS
+        self._known_count += int(self._known[row, kernel.KEY] == 0)
+        known = self._known[row]
+        known[kernel.KEY] = key + 1
+        known[[kernel.CRC, kernel.STUFFING, kernel.BITS]] = wire.header(can_id, length)
+        known[kernel.DATA_BYTES] = 0 if can_id & REMOTE_FLAG else length
+        known[kernel.PRIORITY], known[kernel.HEARD_BY] = priority(can_id), heard_by
+
+    def forget(self) -> None:
+        """Somebody has come or gone, or has other filters."""
+        self._known[:], self._known_count = 0, 0

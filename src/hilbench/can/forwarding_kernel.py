@@ -1,0 +1,247 @@
+"""What the hub does with packets of known frames on a quiet wire where time is virtual, compiled.
+
+One loop waits for stations to send, lets the wire carry what they have sent, and gives it to who hears it, until
+anything else happens: that is for `hub`, which is the reference. Each function says whose work it does. What it calls
+are epoll_wait(2), recv(2) and send(2) of the C library that is in the process anyway.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from hilbench.can import compiled_wire, protocol, wire
+from hilbench.can.compiled_wire import bits_on_wire
+from hilbench.compiled import COUNT, INDICES, TABLE, compiled, entry_point, number_of_sources
+
+#: More stations that have sent at once are for the hub.
+MAX_READY: Final = 16
+#: Rows of `known`; a power of two, of which a half is used at most.
+KNOWN_ROWS: Final = 8192
+_LAST_ROW = KNOWN_ROWS - 1
+
+#: Columns of a station: records in one packet to it, the header of the next one, whether it hears its own frames.
+LIMIT, HEADER, OWN, OF_STATION = range(4)
+#: Columns of a known frame: its key, one more than `key_of` says (0: nothing is known there); `wire.header`, data bytes
+#: on the wire, `arbitration.priority`, stations that hear it (a bit each).
+KEY, CRC, STUFFING, BITS, DATA_BYTES, PRIORITY, HEARD_BY, OF_FRAME = range(8)
+#: Columns of a packet that has come: whose, its size in bytes (-1: none came after all), its frames, the next of them.
+STATION, SIZE, FRAMES, NEXT, OF_PACKET = range(5)
+#: Columns of a frame that was carried: a `protocol.STAMPED_CAN_RECORD`, who hears it, who has sent it.
+STAMPED, _DATA, _TIME_NS, TO, FROM, OF_CARRIED = range(6)
+#: Places in `state`. Of the hub: bit/s. Of both: bus time. Of the loop: what the wire has carried, packets that are
+#: left for the hub, frames that are (all are carried), the first station that has not got all it hears, and from
+#: which of them on.
+BITRATE, FREE_NS, CARRIED_FRAMES, CARRIED_BITS, PACKETS_LEFT, FRAMES_LEFT, RECEIVER, RECEIVED, OF_STATE = range(9)
+
+PACKET_WORDS: Final = protocol.PACKET_BYTES // 8
+# A record in words of 8 bytes, words of 4, and bytes; a packet's header is one word of 8.
+_RECORD, _RECORD_4, _RECORD_1 = 2, 4, protocol.CAN_RECORD.size
+_STAMPED_WORDS = protocol.STAMPED_CAN_RECORD.size // 8
+_HEADER_BYTES = protocol.HEADER.size
+_MAX_RECORDS, _CLASSICAL, _PACKET_BYTES = protocol.MAX_RECORDS, protocol.KIND_CLASSICAL, protocol.PACKET_BYTES
+MAX_CARRIED: Final = MAX_READY * _MAX_RECORDS
+# struct epoll_event in words of 4 bytes, and where its descriptor is (<linux/eventpoll.h>: packed on one machine).
+EVENT_WORDS, _EVENT_DESCRIPTOR = (3, 1) if platform.machine() == "x86_64" else (4, 2)
+_EPOLLIN = 1
+_MSG_DONTWAIT, _MSG_NOSIGNAL = 0x40, 0x4000  # <linux/socket.h>
+_SECOND_NS = 1_000_000_000
+
+Table = NDArray[np.int64]
+Row = NDArray[np.int64]
+Octets = NDArray[np.uint8]
+Words = NDArray[np.uint32]
+_WORDS = types.Array(types.uint32, 1, "C")
+Forward = Callable[[int, Row, Row, Row, Table, Table, Words, Table, Table, Table, Table, Row], None]
+
+if TYPE_CHECKING:
+
+    def _epoll_wait(epoll: int, events: int, most: int, timeout_ms: int) -> int: ...
+
+    def _recv(descriptor: int, packet: int, length: int, flags: int) -> int: ...
+
+    def _send(descriptor: int, packet: int, length: int, flags: int) -> int: ...
+else:
+    _epoll_wait = types.ExternalFunction("epoll_wait", types.int32(types.int32, types.intp, types.int32, types.int32))
+    _recv = types.ExternalFunction("recv", types.intp(types.int32, types.intp, types.intp, types.int32))
+    _send = types.ExternalFunction("send", types.intp(types.int32, types.intp, types.intp, types.int32))
+
+
+def key_of(can_id: int, length: int) -> int:
+    """Of the frames that are alike but for their data."""
+    return can_id << 4 | length
+
+
+def first_row(key: int) -> int:
+    """Where in `known` a key is looked for first."""
+    return (key ^ key >> 7 ^ key >> 19) & _LAST_ROW
+
+
+_key_of, _first_row = compiled(key_of), compiled(first_row)
+
+
+@compiled
+def _known_frames(octets: Octets, words: Words, size: int, known: Table, rows: Row) -> int:
+    """How many frames are in a packet, and their `rows` of what is known; 0: it has something else."""
+    count = (size - _HEADER_BYTES) // _RECORD_1
+    if octets[0] != _CLASSICAL or (size - _HEADER_BYTES) % _RECORD_1 != 0 or not 0 < count <= _MAX_RECORDS:
+        return 0
+    for frame in range(count):
+        length = int(octets[_HEADER_BYTES + frame * _RECORD_1 + 4])
+        if length > 8:
+            return 0
+        key = _key_of(int(words[2 + frame * _RECORD_4]), length)
+        row = _first_row(key)
+        while known[row, KEY] != key + 1:
+            if known[row, KEY] == 0:
+                return 0
+            row = (row + 1) & _LAST_ROW
+        rows[frame] = row
+    return int(count)
+
+
+@compiled
+def _take_in(
+    epoll: int,
+    of_descriptors: Row,
+    stations: Table,
+    known: Table,
+    events: Words,
+    received: Table,
+    packets: Table,
+    rows: Table,
+    octets: Octets,
+    words: Words,
+) -> int:
+    """`Hub._attend` of all who have sent something: the number of packets, all of known frames.
+
+    Less than 0: so many have come that are not all of this kind; 0: something else has happened, and none was taken.
+    """
+    count = _epoll_wait(epoll, events.ctypes.data, MAX_READY + 1, -1)
+    if not 0 < count <= MAX_READY:
+        return 0
+    for at in range(count):
+        descriptor = events[at * EVENT_WORDS + _EVENT_DESCRIPTOR]
+        if descriptor >= len(of_descriptors) or of_descriptors[descriptor] < 0 or events[at * EVENT_WORDS] != _EPOLLIN:
+            return 0
+    plain = True
+    for at in range(count):
+        descriptor = events[at * EVENT_WORDS + _EVENT_DESCRIPTOR]
+        packet = packets[at]
+        packet[STATION], packet[NEXT] = of_descriptors[descriptor], 0
+        packet[SIZE] = _recv(descriptor, received.ctypes.data + at * _PACKET_BYTES, _PACKET_BYTES, _MSG_DONTWAIT)
+        packet[FRAMES] = 0
+        if packet[SIZE] > _HEADER_BYTES and stations[packet[STATION], OWN] == 0:
+            packet[FRAMES] = _known_frames(octets[at], words[at], packet[SIZE], known, rows[at])
+        plain = plain and packet[FRAMES] > 0
+    return int(count if plain else -count)
+
+
+@compiled
+def _carry(
+    state: Row, known: Table, packets: Table, count: int, rows: Table, received: Table, octets: Octets, carried: Table
+) -> int:
+    """`Medium.run(FOREVER)` with these packets in the queues of an undisturbed wire; the number of frames."""
+    over = 0
+    while True:
+        winner, row = -1, 0
+        for at in range(count):
+            if packets[at, NEXT] == packets[at, FRAMES]:
+                continue
+            head = rows[at, packets[at, NEXT]]
+            before = known[head, PRIORITY] - known[row, PRIORITY]
+            if winner < 0 or before < 0 or (before == 0 and packets[at, STATION] < packets[winner, STATION]):
+                winner, row = at, head
+        if winner < 0:
+            return over
+        frame = packets[winner, NEXT]
+        packets[winner, NEXT] = frame + 1
+        of_frame, found = known[row], carried[over]
+        data = octets[winner, _HEADER_BYTES + frame * _RECORD_1 + 8 :]
+        bits = bits_on_wire(of_frame[CRC], of_frame[STUFFING], of_frame[BITS], data, of_frame[DATA_BYTES])
+        state[FREE_NS] += bits * _SECOND_NS // state[BITRATE]
+        state[CARRIED_FRAMES] += 1
+        state[CARRIED_BITS] += bits
+        found[STAMPED], found[_DATA] = received[winner, 1 + frame * _RECORD], received[winner, 2 + frame * _RECORD]
+        found[_TIME_NS] = state[FREE_NS]
+        found[TO] = of_frame[HEARD_BY] & ~(1 << packets[winner, STATION])
+        found[FROM] = packets[winner, STATION]
+        over += 1
+
+
+@compiled
+def _hand_out(state: Row, descriptors: Row, stations: Table, carried: Table, count: int, out: Row) -> bool:
+    """`Hub._hand_out`; False where a station did not take what it hears: it and those behind it have not all of it."""
+    for receiver in range(len(stations)):
+        station, mask, size = stations[receiver], 1 << receiver, 0
+        out[0] = station[HEADER]
+        for at in range(count):
+            if carried[at, TO] & mask != 0:
+                if size == 0:
+                    state[RECEIVER], state[RECEIVED] = receiver, at
+                out[1 + size * _STAMPED_WORDS] = carried[at, STAMPED]
+                out[2 + size * _STAMPED_WORDS] = carried[at, _DATA]
+                out[3 + size * _STAMPED_WORDS] = carried[at, _TIME_NS]
+                size += 1
+            if size == station[LIMIT] or (size > 0 and at == count - 1):
+                length = 8 * (1 + size * _STAMPED_WORDS)
+                if _send(descriptors[receiver], out.ctypes.data, length, _MSG_DONTWAIT | _MSG_NOSIGNAL) != length:
+                    return False
+                size = 0
+    return True
+
+
+def _entry_point(sources: int) -> Forward:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(COUNT, INDICES, INDICES, INDICES, TABLE, TABLE, _WORDS, TABLE, TABLE, TABLE, TABLE, INDICES)
+    def forward(
+        epoll: int,
+        state: Row,
+        descriptors: Row,
+        of_descriptors: Row,
+        stations: Table,
+        known: Table,
+        events: Words,
+        received: Table,
+        packets: Table,
+        rows: Table,
+        carried: Table,
+        out: Row,
+    ) -> None:
+        octets, words = received.view(np.uint8), received.view(np.uint32)
+        state[PACKETS_LEFT] = state[FRAMES_LEFT] = 0
+        while sources >= 0:
+            count = _take_in(epoll, of_descriptors, stations, known, events, received, packets, rows, octets, words)
+            if count <= 0:
+                state[PACKETS_LEFT] = -count
+                return
+            over = _carry(state, known, packets, count, rows, received, octets, carried)
+            if not _hand_out(state, descriptors, stations, carried, over, out):
+                state[FRAMES_LEFT] = over
+                return
+
+    return forward
+
+
+#: forward(epoll, state, descriptors of the stations, stations by descriptor (-1: none), stations, known frames, room
+#: for events, packets, their columns, rows of their frames, what is carried, and a packet): until something happens
+#: that is not packets of known frames, see `state`.
+forward = _entry_point(
+    number_of_sources(__file__, *(str(module.__file__) for module in (compiled_wire, wire, protocol)))
+)
+
+
+def warm_up() -> None:
+    """Compile, or load from the cache, before anybody waits for a frame."""
+    row, table, received = (
+        np.zeros(OF_STATE, np.int64),
+        np.zeros((0, 0), np.int64),
+        np.zeros((0, PACKET_WORDS), np.int64),
+    )
+    forward(-1, row, row, row, table, table, np.zeros(0, np.uint32), received, table, table, table, row)
