@@ -10,16 +10,18 @@ import numpy as np
 from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, NmtState
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402 import objects
-from hilbench.cia402.state_machine import State, decode_statusword
+from hilbench.cia402.state_machine import STATUS_MASK, State
 from hilbench.exchange.nodes import Nodes
 from hilbench.plain import layout as lay
 from hilbench.plain.bench import SeenDrives, told_slots
 from hilbench.plain.kernel import Table
+from hilbench.plain.packet_kernel import Port, new_port
 from hilbench.plain.tables import Frames, NotPlainError, Slots
 
 #: Orders of frames that are kept; heartbeats make some of each.
 _MOST_ORDERS = 256
 _OPERATIONAL = NmtState.OPERATIONAL.heartbeat
+_ENABLED = State.OPERATION_ENABLED
 _NEVER_NS = 1 << 62
 
 Octets = tuple[int, int]
@@ -29,27 +31,21 @@ Octets = tuple[int, int]
 class Order:
     """The frames that answer a SYNC, in the order in which they come.
 
-    `data`: (F, 8) with a last row for what does not come; `left`: as of `kernel.exchange`; `statuswords`: where they
-    are among the octets of the frames; `heartbeats`: nodes, and where the octet of each is; `rare`: row by COB-ID of
-    the PDOs that don't answer each SYNC; `has_status`: whether the status of the twin is among them.
+    `table`: of a `kernel.Vectors`; `port`: of a `packet_kernel.Port`, whose arrays are `kept`; `data`: (F, 8) with a
+    last row for what does not come; `left`: as of `kernel.exchange`; `heartbeats`: nodes; `rare`: row by COB-ID of the
+    PDOs that don't answer each SYNC; `has_status`: whether the status of the twin is among them.
     """
 
     cob_ids: tuple[int, ...]
     sizes: tuple[int, ...]
     table: Table
+    port: Table
+    kept: Port
     data: lay.Bytes
     left: lay.Whole
-    statuswords: Sequence[Octets]
-    heartbeats: Sequence[tuple[int, int]]
+    heartbeats: Sequence[int]
     rare: dict[int, int]
     has_status: bool
-
-    def is_plain(self, data: bytes) -> bool:
-        """Whether what came, eight octets a frame, leaves all as it was: drives enabled, nodes operational."""
-        for begin, end in self.statuswords:
-            if decode_statusword(int.from_bytes(data[begin:end], "little")) is not State.OPERATION_ENABLED:
-                return False
-        return all(data[at] == _OPERATIONAL[0] for _, at in self.heartbeats)
 
 
 class Orders:
@@ -117,18 +113,19 @@ class Orders:
 
     def _new(self, cob_ids: tuple[int, ...]) -> Order:
         frames = Frames()
-        statuswords, heartbeats, rare = [], [], {}
+        checks, heartbeats, rare = [], [], {}
         for row, cob_id in enumerate(cob_ids):
             if cob_id in self._heartbeats:
                 frames.add(cob_id, lay.ANSWER, _OPERATIONAL)
-                heartbeats.append((cob_id - HEARTBEAT, 8 * row))
+                heartbeats.append(cob_id - HEARTBEAT)
+                checks.append((row, 0, 1, 0xFF, _OPERATIONAL[0]))
                 continue
             pdo, taken = self._taken[cob_id]
             frames.add(cob_id, lay.ANSWER, bytes(pdo.size))
             frames.take(row, pdo, taken)
             if cob_id in self._statuswords:
                 begin, end = self._statuswords[cob_id]
-                statuswords.append((8 * row + begin, 8 * row + end))
+                checks.append((row, begin, end - begin, STATUS_MASK[_ENABLED], _ENABLED.value))
             if self._every[cob_id] != 1:
                 rare[cob_id] = row
         sizes = tuple(frames.sizes)
@@ -137,6 +134,9 @@ class Orders:
         data = np.zeros((len(frames.rows), 8), np.uint8)
         left = np.zeros(lay.O_SIZE + len(frames.rows), np.int64)
         table = self._make(frames, np.array(rows, lay.SAID), data, left)
-        return Order(
-            cob_ids, sizes, table, data, left, statuswords, heartbeats, rare, has_status=self._status in cob_ids
-        )
+        wire = np.column_stack((cob_ids, sizes)).astype(np.int64)
+        checked = np.array(checks, np.int64).reshape((-1, 5))
+        nothing = np.zeros(0, np.uint8)
+        port = new_port(-1, 0, wire, checked, wire[:0], left, data.reshape(-1), nothing)
+        has_status = self._status in cob_ids
+        return Order(cob_ids, sizes, table, port.table(), port, data, left, heartbeats, rare, has_status)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from hilbench.can import protocol
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.can.wire import frame_bits
@@ -23,12 +24,12 @@ from hilbench.exchange.frame_tap import LineTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.own_node import OwnNode
 from hilbench.exchange.sync_cycle import SyncCycle
-from hilbench.plain import kernel
+from hilbench.plain import kernel, packet_kernel
 from hilbench.plain import layout as lay
 from hilbench.plain.answers import Order, Orders
 from hilbench.plain.bench import BenchFrames, SeenDrives
 from hilbench.plain.kernel import Table
-from hilbench.plain.packets import RECORD, Packets
+from hilbench.plain.packet_kernel import Gathered
 from hilbench.plain.tables import Frames, NotPlainError, Slots, octets, reals, table
 
 #: Cycles after which it is looked anew whether cycles are plain, when they were not; twice as many each time that so
@@ -44,6 +45,7 @@ class PlainExchange:
 
     def __init__(self, link: EmbeddedLink, nodes: Nodes, sync: SyncCycle, own: OwnNode, tap: LineTap | None) -> None:
         kernel.warm_up()
+        packet_kernel.warm_up_bench()
         self._link, self._nodes, self._sync, self._own, self._tap = link, nodes, sync, own, tap
         self._run: _Run | None = None
         self._wait = 0  # cycles until it is looked again
@@ -102,7 +104,7 @@ class _Run:
         self._orders = Orders(nodes, self._seen, slots, self._make)
         self._told = list(zip(self._bench.told, nodes.boundary_names, strict=True))
         self._arrays(slots)
-        self._packets = Packets(link.dropped)
+        self._gathered = Gathered(link.fileno(), link.dropped)
         self._sync_bits_ns = int(frame_bits(Frame(SYNC, b"")) * 1e9 / nodes.config.bus.bitrate)
         self._last: Order | None = None
         self._rare: dict[int, tuple[int, bytes]] = {}  # by COB-ID: the cycle in which it last came, and its data
@@ -133,8 +135,18 @@ class _Run:
         for row, content in frames.constants.items():
             data[row, : len(content)] = np.frombuffer(content, np.uint8)
         self._data = data
-        self._records = np.zeros(len(frames.rows), RECORD)
-        self._records["can_id"], self._records["size"] = frames.cob_ids, frames.sizes
+        wire = np.column_stack((frames.cob_ids, frames.sizes)).astype(np.int64)
+        self._port = packet_kernel.new_port(
+            self._link.fileno(),
+            0,
+            wire[:0],
+            np.zeros((0, 5), np.int64),
+            wire,
+            self._left,
+            data.reshape(-1),
+            packet_kernel.buffer(),
+        )
+        self._port_table, self._numbers = self._port.table(), self._port.numbers.data
         # Nobody has answered yet: what stands there from the last cycle stays.
         self._sent_by = kernel.Vectors(
             targets=self._targets,
@@ -201,17 +213,17 @@ class _Run:
         """Run one; False where it is not plain: nothing was done, or `sent`. Raises as `SyncCycle` and
         `Nodes.decode`."""
         sync, nodes = self._sync, self._nodes
-        if not self._still_plain(time.monotonic()) or not self._encode(outputs):
+        if not self._still_plain(time.monotonic()):
             return False
         begun_ns = time.monotonic_ns()
-        self._link.send_records(self._outgoing())
+        if not self._ask(outputs):
+            return False
         self.sent = True
         self.fault = self.fault or self._write_text()
-        self._packets.begin()
         order = self._collect()
-        if order is None:
+        bits = None if order is None else self._decode(order)
+        if order is None or bits is None:
             return False
-        bits = self._decode(order)
         own = self._bench.own_heartbeat
         said_alive = own >= 0 and bool(self._left[lay.O_SIZE + own])
         sync.count(bits, begun_ns, time.monotonic_ns(), said_alive=said_alive)
@@ -221,7 +233,7 @@ class _Run:
         if fault is not None:
             raise fault
         status = self._status_at.tolist() if order.has_status else None
-        nodes.take_plain(status, [node_id for node_id, _ in order.heartbeats])
+        nodes.take_plain(status, order.heartbeats)
         return True
 
     def _still_plain(self, now_s: float) -> bool:
@@ -231,57 +243,61 @@ class _Run:
         for drive in nodes.drives:
             if drive.controlword != _ENABLED or not drive.reached:
                 return False
-        packet = self._link.receive_packet(0.0)
-        if packet is not None:  # before SYNC
-            sync.came_between(self._link.frames_from(packet))
-            return False
         return not sync.is_slow(now_s)
 
-    def _encode(self, outputs: Mapping[str, float]) -> bool:
-        """Set points into frames, and their lines behind those of the last cycle; False where a value does not fit."""
+    def _ask(self, outputs: Mapping[str, float]) -> bool:
+        """Set points and SYNC onto the bus, and their lines behind those of the last cycle; False, and nothing done,
+        where a value does not fit, or something has come before."""
         set_points, real, given = self._set_points_at, self._real_at, self._given_at
         for at, name, per_unit in self._names:
             set_points[at] = outputs.get(name, 0.0) * per_unit
         for slot, name in self._told:
             real[slot] = outputs[name]
         given[lay.I_START_NS], given[lay.I_TEXT] = self._sync.next_sync_ns, self._text_end
-        return kernel.exchange(self._table, self._bitrate)
-
-    def _outgoing(self) -> bytes:
-        """Records of what is sent."""
-        self._records["data"] = self._data
-        if self._left[lay.O_FRAMES] == len(self._records):
-            return bytes(self._records)
-        return bytes(self._records[self._left[lay.O_SIZE :] != 0])
+        self._gathered.begin()
+        outcome = packet_kernel.ask(self._table, self._port_table, self._bitrate)
+        if outcome == packet_kernel.UNSENT:
+            at, end = protocol.HEADER.size, self._numbers[packet_kernel.OUT_LENGTH]
+            self._link.send_records(self._port.sent[at:end].tobytes())
+        elif outcome == packet_kernel.OTHER:
+            length = self._numbers[packet_kernel.LENGTH]
+            packet = self._port.received[:length].tobytes() if length else self._link.receive_packet(0.0)
+            self._sync.came_between(self._link.frames_from(packet))
+            return False
+        return True
 
     def _collect(self) -> Order | None:
         """What has answered, once all is there that is due; None where something else has come, or nothing."""
-        packets = self._packets
+        gathered, stage = self._gathered, packet_kernel.RECEIVE
         cycle = self._sync.timing.cycles + 1
         due = {pdo.cob_id for pdo in self._sync.due_at_times if (cycle - pdo.since) % pdo.every == 0}
-        while packets.take(self._link.receive_packet(_PATIENCE_S)):
-            try:
-                order = self._orders.find(packets.cob_ids)
-            except NotPlainError:
+        answers = len(self._due) + len(due)
+        while (outcome := packet_kernel.gather(gathered.table, answers, stage)) == packet_kernel.NOTHING:
+            packet = self._link.receive_packet(_PATIENCE_S)
+            if packet is None or not gathered.put(packet):
                 return None
-            if order is not None and due <= order.rare.keys():
-                plain = due == order.rare.keys() and packets.sizes == order.sizes and order.is_plain(packets.data)
-                return order if plain else None
-        return None
+            stage = packet_kernel.TAKEN
+        if outcome != packet_kernel.ANSWERED:
+            return None
+        try:
+            order = self._orders.find(gathered.cob_ids)
+        except NotPlainError:
+            return None
+        return order if order is not None and due == order.rare.keys() else None
 
-    def _decode(self, order: Order) -> int:
-        """What came into the bench's view of the nodes, and its lines; the bits of the cycle."""
-        data, given, left = self._packets.data, self._given_at, self._left
-        order.data.data.cast("B")[: len(data)] = data
-        text_end = left[lay.O_TEXT]
+    def _decode(self, order: Order) -> int | None:
+        """What came into the bench's view of the nodes, and its lines; the bits of the cycle. None, and nothing done,
+        where something is not as it was."""
+        given, left = self._given_at, self._left
         given[lay.I_START_NS] = self._sync.next_sync_ns + self._sync_bits_ns
-        given[lay.I_TEXT] = text_end
-        kernel.exchange(order.table, self._bitrate)
+        given[lay.I_TEXT] = left[lay.O_TEXT]
+        if not packet_kernel.take_apart(order.table, order.port, self._gathered.table, self._bitrate):
+            return None
         if self._tap is not None:
             self._text_end = int(order.left[lay.O_TEXT])
             self._traced += int(left[lay.O_FRAMES] + order.left[lay.O_FRAMES])
         for cob_id, row in order.rare.items():
-            self._rare[cob_id] = self.cycles, data[8 * row : 8 * row + order.sizes[row]]
+            self._rare[cob_id] = self.cycles, order.data[row, : order.sizes[row]].tobytes()
         self._last = order
         return int(left[lay.O_BITS] + order.left[lay.O_BITS])
 
@@ -309,12 +325,13 @@ class _Run:
 
     def outgoing(self) -> list[Frame]:
         """What was sent before SYNC in a cycle that is no plain one."""
-        sent = [Frame(int(r["can_id"]), bytes(r["data"][: r["size"]]), 0) for r in self._records]
+        frames = zip(self._frames.cob_ids, self._frames.sizes, self._data, strict=True)
+        sent = [Frame(cob_id, data[:size].tobytes(), 0) for cob_id, size, data in frames]
         return [frame for frame, bits in zip(sent, self._left[lay.O_SIZE :], strict=True) if bits][:-1]
 
     def came(self) -> list[Frame]:
         """What has answered it so far. Raises BusError."""
-        return self._link.frames_from(*self._packets.all)
+        return self._link.frames_from(*self._gathered.packets)
 
     def end(self) -> None:
         """The objects get what the arrays have."""

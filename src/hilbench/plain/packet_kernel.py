@@ -1,4 +1,5 @@
-"""Packets of the embedded bus without the interpreter: received, taken apart, answered by `kernel.exchange`, sent.
+"""Packets of the embedded bus without the interpreter: received, taken apart, answered by `kernel.exchange`, sent; and
+from the bench's side sent, their answers gathered, and taken apart.
 
 What is called of the C library are recv(2), send(2) and clock_gettime(2). A packet that is not what is expected stays
 in the buffer, for Python.
@@ -37,7 +38,8 @@ NOTHING, OTHER, ALIVE, ANSWERED, UNSENT = range(5)
 RECEIVE, TAKEN, HEARD = range(3)
 #: Places among the numbers. Of Python: the socket, addresses of both buffers and of room for a timespec, frames that
 #: the bus has dropped, until when a packet is taken (ns of the monotonic clock), how long that in the buffer is. Of the
-#: kernel: the same, when it was there, whose heartbeat (COB-ID) is in it, how long the answers are.
+#: kernel: the same, when it was there, whose heartbeat (COB-ID) is in it, how long what is sent is; what was gathered:
+#: frames, those that are no heartbeats, packets, where the last one ends.
 (
     DESCRIPTOR,
     IN_AT,
@@ -49,8 +51,12 @@ RECEIVE, TAKEN, HEARD = range(3)
     NOW_NS,
     HEARTBEAT_OF,
     OUT_LENGTH,
+    CAME,
+    ANSWERS_CAME,
+    PACKETS_CAME,
+    IN_END,
     PLACES,
-) = range(11)
+) = range(15)
 #: Bus time is the hub's: what the kernel makes of it here nobody asks for.
 BITRATE = 1_000_000
 #: Columns of what is expected, and of what is looked at in it: a value of these octets of a record, under a mask.
@@ -84,6 +90,10 @@ else:
     _recv = types.ExternalFunction("recv", types.intp(types.int32, types.intp, types.intp, types.int32))
     _send = types.ExternalFunction("send", types.intp(types.int32, types.intp, types.intp, types.int32))
     _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
+
+_G_NUMBERS, _G_LENGTHS, _G_COB_IDS, _G_SIZES, _G_DATA, _G_PACKETS = range(6)  # as `Gathered` has them
+#: Most frames and packets that are gathered in a cycle.
+_MOST_FRAMES, _MOST_PACKETS = 512, 64
 
 Pairs = NDArray[np.int64]
 
@@ -137,6 +147,47 @@ def new_port(
     return Port(numbers, expected, checks, answers, left, data, received, sent, np.zeros(2, np.int64))
 
 
+class Gathered:
+    """What has come since SYNC: frame by frame, and the packets as they were. `dropped`: by the bus so far."""
+
+    def __init__(self, descriptor: int, dropped: int) -> None:
+        self.numbers, self._lengths = np.zeros(PLACES, np.int64), np.zeros(_MOST_PACKETS, np.int64)
+        self._cob_ids, self._sizes = np.zeros(_MOST_FRAMES, np.int64), np.zeros(_MOST_FRAMES, np.int64)
+        self.data = np.zeros(8 * _MOST_FRAMES, np.uint8)
+        self._packets = np.zeros(2 * _PACKET_BYTES, np.uint8)
+        self.numbers[DESCRIPTOR], self.numbers[DROPPED] = descriptor, dropped & 0xFFFFFFFF
+        self.numbers[IN_AT] = self._packets.ctypes.data
+        arrays = self.numbers, self._lengths, self._cob_ids, self._sizes, self.data, self._packets
+        self.table = table_of([each.view(np.int64) for each in arrays])
+        self._numbers_at, self._cob_ids_at = self.numbers.data, self._cob_ids.data
+
+    def begin(self) -> None:
+        """Nothing has come."""
+        numbers = self._numbers_at
+        numbers[CAME] = numbers[ANSWERS_CAME] = numbers[PACKETS_CAME] = numbers[IN_END] = 0
+
+    def put(self, packet: bytes) -> bool:
+        """One that was received by Python, to be TAKEN; False where there is no room."""
+        at = self._numbers_at[IN_END]
+        if at + _PACKET_BYTES > len(self._packets):
+            return False
+        self._packets[at : at + len(packet)] = np.frombuffer(packet, np.uint8)
+        self._numbers_at[LENGTH] = len(packet)
+        return True
+
+    @property
+    def cob_ids(self) -> tuple[int, ...]:
+        """Of the frames."""
+        return tuple(self._cob_ids_at[: self._numbers_at[CAME]].tolist())
+
+    @property
+    def packets(self) -> list[bytes]:
+        """As they have come."""
+        lengths = self._lengths[: self._numbers_at[PACKETS_CAME]].tolist()
+        ends = np.cumsum(lengths).tolist()
+        return [self._packets[end - length : end].tobytes() for length, end in zip(lengths, ends, strict=True)]
+
+
 @compiled
 def _number(octets: Bytes, at: int, width: int) -> int:
     """Little-endian."""
@@ -172,12 +223,12 @@ def _heartbeat_in(packet: Bytes, length: int, dropped: int, expected: Pairs) -> 
 
 
 @compiled
-def _passes(packet: Bytes, checks: Pairs) -> bool:
-    """Whether what has to be as it was is so."""
+def _passes(octets: Bytes, first: int, each: int, checks: Pairs) -> bool:
+    """Whether what has to be as it was is so, in data that begin at `first`, and `each` further for the next frame."""
     misfits = 0
     for k in range(len(checks)):
-        at = _HEADER + _RECEIVED * checks[k, RECORD_OF] + _DATA_AT + checks[k, OFFSET]
-        misfits += _number(packet, at, checks[k, WIDTH]) & checks[k, MASK] != checks[k, VALUE]
+        at = first + each * checks[k, RECORD_OF] + checks[k, OFFSET]
+        misfits += _number(octets, at, checks[k, WIDTH]) & checks[k, MASK] != checks[k, VALUE]
     return misfits == 0
 
 
@@ -207,11 +258,32 @@ def pack(answers: Pairs, first: int, bits_of: Whole, data: Bytes, out: Bytes) ->
     return at
 
 
+@compiled
+def _gather(packet: Bytes, length: int, numbers: Whole, cob_ids: Whole, sizes: Whole, data: Bytes) -> bool:
+    """The frames of one more packet behind those that have come; False where it has lost some, or there is no room."""
+    records = (length - _HEADER) // _RECEIVED
+    if _HEADER + records * _RECEIVED != length or packet[0] != _KIND:
+        return False
+    if _number(packet, _DROPPED_AT, 4) != numbers[DROPPED] or numbers[CAME] + records > len(cob_ids):
+        return False
+    for k in range(records):
+        at, row = _HEADER + _RECEIVED * k, numbers[CAME]
+        cob_ids[row], sizes[row] = _number(packet, at, 4), packet[at + _SIZE_AT]
+        for octet in range(8):
+            data[8 * row + octet] = packet[at + _DATA_AT + octet]
+        numbers[CAME] += 1
+        numbers[ANSWERS_CAME] += not _NO_NODE < cob_ids[row] <= _LAST_NODE
+    return True
+
+
 Answer = Callable[[Table, Table, int], int]
+Ask = Callable[[Table, Table, int], int]
+Gather = Callable[[Table, int, int], int]
+TakeApart = Callable[[Table, Table, Table, int], bool]
 
 
-def _entry_point(sources: int) -> Answer:
-    """The compiled function that Python calls; `sources` as in `compiled.number_of_sources`."""
+def _entry_points(sources: int) -> tuple[Answer, Ask, Gather, TakeApart]:
+    """The compiled functions that Python calls; `sources` as in `compiled.number_of_sources`."""
 
     @entry_point(TABLE, TABLE, COUNT)
     def answer(table: Table, port: Table, stage: int) -> int:
@@ -229,7 +301,11 @@ def _entry_point(sources: int) -> Answer:
         numbers[NOW_NS] = timespec[0] * _SECOND_NS + timespec[1]
         expected, checks = integers(port, _EXPECTED, (1, 2)), integers(port, _CHECKS, (1, 2))
         heartbeat = _heartbeat_in(packet, length, numbers[DROPPED], expected)
-        if heartbeat < 0 or numbers[NOW_NS] > numbers[UNTIL_NS] or not _passes(packet, checks):
+        if (
+            heartbeat < 0
+            or numbers[NOW_NS] > numbers[UNTIL_NS]
+            or not _passes(packet, _HEADER + _DATA_AT, _RECEIVED, checks)
+        ):
             return OTHER
         if heartbeat > 0 and stage != HEARD:
             numbers[HEARTBEAT_OF] = heartbeat
@@ -246,15 +322,84 @@ def _entry_point(sources: int) -> Answer:
         sent = _send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], _MSG_DONTWAIT | _MSG_NOSIGNAL)
         return ANSWERED if sent == numbers[OUT_LENGTH] else UNSENT
 
-    return answer
+    @entry_point(TABLE, TABLE, COUNT)
+    def ask(table: Table, port: Table, bitrate: int) -> int:
+        if sources < 0 or len(port) == 0:
+            return NOTHING
+        numbers, left = integers(port, _NUMBERS, (1,)), integers(port, _LEFT, (1,))
+        length = _recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, _MSG_DONTWAIT)
+        numbers[LENGTH] = max(length, 0)
+        if length >= 0 or not kernel.exchange(table, bitrate):
+            return OTHER
+        data, out = integers(port, _DATA, (1,)).view(_OCTET), integers(port, _OUT, (1,)).view(_OCTET)
+        numbers[OUT_LENGTH] = pack(integers(port, _ANSWERS, (1, 2)), 0, left[_O_SIZE:], data, out)
+        sent = _send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], _MSG_DONTWAIT | _MSG_NOSIGNAL)
+        return ANSWERED if sent == numbers[OUT_LENGTH] else UNSENT
+
+    @entry_point(TABLE, COUNT, COUNT)
+    def gather(gathered: Table, answers: int, stage: int) -> int:
+        if sources < 0 or len(gathered) == 0:
+            return NOTHING
+        numbers, lengths = integers(gathered, _G_NUMBERS, (1,)), integers(gathered, _G_LENGTHS, (1,))
+        cob_ids, sizes = integers(gathered, _G_COB_IDS, (1,)), integers(gathered, _G_SIZES, (1,))
+        data = integers(gathered, _G_DATA, (1,)).view(_OCTET)
+        packets = integers(gathered, _G_PACKETS, (1,)).view(_OCTET)
+        while numbers[ANSWERS_CAME] < answers:
+            end, count = numbers[IN_END], numbers[PACKETS_CAME]
+            if end + _PACKET_BYTES > len(packets) or count == len(lengths):
+                return OTHER
+            if stage == RECEIVE:
+                length = _recv(numbers[DESCRIPTOR], numbers[IN_AT] + end, _PACKET_BYTES, 0)
+                if length <= 0:
+                    return NOTHING
+                numbers[LENGTH] = length
+            stage, length = RECEIVE, numbers[LENGTH]
+            lengths[count] = length
+            numbers[PACKETS_CAME] += 1
+            numbers[IN_END] += length
+            if not _gather(packets[end : end + length], length, numbers, cob_ids, sizes, data):
+                return OTHER
+        return ANSWERED
+
+    @entry_point(TABLE, TABLE, TABLE, COUNT)
+    def take_apart(table: Table, order: Table, gathered: Table, bitrate: int) -> bool:
+        if sources < 0 or len(order) == 0:
+            return False
+        expected, checks = integers(order, _EXPECTED, (1, 2)), integers(order, _CHECKS, (1, 2))
+        sizes, data = integers(gathered, _G_SIZES, (1,)), integers(order, _DATA, (1,)).view(_OCTET)
+        came = integers(gathered, _G_DATA, (1,)).view(_OCTET)
+        for row in range(len(expected)):
+            if sizes[row] != expected[row, SIZE]:
+                return False
+        if not _passes(came, 0, 8, checks):
+            return False
+        for k in range(8 * len(expected)):
+            data[k] = came[k]
+        return kernel.exchange(table, bitrate)
+
+    return answer, ask, gather, take_apart
 
 
 #: answer(table of `kernel.Vectors`, table of `Port`, where to begin): receive a packet, do with it what `exchange`
 #: does, and send what is to be answered; what has become of it.
-answer = _entry_point(number_of_sources(__file__, *kernel.SOURCES))
+#: ask(table of `kernel.Vectors`, table of `Port`, bitrate): send what is in the frames; OTHER, and nothing done, where
+#: a value does not fit, or a packet has come before, which is in the buffer then.
+#: gather(table of `Gathered`, answers, where to begin): receive packets until so many frames that are no heartbeats
+#: have come: ANSWERED; OTHER: a packet is of another kind, or says that frames were lost.
+#: take_apart(table of `kernel.Vectors`, table of `Port`, table of `Gathered`, bitrate): what `exchange` does with what
+#: was gathered; False, and nothing done, where that is not what is expected.
+answer, ask, gather, take_apart = _entry_points(number_of_sources(__file__, *kernel.SOURCES))
 
 
 def warm_up() -> None:
     """Compile, or load from the cache, before anybody waits for a cycle."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     answer(nothing, nothing, RECEIVE)
+
+
+def warm_up_bench() -> None:
+    """The same of what a bench calls."""
+    nothing = np.zeros((0, TABLE_WIDTH), np.int64)
+    ask(nothing, nothing, BITRATE)
+    gather(nothing, 0, RECEIVE)
+    take_apart(nothing, nothing, nothing, BITRATE)
