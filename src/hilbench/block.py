@@ -18,7 +18,7 @@ LEAST: Final = 1e-15
 class Strict(BaseModel):
     """Base of everything that is read from a file: unknown keys and numbers that are not finite are refused."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 class Block(Strict):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from types import ModuleType
@@ -15,6 +16,7 @@ import numpy as np
 from numba import types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, InTreeCacheLocator
 from numba.core.dispatcher import Dispatcher
+from numba.core.runtime.nrt import rtsys
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -48,10 +50,29 @@ class _Installed(InTreeCacheLocator):
         pass
 
 
+def _tried_once(kind: type[Any]) -> type[Any]:
+    """numba tries for each function whether its folder can be written, with a file; once a folder is enough."""
+    tried: dict[str, OSError | None] = {}
+
+    def ensure_cache_path(locator: Any) -> None:
+        folder = locator.get_cache_path()
+        if folder not in tried:
+            tried[folder] = None
+            try:
+                kind.ensure_cache_path(locator)
+            except OSError as error:
+                tried[folder] = error
+        problem = tried[folder]
+        if problem is not None:
+            raise problem
+
+    return type(kind.__name__, (kind,), {"ensure_cache_path": ensure_cache_path})
+
+
 class _Places(CompileResultCacheImpl):
     """As numba's; where neither the package's folder nor the user's can be written, hilbench can still be used."""
 
-    _locator_classes = [*CompileResultCacheImpl._locator_classes, _Installed]  # noqa: RUF012  # as numba has it
+    _locator_classes = [*map(_tried_once, CompileResultCacheImpl._locator_classes), _Installed]  # noqa: RUF012  # as numba has it
 
 
 class KeptCode(FunctionCache):
@@ -70,6 +91,14 @@ class KeptCode(FunctionCache):
         self._installed = IndexDataCacheFile(folder, self._impl.filename_base, stamp)
         self._is_all = folder == self.cache_path or bool(os.environ.get("NUMBA_CACHE_DIR"))
 
+        self._is_kept = False
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """The machine code, None where it is not on disk. What numba knows of all that can be compiled it loads when
+        something is compiled: before any function is loaded, as numba does it, that takes longer than the function."""
+        rtsys.initialize(target)
+        return self._load_overload(signature, target)
+
     def _load_overload(self, signature: Any, target: Any) -> Any:
         found = super()._load_overload(signature, target)
         if found is None and not self._is_all:
@@ -78,13 +107,16 @@ class KeptCode(FunctionCache):
         return found
 
     def holds(self, signature: Any, target: Any) -> bool:
-        """Whether the machine code for these arguments is on disk."""
-        key = self._index_key(signature, target.codegen())
-        files = [self._cache_file] if self._is_all else [self._cache_file, self._installed]
-        return any(key in each._load_index() for each in files)
+        """Whether the machine code for these arguments, always the same, is on disk."""
+        if not self._is_kept:
+            key = self._index_key(signature, target.codegen())
+            files = [self._cache_file] if self._is_all else [self._cache_file, self._installed]
+            self._is_kept = any(key in each._load_index() for each in files)
+        return self._is_kept
 
     def _save_overload(self, signature: Any, data: Any) -> None:
         if not isinstance(self._impl.locator, _Installed):
+            Path(self.cache_path).mkdir(parents=True, exist_ok=True)
             super()._save_overload(signature, data)
 
 
@@ -204,8 +236,12 @@ def number_of_sources(*files: str) -> int:
     numba keeps machine code by the file of the function alone, and would run old code after a change of what it calls;
     what a closure holds is part of its key, so an entry point that calls other files' functions holds this number.
     """
-    text = b"".join(Path(name).read_bytes() for name in files)
-    return int.from_bytes(sha256(text).digest()[:7], "big")
+    return int.from_bytes(sha256(b"".join(map(_content, files))).digest()[:7], "big")
+
+
+@cache  # most kernels are made of the same laws
+def _content(file: str) -> bytes:
+    return Path(file).read_bytes()
 
 
 def entry_points(module: ModuleType) -> list[Any]:

@@ -47,11 +47,10 @@ def kept_ready(settings: ProcessSettings | None, report: Callable[[str], None]) 
     """Run what is inside, in the calling thread, as the settings ask; everything is as before afterwards.
 
     What is not permitted is reported, in one line each, and left out. `settings` None (lockstep: nobody waits for a
-    clock): the garbage collector alone, which is out of the loop in any case. What is allocated in a cycle goes by
-    reference counts; a collection would only look through what was there before.
+    clock): the garbage collector alone, which is out of the loop in any case, and comes when that is over. What is
+    allocated in a cycle goes by reference counts; a collection would only look through what was there before.
     """
     collects = gc.isenabled()
-    gc.collect()
     gc.disable()
     try:
         if settings is None:
@@ -62,6 +61,7 @@ def kept_ready(settings: ProcessSettings | None, report: Callable[[str], None]) 
     finally:
         if collects:
             gc.enable()
+            gc.collect()
 
 
 @contextmanager

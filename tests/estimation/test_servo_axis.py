@@ -18,8 +18,8 @@ from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.imitation import ImitatedShaft
 from hilbench.plant.servo_axis.offline import simulate
-from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParameters
-from hilbench.plant.servo_axis.rig import ServoRig, ServoRigParameters
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters, ShaftParameters
+from hilbench.plant.servo_axis.rig import ServoRig
 from hilbench.plant.servo_axis.stability import sampled_shaft
 
 CYCLE_S = 0.002

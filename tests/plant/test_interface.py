@@ -18,7 +18,8 @@ from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.servo_axis.axis import ServoAxis
 from hilbench.plant.servo_axis.imitation import ImitatedShaft
-from hilbench.plant.servo_axis.rig import ServoRig, ServoRigParameters
+from hilbench.plant.servo_axis.parameters import ServoRigParameters
+from hilbench.plant.servo_axis.rig import ServoRig
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, TestRig

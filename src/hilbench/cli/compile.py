@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated
 
@@ -29,6 +27,9 @@ def compile_entry_points(
 
     Example: hilbench compile
     """
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
     rooms = modules_by_room()
     # What is in one room calls the same functions, which a process compiles once.
     with ProcessPoolExecutor(min(jobs or os.cpu_count() or 1, len(rooms)), get_context("spawn")) as pool:

@@ -17,7 +17,6 @@ from hilbench.bench.lifecycle.participants import Participants
 from hilbench.cli.shown import servo_axis, web_line
 from hilbench.cli.shown.machine import Shown
 from hilbench.errors import UnusableInputError
-from hilbench.history.entries import remember
 from hilbench.results.result import Result, StepRecord, Timing
 from hilbench.results.run import RunOutcome, Streamed, run_experiment
 from hilbench.runs.config import LoadedConfig
@@ -114,6 +113,8 @@ def _write_report(outcome: RunOutcome) -> None:
 def _remember(outcome: RunOutcome) -> None:
     """Add what the run has found to the history of its stand; a run is no worse for a history that can't be written."""
     if outcome.recorded:
+        from hilbench.history.entries import remember  # not before the first SYNC, too
+
         try:
             remember(outcome.folder)
         except UnusableInputError as error:

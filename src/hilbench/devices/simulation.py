@@ -27,8 +27,13 @@ from hilbench.errors import UnusableInputError
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import DriveParameters, LoadMotorParameters
 from hilbench.plant.sensors import SensorParameters
-from hilbench.plant.servo_axis.parameters import MotorParameters, ServoAxisParameters, ShaftParameters
-from hilbench.plant.servo_axis.rig import ServoRig, ServoRigParameters
+from hilbench.plant.servo_axis.parameters import (
+    MotorParameters,
+    ServoAxisParameters,
+    ServoRigParameters,
+    ShaftParameters,
+)
+from hilbench.plant.servo_axis.rig import ServoRig
 
 #: Name of the device as it says it itself (CiA 301).
 _DEVICE_NAME = 0x1008

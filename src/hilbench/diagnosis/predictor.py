@@ -19,8 +19,7 @@ from hilbench.diagnosis.web_line.loop_check import Loop
 from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion
 from hilbench.plant.model_file import Machine
 from hilbench.plant.servo_axis.imitated_run import ShaftImitation
-from hilbench.plant.servo_axis.parameters import ServoAxisParameters
-from hilbench.plant.servo_axis.rig import ServoRigParameters
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import ModelParameters
 

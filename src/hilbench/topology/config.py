@@ -18,8 +18,7 @@ from hilbench.plant.effect import MachineKind
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
 from hilbench.plant.sampling import samples_per
 from hilbench.plant.servo_axis.effects import ShaftEffect
-from hilbench.plant.servo_axis.parameters import ServoAxisParameters
-from hilbench.plant.servo_axis.rig import ServoRigParameters
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters
 from hilbench.real_time import ProcessSettings

@@ -13,8 +13,8 @@ from hilbench.plant.sampled_shaft import imitation_delay_s
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.imitation import ImitatedShaft
 from hilbench.plant.servo_axis.offline import simulate
-from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParameters
-from hilbench.plant.servo_axis.rig import ServoRig, ServoRigParameters
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters, ShaftParameters
+from hilbench.plant.servo_axis.rig import ServoRig
 from hilbench.plant.servo_axis.stability import imitable_inertia_kg_m2, sampled_shaft, spectral_radius
 from hilbench.plant.servo_axis.tracking_filter import TrackingFilter
 

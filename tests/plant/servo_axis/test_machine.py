@@ -17,8 +17,8 @@ from hilbench.plant.parameters import LoadMotorParameters
 from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.servo_axis.axis import ServoAxis
 from hilbench.plant.servo_axis.effects import IDS
-from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParameters
-from hilbench.plant.servo_axis.rig import ServoRig, ServoRigParameters
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters, ShaftParameters
+from hilbench.plant.servo_axis.rig import ServoRig
 from hilbench.plant.servo_axis.shaft import Shaft
 
 from .models import axis, effect

@@ -39,7 +39,7 @@ from hilbench.processes import ChildProcess
 from hilbench.real_time import comes_first, kept_ready
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import write_resolved
-from hilbench.twin.machines.kinds import warm_up
+from hilbench.twin.machines.kinds import maker, warm_up
 
 if TYPE_CHECKING:
     from hilbench.bench.lifecycle.in_process import InProcess
@@ -234,6 +234,8 @@ def processes_beside(config: BenchConfig, participants: Participants) -> dict[st
     if participants is Participants.STARTED:
         if config.simulated_drives:
             beside[_HARDWARE] = partial(_load_hardware, config)
+        maker(config.machine)
+        all_compiled()  # what is found here the copies do not look for again
         beside[TWIN] = partial(_load_twin, config)
     if participants is not Participants.IN_PROCESS and config.master.heartbeat_ms:
         beside[_SUPERVISOR] = lambda: None
@@ -248,13 +250,13 @@ def _load_hardware(config: BenchConfig) -> None:
 
 
 def _load_twin(config: BenchConfig) -> None:
-
     if all_compiled():
         warm_up(config.machine, config.twin, config.shape, config.cycle_time_s)
 
 
 def start_children(config: BenchConfig, folder: Path, copies: dict[str, Copy] | None = None) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
+    maker(config.machine)  # `all_compiled` looks at what is imported
     if not all_compiled():
         # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
         warm_up(config.machine, config.twin, config.shape, config.cycle_time_s)

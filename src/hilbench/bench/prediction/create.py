@@ -1,12 +1,10 @@
-"""The look ahead of a config, where it asks for one."""
+"""The look ahead of a config, where it asks for one; most need not load what one is made of."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from hilbench.bench.prediction.servo_axis import FORESEEN, ShaftLook
 from hilbench.bench.prediction.task import Look, Prediction
-from hilbench.bench.prediction.web_line import LineLook, foreseen
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.reference import Reference
 from hilbench.plant.fmu.axis import FmuAxisParameters
@@ -38,7 +36,11 @@ def prediction_task(
 def look_of(config: BenchConfig, prediction: PredictionConfig) -> Look:
     """How the machine of a config looks ahead. Its futures can be run (`foreseeable`)."""
     if isinstance(config.machine, ServoAxisParameters):
+        from hilbench.bench.prediction.servo_axis import ShaftLook
+
         return ShaftLook(config, prediction)
+    from hilbench.bench.prediction.web_line import LineLook
+
     return LineLook(config, prediction)
 
 
@@ -47,4 +49,10 @@ def foreseeable(config: BenchConfig) -> Mapping[str, str]:
     futures nobody can run."""
     if isinstance(config.machine, FmuAxisParameters):
         return {}
-    return FORESEEN if isinstance(config.machine, ServoAxisParameters) else foreseen(config)
+    if isinstance(config.machine, ServoAxisParameters):
+        from hilbench.bench.prediction.servo_axis import FORESEEN
+
+        return FORESEEN
+    from hilbench.bench.prediction.web_line import foreseen
+
+    return foreseen(config)

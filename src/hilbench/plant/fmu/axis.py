@@ -10,8 +10,8 @@ from pydantic import Field, FiniteFloat, ModelWrapValidatorHandler, model_valida
 from hilbench.block import Block
 from hilbench.plant.fmu.config import FmuBlock, VariableName
 from hilbench.plant.fmu.description import FmuDescription, Variable
+from hilbench.plant.servo_axis.layout import PARAMETERS
 from hilbench.plant.servo_axis.parameters import MotorParameters, ServoAxisParameters, ShaftParameters
-from hilbench.plant.servo_axis.shaft import PARAMETERS
 from hilbench.plant.unit_names import unit_of_name
 from hilbench.suggest import did_you_mean
 

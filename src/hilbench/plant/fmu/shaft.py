@@ -16,9 +16,10 @@ from hilbench.plant.interface import PlantState
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.axis import ServoAxis
-from hilbench.plant.servo_axis.layout import Vector
-from hilbench.plant.servo_axis.rig import ServoRig, ServoRigParameters
-from hilbench.plant.servo_axis.shaft import PARAMETERS, Shaft
+from hilbench.plant.servo_axis.layout import PARAMETERS, Vector
+from hilbench.plant.servo_axis.parameters import ServoRigParameters
+from hilbench.plant.servo_axis.rig import ServoRig
+from hilbench.plant.servo_axis.shaft import Shaft
 
 
 class FmuMechanics(WithoutEffects, Shaft):

@@ -24,8 +24,7 @@ from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import find
 from hilbench.plant.servo_axis.imitation import FILTER_CYCLES, load_torque_Nm, most_rad_s2, steepest_Nm_s_per_rad
 from hilbench.plant.servo_axis.layout import Vector
-from hilbench.plant.servo_axis.parameters import ServoAxisParameters
-from hilbench.plant.servo_axis.rig import ServoRigParameters
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.stability import sampled_shaft
 from hilbench.plant.servo_axis.tracking_filter import ORDER, gains, transition
 

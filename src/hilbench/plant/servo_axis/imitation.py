@@ -21,8 +21,7 @@ from hilbench.plant.servo_axis import kernel, laws
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import IDS, imitated_effect_problem
 from hilbench.plant.servo_axis.layout import Vector
-from hilbench.plant.servo_axis.parameters import ServoAxisParameters
-from hilbench.plant.servo_axis.rig import ServoRigParameters
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.shaft import Shaft
 from hilbench.plant.servo_axis.tracking_filter import TrackingFilter
 

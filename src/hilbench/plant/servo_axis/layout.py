@@ -10,7 +10,7 @@ Three vectors of float64 describe a shaft with M motors (the drive's, and a load
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cache
 from math import inf
 from typing import Final
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.effects import effects_of
+from hilbench.plant.interface import Quantity
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import DriveParameters, LoadMotorParameters, per_item
 from hilbench.plant.servo_axis.effects import KIND, ShaftEffect, effect_problem, find
@@ -60,6 +61,18 @@ O_X: Final = 0
 O_V: Final = 1
 O_MEAN: Final = 2
 O_TORQUE: Final = 3
+
+#: What can be asked for and given, and where it stands in the kernel's parameters.
+PARAMETERS: Final[Mapping[str, tuple[Quantity, int]]] = {
+    quantity.name: (quantity, column)
+    for quantity, column in (
+        (Quantity("inertia_kg_m2", "kg·m²", "inertia of all that turns"), P_INERTIA),
+        (Quantity("coulomb_friction_Nm", "N·m", "dry friction"), P_COULOMB),
+        (Quantity("viscous_friction_Nm_s_per_rad", "N·m·s/rad", "friction per speed"), P_VISCOUS),
+        (Quantity("unbalance_Nm", "N·m", "amplitude of the torque of what is unbalanced"), P_UNBALANCE),
+        (Quantity("unbalance_phase_rad", "rad", "its phase at position zero"), P_UNBALANCE_PHASE),
+    )
+}
 
 
 def _allocate() -> tuple[dict[str, int], int]:

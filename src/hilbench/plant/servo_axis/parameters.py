@@ -7,13 +7,21 @@ the motor turns per turn of what is unbalanced.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from hilbench.block import Block
 from hilbench.plant.effect import MachineKind
-from hilbench.plant.parameters import NOTHING_IS_NO_EFFECT, DriveParameters, GearRatio, NotNegative
+from hilbench.plant.parameters import (
+    NOTHING_IS_NO_EFFECT,
+    DriveParameters,
+    GearRatio,
+    LoadMotorParameters,
+    NotNegative,
+)
+from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.servo_axis.effects import ShaftEffect, effects_problem
 
 Phase = Annotated[FiniteFloat, Field(ge=-7.0, le=7.0)]
@@ -93,3 +101,49 @@ class ServoAxisParameters(Block):
     def inertia_kg_m2(self) -> float:
         """J: motor and all that it turns, without effects."""
         return self.motor.inertia_kg_m2 + self.shaft.inertia_kg_m2
+
+
+class ServoRigParameters(Block):
+    """The simulated hardware. `matching` fills it from a model."""
+
+    axis: ServoAxisParameters  #: as it is really built, without the load motor's rotor
+    load_motor: LoadMotorParameters = LoadMotorParameters()
+    sensors: SensorParameters = SensorParameters()
+    load_sensors: SensorParameters = SensorParameters()
+
+    @property
+    def inertia_kg_m2(self) -> float:
+        """All that really turns, the load motor's rotor included; without effects."""
+        return self.axis.inertia_kg_m2 + self.load_motor.inertia_kg_m2
+
+    @classmethod
+    def matching(
+        cls,
+        model: ServoAxisParameters,
+        shaft: ShaftParameters | None = None,
+        load_motor: LoadMotorParameters | None = None,
+        sensors: SensorParameters | None = None,
+        effects: Sequence[ShaftEffect] = (),
+    ) -> ServoRigParameters:
+        """The stand on which a model's drive turns `shaft`; without one, the model's, so that nothing is imitated.
+
+        The load motor's inertia is then taken off the shaft. Raises ValueError for a model without drives, or with less
+        inertia than the load motor.
+        """
+        if model.drives is None:
+            raise ValueError("the model has no drives, expected 'drives'")
+        load = load_motor or LoadMotorParameters()
+        if shaft is None:
+            left = model.shaft.inertia_kg_m2 - load.inertia_kg_m2
+            if left < 0.0:
+                raise ValueError(
+                    f"load motor of {load.inertia_kg_m2} kg·m², expected at most the shaft's "
+                    f"{model.shaft.inertia_kg_m2:.6g} kg·m²"
+                )
+            shaft = model.shaft.model_copy(update={"inertia_kg_m2": left})
+        return cls(
+            axis=ServoAxisParameters(shaft=shaft, motor=model.motor, drives=model.drives, effects=tuple(effects)),
+            load_motor=load,
+            sensors=sensors or SensorParameters(),
+            load_sensors=sensors or SensorParameters(),
+        )

@@ -10,59 +10,10 @@ from copy import deepcopy
 
 import numpy as np
 
-from hilbench.block import Block
 from hilbench.plant.motor_port import MotorPort
-from hilbench.plant.parameters import LoadMotorParameters
-from hilbench.plant.sensors import SensorNoise, SensorParameters, Sensors, show
-from hilbench.plant.servo_axis.effects import ShaftEffect
-from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParameters
+from hilbench.plant.sensors import SensorNoise, Sensors, show
+from hilbench.plant.servo_axis.parameters import ServoRigParameters
 from hilbench.plant.servo_axis.shaft import Shaft
-
-
-class ServoRigParameters(Block):
-    """The simulated hardware. `matching` fills it from a model."""
-
-    axis: ServoAxisParameters  #: as it is really built, without the load motor's rotor
-    load_motor: LoadMotorParameters = LoadMotorParameters()
-    sensors: SensorParameters = SensorParameters()
-    load_sensors: SensorParameters = SensorParameters()
-
-    @property
-    def inertia_kg_m2(self) -> float:
-        """All that really turns, the load motor's rotor included; without effects."""
-        return self.axis.inertia_kg_m2 + self.load_motor.inertia_kg_m2
-
-    @classmethod
-    def matching(
-        cls,
-        model: ServoAxisParameters,
-        shaft: ShaftParameters | None = None,
-        load_motor: LoadMotorParameters | None = None,
-        sensors: SensorParameters | None = None,
-        effects: Sequence[ShaftEffect] = (),
-    ) -> ServoRigParameters:
-        """The stand on which a model's drive turns `shaft`; without one, the model's, so that nothing is imitated.
-
-        The load motor's inertia is then taken off the shaft. Raises ValueError for a model without drives, or with less
-        inertia than the load motor.
-        """
-        if model.drives is None:
-            raise ValueError("the model has no drives, expected 'drives'")
-        load = load_motor or LoadMotorParameters()
-        if shaft is None:
-            left = model.shaft.inertia_kg_m2 - load.inertia_kg_m2
-            if left < 0.0:
-                raise ValueError(
-                    f"load motor of {load.inertia_kg_m2} kg·m², expected at most the shaft's "
-                    f"{model.shaft.inertia_kg_m2:.6g} kg·m²"
-                )
-            shaft = model.shaft.model_copy(update={"inertia_kg_m2": left})
-        return cls(
-            axis=ServoAxisParameters(shaft=shaft, motor=model.motor, drives=model.drives, effects=tuple(effects)),
-            load_motor=load,
-            sensors=sensors or SensorParameters(),
-            load_sensors=sensors or SensorParameters(),
-        )
 
 
 class ServoRig(Shaft):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,20 +18,9 @@ from hilbench.plant.sensors import SensorNoise
 from hilbench.plant.servo_axis import kernel, rig_cycle
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import IDS, KIND, find
-from hilbench.plant.servo_axis.layout import Vector
+from hilbench.plant.servo_axis.layout import PARAMETERS, Vector
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 
-#: What can be asked for and given, and where it stands in the kernel's parameters.
-PARAMETERS: Final[Mapping[str, tuple[Quantity, int]]] = {
-    quantity.name: (quantity, column)
-    for quantity, column in (
-        (Quantity("inertia_kg_m2", "kg·m²", "inertia of all that turns"), lay.P_INERTIA),
-        (Quantity("coulomb_friction_Nm", "N·m", "dry friction"), lay.P_COULOMB),
-        (Quantity("viscous_friction_Nm_s_per_rad", "N·m·s/rad", "friction per speed"), lay.P_VISCOUS),
-        (Quantity("unbalance_Nm", "N·m", "amplitude of the torque of what is unbalanced"), lay.P_UNBALANCE),
-        (Quantity("unbalance_phase_rad", "rad", "its phase at position zero"), lay.P_UNBALANCE_PHASE),
-    )
-}
 _TORQUE = Quantity("external_torque_Nm", "N·m", "torque on the shaft from outside, forward")
 
 

@@ -17,7 +17,7 @@ from hilbench.plant.sampled_shaft import (
     spectral_radius_under,
 )
 from hilbench.plant.servo_axis.imitation import FILTER_CYCLES
-from hilbench.plant.servo_axis.rig import ServoRigParameters
+from hilbench.plant.servo_axis.parameters import ServoRigParameters
 from hilbench.plant.servo_axis.tracking_filter import gains, transition
 
 #: Multiples of the real inertia that are looked through; a shaft of none is the least.

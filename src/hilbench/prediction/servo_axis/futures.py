@@ -16,8 +16,7 @@ from hilbench.plant.sampled_shaft import imitation_delay_s
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.imitation import steepest_Nm_s_per_rad
 from hilbench.plant.servo_axis.kernel import look as look_at
-from hilbench.plant.servo_axis.parameters import ServoAxisParameters
-from hilbench.plant.servo_axis.rig import ServoRigParameters
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.stability import sampled_shaft
 from hilbench.prediction.draws import normal_draws
 from hilbench.prediction.outlook import Outlook, Watched

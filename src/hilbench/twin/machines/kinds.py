@@ -1,34 +1,44 @@
-"""Which kind of machine the twin is of."""
+"""Which kind of machine the twin is of. What only another kind needs is not loaded."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.topology.blocks import MachineParameters, TwinConfig
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_shape import sensors_at_start
-from hilbench.twin.machines import web_line
 from hilbench.twin.machines.machine import Told, TwinMachine, VectorMachine
-from hilbench.twin.machines.servo_axis import ServoAxisTwin
-from hilbench.twin.machines.web_line_with_stations import LineWithStationsTwin
 
 _WARM_UP_CYCLES = 100
 
 
+def maker(model: MachineParameters) -> Callable[[TwinConfig, Shape, float, Told], TwinMachine]:
+    """How the machine of a model is made (`new_machine`). What it is made of has been imported then."""
+    if isinstance(model, ServoAxisParameters):
+        from hilbench.twin.machines.servo_axis import ServoAxisTwin
+
+        return lambda config, _, cycle_s, told: ServoAxisTwin(model, config, cycle_s, told)
+    if model.stations is not None:
+        from hilbench.twin.machines.web_line_with_stations import LineWithStationsTwin
+
+        return lambda _, shape, cycle_s, told: LineWithStationsTwin(model, shape, cycle_s, told)
+    from hilbench.twin.machines.web_line import WebLineTwin
+
+    return lambda config, _, cycle_s, told: WebLineTwin(model, config, cycle_s, told)
+
+
 def new_machine(model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s: float, told: Told) -> TwinMachine:
     """The machine of a model; `told`: what the bench last said of its boundary."""
-    if isinstance(model, ServoAxisParameters):
-        return ServoAxisTwin(model, config, cycle_s, told)
-    if model.stations is not None:
-        return LineWithStationsTwin(model, shape, cycle_s, told)
-    return web_line.WebLineTwin(model, config, cycle_s, told)
+    return maker(model)(config, shape, cycle_s, told)
 
 
 def boundary(model: MachineParameters, shape: Shape) -> Mapping[str, float]:
     """What 6413h holds before the bench writes it, by signal."""
     if isinstance(model, ServoAxisParameters):
         return {}
+    from hilbench.twin.machines import web_line
+
     return web_line.boundary(model) | sensors_at_start(model, shape)
 
 

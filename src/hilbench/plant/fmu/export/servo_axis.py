@@ -20,9 +20,9 @@ from hilbench.plant.fmu.export.machine import (
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.servo_axis import kernel
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.layout import Vector
+from hilbench.plant.servo_axis.layout import PARAMETERS, Vector
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
-from hilbench.plant.servo_axis.shaft import PARAMETERS, Shaft
+from hilbench.plant.servo_axis.shaft import Shaft
 
 
 def _go(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
