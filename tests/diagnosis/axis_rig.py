@@ -39,10 +39,11 @@ class Rig:
     shaft_Nm_s_per_rad: float = 0.0  #: its damping
     stepped: bool = False  #: steps of the speed both ways in place of triangles
     swing: tuple[float, float] | None = None  #: Hz and rad/s of one steady sine in their place
+    about_rad_s: float = 0.0  #: the mean speed of that sine
 
     def _speed(self, t_s: float) -> float:
         if self.swing is not None:
-            return self.swing[1] * float(np.sin(_TURN * self.swing[0] * t_s))
+            return self.about_rad_s + self.swing[1] * float(np.sin(_TURN * self.swing[0] * t_s))
         return _stepped(t_s) if self.stepped else _triangle(t_s)
 
     def recordings(self, repeats: int, seed: int = 0) -> list[Recording]:

@@ -195,3 +195,32 @@ def test_a_torque_that_is_recorded_late_moves_no_ripple_to_an_order_beside_its_o
     assert SERVO[kind] - {"torque_ripple"} <= names(found) <= SERVO[kind]
     orders = [item.parameters["order"].value for item in found.effects if "order" in item.parameters]
     assert all(order == round(order) for order in orders)
+
+
+def test_what_a_small_swing_about_a_steady_speed_needs_is_no_ripple() -> None:
+    (recording,) = Rig(swing=(2.0, 5.0), about_rad_s=20.0).recordings(1, seed=1)
+    found = diagnose(recording, axis_model(1.6e-4), "blind")
+    assert names(found) == {"coulomb_friction", "viscous_friction", "inertia_mismatch", "torque_ripple"}
+    (ripple,) = (item for item in found.effects if item.effect == "torque_ripple")
+    assert ripple.parameters["order"].value == 5.0
+    assert value(found, "viscous_friction") == pytest.approx(Rig().viscous_Nm_s, rel=0.1)
+    assert value(found, "inertia_mismatch") == pytest.approx(0.25, abs=0.01)
+
+
+def test_friction_that_grows_with_the_square_is_not_named_where_none_that_grows_with_the_speed_could_be() -> None:
+    (recording,) = Rig(swing=(3.0, 2.0), about_rad_s=25.0).recordings(1, seed=1)
+    assert names(diagnose(recording, axis_model(1.6e-4), "blind")) <= {"coulomb_friction", "inertia_mismatch"}
+
+
+@pytest.mark.parametrize(("swing_Hz", "swing_rad_s"), [(7.0, 10.0), *slow((7.0, 15.0), (10.0, 8.0))])
+def test_on_one_fast_sine_friction_that_turns_over_a_way_is_no_torque_that_is_late(
+    swing_Hz: float, swing_rad_s: float
+) -> None:
+    (recording,) = Rig(swing=(swing_Hz, swing_rad_s)).recordings(1, seed=1)
+    found = diagnose(recording, axis_model(1.6e-4), "blind")
+    assert {"coulomb_friction", "inertia_mismatch"} <= names(found)
+    assert not {"torque_delay", "backlash", "unbalance"} & names(found)
+    assert value(found, "coulomb_friction") == pytest.approx(Rig().coulomb_Nm, rel=0.15)
+    assert value(found, "inertia_mismatch") == pytest.approx(0.25, abs=0.025)
+    (presliding,) = (item for item in found.nuisance if item.effect == "presliding")
+    assert presliding.parameters["way_m"].value == pytest.approx(Rig().coulomb_Nm / 40.0, rel=0.35)

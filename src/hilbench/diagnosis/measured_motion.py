@@ -175,7 +175,13 @@ class OnMeasuredMotion:
         coupled = list(self._coupled.values())
         others = [*coupled, *([] if beside is None else beside)]
         return presliding(
-            motion, self._torque, self._filter.smooth, rows, self.every, np.array(others) if others else None
+            motion,
+            self._torque,
+            self._filter.smooth,
+            rows,
+            self.every,
+            np.array(others) if others else None,
+            may_play=any(effect.id == "backlash" for effect in machines.vocabulary(self._model)),
         )
 
     def _couplings(self) -> dict[str, Array]:

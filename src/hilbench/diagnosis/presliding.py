@@ -27,6 +27,8 @@ _PLAYS: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
 #: Share of what is left without it that a way has to explain, and half of it in every stretch of the recording; an
 #: axis that reverses less often shows none.
 _LEAST_SHARE, _STRETCHES, _LEAST_REVERSALS = 0.1, 2, 4
+#: Share of what is left by which a way may explain less than a play and be taken for what is there.
+_AS_WELL: Final = 0.03
 #: Share of the torque that may be left: what acts on an axis from elsewhere turns round with it as well.
 _MOST_LEFT: Final = 0.5
 #: Ratio of a way to the next in the search for the ends of its interval, and most of them.
@@ -56,11 +58,14 @@ def presliding(
     rows: Rows,
     every: int = 1,
     others: Array | None = None,
+    *,
+    may_play: bool = True,
 ) -> Presliding | None:
     """The way that explains the torque best beside inertia, offset, and friction that grows with the speed.
 
     motion: x, v, a (n,); torque (n,), filtered as `smooth` filters (…, n); rows (n,): those that count, of which every
-    so many are looked at; others (J, n): torques of which any multiple may be there. None where friction that turns
+    so many are looked at; others (J, n): torques of which any multiple may be there; may_play: whether the machine may
+    have a play in series, which is looked for beside the way. None where friction that turns
     over with the sign of the speed explains as much.
     """
     x, v, a = motion
@@ -82,30 +87,40 @@ def presliding(
 
     stroke = float(np.ptp(x[rows]))
     squares = np.array([[square(share * stroke, play * share * stroke) for play in _PLAYS] for share in _SHARES])
-    best = int(np.argmin(np.min(squares, axis=1)))
+    best, alone = int(np.argmin(np.min(squares, axis=1))), int(np.argmin(squares[:, 0]))
+    # A short way and a play look alike in the band; every friction has a way, so it is one where that explains as much.
+    may_play = may_play and float(squares[alone, 0]) > (1.0 + _AS_WELL) * float(np.min(squares))
+    if not may_play:
+        best = alone
     if best in (0, len(_SHARES) - 1):
         return None
-    play = _PLAYS[int(np.argmin(squares[best]))]
+    plays = _PLAYS if may_play else (0.0,)
+    play = plays[int(np.argmin(squares[best, : len(plays)]))]
     sudden = min(
-        (left(_direction(x, LEAST_PRESLIDING, p * _SHARES[best] * stroke)) for p in _PLAYS),
+        (left(_direction(x, LEAST_PRESLIDING, p * _SHARES[best] * stroke)) for p in plays),
         key=lambda rest: float(np.sum(rest**2)),
     )
     here = left(_direction(x, _SHARES[best] * stroke, play * _SHARES[best] * stroke))
-    if not _explains(here, sudden) or np.std(here) > _MOST_LEFT * np.std(torque[looked_at]):
+    if not _explains(here, sudden):
+        return None
+    if np.std(here) > _MOST_LEFT * np.std(torque[looked_at]):
         return None
     # Closer: way and play make up for each other, so the profile over the way has the best play at each.
     first, gap = _SHARES[best] * stroke, play * _SHARES[best] * stroke
 
+    def gap_near(at: Array) -> float:
+        return max(gap + first * float(at[1]), 0.0) if may_play else 0.0
+
     def near(at: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
-        return square(first * float(np.exp(at[0])), max(gap + first * float(at[1]), 0.0))
+        return square(first * float(np.exp(at[0])), gap_near(at))
 
     simplex = np.array([[-0.2, -0.2], [0.2, -0.2], [0.0, 0.2]])
     closest = minimize(near, np.zeros(2), method="Nelder-Mead", options={"initial_simplex": simplex, "maxfev": 60})
-    way, gap = first * float(np.exp(closest.x[0])), max(gap + first * float(closest.x[1]), 0.0)
+    way, gap = first * float(np.exp(closest.x[0])), gap_near(closest.x)
     variance = float(np.mean(here**2)) * repeats(here)
 
     def fits(other: float) -> bool:
-        plays = gap + (way - other) * np.linspace(0.0, 2.0, 5)
+        plays = gap + (way - other) * np.linspace(0.0, 2.0, 5) if may_play else np.zeros(1)
         return min(square(other, max(float(p), 0.0)) for p in plays) <= float(closest.fun) + _RISE * variance
 
     return Presliding(way, (_furthest(way, 1.0 / _STEP, fits), _furthest(way, _STEP, fits)))

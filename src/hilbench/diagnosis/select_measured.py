@@ -17,6 +17,7 @@ How often that is right: tools/diagnose_rigs.py, docs/diagnosis.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
+from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -57,6 +58,9 @@ _LARGE_SHARE: Final = 0.25
 _STAYING_SHARE: Final = 0.04
 #: Share of a response that those of the present terms leave of it, below which it says nothing of its own.
 _OWN_SHARE: Final = 0.01
+#: The same of a wave's response beside those of the laws of motion: where it has the motion's own frequency all along
+#: (a small swing about a steady speed), inertia and friction make a wave as well.
+_OWN_SHARE_OF_WAVE: Final = 0.25
 #: Standard deviation of the torque's size over its mean from which it changes by enough to tell what goes with it.
 _CHANGING: Final = 0.5
 #: Additions that are fitted in full at a step.
@@ -129,9 +133,19 @@ class MeasuredSearch:
         candidates = [t for t in self._proposer.plain() if not any(map(t.overlaps, current.terms))]
         responses = space.strengths(current.terms, current.residual, candidates)
         own = space.point(current.terms, current.residual).derivatives
+        moving = np.concatenate([own, *(r for t, r in zip(candidates, responses, strict=True) if not t.has_phase)])
+        told = [
+            not term.has_phase
+            or term.effect.id in self._as_simple
+            or self._own_share_beside(moving, response) >= _OWN_SHARE
+            for term, response in zip(candidates, responses, strict=True)
+        ]
+        candidates, responses = list(compress(candidates, told)), list(compress(responses, told))
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         searched = self._searched(current, white)
         more = space.strengths(current.terms, current.residual, searched)
+        told = [self._own_share_beside(moving, response) >= _OWN_SHARE_OF_WAVE for response in more]
+        searched, more = list(compress(searched, told)), list(compress(more, told))
         return CandidateSet(white, current.residual, own, candidates + searched, responses + more)
 
     def _searched(self, current: Fit, white: Whitening) -> list[Term]:
@@ -152,6 +166,12 @@ class MeasuredSearch:
                 found.append(self._proposer.tuned(term, left, masked, self._space.predictor.every))
         found = [term for term in found if not is_near_present(self._space, self._proposer, term, current)]
         return found + [whole for term in found for whole in self._proposer.at_whole_orders(term)]
+
+    def _own_share_beside(self, others: Array, response: Array) -> float:
+        """Share of a response (J, signals, n) that others (K, signals, n) leave of it in the rows that count."""
+        counted = self._counted(response)
+        known = basis(self._counted(others).reshape(len(others), -1))
+        return float(np.sum(without(counted, known) ** 2)) / max(float(np.sum(counted**2)), 1e-300)
 
     def _masked(self, values: Array) -> Array:
         """Values (…, n) with zeros in the rows that do not count."""
@@ -183,6 +203,12 @@ class MeasuredSearch:
         """The fit with the candidate that explains most of those that are certain; the simple ones go first."""
         problem, groups = self._linear(offered.residual, offered.own, offered, self._side_bands(current))
         mine = list(range(len(offered.own)))
+        simple = [
+            column
+            for term, group in zip(offered.candidates, groups, strict=True)
+            if not term.effect.removable
+            for column in group
+        ]
         before, before_unseen = problem.left(mine)[0], problem.left_unseen(mine)
         waves = [
             (term, self._wave_gain(problem, mine, group))
@@ -199,6 +225,9 @@ class MeasuredSearch:
             started = self._started(problem, mine, term, group)
             least = least_share(term)
             if started is None or before - started[0] < least * before:
+                continue
+            # A law of higher order is read beside those that it is made of, whether or not these are told.
+            if term.effect.removable and problem.own_share(group[0], [*mine, *simple]) < _OWN_SHARE:
                 continue
             if term.has_phase:
                 unseen = problem.gain_unseen_in_phase(mine, group)

@@ -15,6 +15,7 @@ from hilbench.diagnosis.fit_beside_rest import firsts, fitted, uncertainty_of, w
 from hilbench.diagnosis.rest import Uncertainty
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.stretched_problem import STRETCHES
+from hilbench.plant.effect import Domain
 
 #: Standard deviations by which what a narrower band finds may differ.
 _APART: Final = 3.5
@@ -23,7 +24,8 @@ _SAME_SIZE: Final = 0.03
 
 
 def in_every_band(space: Space, current: Fit) -> Fit:
-    """The fit without the terms of which a narrower band finds another size, one by one, the worst first.
+    """The fit without the terms of which a narrower band finds another size, one by one, what explains least first:
+    beside one that stands for something else the others have another size as well.
 
     An effect has one size; what stands for something else (a delay for a loop's answer to a ripple) changes with
     the frequencies that are looked at. A wave shows in a narrower band at lower speeds only, a resonance below its
@@ -35,10 +37,14 @@ def in_every_band(space: Space, current: Fit) -> Fit:
     while current.terms:
         narrow = fitted(narrower, current.terms)
         apart = _apart(current, narrow, uncertainty_of(space, current), uncertainty_of(narrower, narrow))
-        worst = int(np.argmax(apart))
-        if apart[worst] < _APART:
+        others = [
+            fitted(space, [*current.terms[:k], *current.terms[k + 1 :]])
+            for k, size in enumerate(apart)
+            if size >= _APART
+        ]
+        if not others:
             break
-        current = fitted(space, [*current.terms[:worst], *current.terms[worst + 1 :]])
+        current = min(others, key=lambda found: float(np.sum(found.residual[:, space.predictor.rows] ** 2)))
     return current
 
 
@@ -74,6 +80,8 @@ def _apart(one: Fit, other: Fit, sure: Uncertainty, other_sure: Uncertainty) -> 
     found = []
     for a, b, k in zip(one.terms, other.terms, firsts(one.terms), strict=True):
         here, there, neutral = (float(term.coordinates()[0]) for term in (a, b, a.neutral()))
-        beyond = abs(here - there) - _SAME_SIZE * abs(here - neutral)
+        # What a filter rounds of an inertia is a share of all of it, not of what it differs by.
+        whole = 1.0 + here if a.effect.domain is Domain.INERTIA else here - neutral
+        beyond = abs(here - there) - _SAME_SIZE * abs(whole)
         found.append(0.0 if a.is_of_a_frequency else max(beyond, 0.0) / float(deviations[k]))
     return found
