@@ -64,7 +64,7 @@ def stretch(taken: Array, F_next_N: Array, late: Rows) -> Stretch:
     window = Window(list(channels), len(told), CYCLE_S)
     rows = np.column_stack([*channels.values(), np.arange(len(told)), late])
     window.add(len(told) - 1, rows.tobytes())
-    return Stretch.of(LiveLine(MODEL, imitation(), CYCLE_S), window, MODEL, round(FIRST_S / CYCLE_S), len(told))
+    return Stretch.of(LiveLine(MODEL, imitation(), CYCLE_S), window, MODEL, round(FIRST_S / CYCLE_S), len(told), 0)
 
 
 def left_by_the_right_model(found: Stretch) -> dict[str, float]:

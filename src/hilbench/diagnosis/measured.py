@@ -113,6 +113,8 @@ class Measured:
     put_off_m: float = 0.0
     #: Rows at which something beyond machine and commands has pushed the axes.
     pushed: tuple[int, ...] = ()
+    #: Whoever took this takes it that nothing set in meanwhile: what there is was there from the first row on.
+    settled: bool = False
     #: Angle (n,) of another axis that the only one of a rotary machine is coupled with, relative to it.
     other_rad: Array | None = None
 

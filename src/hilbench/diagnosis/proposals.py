@@ -276,7 +276,7 @@ class Proposer:
 
     def sudden(self) -> list[Effect]:
         """The effects that set in at once, at a time that is searched for."""
-        return self._over(ProbeOver.ONSET)
+        return [] if self._data.settled else self._over(ProbeOver.ONSET)
 
     def onset_times_s(self) -> tuple[Array, float]:
         """Times at which it is first looked what a sudden effect would explain, and how far they are apart, s."""
@@ -285,7 +285,7 @@ class Proposer:
 
     def passing(self) -> list[Effect]:
         """The effects that come at a time that is searched for, and go again."""
-        return self._over(ProbeOver.PASSAGE)
+        return [] if self._data.settled else self._over(ProbeOver.PASSAGE)
 
     def passage_times_s(
         self, whitened: dict[str, Array], rows: NDArray[np.bool_], every: int = 1

@@ -100,8 +100,9 @@ class LiveMachine(Protocol):
         """(M,) what these cycles tell of it, whatever else the model lacks; `known` where they tell nothing beyond
         that. Raises UnusableInputError for what can't be diagnosed."""
 
-    def data_of(self, window: Window, model: Machine, first: int, end: int) -> Measured:
-        """What a diagnosis takes from these cycles. Raises UnusableInputError for what can't be diagnosed."""
+    def data_of(self, window: Window, model: Machine, first: int, end: int, begun: int) -> Measured:
+        """What a diagnosis takes from these cycles, of what has begun in cycle `begun`; before that the machine was as
+        the model is. Raises UnusableInputError for what can't be diagnosed."""
 
     def packed(self, model: Machine) -> Array:
         """(P,): as a predictor takes it."""

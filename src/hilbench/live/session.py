@@ -197,14 +197,17 @@ class Session:
         try:
             estimate = self._machine.estimate_in(self._window, self._in_use, self._estimate, first, end)
             before = self._machine.with_estimate(self._in_use, estimate)
-            simpler = self._explained_without(before, first, end)
+            simpler = self._explained_without(before, first, end, case.begun)
             if simpler is not None:
                 without = [entry for entry in self._in_use.effects if entry not in simpler.effects]
                 gone = tuple(models.of_entry(entry, self._configured) for entry in without)
                 self._found(replace(case, candidate=simpler, gone=gone, trial=end))
                 return
-            data = self._machine.data_of(self._window, before, first, end)
-            found = diagnosed(data, before, imitation=self._machine.imitation)
+            data = self._machine.data_of(self._window, before, first, end, case.begun)
+            # It began before them. What may have set in since is looked for only where nothing else is left: at each of
+            # many times that takes as long as all the rest.
+            settled = case.lacking < self._longest
+            found = diagnosed(replace(data, settled=settled), before, imitation=self._machine.imitation)
         except UnusableInputError as error:
             self._say("ended", case.begun, f"can't be diagnosed: {error}")
             self._rest_until_it_ends()
@@ -219,7 +222,7 @@ class Session:
         between = [piece.parts for piece in self._pieces if case.begun <= piece.cycle < begun]
         return 2 * sum(between) < len(between)
 
-    def _explained_without(self, before: Machine, first: int, end: int) -> Machine | None:
+    def _explained_without(self, before: Machine, first: int, end: int, begun: int) -> Machine | None:
         """The model in use without what has been added to it, where that explains these data as well as any."""
         added = [entry for entry in self._in_use.effects if entry not in self._configured.effects]
         if not added:
@@ -229,7 +232,7 @@ class Session:
             for entry in added:
                 kept = [other for other in self._in_use.effects if other != entry]
                 options.append(models.with_entries(self._configured, kept))
-        stretch = Stretch.of(self._machine, self._window, before, first, end)
+        stretch = Stretch.of(self._machine, self._window, before, first, end, begun)
         for option in options:
             if self._is_noise(stretch, option):
                 return option
@@ -257,7 +260,7 @@ class Session:
             self._begin_anew()
             return
         if undecided:
-            if case.lacking >= _LONGEST * self._cycles(self._config.window_s):
+            if case.lacking >= self._longest:
                 self._say("unknown", case.begun, "no effect explains for certain what the model lacks")
                 self._rest_until_it_ends()
             else:
@@ -286,7 +289,7 @@ class Session:
             return
         new = self._machine.with_estimate(case.candidate, self._estimate)
         try:
-            stretch = Stretch.of(self._machine, self._window, new, first, end)
+            stretch = Stretch.of(self._machine, self._window, new, first, end, case.begun)
         except UnusableInputError as error:
             self._say("ended", case.begun, f"can't be tried: {error}")
             self._begin_anew()
@@ -360,6 +363,11 @@ class Session:
         case = self._case
         effects, gone = (case.effects, case.gone) if case is not None and what == "named" else ((), ())
         self._news.append(News(what, self._window.sync(begun), text, effects, gone))
+
+    @property
+    def _longest(self) -> int:
+        """Cycles beyond which more of them are not hoped to say more."""
+        return _LONGEST * self._cycles(self._config.window_s)
 
     def _cycles(self, duration_s: float) -> int:
         return round(duration_s / self._cycle_s)

@@ -28,9 +28,10 @@ class Stretch:
     predictor: Predictor
 
     @classmethod
-    def of(cls, machine: LiveMachine, window: Window, model: Machine, first: int, end: int) -> Stretch:
-        """The cycles from `first` to before `end`. Raises UnusableInputError for what can't be diagnosed."""
-        data = machine.data_of(window, model, first, end)
+    def of(cls, machine: LiveMachine, window: Window, model: Machine, first: int, end: int, begun: int) -> Stretch:
+        """The cycles from `first` to before `end`; `begun` as in `LiveMachine.data_of`. Raises UnusableInputError for
+        what can't be diagnosed."""
+        data = machine.data_of(window, model, first, end, begun)
         return cls(data, choice(model, data, machine.imitation).predictor)
 
     @property

@@ -86,7 +86,7 @@ class LiveShaft:
 
     def estimate_in(self, window: Window, model: Machine, known: Array, first: int, end: int) -> Array:
         """By the torques of its accelerations, beside a constant one and one in proportion to the speed."""
-        stretch = Stretch.of(self, window, self.with_estimate(model, known), first, end)
+        stretch = Stretch.of(self, window, self.with_estimate(model, known), first, end, first)
         here, there = (
             stretch.residual(self.packed(self.with_estimate(model, known * (1.0 + share))))[0] for share in (0.0, _STEP)
         )
@@ -95,8 +95,9 @@ class LiveShaft:
         share = -float(np.linalg.lstsq(columns, here[rows], rcond=None)[0][0])
         return np.asarray(known * (1.0 + float(np.clip(share, -_MOST, _MOST))))
 
-    def data_of(self, window: Window, model: Machine, first: int, end: int) -> Measured:
-        """What a diagnosis takes from these cycles. Raises UnusableInputError for what can't be diagnosed."""
+    def data_of(self, window: Window, model: Machine, first: int, end: int, begun: int) -> Measured:
+        """What a diagnosis takes from these cycles, of a shaft which keeps nothing of what was before. Raises
+        UnusableInputError for what can't be diagnosed."""
         data = measured_from(window.recording(first, end), model, "the running bench")
         known = window.known(first, end)
         if len(known) != len(data.t_s):

@@ -44,5 +44,5 @@ def warm_up(names: Sequence[str], machine: LiveShaft, config: LiveDiagnosisConfi
     window = Window(names, count, cycle_s)
     window.add(count - 1, Samples.of(count - 1, rows).rows)
     with suppress(UnusableInputError):  # of made-up data nothing has to come
-        data = machine.data_of(window, machine.configured, 0, count)
+        data = machine.data_of(window, machine.configured, 0, count, 0)
         diagnosed(data, machine.configured, imitation=machine.imitation)

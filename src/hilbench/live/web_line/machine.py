@@ -96,9 +96,10 @@ class LiveLine:
         """As it is known: what a line lacks looks like another E too often."""
         return known
 
-    def data_of(self, window: Window, model: Machine, first: int, end: int) -> Measured:
-        """What a diagnosis takes from these cycles. Raises UnusableInputError for what can't be diagnosed."""
-        return stretch.data_of(window, models.line(model), self.imitation, first, end, self._cycle_s)
+    def data_of(self, window: Window, model: Machine, first: int, end: int, begun: int) -> Measured:
+        """What a diagnosis takes from these cycles, of what has begun in cycle `begun`: until then the web was strained
+        as by the model. Raises UnusableInputError for what can't be diagnosed."""
+        return stretch.data_of(window, models.line(model), self.imitation, (begun, first, end), self._cycle_s)
 
     def packed(self, model: Machine) -> Array:
         """(P,): as a predictor takes it."""

@@ -60,16 +60,22 @@ def quiet_cycle(window: Window, model: ModelParameters, first: int, end: int, cy
 
 
 def data_of(
-    window: Window, model: ModelParameters, imitation: Imitation | None, first: int, end: int, cycle_s: float
+    window: Window,
+    model: ModelParameters,
+    imitation: Imitation | None,
+    cycles: tuple[int, int, int],
+    cycle_s: float,
 ) -> Measured:
-    """What a diagnosis takes from these cycles. Raises UnusableInputError for what can't be diagnosed."""
+    """What a diagnosis takes from cycles: that in which began what is looked for, the first and the one behind the last
+    that are looked at. Raises UnusableInputError for what can't be diagnosed."""
+    begun, first, end = cycles
     data = measured_from(window.recording(first, end), model, "the running bench")
     measured, known = window.measured(first, end), window.known(first, end)
     if len(known) != len(data.t_s):
         raise UnusableInputError("the running bench", "rows could not be placed in time, expected one each cycle")
     data = replace(
         data,
-        before=_before(window, model, first, cycle_s),
+        before=_before(window, model, begun, first, cycle_s),
         left_out=~known | data.left_out,
         put_off_m=_put_off_m(data.commands_m_s, measured, cycle_s),
     )
@@ -108,9 +114,11 @@ def _put_off_m(commands_m_s: Array, measured: Rows, cycle_s: float) -> float:
     return cycle_s * float(np.max(np.sum(changes_m_s, axis=0)))
 
 
-def _before(window: Window, model: ModelParameters, cycle: int, cycle_s: float) -> Before:
-    """How the rollers turned until a cycle. The strain at the beginning of that is the model's, on what was before."""
+def _before(window: Window, model: ModelParameters, begun: int, cycle: int, cycle_s: float) -> Before:
+    """How the rollers turned until a cycle, at the earliest from that in which it began. The strain at the beginning of
+    that is the model's, on what was before."""
     shown = max(rows_of_way(window, model, cycle, remembered_m(model, _SHOWN_LENGTHS)), round(_SHOWN_S / cycle_s))
+    shown = max(min(shown, cycle - begun), 1)
     exchanged = rows_of_way(window, model, cycle - shown, exchanged_m(model))
     rows = window.rows(cycle - shown - max(exchanged, round(_KNOWN_S / cycle_s)), cycle + 1)
     x = np.column_stack([window.column(rows, f"x{axis}_m") for axis in range(1, model.axis_count + 1)])

@@ -51,7 +51,7 @@ def warm_up(names: Sequence[str], machine: LiveLine, config: LiveDiagnosisConfig
         chunk = np.column_stack([channels[name][end - CHUNK_CYCLES : end] for name in names])
         session.samples(Samples.of(end - 1, chunk))
     with suppress(UnusableInputError):  # of made-up data nothing has to come
-        stretch = Stretch.of(machine, _window(channels, cycle_s), model, first, count)
+        stretch = Stretch.of(machine, _window(channels, cycle_s), model, first, count, 0)
         stretch.residual(machine.packed(model))
 
 
