@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import fcntl
+import json
+import os
+import signal
 import socket
 import termios
 import threading
@@ -10,6 +13,8 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -17,9 +22,12 @@ from hypothesis import strategies as st
 
 from hilbench.can import hub as hub_module
 from hilbench.can import protocol, requests
-from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.can.hub import Client, Hub
+from hilbench.can.link import Link
 from hilbench.can.medium import Medium
+from hilbench.can.open import BusAddress, open_link
+from hilbench.errors import BusError
 
 #: Few identifiers: the hub knows what it has passed on before, and several senders have the same.
 IDENTIFIERS = st.integers(0, 5) | st.integers(0x7FE, 0x801) | st.sampled_from([0x1FFFFFFF, 0x80])
@@ -62,6 +70,7 @@ class Stations:
         listener = resources.enter_context(closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)))
         listener.bind("")  # to a name that the kernel finds
         listener.listen()
+        self.address = listener.getsockname()
         resources.enter_context(pytest.MonkeyPatch.context()).setattr(hub_module, "GRACE_S", 0.0)
         self.hub = hub = CountingHub("test", listener)
         resources.callback(hub._epoll.close)
@@ -85,6 +94,14 @@ class Stations:
         self._serves = threading.Thread(target=hub.serve, args=(lambda: True,))
         resources.callback(lambda: self._serves.ident and self._serves.join())
         resources.callback(lambda: [end.close() for end in self.ends])
+
+    def ask(self, **content: object) -> tuple[socket.socket, dict[str, Any]]:
+        """A new connection, and the answer to a request over it."""
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        connection.settimeout(20.0)
+        connection.connect(self.address)
+        connection.send(json.dumps(content).encode())
+        return connection, json.loads(connection.recv(protocol.PACKET_BYTES))
 
     def serve(self) -> None:
         """From now on, until all have said their last."""
@@ -193,3 +210,67 @@ def test_who_reads_late_has_lost_nothing(loaded, reader):
         stations.say_no_more()
         stations.left()
         stations.counted()
+
+
+@pytest.mark.parametrize("loaded", [True, False])
+def test_who_comes_goes_or_asks_while_packets_are_forwarded_is_served(loaded):
+    frames = [(number, 0, 8, bytes(8)) for number in range(4)]
+    with ExitStack() as resources:
+        stations = Stations(resources, loaded=loaded)
+        stations.serve()
+        sender, narrow = stations.ends[0], stations.ends[1]
+
+        def heard(by: socket.socket) -> list[int]:
+            body = by.recv(protocol.PACKET_BYTES)[protocol.HEADER.size :]
+            return [record[0] for record in protocol.STAMPED_CAN_RECORD.iter_unpack(body)]
+
+        def passed(*by: socket.socket) -> list[list[int]]:
+            sender.send(packet_of(frames))
+            return [heard(each) for each in by]
+
+        assert [passed(narrow) for _ in range(2)] == 2 * [[[1]]]
+        newcomer, joined = stations.ask(request="join")
+        assert [passed(narrow, newcomer) for _ in range(2)] == 2 * [[[1], [0, 1, 2, 3]]]
+        connection, answer = stations.ask(request="set_filters", station=joined["station"], filters=[[2, 0x7FF]])
+        connection.close()
+        assert answer == {}
+        assert [passed(narrow, newcomer) for _ in range(2)] == 2 * [[[1], [2]]]
+        connection, counted = stations.ask(request="statistics")
+        connection.close()
+        assert (counted["frames"], counted["stations"]) == (24, 5)
+        assert counted["time_ns"] == counted["bits"] * 1000
+        newcomer.close()
+        assert [passed(narrow) for _ in range(2)] == 2 * [[[1]]]
+        stations.say_no_more()
+        stations.left()
+        stations.counted()
+
+
+def loads_its_forwarder(runtime: Any, link: Link, other: Link) -> int:
+    """Send until the hub needs no interpreter; its process."""
+    (pid,) = runtime.hubs()
+    frames = [Frame(number, bytes(8)) for number in range(100)]
+
+    def loaded() -> bool:
+        for _ in range(50):
+            link.send(frames)
+            other.receive(20.0)
+        return "llvmlite" in Path(f"/proc/{pid}/maps").read_text()
+
+    assert runtime.eventually(loaded)
+    return pid
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_hub_that_ends_while_it_forwards_is_a_lost_bus(runtime, number):
+    bus = BusAddress(timing="virtual")
+    with closing(open_link(bus)) as one, closing(open_link(bus)) as other:
+        pid = loads_its_forwarder(runtime, one, other)
+        os.kill(pid, number)
+        with pytest.raises(BusError, match="hilbench0"):
+            other.receive(20.0)
+    assert runtime.eventually(lambda: not runtime.hubs())
+    if number == signal.SIGKILL:  # who comes next takes its place
+        with closing(open_link(bus)) as one, closing(open_link(bus)) as other:
+            one.send([Frame(0x1, b"")])
+            assert other.receive(20.0)
