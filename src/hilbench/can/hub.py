@@ -18,10 +18,8 @@ import json
 import os
 import select
 import signal
-import site
 import socket
 import sys
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -101,7 +99,7 @@ class Hub:
         self._departed: list[Client] = []  # gone, with frames still to send
         self._listeners = Listeners(lambda: [client for client in self._clients.values() if client.joined])
         self._forwarder: Forwarder | None = None
-        self._loading: threading.Thread | None = None
+        self._loads = False
         self._identities = 0
         self._fd = False  # whether a station that may send FD frames has joined
         self._epoll = select.epoll()
@@ -159,7 +157,7 @@ class Hub:
         packet, or a station that does not read. Nothing is done where that is not all there is to it."""
         forwarder = self._forwarder
         if forwarder is None:
-            if self._loading is None and self._medium.counters.frames >= _FRAMES_UNTIL_LOADED and self._is_virtual:
+            if not self._loads and self._medium.counters.frames >= _FRAMES_UNTIL_LOADED and self._is_virtual:
                 self._load()
             return False
         stations = cast("Sequence[Client]", self._medium.stations)
@@ -192,13 +190,17 @@ class Hub:
 
     def _load(self) -> None:
         """Load what forwards; the stations are served meanwhile."""
+        from threading import Thread  # a hub that starts needs none
+
+        self._loads = True
         sys.setswitchinterval(_SWITCH_WHILE_LOADING_S)
-        self._loading = threading.Thread(target=self.load_forwarder)
-        self._loading.start()
+        Thread(target=self.load_forwarder).start()
 
     def load_forwarder(self) -> None:
         """From now on packets of known frames need no interpreter."""
         if sys.flags.no_site:  # the hub was started without other packages
+            import site
+
             site.main()
         from hilbench.can.forwarding import Forwarder
 
