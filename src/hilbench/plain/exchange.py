@@ -274,8 +274,9 @@ class _Run:
         answers = len(self._due) + len(due)
         while (outcome := packet_kernel.gather(gathered.table, answers, stage)) == packet_kernel.NOTHING:
             packet = self._link.receive_packet(_PATIENCE_S)
-            if packet is None or not gathered.put(packet):
+            if packet is None:
                 return None
+            gathered.put(packet)
             stage = packet_kernel.TAKEN
         if outcome != packet_kernel.ANSWERED:
             return None

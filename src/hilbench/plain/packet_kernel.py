@@ -166,14 +166,11 @@ class Gathered:
         numbers = self._numbers_at
         numbers[CAME] = numbers[ANSWERS_CAME] = numbers[PACKETS_CAME] = numbers[IN_END] = 0
 
-    def put(self, packet: bytes) -> bool:
-        """One that was received by Python, to be TAKEN; False where there is no room."""
+    def put(self, packet: bytes) -> None:
+        """One that Python has received after `gather` had none: to be TAKEN."""
         at = self._numbers_at[IN_END]
-        if at + _PACKET_BYTES > len(self._packets):
-            return False
         self._packets[at : at + len(packet)] = np.frombuffer(packet, np.uint8)
         self._numbers_at[LENGTH] = len(packet)
-        return True
 
     @property
     def cob_ids(self) -> tuple[int, ...]:
@@ -392,14 +389,21 @@ answer, ask, gather, take_apart = _entry_points(number_of_sources(__file__, *ker
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, before anybody waits for a cycle."""
+    """Compile, or load from the cache, what devices call, before anybody waits for a cycle."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     answer(nothing, nothing, RECEIVE)
+    warm_up_gathering()
 
 
 def warm_up_bench() -> None:
     """The same of what a bench calls."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     ask(nothing, nothing, BITRATE)
+    warm_up_gathering()
+
+
+def warm_up_gathering() -> None:
+    """The same of what is gathered."""
+    nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     gather(nothing, 0, RECEIVE)
     take_apart(nothing, nothing, nothing, BITRATE)

@@ -10,15 +10,12 @@ import numpy as np
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.plain import kernel, packet_kernel
 from hilbench.plain import layout as lay
-from hilbench.plain.packet_kernel import ANSWERED, BITRATE, NOTHING, OTHER
-from hilbench.plain.packets import Packets
+from hilbench.plain.packet_kernel import ANSWERED, BITRATE, NOTHING, OTHER, RECEIVE, TAKEN, Gathered
 from hilbench.plain.sync_answers import SyncAnswers
 from hilbench.plain.tables import Frames, NotPlainError, new_slots, table
 from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.in_arrays import TwinInArrays, give_counters, heard_row
 from hilbench.twin.process import TwinApplication
-
-_EVER_NS = 1 << 62
 
 
 @dataclass(frozen=True)
@@ -44,8 +41,7 @@ class HeardAxes:
             raise NotPlainError
         self.measured = np.zeros(4 * len(listeners))
         self._orders: dict[tuple[int, ...], _Order] = {}
-        self._last: _Order | None = None
-        self._packets = Packets(link.dropped)
+        self._gathered = Gathered(link.fileno(), link.dropped)
 
     def _row(self, listener: AxisListener) -> tuple[object, ...]:
         taken = self._slots[listener.cob_id]
@@ -53,44 +49,32 @@ class HeardAxes:
 
     @property
     def came(self) -> Sequence[bytes]:
-        """Packets of this cycle that have not been all, or are not plain."""
-        return self._packets.all
+        """Packets of this cycle."""
+        return self._gathered.packets
 
     def begin(self) -> None:
         """SYNC is answered."""
-        self._packets.begin()
+        self._gathered.begin()
 
     def serve(self, timeout_s: float) -> int:
-        """Take the next packet: ANSWERED, by all axes; NOTHING new is there, or not all; OTHER: it is not plain."""
-        last = self._last
-        if last is not None and not self._packets.all:
-            outcome = packet_kernel.answer(last.table, last.port_table, packet_kernel.RECEIVE)
-            if outcome == ANSWERED:
-                return outcome
-            if outcome != NOTHING:
-                return self._take(last.port.received[: last.port.numbers[packet_kernel.LENGTH]].tobytes())
-        packet = self._link.receive_packet(timeout_s)
-        return NOTHING if packet is None else self._take(packet)
-
-    def _take(self, packet: bytes) -> int:
-        """A packet that does not have the same as the last one, or not all."""
-        packets = self._packets
-        if not packets.take(packet):
-            return OTHER
-        cob_ids = packets.cob_ids
-        order = self._orders.get(cob_ids)
-        if order is None:
-            if len(set(cob_ids)) != len(cob_ids) or not set(cob_ids) <= set(self._by_cob_id):
-                return OTHER
-            if len(cob_ids) < len(self._listeners):
+        """Take what comes: ANSWERED, by all axes; NOTHING has come within the time; OTHER: it is not plain."""
+        gathered, stage = self._gathered, RECEIVE
+        while (outcome := packet_kernel.gather(gathered.table, len(self._listeners), stage)) == NOTHING:
+            packet = self._link.receive_packet(timeout_s)
+            if packet is None:
                 return NOTHING
-            order = self._orders[cob_ids] = self._new(cob_ids)
-        if packets.sizes != tuple(self._by_cob_id[cob_id].size for cob_id in cob_ids):
+            gathered.put(packet)
+            stage = TAKEN
+        order = self._order(gathered.cob_ids) if outcome == ANSWERED else None
+        if order is None or not packet_kernel.take_apart(order.table, order.port_table, gathered.table, BITRATE):
             return OTHER
-        order.port.data[: len(packets.data)] = np.frombuffer(packets.data, np.uint8)
-        kernel.exchange(order.table, BITRATE)
-        self._last = order
         return ANSWERED
+
+    def _order(self, cob_ids: tuple[int, ...]) -> _Order | None:
+        order = self._orders.get(cob_ids)
+        if order is None and len(cob_ids) == len(self._listeners) and set(cob_ids) == set(self._by_cob_id):
+            order = self._orders[cob_ids] = self._new(cob_ids)
+        return order
 
     def _new(self, cob_ids: Sequence[int]) -> _Order:
         frames, answers = Frames(), self._answers
@@ -110,11 +94,8 @@ class HeardAxes:
             data=data,
         )
         wire = np.column_stack((frames.cob_ids, frames.sizes)).astype(np.int64)
-        none, link = np.zeros((0, 5), np.int64), self._link
-        port = packet_kernel.new_port(
-            link.fileno(), link.dropped, wire, none, wire[:0], vectors.left, data, answers.received
-        )
-        port.numbers[packet_kernel.UNTIL_NS] = _EVER_NS
+        none, nothing = np.zeros((0, 5), np.int64), np.zeros(0, np.uint8)
+        port = packet_kernel.new_port(-1, 0, wire, none, wire[:0], vectors.left, data, nothing)
         return _Order(vectors, port, vectors.table(), port.table())
 
     def give(self) -> None:
