@@ -42,7 +42,7 @@ class Order:
     port: Table
     kept: Port
     data: lay.Bytes
-    left: lay.Whole
+    left: memoryview[int]
     heartbeats: Sequence[int]
     rare: dict[int, int]
     has_status: bool
@@ -139,4 +139,4 @@ class Orders:
         nothing = np.zeros(0, np.uint8)
         port = new_port(-1, 0, wire, checked, wire[:0], left, data.reshape(-1), nothing)
         has_status = self._status in cob_ids
-        return Order(cob_ids, sizes, table, port.table(), port, data, left, heartbeats, rare, has_status)
+        return Order(cob_ids, sizes, table, port.table(), port, data, left.data, heartbeats, rare, has_status)

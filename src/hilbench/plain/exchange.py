@@ -8,7 +8,7 @@ else is for the interpreted cycle, which is the reference; it goes on in the mid
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -134,6 +134,8 @@ class _Run:
         data, self._left = np.zeros((len(frames.rows), 8), np.uint8), np.zeros(lay.O_SIZE + len(frames.rows), np.int64)
         for row, content in frames.constants.items():
             data[row, : len(content)] = np.frombuffer(content, np.uint8)
+        # One value goes faster through these than through the arrays.
+        self._left_at, self._text_at = self._left.data, self._text.data
         self._data = data
         wire = np.column_stack((frames.cob_ids, frames.sizes)).astype(np.int64)
         self._port = packet_kernel.new_port(
@@ -225,7 +227,7 @@ class _Run:
         if order is None or bits is None:
             return False
         own = self._bench.own_heartbeat
-        said_alive = own >= 0 and bool(self._left[lay.O_SIZE + own])
+        said_alive = own >= 0 and self._left_at[lay.O_SIZE + own] != 0
         sync.count(bits, begun_ns, time.monotonic_ns(), said_alive=said_alive)
         self.cycles += 1
         self.sent = False
@@ -269,8 +271,10 @@ class _Run:
     def _collect(self) -> Order | None:
         """What has answered, once all is there that is due; None where something else has come, or nothing."""
         gathered, stage = self._gathered, packet_kernel.RECEIVE
-        cycle = self._sync.timing.cycles + 1
-        due = {pdo.cob_id for pdo in self._sync.due_at_times if (cycle - pdo.since) % pdo.every == 0}
+        due: Collection[int] = ()
+        if self._sync.due_at_times:
+            cycle = self._sync.timing.cycles + 1
+            due = {pdo.cob_id for pdo in self._sync.due_at_times if (cycle - pdo.since) % pdo.every == 0}
         answers = len(self._due) + len(due)
         while (outcome := packet_kernel.gather(gathered.table, answers, stage)) == packet_kernel.NOTHING:
             packet = self._link.receive_packet(_PATIENCE_S)
@@ -284,23 +288,23 @@ class _Run:
             order = self._orders.find(gathered.cob_ids)
         except NotPlainError:
             return None
-        return order if order is not None and due == order.rare.keys() else None
+        return order if order is not None and set(due) == order.rare.keys() else None
 
     def _decode(self, order: Order) -> int | None:
         """What came into the bench's view of the nodes, and its lines; the bits of the cycle. None, and nothing done,
         where something is not as it was."""
-        given, left = self._given_at, self._left
+        given, left, answered = self._given_at, self._left_at, order.left
         given[lay.I_START_NS] = self._sync.next_sync_ns + self._sync_bits_ns
         given[lay.I_TEXT] = left[lay.O_TEXT]
         if not packet_kernel.take_apart(order.table, order.port, self._gathered.table, self._bitrate):
             return None
         if self._tap is not None:
-            self._text_end = int(order.left[lay.O_TEXT])
-            self._traced += int(left[lay.O_FRAMES] + order.left[lay.O_FRAMES])
+            self._text_end = answered[lay.O_TEXT]
+            self._traced += left[lay.O_FRAMES] + answered[lay.O_FRAMES]
         for cob_id, row in order.rare.items():
             self._rare[cob_id] = self.cycles, order.data[row, : order.sizes[row]].tobytes()
         self._last = order
-        return int(left[lay.O_BITS] + order.left[lay.O_BITS])
+        return left[lay.O_BITS] + answered[lay.O_BITS]
 
     def _write_text(self) -> BenchFaultError | None:
         """The lines of the last cycle, while the others compute; what the trace has to say against them."""
@@ -308,10 +312,10 @@ class _Run:
         if tap is None or not end:
             return None
         # What was sent just now stands behind them.
-        now_end = int(self._left[lay.O_TEXT])
+        now_end = self._left_at[lay.O_TEXT]
         self._give_lines(tap, end)
-        self._text[: now_end - end] = self._text[end:now_end].copy()
-        self._left[lay.O_TEXT] = now_end - end
+        self._text_at[: now_end - end] = self._text_at[end:now_end]
+        self._left_at[lay.O_TEXT] = now_end - end
         try:
             tap.end_cycle()
         except BenchFaultError as fault:
@@ -319,7 +323,7 @@ class _Run:
         return None
 
     def _give_lines(self, tap: LineTap, end: int) -> None:
-        tap.write_lines(self._text[:end].tobytes().decode("ascii"), self._traced)
+        tap.write_lines(str(self._text_at[:end], "ascii"), self._traced)
         self._text_end = self._traced = 0
 
     # -- back to the objects ---------------------------------------------------------------------------------
