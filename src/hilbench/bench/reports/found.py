@@ -8,13 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 #: Cycles of a chunk of samples.
 CHUNK_CYCLES = 250
+
+
+#: Of a machine, as `FoundEffect` has their numbers.
+_PARTS: Final = ("axis", "span")
 
 
 @dataclass(frozen=True)
@@ -40,8 +44,8 @@ class FoundEffect:
     @property
     def part(self) -> str:
         """Its part of the machine: "axis 2"; "" of what has none."""
-        numbers = {"axis": self.axis, "span": self.span}
-        return next((f"{name} {number}" for name, number in numbers.items() if number is not None), "")
+        numbers = ((name, getattr(self, name)) for name in _PARTS)
+        return next((f"{name} {number}" for name, number in numbers if number is not None), "")
 
     @property
     def place(self) -> str:
