@@ -91,7 +91,7 @@ class KeptCode(FunctionCache):
         self._installed = IndexDataCacheFile(folder, self._impl.filename_base, stamp)
         self._is_all = folder == self.cache_path or bool(os.environ.get("NUMBA_CACHE_DIR"))
 
-        self._is_kept = False
+        self._kept: set[Any] = set()  # types of arguments for which it has been found
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """The machine code, None where it is not on disk. What numba knows of all that can be compiled it loads when
@@ -107,12 +107,14 @@ class KeptCode(FunctionCache):
         return found
 
     def holds(self, signature: Any, target: Any) -> bool:
-        """Whether the machine code for these arguments, always the same, is on disk."""
-        if not self._is_kept:
+        """Whether the machine code for these arguments is on disk."""
+        if signature not in self._kept:
             key = self._index_key(signature, target.codegen())
             files = [self._cache_file] if self._is_all else [self._cache_file, self._installed]
-            self._is_kept = any(key in each._load_index() for each in files)
-        return self._is_kept
+            if not any(key in each._load_index() for each in files):
+                return False
+            self._kept.add(signature)
+        return True
 
     def _save_overload(self, signature: Any, data: Any) -> None:
         if not isinstance(self._impl.locator, _Installed):
