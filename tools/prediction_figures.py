@@ -89,14 +89,13 @@ def errors(recording: Recording, outlooks: Sequence[Outlook]) -> str:
                 if at_s > time_s[-1]:
                     continue
                 came = float(np.interp(at_s, time_s, values))
-                low, median, high = np.quantile(outlook.rows[row, :, place], (0.05, 0.5, 0.95))
+                low, median, high = (course[row] for course in outlook.band(place))
                 off.append(median - came)
                 held.append(low <= came <= high)
             sizes = np.abs(off)
-            inside = f"{100 * np.mean(held):.0f} %" if watched.unit == "N" else "–"  # of what is measured without noise
             lines.append(
                 f"| {watched.name} | {lead_s:g} s | {np.sqrt(np.mean(sizes**2)):.2g} {watched.unit} | "
-                f"{np.quantile(sizes, 0.95):.2g} {watched.unit} | {inside} |"
+                f"{np.quantile(sizes, 0.95):.2g} {watched.unit} | {100 * np.mean(held):.0f} % |"
             )
     return "\n".join(lines)
 

@@ -23,6 +23,7 @@ def outlook(now_s: float, course_Nm: np.ndarray, row_s: float = 0.05) -> Outlook
         rows[0],
         np.zeros((1, 2)),
         np.full((16, 1, 2), np.nan),
+        np.zeros(1),
     )
 
 

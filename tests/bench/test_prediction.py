@@ -202,7 +202,14 @@ class StillRunning:
         self.begun += 1
         times_s, rows = now_s + np.arange(1.0, 3.0), np.full((2, 16, 2), 2.0)
         outlook = Outlook(
-            now_s, self.watched, times_s, rows, rows[0], np.array([[1.0, 0.0], [0.0, 0.0]]), np.full((16, 2, 2), now_s)
+            now_s,
+            self.watched,
+            times_s,
+            rows,
+            rows[0],
+            np.array([[1.0, 0.0], [0.0, 0.0]]),
+            np.full((16, 2, 2), now_s),
+            np.zeros(2),
         )
         return (lambda: self.goes_on.wait(30.0) and None), lambda: outlook
 

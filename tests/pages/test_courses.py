@@ -27,7 +27,7 @@ def outlook() -> Outlook:
     ]
     none = np.zeros((41, 3))
     times_s = 5.0 + 0.01 * np.arange(1, 1001)
-    return Outlook(5.0, watched, times_s, rows, none, np.zeros((3, 2)), np.full((41, 3, 2), np.nan))
+    return Outlook(5.0, watched, times_s, rows, none, np.zeros((3, 2)), np.full((41, 3, 2), np.nan), np.zeros(3))
 
 
 def test_tensions_and_torques_to_come_have_bands_and_levels(outlook: Outlook) -> None:

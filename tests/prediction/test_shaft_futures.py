@@ -147,6 +147,17 @@ def test_a_friction_that_is_not_sure_spreads_the_torque_of_an_even_speed() -> No
     assert (high - low) / 2 == pytest.approx(1.645 * 0.02, rel=0.05)
 
 
+def test_a_band_holds_what_will_be_measured_with_its_noise() -> None:
+    futures = futures_of(count=256)
+    offsets = replace(futures.no_offsets(), noise=np.array([0.03, 0.0, 0.0]))
+    outlook = futures.look(replace(at_work(), dry_friction_sd_Nm=0.04), steady(), offsets, 1)
+    low, median, high = (each[-1] for each in outlook.band(outlook.place("tau1_Nm"), 0.9))
+    assert median == pytest.approx(DRY + VISCOUS * 20.0, abs=0.001)
+    assert (high - low) / 2 == pytest.approx(1.645 * 0.05, rel=0.05)
+    measured = outlook.rows[-1, :, 0] + 0.03 * np.random.default_rng(1).standard_normal((100, 256))
+    assert np.mean((low <= measured) & (measured <= high)) == pytest.approx(0.9, abs=0.015)
+
+
 def test_a_step_of_inertia_that_is_planned_is_in_the_ramp_behind_it() -> None:
     futures = futures_of("safety.limits.torque_Nm.warning=2.4")
 

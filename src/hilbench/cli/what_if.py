@@ -152,7 +152,8 @@ def _print(answer: Answer, texts: Sequence[str], when: str) -> None:
     outlook, console = answer.outlook, Console(highlight=False)
     seconds = outlook.times_s[-1] - outlook.now_s
     console.print(f"what if, from {when} on: {', '.join(texts)}", soft_wrap=True)
-    console.print(f"{seconds:.3g} s in {outlook.rows.shape[1]} futures; bands hold 90 % of them", soft_wrap=True)
+    futures = outlook.rows.shape[1]
+    console.print(f"{seconds:.3g} s in {futures} futures; bands hold 90 % of what would be measured", soft_wrap=True)
     table = Table(box=None, padding=(0, 2, 0, 0))
     table.add_column("quantity", no_wrap=True)
     for heading in ("largest", "of 90 %", "at the end", "limits", "probability"):

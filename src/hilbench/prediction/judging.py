@@ -1,17 +1,19 @@
-"""Whether a future stays below the levels of its quantities, while each is measured with noise; compiled."""
+"""What becomes of the quantities of a future: its course, and whether they stay below their levels, each measured with
+noise; compiled."""
 
 from __future__ import annotations
 
 from math import erfc, sqrt
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import compiled, inlined
+from hilbench.compiled import compiled, floats, inlined, integers, merged
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+Cube = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Noise further from a level than so many standard deviations never carries a quantity beyond it.
@@ -40,28 +42,47 @@ def _judge(
         first[b, at] = i
 
 
-@compiled
-def see(
-    q: Vector,
-    offset: Matrix,
-    sigma: Vector,
-    levels: Matrix,
-    samples: float,
-    b: int,
-    i: int,
-    survival: Matrix,
-    first: Indices,
-    worst: Matrix,
-) -> None:
-    """Quantities q (Q,) of future b at the end of step i: its largest sizes into `worst` (B, Q), and what
-    that does to the probability that it stays below the levels (Q, 2): `survival` (B, 2 Q).
+class TallyVectors(NamedTuple):
+    """What B futures of Q quantities are counted in, for compiled callers, with what they are counted by."""
 
-    offset (B, Q) is added to q; sigma (Q,) and `samples` as in `_judge`; `first` (B, 2 Q): the step from which a level
-    is crossed more likely than not, `NEVER` before.
-    """
+    offset: Matrix  #: (B, Q): added to what a future says
+    noise: Vector  #: (Q,): with which it is measured
+    levels: Matrix  #: (Q, 2): warning and trip
+    survival: Matrix  #: (B, 2 Q): probabilities that a level was not crossed
+    first: Indices  #: (B, 2 Q): the step from which a level is crossed more likely than not, `NEVER` before
+    largest: Matrix  #: (B, Q)
+    rows: Cube  #: (R, B, Q): what is kept of the courses
+
+
+@merged
+def of_table(table: Indices) -> TallyVectors:
+    """The vectors that stand in a `table_of` them."""
+    return TallyVectors(
+        floats(table, 0, (1, 2)),
+        floats(table, 1, (1,)),
+        floats(table, 2, (1, 2)),
+        floats(table, 3, (1, 2)),
+        integers(table, 4, (1, 2)),
+        floats(table, 5, (1, 2)),
+        floats(table, 6, (1, 2, 3)),
+    )
+
+
+@compiled
+def see(v: TallyVectors, q: Vector, samples: float, b: int, i: int) -> None:
+    """Quantities q (Q,) of future b at the end of step i, in which they are measured `samples` times: its largest
+    sizes, and what they do to the probability that it stays below the levels."""
     for j in range(q.shape[0]):
-        size = abs(q[j] + offset[b, j])
-        worst[b, j] = max(worst[b, j], size)
+        size = abs(q[j] + v.offset[b, j])
+        v.largest[b, j] = max(v.largest[b, j], size)
         for level in range(2):
-            if levels[j, level] < np.inf:
-                _judge(size, levels[j, level], sigma[j], samples, survival, first, b, 2 * j + level, i)
+            if v.levels[j, level] < np.inf:
+                _judge(size, v.levels[j, level], v.noise[j], samples, v.survival, v.first, b, 2 * j + level, i)
+
+
+@compiled
+def keep(v: TallyVectors, q: Vector, every: int, b: int, i: int) -> None:
+    """The row of the course that ends with step i, where one does: one of `every` so many."""
+    if (i + 1) % every == 0:
+        for j in range(q.shape[0]):
+            v.rows[(i + 1) // every - 1, b, j] = q[j] + v.offset[b, j]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Final, Literal
 
 import numpy as np
@@ -53,7 +54,7 @@ class Outlook:
 
     `times_s` (R,) of the `rows` (R, B, Q); `largest` (B, Q): size over the whole horizon, both without the noise of
     measurement. `probability` (Q, 2), noise included, and `first_s` (B, Q, 2; NaN where it is not): of going beyond
-    the warning level and the trip level.
+    the warning level and the trip level. `noise` (Q,): deviation of one measured sample.
     """
 
     now_s: float
@@ -63,6 +64,7 @@ class Outlook:
     largest: Array
     probability: Array
     first_s: Array
+    noise: Array
 
     def place(self, signal: str) -> int:
         """Of the quantity that this signal shows. Raises KeyError."""
@@ -72,10 +74,14 @@ class Outlook:
         raise KeyError(signal)
 
     def band(self, place: int, share: float = 0.9) -> tuple[Array, Array, Array]:
-        """Low, median and high (R,) of a quantity: `share` of the futures lie between low and high."""
+        """Low, median and high (R,) of a quantity: `share` of what will be measured lies between low and high.
+
+        That is as wide as `share` of the futures, and as much noise, independent of them.
+        """
         tail = 0.5 * (1.0 - share)
         low, median, high = np.quantile(self.rows[:, :, place], (tail, 0.5, 1.0 - tail), axis=1)
-        return low, median, high
+        noise = float(self.noise[place]) * NormalDist().inv_cdf(1.0 - tail)
+        return median - np.hypot(median - low, noise), median, median + np.hypot(high - median, noise)
 
     def crossings(self, above: float = 0.0) -> Iterator[Crossing]:
         """Of all levels that there are, those with a probability of `above` at least, and above 0."""

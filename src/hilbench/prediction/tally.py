@@ -10,7 +10,8 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.prediction.judging import NEVER
+from hilbench.compiled import table_of
+from hilbench.prediction.judging import NEVER, TallyVectors
 from hilbench.prediction.outlook import Outlook, Watched
 
 Array = NDArray[np.float64]
@@ -39,35 +40,42 @@ class Offsets:
 
 @dataclass(frozen=True)
 class Tally:
-    """Of B futures and Q quantities, as `judging.see` and the kernels of the machines fill it: probabilities (B, 2 Q)
-    that a level was not crossed, the steps of the crossings (B, 2 Q), largest sizes (B, Q), and R rows (R, B, Q)."""
+    """Of B futures and Q quantities, as the kernels of the machines fill it, in T steps of `step_s`; a row of the
+    courses is kept `every` so many."""
 
     watched: tuple[Watched, ...]
-    survival: Array
-    first: NDArray[np.int64]
-    largest: Array
-    rows: Array
+    step_s: float
+    every: int
+    vectors: TallyVectors
 
     @classmethod
-    def of(cls, watched: tuple[Watched, ...], futures: int, rows: int) -> Self:
-        """Before the first step."""
-        q = len(watched)
-        survival, first = np.ones((futures, 2 * q)), np.full((futures, 2 * q), NEVER, np.int64)
-        return cls(watched, survival, first, np.zeros((futures, q)), np.zeros((rows, futures, q)))
-
-    def outlook(self, now_s: float, step_s: float, every: int) -> Outlook:
-        """Of futures that have run from `now_s` on in steps of `step_s`, a row kept every so many."""
-        (b, q), first = self.largest.shape, self.first
-        crossed: Array = np.where(first > NEVER, now_s + (first + 1) * step_s, np.nan)
-        return Outlook(
-            now_s,
-            self.watched,
-            np.asarray(now_s + step_s * every * np.arange(1, len(self.rows) + 1), np.float64),
-            self.rows,
-            self.largest,
-            (1.0 - self.survival.mean(axis=0)).reshape(q, 2),
-            crossed.reshape(b, q, 2),
+    def of(cls, watched: tuple[Watched, ...], offsets: Offsets, z: Array, step_s: float, steps: int) -> Self:
+        """Before the first step; z (B, Q): drawn for what is lasting."""
+        (b, q), every = z.shape, max(1, round(_ROW_S / step_s))
+        vectors = TallyVectors(
+            offset=np.ascontiguousarray(offsets.lasting + offsets.lasting_sd * z),
+            noise=np.ascontiguousarray(offsets.noise),
+            levels=_levels_of(watched),
+            survival=np.ones((b, 2 * q)),
+            first=np.full((b, 2 * q), NEVER, np.int64),
+            largest=np.zeros((b, q)),
+            rows=np.zeros((steps // every, b, q)),
         )
+        return cls(watched, step_s, every, vectors)
+
+    @property
+    def table(self) -> NDArray[np.int64]:
+        """Where its vectors stand, for `judging.of_table`."""
+        return table_of(self.vectors)
+
+    def outlook(self, now_s: float) -> Outlook:
+        """Of futures that have run from `now_s` on."""
+        v = self.vectors
+        crossed: Array = np.where(v.first > NEVER, now_s + (v.first + 1) * self.step_s, np.nan)
+        times_s = np.asarray(now_s + self.step_s * self.every * np.arange(1, len(v.rows) + 1), np.float64)
+        probability = (1.0 - v.survival.mean(axis=0)).reshape(-1, 2)
+        first_s = crossed.reshape(*v.largest.shape, 2)
+        return Outlook(now_s, self.watched, times_s, v.rows, v.largest, probability, first_s, v.noise)
 
 
 def whole_step_s(fastest_per_s: float, horizon_s: float) -> float:
@@ -76,11 +84,6 @@ def whole_step_s(fastest_per_s: float, horizon_s: float) -> float:
     return horizon_s / ceil(horizon_s / longest_s)
 
 
-def row_every(step_s: float) -> int:
-    """A row of a course is kept every so many steps."""
-    return max(1, round(_ROW_S / step_s))
-
-
-def levels_of(watched: Sequence[Watched]) -> Array:
+def _levels_of(watched: Sequence[Watched]) -> Array:
     """Warning and trip level of each (Q, 2); infinite where there is none."""
     return np.array([(each.warning or np.inf, each.trip or np.inf) for each in watched], float).reshape(-1, 2)

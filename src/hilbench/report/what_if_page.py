@@ -62,5 +62,5 @@ def _picture(outlook: Outlook, place: int) -> Picture:
         if level is not None and level < 1.5 * float(np.max(np.abs([low, high]))):
             curves.append(Curve(label, times_s, np.full(len(times_s), level), VERMILLION, 1.0, (4.0, 3.0)))
     chart = Chart(f"{watched.name}, {watched.unit}", curves, [Band(times_s, low, high, BLUE, 0.25)])
-    caption = "Median of the futures, and the band in which 90 % of them lie."
+    caption = "Median of the futures, and the band in which 90 % of what would be measured lies."
     return drawn(Picture(f"what-if-{watched.signal}", watched.name, caption, [chart]))

@@ -93,17 +93,17 @@ def _simple_step(
     t: float,
     h: float,
     pace: float,
-    one_span: bool,
+    counted: bool,
 ) -> bool:
     """One step, taken only if there is no event in it; whether it was.
 
     `pace`: of the line; without gear play and a roller that sticks an event shows in the speeds at the step's end.
-    `one_span`: the counts are those of one span, as constants, and so is this; the rates are then compiled with them.
+    `counted`: the counts are constants, and so is this; the rates are then compiled with them.
     """
     if pace == lay.PLAY or events.any_sticks(p, s, n, k):
         return False
-    if one_span and pace == lay.PLAIN:
-        motion.integrate(p, s, u, w, 2, 2, 1, t, h, True)
+    if counted and pace == lay.PLAIN:
+        motion.integrate(p, s, u, w, n, m, k, t, h, True)
     else:
         motion.integrate_any(p, s, u, w, t, h)
     if not events.still_slides(p, s, w, n, k):
@@ -113,9 +113,10 @@ def _simple_step(
 
 
 @merged
-def _advance_line(
-    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, samples: int, one_span: bool
+def advance_line(
+    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, samples: int, counted: bool
 ) -> None:
+    """`go_on` of a line with these counts; `counted`: they are constants, with which it is compiled, as is this."""
     substeps = int(p[lay.W_SUBSTEPS])
     period = p[lay.W_SAMPLE_TIME_S]
     h = period / substeps
@@ -131,7 +132,7 @@ def _advance_line(
             laws.put_step_factors(p, places.first_span(n, m), k, t, h, w, places.part(n, m, k, lay.STEPS))
             if spliced:
                 _follow_pieces(p, s, u, w, t, h)
-            if not _simple_step(p, s, u, w, n, m, k, t, h, pace, one_span):
+            if not _simple_step(p, s, u, w, n, m, k, t, h, pace, counted):
                 events.step_with_events(p, s, u, w, t, h)
         s[lay.S_COUNT] += 1.0
         for j in range(m):
@@ -199,14 +200,14 @@ def _leave_out(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
 @compiled
 def _advance_one_span(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
     noinline()
-    _advance_line(p, s, u, w, 2, 2, 1, samples, True)
+    advance_line(p, s, u, w, 2, 2, 1, samples, True)
 
 
 @compiled
 def _advance_any(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
     noinline()
     n, m, k = places.counts(p)
-    _advance_line(p, s, u, w, n, m, k, samples, False)
+    advance_line(p, s, u, w, n, m, k, samples, False)
 
 
 @merged

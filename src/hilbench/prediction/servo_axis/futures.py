@@ -19,9 +19,10 @@ from hilbench.plant.servo_axis.kernel import look as look_at
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.stability import sampled_shaft
 from hilbench.prediction.draws import normal_draws
+from hilbench.prediction.futures import Futures
 from hilbench.prediction.outlook import Outlook, Watched
 from hilbench.prediction.servo_axis import kernel
-from hilbench.prediction.tally import Offsets, Tally, levels_of, row_every, whole_step_s
+from hilbench.prediction.tally import Offsets, Tally, whole_step_s
 
 Array = NDArray[np.float64]
 
@@ -67,7 +68,7 @@ class ShaftCourses:
 CoursesAt = Callable[[Array], ShaftCourses]
 
 
-class ShaftFutures:
+class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
     """Draws and runs the futures of one servo axis.
 
     `watched`: its quantities in the kernel's order; `real`: the stand as it is believed to be, beside which the load
@@ -87,9 +88,9 @@ class ShaftFutures:
     ) -> None:
         if model.drives is None:
             raise ValueError("the model has no drives, expected 'drives'")
-        self.watched = tuple(watched)
+        super().__init__(watched)
         self._futures, self._horizon_s, self._cycle_s = futures, horizon_s, cycle_s
-        self._p, self._levels = lay.pack(model), levels_of(watched)
+        self._p = lay.pack(model)
         kp = per_item(model.drives.velocity_kp_Nm_s_per_rad, 1)
         self._kp = kp * (1.0 + self._p.item(lay.place("drive_gain")))
         self._real = lay.pack(real.axis, real.load_motor)
@@ -97,51 +98,26 @@ class ShaftFutures:
         self._inputs = lay.new_inputs(self._p)
         lay.motor_inputs(self._inputs)[:, loops.IN_MODE] = MotorMode.VELOCITY
 
-    @property
-    def quantities(self) -> int:
-        """Q."""
-        return len(self.watched)
-
     def prepare(
         self, present: ShaftPresent, courses_at: CoursesAt, offsets: Offsets, *key: int
     ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
-        """Two parts of a look ahead: what takes its time and lets other threads run, and what says what came out.
-
-        `key`: numbers from which all is drawn; the same look has the same outlook.
-        """
+        """See `Futures`."""
         step_s, courses = self._courses(present, courses_at)
         z = normal_draws(self._futures, 3 + self.quantities, *key)
         p = self._p.copy()
         p[lay.P_SAMPLE_TIME_S] = step_s
         shaft = self._drawn(p, present, z)
         start = self._start(p, present, z[:, 2])
-        offset = offsets.lasting + offsets.lasting_sd * z[:, 3:]
-        every = row_every(step_s)
-        tally = Tally.of(self.watched, self._futures, len(courses) // every)
+        tally = Tally.of(self.watched, offsets, z[:, 3:], step_s, len(courses))
 
         def run() -> None:
             kernel.run_futures(
                 p, self._real, self._steepest, start, shaft, courses, lay.new_state(p), self._inputs.copy(),
-                np.zeros(lay.output_size(p)), np.zeros(self.quantities), offset,
-                np.ascontiguousarray(offsets.noise), self._levels, step_s / self._cycle_s, every,
-                tally.survival, tally.first, tally.largest, tally.rows,
+                np.zeros(lay.output_size(p)), np.zeros(self.quantities),
+                tally.table, step_s / self._cycle_s, tally.every,
             )  # fmt: skip
 
-        return run, lambda: tally.outlook(present.now_s, step_s, every)
-
-    def look(self, present: ShaftPresent, courses_at: CoursesAt, offsets: Offsets, *key: int) -> Outlook:
-        """Both at once."""
-        run, outlook = self.prepare(present, courses_at, offsets, *key)
-        run()
-        return outlook()
-
-    def no_offsets(self) -> Offsets:
-        """Measured without noise, and as the futures say."""
-        return Offsets.none(self.quantities)
-
-    def warm_up(self) -> None:
-        """Compile, or load, what a look runs."""
-        self.look(*self.at_rest(), self.no_offsets())
+        return run, lambda: tally.outlook(present.now_s)
 
     def at_rest(self) -> tuple[ShaftPresent, CoursesAt]:
         """A shaft that stands and is to stand."""

@@ -16,14 +16,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, CUBE, MATRIX, REAL, TABLE, VECTOR, compiled, entry_point, inlined
+from hilbench.compiled import COUNT, MATRIX, REAL, TABLE, VECTOR, compiled, entry_point, inlined
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.servo_axis import imitation, kernel
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.imitation import load_torque_Nm
 from hilbench.plant.servo_axis.layout import Vector
 from hilbench.prediction import judging
-from hilbench.prediction.judging import see
+from hilbench.prediction.judging import TallyVectors, keep, of_table, see
 
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -72,16 +72,10 @@ def _run(
     u: Vector,
     out: Vector,
     q: Vector,
-    offset: Matrix,
-    sigma: Vector,
-    levels: Matrix,
+    tally: TallyVectors,
     samples: float,
     every: int,
     b: int,
-    survival: Matrix,
-    first: Indices,
-    largest: Matrix,
-    rows: NDArray[np.float64],
 ) -> None:
     """Future b, to its end."""
     for i in range(courses.shape[0]):
@@ -89,10 +83,8 @@ def _run(
         u[lay.U_MOTORS + loops.IN_SETPOINT] = courses[i, C_COMMAND]
         kernel.go_on(p, s, u, 1)
         _watched(p, real, steepest, s, u, out, q)
-        see(q, offset, sigma, levels, samples, b, i, survival, first, largest)
-        if (i + 1) % every == 0:
-            for j in range(QUANTITIES):
-                rows[(i + 1) // every - 1, b, j] = q[j] + offset[b, j]
+        see(tally, q, samples, b, i)
+        keep(tally, q, every, b, i)
 
 
 Run = Callable[..., None]
@@ -104,15 +96,9 @@ def _entry_point(sources: int) -> Run:
         REAL,
         *[MATRIX] * 3,
         *[VECTOR] * 4,
-        MATRIX,
-        VECTOR,
-        MATRIX,
+        TABLE,
         REAL,
         COUNT,
-        MATRIX,
-        TABLE,
-        MATRIX,
-        CUBE,
     )
     def futures(
         p: Vector,
@@ -125,27 +111,19 @@ def _entry_point(sources: int) -> Run:
         u: Vector,
         out: Vector,
         q: Vector,
-        offset: Matrix,
-        sigma: Vector,
-        levels: Matrix,
+        table: Indices,
         samples: float,
         every: int,
-        survival: Matrix,
-        first: Indices,
-        largest: Matrix,
-        rows: NDArray[np.float64],
     ) -> None:
+        tally = of_table(table)
         for b in range(start.shape[0] if sources >= 0 else 0):
             s[:] = start[b]
-            _run(
-                p, real, steepest, shaft, courses, s, u, out, q, offset, sigma, levels, samples, every, b,
-                survival, first, largest, rows,
-            )  # fmt: skip
+            _run(p, real, steepest, shaft, courses, s, u, out, q, tally, samples, every, b)
 
     return futures
 
 
 #: run_futures(parameters, those of the stand as it is believed to be, slope of the imitated dry friction at standstill,
-#: states (B, S), drawn (B, DRAWN), courses (T, COURSES), state, inputs, observed, quantities, offset (B, Q), noise
-#: (Q,), levels (Q, 2), measurements in a step, steps in a row, and what is filled: `hilbench.prediction.tally`).
+#: states (B, S), drawn (B, DRAWN), courses (T, COURSES), state, inputs, observed, quantities, table of the tally
+#: (`Tally.table`), measurements in a step, steps in a row).
 run_futures = _entry_point(kernel.source_number(imitation.__file__, judging.__file__, __file__))

@@ -16,8 +16,9 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.prediction.draws import normal_draws
+from hilbench.prediction.futures import Futures
 from hilbench.prediction.outlook import Outlook, Watched
-from hilbench.prediction.tally import Offsets, Tally, levels_of, row_every, whole_step_s
+from hilbench.prediction.tally import Offsets, Tally, whole_step_s
 from hilbench.prediction.web_line import kernel
 
 Array = NDArray[np.float64]
@@ -84,7 +85,7 @@ def step_s(model: ModelParameters, horizon_s: float) -> float:
     return whole_step_s(fastest_per_s, horizon_s)
 
 
-class LineFutures:
+class LineFutures(Futures[LinePresent, LineCourses]):
     """Draws and runs the futures of one line.
 
     `leads` (N, `kernel.LEAD_SIZE`) at a step, s: what leads the rollers ahead of the controllers, None for nothing;
@@ -106,7 +107,7 @@ class LineFutures:
         futures: int,
         leads: Callable[[float], Array] | None = None,
     ) -> None:
-        self.watched = tuple(watched)
+        super().__init__(watched)
         self.step_s = step_s(model, horizon_s)
         self.steps = round(horizon_s / self.step_s)
         self._model, self._gains, self._futures, self._span = model, gains, futures, span
@@ -119,15 +120,9 @@ class LineFutures:
         self._load_axes = np.array([axis - 1 for axis in load_axes], np.int64)
         self._samples = self.step_s / cycle_s
         self._leads = np.zeros((model.axis_count, kernel.LEAD_SIZE)) if leads is None else leads(self.step_s)
-        self._every, self._levels = row_every(self.step_s), levels_of(watched)
         self._work, self._state = self._layout.new_work(), np.zeros(self._layout.state_size)
         self._inputs = self._layout.new_inputs()
         self._layout.motor_inputs(self._inputs)[:, lay.UM_MODE] = MotorMode.VELOCITY
-
-    @property
-    def quantities(self) -> int:
-        """Q."""
-        return len(self.watched)
 
     def times_s(self, now_s: float) -> Array:
         """When each of the T steps begins."""
@@ -136,15 +131,11 @@ class LineFutures:
     def prepare(
         self, present: LinePresent, courses: LineCourses, offsets: Offsets, *key: int
     ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
-        """Two parts of a look ahead: what takes its time and lets other threads run, and what says what came out.
-
-        `key`: numbers from which all is drawn; the same look has the same outlook.
-        """
-        n, k, b, q = self._layout.axes, self._layout.spans, self._futures, self.quantities
-        z = normal_draws(b, 1 + n + q, *key)
+        """See `Futures`."""
+        n, k, q = self._layout.axes, self._layout.spans, self.quantities
+        z = normal_draws(self._futures, 1 + n + q, *key)
         scale = np.maximum(1.0 + present.modulus_sd_Pa / present.modulus_Pa * z[:, 0], _LEAST_MODULUS_SHARE)
         start = self._start(present, z[:, 1 : 1 + n])
-        offset = offsets.lasting + offsets.lasting_sd * z[:, 1 + n :]
         moduli = present.modulus_Pa * self._moduli
         factor = self._delayed(courses.modulus_factor)
         known = np.ascontiguousarray(moduli * self._sections_m2 * factor)
@@ -152,7 +143,7 @@ class LineFutures:
         seen, row_of = np.unique(present.modulus_Pa * factor[:, self._span - 1], return_inverse=True)
         gains = np.concatenate([self._gains(float(modulus)) for modulus in seen])
         controllers = self._controllers(present, gains[row_of[0] * k : (row_of[0] + 1) * k])
-        tally = Tally.of(self.watched, b, self.steps // self._every)
+        tally = Tally.of(self.watched, offsets, z[:, 1 + n :], self.step_s, self.steps)
         u = self._inputs.copy()
         u[lay.U_STRAIN_PREV], u[lay.U_F_NEXT_N] = present.upstream_strain, present.downstream_tension_N
 
@@ -162,26 +153,11 @@ class LineFutures:
                 np.zeros(controllers.shape[1]), np.zeros(q),
                 np.ascontiguousarray(courses.line_speed_m_s), np.ascontiguousarray(courses.set_points_N),
                 np.ascontiguousarray(courses.modulus_factor), known, gains, row_of.astype(np.int64),
-                self._leads, present.line_speed_before_m_s, np.zeros(k + 1), self._load_axes, offset,
-                np.ascontiguousarray(offsets.noise), self._levels, self._samples, self._every,
-                tally.survival, tally.first, tally.largest, tally.rows,
+                self._leads, present.line_speed_before_m_s, np.zeros(k + 1), self._load_axes,
+                tally.table, self._samples, tally.every,
             )  # fmt: skip
 
-        return run, lambda: tally.outlook(present.now_s, self.step_s, self._every)
-
-    def look(self, present: LinePresent, courses: LineCourses, offsets: Offsets, *key: int) -> Outlook:
-        """Both at once."""
-        run, outlook = self.prepare(present, courses, offsets, *key)
-        run()
-        return outlook()
-
-    def no_offsets(self) -> Offsets:
-        """Measured without noise, and as the futures say."""
-        return Offsets.none(self.quantities)
-
-    def warm_up(self) -> None:
-        """Compile, or load, what a look runs."""
-        self.look(*self.at_rest(), self.no_offsets())
+        return run, lambda: tally.outlook(present.now_s)
 
     def at_rest(self) -> tuple[LinePresent, LineCourses]:
         """A line that stands and is to stand, strained as the web that enters."""

@@ -18,13 +18,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, CUBE, INDICES, MATRIX, REAL, TABLE, VECTOR, compiled, entry_point, inlined
+from hilbench.compiled import COUNT, INDICES, MATRIX, REAL, TABLE, VECTOR, compiled, entry_point, inlined, noinline
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.web_line import kernel, laws, places
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 from hilbench.prediction import judging
-from hilbench.prediction.judging import see
+from hilbench.prediction.judging import TallyVectors, keep, of_table, see
 
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -235,6 +235,13 @@ def _change_moduli(p: Vector, moduli: Vector, scale: float, factor: Matrix, i: i
 
 
 @compiled
+def _go_on_two_spans(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
+    """`kernel.go_on` by one step of three rollers with their own motors alone, the counts as constants."""
+    noinline()
+    kernel.advance_line(p, s, u, w, 3, 3, 2, 1, True)
+
+
+@compiled
 def _run(
     p: Vector,
     s: Vector,
@@ -254,19 +261,14 @@ def _run(
     before: float,
     ahead: Vector,
     load_axes: Indices,
-    offset: Matrix,
-    sigma: Vector,
-    levels: Matrix,
+    tally: TallyVectors,
     samples: float,
     every: int,
     b: int,
-    survival: Matrix,
-    first: Indices,
-    worst: Matrix,
-    rows: NDArray[np.float64],
 ) -> None:
     """Future b, to its end; `before`: the line speed until now, m/s."""
     leading, h = leads[0, LEAD_KP_N_S_PER_M] > 0.0, p[lay.W_SAMPLE_TIME_S]
+    two_spans = places.counts(p) == (3, 3, 2)
     _change_moduli(p, moduli, scale, factor, 0)
     kernel.enter(p, s, u, w)
     for i in range(lead.shape[0]):
@@ -276,13 +278,14 @@ def _run(
         _set_points(p, u, w, c, g, row_of[i], lead[i], set_point, i, known, ahead)
         if changed:  # the tension jumps with E, and the rollers give way within a step
             _watched(p, s, u, w, load_axes, q)
-            see(q, offset, sigma, levels, 1.0, b, i - 1, survival, first, worst)
-        kernel.go_on(p, s, u, w, 1)
+            see(tally, q, 1.0, b, i - 1)
+        if two_spans:
+            _go_on_two_spans(p, s, u, w)
+        else:
+            kernel.go_on(p, s, u, w, 1)
         _watched(p, s, u, w, load_axes, q)
-        see(q, offset, sigma, levels, samples, b, i, survival, first, worst)
-        if (i + 1) % every == 0:
-            for j in range(q.shape[0]):
-                rows[(i + 1) // every - 1, b, j] = q[j] + offset[b, j]
+        see(tally, q, samples, b, i)
+        keep(tally, q, every, b, i)
 
 
 Run = Callable[..., None]
@@ -301,15 +304,9 @@ def _entry_point(sources: int) -> Run:
         REAL,
         VECTOR,
         INDICES,
-        MATRIX,
-        VECTOR,
-        MATRIX,
+        TABLE,
         REAL,
         COUNT,
-        MATRIX,
-        TABLE,
-        MATRIX,
-        CUBE,
     )
     def futures(
         p: Vector,
@@ -332,22 +329,17 @@ def _entry_point(sources: int) -> Run:
         before: float,
         ahead: Vector,
         load_axes: Indices,
-        offset: Matrix,
-        sigma: Vector,
-        levels: Matrix,
+        table: Indices,
         samples: float,
         every: int,
-        survival: Matrix,
-        first: Indices,
-        worst: Matrix,
-        rows: NDArray[np.float64],
     ) -> None:
+        tally = of_table(table)
         for b in range(start.shape[0] if sources >= 0 else 0):
             s[:] = start[b]
             c[:] = integrals[b]
             _run(
                 p, s, u, w, c, q, moduli, scale[b], lead, set_point, factor, known, g, row_of, leads, before, ahead,
-                load_axes, offset, sigma, levels, samples, every, b, survival, first, worst, rows,
+                load_axes, tally, samples, every, b,
             )  # fmt: skip
 
     return futures
