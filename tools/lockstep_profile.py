@@ -24,6 +24,8 @@ from hilbench.results.run import Recorder
 from hilbench.results.trace import TraceWriter
 from hilbench.runs.config import load_with_overrides
 
+#: Experiment time after which a hub that forwards has loaded what it needs for that.
+_UNDER_WAY_S = 6.0
 _SCHEDULED = 2  # CPUCLOCK_SCHED of <linux/posix-timers.h>
 
 
@@ -57,6 +59,7 @@ def measure(
         Bench(config, observers=[recorder], tap=trace, participants=participants) as bench,
     ):
         bench.ramp("line_speed_m_s", 3.0, 1.0)
+        bench.run(_UNDER_WAY_S)
         timing = bench.exchange.timing if bench.exchange else None
         assert timing is not None
         pids = pids_of(bench)
