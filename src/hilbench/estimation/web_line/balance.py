@@ -99,18 +99,13 @@ def weigh(
     s[VELOCITY_M_S] = velocity_m_s
 
 
-WebForce = Callable[[Vector, float, float, float, float], float]
 Weigh = Callable[
     [Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector, float, float, float, float, float, float], None
 ]
 
 
-def _entry_points(sources: int) -> tuple[WebForce, Weigh]:
-    """Compiled functions that are called from Python; `sources` as in the kernel."""
-
-    @entry_point(VECTOR, REAL, REAL, REAL, REAL)
-    def force_N(p: Vector, torque_Nm: float, x_m: float, v_m_s: float, f_next_N: float) -> float:
-        return measured_force_N(p, torque_Nm, x_m, v_m_s, f_next_N) if sources >= 0 else 0.0
+def _entry_point(sources: int) -> Weigh:
+    """The compiled function that is called from Python; `sources` as in the kernel."""
 
     @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL, REAL, REAL, REAL, REAL, REAL)
     def weigh_once(
@@ -133,10 +128,10 @@ def _entry_points(sources: int) -> tuple[WebForce, Weigh]:
             web = SpanVectors(web_p, web_s, web_w, web_v, boundary, tension)
             weigh(BalanceVectors(p, web, s), x1_m, x2_m, torque_Nm, strain_prev, F_next_N, duration_s)
 
-    return force_N, weigh_once
+    return weigh_once
 
 
-web_force_N, _weigh = _entry_points(kernel.source_number(span_kernel.__file__, __file__))
+_weigh = _entry_point(kernel.source_number(span_kernel.__file__, __file__))
 
 
 def mass_at_web_kg(p: Vector) -> float:
