@@ -8,6 +8,7 @@ import signal
 from collections.abc import Iterator
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 # As `hilbench diagnose` calculates, too: each of several processes with threads for all cores hold one another up.
 # The library reads it once, when numpy is imported.
@@ -23,6 +24,12 @@ from tests.buses import Bus, KernelBus
 
 import canopen
 from hilbench.can.memory import MemoryBus
+
+# The same examples each time, however busy the machine: nothing fails by chance.
+settings.register_profile(
+    "repeatable", derandomize=True, database=None, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("repeatable")
 
 # Who leaves a bus waits for canopen's thread there: a second, unless told otherwise.
 canopen.Network.NOTIFIER_CYCLE = 0.05

@@ -120,7 +120,6 @@ def test_a_damaged_file_is_one_clear_error_or_none(
 
     @settings(
         max_examples=60,
-        derandomize=True,
         deadline=None,
         database=None,
         suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],

@@ -171,7 +171,7 @@ LINE_CHANGES = st.lists(st.tuples(st.integers(5, 140), st.sampled_from(LINE)), m
     heartbeat_ms=st.sampled_from([0, 37, 100]),
     virtual_tpdo_every=st.sampled_from([0, 1, 3]),
 )
-@settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_line_runs_alike_whatever_comes_between(
     tmp_path: Path,
     changes: list[tuple[int, Change]],

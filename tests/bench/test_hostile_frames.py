@@ -39,7 +39,7 @@ def told(bench: Nodes, frames: list[Frame]) -> str:
     return ""
 
 
-@settings(max_examples=8, derandomize=True, deadline=None, database=None)
+@settings(max_examples=8, deadline=None, database=None)
 @given(st.lists(st.lists(FRAMES, max_size=12), min_size=1, max_size=150))
 def test_any_frames(cycles: list[list[Frame]]) -> None:
     bench, sample = nodes(), sample_of_two_axes()

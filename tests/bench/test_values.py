@@ -60,7 +60,7 @@ def test_every_effect_can_be_set_somewhere_and_where_it_has_no_place_it_is_refus
             settable_path(path)
 
 
-@settings(derandomize=True, deadline=None, database=None, max_examples=600)
+@settings(deadline=None, database=None, max_examples=600)
 @given(st.sampled_from(PATHS), ANYTHING)
 def test_a_quantity_takes_numbers_of_its_range_and_refuses_anything_else_by_name(path: str, value: object) -> None:
     allowed = permitted(path)

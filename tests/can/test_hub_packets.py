@@ -138,7 +138,7 @@ def delivered(packets: Sequence[tuple[int, list[tuple[int, int, int, bytes]], by
 
 
 @given(PACKETS, st.integers(1, 3))
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, deadline=None)
 def test_with_and_without_the_interpreter_packets_are_alike(packets, times):
     assert delivered(times * packets, loaded=True) == delivered(times * packets, loaded=False)
 
@@ -169,7 +169,7 @@ ROUNDS = st.lists(st.lists(PACKET, max_size=4), min_size=2, max_size=4)
 
 
 @given(ROUNDS)
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None)
 def test_known_frames_of_several_stations_compete_as_any(rounds):
     """By their identifiers, and who joined first; the first packet of each makes them known."""
     packets = [(sender, [(*frame, bytes(8)) for frame in COMPETING], b"") for sender in (2, 0, 3, 1)]

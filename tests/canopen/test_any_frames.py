@@ -91,7 +91,7 @@ STEPS = st.one_of(
 )
 
 
-@settings(max_examples=100, derandomize=True, deadline=None, phases=(Phase.generate, Phase.shrink))
+@settings(max_examples=100, deadline=None, phases=(Phase.generate, Phase.shrink))
 @given(st.lists(STEPS, min_size=40, max_size=80))
 def test_device_goes_on(steps: list[Step]) -> None:
     drive = DriveUnderTest().started()

@@ -53,7 +53,7 @@ def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("canopen.lss.time.sleep", lambda _s: None)
 
 
-@settings(derandomize=True, max_examples=20, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(ADDRESS)
 def test_a_fast_scan_finds_whoever_has_no_node_id(address: tuple[int, int, int, int]) -> None:
     with pytest.MonkeyPatch.context() as patched:
@@ -86,7 +86,6 @@ def test_the_one_that_is_selected_takes_a_node_id_and_a_bit_rate_and_keeps_them(
     assert (other.pending, other.stored) == (LssSettings(20), None)
 
 
-@settings(derandomize=True)
 @given(ADDRESS, ADDRESS)
 def test_only_the_whole_address_selects(address: tuple[int, int, int, int], asked: tuple[int, int, int, int]) -> None:
     slave = LssSlave(address, 5)
@@ -139,7 +138,6 @@ def test_who_has_an_address_in_a_range_says_so() -> None:
     assert not asked(0x2A, 0x402, 0, 0xFFFF_FFFF, 8, 9)
 
 
-@settings(derandomize=True)
 @given(st.lists(st.binary(min_size=0, max_size=8), max_size=30))
 def test_no_frame_brings_it_out_of_order(frames: list[bytes]) -> None:
     slave = LssSlave(IDENTITY, 20)

@@ -52,14 +52,14 @@ def homed(method: int, start: float) -> tuple[EveryMode, float]:
     return drive, home
 
 
-@settings(derandomize=True, max_examples=8, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.floats(LOW + 0.05, HIGH - 0.05))
 @pytest.mark.parametrize("method", BY_INDEX)
 def test_home_is_the_index_pulse_that_the_method_names_wherever_it_starts(method: int, start: float) -> None:
     assert homed(method, start)[1] == pytest.approx(BY_INDEX[method], abs=2 / INCREMENTS)
 
 
-@settings(derandomize=True, max_examples=8, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.floats(LOW + 0.05, HIGH - 0.05))
 @pytest.mark.parametrize("method", AT_EDGE)
 def test_home_is_the_edge_that_the_method_names_wherever_it_starts(method: int, start: float) -> None:

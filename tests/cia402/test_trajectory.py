@@ -3,7 +3,7 @@
 from math import sqrt
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hilbench.cia402.trajectory import ProfileLimits, Trapezoid
@@ -13,7 +13,6 @@ velocities = st.floats(-50.0, 50.0)
 rates = st.floats(0.5, 500.0)
 
 
-@settings(derandomize=True)
 @given(positions, velocities, positions, rates, rates, rates)
 def test_it_is_continuous_within_its_limits_and_ends_at_rest_at_the_target(
     start: float, velocity: float, target: float, fastest: float, up: float, down: float

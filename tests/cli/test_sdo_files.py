@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from canopen.objectdictionary import import_od
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from tests.cli.drives import bus, sdo
 from tests.tiers import slow
@@ -91,7 +91,6 @@ def test_a_file_that_is_no_concise_dcf_is_refused_in_one_line(
 
 
 @pytest.mark.slow
-@settings(derandomize=True)
 @given(st.lists(st.builds(Write, st.integers(0, 0xFFFF), st.integers(0, 0xFF), st.binary(max_size=20))))
 def test_a_concise_dcf_is_read_as_it_was_written(writes: list[Write]) -> None:
     assert concise_dcf.decode(concise_dcf.encode(writes)) == writes

@@ -29,7 +29,7 @@ def blocks_of(accel_m_s2: float, tension_N: float, strange: int | None = None) -
     return found
 
 
-@settings(derandomize=True, deadline=None)
+@settings(deadline=None)
 @given(accel=st.floats(-3.0, 3.0), tension=st.floats(-100.0, 500.0))
 def test_a_block_is_the_force_without_what_accelerates_the_roller(accel: float, tension: float) -> None:
     found = blocks_of(accel, tension)

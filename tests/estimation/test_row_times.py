@@ -135,7 +135,7 @@ def test_a_splice_is_not_told_before_reality_has_it(in_step: tuple[Measurements,
 
 
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None)
 @given(
     drift_ppm=st.floats(-300.0, 300.0),
     jump_s=st.floats(0.0, 0.2),
@@ -157,7 +157,7 @@ def test_every_row_is_one_cycle_after_the_last_whatever_its_stamp(
     assert found.period_s == pytest.approx(CYCLE_S * (1.0 + 1e-6 * drift_ppm), abs=3e-7)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None)
 @given(data=st.data(), drift_ppm=st.floats(-300.0, 300.0), seed=st.integers(0, 1000))
 def test_rows_that_are_missing_are_counted(data: st.DataObject, drift_ppm: float, seed: int) -> None:
     t_s = np.arange(3000) * CYCLE_S
@@ -169,7 +169,7 @@ def test_rows_that_are_missing_are_counted(data: st.DataObject, drift_ppm: float
     assert np.array_equal(found.periods, kept)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, deadline=None)
 @given(spread=st.floats(0.05, 0.45), seed=st.integers(0, 1000))
 def test_axes_that_are_asked_at_odd_times_have_moved_as_far_as_the_stamps_say(spread: float, seed: int) -> None:
     t_s = np.cumsum(CYCLE_S * (1.0 + spread * np.random.default_rng(seed).uniform(-1.0, 1.0, 3000)))

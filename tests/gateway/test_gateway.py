@@ -202,14 +202,13 @@ class NoBus:
         return (lambda *_: None) if name == "why_not" else lost
 
 
-@settings(derandomize=True, max_examples=300)
+@settings(max_examples=300)
 @given(st.one_of(st.text(max_size=60), st.from_regex(r"\[\d+\] [a-z_ 0-9\"#x-]{0,40}", fullmatch=True)))
 def test_whatever_a_client_sends_is_answered_in_one_line_or_not_at_all(line: str) -> None:
     answer = Session(NoBus(), NoBus).answer(line)  # type: ignore[arg-type] # a bus of which nothing is left
     assert answer is None or re.fullmatch(r"\[\d+\] (OK|0 0 0 0 .*|ERROR:\S+ # [^\n]*)", answer)
 
 
-@settings(derandomize=True)
 @given(st.sampled_from(["u8", "i16", "u32", "x32", "i64"]), st.data())
 def test_a_value_is_read_as_it_was_shown(name: str, data: st.DataObject) -> None:
     bits, signed = int(name[1:]), name[0] == "i"

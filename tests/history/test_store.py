@@ -114,7 +114,7 @@ def test_a_file_that_is_no_history_is_told_in_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "none.sqlite").exists()
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None)
 @given(
     st.lists(
         st.tuples(st.sampled_from("ab"), st.sampled_from(("twin", "diagnosis")), st.floats(-1e6, 1e6)), max_size=12

@@ -93,7 +93,7 @@ def test_what_is_not_finite_is_refused() -> None:
         trend([0.0, 1.0], [1.0, float("nan")], [0.1, 0.1])
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 1000), st.sampled_from([1e-9, 1.0, 1e12]), st.floats(-5.0, 5.0), st.sampled_from([1.0, -1.0]))
 def test_neither_unit_nor_offset_nor_sign_change_what_is_said(
     seed: int, unit: float, offset: float, sign: float
@@ -108,7 +108,7 @@ def test_neither_unit_nor_offset_nor_sign_change_what_is_said(
     assert (other.direction is None) == (plain.direction is None)
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 40), st.floats(-1e3, 1e3), st.floats(0.0, 10.0)), min_size=2, max_size=12))
 def test_whatever_the_runs_say_the_answer_is_finite(given: list[tuple[int, float, float]]) -> None:
     days, values, deviations = zip(*given, strict=True)

@@ -202,7 +202,7 @@ def test_a_line_runs_alike_with_set_points_an_effect_and_a_fault(tmp_path: Path)
     heartbeat_ms=st.sampled_from([0, 37, 100]),
     virtual_tpdo_every=st.sampled_from([0, 1, 3]),
 )
-@settings(max_examples=8, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_line_runs_alike_whatever_comes_between(
     tmp_path: Path,
     changes: list[tuple[int, Change]],

@@ -238,7 +238,7 @@ def test_an_accumulator_at_speed_has_its_force_shared_out_with_the_friction_of_i
     thickness_m=st.floats(1e-4, 3e-3),
     turns=st.floats(0.2, 3.0),
 )
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=15, deadline=None)
 def test_what_a_reel_has_lost_in_section_is_the_web_that_it_gave(
     radius_m: float, thickness_m: float, turns: float
 ) -> None:
@@ -261,7 +261,7 @@ def test_what_a_reel_has_lost_in_section_is_the_web_that_it_gave(
     strands=st.integers(2, 6),
     rubs_N=st.sampled_from([0.0, 3.0]),
 )
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=12, deadline=None)
 def test_between_rollers_that_stand_no_web_is_lost_and_energy_only_to_friction(
     mass_kg: float, push_N: float, strands: int, rubs_N: float
 ) -> None:
