@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import compiled, floats, inlined, integers, merged
+from hilbench.compiled import floats, inlined, integers, merged
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -68,7 +68,7 @@ def of_table(table: Indices) -> TallyVectors:
     )
 
 
-@compiled
+@inlined
 def see(v: TallyVectors, q: Vector, samples: float, b: int, i: int) -> None:
     """Quantities q (Q,) of future b at the end of step i, in which they are measured `samples` times: its largest
     sizes, and what they do to the probability that it stays below the levels."""
@@ -80,7 +80,7 @@ def see(v: TallyVectors, q: Vector, samples: float, b: int, i: int) -> None:
                 _judge(size, v.levels[j, level], v.noise[j], samples, v.survival, v.first, b, 2 * j + level, i)
 
 
-@compiled
+@inlined
 def keep(v: TallyVectors, q: Vector, every: int, b: int, i: int) -> None:
     """The row of the course that ends with step i, where one does: one of `every` so many."""
     if (i + 1) % every == 0:
