@@ -146,23 +146,3 @@ def test_speeds_and_tensions_that_change_are_no_slip() -> None:
         while line.time_s < begin_s + 3.0:
             line.go(min(line.time_s + 1.0, begin_s + 3.0), *speeds, ramp_s=0.8)
             assert told(line) == {}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("factor", [1.2, 0.8])
-def test_another_web_in_a_dancers_own_section_is_said_to_make_E_behind_it_doubtful(factor: float) -> None:
-    """No torque shows it at once; what comes of it behind the dancer may as well be E there."""
-    line = beside(dancer_line(), dancer_line())
-    line.go(1.0, 1.0, 1.0, 1.0, ramp_s=0.8)
-    line.go(3.0, 1.0, 1.0, 1.0)
-    for span in (1, 2):
-        line.line.set_parameter(f"span{span}.youngs_modulus_Pa", factor * 8.7e9)
-    line.go(7.0, 1.0, 1.0, 1.0)
-    table = line.table()
-    error = np.abs(table["E4_sim_Pa"] / 8.7e9 - 1.0)
-    stated = table["E4_sd_Pa"] / 8.7e9
-    settled = table["t_s"] > 1.5
-    assert np.max(stated[settled & (table["t_s"] < 3.0)]) < 0.03
-    assert np.all(error[settled] < 2.0 * stated[settled])
-    assert stated[-1] > 0.1
-    assert np.max(np.abs(table["F4_sim_N"] - table["F4_true_N"])[table["t_s"] > 5.0]) < 1.0

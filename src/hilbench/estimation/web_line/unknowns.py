@@ -8,7 +8,6 @@ nobody else knows.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +18,6 @@ Vector = NDArray[np.float64]
 #: the first of them: what has changed is not known, and small corrections of all would hide it.
 _FAR_OFF = 5.0
 _TWICE = 2
-#: What is left of the sum of innovations, each over its deviation, an update later; and how many deviations of such a
-#: sum are no chance: something changes slowly. Beside lines that stay as they are, through changes of speed, it is 1.9
-#: at most.
-_SUM_KEPT = 0.9
-_DRIFTS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,18 +41,12 @@ class Unknowns:
         self.covariance[self._count :, self._count :] = np.diag(offsets**2)
         self._offsets = np.zeros(len(offsets))
         self._far_off = 0
-        self._sum = np.zeros(len(offsets))
         self._swings, self._swings_on, self._swing = swings, swings_on, np.zeros(len(offsets))
 
     @property
     def has_begun_to_change(self) -> bool:
         """Whether the last innovations were far off for the first time, and nothing was made of them."""
         return self._far_off == 1
-
-    @property
-    def drifts(self) -> bool:
-        """Whether innovations have gone the same way for so long that what is followed is not what it was."""
-        return bool(np.any(np.abs(self._sum) > _DRIFTS / sqrt(1.0 - _SUM_KEPT**2)))
 
     @property
     def deviations(self) -> Vector:
@@ -80,7 +68,6 @@ class Unknowns:
         self.covariance[others, others] = variances[others]
         self._offsets = earlier.offsets.copy()
         self._far_off = 0
-        self._sum[:] = 0.0
         self._swing[:] = 0.0
 
     def grow(self, variances: Vector, of_offsets: Vector) -> None:
@@ -114,9 +101,7 @@ class Unknowns:
         self._far_off = self._far_off + 1 if off else 0
         if self.has_begun_to_change:
             return np.zeros(self._count)
-        self._sum = _SUM_KEPT * self._sum + left / np.sqrt(np.diag(spread))
         if self._far_off == _TWICE:
-            self._sum[:] = 0.0
             self.covariance[: self._count, : self._count] += jumps
             self._swing = self._swings * np.abs(left)
             variances = variances + self._swing**2

@@ -23,7 +23,7 @@ from hilbench.plant.web_line.drive_response import DriveResponse
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
-from hilbench.plant.web_line.stations import Dancer, Reel, reel_name
+from hilbench.plant.web_line.stations import Reel, reel_name
 from hilbench.plant.web_line.varied_line import Kind, Unknown, VariedLine
 
 _WINDOW_S: Final = 0.03  #: of which the means are looked at
@@ -57,8 +57,6 @@ _SENSOR_M: Final = 2e-4  #: of a carriage
 _SENSOR_SHARE: Final = 2e-4  #: of a radius
 #: By which the strain of a section may change while a web slips somewhere, of that with which the web comes in.
 _SLIPPING_PER_SQRT_S: Final = 0.2
-#: Before what changes slowly is seen, it has begun, s.
-_DRIFTS_S: Final = 0.6
 #: Way of the web, as a share of the shortest section, from which to which what is known is kept; and for how many
 #: lengths of the longest one.
 _KEPT_EVERY, _KEPT_LENGTHS = 0.1, 3.0
@@ -115,8 +113,7 @@ class LineUnknowns:
         )
         self._loads = np.zeros((model.axis_count, len(self.varied.unknowns) + 1))
         kinds = np.array([each.kind for each in self.varied.unknowns])
-        self._is_strain, self._is_modulus = kinds == Kind.STRAIN, kinds == Kind.MODULUS
-        self._beside_dancer = any(isinstance(carriage.station, Dancer) for carriage in model.carriages)
+        self._is_strain = kinds == Kind.STRAIN
         sensed = np.array([each in [unknown for _, unknown in self._sensors] for each in self.varied.unknowns], bool)
         #: What nothing but torques and tensions tells.
         self._by_torque = ~self._is_strain & ~sensed
@@ -150,8 +147,7 @@ class LineUnknowns:
         self._response.reset()
         self._set_inertia()
         self._slips = False
-        self._corrected, self._doubt = np.zeros((2, len(self.varied.unknowns)))
-        self._drifts = False
+        self._corrected = np.zeros(len(self.varied.unknowns))
         self._kept = deque([_Kept(-inf, 0.0, self._filter.belief, self._corrected)])
         self._begin_window()
 
@@ -247,9 +243,7 @@ class LineUnknowns:
         self._loads[:, -1] = self.varied.loads_Nm() - self.varied.loads_without_turn_Nm()
         corrected = False
         if self._cycles >= self._window:
-            before = self._corrected
             corrected = not limited and self._correct()
-            self._doubt_drifts(time_s, before)
             self._keep(time_s)
             self._begin_window()
         self._response.step(self._loads)
@@ -279,20 +273,6 @@ class LineUnknowns:
         self._apply(changes)
         return True
 
-    def _doubt_drifts(self, time_s: float, before: Vector) -> None:
-        """Behind a dancer a drift may be E there, E of the dancer's web, which shows in the strain that comes in, or a
-        slip: by what it has been booked as every unknown may be wrong. `before` (n,): what was corrected up to the last
-        look."""
-        drifted, self._drifts = self._drifts, self._beside_dancer and self._filter.drifts
-        if self._drifts:
-            self._doubt = (
-                self._doubt + self._corrected - (before if drifted else self._kept_at(time_s - _DRIFTS_S).corrected)
-            )
-
-    def _kept_at(self, time_s: float) -> _Kept:
-        """What was known then, or the earliest that is kept."""
-        return next((kept for kept in reversed(self._kept) if kept.time_s <= time_s), self._kept[0])
-
     def _apply(self, changes: Vector) -> None:
         """Correct the line by these of its unknowns (n,), and let them be those of now."""
         self._corrected = self._corrected + changes
@@ -317,8 +297,7 @@ class LineUnknowns:
     def _take_back(self, since_s: float) -> None:
         """What torques have told since then of E, and where carriages without a sensor stand, was the slip; tensions
         stay, and are the torques' to tell from now on."""
-        earlier = self._kept_at(since_s)
-        self._doubt[:] = 0.0
+        earlier = next((kept for kept in reversed(self._kept) if kept.time_s <= since_s), self._kept[0])
         strains = np.where(self._is_strain, (_STRAIN_AT_REST * self._model.upstream_strain) ** 2, 0.0)
         variances = np.maximum(strains, self._filter.deviations**2)
         self._filter.put_back(earlier.belief, self._by_torque, variances)
@@ -392,8 +371,7 @@ class LineUnknowns:
         if not self._tells_moduli:
             return Found(modulus_Pa, inf)
         deviation = self._deviation(Unknown(Kind.MODULUS, axis))
-        doubt = float(np.max(np.abs(self._doubt[self._is_modulus])))
-        return Found(modulus_Pa * factor, modulus_Pa * hypot(deviation, _MODEL_SHARE, doubt))
+        return Found(modulus_Pa * factor, modulus_Pa * hypot(deviation, _MODEL_SHARE))
 
     def _deviation(self, unknown: Unknown) -> float:
         return float(self._filter.deviations[self.varied.unknowns.index(unknown)])
