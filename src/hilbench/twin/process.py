@@ -49,6 +49,9 @@ _VALUE_TOO_HIGH, _INVALID_VALUE, _PRESENT_STATE = 0x06090031, 0x06090030, 0x0800
 _MOST_OWED = 100
 #: Missed SYNCs in a row that the simulation makes up for; after more a twin has to find the plant anew.
 _MOST_SKIPPED = 100
+#: From which speed on, at the motor, an axis moves that has to be told so before the machine is released; how long that
+#: is waited for.
+_MOVES_RAD_S, _LONGEST_WAIT_S = 0.05, 0.1
 _RUNNING, _SYNCHRONIZED, _HOLDING, _LATE = (
     int(bit) for bit in (TwinStatus.RUNNING, TwinStatus.SYNCHRONIZED, TwinStatus.HOLDING, TwinStatus.LATE)
 )
@@ -108,6 +111,7 @@ class TwinApplication:
         self._measured = list(self._nothing)
         self._owed = [0] * len(self._listeners)  # SYNCs that the axis has not answered
         self._measured_before: list[Measured] | None = None  # while the machine waits to be released
+        self._waited_s = 0.0  # for set points of axes that move
         self._alarms = {part: Alarms(setup.cycle_s) for part in machine.problems}
         self._quiet = True  # no alarm is on
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
@@ -351,11 +355,24 @@ class TwinApplication:
         instant each."""
         before, self._measured_before = self._measured_before, self._complete()
         measured = self._measured_before
-        if before is None or measured is None or not self._machine.release(before, measured):
+        if before is None or measured is None or self._waits_for_set_points(before, measured):
+            return False
+        if not self._machine.release(before, measured):
             return False
         self._released = True
-        self._time_s = 0.0
+        self._time_s = self._waited_s = 0.0
         return True
+
+    def _waits_for_set_points(self, before: list[Measured], measured: list[Measured]) -> bool:
+        """Whether an axis moves whose virtual drive, just enabled, has not been told so yet: it would brake. Not for
+        ever: an axis may be turned by something else."""
+        ways = [now - then for (then, _), (now, _) in zip(before, measured, strict=True)]
+        brakes = any(
+            port.mode is MotorMode.VELOCITY and port.setpoint == 0.0 and abs(way) > _MOVES_RAD_S * self._cycle_s
+            for port, way in zip(self._ports, ways, strict=True)
+        )
+        self._waited_s = self._waited_s + self._cycle_s if brakes else 0.0
+        return brakes and self._waited_s <= _LONGEST_WAIT_S
 
     def _compare(self, measured: list[Measured] | None) -> None:
         if measured is None:
