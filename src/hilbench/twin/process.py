@@ -508,6 +508,8 @@ def twin(setup: TwinSetup) -> HostedDevices:
     def on_nmt(state: NmtState) -> None:
         if state is NmtState.INITIALISING:
             application.reset()
+        elif state is NmtState.PRE_OPERATIONAL:  # behind a reset the objects have what the EDS file says
+            virtual_io.forget_told()
         elif state is NmtState.OPERATIONAL:
             application.start()
 

@@ -45,7 +45,12 @@ class VirtualIo:
         self._step = device.cell(_MODEL, 2) if device.has(_MODEL, 2) else None
         self._found = device.cell(_FOUND, 1) if device.has(_FOUND, 1) else None
         self._names = [signal.name for signal in data.published]
-        for name, value in boundary.items():
+        self._boundary = boundary
+        self.forget_told()
+
+    def forget_told(self) -> None:
+        """Nobody has written the outputs yet."""
+        for name, value in self._boundary.items():
             self._told[name].value = value
 
     @property
