@@ -25,6 +25,7 @@ from hilbench.twin.machines.kinds import new_machine
 from hilbench.twin.machines.web_line import boundary
 from hilbench.twin.model_change import ChangeableMachine
 from hilbench.twin.process import TwinApplication
+from hilbench.twin.process import twin as make_twin
 from hilbench.twin.setup import twin_setup
 from hilbench.twin.virtual_io import VirtualIo
 
@@ -98,14 +99,20 @@ class OnTheBus:
         monkeypatch.setattr(AxisListener, "decode", lambda listener, data: self.measured[listener.cob_id])
 
     def sync(
-        self, time_s: float, read_at_s: float, tension_N: float = TENSION_N, answers: int = 2, late_s: float = 0.0
+        self,
+        time_s: float,
+        read_at_s: float,
+        tension_N: float = TENSION_N,
+        answers: int = 2,
+        late_s: float = 0.0,
+        told: bool = True,
     ) -> None:
         """The SYNC at a time of the line, read at one of the twin's clock; so many axes answer, the first with what it
-        was so long before."""
+        was so long before. `told`: whether the virtual axes have set points."""
         self.clock.time_ns = round(read_at_s * 1e9)
         for port in self.machine.ports:
             port.mode, port.torque_limit_Nm = MotorMode.VELOCITY, 9.0
-            port.setpoint = ACCELERATION_M_S2 * time_s * MODEL.motor_rad_per_m(1)
+            port.setpoint = ACCELERATION_M_S2 * time_s * MODEL.motor_rad_per_m(1) if told else 0.0
         self._application.before_sync(0)
         self._application.after_sync()
         measured = [motion(time_s - late_s, tension_N)[0], motion(time_s, tension_N)[1]]
@@ -142,6 +149,36 @@ def test_a_start_at_which_the_bench_leaves_syncs_out_is_no_web_break(
         deviations.append(deviation_Pa / modulus_Pa)
     assert problems == {None}
     assert max(deviations[1:]) < 0.3  # beyond that the tension loop is opened
+
+
+def test_a_line_under_way_is_let_go_once_its_virtual_drives_are_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    told, later = OnTheBus(monkeypatch), OnTheBus(monkeypatch)
+    torques_Nm = []
+    for cycle in range(1000, 1060):  # from 2 m/s on
+        time_s = cycle * CYCLE_S
+        told.sync(time_s, time_s)
+        later.sync(time_s, time_s, told=cycle >= 1005)
+        torques_Nm.append([twin.machine.ports[1].torque_Nm for twin in (told, later)])
+    behind, then = np.transpose(torques_Nm[5:])
+    # Drives that brake for four cycles are 2.6 N·m apart by then.
+    assert then == pytest.approx(behind, abs=0.1)
+
+
+def test_an_axis_that_something_else_turns_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    twin, first = OnTheBus(monkeypatch), 1000
+    for cycle in range(60):  # 0.12 s
+        time_s = (first + cycle) * CYCLE_S
+        twin.sync(time_s, time_s, told=False)
+    assert twin.shown[0] > 0.0
+
+
+def test_until_the_bench_says_what_is_around_the_web_a_twin_that_was_reset_holds_what_it_believes() -> None:
+    hosted = make_twin(twin_setup(CONFIG))
+    application, virtual_io = hosted.application, hosted.devices[-1]
+    assert isinstance(application, TwinApplication)
+    virtual_io.reset_node()
+    told = {name: application.io.told(name) for name in boundary(MODEL)}
+    assert told == pytest.approx(boundary(MODEL), rel=1e-6)
 
 
 #: Cycles that the drives have gone too far from one on: they took a SYNC that was late for the next one.
