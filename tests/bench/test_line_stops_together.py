@@ -94,6 +94,18 @@ class Stand:
             speeds.append(follower.speeds_m_s)
         return np.array(tensions), np.array(speeds)
 
+    def line_with_stations(self, given: LoadedConfig) -> tuple[np.ndarray, np.ndarray]:
+        """The same of a line with stations, with the ways of its axes at the web (n, N), m."""
+        model = given.config.web_line
+        follower = LineFollower(imitated_web(model, given.config.load))
+        per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, model.axis_count + 1)])
+        tensions, ways = [], []
+        for duration_s, angles in self.motion:
+            ways.append(np.array(angles) / per_m)
+            follower.follow(ways[-1], duration_s)
+            tensions.append(follower.tension_N)
+        return np.array(tensions), np.array(ways)
+
 
 @pytest.fixture
 def stand(monkeypatch: pytest.MonkeyPatch) -> Stand:
@@ -228,17 +240,11 @@ def test_reels_and_an_accumulator_are_brought_to_rest_together_in_the_middle_of_
 
     with pytest.raises(KeyboardInterrupt):
         reel_change()
-    model = given.config.web_line
-    per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, model.axis_count + 1)])
-    follower, tensions, ways = LineFollower(imitated_web(model, given.config.load)), [], []
-    for duration_s, angles in stand.motion:
-        follower.follow(np.array(angles) / per_m, duration_s)
-        tensions.append(follower.tension_N)
-        ways.append(np.array(angles) / per_m)
+    tensions, ways = stand.line_with_stations(given)
     since = stand.began
-    speeds_m_s = np.diff(np.array(ways[since:]), axis=0) / stand.motion[-1][0]
+    speeds_m_s = np.diff(ways[since:], axis=0) / stand.motion[-1][0]
     at_rest = int(np.flatnonzero(np.abs(speeds_m_s).max(axis=1) < 0.01)[0])
-    stopping_N = np.array(tensions[since : since + at_rest])
+    stopping_N = tensions[since : since + at_rest]
     assert np.abs(stopping_N - stopping_N[0]).max() < MOST_OFF_N
     assert speeds_m_s[0, 0] < 0.5 * speeds_m_s[0, 1]
     ratios = speeds_m_s[: at_rest // 2] / speeds_m_s[: at_rest // 2, 1:2]
@@ -259,14 +265,8 @@ def test_reels_in_torque_mode_keep_the_tension_while_the_line_is_brought_to_rest
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
-    model = given.config.web_line
-    per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, model.axis_count + 1)])
-    follower, tensions, ways = LineFollower(imitated_web(model, given.config.load)), [], []
-    for duration_s, angles in stand.motion:
-        follower.follow(np.array(angles) / per_m, duration_s)
-        tensions.append(follower.tension_N)
-        ways.append(np.array(angles) / per_m)
-    speeds_m_s = np.diff(np.array(ways[stand.began :]), axis=0) / stand.motion[-1][0]
+    tensions, ways = stand.line_with_stations(given)
+    speeds_m_s = np.diff(ways[stand.began :], axis=0) / stand.motion[-1][0]
     at_rest = int(np.flatnonzero(np.abs(speeds_m_s).max(axis=1) < 0.03)[0])
-    stopping_N = np.array(tensions[stand.began : stand.began + at_rest])
+    stopping_N = tensions[stand.began : stand.began + at_rest]
     assert np.abs(stopping_N - 15.0).max() < 1.5

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from hilbench import c_library
+from hilbench.c_library import MSG_DONTWAIT, MSG_NOSIGNAL, epoll_wait, recv, send
 from hilbench.can import compiled_wire, protocol, wire
 from hilbench.can.compiled_wire import bits_on_wire
 from hilbench.compiled import COUNT, INDICES, TABLE, compiled, entry_point, number_of_sources
@@ -49,7 +51,6 @@ MAX_CARRIED: Final = MAX_READY * _MAX_RECORDS
 # struct epoll_event in words of 4 bytes, and where its descriptor is (<linux/eventpoll.h>: packed on one machine).
 EVENT_WORDS, _EVENT_DESCRIPTOR = (3, 1) if platform.machine() == "x86_64" else (4, 2)
 _EPOLLIN = 1
-_MSG_DONTWAIT, _MSG_NOSIGNAL = 0x40, 0x4000  # <linux/socket.h>
 _SECOND_NS = 1_000_000_000
 
 Table = NDArray[np.int64]
@@ -58,18 +59,6 @@ Octets = NDArray[np.uint8]
 Words = NDArray[np.uint32]
 _WORDS = types.Array(types.uint32, 1, "C")
 Forward = Callable[[int, Row, Row, Row, Table, Table, Words, Table, Table, Table, Table, Row], None]
-
-if TYPE_CHECKING:
-
-    def _epoll_wait(epoll: int, events: int, most: int, timeout_ms: int) -> int: ...
-
-    def _recv(descriptor: int, packet: int, length: int, flags: int) -> int: ...
-
-    def _send(descriptor: int, packet: int, length: int, flags: int) -> int: ...
-else:
-    _epoll_wait = types.ExternalFunction("epoll_wait", types.int32(types.int32, types.intp, types.int32, types.int32))
-    _recv = types.ExternalFunction("recv", types.intp(types.int32, types.intp, types.intp, types.int32))
-    _send = types.ExternalFunction("send", types.intp(types.int32, types.intp, types.intp, types.int32))
 
 
 def key_of(can_id: int, length: int) -> int:
@@ -122,7 +111,7 @@ def _take_in(
 
     Less than 0: so many have come that are not all of this kind; 0: something else has happened, and none was taken.
     """
-    count = _epoll_wait(epoll, events.ctypes.data, MAX_READY + 1, -1)
+    count = epoll_wait(epoll, events.ctypes.data, MAX_READY + 1, -1)
     if not 0 < count <= MAX_READY:
         return 0
     for at in range(count):
@@ -134,7 +123,7 @@ def _take_in(
         descriptor = events[at * EVENT_WORDS + _EVENT_DESCRIPTOR]
         packet = packets[at]
         packet[STATION], packet[NEXT] = of_descriptors[descriptor], 0
-        packet[SIZE] = _recv(descriptor, received.ctypes.data + at * _PACKET_BYTES, _PACKET_BYTES, _MSG_DONTWAIT)
+        packet[SIZE] = recv(descriptor, received.ctypes.data + at * _PACKET_BYTES, _PACKET_BYTES, MSG_DONTWAIT)
         packet[FRAMES] = 0
         if packet[SIZE] > _HEADER_BYTES and stations[packet[STATION], OWN] == 0:
             packet[FRAMES] = _known_frames(octets[at], words[at], packet[SIZE], known, rows[at])
@@ -190,7 +179,7 @@ def _hand_out(state: Row, descriptors: Row, stations: Table, carried: Table, cou
                 size += 1
             if size == station[LIMIT] or (size > 0 and at == count - 1):
                 length = 8 * (1 + size * _STAMPED_WORDS)
-                if _send(descriptors[receiver], out.ctypes.data, length, _MSG_DONTWAIT | _MSG_NOSIGNAL) != length:
+                if send(descriptors[receiver], out.ctypes.data, length, MSG_DONTWAIT | MSG_NOSIGNAL) != length:
                     return False
                 size = 0
     return True
@@ -233,7 +222,7 @@ def _entry_point(sources: int) -> Forward:
 #: for events, packets, their columns, rows of their frames, what is carried, and a packet): until something happens
 #: that is not packets of known frames, see `state`.
 forward = _entry_point(
-    number_of_sources(__file__, *(str(module.__file__) for module in (compiled_wire, wire, protocol)))
+    number_of_sources(__file__, *(str(module.__file__) for module in (c_library, compiled_wire, wire, protocol)))
 )
 
 

@@ -6,12 +6,23 @@ the bench and the loop tell each other stands in one vector, each place of which
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, INDICES, entry_point
+from hilbench import c_library
+from hilbench.c_library import (
+    CLOCK_MONOTONIC,
+    MSG_DONTWAIT,
+    MSG_NOSIGNAL,
+    TIMER_ABSTIME,
+    clock_gettime,
+    clock_nanosleep,
+    send,
+)
+from hilbench.compiled import COUNT, INDICES, entry_point, number_of_sources
 
 #: Places in the vector. Of the loop: how many SYNCs are out, when the next is due (ns of the monotonic clock), how many
 #: periods went by without one: the machine did not wake the loop, the bus did not take it, or it was not to go out.
@@ -22,60 +33,54 @@ PLACES: Final = 5
 #: So many SYNCs back it is known how late each was.
 REMEMBERED: Final = 4096
 
-_CLOCK_MONOTONIC, _TIMER_ABSTIME = 1, 1  # <linux/time.h>
-_MSG_DONTWAIT, _MSG_NOSIGNAL = 0x40, 0x4000  # <linux/socket.h>
 _SECOND_NS = 1_000_000_000
 
-if TYPE_CHECKING:
-
-    def _clock_gettime(clock: int, time: int) -> int: ...
-
-    def _clock_nanosleep(clock: int, flags: int, time: int, remaining: int) -> int: ...
-
-    def _send(descriptor: int, packet: int, length: int, flags: int) -> int: ...
-else:
-    from numba import types
-
-    _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
-    _clock_nanosleep = types.ExternalFunction(
-        "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp)
-    )
-    _send = types.ExternalFunction("send", types.intp(types.int32, types.intp, types.intp, types.int32))
+Places = NDArray[np.int64]
+Produce = Callable[[Places, Places, Places, int, int, Places, int], None]
 
 
-@entry_point(INDICES, INDICES, INDICES, COUNT, COUNT, INDICES, COUNT)
-def produce(
-    shared: NDArray[np.int64],
-    lateness_ns: NDArray[np.int64],
-    timespec: NDArray[np.int64],
-    period_ns: int,
-    descriptor: int,
-    packet: NDArray[np.int64],
-    length: int,
-) -> None:
-    """Send `packet` (its first `length` bytes) to `descriptor` at each deadline until told to end.
+def _entry_point(sources: int) -> Produce:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
 
-    `timespec`: room for one of the kernel. A period for which the machine did not wake the loop is gone, and counted;
-    no deadline is ever moved. Behind the last SYNC that may go out it waits for the bench to say more.
-    """
-    time = timespec.ctypes.data
-    while shared[END] == 0:
-        deadline_ns = shared[DEADLINE_NS]
-        timespec[0], timespec[1] = deadline_ns // _SECOND_NS, deadline_ns % _SECOND_NS
-        while _clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, time, 0) != 0:
-            pass  # a signal
-        if shared[END] != 0:
-            return
-        _clock_gettime(_CLOCK_MONOTONIC, time)
-        late_ns = timespec[0] * _SECOND_NS + timespec[1] - deadline_ns
-        over = late_ns // period_ns
-        shared[WITHOUT] += over
-        shared[DEADLINE_NS] = deadline_ns + (1 + over) * period_ns
-        if shared[SENT] >= shared[LAST]:
-            shared[WITHOUT] += 1
-            continue
-        lateness_ns[shared[SENT] % REMEMBERED] = late_ns
-        shared[SENT] += 1  # before it is out: nobody receives one that is not counted
-        if _send(descriptor, packet.ctypes.data, length, _MSG_DONTWAIT | _MSG_NOSIGNAL) != length:
-            shared[SENT] -= 1
-            shared[WITHOUT] += 1
+    @entry_point(INDICES, INDICES, INDICES, COUNT, COUNT, INDICES, COUNT)
+    def produce(
+        shared: Places,
+        lateness_ns: Places,
+        timespec: Places,
+        period_ns: int,
+        descriptor: int,
+        packet: Places,
+        length: int,
+    ) -> None:
+        """Send `packet` (its first `length` bytes) to `descriptor` at each deadline until told to end.
+
+        `timespec`: room for one of the kernel. A period for which the machine did not wake the loop is gone, and
+        counted; no deadline is ever moved. Behind the last SYNC that may go out it waits for the bench to say more.
+        """
+        time = timespec.ctypes.data
+        while sources >= 0 and shared[END] == 0:
+            deadline_ns = shared[DEADLINE_NS]
+            timespec[0], timespec[1] = deadline_ns // _SECOND_NS, deadline_ns % _SECOND_NS
+            while clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, time, 0) != 0:
+                pass  # a signal
+            if shared[END] != 0:
+                return
+            clock_gettime(CLOCK_MONOTONIC, time)
+            late_ns = timespec[0] * _SECOND_NS + timespec[1] - deadline_ns
+            over = late_ns // period_ns
+            shared[WITHOUT] += over
+            shared[DEADLINE_NS] = deadline_ns + (1 + over) * period_ns
+            if shared[SENT] >= shared[LAST]:
+                shared[WITHOUT] += 1
+                continue
+            lateness_ns[shared[SENT] % REMEMBERED] = late_ns
+            shared[SENT] += 1  # before it is out: nobody receives one that is not counted
+            if send(descriptor, packet.ctypes.data, length, MSG_DONTWAIT | MSG_NOSIGNAL) != length:
+                shared[SENT] -= 1
+                shared[WITHOUT] += 1
+
+    return produce
+
+
+#: produce(shared, lateness_ns, timespec, period_ns, descriptor, packet, length)
+produce = _entry_point(number_of_sources(__file__, str(c_library.__file__)))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
-from hilbench.can.open import open_link
 from hilbench.canopen.clock import Clock, MonotonicClock, SyncClock
 from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds
@@ -22,13 +22,12 @@ from hilbench.exchange.device_clock import device_clock
 from hilbench.exchange.effect_objects import bind_effect_objects
 from hilbench.hardware.plant_time import ByClock, BySync, PlantTime
 from hilbench.hardware.rigs import new_rig
-from hilbench.plain.host import PlainHost
+from hilbench.plain.host import PlainHost, run_devices
 from hilbench.plain.rig_run import RigRun
 from hilbench.plain.sync_answers import SyncAnswers
 from hilbench.plant.interface import Plant, Steps, StepsInModes
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.processes import log, started_by_bench, stop_request
-from hilbench.real_time import kept_ready
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
 
@@ -135,15 +134,8 @@ def simulate(config: BenchConfig) -> int | None:
     stop, bus, by_bench = stop_request(), config.bus_address, started_by_bench()
     with nodes_of_ours(bus, config.simulated_drives, "simulated hardware", by_bench=by_bench):
         hosted = hardware(config)
-        link = open_link(bus)
-        try:
-            host = DeviceHost(link, *hosted)
-            plain = plain_host(host, link, hosted, config)
-            with kept_ready(config.process_settings("hardware"), log):
-                host.run(stop, None if plain is None else plain.serve)
-        finally:
-            link.close()
-    return link.dropped
+        plain = partial(plain_host, hosted=hosted, config=config)
+        return run_devices(bus, hosted, plain, config.process_settings("hardware"), stop, log)
 
 
 def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, config: BenchConfig) -> PlainHost | None:

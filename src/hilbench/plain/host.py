@@ -13,10 +13,13 @@ from typing import Protocol
 
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
-from hilbench.canopen.host import DeviceHost
+from hilbench.can.link import Link
+from hilbench.can.open import BusAddress, open_link
+from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, SYNC
 from hilbench.plain import kernel, packet_kernel
 from hilbench.plain.tables import NotPlainError
+from hilbench.real_time import ProcessSettings, kept_ready
 
 #: Times that it is served after which it is looked anew whether cycles are plain, when they were not.
 _LOOK_AGAIN = 8
@@ -108,6 +111,30 @@ class PlainHost:
             self._run = self._new_run(self._expected)
         except NotPlainError:
             self._run = None
+
+
+def run_devices(
+    bus: BusAddress,
+    hosted: HostedDevices,
+    plain_host: Callable[[DeviceHost, Link], PlainHost | None],
+    process: ProcessSettings | None,
+    stop: Callable[[], bool],
+    say: Callable[[str], None],
+) -> int | None:
+    """Run devices on a bus until `stop` says so; `plain_host`: who serves them where cycles can be plain.
+
+    Returns how many frames were lost because they were not read in time (None: the bus cannot tell). Raises BusError
+    when the bus is lost.
+    """
+    link = open_link(bus)
+    try:
+        host = DeviceHost(link, *hosted)
+        plain = plain_host(host, link)
+        with kept_ready(process, say):
+            host.run(stop, None if plain is None else plain.serve)
+    finally:
+        link.close()
+    return link.dropped
 
 
 def is_heartbeat(can_id: int) -> bool:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench import c_library
+from hilbench.c_library import CLOCK_MONOTONIC, MSG_DONTWAIT, MSG_NOSIGNAL, clock_gettime, recv, send
 from hilbench.can import protocol
 from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, NmtState
 from hilbench.compiled import (
@@ -70,26 +72,10 @@ _PACKET_BYTES: Final = protocol.PACKET_BYTES
 _OPERATIONAL = NmtState.OPERATIONAL.heartbeat[0]
 _NO_NODE, _LAST_NODE = HEARTBEAT, HEARTBEAT + LAST_NODE
 _O_SIZE = lay.O_SIZE
-_CLOCK_MONOTONIC = 1  # <linux/time.h>
-_MSG_DONTWAIT, _MSG_NOSIGNAL = 0x40, 0x4000  # <linux/socket.h>
 _SECOND_NS = 1_000_000_000
 _OCTET = np.dtype(np.uint8)
 # Rows of the table: as `Port` has them.
 _NUMBERS, _EXPECTED, _CHECKS, _ANSWERS, _LEFT, _DATA, _IN, _OUT, _TIME = range(9)
-
-if TYPE_CHECKING:
-
-    def _recv(descriptor: int, buffer: int, length: int, flags: int) -> int: ...
-
-    def _send(descriptor: int, packet: int, length: int, flags: int) -> int: ...
-
-    def _clock_gettime(clock: int, time: int) -> int: ...
-else:
-    from numba import types
-
-    _recv = types.ExternalFunction("recv", types.intp(types.int32, types.intp, types.intp, types.int32))
-    _send = types.ExternalFunction("send", types.intp(types.int32, types.intp, types.intp, types.int32))
-    _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
 
 _G_NUMBERS, _G_LENGTHS, _G_COB_IDS, _G_SIZES, _G_DATA, _G_PACKETS = range(6)  # as `Gathered` has them
 #: Most frames and packets that are gathered in a cycle.
@@ -288,13 +274,13 @@ def _entry_points(sources: int) -> tuple[Answer, Ask, Gather, TakeApart]:
             return NOTHING
         numbers, packet = integers(port, _NUMBERS, (1,)), integers(port, _IN, (1,)).view(_OCTET)
         if stage == RECEIVE:
-            length = _recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, 0)
+            length = recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, 0)
             if length <= 0:
                 return NOTHING
             numbers[LENGTH] = length
         length = numbers[LENGTH]
         timespec = integers(port, _TIME, (1,))
-        _clock_gettime(_CLOCK_MONOTONIC, numbers[TIME_AT])
+        clock_gettime(CLOCK_MONOTONIC, numbers[TIME_AT])
         numbers[NOW_NS] = timespec[0] * _SECOND_NS + timespec[1]
         expected, checks = integers(port, _EXPECTED, (1, 2)), integers(port, _CHECKS, (1, 2))
         heartbeat = _heartbeat_in(packet, length, numbers[DROPPED], expected)
@@ -316,7 +302,7 @@ def _entry_points(sources: int) -> tuple[Answer, Ask, Gather, TakeApart]:
             return ANSWERED
         out = integers(port, _OUT, (1,)).view(_OCTET)
         numbers[OUT_LENGTH] = pack(answers, len(expected), left[_O_SIZE:], data, out)
-        sent = _send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], _MSG_DONTWAIT | _MSG_NOSIGNAL)
+        sent = send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], MSG_DONTWAIT | MSG_NOSIGNAL)
         return ANSWERED if sent == numbers[OUT_LENGTH] else UNSENT
 
     @entry_point(TABLE, TABLE, COUNT)
@@ -324,13 +310,13 @@ def _entry_points(sources: int) -> tuple[Answer, Ask, Gather, TakeApart]:
         if sources < 0 or len(port) == 0:
             return NOTHING
         numbers, left = integers(port, _NUMBERS, (1,)), integers(port, _LEFT, (1,))
-        length = _recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, _MSG_DONTWAIT)
+        length = recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, MSG_DONTWAIT)
         numbers[LENGTH] = max(length, 0)
         if length >= 0 or not kernel.exchange(table, bitrate):
             return OTHER
         data, out = integers(port, _DATA, (1,)).view(_OCTET), integers(port, _OUT, (1,)).view(_OCTET)
         numbers[OUT_LENGTH] = pack(integers(port, _ANSWERS, (1, 2)), 0, left[_O_SIZE:], data, out)
-        sent = _send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], _MSG_DONTWAIT | _MSG_NOSIGNAL)
+        sent = send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], MSG_DONTWAIT | MSG_NOSIGNAL)
         return ANSWERED if sent == numbers[OUT_LENGTH] else UNSENT
 
     @entry_point(TABLE, COUNT, COUNT)
@@ -346,7 +332,7 @@ def _entry_points(sources: int) -> tuple[Answer, Ask, Gather, TakeApart]:
             if end + _PACKET_BYTES > len(packets) or count == len(lengths):
                 return OTHER
             if stage == RECEIVE:
-                length = _recv(numbers[DESCRIPTOR], numbers[IN_AT] + end, _PACKET_BYTES, 0)
+                length = recv(numbers[DESCRIPTOR], numbers[IN_AT] + end, _PACKET_BYTES, 0)
                 if length <= 0:
                     return NOTHING
                 numbers[LENGTH] = length
@@ -385,7 +371,7 @@ def _entry_points(sources: int) -> tuple[Answer, Ask, Gather, TakeApart]:
 #: have come: ANSWERED; OTHER: a packet is of another kind, or says that frames were lost.
 #: take_apart(table of `kernel.Vectors`, table of `Port`, table of `Gathered`, bitrate): what `exchange` does with what
 #: was gathered; False, and nothing done, where that is not what is expected.
-answer, ask, gather, take_apart = _entry_points(number_of_sources(__file__, *kernel.SOURCES))
+answer, ask, gather, take_apart = _entry_points(number_of_sources(__file__, c_library.__file__, *kernel.SOURCES))
 
 
 def warm_up() -> None:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
-from hilbench.can.open import open_link
 from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.canopen.mastery import nodes_of_ours
-from hilbench.plain.host import PlainHost
+from hilbench.plain.host import PlainHost, run_devices
 from hilbench.plain.sync_answers import SyncAnswers
 from hilbench.processes import log, started_by_bench, stop_request
-from hilbench.real_time import kept_ready
 from hilbench.topology.config import BenchConfig
 from hilbench.twin.machines.kinds import warm_up_in_vectors
 from hilbench.twin.plain_run import TwinRun
@@ -39,15 +38,7 @@ def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], No
     Returns how many frames were lost because they were not read in time (None: the bus cannot tell).
     """
     hosted = twin(setup)
-    link = open_link(setup.bus)
-    try:
-        host = DeviceHost(link, *hosted)
-        plain = plain_host(host, link, hosted, setup)
-        with kept_ready(setup.process, say):
-            host.run(stop, None if plain is None else plain.serve)
-    finally:
-        link.close()
-    return link.dropped
+    return run_devices(setup.bus, hosted, partial(plain_host, hosted=hosted, setup=setup), setup.process, stop, say)
 
 
 def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, setup: TwinSetup) -> PlainHost | None:
