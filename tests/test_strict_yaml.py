@@ -10,6 +10,8 @@ from pydantic import BaseModel, ConfigDict
 from hilbench import strict_yaml
 from hilbench.errors import UnusableInputError
 
+CONFIGS = Path(__file__).resolve().parents[1] / "bench_configs"
+
 
 class Inner(BaseModel):
     model_config = ConfigDict(extra="forbid")
@@ -146,6 +148,8 @@ def test_an_unknown_key_is_asked_about(tmp_path, text, meant):
         "\x00",
         "a: " + 5000 * "9",
         "a: " + 2000 * "[",
+        100_000 * "[",
+        100_000 * "- " + "a",
         "a: !!float x\n",
     ],
 )
@@ -154,6 +158,35 @@ def test_broken_or_hostile_text_is_one_line(tmp_path, text):
         strict_yaml.load(write(tmp_path, text))
     assert "\n" not in str(caught.value)
     assert "config.yaml" in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["\x00", "a\x07", "\udc80", "[1, 2", "*nowhere"])
+def test_a_value_that_is_none_is_one_line_that_names_its_place(text):
+    with pytest.raises(UnusableInputError, match=r"^--set: ") as caught:
+        strict_yaml.parse_value(text, "--set")
+    assert "\n" not in str(caught.value)
+
+
+def keys_with_lines(document: strict_yaml.Document) -> list[tuple[str, int]]:
+    """The last key of each value's location, and the line of its place."""
+    return [
+        (where[-1], int(place.rpartition(":")[2]))
+        for where, place in document.places.items()
+        if where and isinstance(where[-1], str)
+    ]
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_each_key_of_a_shipped_config_stands_where_its_place_says(path):
+    lines = path.read_text().splitlines()
+    found = keys_with_lines(strict_yaml.load(path))
+    assert found
+    assert [key for key, line in found if f"{key}:" not in lines[line - 1]] == []
+
+
+def test_the_error_of_a_file_says_what_was_found(tmp_path):
+    with pytest.raises(UnusableInputError, match=r"config\.yaml:2: not valid YAML: .*'@'"):
+        strict_yaml.load(write(tmp_path, "a: 1\nb: @x\n"))
 
 
 def test_unreadable_file(tmp_path):
