@@ -6,6 +6,7 @@ import ctypes
 import gc
 import os
 import resource
+import sys
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -14,9 +15,13 @@ from pathlib import Path
 #: Beside which nice values of a process mean nothing where the kernel groups them by session (sched(7)).
 _AUTOGROUP = Path("/proc/self/autogroup")
 _LOWEST = 19
+#: For which a thread keeps the interpreter from a cycle, s: a twentieth of the shortest cycles.
+_SWITCH_S = 5e-5
 
 # <asm-generic/mman.h>
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4
+# <linux/prctl.h>
+_PR_SET_THP_DISABLE, _PR_GET_THP_DISABLE = 41, 42
 
 
 @contextmanager
@@ -56,7 +61,12 @@ def kept_ready(settings: ProcessSettings | None, report: Callable[[str], None]) 
         if settings is None:
             yield
             return
-        with _pinned(settings.core, report), _first(settings.priority, report), _locked(settings.lock_memory, report):
+        with (
+            _in_small_pages(),
+            _pinned(settings.core, report),
+            _first(settings.priority, report),
+            _locked(settings.lock_memory, report),
+        ):
             yield
     finally:
         if collects:
@@ -123,6 +133,19 @@ def _locked(wanted: bool | None, report: Callable[[str], None]) -> Iterator[None
             libc.munlockall()
 
 
+@contextmanager
+def _in_small_pages() -> Iterator[None]:
+    """Nobody puts memory of this process together to huge pages (prctl(2)), which numpy asks for: the kernel's thread
+    that does has a core for milliseconds on end, whoever waits for it."""
+    libc = ctypes.CDLL(None)
+    before = libc.prctl(_PR_GET_THP_DISABLE, 0, 0, 0, 0)
+    libc.prctl(_PR_SET_THP_DISABLE, 1, 0, 0, 0)
+    try:
+        yield
+    finally:
+        libc.prctl(_PR_SET_THP_DISABLE, max(before, 0), 0, 0, 0)
+
+
 def give_way(taken: Collection[int] = (), *, before: int | None = None) -> None:
     """For a process that may wait: from here on it gets what nobody else wants of one core, if there is one on none of
     those that are `taken`.
@@ -131,6 +154,7 @@ def give_way(taken: Collection[int] = (), *, before: int | None = None) -> None:
     has its share of what they leave on all of these cores, as others have: on a machine with other work what nobody
     wants may be nothing.
     """
+    ctypes.CDLL(None).prctl(_PR_SET_THP_DISABLE, 1, 0, 0, 0)  # see `_in_small_pages`
     permitted = os.sched_getaffinity(0)
     cores = permitted - set(taken) or permitted
     if before is None or not _may_have(before):
@@ -150,6 +174,24 @@ def _may_have(priority: int) -> bool:
         return False
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     return True
+
+
+def right_behind(cycle_priority: int | None) -> None:
+    """In a thread that works in the interpreter of a cycle with this SCHED_FIFO priority, which does not wait for it:
+    it comes right behind the cycle, before all programs without a priority. Whoever waits for those and has the
+    interpreter's lock meanwhile would hold up the cycle; here the lock goes over within `_SWITCH_S`."""
+    sys.setswitchinterval(_SWITCH_S)
+    if cycle_priority is not None and cycle_priority > 1:
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(cycle_priority - 1))
+
+
+def beside_the_cycle(last: ProcessSettings | None) -> None:
+    """In a thread of a bench that has little to do, on any core; `last`: of the processes of the cycle that which comes
+    last, None in lockstep. Whoever wants the interpreter's lock back for a cycle waits until such a thread has run."""
+    if last is not None:
+        leave_the_cycle()
+        right_behind(last.priority)
 
 
 def leave_the_cycle() -> None:

@@ -10,6 +10,7 @@ from hilbench.bench.reports.found import Ready, Samples, Told
 from hilbench.ending import ended
 from hilbench.live.create import session_of
 from hilbench.real_time import give_way
+from hilbench.slices import work_in_slices
 from hilbench.topology.blocks import Pace
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import read_resolved
@@ -34,6 +35,7 @@ def answer(connection: Connection, config: BenchConfig) -> None:
         cores = config.realtime.cores
         taken = {core for core in (cores.bench, cores.hardware, cores.twin) if core is not None}
         give_way(taken, before=config.realtime.priority)
+        work_in_slices()
     connection.send(Ready())
     while True:
         try:

@@ -300,7 +300,7 @@ class Session:
         # A change that many samples make certain may still be one that nobody would see: of an effect that the model
         # has, a little more or less, put down to another one.
         if gain > _DECISIVE and shows_in_torque(stretch, before, after):
-            self._decide(case, self._gap(case.candidate, first, end))
+            self._decide(case, self._gap(case.candidate, first, end, stretch.predictor.rows))
         elif gain < 0.0 or end - first >= _TRIALS * length:
             self._say("dismissed", case.begun, "on new data the model in use is as good as the changed one: it stays")
             self._begin_anew()
@@ -322,9 +322,11 @@ class Session:
         """A model whose estimate is more by these shares (M,) of what it is, as a predictor takes it."""
         return self._machine.packed(self._machine.with_estimate(model, (1.0 + shares) * self._estimate))
 
-    def _gap(self, candidate: Machine, first: int, end: int) -> FoundGap:
-        """Of the models in use and changed, from cycle `first` to before `end`, as the watch sees it."""
+    def _gap(self, candidate: Machine, first: int, end: int, rows: Rows) -> FoundGap:
+        """Of the models in use and changed, from cycle `first` to before `end`, as the watch sees it on those of these
+        `rows` (n,) by which was decided: what else pushes the axes, behind rows that come late, is neither model's."""
         channels, known = self._channels(self._machine.followed_from(self._window, first), end)
+        known[-len(rows) :] &= rows[-len(known) :]
         seen = []
         for model in (self._in_use, candidate):
             gap = self._machine.gap(model)

@@ -10,7 +10,7 @@ from pathlib import Path
 from hilbench.bench.reports.found import Ready, Samples, Told, Watched
 from hilbench.errors import BenchFaultError
 from hilbench.processes import ChildProcess
-from hilbench.real_time import leave_the_cycle
+from hilbench.real_time import beside_the_cycle
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import write_resolved
 
@@ -40,7 +40,9 @@ class LiveProcess:
             arguments = [_MODULE, str(path), "--pace", config.pace, "--connection", str(number)]
             log = folder / "live_diagnosis.log"
             self._child = ChildProcess(LIVE_DIAGNOSIS, arguments, log, pass_fds=(number,), environment=_ONE_THREAD)
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="live-diagnosis", initializer=leave_the_cycle)
+        self._pool = ThreadPoolExecutor(
+            1, "live-diagnosis", initializer=beside_the_cycle, initargs=(config.process_settings("twin"),)
+        )
 
     def wait_until_ready(self) -> None:
         """Until it has loaded and compiled what it runs. Raises BenchFaultError when it ends instead, or never is."""

@@ -24,10 +24,13 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.servo_axis.sizes import machine_sizes
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
 
 #: In which steps of its share the inertia's best value is looked for, and the largest of them at once.
 _STEP: Final = 0.02
 _MOST: Final = 0.5
+#: Rows in a row that come late which push a shaft by more than noise, and for how long that shows, s.
+_LATE, _PUSHED_S = 2, 0.15
 #: Means that are followed before a gap is looked at.
 _FOLLOWED: Final = 4
 
@@ -102,7 +105,16 @@ class LiveShaft:
         known = window.known(first, end)
         if len(known) != len(data.t_s):
             raise UnusableInputError("the running bench", "rows could not be placed in time, expected one each cycle")
-        return replace(data, left_out=~known | data.left_out)
+        return replace(data, left_out=~known | data.left_out | self._pushed(window.measured(first, end)))
+
+    def _pushed(self, measured: Rows) -> Rows:
+        """(n,): several rows in a row that were not `measured` in time (n,), and those behind them. A load motor that
+        does not hear from the bench goes on with the torque that it has, and pushes the shaft."""
+        late = np.convolve(~measured, np.ones(_LATE), "valid") > _LATE - 0.5
+        pushed = np.zeros(len(measured), bool)
+        for row in np.flatnonzero(late):
+            pushed[row : row + _LATE + round(_PUSHED_S / self._cycle_s)] = True
+        return pushed
 
     def packed(self, model: Machine) -> Array:
         """(P,): as a predictor takes it."""

@@ -60,6 +60,7 @@ class ModelGap:
     def restart(self) -> None:
         """The next rows are not those that follow the last."""
         self._last: Array | None = None
+        self._last_forces = np.empty((0, 2 * self._axes + 1))
         self._last_around = np.empty((0, 2))
         self._last_known = np.empty(0, bool)
         self._came_m = 0.0  # of web, since then
@@ -78,7 +79,10 @@ class ModelGap:
         x = np.column_stack([channels[f"x{k}_m"] for k in axes])
         torque = np.column_stack([channels[f"tau{k}_Nm"] for k in axes])
         around = np.column_stack([channels["strain_prev"], channels["F_next_N"]])
-        tensions = self._tensions(x, around)
+        forces = np.column_stack([torque, self._tensions(x, around)])
+        # What acts while the speed goes from that before a row to that before the row so many further on.
+        acting = np.concatenate([self._last_forces if len(self._last_forces) else forces[:1], forces])
+        self._last_forces = forces[-1:]
         before = x[:1] if self._last is None else self._last
         known = np.concatenate([np.ones(len(before), bool) if self._last is None else self._last_known, known])
         self._last, self._last_known = x[-SHORT - 1 :], known[-SHORT - 1 :]
@@ -87,13 +91,12 @@ class ModelGap:
         count = len(x) // SHORT
         result = np.empty((count, self._axes))
         for j in range(count):
-            part = slice(j * SHORT, (j + 1) * SHORT)
             end = lead + (j + 1) * SHORT - 1
             self._came_m += abs(float(positions[end, -1] - positions[max(end - SHORT, 0), -1]))
             if self._came_m < self._exchanged_m or not np.all(known[max(end - SHORT - _CATCHES_UP, 0) : end + 1]):
                 result[j] = np.nan
                 continue
-            result[j] = self._of(positions, end, torque[part].mean(0), tensions[part].mean(0), around[part].mean(0))
+            result[j] = self._of(positions, end, acting[j * SHORT : (j + 1) * SHORT].mean(0))
         return result
 
     def _tensions(self, x: Array, around: Array) -> Array:
@@ -106,14 +109,15 @@ class ModelGap:
         self._last_around = around[-1:]
         return np.column_stack([around[:, 0] * self._p.item(lay.W_UPSTREAM_STIFFNESS_N), between, around[:, 1]])
 
-    def _of(self, positions: Array, end: int, torque_Nm: Array, tension_N: Array, around: Array) -> Array:
-        """At the means over the SHORT rows up to and with row `end` of positions."""
+    def _of(self, positions: Array, end: int, forces: Array) -> Array:
+        """Of the SHORT cycles up to row `end` of positions, with the means of torques and tensions (2 N + 1,) there."""
         first = end - SHORT
         if first < 1:
             return np.full(self._axes, np.nan)
         now, was = positions[end] - positions[end - 1], positions[first] - positions[first - 1]
         speed = (positions[end] - positions[first]) / (SHORT * self._cycle_s)
         acceleration = (now - was) / (SHORT * self._cycle_s**2)
+        torque_Nm, tension_N = forces[: self._axes], forces[self._axes :]
         gap = np.empty(self._axes)
         for k in range(self._axes):
             driven_N = driving_force_N(self._p, k + 1, float(torque_Nm[k]), float(positions[end, k]), float(speed[k]))

@@ -74,10 +74,7 @@ class LiveLine:
         return models.is_of_estimate(effect_id)
 
     def why_not_carried(self, effect_id: str) -> str:
-        """Where it goes by a clock; and creep over a roller between two spans: what the twin finds E of a span from
-        ends at the roller behind it."""
-        if effect_id == "web_slip" and self.configured.span_count > 1:
-            return "creep between two spans is more than the twin follows"
+        """Where it goes by a clock."""
         return why_not_carried(effect_id, self.kind)
 
     def without_estimate(self, model: Machine) -> ModelParameters:
