@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from tests.plant.models import lone_axis, model
+from tests.plant.models import effect, lone_axis, model
 
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.misfit import Condition
@@ -147,3 +147,40 @@ class Ringing:
         """The integral of what a step of 1 makes, up to so long after it."""
         pole = -1.0 / 0.3 + 2.0j * np.pi * 20.0
         return 0.1 * since_s + self._ringing_Nm * np.real(np.expm1(pole * since_s) / pole)
+
+
+class Bent:
+    """A torque offset whose law is bent, beside four effects that each look more like it than it does for a small
+    change: of `size` times what bends it by a radian."""
+
+    #: How much of what each of the others does is something else.
+    _OTHER = 0.3
+    _OTHERS = ("coulomb_friction", "viscous_friction", "quadratic_drag", "inertia_mismatch")
+
+    def __init__(self, size: float, seed: int = 0) -> None:
+        self._axis, self._radian_Nm = Axis(), 0.5
+        phase = 2.0 * np.pi * self._axis.t_s
+        self._carrier = phase / 3.0
+        clean = self._turned(size)
+        self._others = [clean + self._OTHER * np.sin((0.9 + 0.4 * k) * phase) for k in range(len(self._OTHERS))]
+        self.strength_Nm = size * self._radian_Nm
+        truth = lay.pack(lone_axis(effect("torque_offset", 1, offset_Nm=self.strength_Nm)))
+        self._places = [self._place(effect_id) for effect_id in (*self._OTHERS, "torque_offset")]
+        self.space = Space(self._axis.model, Analytic(self._torque_Nm, truth, seed=seed), PERIOD_S)  # type: ignore[arg-type]
+
+    @staticmethod
+    def _place(effect_id: str) -> int:
+        """Of its strength in a parameter vector."""
+        changed = lay.pack(lone_axis(effect(effect_id, 1, **{find_effect(effect_id).strength[0]: 0.1})))
+        return int(np.flatnonzero(changed != lay.pack(lone_axis()))[0])
+
+    def _turned(self, radian: float) -> Array:
+        return np.asarray(np.cos(self._carrier + radian) - np.cos(self._carrier))
+
+    def _torque_Nm(self, parameters: Array) -> Array:
+        *others, offset_Nm = parameters[self._places]
+        return self._turned(offset_Nm / self._radian_Nm) + np.asarray(others) @ np.array(self._others)
+
+    def proposer(self) -> Proposer:
+        """Of these five effects only."""
+        return self._axis.proposer(*self._OTHERS, "torque_offset")

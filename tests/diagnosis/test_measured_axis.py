@@ -15,7 +15,7 @@ from tests.tiers import slow
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.measured_motion import MotionFilter, OnMeasuredMotion
-from hilbench.diagnosis.rest import uncertainty
+from hilbench.diagnosis.rest import Uncertainty, uncertainty, with_noisy_columns
 from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Place
@@ -130,6 +130,31 @@ def test_intervals_hold_with_a_rest_of_any_colour() -> None:
         known = uncertainty(columns, (noise - theta @ columns[:, 0])[None])
         inside += int(np.count_nonzero(np.abs(theta) <= known.deviations * known.quantiles(0.95)))
     assert 0.93 <= inside / (4 * seeds) <= 0.975
+
+
+def test_intervals_hold_where_what_explains_is_measured_with_noise() -> None:
+    """Noise pulls a coefficient to zero, and moves that of what goes nearly with it; the fit's own interval knows
+    nothing of that."""
+    rng = np.random.default_rng(7)
+    n, seeds = 400, 200
+    t = np.arange(n) / n
+    swings = np.sin(40.0 * t)
+    beside = swings + 0.15 * np.cos(9.0 * t)
+    inside = plain = 0
+    for _ in range(seeds):
+        columns = np.array([swings + 0.05 * rng.standard_normal(n), beside])
+        torque = 2.0 * swings + 1.0 * beside + 0.02 * rng.standard_normal(n)
+        theta, *_ = np.linalg.lstsq(columns.T, torque, rcond=None)
+        left = torque - theta @ columns
+        whole = uncertainty(columns[:, None], left[None])
+        alone = Uncertainty(whole.covariance[1:, 1:], whole.freedom[1:])
+        noisy, explained = np.ones((1, 1, n)), np.full((1, n), theta[0])
+        known = with_noisy_columns(alone, columns, left, noisy, explained)
+        off = abs(float(theta[1]) - 1.0)
+        inside += off <= float(known.deviations[0] * known.quantiles(0.95)[0])
+        plain += off <= float(alone.deviations[0] * alone.quantiles(0.95)[0])
+    assert inside >= 0.95 * seeds
+    assert plain < 0.5 * seeds
 
 
 def test_friction_is_found_beside_what_is_not_in_the_vocabulary() -> None:

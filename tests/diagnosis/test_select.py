@@ -6,11 +6,11 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from tests.diagnosis.analytic import NOISE, Axis, Ringing
+from tests.diagnosis.analytic import NOISE, Axis, Bent, Ringing
 from tests.plant.models import effect
 
 from hilbench.diagnosis.select import Search, Selection
-from hilbench.diagnosis.steps import price
+from hilbench.diagnosis.steps import Steps, price
 from hilbench.diagnosis.terms import Place
 
 SMOOTH = ("coulomb_friction", "viscous_friction", "friction_asymmetry", "torque_offset", "inertia_mismatch")
@@ -50,6 +50,17 @@ def test_what_is_hidden_is_chosen_alone_with_its_value(item: dict[str, object]) 
     assert evidence["criterion_gain"] > 0.0
     assert evidence["held_out_gain"] > 0.0
     assert not found.exhausted
+
+
+def test_what_alone_explains_all_is_chosen_before_four_that_promise_more() -> None:
+    """What a small change of it does says little of what it does: four others look more like it."""
+    bent = Bent(1.6)
+    steps = Steps(bent.space, bent.proposer())
+    nothing = steps.fit_of([])
+    found = steps.best_addition(nothing, steps.candidates(nothing))
+    assert found is not None
+    (term,) = found.terms
+    assert term.values["offset_Nm"] == pytest.approx(bent.strength_Nm, rel=0.01)
 
 
 def test_the_order_in_which_effects_are_offered_changes_nothing() -> None:

@@ -12,6 +12,7 @@ Modeling and Control, chapter 7), of the third with any phase of θ. What is car
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -26,7 +27,7 @@ Rows = NDArray[np.bool_]
 
 #: Share of what is left of the torque by a joint alone, its stretches predicted from one another, that the other's
 #: motion has to explain; and what it may leave of the torque's rms where they are an arm.
-_LEAST_SHARE, _MOST_LEFT = 0.3, 0.15
+_LEAST_SHARE, _MOST_LEFT = 0.25, 0.15
 #: Rows per column from which a regression is one.
 _LEAST_ROWS: Final = 4
 
@@ -72,6 +73,18 @@ def columns(arm: Arm, own: Motion, other: Motion) -> dict[str, Array]:
     return found
 
 
+def by_accelerations(arm: Arm, own: Motion, other: Motion) -> Array:
+    """(2, couplings, n): by how much the torque per unit of each coupling changes with the joint's own acceleration,
+    and with the other's."""
+    still, one = np.zeros(len(own.angle)), np.ones(len(own.angle))
+
+    def at(acceleration: Array, others: Array) -> Array:
+        found = columns(arm, Motion(own.angle, still, acceleration), Motion(other.angle, still, others))
+        return np.array(list(found.values()))
+
+    return np.array([at(one, still), at(still, one)]) - at(still, still)
+
+
 def left_unseen(torque: Array, explaining: Array) -> float:
     """Share of the rms of a torque (m,) that columns (J, m) leave, its stretches predicted from one another; inf where
     there are too few rows."""
@@ -80,6 +93,15 @@ def left_unseen(torque: Array, explaining: Array) -> float:
     scaled = explaining / np.maximum(np.linalg.norm(explaining, axis=1), 1e-300)[:, None]
     problem = StretchedProblem.of(torque[None], scaled[:, None])
     return float(np.sqrt(problem.left_unseen(list(range(len(scaled)))) / max(float(np.sum(torque**2)), 1e-300)))
+
+
+def likelier(left: Mapping[Arm, Sequence[float]]) -> Arm:
+    """Where the joint stands, from what each arm leaves unseen of the torque's rms by corner: the one that leaves less,
+    in the geometric mean of the corners at which either may be one and both are known."""
+    shares = np.array([left[arm] for arm in Arm])
+    told = np.all(np.isfinite(shares), axis=0) & np.any(shares < _MOST_LEFT, axis=0)
+    counted = shares[:, told] if np.any(told) else np.min(shares, axis=1, keepdims=True)
+    return list(Arm)[int(np.argmin(np.mean(np.log(np.maximum(counted, 1e-300)), axis=1)))]
 
 
 def explains(beside: float, alone: float) -> bool:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, untold_beside
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_profile
-from hilbench.diagnosis.fit_beside_rest import uncertainty_of, weights
+from hilbench.diagnosis.fit_beside_rest import stated_uncertainty, weights
 from hilbench.diagnosis.machines import AnyImitation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
@@ -253,8 +253,11 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         unexplained += _astray(space, final)
         unknown = bool(unexplained) or max(ratios(final.residual, rows, floors).values()) > largest_ratio(rows)
     else:
-        left = max(rms(final.residual[k, rows]) / rms(predictor.measured[k, rows]) for k in torques)
-        unknown = left > LARGEST_REST
+        # Of a fit to all rows, and of one to the others on those held out: it has to hold where it was not made.
+        left = ((final.residual, rows), (trained.residual, rows & space.split.test))
+        unknown = any(
+            rms(rest[k, at]) > LARGEST_REST * rms(predictor.measured[k, rows]) for rest, at in left for k in torques
+        )
     better = selection.better
     too_few = [] if predictor.exact else untold(space, final)
     unexplained += [Misfit(names[0], *_swing(term), 0.0, 0.0, "always") for term in too_few]
@@ -283,7 +286,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         unexplained=unexplained,
         unobservable=[
             *_all_unobservable(space, proposer, selection),
-            *map(_asked, too_few),
+            *map(_asked, [*too_few, *selection.untold]),
             *(_without_other(effect) for effect in untold_beside(predictor, space.model)),
         ],
         missing_channels=data.missing,
@@ -436,7 +439,7 @@ def _judged_by_rest(space: Space, selection: Selection) -> _Judged:
     """By the spectrum of what is left, where that is model error more than noise."""
     final = selection.fit
     trained = fit(space, weights(space, final.terms), final.terms)
-    known = uncertainty_of(space, final)
+    known = stated_uncertainty(space, final)
     return _Judged(trained, final, known.covariance, known.quantiles(0.95), {})
 
 
@@ -550,7 +553,7 @@ def _all_unobservable(space: Space, proposer: Proposer, selection: Selection) ->
 def _unobservable(selection: Selection) -> list[Unobservable]:
     """Effects of which a change of the usual size would drown in the noise of these data."""
     offered, result = selection.candidates, []
-    seen: set[Place] = set()
+    seen = {term.place for term in selection.untold}
     for candidate, response in zip(offered.candidates, offered.responses, strict=True):
         if candidate.multiplicity > 1.0 or candidate.place in seen:
             continue

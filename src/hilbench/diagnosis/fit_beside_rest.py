@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import Fit, fit
+from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.noise import Whitening, scaling
-from hilbench.diagnosis.rest import Uncertainty, uncertainty, with_doubts
+from hilbench.diagnosis.rest import Uncertainty, by_waves, uncertainty, with_doubts, with_noisy_columns
 from hilbench.diagnosis.space import Space
-from hilbench.diagnosis.terms import Term
+from hilbench.diagnosis.terms import Term, pack_with
+
+Array = NDArray[np.float64]
 
 
 def fitted(space: Space, terms: list[Term]) -> Fit:
@@ -36,6 +41,32 @@ def uncertainty_of(space: Space, found: Fit, rows: NDArray[np.bool_] | None = No
     if not np.any(doubted):
         return known
     return with_doubts(known, derivatives, found.residual[..., rows], space.doubts(found.terms)[..., rows], doubted)
+
+
+def stated_uncertainty(space: Space, found: Fit) -> Uncertainty:
+    """The same with what noise in the accelerations of coupled axes moves: it hardly shows in them, and what goes with
+    them nearly makes up for one another. On one steady sine by what repeats itself alone."""
+    known, predictor = uncertainty_of(space, found), space.predictor
+    if not isinstance(predictor, OnMeasuredMotion) or not found.terms:
+        return known
+    if predictor.sine_Hz is not None and not any(term.swings for term in found.terms):
+        return _on_one_sine(space, found, predictor, predictor.repeating(predictor.sine_Hz))
+    if predictor.arm is None:
+        return known
+    rows = predictor.rows
+    alone = replace(space, predictor=predictor.uncoupled)
+    beside = alone.point(found.terms, alone.residual(found.terms)).derivatives[:, 0]
+    noisy, explained = predictor.by_accelerations(pack_with(space.model, found.terms))
+    wide = np.concatenate([predictor.couplings, beside])[:, rows]
+    return with_noisy_columns(known, wide, found.residual[0, rows], noisy[..., rows], explained[:, rows])
+
+
+def _on_one_sine(space: Space, found: Fit, predictor: OnMeasuredMotion, waves: Array) -> Uncertainty:
+    """Of a fit's coordinates, by what repeats itself (waves, n) alone, and how friction turns over."""
+    derivatives = space.point(found.terms, found.residual).derivatives
+    shapes = predictor.doubt_of_turning(pack_with(space.model, found.terms))
+    rows = predictor.rows
+    return by_waves(derivatives[:, 0, rows], found.residual[0, rows], shapes[:, 0, rows], waves[:, rows])
 
 
 def firsts(terms: list[Term]) -> list[int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from hilbench.canopen.eds import load_eds
+from hilbench.canopen.eds import shared_eds
 from hilbench.diagnosis.machines import AnyImitation
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.addressing import declared_units
@@ -35,7 +35,7 @@ def imitation_of(config: BenchConfig) -> AnyImitation | None:
 def _resolution(config: BenchConfig, axis: int) -> float:
     """What the drive of an axis rounds a velocity command to, in the machine's unit of position per s."""
     part = config.parts_of(Role.AXIS)[axis - 1]
-    units = declared_units(part, load_eds(part.node.eds, part.node.node_id))
+    units = declared_units(part, shared_eds(part.node.eds, part.node.node_id))
     return units.velocity_rad_s / config.machine.motor_rad_per_unit(axis)
 
 

@@ -14,11 +14,13 @@ from scipy.ndimage import binary_dilation
 from scipy.signal import butter, sosfiltfilt
 
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.coupling import Arm, Motion, columns, explains, left_unseen
+from hilbench.diagnosis.coupling import Arm, Motion, by_accelerations, columns, explains, left_unseen, likelier
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import NORMAL_95, floor
 from hilbench.diagnosis.presliding import Presliding, presliding, unseen
+from hilbench.diagnosis.smooth_motion import smoothed
+from hilbench.diagnosis.steady_sine import evenly_with, frequency_of_sine, harmonics
 from hilbench.plant.model_file import Machine
 
 Array = NDArray[np.float64]
@@ -34,12 +36,18 @@ _HIGHEST_HZ, _LOWEST_HZ, _FINER = 60.0, 5.0, 0.9
 #: axis that reverses passes through standstill: what is predicted passes it as fast, in the same filter. The same
 #: where it is known how friction turns over.
 _REACH, _PASSES, _TURNS_OVER = 1.5, 0.5, 4.0
+#: Band of the motion from which a torque is predicted, in corners of the filter that the torque passes: up to the first
+#: nothing is lost, for what passes two filters is not what passes one; beyond the second nothing is left.
+_WIDER: Final = (1.5, 2.5)
+#: Ways over which friction may turn as well on one steady sine, as shares of the one that is known; and as shares of
+#: the least one that is looked for, where none was found.
+_OTHER_WAYS, _UNSEEN_WAYS = (0.25, 0.5, 2.0, 4.0), (0.1, 0.25, 0.5, 1.0)
 #: Share of the inertia to which a right model may have it, one standard deviation.
 _INERTIA_KNOWN: Final = 0.02
 #: Corner as a share of the Nyquist frequency, and rows per period of it.
 _OF_NYQUIST, _ROWS_PER_PERIOD = 0.8, 4.0
 #: The lowest corner beside another axis, Hz, and the ratio of one that is tried to the next.
-_LOWEST_COUPLED_HZ, _NEXT_COUPLED = 3.0, 0.8
+_LOWEST_COUPLED_HZ, _NEXT_COUPLED = 2.0, 0.8
 
 
 @dataclass(frozen=True)
@@ -59,6 +67,11 @@ class MotionFilter:
     @cached_property
     def _sections(self) -> Array:
         return np.asarray(butter(4, self.corner_hz * 2.0 * self.period_s, output="sos"))
+
+    def driving(self, position: Array) -> Motion:
+        """The motion of a position (n,) from which what passes this filter is predicted."""
+        band_Hz = (_WIDER[0] * self.corner_hz, _WIDER[1] * self.corner_hz)
+        return Motion(*smoothed(position, self.period_s, 1, band_Hz, 2))
 
     def acceleration(self, position: Array) -> Array:
         """Second derivative of a position (n,), per s²."""
@@ -131,6 +144,8 @@ class OnMeasuredMotion:
         self._x = self._filter.smooth(data.x_m[1])
         self._v = np.gradient(self._x, data.period_s)
         self._a = np.gradient(self._v, data.period_s)
+        self._filtered_once: bool = arm is not None or (wider is not None and wider._filtered_once)
+        self._driving = self._driving_motion()
         self.exact = False
         self.tolerances = np.zeros(1)
         self.every = max(1, round(1.0 / (_ROWS_PER_PERIOD * self.corner_hz) / data.period_s))
@@ -139,7 +154,7 @@ class OnMeasuredMotion:
         self._noise_Nm = floor(data.tau_Nm[1]) * float(np.sqrt(2.0 * self.corner_hz * data.period_s))
         self._torque = torque
         self._memory_s: float = 0.0 if wider is None else wider._memory_s
-        self._upright = self._x
+        self._upright = self._driving.angle
         self._coupled = self._couplings()
         self.presliding: Presliding | None = self._presliding() if wider is None else wider.presliding
         self.rows = self._rows()
@@ -151,8 +166,10 @@ class OnMeasuredMotion:
         return self._filter.corner_hz
 
     @property
-    def narrower(self) -> OnMeasuredMotion:
-        """The same with half the corner."""
+    def narrower(self) -> OnMeasuredMotion | None:
+        """The same with half the corner; None beside another axis where that is lower than any that is tried."""
+        if self.arm is not None and 0.5 * self.corner_hz < _LOWEST_COUPLED_HZ:
+            return None
         return OnMeasuredMotion(self._model, self._data, self, self.arm)
 
     def beside_swinging(self, swinging: Array, memory_s: float) -> OnMeasuredMotion:
@@ -167,6 +184,25 @@ class OnMeasuredMotion:
         result.presliding = result._presliding(np.array(torques) - without)
         result.rows = result._rows()
         return result
+
+    def filtered_once(self) -> OnMeasuredMotion:
+        """The same, with the torque of what is near the filter's corner as it would be measured."""
+        result = copy(self)
+        result._filtered_once = True
+        result._driving = result._driving_motion()
+        return result
+
+    def _driving_motion(self) -> Motion:
+        """From which the torque is predicted.
+
+        Beside another axis, whose torques nearly make up for the joint's own,
+        it has all that the filter takes, so that its torque passes one filter as the measured torque does. Elsewhere
+        it is the filtered motion, in which what is near the corner hardly shows: else a loop's answer to a ripple
+        there is taken for a torque that is late.
+        """
+        if self._filtered_once:
+            return self._filter.driving(self._data.x_m[1])
+        return Motion(self._x, self._v, self._a)
 
     def _presliding(self, beside: Array | None = None) -> Presliding | None:
         """How friction turns over at reversals, however long they take; beside other torques (J, n)."""
@@ -186,22 +222,39 @@ class OnMeasuredMotion:
 
     def _couplings(self) -> dict[str, Array]:
         """(n,) each: the torques of which any multiple may be there beside the other axis."""
-        if self.arm is None or self._data.other_rad is None:
+        joints = self._joints()
+        if joints is None or self.arm is None:
             return {}
-        ratio = self._model.gear_ratio(1)
-        own = Motion(self._x / ratio, self._v / ratio, self._a / ratio)
-        other = Motion.of(self._filter.smooth(self._data.other_rad), self._period_s)
+        own, other = joints
         if self.arm is Arm.CARRIED:
-            self._upright = self._x + ratio * other.angle
+            self._upright = self._driving.angle + self._model.gear_ratio(1) * other.angle
         return {name: self._filter.smooth(column) for name, column in columns(self.arm, own, other).items()}
+
+    def _joints(self) -> tuple[Motion, Motion] | None:
+        """Of this joint and of the other that the recording has."""
+        if self._data.other_rad is None:
+            return None
+        ratio, driving = self._model.gear_ratio(1), self._driving
+        own = Motion(driving.angle / ratio, driving.speed / ratio, driving.acceleration / ratio)
+        return own, self._filter.driving(self._data.other_rad)
+
+    def by_accelerations(self, parameters: Array) -> tuple[Array, Array]:
+        """(2, couplings, n) and (2, n): by how much the torque per unit of each coupling, and the torque with these
+        parameters (P,), changes with the acceleration of this joint and of the other one; none without another."""
+        joints = self._joints()
+        if joints is None or self.arm is None:
+            return np.empty((0, 0, len(self.rows))), np.empty((0, len(self.rows)))
+        per_unit = by_accelerations(self.arm, *joints)[..., :: self.every]
+        torque = np.einsum("j,kjn->kn", list(self.coupled_by(parameters).values()), per_unit)
+        torque[0] += self._model.gear_ratio(1) * machines.Nm_per_acceleration(self._model, 1)
+        return per_unit, torque
 
     def left_unseen(self) -> float:
         """Share of the torque's rms that a regression by the simple effects, its gravity and the couplings leaves,
         stretches predicted from one another."""
-        angle = self._upright / self._model.gear_ratio(1)
-        simple = np.array(
-            [self._a, self._v, np.tanh(self._v / self._slow), np.sin(angle), np.cos(angle), np.ones(len(angle))]
-        )
+        angle, speed = self._upright / self._model.gear_ratio(1), self._driving.speed
+        turns = np.tanh(speed / self._slow)
+        simple = np.array([self._driving.acceleration, speed, turns, np.sin(angle), np.cos(angle), np.ones(len(angle))])
         explaining = np.array([*self._filter.smooth(simple), *self._coupled.values()])
         return left_unseen(self.measured[0, self.rows], explaining[:, :: self.every][:, self.rows])
 
@@ -274,6 +327,23 @@ class OnMeasuredMotion:
         left = self.measured[0] - self._required(parameters)[0, :: self.every]
         return dict(zip(self._coupled, self._coupled_in(left).tolist(), strict=True))
 
+    @cached_property
+    def sine_Hz(self) -> float | None:
+        """The frequency of the one steady sine by which the axis goes to and fro; None of any other motion."""
+        return None if self.arm is not None else frequency_of_sine(self._v[:: self.every], self.every * self._period_s)
+
+    def repeating(self, frequency_Hz: float) -> Array:
+        """(waves, n): all of a torque that repeats itself so often, up to the filter's corner."""
+        return harmonics(frequency_Hz, self.corner_hz, self._t_s[:: self.every])
+
+    def alike_on_one_sine(self, parameters: Array) -> Array:
+        """(shapes, 1, n): what on one steady sine a torque may be in the place of a law beside friction and inertia:
+        what goes with the position, and friction that turns over another way, with these parameters (P,)."""
+        known, shortest = self.presliding, unseen(float(np.ptp(self._x))).way
+        ways = [share * known.way for share in _OTHER_WAYS] if known else [share * shortest for share in _UNSEEN_WAYS]
+        turning_Nm = [self._turning_over(way, parameters) for way in ways]
+        return np.concatenate([self._filter.smooth(evenly_with(self._x)), turning_Nm])[:, None, :: self.every]
+
     @property
     def uncoupled(self) -> OnMeasuredMotion:
         """The same laws on the same rows, without what the other axis makes."""
@@ -285,34 +355,41 @@ class OnMeasuredMotion:
         """(shapes, 1, n): by what a right prediction may be off beside the noise, each to one standard deviation.
 
         A rigid inertia that the model has not, a torque that is read some time within a row, what the filter takes
-        twice of a motion near its corner, and friction that turns over a way too short to be seen, or as sure as that
-        is known.
+        twice of a motion near its corner, and how friction turns over.
         """
         inertia_Nm = _INERTIA_KNOWN * machines.Nm_per_acceleration(self._model, 1) * self._filter.smooth(self._a)
         here = self._required(parameters)[0]
-        other = copy(self)
+        shapes = np.array([inertia_Nm, 0.5 * np.gradient(here), here - self._filter.smooth(here)])
+        return np.concatenate([self._beside(shapes[:, None, :: self.every]), self.doubt_of_turning(parameters)])
+
+    def doubt_of_turning(self, parameters: Array) -> Array:
+        """(1, 1, n): of these, friction that turns over a way too short to be seen, or as sure as that is known."""
         if self.presliding is None:
-            other.presliding = unseen(float(np.ptp(self._x)))
+            way = unseen(float(np.ptp(self._x))).way
         else:
-            way, (_, most) = self.presliding.way, self.presliding.ci95
-            other.presliding = Presliding(way + (most - way) / NORMAL_95, self.presliding.ci95)
-        turning_Nm = other._required(parameters)[0] - here
-        shapes = np.array([inertia_Nm, 0.5 * np.gradient(here), here - self._filter.smooth(here), turning_Nm])
-        return self._beside(shapes[:, None, :: self.every])
+            way = self.presliding.way + (self.presliding.ci95[1] - self.presliding.way) / NORMAL_95
+        return self._beside(self._turning_over(way, parameters)[None, None, :: self.every])
+
+    def _turning_over(self, way: float, parameters: Array) -> Array:
+        """(n,): by how much the torque with these parameters (P,) is another where friction turns over this way."""
+        other = copy(self)
+        other.presliding = Presliding(way, (way, way))
+        return np.asarray(other._required(parameters)[0] - self._required(parameters)[0])
 
     def _required(self, parameters: Array) -> Array:
         """(B, P) to (B, n): the same at every row of the recording."""
         many = np.atleast_2d(parameters)
         torque = np.empty((len(many), len(self._x)))
         for vector, out in zip(many, torque, strict=True):
-            self._write_required(vector, self._x, out)
+            self._write_required(vector, self._driving.angle, out)
             if self.arm is Arm.CARRIED:
                 out += self._gravity_moved(vector)
         return self._filter.smooth(torque)
 
     def _write_required(self, vector: Array, x: Array, out: Array) -> None:
         way = self.presliding.way if self.presliding is not None else 0.0
-        machines.required_Nm(self._model, vector, x, self._v, self._a, self._period_s, out, way)
+        driving = self._driving
+        machines.required_Nm(self._model, vector, x, driving.speed, driving.acceleration, self._period_s, out, way)
 
     def _gravity_moved(self, vector: Array) -> Array:
         """(n,): by how much the torque of what is unbalanced is another because it goes with the angle of both axes."""
@@ -320,7 +397,7 @@ class OnMeasuredMotion:
         moved = np.zeros(len(self._x))
         if np.array_equal(balanced, vector):
             return moved
-        for x, sign in ((self._upright, 1.0), (self._x, -1.0)):
+        for x, sign in ((self._upright, 1.0), (self._driving.angle, -1.0)):
             for parameters, of in ((vector, sign), (balanced, -sign)):
                 out = np.empty(len(x))
                 self._write_required(parameters, x, out)
@@ -333,17 +410,19 @@ def coupled_motion(model: Machine, data: Measured) -> OnMeasuredMotion | None:
     explain much.
 
     Gravity, inertia and what an axis swings nearly make up for one another in an arm that swings freely, so that noise
-    that hardly shows in an acceleration shows in them: the corner, as well as what carries what, is that with which the
-    stretches of the recording predict one another best.
+    that hardly shows in an acceleration shows in them: the corner is that with which the stretches of the recording
+    predict one another best; what carries what is the same with every corner.
     """
     if data.other_rad is None:
         return None
-    wide = OnMeasuredMotion(model, data)
+    wide = OnMeasuredMotion(model, data).filtered_once()
     corners = [wide.corner_hz]
     while corners[-1] * _NEXT_COUPLED >= _LOWEST_COUPLED_HZ:
         corners.append(corners[-1] * _NEXT_COUPLED)
-    tried = [OnMeasuredMotion(model, data, wide, arm, corner) for corner in corners for arm in Arm]
-    best = min(tried, key=OnMeasuredMotion.left_unseen)
+    tried = {arm: [OnMeasuredMotion(model, data, wide, arm, corner) for corner in corners] for arm in Arm}
+    left = {arm: [motion.left_unseen() for motion in tried[arm]] for arm in Arm}
+    arm = likelier(left)
+    best = tried[arm][int(np.argmin(left[arm]))]
     alone = OnMeasuredMotion(model, data, wide, None, best.corner_hz)
     if not explains(best.left_unseen(), alone.left_unseen()):
         return None

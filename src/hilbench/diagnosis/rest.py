@@ -105,6 +105,44 @@ def with_doubts(
     return Uncertainty(known.covariance * np.outer(wider, wider) + moved @ moved.T, known.freedom)
 
 
+def by_waves(columns: Array, residual: Array, shapes: Array, waves: Array) -> Uncertainty:
+    """The same of a motion that repeats itself: what is left does so as well, so that only so many numbers are left.
+
+    columns (J, n), residual (n,); shapes (K, n): by what the prediction may be off, each to one standard deviation;
+    waves (W, n): all that repeats itself as the motion does, each of which may be left as much as any other.
+    """
+    known, _ = np.linalg.qr(waves.T)
+    told, left, off = columns @ known, residual @ known, shapes @ known
+    freedom = float(max(known.shape[1] - len(columns), 1))
+    size = np.maximum(np.linalg.norm(told, axis=1), 1e-300)
+    scaled = told / size[:, None]
+    solving = np.linalg.pinv(scaled @ scaled.T, rcond=1e-12, hermitian=True) @ scaled / size[:, None]
+    covariance = solving @ (np.eye(known.shape[1]) * float(left @ left) / freedom + off.T @ off) @ solving.T
+    return Uncertainty(covariance, np.full(len(columns), freedom))
+
+
+def with_noisy_columns(
+    known: Uncertainty, columns: Array, residual: Array, noisy: Array, explained: Array
+) -> Uncertainty:
+    """The same of the last coordinates (J,) of the columns, of which the first are measured with noise: it pulls their
+    coefficients to zero, and moves those of the others.
+
+    columns (C + J, n), residual (n,); noisy (K, C, n): what a unit of each noise makes of the first columns; explained
+    (K, n): of what they explain together. Any share of the residual may be each of the noises: none, all, and what is
+    between are as likely.
+    """
+    size = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
+    scaled = columns / size[:, None]
+    inverse = np.linalg.pinv(scaled @ scaled.T, rcond=1e-12, hermitian=True)
+    count = noisy.shape[1]
+    variance = np.sum(residual**2) / np.maximum(np.sum(explained**2, axis=-1), 1e-300)
+    together = variance[:, None] * np.einsum("kcn,kn->kc", noisy, explained)
+    moved = (inverse[count:, :count] @ (together / size[:count]).T).T / size[count:]
+    of_all = np.sum(moved, axis=0)
+    shares = (len(noisy) + 1) * (len(noisy) + 2)  # second moments of the uniform distribution over what sums to one
+    return Uncertainty(known.covariance + (moved.T @ moved + np.outer(of_all, of_all)) / shares, known.freedom)
+
+
 def _least_squares(columns: Array, values: Array) -> Array:
     """Coordinates (J, K) of values (K, signals·n) by columns (J, signals, n)."""
     flat = columns.reshape(len(columns), -1)

@@ -19,7 +19,7 @@ from hilbench.diagnosis.fit import Fit
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.steps import CandidateSet, Steps
-from hilbench.diagnosis.terms import Key, Place
+from hilbench.diagnosis.terms import Key, Place, Term
 
 Announce = Callable[[str, float], None]
 
@@ -39,6 +39,7 @@ class Selection:
     evidence: dict[Key, dict[str, float]] = field(default_factory=dict)
     exhausted: bool = False  #: more terms would explain more than may be named
     better: Better | None = None
+    untold: list[Term] = field(default_factory=list)  #: candidates that the motion can't tell from others
 
 
 class Search:

@@ -17,14 +17,14 @@ How often that is right: tools/diagnose_rigs.py, docs/diagnosis.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
-from itertools import compress
+from itertools import chain, compress
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import Fit
-from hilbench.diagnosis.fit_beside_rest import firsts, fitted, uncertainty_of
+from hilbench.diagnosis.fit_beside_rest import firsts, fitted, stated_uncertainty, uncertainty_of
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.offers import (
     LEAST_SHARE,
@@ -45,6 +45,7 @@ from hilbench.diagnosis.steadiness import in_both_halves, in_every_band
 from hilbench.diagnosis.steps import CandidateSet
 from hilbench.diagnosis.stretched_problem import StretchedProblem, basis, without
 from hilbench.diagnosis.terms import Key, Place, Term
+from hilbench.diagnosis.told_on_one_sine import is_on_one_sine, told_on_one_sine
 
 Array = NDArray[np.float64]
 Announce = Callable[[str, float], None]
@@ -52,6 +53,8 @@ Announce = Callable[[str, float], None]
 _MOST_TERMS: Final = 10
 #: Chance up to which a term that is neutral may be found all the same, over all places that it was searched for at.
 _CHANCE: Final = 1e-3
+#: The same beside what the prediction may be off by: of less its 95 % interval has no neutral value.
+_NEUTRAL_IN_INTERVAL: Final = 0.05
 #: Share below which the chance has to be smaller in proportion: what explains little has to be the surer.
 _LARGE_SHARE: Final = 0.25
 #: Share of the sum of squares that is left without a term from which the term stays.
@@ -103,7 +106,11 @@ class MeasuredSearch:
             current, offered = plainer, self._offered(plainer)
             tied = self._tied(current, offered, wandering)
         samples = float(np.count_nonzero(self._rows) * len(self._space.predictor.names))
-        return Selection(current, offered, samples, tied, self._evidence(current))
+        # Of one steady sine an inertia stands for what swings, and leaves more.
+        swung = any(term.swings for term in steady.terms) and not any(term.swings for term in current.terms)
+        exhausted = swung and is_on_one_sine(self._space)
+        untold = self._untold(current, tied, offered)
+        return Selection(current, offered, samples, tied, self._evidence(current), exhausted, untold=untold)
 
     # -- fits ----------------------------------------------------------------------------------------------
 
@@ -113,9 +120,6 @@ class MeasuredSearch:
     def _counted(self, values: Array) -> Array:
         """Rows of (…, signals, n) that count."""
         return values[..., self._rows]
-
-    def _uncertainty(self, current: Fit) -> Uncertainty:
-        return uncertainty_of(self._space, current)
 
     def _left_beside(self, found: Fit, current: Fit) -> float:
         """Sum of squares without the side bands of what was there before."""
@@ -220,8 +224,8 @@ class MeasuredSearch:
             for term, group in zip(offered.candidates, groups, strict=True)
             if term.held
         ]
-        offers = []
-        for term, group in zip(offered.candidates, groups, strict=True):
+        told, offers = told_on_one_sine(self._space, current.terms, offered), []
+        for term, group in compress(zip(offered.candidates, groups, strict=True), told):
             started = self._started(problem, mine, term, group)
             least = least_share(term)
             if started is None or before - started[0] < least * before:
@@ -294,9 +298,10 @@ class MeasuredSearch:
             return float("inf")
         return problem.left([*mine, *group])[0]
 
-    def _chances(self, found: Fit) -> list[float]:
-        """Of each term that it is neutral and was found all the same."""
-        known, at, chances = self._uncertainty(found), 0, []
+    def _chances(self, found: Fit, known: Uncertainty | None = None) -> list[float]:
+        """Of each term that it is neutral and was found all the same; known: by default by what is left as noise."""
+        known = uncertainty_of(self._space, found) if known is None else known
+        at, chances = 0, []
         for term in found.terms:
             moved = term.coordinates()[: term.linear] - term.neutral().coordinates()[: term.linear]
             chances.append(known.chance(slice(at, at + term.linear), moved))
@@ -309,11 +314,12 @@ class MeasuredSearch:
         """The fit without the terms that the others have made uncertain, one by one, the least certain first."""
         while current.terms:
             chances, shares = self._chances(current), self._shares(current)
+            stated = self._chances(current, stated_uncertainty(self._space, current))
             for k in np.argsort(chances)[::-1]:
                 term = current.terms[k]
                 least = _STAYING_SHARE / LEAST_SHARE * least_share(term)
                 chance = _CHANCE / term.multiplicity * min(1.0, shares[k] / _LARGE_SHARE)
-                if chances[k] > chance or shares[k] < least:
+                if chances[k] > chance or shares[k] < least or stated[k] > _NEUTRAL_IN_INTERVAL:
                     current = self._fitted([*current.terms[:k], *current.terms[k + 1 :]])
                     break
             else:
@@ -401,6 +407,13 @@ class MeasuredSearch:
                 found = self._fitted([first if one is term else one for one in current.terms])
                 return self._with_first_of_alike(found, {one.key: [] for one in found.terms} | tied, offered)
         return current
+
+    def _untold(self, current: Fit, tied: dict[Key, list[Place]], offered: CandidateSet) -> list[Term]:
+        """A candidate of each place of which this motion can tell none, and that is tied with nothing."""
+        told = told_on_one_sine(self._space, current.terms, offered)
+        known = {*(term.place for term in current.terms), *chain.from_iterable(tied.values())}
+        known |= {term.place for term in compress(offered.candidates, told)}
+        return list({term.place: term for term in offered.candidates if term.place not in known}.values())
 
     def _evidence(self, current: Fit) -> dict[Key, dict[str, float]]:
         if not current.terms:

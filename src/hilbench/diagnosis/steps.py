@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 #: Candidates (and pairs of them) that are fitted in full at a step.
 _CONTENDERS, _PAIRS = 4, 2
+#: How many more are, each by itself, where none of those explains all at the first step.
+_NEXT: Final = 4
 #: By how much the promises of two candidates differ that are not the same.
 _SAME_PROMISE: Final = 0.5
 #: Singles from which pairs are made.
@@ -324,7 +326,19 @@ class Steps:
     # -- additions ---------------------------------------------------------------------------------------
 
     def best_addition(self, current: Fit, offered: CandidateSet) -> Fit | None:
-        return self._best_of(current, offered, self.ranked(offered, offered.residual, offered.own))
+        """The best fit with one or two terms more; None where none lowers the criterion and holds out.
+
+        Where the best of those that promise most explains only a part, a single one of the next may explain all: one
+        whose law is far from linear promises less than it keeps.
+        """
+        contenders = self.ranked(offered, offered.residual, offered.own)
+        best = self._best_of(current, offered, contenders)
+        if current.terms or (best is not None and not self.is_rough(best)):
+            return best
+        more = self.ranked(offered, offered.residual, offered.own, _CONTENDERS + _NEXT)
+        singles = [terms for terms in more if len(terms) == 1 and terms not in contenders]
+        alone = self._best_of(current, offered, singles)
+        return best if alone is None or self.is_rough(alone) else alone
 
     def _best_of(self, current: Fit, offered: CandidateSet, additions: list[list[Term]]) -> Fit | None:
         """The best full fit with one of the additions that lowers the criterion and that the held-out rows confirm.

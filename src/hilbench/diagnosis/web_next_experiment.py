@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -65,7 +64,6 @@ def _tension(to: float) -> Step:
 
 def moves(reach: Reach) -> dict[str, list[Step]]:
     """The library: each move from standstill to standstill, by what it is; those that take too long are left out."""
-    # Backward a span's strain runs away with L/v, held by the tension loop alone: slowly, and not for long.
     levels: dict[str, list[tuple[float, float, float]]] = {
         "slowly forward and back": [(share, 0.5, 1.5) for share in (0.08, -0.08) * 2],
         "levels of speed": [(share, RAMP_S, 2.0) for share in (0.25, 0.5, 0.75, 1.0)],
@@ -136,9 +134,12 @@ def _as_measured(steps: list[Step], model: ModelParameters, reach: Reach) -> Mea
     tension = np.array(tensions)[np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(tensions) - 1)]
     strains = [np.full_like(t, model.upstream_strain)]
     strains += [tension / model.stiffness_N(span) for span in range(1, model.span_count + 1)]
+    strains.append(np.full_like(t, model.downstream_strain))
     of_axes = [np.interp(t, times, speeds)]
-    for behind, before in pairwise(reversed(strains)):
-        of_axes.append(of_axes[-1] * (1.0 - (behind - before)))
+    for span in range(model.span_count, 0, -1):
+        before, here, behind = strains[span - 1 : span + 2]
+        entering = np.where(of_axes[-1] >= 0.0, here - before, behind - here)
+        of_axes.append(of_axes[-1] * (1.0 - entering))
     n, axes = len(t), range(1, model.axis_count + 1)
     zero = np.zeros(n)
     return Measured(
