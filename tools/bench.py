@@ -22,7 +22,7 @@ from performance.table import Section, machine, markdown
 from hilbench.runs.config import load_with_overrides
 
 CONFIG = Path(__file__).parents[1] / "bench_configs" / "web_section_step.yaml"
-PARTS = "kernel, pdo, streams, twin, lockstep, jitter, sync, diagnose, start"
+PARTS = "kernel, pdo, streams, twin, lockstep, jitter, fast, sync, diagnose, start"
 LENGTHS_S = [12.0, 24.0, 48.0]
 
 
@@ -36,6 +36,7 @@ def parts(config_path: Path, seconds: float) -> dict[str, Callable[[], list[Sect
         "twin": lambda: [twin.measure(config.web_line)],
         "lockstep": lambda: [running.lockstep(config_path, seconds)],
         "jitter": lambda: real_time.measure(config_path, seconds),
+        "fast": lambda: real_time.measure_fast(config_path, seconds),
         "sync": lambda: [recordings.synchronizers(config.web_line, LENGTHS_S)],
         "diagnose": lambda: [recordings.diagnosis(config.web_line, LENGTHS_S)],
         "start": lambda: [running.start_up(config_path)],
@@ -47,7 +48,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("config", nargs="?", type=Path, default=CONFIG)
     parser.add_argument("--only", help=f"parts, by commas: {PARTS}")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of lockstep and of jitter")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of lockstep, jitter and fast")
     parser.add_argument("--json", type=Path, default=Path("performance.json"), help="where the figures go")
     parser.add_argument("--page", type=Path, help="page whose tables are written anew")
     options = parser.parse_args()

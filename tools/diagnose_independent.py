@@ -2,13 +2,15 @@
 
     diagnose_independent.py [--what conditions,drawn,intervals] [--seeds N] [--first-seed N] [--interval-seeds N]
                             [--jobs N] [--cases FILE] [--docs FILE]
+    diagnose_independent.py --what noises [--seeds N] [--first-seed N] [--jobs N] [--cases FILE]
 
 The machine is the independent line of the tests: web in pieces that move with it, presliding friction, quantized
 encoders. `conditions` hides seven effects, one at a time, under each of some conditions that a model does not know:
 other gains of the drives, a slower current loop, no commands, coarse rows, speeds for positions, a torque that is
 missing, a production run. `drawn` draws loops ±30 %, lags of 0 to 4 ms, rows of 1 to 20 ms, jitter, missing channels
 and profiles, all at once, for single effects, pairs, nothing, and what the vocabulary does not have. `intervals` takes
-the names of drawn singles and pairs for known and looks at their intervals alone. Prints shares, the coverage of the
+the names of drawn singles and pairs for known and looks at their intervals alone. `noises` records those of them again
+of which an interval did not hold, each with other noises: whether it was chance. Prints shares, the coverage of the
 intervals, and what was wrong. `--cases` keeps each finished case in a line of that file and takes those that are there
 as done; `--docs` writes the tables into the page.
 """
@@ -77,6 +79,13 @@ UNKNOWN: tuple[Any, ...] = (
     effect("passing_splices", every_m=11.0, length_m=0.4, relative_change=0.5),
 )
 DURATION_S = 40.0
+#: Conditions of cases whose names are taken for known.
+_KNOWN = {
+    "known": "of what is known to be hidden",
+    "noises": "of what is known to be hidden where one missed, recorded anew with other noises,",
+}
+#: Seeds of the other noises with which a case is recorded again.
+NOISES = range(1000, 1024)
 
 
 @dataclass
@@ -144,6 +153,11 @@ def with_known_names(seed: int) -> list[Recorded]:
     return [replace(case, condition="known") for case in made]
 
 
+def with_other_noises(case: Recorded) -> list[Recorded]:
+    """What was hidden and recorded the same, with known names."""
+    return [Recorded(case.kind, seed, case.hidden, condition="noises", line=case.line) for seed in NOISES]
+
+
 def recorded(case: Recorded) -> tuple[Recording, ModelParameters]:
     """What the case's line records, and what a model file knows of it."""
     line = dict(case.line)
@@ -159,7 +173,7 @@ def recorded(case: Recorded) -> tuple[Recording, ModelParameters]:
 def examined(case: Recorded) -> Diagnosis:
     """The diagnosis; of one with known names, what it concludes of these. Raises UnusableInputError."""
     recording, model = recorded(case)
-    if case.condition != "known":
+    if case.condition not in _KNOWN:
         return diagnose(recording, model, "stand")
     data = measured_from(recording, model, "stand")
     chosen = choice(model, data)
@@ -235,20 +249,22 @@ def false_names(case: Recorded) -> int:
 
 def summary(done: list[Recorded]) -> str:
     """Shares by condition or kind, coverage, and what was wrong."""
-    lines = ["| recorded | cases | visible | right | false names |", "|---|--:|--:|--:|--:|"]
+    lines: list[str] = []
     for name in CONDITIONS:
         _row(lines, name, [case for case in done if case.condition == name])
     for kind in ("single", "pair", "nothing", "unknown"):
         _row(lines, f"drawn: {kind}", [case for case in done if case.condition == "drawn" and case.kind == kind])
+    if lines:
+        lines[:0] = ["| recorded | cases | visible | right | false names |", "|---|--:|--:|--:|--:|"]
     # Under the conditions all have the noise of one seed.
-    for condition, of in (("drawn", "of what was named right"), ("known", "of what is known to be hidden")):
-        mine = [case for case in done if case.condition == condition and (right(case) or condition == "known")]
+    for condition, of in {"drawn": "of what was named right", **_KNOWN}.items():
+        mine = [case for case in done if case.condition == condition and (right(case) or condition in _KNOWN)]
         covered = [c for case in mine for c in case.covered]
         if covered:
             share = f"{100.0 * np.mean(covered):.1f} % of {len(covered)}"
             lines.append(f"\n95 % intervals {of} hold the true value in {share}")
     lines.append("")
-    for case in (case for case in done if case.condition != "known"):
+    for case in (case for case in done if case.condition not in _KNOWN):
         if not right(case) and (is_visible(case) or false_names(case)):
             hidden = [
                 (i["effect"], i["axis"], *(float(f"{v:.3g}") for v in i["parameters"].values())) for i in case.hidden
@@ -257,7 +273,7 @@ def summary(done: list[Recorded]) -> str:
             how = f"{case.line.get('profile', '')} rows {1e3 * case.line.get('row_s', 0.002):g} ms"
             how += f" without {without}" if without else ""
             lines.append(f"{hidden} ({case.condition}; {how}) → {case.verdict} {case.found} {case.problem}\n")
-    return "\n".join(lines).rstrip("\n")
+    return "\n".join(lines).strip("\n")
 
 
 def _short(values: Iterable[float]) -> list[float]:
@@ -282,13 +298,17 @@ def main() -> None:
     parser.add_argument("--cases", type=Path, help="file of finished cases, a line each")
     parser.add_argument("--docs", type=Path, help="page that gets the tables")
     options = parser.parse_args()
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
     asked = under_conditions(5) if "conditions" in options.what else []
     if "drawn" in options.what:
-        for seed in range(options.first_seed, options.first_seed + options.seeds):
-            asked += drawn(seed)
+        asked += [case for seed in seeds for case in drawn(seed)]
     if "intervals" in options.what:
         for seed in range(options.first_seed, options.first_seed + (options.interval_seeds or options.seeds)):
             asked += with_known_names(seed)
+    if "noises" in options.what:
+        known = [case for seed in seeds for case in with_known_names(seed)]
+        for case in finished_cases.finish(known, run, options.cases, options.jobs):
+            asked += [] if all(case.covered) else with_other_noises(case)
     done = finished_cases.finish(asked, run, options.cases, options.jobs)
     table = summary(sorted(done, key=lambda case: (case.condition, case.name)))
     print(table)

@@ -247,7 +247,8 @@ def film(duration_s: float = 2.0, *, feed_forward: bool = True, modulus_error: f
     spans = range(1, model.span_count + 1)
     moduli = {span: model.youngs_modulus_Pa(span) * (1.0 + modulus_error) for span in spans}
     configs = {span: TensionControlConfig.model_validate(FILM_LOOP | {"span": span}) for span in spans}
-    controllers = {span: TensionController.of_model(configs[span], model, model.upstream_strain) for span in spans}
+    strains = model.upstream_strain, model.downstream_strain
+    controllers = {span: TensionController.of_model(configs[span], model, strains) for span in spans}
     ways = {
         span: StrainWay(configs[span].set_point_rise_s, FILM_CYCLE_S, model.span_length_m(span), model.section_m2(span))
         for span in spans

@@ -70,6 +70,21 @@ def test_a_set_point_goes_its_way_smoothly_and_arrives() -> None:
     assert way.lengthening_m_s == pytest.approx(0.0, abs=1e-5)
 
 
+@pytest.mark.parametrize("behind_m_s", [3.0, 0.0, -3.0])
+def test_a_roller_before_a_span_lets_in_what_the_way_of_the_strain_needs_in_both_directions(behind_m_s: float) -> None:
+    """By what comes into the span and goes out of it, unstretched, at the strains of where it comes from."""
+    way, length_m, others = StrainWay(0.4, CYCLE_S, 4.0, 3e-5), 4.0, 3e-4
+    way.reset(80.0 / (9e9 * 3e-5))
+    material_m = length_m / (1.0 + 80.0 / (9e9 * 3e-5))
+    for _ in range(400):
+        before_m_s = way.velocity(behind_m_s, others)
+        strain = length_m / material_m - 1.0
+        into, out_of = (others, strain) if behind_m_s >= 0.0 else (strain, others)
+        material_m += CYCLE_S * (before_m_s / (1.0 + into) - behind_m_s / (1.0 + out_of))
+        way.update(90.0, 9e9)
+    assert (length_m / material_m - 1.0) * 9e9 * 3e-5 == pytest.approx(90.0, abs=0.1)
+
+
 def test_a_change_of_E_leaves_the_strain_and_only_then_goes_back_to_the_set_point() -> None:
     way = StrainWay(0.4, CYCLE_S, 4.0, 3e-5)
     way.reset(90.0 / (9e9 * 3e-5))

@@ -20,6 +20,7 @@ DEMONSTRATOR = SwingPlant(
     span_length_m=1.0,
     section_m2=32.5e-6,
     upstream_strain=80.0 / (8.7e9 * 32.5e-6),
+    downstream_strain=80.0 / (8.7e9 * 32.5e-6),
     mass1_kg=29.8,
     mass2_kg=29.8,
     velocity_kp1_N_s_per_m=937.5,
@@ -35,6 +36,7 @@ OTHER = SwingPlant(
     span_length_m=2.5,
     section_m2=1.0e-5,
     upstream_strain=50.0 / (4.0e9 * 1.0e-5),
+    downstream_strain=50.0 / (4.0e9 * 1.0e-5),
     mass1_kg=60.0,
     mass2_kg=45.0,
     velocity_kp1_N_s_per_m=4000.0,
@@ -53,7 +55,7 @@ def swing_m(
 ) -> NDArray[np.float64]:
     """Elongation of the span (beyond the steady one) each cycle, 0.05 mm too small at the start."""
     stiffness_N_per_m = modulus_Pa * plant.section_m2 / plant.span_length_m
-    at_rest = plant.upstream_strain
+    at_rest = plant.upstream_strain if speed_m_s >= 0.0 else plant.downstream_strain
     x1 = x2 = 0.0
     v1 = v2 = speed_m_s
     force1 = force2 = 0.0
@@ -74,7 +76,8 @@ def swing_m(
             v2 += h * (force2 - pull) / plant.mass2_kg
             x1 += h * v1
             x2 += h * v2
-            unstretched += h * (v1 / (1 + at_rest) - v2 / (1 + strain))
+            into, out_of = (at_rest, strain) if speed_m_s >= 0.0 else (strain, at_rest)
+            unstretched += h * (v1 / (1 + into) - v2 / (1 + out_of))
         course.append(plant.span_length_m * (strain - at_rest))
     return np.array(course)
 

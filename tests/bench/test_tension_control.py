@@ -9,12 +9,12 @@ from hilbench.topology.web_line_config import TensionControlConfig
 
 STIFFNESS_N = 8.7e9 * 0.5 * 65e-6
 LENGTH_M = 1.0
-STRAIN_PREV = 80.0 / STIFFNESS_N
+STRAIN_PREV, STRAIN_NEXT = 80.0 / STIFFNESS_N, 70.0 / STIFFNESS_N
 CYCLE_S = 0.002
 
 
 def controller_of(config: TensionControlConfig, roller_stiffness_N_per_m: float = math.inf) -> TensionController:
-    return TensionController(config, LENGTH_M, 0.5 * 65e-6, roller_stiffness_N_per_m, STRAIN_PREV)
+    return TensionController(config, LENGTH_M, 0.5 * 65e-6, roller_stiffness_N_per_m, (STRAIN_PREV, STRAIN_NEXT))
 
 
 def velocity(controller: TensionController, line_m_s: float, set_point_N: float, tension_N: float) -> float:
@@ -35,7 +35,10 @@ def run(speed_m_s: float, set_point_N: float, duration_s: float, bandwidth: floa
     for _ in range(round(duration_s / CYCLE_S)):
         tension_N = STIFFNESS_N * strain
         v1 = velocity(controller, speed_m_s, set_point_N, tension_N)
-        strain += CYCLE_S * (1 + strain) / LENGTH_M * (speed_m_s - v1 * (1 + strain) / (1 + STRAIN_PREV))
+        came_in = v1 / (1 + STRAIN_PREV) - speed_m_s / (1 + strain)
+        if speed_m_s < 0.0:
+            came_in = v1 / (1 + strain) - speed_m_s / (1 + STRAIN_NEXT)
+        strain -= CYCLE_S * (1 + strain) ** 2 / LENGTH_M * came_in
         tensions.append(tension_N)
     return tensions
 
@@ -47,6 +50,26 @@ def test_the_loop_is_first_order_with_the_wanted_bandwidth_where_the_span_is_fas
         expected = 95.0 - 15.0 * math.exp(-3.0 * time_s)
         assert tensions[round(time_s / CYCLE_S)] == pytest.approx(expected, abs=0.3)
     assert tensions[-1] == pytest.approx(95.0, abs=0.01)
+
+
+@pytest.mark.parametrize("speed_m_s", [-8.0, -3.0, -0.5])
+def test_in_reverse_the_tension_is_kept_as_long_as_the_line_runs(speed_m_s):
+    """200 lengths of the span at the highest speed."""
+    tensions = run(speed_m_s, 95.0, 25.0)
+    assert max(tensions) < 95.0 + 0.2 * 15.0
+    assert tensions[round(5.0 / CYCLE_S) :] == pytest.approx([95.0] * round(20.0 / CYCLE_S), abs=0.05)
+
+
+def test_an_open_loop_goes_to_the_ratio_that_the_direction_of_the_web_asks_for():
+    for speed_m_s, ratio in (
+        (3.0, (1 + STRAIN_PREV) / (1 + 95.0 / STIFFNESS_N)),
+        (-3.0, (1 + 95.0 / STIFFNESS_N) / (1 + STRAIN_NEXT)),
+    ):
+        controller = controller_of(TensionControlConfig())
+        velocity(controller, speed_m_s, 95.0, 95.0)
+        for _ in range(3000):
+            found = hold(controller, speed_m_s, 95.0)
+        assert found == pytest.approx(ratio * speed_m_s, abs=1e-8)
 
 
 @pytest.mark.parametrize("speed_m_s", [0.0, 0.1, 0.5])

@@ -166,7 +166,13 @@ def test_whatever_kind_of_exception_it_is(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize(
-    ("owner", "name", "after"), [(Nodes, "configure", 1), (JournalWriter, "write", 1), (LoadModel, "warm_up", 1)]
+    ("owner", "name", "after"),
+    [
+        (Nodes, "configure_drives", 1),
+        (Nodes, "configure_twin", 1),
+        (JournalWriter, "write", 1),
+        (LoadModel, "warm_up", 1),
+    ],
 )
 def test_what_breaks_before_anything_moves_has_a_result_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, owner: type, name: str, after: int

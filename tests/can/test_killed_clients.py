@@ -10,11 +10,11 @@ import uuid
 from contextlib import closing
 
 import pytest
+from tests.can.hub_stations import passes
 from tests.tiers import slow
 
 from hilbench.can import hub_client
 from hilbench.can.frame import Frame
-from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link
 
 #: What the killed ones send and receive. In virtual time they fill queues as fast as they can; by the clock two of them
@@ -39,17 +39,6 @@ def joins_and_floods(bus: BusAddress, *, reads: bool) -> int:
         finally:
             os._exit(1)
     return pid
-
-
-def passes(sender: Link, receiver: Link, number: int) -> bool:
-    """Whether a frame comes through within 10 s."""
-    frame = Frame(0x100, number.to_bytes(4, "little"))
-    sender.send([frame])
-    deadline_s = time.monotonic() + 10.0
-    while time.monotonic() < deadline_s:
-        if any(came.data == frame.data for came in receiver.receive(0.1)):
-            return True
-    return False
 
 
 @pytest.mark.parametrize(

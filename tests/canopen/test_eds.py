@@ -8,7 +8,7 @@ import pytest
 from canopen.objectdictionary import ODArray
 from tests.canopen.device_under_test import SECTIONS, U8, eds_text, record, var
 
-from hilbench.canopen.eds import all_variables, find, load_eds, variable
+from hilbench.canopen.eds import all_variables, find, load_eds, shared_eds, variable
 from hilbench.errors import UnusableInputError
 
 
@@ -151,3 +151,13 @@ def test_each_who_loads_a_file_has_a_dictionary_of_its_own(tmp_path: Path) -> No
     assert 0x1000 not in mine
     assert 0x1000 in theirs
     assert 0x1000 in load_eds(path, 5)
+
+
+def test_a_shared_dictionary_is_read_once_and_anew_when_its_file_is_another_one(tmp_path: Path) -> None:
+    path = write(tmp_path, eds_text())
+    first = shared_eds(path, 9)
+    assert shared_eds(path, 9) is first
+    assert shared_eds(path, 10) is not first
+    assert load_eds(path, 9) is not first
+    path.write_text(path.read_text().replace("Device type", "Kind of device"))
+    assert (first[0x1000].name, shared_eds(path, 9)[0x1000].name) == ("Device type", "Kind of device")

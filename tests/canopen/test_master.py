@@ -139,6 +139,17 @@ def test_silent_node_is_named_with_what_was_tried(rig: Rig) -> None:
     master.close()
 
 
+def test_who_is_silent_beside_those_waited_for_is_named_as_well(rig: Rig) -> None:
+    master = Master(rig.bus.open_python_can(), sdo_timeout_s=0.05)
+    master.add(NODE, rig.od, "axis 1")
+    master.add(NODE + 1, rig.od, "twin")
+    with pytest.raises(BenchFaultError, match=r"no answer from axis 1 \(node 5\), twin \(node 6\):"):
+        master.wait_for_boot([NODE], 0.1, beside=[NODE + 1])
+    rig.start()
+    master.wait_for_boot([NODE], 5.0, beside=[NODE + 1])
+    master.close()
+
+
 def test_nmt(rig: Rig, master: Master) -> None:
     changed = threading.Event()
     rig.start()

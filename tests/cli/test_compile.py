@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import time
+from contextlib import suppress
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
@@ -98,3 +101,44 @@ def test_an_entry_point_closes_over_numbers_alone() -> None:
     }
     assert len(held) > 50
     assert {name: values for name, values in held.items() if not all(isinstance(one, int) for one in values)} == {}
+
+
+def _descendants(pid: int) -> set[int]:
+    """Processes below a process, as /proc has them."""
+    found: set[int] = set()
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in map(int, task.read_text().split()):
+            found |= {child, *_descendants(child)}
+    return found
+
+
+def _compiles(pid: int) -> bool:
+    """Whether a process has loaded the compiler."""
+    with suppress(OSError):
+        return "llvmlite" in Path(f"/proc/{pid}/maps").read_text()
+    return False
+
+
+def _runs(pid: int) -> bool:
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_who_kills_it_leaves_nobody_compiling(number: signal.Signals, tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-m", "hilbench.cli", "compile", "--jobs", "1"]
+    with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as started:
+        begun_s = time.monotonic()
+        while not any(map(_compiles, _descendants(started.pid))):
+            assert started.poll() is None
+            assert time.monotonic() - begun_s < 120.0
+            time.sleep(0.01)
+        left = _descendants(started.pid)
+        started.send_signal(number)
+    ended_s = time.monotonic()
+    while any(map(_runs, left)):
+        assert time.monotonic() - ended_s < 30.0
+        time.sleep(0.01)

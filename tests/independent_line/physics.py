@@ -80,6 +80,12 @@ def _shaft(axis: Vector, ripples: Vector, torque: float, angle: float) -> float:
 
 
 @numba.njit(cache=True)
+def _exit_strain(web: Vector, pull: float, stiffness: float, strain: float) -> float:
+    """Of a piece that leaves a span strained by `strain`; `pull`: tension times its softness, N."""
+    return float(strain if web[DAMPING_S] > 0.0 else pull / stiffness + web[STRAIN_OFFSET])
+
+
+@numba.njit(cache=True)
 def run(
     web: Vector,
     axes: Vector,
@@ -143,11 +149,11 @@ def run(
         if step % per_cycle == 0:
             k = step // per_cycle
             sensed += (web[STIFFNESS] * strain + sensor_noise[k] - sensed) * min(web[CYCLE_S] / web[SENSOR_S], 1.0)
-            miss = (f_ref[k] - sensed) / web[STIFFNESS] if v2_cmd[k] > 0.02 else 0.0
+            miss = (f_ref[k] - sensed) / web[STIFFNESS] if abs(v2_cmd[k]) > 0.02 else 0.0
             tension_integral += web[TENSION_KI] * miss * web[CYCLE_S]
             correction = web[TENSION_KP] * miss + tension_integral
             wanted = web[STRAIN_PREV] * (f_ref[k] / web[UPSTREAM_N] - 1.0) + correction + wander[k]
-            setpoint[k, 0] = v2_cmd[k] * (1.0 - wanted)
+            setpoint[k, 0] = v2_cmd[k] - abs(v2_cmd[k]) * wanted
             setpoint[k, 1] = v2_cmd[k]
         while motion_row < rows and times[motion_row] <= t:
             share = 1.0 - (t - times[motion_row]) / h
@@ -207,13 +213,16 @@ def run(
                 x[j] += h * (v[j] + 0.5 * h * acceleration[j])
                 v[j] += h * acceleration[j]
                 xr[j], vr[j] = x[j], v[j]
-        # Web is laid into the span behind roller 1 and taken from it at roller 2.
-        into = h * _surface(axes[0], xr[0], 0.5 * (v_before[0] + vr[0])) / (1.0 + strain_prev)
-        slip = 1.0 - web[CREEP] * (tension - web[DOWNSTREAM_N])
-        exit_strain = tension * soft[tail] / stiffness + web[STRAIN_OFFSET]
-        if web[DAMPING_S] > 0.0:
-            exit_strain = strain
-        out_of = h * slip * _surface(axes[1], xr[1], 0.5 * (v_before[1] + vr[1])) / (1.0 + exit_strain)
+        # Web is laid into the span behind roller 1 and taken from it at roller 2; in reverse the other way round.
+        into = h * _surface(axes[0], xr[0], 0.5 * (v_before[0] + vr[0]))
+        into /= 1.0 + (strain_prev if into >= 0.0 else _exit_strain(web, tension * soft[head], stiffness, strain))
+        out_of = h * _surface(axes[1], xr[1], 0.5 * (v_before[1] + vr[1]))
+        # The web slips the way that the difference of the tensions pulls it.
+        out_of -= web[CREEP] * (tension - web[DOWNSTREAM_N]) * abs(out_of)
+        if out_of >= 0.0:
+            out_of /= 1.0 + _exit_strain(web, tension * soft[tail], stiffness, strain)
+        else:
+            out_of /= 1.0 + web[DOWNSTREAM_N] / web[STIFFNESS]
         entered_m += into
         laid += into
         if laid > PIECE_SHARE * length:
@@ -225,6 +234,14 @@ def run(
         piece[head] += into
         total += into
         compliance += into * soft[head]
+        while piece[head] < 0.0 and head != tail:  # the newest went back
+            newer, head = head, (head - 1) % MOST_PIECES
+            compliance += piece[newer] * (soft[head] - soft[newer])
+            piece[head] += piece[newer]
+            laid = piece[head]
+        if out_of < 0.0 and (soft[tail] != 1.0 or piece[tail] > PIECE_SHARE * length):
+            tail = (tail - 1) % MOST_PIECES
+            piece[tail], soft[tail] = 0.0, 1.0
         while out_of > piece[tail] and tail != head:
             total -= piece[tail]
             compliance -= piece[tail] * soft[tail]

@@ -174,14 +174,15 @@ def run(
                 sensed[j] += (web[ph.STIFFNESS] * strain + noise[j, k] - sensed[j]) * min(
                     web[ph.CYCLE_S] / web[ph.SENSOR_S], 1.0
                 )
-                miss = (wanted[j, k] - sensed[j]) / web[ph.STIFFNESS] if speed[k] > 0.02 else 0.0
+                miss = (wanted[j, k] - sensed[j]) / web[ph.STIFFNESS] if abs(speed[k]) > 0.02 else 0.0
                 tension_integral[j] += web[ph.TENSION_KI] * miss * web[ph.CYCLE_S]
                 asked = web[ph.STRAIN_PREV] * (wanted[j, k] / web[ph.UPSTREAM_N] - 1.0) + wander[j, k]
                 asked += web[ph.TENSION_KP] * miss + tension_integral[j]
-                before = 0.0
-                if j > 0:
-                    before = webs[j - 1, ph.STRAIN_PREV] * (wanted[j - 1, k] / webs[j - 1, ph.UPSTREAM_N] - 1.0)
-                setpoint[k, j] = setpoint[k, j + 1] * (1.0 - (asked - before))
+                entering, comes_from = 0.0, j - 1 if speed[k] >= 0.0 else j + 1
+                if 0 <= comes_from < spans:
+                    other = webs[comes_from]
+                    entering = other[ph.STRAIN_PREV] * (wanted[comes_from, k] / other[ph.UPSTREAM_N] - 1.0)
+                setpoint[k, j] = setpoint[k, j + 1] - abs(setpoint[k, j + 1]) * (asked - entering)
         while motion_row < rows and times[motion_row] <= t:
             share = 1.0 - (t - times[motion_row]) / h
             for i in range(rollers):
@@ -223,31 +224,50 @@ def run(
             acceleration = (force + pull - resistance) / axis[ph.MASS]
             x[i] += h * (v[i] + 0.5 * h * acceleration)
             v[i] += h * acceleration
-        # What leaves a span is laid into the next one, the oldest piece with its own compliance.
+        # What leaves a span is laid into the next one, the oldest piece with its own compliance; in reverse the newest
+        # one into the span before.
         for j in range(spans):
             behind = tension[j + 1] if j + 1 < spans else webs[j, ph.DOWNSTREAM_N]
-            slip = 1.0 - webs[j, ph.CREEP] * (tension[j] - behind)
-            exit_strain = tension[j] * soft[j, tail[j]] / stiffness[j] + webs[j, ph.STRAIN_OFFSET]
-            if webs[j, ph.DAMPING_S] > 0.0:
-                exit_strain = strain_before[j]
-            surface = ph._surface(axes[j + 1], x[j + 1], 0.5 * (v_before[j + 1] + v[j + 1]))
-            leaving[j] = h * slip * surface / (1.0 + exit_strain)
-        into = h * ph._surface(axes[0], x[0], 0.5 * (v_before[0] + v[0])) / (1.0 + strain_prev)
+            way = h * ph._surface(axes[j + 1], x[j + 1], 0.5 * (v_before[j + 1] + v[j + 1]))
+            way -= webs[j, ph.CREEP] * (tension[j] - behind) * abs(way)
+            if way >= 0.0:
+                pull = tension[j] * soft[j, tail[j]]
+                strain = ph._exit_strain(webs[j], pull, stiffness[j], strain_before[j])
+            elif j + 1 < spans:
+                pull = tension[j + 1] * soft[j + 1, head[j + 1]]
+                strain = ph._exit_strain(webs[j + 1], pull, stiffness[j + 1], strain_before[j + 1])
+            else:
+                strain = webs[j, ph.DOWNSTREAM_N] / webs[j, ph.STIFFNESS]
+            leaving[j] = way / (1.0 + strain)
+        into = h * ph._surface(axes[0], x[0], 0.5 * (v_before[0] + v[0]))
+        pull = tension[0] * soft[0, head[0]]
+        into /= 1.0 + (strain_prev if into >= 0.0 else ph._exit_strain(webs[0], pull, stiffness[0], strain_before[0]))
         its_soft = 1.0
-        if t >= splice[0] and spliced_m < splice[1]:
+        if t >= splice[0] and spliced_m < splice[1] and into > 0.0:
             its_soft = 1.0 / (1.0 + splice[2])
             spliced_m += into
         for j in range(spans):
             at = head[j]
-            if piece[j, at] > ph.PIECE_SHARE * lengths[j] or (its_soft != soft[j, at] and piece[j, at] > 0.0):
-                at = head[j] = (at + 1) % ph.MOST_PIECES
-                piece[j, at] = 0.0
-            soft[j, at] = its_soft
+            if into >= 0.0:
+                if piece[j, at] > ph.PIECE_SHARE * lengths[j] or (its_soft != soft[j, at] and piece[j, at] > 0.0):
+                    at = head[j] = (at + 1) % ph.MOST_PIECES
+                    piece[j, at] = 0.0
+                soft[j, at] = its_soft
             piece[j, at] += into
             total[j] += into
-            compliance[j] += into * its_soft
+            compliance[j] += into * soft[j, at]
+            while piece[j, at] < 0.0 and at != tail[j]:  # the newest went back
+                newer, at = at, (at - 1) % ph.MOST_PIECES
+                compliance[j] += piece[j, newer] * (soft[j, at] - soft[j, newer])
+                piece[j, at] += piece[j, newer]
+                head[j] = at
             out_of, its_soft = leaving[j], soft[j, tail[j]]
             into = out_of
+            if out_of < 0.0:
+                coming = soft[j + 1, head[j + 1]] if j + 1 < spans else 1.0
+                if soft[j, tail[j]] != coming or piece[j, tail[j]] > ph.PIECE_SHARE * lengths[j]:
+                    tail[j] = (tail[j] - 1) % ph.MOST_PIECES
+                    piece[j, tail[j]], soft[j, tail[j]] = 0.0, coming
             while out_of > piece[j, tail[j]] and tail[j] != head[j]:
                 total[j] -= piece[j, tail[j]]
                 compliance[j] -= piece[j, tail[j]] * soft[j, tail[j]]

@@ -19,6 +19,7 @@ from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.check import check_experiment
 from hilbench.runs.config import LoadedConfig, load_with_overrides
+from hilbench.topology.live_config import LiveDiagnosisConfig
 from hilbench.twin.virtual_io import TwinStatus
 
 #: What 5 N are at the motor of axis 2, and the noise of one sample of its torque; a mean has so many.
@@ -46,6 +47,10 @@ def test_friction_that_comes_and_goes_is_in_the_model_and_out_of_it_again(fricti
 def test_what_comes_while_the_line_produces_is_in_the_model_within_a_minute(name: str, tmp_path: Path) -> None:
     outcome = run(name, tmp_path)
     assert outcome.exit_code == EXIT_PASSED, [each for each in outcome.result.criteria if not each.passed]
+    (came,) = outcome.result.found or []
+    assert came.named_after_s is not None
+    # By the first search: the next has data of twice the time.
+    assert came.named_after_s < 2.0 * LiveDiagnosisConfig().window_s
 
 
 #: Shares of the cycles that a bench on a loaded machine was too late for, and of the samples that came late.

@@ -13,6 +13,7 @@ from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import EXIT_PASSED
 from hilbench.live.servo_axis.machine import LiveShaft
 from hilbench.live.watch import Watch
+from hilbench.live.window import Window
 from hilbench.report.html import write_report
 from hilbench.results.journal import read_journal
 from hilbench.results.recording import read_recording
@@ -52,6 +53,21 @@ def test_noise_of_a_shaft_whose_model_is_right_is_no_gap() -> None:
 def test_friction_and_inertia_that_the_model_lacks_are_one() -> None:
     assert parted(dry_Nm=0.2) == CHUNKS
     assert parted(inertia=1.1) == CHUNKS
+
+
+def test_a_shaft_is_not_looked_at_behind_rows_that_came_late_while_its_load_motor_pushes_it() -> None:
+    names, count, late_rows = [signal.name for signal in LOADED.config.signals], 4000, {1000: 4, 2000: 1}
+    t_s, came_late = CYCLE_S * np.arange(count), np.zeros(count)
+    of_signal = {"t_s": t_s, "x1_rad": 20.0 * t_s, "v1_rad_s": 20.0, "v1_cmd_rad_s": 20.0, "tau1_Nm": np.sin(t_s)}
+    rows = np.column_stack([np.broadcast_to(of_signal.get(name, 0.0), count) for name in names])
+    for first, length in late_rows.items():
+        came_late[first : first + length] = 1.0
+    window = Window(names, count, CYCLE_S)
+    window.add(count - 1, np.column_stack([rows, np.arange(count), came_late]).tobytes())
+    left_out = LiveShaft(MODEL, None, CYCLE_S).data_of(window, MODEL, 0, count, 0).left_out
+    found = np.flatnonzero(left_out)
+    assert (found[0], len(found)) == (1000, found[-1] - found[0] + 1)
+    assert 0.1 < CYCLE_S * len(found) < 0.3
 
 
 def run(out: Path, steps: list[dict[str, object]] | None = None) -> RunOutcome:
@@ -128,6 +144,8 @@ def test_friction_is_in_the_model_within_a_minute_beside_a_bench_that_misses_cyc
         outcome = run(tmp_path, [BEGIN, SWINGS, comes, SWINGS, SWINGS, SWINGS, SWINGS])
     assert len(left_out) > 50
     (came,) = outcome.result.found or []
+    assert came.gap is not None
+    assert came.gap.after < 1.4 * came.gap.noise_floor
     low, high = came.parameters["torque_Nm"].ci95
     assert came.effect == "coulomb_friction"
     assert low < 0.3 < high

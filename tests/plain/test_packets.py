@@ -8,7 +8,7 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,9 @@ from tests.plain_runs import CONFIGS, NMT, Change, download, ending_of, notices_
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.can import hub_client
+from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
-from hilbench.can.open import open_link
+from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.hardware.simulation import hardware, plain_host
 from hilbench.plain.exchange import PlainExchange
@@ -47,6 +48,7 @@ class Left:
     """What a run left behind."""
 
     plain: int = 0  #: cycles of the bench
+    lent: int = 0  #: those without the hub
     of_hosts: Counter[type] = field(default_factory=Counter)  #: SYNCs that hardware and twin have answered on arrays
     samples: list[bytes] = field(default_factory=list)
     notices: list[tuple[float, str, str, int]] = field(default_factory=list)
@@ -94,7 +96,23 @@ def served(loaded: Any, *, compiled: bool) -> Iterator[list[HostedDevices]]:
             link.close()
 
 
-def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int, *, compiled: bool) -> Left:
+@contextmanager
+def lends(bus: BusAddress) -> Iterator[None]:
+    """A hub that lends the wire from the first cycle on: frames enough have gone by."""
+    frames = [Frame(0x700, bytes(8))] * 100
+    with closing(open_link(bus)) as one, closing(open_link(bus)) as other:
+        assert isinstance(one, EmbeddedLink)
+        other.set_filters([])
+        one.set_filters([])
+        while one.borrow()[0] is None:
+            one.send(frames)
+        one.give_back()
+        yield
+
+
+def run(
+    folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int, *, compiled: bool, lent: bool
+) -> Left:
     """A bench that runs for so many cycles, with what is done in between, by cycle."""
     left, samples = Left(), Samples()
     cycle, serve = PlainExchange.cycle, PlainHost.serve
@@ -102,6 +120,7 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
     def counted(self: PlainExchange, outputs: Any) -> bool:
         done = compiled and cycle(self, outputs)
         left.plain += done
+        left.lent += done and self._wire._loan is not None and self._wire._loan.lasts
         return done
 
     def counted_by_host(self: PlainHost, timeout_s: float) -> None:
@@ -115,6 +134,7 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
         patch.object(PlainExchange, "cycle", counted),
         patch.object(PlainHost, "serve", counted_by_host),
         TraceWriter(trace, "can0") as tap,
+        lends(loaded.config.bus_address) if lent else nullcontext(),
         served(loaded, compiled=compiled) as all_hosted,
     ):
         bench = Bench(loaded.config, observers=[samples], tap=tap, participants=Participants.PRESENT)
@@ -128,16 +148,19 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
 
 
 def check(folder: Path, options: Sequence[str], changes: Sequence[tuple[int, Change]], **what: Any) -> Left:
-    """Both kinds of cycles make the same; `least`: so many of them are plain at least, on each side."""
+    """Both kinds of cycles make the same; `least`: so many of them are plain at least, on each side, and where the hub
+    has `lent` the wire, without it."""
     name, cycles, least = what.get("name", "web_section_step"), what.get("cycles", 150), what.get("least", 60)
+    lent = what.get("lent", False)
     kinds = []
     for compiled in (True, False):
         bus = f"embedded:p{uuid.uuid4().hex[:10]}"
         loaded = load_with_overrides(CONFIGS / f"{name}.yaml", changes=[f"bus.address={bus}", *options])
-        kinds.append(run(folder, loaded, changes, cycles, compiled=compiled))
+        kinds.append(run(folder, loaded, changes, cycles, compiled=compiled, lent=lent))
     one, other = kinds
     assert min(one.plain, one.of_hosts[RigRun], one.of_hosts[TwinRun]) >= least
     assert (other.plain, other.of_hosts.total()) == (0, 0)
+    assert one.lent >= least * lent
     assert one.ending == other.ending
     assert one.samples == other.samples
     assert one.notices == other.notices
@@ -194,6 +217,11 @@ def test_a_line_runs_alike_with_set_points_an_effect_and_a_fault(tmp_path: Path)
     assert "axis2 (node 2): is in FAULT" in left.ending
 
 
+def test_a_line_runs_alike_with_the_wire_lent(tmp_path: Path) -> None:
+    changes = [(10, LINE[0]), (60, LINE[3]), (90, LINE[-2]), (200, LINE[7])]
+    check(tmp_path, [], changes, cycles=260, least=60, lent=True)
+
+
 @pytest.mark.slow
 @given(
     changes=st.lists(st.tuples(st.integers(5, 140), st.sampled_from(LINE)), max_size=3),
@@ -201,6 +229,7 @@ def test_a_line_runs_alike_with_set_points_an_effect_and_a_fault(tmp_path: Path)
     mirroring=st.sampled_from(["listen", "copy"]),
     heartbeat_ms=st.sampled_from([0, 37, 100]),
     virtual_tpdo_every=st.sampled_from([0, 1, 3]),
+    lent=st.booleans(),
 )
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_line_runs_alike_whatever_comes_between(
@@ -210,6 +239,7 @@ def test_a_line_runs_alike_whatever_comes_between(
     mirroring: str,
     heartbeat_ms: int,
     virtual_tpdo_every: int,
+    lent: bool,
 ) -> None:
     options = [
         f"seed={seed}",
@@ -217,7 +247,7 @@ def test_a_line_runs_alike_whatever_comes_between(
         f"master.heartbeat_ms={heartbeat_ms}",
         f"twin.virtual_tpdo_every={virtual_tpdo_every}",
     ]
-    check(tmp_path, options, changes, least=0)
+    check(tmp_path, options, changes, least=0, lent=lent)
 
 
 @pytest.mark.slow

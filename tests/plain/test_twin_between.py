@@ -6,10 +6,12 @@ from __future__ import annotations
 import socket
 import struct
 import threading
+import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
@@ -21,6 +23,7 @@ from hilbench.can import embedded, hub_client, protocol
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.can.requests import Settings
+from hilbench.canopen import clock
 from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.identifiers import SYNC
 from hilbench.runs.config import load_with_overrides
@@ -55,7 +58,7 @@ def heard_by_a_twin(folder: Path) -> list[Packet]:
     changes = [f"bus.address=embedded:b{uuid.uuid4().hex[:10]}"]
     loaded = load_with_overrides(CONFIGS / "web_section_step.yaml", changes=changes)
     with patch.object(embedded, "receive_packet", kept):
-        run(folder, loaded, [(10, sets("line_speed_m_s", 0.4))], 220, compiled=False)
+        run(folder, loaded, [(10, sets("line_speed_m_s", 0.4))], 220, compiled=False, lent=False)
     return next(each for each in heard.values() if any(f.can_id == 0x220 for packet in each for f in packet))
 
 
@@ -71,6 +74,14 @@ def linked() -> Iterator[tuple[EmbeddedLink, socket.socket]]:
         ours.close()
 
 
+@contextmanager
+def standing_clock() -> Iterator[None]:
+    """Before the first SYNC heartbeats go by the wall clock, and behind it from where that has left them."""
+    now_ns = time.monotonic_ns()
+    with patch.object(clock, "time", SimpleNamespace(monotonic_ns=lambda: now_ns)):
+        yield
+
+
 class Played:
     """What a twin has answered to packets, and how its plain cycles ended: SYNCs answered, axes waited for."""
 
@@ -78,18 +89,22 @@ class Played:
         self.said: list[Packet] = []
         self.ends: list[tuple[int, bool]] = []
         setup = twin_setup(load_with_overrides(CONFIGS / "web_section_step.yaml").config)
-        hosted, end = twin(setup), TwinRun.end
+        end = TwinRun.end
 
         def kept(of: TwinRun) -> None:
             self.ends.append((of._answers._cycles, of._awaits))
             end(of)
 
-        with linked() as (link, hub), patch.object(TwinRun, "end", kept):
+        with linked() as (link, hub), patch.object(TwinRun, "end", kept), ExitStack() as until_sync:
+            until_sync.enter_context(standing_clock())
+            hosted = twin(setup)
             host = DeviceHost(link, *hosted)
             plain = plain_host(host, link, hosted, setup)
             serve = plain.serve if compiled and plain is not None else host.serve
             host.boot()
             for packet in packets:
+                if any(frame.can_id == SYNC for frame in packet):
+                    until_sync.close()
                 records = b"".join(
                     protocol.STAMPED_CAN_RECORD.pack(frame.can_id, len(frame.data), 0, frame.data, 0)
                     for frame in packet
@@ -103,8 +118,6 @@ class Played:
         application = hosted.application
         assert isinstance(application, TwinApplication)
         self.counted = application.missed, application.surplus, application.malformed
-        first = next(at for at, packet in enumerate(self.said) if any(frame.can_id == 0x1A0 for frame in packet))
-        self.said = self.said[first:]  # before the first SYNC heartbeats go by the wall clock
 
     @staticmethod
     def _answers(hub: socket.socket) -> Iterator[Packet]:

@@ -73,12 +73,14 @@ def reference(
         phase = np.array([of("roller_eccentricity", "phase_rad", j) for j in axis_numbers])
         surface = v * (1 + a / r * np.cos(x / r + phase))
         c, damping = of("web_slip", "creep_per_N"), of("web_damping", "time_constant_s")
-        before = np.concatenate([[strain_prev], strain[:-1]])
+        around = np.concatenate([[strain_prev], strain, [70.0 / (e0 * section)]])
+        passing = 1 + np.where(surface >= 0.0, around[:-1], around[1:])  # web has the strain of where it comes from
 
         def residual(f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             behind = np.concatenate([f[1:], [70.0]])
-            web = np.concatenate([[surface[0]], surface[1:] * (1 - c * (f - behind))])
-            growth = (1 + strain) / length * (web[1:] + rate * longer - web[:-1] * (1 + strain) / (1 + before))
+            web = np.concatenate([[surface[0]], surface[1:] - np.abs(surface[1:]) * c * (f - behind)])
+            came_in = web[:-1] / passing[:-1] - web[1:] / passing[1:]
+            growth = (1 + strain) / length * (rate * longer - (1 + strain) * came_in)
             return modulus * section * (strain - of("strain_offset", "strain") + damping * growth) - f, growth
 
         # The tensions enter linearly: solve for them.
@@ -121,22 +123,31 @@ def reference(
 
 
 @pytest.mark.parametrize(
-    ("axes", "entries", "rate"),
+    ("axes", "entries", "rate", "start_m_s"),
     [
-        (2, [], 0.0),
-        (2, SMOOTH, 0.0),
-        (2, SLIPPING, 0.05),
-        (3, DAMPED, 0.01),
+        (2, [], 0.0, 3.0),
+        (2, SMOOTH, 0.0, 3.0),
+        (2, SLIPPING, 0.05, 3.0),
+        (3, DAMPED, 0.01, 3.0),
+        (2, SLIPPING, 0.0, -3.0),
+        (3, [], 0.0, 0.02),
         *slow(
-            (2, SMOOTH + DAMPED + SLIPPING, 0.0), (3, SMOOTH + SLIPPING, 0.0), (5, SMOOTH + DAMPED + SLIPPING, 0.002)
+            (2, SMOOTH + DAMPED + SLIPPING, 0.0, 3.0),
+            (3, SMOOTH + SLIPPING, 0.0, 3.0),
+            (5, SMOOTH + DAMPED + SLIPPING, 0.002, 3.0),
+            (5, SMOOTH + DAMPED + SLIPPING, 0.002, -3.0),
         ),
     ],
 )
-def test_kernel_solves_the_equations_of_the_design(axes: int, entries: list[dict[str, Any]], rate: float) -> None:
+def test_kernel_solves_the_equations_of_the_design(
+    axes: int, entries: list[dict[str, Any]], rate: float, start_m_s: float
+) -> None:
+    """Forward, in reverse, and from slowly forward into reverse."""
     rows = 100
     t = np.arange(rows) * ROW_S
     commands = np.column_stack([(1.6 / axes) * np.sin(9.0 * t + i / axes) for i in range(axes)])
-    v0 = np.full(axes, 3.0)
+    commands -= 0.8 if 0.0 < start_m_s < 1.0 else 0.0
+    v0 = np.full(axes, start_m_s)
     states, forces = reference(entries, axes, commands, v0, rate)
 
     model = line_of(axes, *entries)

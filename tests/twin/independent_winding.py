@@ -1,7 +1,6 @@
 """An unwinder, a press and a rewinder by real radii and angles, written apart from the product: for its twin to follow.
 
-Unstretched length in a span: its rate is r1·w1/(1 + e1) - r2·w2/(1 + e2), e of the span that web comes from; PI drives
-at the motors, sampled once in a millisecond, push without delay.
+Unstretched length in a span: its rate is r1·w1/(1 + e1) - r2·w2/(1 + e2), e of the span that web comes from.
 """
 
 from __future__ import annotations
@@ -10,16 +9,15 @@ from dataclasses import dataclass, field
 from math import pi
 
 import numpy as np
+from tests.twin.speed_driven import SpeedDriven
 
 from hilbench.plant.motor_port import MotorPort
 
 Array = np.ndarray
-_SAMPLE_S = 1e-3
-_STEPS = 2  # of Runge and Kutta in a sample
 
 
 @dataclass
-class IndependentWinding:
+class IndependentWinding(SpeedDriven):
     """`radii_m` (3,): at the start; `inertia_kg_m2` (3,) of the empty rollers; `held`: the drives hold the web from the
     start, and do not give way to it at first; `slip` (3,): share by which the web is slower than what it runs over."""
 
@@ -39,12 +37,11 @@ class IndependentWinding:
     held: bool = False
     slip: Array = field(default_factory=lambda: np.zeros(3))
     ports: list[MotorPort] = field(default_factory=lambda: [MotorPort() for _ in range(3)])
+    STEPS = 2
 
     def __post_init__(self) -> None:
         unstretched = np.array(self.lengths_m) / (1.0 + self.wound_strain)
-        self._y = np.concatenate([np.zeros(6), unstretched])  # angles, speeds, unstretched lengths
-        self._integral = np.zeros(3)
-        self._torque = np.zeros(3)
+        self._begin(np.concatenate([np.zeros(6), unstretched]))  # angles, speeds, unstretched lengths
         if self.held:
             pulls = np.concatenate([[0.0], self._tensions(unstretched), [0.0]])
             self._integral = -np.asarray(self.radii_m) * (pulls[1:] - pulls[:-1]) / self.gear
@@ -68,27 +65,8 @@ class IndependentWinding:
         carried = radii * speeds * (1.0 - self.slip) / (1.0 + strains)
         return np.concatenate([speeds, turned, carried[:-1] - carried[1:]])
 
-    def step(self, duration_s: float) -> None:
-        """Go on with the ports' set points."""
-        for _ in range(round(duration_s / _SAMPLE_S)):
-            wanted = np.array([port.setpoint for port in self.ports])
-            off = wanted - self.gear * self._y[3:6]
-            self._integral += self.ki * off * _SAMPLE_S
-            self._torque = self.kp * off + self._integral
-            for _ in range(_STEPS):
-                h = _SAMPLE_S / _STEPS
-                a = self._rates(self._y)
-                b = self._rates(self._y + 0.5 * h * a)
-                c = self._rates(self._y + 0.5 * h * b)
-                d = self._rates(self._y + h * c)
-                self._y = self._y + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
-        self._show()
-
-    def _show(self) -> None:
-        for axis, port in enumerate(self.ports):
-            port.position_rad = float(self.gear * self._y[axis])
-            port.velocity_rad_s = float(self.gear * self._y[3 + axis])
-            port.torque_Nm = float(self._torque[axis])
+    def _motors(self) -> tuple[Array, Array]:
+        return self.gear * self._y[:3], self.gear * self._y[3:6]
 
     def outputs(self) -> dict[str, float]:
         """Radii and tensions."""

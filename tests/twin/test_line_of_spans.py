@@ -152,6 +152,20 @@ def test_a_span_without_an_estimate_goes_with_the_nearest_that_has_one() -> None
     )
 
 
+def test_creep_over_a_roller_between_two_spans_that_the_model_has_is_no_other_e() -> None:
+    """By creep the next span gets less web than the roller turns, and how much goes with the tension there."""
+    creep = {"effect": "web_slip", "span": 2, "parameters": {"creep_per_N": 1e-5}}
+    around = {"upstream_tension_N": 80.0, "downstream_tension_N": 60.0}
+    both = BesideALine(line_model(1.0, 1.5, 1.2, boundary=around, effects=[creep]))
+    both.go(0.5, 2.0)
+    both.go(4.0)
+    told, last = both.table(), slice(-300, None)
+    assert np.mean(told["F2_true_N"][last] - told["F3_true_N"][last]) > 2.0
+    for span in SPANS:
+        assert np.mean(told[f"E{span}_sim_Pa"][last]) == pytest.approx(8.7e9, rel=0.005)
+        assert np.mean(told[f"F{span}_sim_N"][last] - told[f"F{span}_true_N"][last]) == pytest.approx(0.0, abs=0.3)
+
+
 @pytest.mark.slow
 def test_a_twin_that_joins_a_running_line_finds_web_and_e_of_one_span_after_the_other() -> None:
     """It is told the strain upstream, not that in the spans: the line has drawn those tighter meanwhile."""

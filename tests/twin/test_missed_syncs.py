@@ -22,6 +22,7 @@ from hilbench.runs.config import load_with_overrides
 from hilbench.topology.process_data.of_kind import process_data
 from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.machines.kinds import new_machine
+from hilbench.twin.machines.machine import TwinMachine
 from hilbench.twin.machines.web_line import boundary
 from hilbench.twin.model_change import ChangeableMachine
 from hilbench.twin.process import TwinApplication
@@ -56,12 +57,18 @@ def motion(time_s: float, tension_N: float = TENSION_N) -> list[tuple[float, flo
     return [(way_m * MODEL.motor_rad_per_m(k), pulls_N[k - 1] / MODEL.motor_rad_per_m(k)) for k in (1, 2)]
 
 
-def test_after_missed_cycles_positions_of_two_instants_are_told_from_those_of_one() -> None:
+def driven_machine() -> TwinMachine:
+    """Of the twin, with its motors under way."""
     setup = twin_setup(CONFIG)
     around = boundary(MODEL)
     machine = new_machine(MODEL, setup.twin, setup.shape, CYCLE_S, lambda name: around[name])
     for port in machine.ports:
         port.mode, port.torque_limit_Nm = MotorMode.VELOCITY, 9.0
+    return machine
+
+
+def test_after_missed_cycles_positions_of_two_instants_are_told_from_those_of_one() -> None:
+    machine = driven_machine()
     cycle = 1000  # at 2 m/s
     machine.release(motion((cycle - 1) * CYCLE_S), motion(cycle * CYCLE_S))
     for _ in range(10):
@@ -92,7 +99,7 @@ class OnTheBus:
         device = Device(load_eds(node.eds, node.node_id), node.node_id, self.clock)
         virtual_io = VirtualIo(device, process_data(MachineKind(MODEL.kind), setup.shape), boundary(MODEL))
         self.machine = ChangeableMachine(
-            lambda _: new_machine(MODEL, setup.twin, setup.shape, CYCLE_S, virtual_io.told), CYCLE_S
+            lambda _: lambda: new_machine(MODEL, setup.twin, setup.shape, CYCLE_S, virtual_io.told), CYCLE_S
         )
         self._application = TwinApplication(setup, self.machine, [], device, virtual_io)
         self._listeners = [AxisListener(axis, CYCLE_S) for axis in setup.real_axes]
@@ -298,3 +305,19 @@ def test_a_simulation_that_went_astray_is_not_called_synchronized_and_goes_on_fr
     assert np.count_nonzero(astray & in_step) <= 0.25 / CYCLE_S + 1
     assert in_step[-1]
     assert off_N[-1] < 1.0
+
+
+def test_a_line_that_runs_in_reverse_until_its_encoders_show_no_web_is_not_synchronized_and_is_still_followed() -> None:
+    machine = driven_machine()
+
+    def in_reverse(cycle: int) -> list[tuple[float, float]]:
+        """At -10 m/s; a thousandth of the web slips in the drawn direction."""
+        way_m = -10.0 * cycle * CYCLE_S
+        return [(way * MODEL.motor_rad_per_m(k), 0.0) for k, way in ((1, way_m), (2, 1.001 * way_m))]
+
+    machine.release(in_reverse(0), in_reverse(1))
+    for cycle in range(2, 5000):
+        machine.compare(cycle * CYCLE_S, in_reverse(cycle))
+    assert not machine.synchronized
+    assert np.all(np.isfinite(machine.published()))
+    assert abs(machine.plant.get_state().values["strain1"]) < 0.5

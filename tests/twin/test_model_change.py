@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,7 @@ from hilbench.runs.config import load_with_overrides
 from hilbench.twin.machines.kinds import new_machine
 from hilbench.twin.machines.machine import TwinMachine
 from hilbench.twin.machines.web_line import boundary
-from hilbench.twin.model_change import HAND_OVER_S, ChangeableMachine, with_effects
+from hilbench.twin.model_change import HAND_OVER_S, ChangeableMachine, Coming, Make, with_effects
 
 CONFIG = load_with_overrides(Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml").config
 MODEL = CONFIG.web_line
@@ -22,13 +24,14 @@ FRICTION = json.dumps([{"effect": "coulomb_friction", "axis": 2, "parameters": {
 RAD_PER_M = MODEL.motor_rad_per_m(2)
 
 
-def machine() -> ChangeableMachine:
+def machine(beside: Callable[[Make], Coming] | None = None) -> ChangeableMachine:
     told = boundary(MODEL)
 
-    def make(effects: str) -> TwinMachine:
-        return new_machine(with_effects(MODEL, effects), CONFIG.twin, CONFIG.shape, CYCLE_S, told.__getitem__)
+    def make(effects: str) -> Make:
+        changed = with_effects(MODEL, effects)
+        return lambda: new_machine(changed, CONFIG.twin, CONFIG.shape, CYCLE_S, told.__getitem__)
 
-    return ChangeableMachine(make, CYCLE_S)
+    return ChangeableMachine(make, CYCLE_S, beside)
 
 
 class Line:
@@ -72,6 +75,39 @@ def test_the_tension_goes_to_that_of_the_changed_model_without_a_step() -> None:
     steps_N = [abs(now - then) for then, now in zip(line.shown_N[1500:], line.shown_N[1501:], strict=False)]
     assert max(steps_N) < 0.1
     assert max(twin.largest_steps[:1]) < 0.1
+
+
+def test_the_cycle_goes_on_while_the_changed_model_is_made() -> None:
+    made: list[tuple[Make, Future[TwinMachine]]] = []
+
+    def beside(make: Make) -> Future[TwinMachine]:
+        made.append((make, Future()))
+        return made[-1][1]
+
+    twin, other = machine(beside), machine()
+    line, without = Line(twin), Line(other)
+    for each in (line, without):
+        each.run(1.0)
+    twin.change(FRICTION)
+    for each in (line, without):
+        each.run(1.0)
+    assert (twin.changing, twin.changed) == (True, False)
+    assert line.shown_N == without.shown_N
+    ((make, coming),) = made
+    coming.set_result(make())
+    line.run(4.0 + HAND_OVER_S)
+    assert (twin.changing, twin.changed) == (False, True)
+
+
+def test_a_model_that_comes_after_a_reset_is_not_taken() -> None:
+    coming: Future[TwinMachine] = Future()
+    twin = machine(lambda make: coming)
+    line = Line(twin)
+    twin.change(FRICTION)
+    twin.reset()
+    coming.set_result(twin.in_use)
+    line.run(0.1)
+    assert (twin.changing, twin.changed) == (False, False)
 
 
 def test_a_jump_of_the_model_that_is_left_is_a_step_of_the_change_as_far_as_it_is_shown(

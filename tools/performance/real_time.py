@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,23 +17,28 @@ import numpy as np
 from lockstep_profile import cpu_s, pids_of
 
 from hilbench.bench.bench import Bench
-from hilbench.bench.lifecycle.startup import start_children, sync_producer
-from hilbench.can.frame import Frame
-from hilbench.can.load import cycle_load
-from hilbench.can.open import open_link
-from hilbench.canopen.identifiers import HEARTBEAT, NMT, NmtCommand
+from hilbench.bench.lifecycle.startup import sync_producer, wire_first
+from hilbench.can.load import CyclicFrame, cycle_load
+from hilbench.can.open import open_link, open_python_can
+from hilbench.canopen.identifiers import SYNC, NmtCommand
+from hilbench.canopen.master import Master
+from hilbench.cia402.configuration import TPDO_COMMUNICATION
+from hilbench.cia402.drive import DriveGoal
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.pacing import Pacing
 from hilbench.exchange.sync_cycle import SyncCycle
+from hilbench.processes import ChildProcess
 from hilbench.real_time import ProcessSettings, kept_ready
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.config import BenchConfig
+from hilbench.topology.resolved import write_resolved
 from performance.table import Section
 
 _PATIENCE_CYCLES = 10_000
 _FAST_S = 0.001
-_BOOT_S = 60.0
+#: What was said while drives were configured waits in the hub for who has not read it, and is taken within this time.
+_SAID_BEFORE_S = 1.0
 _PRIORITY = 20
 #: In a process of its own, as the bench is.
 _BARE_LOOP = """
@@ -48,16 +53,30 @@ print(json.dumps([state.lateness_ns.tolist(), state.missed]))
 
 
 def measure(config_path: Path, seconds: float) -> list[Section]:
-    """The whole bench at the config's cycle, without a priority and, where that is permitted, with one; then three
-    drives at 1 ms."""
+    """The whole bench at the config's cycle, without a priority and, where that is permitted, with one."""
+    config = _patient(config_path)
+    return [_whole_bench(each, seconds) for each in (config, *_with_priority(config))]
+
+
+def measure_fast(config_path: Path, seconds: float) -> list[Section]:
+    """Three drives at 1 ms, with a priority where that is permitted: each with the PDOs that a bench maps, and each
+    with one TPDO, which leaves the wire free for as long as the drives need to answer."""
+    config = _patient(config_path)
+    config = next(iter(_with_priority(config)), config)
+    return [_three_drives(config, seconds, velocity=velocity) for velocity in (True, False)]
+
+
+def _patient(config_path: Path) -> BenchConfig:
+    """On a machine that others use as well answers stay away; what is measured here is when SYNC goes out."""
     config = load_with_overrides(config_path, bus=f"embedded:jitter{os.getpid()}", pace="realtime").config
-    # On a machine that others use as well answers stay away; what is measured here is when SYNC goes out.
     patient = config.safety.model_copy(update={"missing_cycles": _PATIENCE_CYCLES})
-    config = config.model_copy(update={"safety": patient})
-    if not _may_come_first():
-        return [_whole_bench(config, seconds), _three_drives(config, seconds)]
+    return config.model_copy(update={"safety": patient})
+
+
+def _with_priority(config: BenchConfig) -> list[BenchConfig]:
+    """The config with a priority; none where that is not permitted."""
     first = config.model_copy(update={"realtime": config.realtime.model_copy(update={"priority": _PRIORITY})})
-    return [_whole_bench(config, seconds), _whole_bench(first, seconds), _three_drives(first, seconds)]
+    return [first] if _may_come_first() else []
 
 
 def _may_come_first() -> bool:
@@ -88,10 +107,7 @@ def _whole_bench(config: BenchConfig, seconds: float) -> Section:
     period_us = 1e6 * config.cycle_time_s
     for name, value in used_us.items():
         section.add(f"CPU of {name}", value, "µs per cycle", value / period_us, "the period")
-    wire_us = bits / cycles / config.bus.bitrate * 1e6
-    section.add("the wire, as measured", wire_us, "µs per cycle", wire_us / period_us, "the period")
-    worst = cycle_load(Nodes(config).cyclic_frames(), config.cycle_time_s, config.bus.bitrate)
-    section.add("the wire, at worst", worst.fraction * period_us, "µs per cycle", worst.fraction, "the period")
+    _add_wire(section, config, bits / cycles, Nodes(config).cyclic_frames())
     return section
 
 
@@ -99,37 +115,41 @@ def _priority_of(config: BenchConfig) -> str:
     return "" if config.realtime.priority is None else f", priority {config.realtime.priority}"
 
 
-def _three_drives(config: BenchConfig, seconds: float) -> Section:
-    """The bench's own cyclic path and the simulated drives; the PDO set of the whole demo does not fit into 1 ms."""
-    section = Section(
-        f"Real time at {1e3 * _FAST_S:g} ms{_priority_of(config)}",
-        f"The same for {seconds:g} s of the cyclic path with three drives that answer, on {config.bus_address}; the "
-        "PDOs of the whole demo need more than a cycle on the wire then.",
-    )
+def _three_drives(config: BenchConfig, seconds: float, *, velocity: bool) -> Section:
+    """The bench's own cyclic path and the simulated drives, without the twin: its PDOs don't fit into 1 ms as well."""
     config = config.model_copy(update={"cycle_time_s": _FAST_S})
     nodes = Nodes(config)
-    drives = {nodes.sender(drive) for drive in nodes.drives}
+    first = {drive.pdos.tpdos[0][1].cob_id for drive in nodes.drives}
+    theirs = {pdo.cob_id for drive in nodes.drives for _, pdo, _ in drive.pdos.tpdos}
+    expected = [pdo for pdo in nodes.expected_pdos() if pdo.cob_id in (theirs if velocity else first)]
+    section = Section(
+        f"Real time at {1e3 * _FAST_S:g} ms{_priority_of(config)}, {len(expected)} TPDOs of {len(first)} drives",
+        f"The same for {seconds:g} s of the cyclic path with {len(first)} simulated drives, enabled, "
+        + ("each with the PDOs of the demo" if velocity else "each with one RPDO and one TPDO")
+        + f", on {config.bus_address}; the twin's PDOs would need the rest of the wire.",
+    )
     bare = [_bare(config, seconds / 2)]
     with tempfile.TemporaryDirectory() as folder, ExitStack() as resources:
         link = open_link(config.bus_address)
         resources.callback(link.close)
+        _start_drives(config, nodes, {pdo.cob_id for pdo in expected}, Path(folder), resources)
         resources.enter_context(kept_ready(config.process_settings("bench"), print))
+        wire_first(config)
         producer = sync_producer(config, link)
         if producer is not None:
             resources.callback(producer.close)
-        for child in start_children(config, Path(folder)):
-            resources.callback(child.end)
-        ids = [drive.settings.node_id for drive in nodes.drives]
-        _wait_for_boot(link.receive, ids)
-        link.send([Frame(NMT, NmtCommand.START.to(node_id)) for node_id in ids])
+        said_before_s = time.monotonic() + _SAID_BEFORE_S
+        while time.monotonic() < said_before_s:
+            link.receive(0.02)
         exchange = SyncCycle(
             link,
             cycle_ns=config.cycle_ns,
             bitrate=config.bus.bitrate,
             lockstep=False,
-            expected=[pdo for pdo in nodes.expected_pdos() if pdo.sender in drives],
+            expected=expected,
             timeout_s=config.safety.cycle_timeout_s,
             missing_limit=_PATIENCE_CYCLES,
+            heartbeat=(config.master.node_id, config.master.heartbeat_ms),
             producer=producer,
         )
 
@@ -138,23 +158,56 @@ def _three_drives(config: BenchConfig, seconds: float) -> Section:
                 setpoints = [frame for drive in nodes.drives for frame in drive.encode()]
                 nodes.decode(exchange.exchange(setpoints), exchange.before_sync, exchange.gone_by)
 
+        run(0.3)
+        for drive in nodes.drives:
+            drive.request(DriveGoal.ENABLED)
         run(1.0)
-        late = exchange.timing.missing_pdos
+        timing = exchange.timing
+        late, bits, cycles = timing.missing_pdos, timing.bits, timing.cycles
         sent = _sent(section, exchange.pacing, run)
-        late = exchange.timing.missing_pdos - late
+        late, bits, cycles = timing.missing_pdos - late, timing.bits - bits, timing.cycles - cycles
     _add_lateness(section, [*bare, _bare(config, seconds / 2)], sent)
-    section.add("answers that came too late", late, "PDOs")
+    section.add("answers that came too late", late, f"of {cycles * len(expected)} PDOs")
+    on_wire = {
+        SYNC,
+        *(pdo.cob_id for pdo in expected),
+        *(each for drive in nodes.drives for each in drive.rpdo_cob_ids),
+    }
+    _add_wire(section, config, bits / cycles, [frame for frame in nodes.cyclic_frames() if frame.can_id in on_wire])
     return section
 
 
-def _wait_for_boot(receive: Callable[[float], Sequence[Frame]], node_ids: Sequence[int]) -> None:
-    """Raises TimeoutError when a node does not say boot-up."""
-    missing = {HEARTBEAT + node_id for node_id in node_ids}
-    deadline_s = time.monotonic() + _BOOT_S
-    while missing:
-        if time.monotonic() > deadline_s:
-            raise TimeoutError(f"no boot-up from {', '.join(f'{cob_id:03X}h' for cob_id in sorted(missing))}")
-        missing -= {frame.can_id for frame in receive(0.1)}
+def _start_drives(
+    config: BenchConfig, nodes: Nodes, tpdos: Collection[int], folder: Path, resources: ExitStack
+) -> None:
+    """The simulated hardware, its drives configured as a bench does it but for other TPDOs, and started (NMT)."""
+    write_resolved(config, folder / "config.yaml")
+    words = ["hilbench.hardware", str(folder / "config.yaml"), "--pace", config.pace]
+    child = ChildProcess("simulated hardware", words, folder / "hardware.log")
+    resources.callback(child.end)
+    with ExitStack() as configuring:
+        master = Master(open_python_can(config.bus_address), config.master.sdo_timeout_s)
+        configuring.callback(master.close)
+        nodes.introduce(master)
+        ids = [drive.settings.node_id for drive in nodes.drives]
+        master.wait_for_boot(ids, config.master.boot_timeout_s, child.check)
+        for drive in nodes.drives:
+            drive.configure(master)
+            for number, pdo, _ in drive.pdos.tpdos:
+                if pdo.cob_id not in tpdos:
+                    master.disable_pdo(drive.settings.node_id, TPDO_COMMUNICATION + number - 1)
+        for node_id in ids:
+            master.nmt(NmtCommand.START, node_id)
+            master.read(node_id, 0x1000)  # answered once it has started
+
+
+def _add_wire(section: Section, config: BenchConfig, bits: float, frames: Sequence[CyclicFrame]) -> None:
+    """How much of a period the wire was taken, and would be if every possible bit were stuffed."""
+    period_us = 1e6 * config.cycle_time_s
+    wire_us = bits / config.bus.bitrate * 1e6
+    section.add("the wire, as measured", wire_us, "µs per cycle", wire_us / period_us, "the period")
+    worst = cycle_load(frames, config.cycle_time_s, config.bus.bitrate)
+    section.add("the wire, at worst", worst.fraction * period_us, "µs per cycle", worst.fraction, "the period")
 
 
 @dataclass(frozen=True)

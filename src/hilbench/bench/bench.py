@@ -233,7 +233,7 @@ class Bench:
             config.signals,
             config.machine,
             apply=simulated if live.model_changes is None else live.model_changes == "apply",
-            lockstep=config.pace == "lockstep",
+            last=config.process_settings("twin"),
         )
 
     def __exit__(

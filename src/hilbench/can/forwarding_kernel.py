@@ -35,11 +35,24 @@ KEY, CRC, STUFFING, BITS, DATA_BYTES, PRIORITY, HEARD_BY, OF_FRAME = range(8)
 #: Columns of a packet that has come: whose, its size in bytes (-1: none came after all), its frames, the next of them.
 STATION, SIZE, FRAMES, NEXT, OF_PACKET = range(5)
 #: Columns of a frame that was carried: a `protocol.STAMPED_CAN_RECORD`, who hears it, who has sent it.
-STAMPED, _DATA, _TIME_NS, TO, FROM, OF_CARRIED = range(6)
+STAMPED, DATA, TIME_NS, TO, FROM, OF_CARRIED = range(6)
 #: Places in `state`. Of the hub: bit/s. Of both: bus time. Of the loop: what the wire has carried, packets that are
 #: left for the hub, frames that are (all are carried), the first station that has not got all it hears, and from
-#: which of them on.
-BITRATE, FREE_NS, CARRIED_FRAMES, CARRIED_BITS, PACKETS_LEFT, FRAMES_LEFT, RECEIVER, RECEIVED, OF_STATE = range(9)
+#: which of them on. Of a wire that is lent: the loan's number (0: it is not), which of how many stations has it.
+(
+    BITRATE,
+    FREE_NS,
+    CARRIED_FRAMES,
+    CARRIED_BITS,
+    PACKETS_LEFT,
+    FRAMES_LEFT,
+    RECEIVER,
+    RECEIVED,
+    LOAN,
+    BORROWER,
+    STATIONS,
+    OF_STATE,
+) = range(12)
 
 PACKET_WORDS: Final = protocol.PACKET_BYTES // 8
 # A record in words of 8 bytes, words of 4, and bytes; a packet's header is one word of 8.
@@ -57,7 +70,8 @@ Table = NDArray[np.int64]
 Row = NDArray[np.int64]
 Octets = NDArray[np.uint8]
 Words = NDArray[np.uint32]
-_WORDS = types.Array(types.uint32, 1, "C")
+#: Type of an array of uint32, for entry points.
+WORDS = types.Array(types.uint32, 1, "C")
 Forward = Callable[[int, Row, Row, Row, Table, Table, Words, Table, Table, Table, Table, Row], None]
 
 
@@ -75,7 +89,7 @@ _key_of, _first_row = compiled(key_of), compiled(first_row)
 
 
 @compiled
-def _known_frames(octets: Octets, words: Words, size: int, known: Table, rows: Row) -> int:
+def known_frames(octets: Octets, words: Words, size: int, known: Table, rows: Row) -> int:
     """How many frames are in a packet, and their `rows` of what is known; 0: it has something else."""
     count = (size - _HEADER_BYTES) // _RECORD_1
     if octets[0] != _CLASSICAL or (size - _HEADER_BYTES) % _RECORD_1 != 0 or not 0 < count <= _MAX_RECORDS:
@@ -95,8 +109,23 @@ def _known_frames(octets: Octets, words: Words, size: int, known: Table, rows: R
 
 
 @compiled
-def _take_in(
-    epoll: int,
+def ready(epoll: int, of_descriptors: Row, events: Words, timeout_ms: int) -> int:
+    """How many stations have sent something; 0: something else has happened; -1: nothing has, within the time."""
+    count = epoll_wait(epoll, events.ctypes.data, MAX_READY + 1, timeout_ms)
+    if count <= 0:
+        return -1
+    if count > MAX_READY:
+        return 0
+    for at in range(count):
+        descriptor = events[at * EVENT_WORDS + _EVENT_DESCRIPTOR]
+        if descriptor >= len(of_descriptors) or of_descriptors[descriptor] < 0 or events[at * EVENT_WORDS] != _EPOLLIN:
+            return 0
+    return int(count)
+
+
+@compiled
+def take_in(
+    count: int,
     of_descriptors: Row,
     stations: Table,
     known: Table,
@@ -106,18 +135,8 @@ def _take_in(
     rows: Table,
     octets: Octets,
     words: Words,
-) -> int:
-    """`Hub._attend` of all who have sent something: the number of packets, all of known frames.
-
-    Less than 0: so many have come that are not all of this kind; 0: something else has happened, and none was taken.
-    """
-    count = epoll_wait(epoll, events.ctypes.data, MAX_READY + 1, -1)
-    if not 0 < count <= MAX_READY:
-        return 0
-    for at in range(count):
-        descriptor = events[at * EVENT_WORDS + _EVENT_DESCRIPTOR]
-        if descriptor >= len(of_descriptors) or of_descriptors[descriptor] < 0 or events[at * EVENT_WORDS] != _EPOLLIN:
-            return 0
+) -> bool:
+    """`Hub._attend` of so many who have sent something; whether all packets are of known frames."""
     plain = True
     for at in range(count):
         descriptor = events[at * EVENT_WORDS + _EVENT_DESCRIPTOR]
@@ -126,13 +145,13 @@ def _take_in(
         packet[SIZE] = recv(descriptor, received.ctypes.data + at * _PACKET_BYTES, _PACKET_BYTES, MSG_DONTWAIT)
         packet[FRAMES] = 0
         if packet[SIZE] > _HEADER_BYTES and stations[packet[STATION], OWN] == 0:
-            packet[FRAMES] = _known_frames(octets[at], words[at], packet[SIZE], known, rows[at])
+            packet[FRAMES] = known_frames(octets[at], words[at], packet[SIZE], known, rows[at])
         plain = plain and packet[FRAMES] > 0
-    return int(count if plain else -count)
+    return plain
 
 
 @compiled
-def _carry(
+def carry(
     state: Row, known: Table, packets: Table, count: int, rows: Table, received: Table, octets: Octets, carried: Table
 ) -> int:
     """`Medium.run(FOREVER)` with these packets in the queues of an undisturbed wire; the number of frames."""
@@ -156,15 +175,15 @@ def _carry(
         state[FREE_NS] += bits * _SECOND_NS // state[BITRATE]
         state[CARRIED_FRAMES] += 1
         state[CARRIED_BITS] += bits
-        found[STAMPED], found[_DATA] = received[winner, 1 + frame * _RECORD], received[winner, 2 + frame * _RECORD]
-        found[_TIME_NS] = state[FREE_NS]
+        found[STAMPED], found[DATA] = received[winner, 1 + frame * _RECORD], received[winner, 2 + frame * _RECORD]
+        found[TIME_NS] = state[FREE_NS]
         found[TO] = of_frame[HEARD_BY] & ~(1 << packets[winner, STATION])
         found[FROM] = packets[winner, STATION]
         over += 1
 
 
 @compiled
-def _hand_out(state: Row, descriptors: Row, stations: Table, carried: Table, count: int, out: Row) -> bool:
+def hand_out(state: Row, descriptors: Row, stations: Table, carried: Table, count: int, out: Row) -> bool:
     """`Hub._hand_out`; False where a station did not take what it hears: it and those behind it have not all of it."""
     for receiver in range(len(stations)):
         station, mask, size = stations[receiver], 1 << receiver, 0
@@ -174,8 +193,8 @@ def _hand_out(state: Row, descriptors: Row, stations: Table, carried: Table, cou
                 if size == 0:
                     state[RECEIVER], state[RECEIVED] = receiver, at
                 out[1 + size * _STAMPED_WORDS] = carried[at, STAMPED]
-                out[2 + size * _STAMPED_WORDS] = carried[at, _DATA]
-                out[3 + size * _STAMPED_WORDS] = carried[at, _TIME_NS]
+                out[2 + size * _STAMPED_WORDS] = carried[at, DATA]
+                out[3 + size * _STAMPED_WORDS] = carried[at, TIME_NS]
                 size += 1
             if size == station[LIMIT] or (size > 0 and at == count - 1):
                 length = 8 * (1 + size * _STAMPED_WORDS)
@@ -185,10 +204,14 @@ def _hand_out(state: Row, descriptors: Row, stations: Table, carried: Table, cou
     return True
 
 
+#: Files that the machine code depends on, beside this one.
+SOURCES = tuple(str(module.__file__) for module in (c_library, compiled_wire, wire, protocol))
+
+
 def _entry_point(sources: int) -> Forward:
     """For Python; `sources` as in `compiled.number_of_sources`."""
 
-    @entry_point(COUNT, INDICES, INDICES, INDICES, TABLE, TABLE, _WORDS, TABLE, TABLE, TABLE, TABLE, INDICES)
+    @entry_point(COUNT, INDICES, INDICES, INDICES, TABLE, TABLE, WORDS, TABLE, TABLE, TABLE, TABLE, INDICES)
     def forward(
         epoll: int,
         state: Row,
@@ -206,12 +229,14 @@ def _entry_point(sources: int) -> Forward:
         octets, words = received.view(np.uint8), received.view(np.uint32)
         state[PACKETS_LEFT] = state[FRAMES_LEFT] = 0
         while sources >= 0:
-            count = _take_in(epoll, of_descriptors, stations, known, events, received, packets, rows, octets, words)
+            count = ready(epoll, of_descriptors, events, -1)
             if count <= 0:
-                state[PACKETS_LEFT] = -count
                 return
-            over = _carry(state, known, packets, count, rows, received, octets, carried)
-            if not _hand_out(state, descriptors, stations, carried, over, out):
+            if not take_in(count, of_descriptors, stations, known, events, received, packets, rows, octets, words):
+                state[PACKETS_LEFT] = count
+                return
+            over = carry(state, known, packets, count, rows, received, octets, carried)
+            if not hand_out(state, descriptors, stations, carried, over, out):
                 state[FRAMES_LEFT] = over
                 return
 
@@ -221,9 +246,7 @@ def _entry_point(sources: int) -> Forward:
 #: forward(epoll, state, descriptors of the stations, stations by descriptor (-1: none), stations, known frames, room
 #: for events, packets, their columns, rows of their frames, what is carried, and a packet): until something happens
 #: that is not packets of known frames, see `state`.
-forward = _entry_point(
-    number_of_sources(__file__, *(str(module.__file__) for module in (c_library, compiled_wire, wire, protocol)))
-)
+forward = _entry_point(number_of_sources(__file__, *SOURCES))
 
 
 def warm_up() -> None:

@@ -2,7 +2,7 @@
 
 `python -m hilbench.can.hub` is started by the first client (see `hub_client`) with a listening socket; it ends when no
 connection is left. Only the standard library is imported here, so that it starts fast and without site-packages; where
-time is virtual and many frames go by, `forwarding` is loaded while it serves.
+many frames go by, `forwarding` is loaded while it serves.
 
 Flow of a frame: client's packet, its station's transmit queue, arbitration and bus time (`medium`), one packet for
 every other station that wants some of the frames that were over. A station whose transmit queue is full is not read
@@ -33,10 +33,11 @@ from hilbench.can.disturbance import Disturber
 from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, is_classical
 from hilbench.can.listeners import Listeners
 from hilbench.can.medium import FOREVER, Delivery, Medium, Station
+from hilbench.can.waiting import wait_readable
 from hilbench.can.wire import FD_LENGTHS, bits_on_wire, fd_bits_on_wire
 
 if TYPE_CHECKING:
-    from hilbench.can.forwarding import Forwarder
+    from hilbench.can.forwarding import Forwarder, Left, Place
 
 #: The hub ends when nobody was connected for so long: time for a program to close one bus and open the next.
 GRACE_S = 0.1
@@ -46,11 +47,13 @@ TRANSMIT_LIMIT = 512
 RECEIVE_LIMIT = 16384
 #: Records in one packet to a client.
 DELIVERED_RECORDS = 512
-#: Frames in virtual time after which what forwards them without the interpreter is loaded, which takes as much as the
-#: interpreter needs for some 20,000.
-_FRAMES_UNTIL_LOADED = 4096
+#: Frames after which what forwards them without the interpreter is loaded, which takes as much as the interpreter needs
+#: for some 20,000. Where time is real it is to be there before cycles begin.
+_FRAMES_UNTIL_LOADED = {"virtual": 4096, "real": 256}
 #: How long a station waits for the loading thread at most.
 _SWITCH_WHILE_LOADING_S = 0.0002
+#: A station that has the wire, and does not take for so long what others send, has it no more.
+_LONGEST_PAUSE_S = 0.02
 #: Connections at a time; further ones are closed at once.
 MAX_CLIENTS = 128
 
@@ -100,6 +103,7 @@ class Hub:
         self._listeners = Listeners(lambda: [client for client in self._clients.values() if client.joined])
         self._forwarder: Forwarder | None = None
         self._loads = False
+        self._borrower: Client | None = None  # who has the wire, and the others' descriptors
         self._identities = 0
         self._fd = False  # whether a station that may send FD frames has joined
         self._epoll = select.epoll()
@@ -115,6 +119,7 @@ class Hub:
         while True:
             if not self._forward():
                 for descriptor, events in self._poll():
+                    self._reclaim()
                     if descriptor == self._listener.fileno():
                         self._accept()
                     elif descriptor in self._clients:
@@ -140,6 +145,8 @@ class Hub:
             if wait_s > 0:
                 select.select([self._epoll.fileno()], [], [], wait_s)
             return self._epoll.poll(0)
+        if self._borrower is not None and self._forwarder is not None:
+            return self._watch_borrower(self._forwarder)
         return self._epoll.poll(-1 if self._clients else GRACE_S)
 
     @property
@@ -157,29 +164,40 @@ class Hub:
         packet, or a station that does not read. Nothing is done where that is not all there is to it."""
         forwarder = self._forwarder
         if forwarder is None:
-            if not self._loads and self._medium.counters.frames >= _FRAMES_UNTIL_LOADED and self._is_virtual:
+            if not self._loads and self._medium.counters.frames >= _FRAMES_UNTIL_LOADED[self.settings.timing]:
                 self._load()
             return False
-        stations = cast("Sequence[Client]", self._medium.stations)
-        if not 0 < len(stations) <= forwarder.MAX_STATIONS or not self._is_quiet():
+        if self._borrower is not None or not self._can_forward(forwarder):
             return False
-        places = [(each.connection.fileno(), each.limit, each.dropped, each.receive_own) for each in stations]
-        left = [(stations[at], packet) for at, packet in forwarder.forward(self._medium, places)]
-        for _, packet in left:
-            forwarder.learn(packet or b"", self._heard_by)
-        for client, packet in left:
+        left = forwarder.forward(self._medium, self._places(), None if self._is_virtual else self._clock_offset_ns)
+        self._take_left(left)
+        return bool(left.packets or left.undelivered)
+
+    def _can_forward(self, forwarder: Forwarder) -> bool:
+        return 0 < len(self._medium.stations) <= forwarder.MAX_STATIONS and self._is_quiet()
+
+    def _places(self) -> list[Place]:
+        return [(each.connection.fileno(), each.limit, each.dropped, each.receive_own) for each in self._stations]
+
+    @property
+    def _stations(self) -> Sequence[Client]:
+        return cast("Sequence[Client]", self._medium.stations)
+
+    def _take_left(self, left: Left) -> None:
+        """Go on with what was not forwarded."""
+        stations = list(self._stations)
+        for at, packet in left.packets:
+            self._reclaim()
             if packet is None:
-                self._attend(client, select.EPOLLIN)
+                self._attend(stations[at], select.EPOLLIN)
             else:
-                self._take(client, packet)
-        undelivered = list(forwarder.undelivered())
-        for at, records in undelivered:
+                self._take(stations[at], packet)
+        for at, records in left.undelivered:
             self._deliver(stations[at], records)
-        return bool(left or undelivered)
 
     def _is_quiet(self) -> bool:
-        """Whether frames, once sent, are over and heard at once, and nothing happens to them."""
-        if not self._is_virtual or self._departed or not self._medium.undisturbed:
+        """Whether frames, once they have been sent, are heard at once, and nothing happens to them."""
+        if self._departed or not self._medium.undisturbed:
             return False
         return not any(client.blocked or not client.reading for client in self._clients.values())
 
@@ -187,6 +205,46 @@ class Hub:
         """The stations that hear an identifier, a bit each."""
         hearing = self._listeners.of(can_id)
         return sum(1 << at for at, client in enumerate(self._medium.stations) if client in hearing)
+
+    def _lend(self, client: Client) -> None:
+        """Have a station forward what is sent, and what it sends itself, until something else happens: it gets the
+        others' descriptors, and memory with all that is known of the wire. Where that can't be it gets nothing."""
+        forwarder, number, descriptors = self._forwarder, 0, list[int]()
+        others = [each for each in self._stations if each is not client]
+        lends = self._is_virtual and others and not client.receive_own
+        if forwarder is not None and lends and self._can_forward(forwarder):
+            number = forwarder.lend(self._medium, self._places(), self._stations.index(client))
+            descriptors = [forwarder.memory, *(each.connection.fileno() for each in others)] if number else []
+        try:
+            socket.send_fds(client.connection, [protocol.HEADER.pack(protocol.KIND_LOAN, number)], descriptors)
+        except OSError:  # its socket is full, or it has gone
+            if forwarder is not None and number:
+                forwarder.reclaim(self._medium)
+            return
+        if number:
+            self._borrower = client
+            for each in others:
+                self._epoll.modify(each.connection, 0)  # its end is told all the same
+
+    def _watch_borrower(self, forwarder: Forwarder) -> list[tuple[int, int]]:
+        """What `_poll` returns while the wire is lent; a borrower that lets the others wait has it no more."""
+        carried = forwarder.carried
+        happened = self._epoll.poll(_LONGEST_PAUSE_S)
+        if not happened and carried == forwarder.carried:
+            others = (each for each in self._stations if each is not self._borrower)
+            if any(wait_readable(each.connection.fileno(), 0.0) for each in others):
+                self._reclaim()
+        return happened
+
+    def _reclaim(self) -> None:
+        """The wire is the hub's, where it was lent: something has happened."""
+        forwarder, borrower, self._borrower = self._forwarder, self._borrower, None
+        if forwarder is None or borrower is None:
+            return
+        for each in self._stations:
+            if each is not borrower:
+                self._watch(each)
+        self._take_left(forwarder.reclaim(self._medium))
 
     def _load(self) -> None:
         """Load what forwards; the stations are served meanwhile."""
@@ -273,6 +331,12 @@ class Hub:
 
     def _take_frames(self, client: Client, packet: bytes) -> None:
         kind = packet[0]
+        if kind in (protocol.KIND_LOAN, protocol.KIND_RETURN) and len(packet) == protocol.HEADER.size:
+            if kind == protocol.KIND_LOAN:
+                self._lend(client)
+            return
+        if self._forwarder is not None:
+            self._forwarder.learn(packet, self._heard_by)
         body = memoryview(packet)[protocol.HEADER.size :]
         record = protocol.FD_RECORD if kind == protocol.KIND_FD else protocol.CAN_RECORD
         known = kind == protocol.KIND_CLASSICAL or (kind == protocol.KIND_FD and client.fd)

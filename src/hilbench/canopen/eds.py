@@ -51,17 +51,27 @@ def load_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
     no name, type or access type, a default or a limit that is no value of its type, a sub-index without its object.
     """
     path = Path(path)
-    try:
-        status = path.stat()
-    except OSError as error:
-        raise _unreadable(path, error) from error
-    od: canopen.ObjectDictionary = pickle.loads(_load(path, node_id, (status.st_mtime_ns, status.st_size)))
-    return od
+    own: canopen.ObjectDictionary = pickle.loads(_load(path, node_id, _as_of(path)))
+    return own
 
 
-@lru_cache(64)  # at its start a bench asks for each file several times; to unpickle takes a fifth of the time to copy
+def shared_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
+    """The same, not to be changed: everybody gets the same one, as long as the file stays as it is. At its start a
+    bench asks for each file many times. Raises UnusableInputError as `load_eds`.
+    """
+    path = Path(path)
+    return _shared(path, node_id, _as_of(path))
+
+
+@lru_cache(64)
+def _shared(path: Path, node_id: int, as_of: tuple[int, int]) -> canopen.ObjectDictionary:
+    own: canopen.ObjectDictionary = pickle.loads(_load(path, node_id, as_of))
+    return own
+
+
+@lru_cache(64)  # to unpickle takes a fifth of the time to copy
 def _load(path: Path, node_id: int, as_of: tuple[int, int]) -> bytes:
-    """The dictionary, pickled: everybody gets one of their own."""
+    """The dictionary, pickled."""
     return pickle.dumps(_read(path, node_id, _sections(path, as_of)))
 
 
@@ -70,16 +80,21 @@ def _sections(path: Path, _as_of: tuple[int, int]) -> dict[str, _Section]:
     return _read_sections(path)
 
 
+def _as_of(path: Path) -> tuple[int, int]:
+    """What changes when a file does."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    return status.st_mtime_ns, status.st_size
+
+
 def object_flags(path: Path) -> dict[tuple[int, int], int]:
     """ObjFlags (CiA 306, 4.6.3.2) by index and sub-index, of the values that have some.
 
     Raises UnusableInputError as `load_eds` does.
     """
-    try:
-        status = path.stat()
-    except OSError as error:
-        raise _unreadable(path, error) from error
-    objects = _object_sections(path, _sections(path, (status.st_mtime_ns, status.st_size)))
+    objects = _object_sections(path, _sections(path, _as_of(path)))
     flags = {key: _integer(path, section, "ObjFlags", 0) for key, section in objects.items()}
     return {(index, sub or 0): value for (index, sub), value in flags.items() if value}
 

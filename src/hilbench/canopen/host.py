@@ -123,10 +123,8 @@ class DeviceHost:
 
     @property
     def is_plain(self) -> bool:
-        """Whether SYNC is running, by which its clock goes, and no device has more to say than `Device.is_plain`."""
-        return (
-            self._sync_running and self._follows_sync and not self._passive and all(d.is_plain for d in self._devices)
-        )
+        """Whether SYNC is running, and no device has more to say than `Device.is_plain`."""
+        return self._sync_running and not self._passive and all(d.is_plain for d in self._devices)
 
     def addressees(self, can_id: int) -> Sequence[Device]:
         """The devices that an identifier means something to."""

@@ -83,26 +83,31 @@ class Master(SdoClient):
         return heard
 
     def wait_for_boot(
-        self, node_ids: Iterable[int], timeout_s: float, check: Callable[[], None] = lambda: None
+        self,
+        node_ids: Iterable[int],
+        timeout_s: float,
+        check: Callable[[], None] = lambda: None,
+        *,
+        beside: Iterable[int] = (),
     ) -> None:
         """Wait until every node was heard (boot-up or heartbeat) or answers an SDO request.
 
-        `check` is called meanwhile and may raise. Raises BenchFaultError naming the nodes that stay silent and
-        what was tried.
+        `check` is called meanwhile and may raise. Raises BenchFaultError naming the nodes that stay silent, also those
+        `beside`, which are not waited for, and what was tried.
         """
         waiting = set(node_ids)
         deadline_s = time.monotonic() + timeout_s
         while True:
-            with self._boot_seen:
-                self._boot_seen.wait(timeout=0.05)
-                waiting -= self._booted
             check()
-            if not waiting:
-                return
-            if time.monotonic() > deadline_s:
-                break
-        silent = [node_id for node_id in sorted(waiting) if not self._answers(node_id)]
-        if silent:
+            with self._boot_seen:
+                if waiting <= self._booted:
+                    return
+                if time.monotonic() > deadline_s:
+                    unheard = waiting.union(beside) - self._booted
+                    break
+                self._boot_seen.wait(timeout=0.05)
+        silent = [node_id for node_id in sorted(unheard) if not self._answers(node_id)]
+        if not waiting.isdisjoint(silent):
             names = ", ".join(f"{self._names[node_id]} (node {node_id})" for node_id in silent)
             raise BenchFaultError(
                 f"no answer from {names}: no boot-up or heartbeat within {timeout_s:g} s and "

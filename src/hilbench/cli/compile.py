@@ -32,7 +32,8 @@ def compile_entry_points(
 
     rooms = modules_by_room()
     # What is in one room calls the same functions, which a process compiles once.
-    with ProcessPoolExecutor(min(jobs or os.cpu_count() or 1, len(rooms)), get_context("spawn")) as pool:
+    processes = min(jobs or os.cpu_count() or 1, len(rooms))
+    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=_end_with_parent) as pool:
         done = [count for counts in pool.map(_compile_modules, rooms) for count in counts]
     print(f"{len(done)} functions, {sum(done)} of them compiled")
 
@@ -50,6 +51,21 @@ def modules_by_room() -> list[list[str]]:
 def _module(path: Path) -> str:
     parts = path.relative_to(_PACKAGE.parent).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def _end_with_parent() -> None:
+    """A process that compiles for nobody ends, also when `hilbench compile` was killed."""
+    from multiprocessing import parent_process
+    from threading import Thread
+
+    parent = parent_process()
+    assert parent is not None, "it was started by one"
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=watch, name="parent", daemon=True).start()
 
 
 def _compile_modules(modules: list[str]) -> list[int]:

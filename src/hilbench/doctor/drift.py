@@ -15,7 +15,7 @@ from canopen.objectdictionary import ObjectDictionary
 
 from hilbench.canopen import eds
 from hilbench.canopen.data_types import data_type
-from hilbench.canopen.eds import load_eds
+from hilbench.canopen.eds import shared_eds
 from hilbench.cia402.units import DriveUnits
 from hilbench.doctor.eds_match import EdsFile
 from hilbench.errors import UnusableInputError
@@ -165,7 +165,7 @@ def _of_node(
     if not now:
         yield Drift("missing", part.name, "node", f"no answer from node {part.node.node_id}")
         return
-    od = load_eds(part.node.eds, part.node.node_id)
+    od = shared_eds(part.node.eds, part.node.node_id)
     known = None if last is None else last.nodes.get(part.name)
     found = {} if known is None else {parse_object(name): _bytes(text) for name, text in known.found.items()}
     written = {} if known is None or fresh else {parse_object(name): _bytes(t) for name, t in known.written.items()}

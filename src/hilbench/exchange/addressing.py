@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import canopen
-from hilbench.canopen.eds import load_eds
+from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.identifiers import RPDOS, TPDOS
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402 import objects
@@ -114,7 +114,7 @@ def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary
 def _copy_for(virtual: Part, units: DriveUnits, *, torqued: bool) -> RpdoCopy:
     """The copy of an axis' RPDO for its virtual axis, whose units may be others."""
     node_id = virtual.node.node_id
-    theirs = declared_units(virtual, load_eds(virtual.node.eds, node_id))
+    theirs = declared_units(virtual, shared_eds(virtual.node.eds, node_id))
     factor = units.torque_Nm / theirs.torque_Nm if torqued else units.velocity_rad_s / theirs.velocity_rad_s
     return RpdoCopy(RPDOS[0] + node_id, factor)
 

@@ -18,7 +18,7 @@ from pydantic import Field
 from hilbench.block import Strict
 from hilbench.canopen import eds
 from hilbench.canopen.data_types import data_type
-from hilbench.canopen.eds import load_eds
+from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.sdo_client import Refusal, SdoClient
 from hilbench.cia402 import configuration, objects
 from hilbench.exchange.addressing import drive_settings
@@ -101,7 +101,7 @@ def ask_all(reader: SdoClient, config: BenchConfig) -> dict[str, dict[Key, bytes
 
 def ask(reader: SdoClient, config: BenchConfig, part: Part) -> dict[Key, bytes | None]:
     """What one drive says; empty when it does not answer."""
-    od = load_eds(part.node.eds, part.node.node_id)
+    od = shared_eds(part.node.eds, part.node.node_id)
     found: dict[Key, bytes | None] = {}
     wanted = [*DEVICE, *_parameters(config, part, od)]
     for communication, mapping in (_RECEIVED, *_SENT):
@@ -171,7 +171,7 @@ def eds_objects(path: Path) -> dict[str, EdsObject]:
             mappable=each.pdo_mappable,
             default=None if each.default is None else str(each.default),
         )
-        for each in eds.all_variables(load_eds(path, 0))
+        for each in eds.all_variables(shared_eds(path, 0))
     }
 
 

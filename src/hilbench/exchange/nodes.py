@@ -10,7 +10,7 @@ from typing import Any
 import canopen
 from hilbench.can.frame import Frame
 from hilbench.can.load import CyclicFrame
-from hilbench.canopen.eds import load_eds
+from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, LAST_NODE, SYNC, NmtCommand, NmtState
 from hilbench.canopen.master import Master
 from hilbench.canopen.pdo import PdoMap
@@ -49,7 +49,7 @@ class Nodes:
         #: Who the virtual I/O is, in messages and in `expected_pdos`.
         self.twin_name = f"virtual io (node {config.twin.node.node_id})"
         parts = config.parts
-        self._ods = {part.name: load_eds(part.node.eds, part.node.node_id) for part in parts}
+        self._ods = {part.name: shared_eds(part.node.eds, part.node.node_id) for part in parts}
         self.axes, self.load_motors, self.virtual_axes = (
             tuple(Drive(drive_settings(config, part, self._ods[part.name]), self._ods[part.name]) for part in group)
             for group in map(config.parts_of, (Role.AXIS, Role.LOAD_MOTOR, Role.VIRTUAL_AXIS))
@@ -171,12 +171,17 @@ class Nodes:
         dictionaries = {part.node.node_id: self._ods[part.name] for part in self.config.parts}
         return Owned(self.config.master.node_id, self._known, dictionaries, rpdos)
 
-    def configure(self, master: Master) -> None:
-        """Configure every node by SDO. Raises BenchFaultError naming node, object and reason."""
-        for drive in (*self.drives, *self.virtual_axes):
+    def configure_drives(self, master: Master) -> None:
+        """Configure axes and load motors by SDO. Raises BenchFaultError naming node, object and reason."""
+        for drive in self.drives:
             drive.configure(master)
         for part, drive in zip(self.config.parts_of(Role.AXIS), self.axes, strict=True):
             self._check_units(part, drive)
+
+    def configure_twin(self, master: Master) -> None:
+        """The same for the virtual axes and the virtual I/O."""
+        for drive in self.virtual_axes:
+            drive.configure(master)
         self._configure_io(master)
 
     def _check_units(self, part: Part, drive: Drive) -> None:
@@ -214,9 +219,7 @@ class Nodes:
         for node_id in twin_nodes:
             master.nmt(NmtCommand.RESET_NODE, node_id)
         master.wait_for_answer(twin_nodes, self.config.master.boot_timeout_s)
-        for drive in self.virtual_axes:
-            drive.configure(master)
-        self._configure_io(master)
+        self.configure_twin(master)
         for drive in self.virtual_axes:
             for command in _ENABLE:
                 master.sdo_write(drive.settings.node_id, objects.CONTROLWORD, command)

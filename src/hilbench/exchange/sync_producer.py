@@ -8,7 +8,6 @@ the bench's process has ended.
 
 from __future__ import annotations
 
-import ctypes
 import os
 import threading
 import time
@@ -37,7 +36,6 @@ from hilbench.exchange.sync_kernel import (
 LONGEST_ALONE_S = 0.1
 #: A bus that takes no SYNC for so long is lost.
 _LOST_S = 1.0
-_PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 
 
 class SyncProducer:
@@ -80,7 +78,6 @@ class SyncProducer:
         self._thread.start()
 
     def _run(self) -> None:
-        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # else the kernel may be 50 µs late to save energy
         policy, priority = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
         if policy in (os.SCHED_FIFO, os.SCHED_RR):  # the bench's, which would keep it waiting on the same core
             highest = os.sched_get_priority_max(policy)

@@ -12,7 +12,7 @@ from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.canopen.clock import Clock, MonotonicClock, SyncClock
 from hilbench.canopen.device import Device
-from hilbench.canopen.eds import load_eds
+from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.canopen.mastery import nodes_of_ours
 from hilbench.canopen.object_store import INVALID_VALUE, SdoAbort
@@ -22,9 +22,9 @@ from hilbench.exchange.device_clock import device_clock
 from hilbench.exchange.effect_objects import bind_effect_objects
 from hilbench.hardware.plant_time import ByClock, BySync, PlantTime
 from hilbench.hardware.rigs import new_rig
-from hilbench.plain.host import PlainHost, run_devices
-from hilbench.plain.rig_run import RigRun
-from hilbench.plain.sync_answers import SyncAnswers
+from hilbench.plain.host import PacketRun, PlainHost, run_devices
+from hilbench.plain.rig_run import ClockedRigRun, RigRun
+from hilbench.plain.sync_answers import ClockedAnswers, SyncAnswers
 from hilbench.plant.interface import Plant, Steps, StepsInModes
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.processes import log, started_by_bench, stop_request
@@ -77,9 +77,14 @@ class RigApplication:
         return self._rig
 
     @property
+    def time(self) -> tuple[PlantTime, float, int]:
+        """What says how far the rig goes, one of its sample times (s), and how many of them it goes at once at most."""
+        return self._time, self._sample_s, self._longest_step
+
+    @property
     def is_plain(self) -> bool:
-        """Whether the rig goes on with each SYNC by as much."""
-        return self.plain_step_s() is not None
+        """Whether the rig goes on with each SYNC, and has begun to."""
+        return self._in_use and (isinstance(self._time, ByClock) or self.plain_step_s() is not None)
 
     def plain_step_s(self) -> float | None:
         """How far the rig goes with each SYNC, in one step; None where that is not known before."""
@@ -139,17 +144,22 @@ def simulate(config: BenchConfig) -> int | None:
 
 
 def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, config: BenchConfig) -> PlainHost | None:
-    """Who serves the host's devices where SYNC is all the time that there is."""
-    if not (isinstance(link, EmbeddedLink) and isinstance(hosted.clock, SyncClock)):
+    """Who serves the host's devices on the embedded bus."""
+    if not isinstance(link, EmbeddedLink):
         return None
     assert isinstance(hosted.application, RigApplication), "as `hardware` makes it"
     warm_up_in_modes(config)
-    devices, clock, application = hosted.devices, hosted.clock, hosted.application
+    devices, clock, application, cycle_ns = hosted.devices, hosted.clock, hosted.application, config.cycle_ns
+    drives = application.drives
 
-    def begin(expected: Sequence[Frame]) -> RigRun:
-        return RigRun(SyncAnswers(link, devices, application.drives, clock, expected, config.cycle_ns), application)
+    def begin(expected: Sequence[Frame]) -> PacketRun:
+        if isinstance(clock, SyncClock):
+            return RigRun(SyncAnswers(link, devices, drives, clock, expected, cycle_ns), application)
+        assert isinstance(clock, MonotonicClock), "as `_time_base` makes it"
+        answers = ClockedAnswers(link, devices, drives, clock, cycle_ns)
+        return ClockedRigRun(answers, application, *application.time)
 
-    return PlainHost(host, link, application, begin)
+    return PlainHost(host, link, application, begin, by_clock=isinstance(clock, MonotonicClock))
 
 
 def hardware(config: BenchConfig) -> HostedDevices:
@@ -163,7 +173,7 @@ def hardware(config: BenchConfig) -> HostedDevices:
     for part, port in zip(parts, ports, strict=True):
         if not part.is_simulated:
             continue
-        od = load_eds(part.node.eds, part.node.node_id)
+        od = shared_eds(part.node.eds, part.node.node_id)
         device = Device(od, part.node.node_id, clock)
         drives.append(SimulatedDrive(device, port, declared_units(part, od)))
         devices.append(device)

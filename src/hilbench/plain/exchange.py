@@ -28,6 +28,7 @@ from hilbench.plain import kernel, packet_kernel
 from hilbench.plain import layout as lay
 from hilbench.plain.answers import Order, Orders
 from hilbench.plain.bench import BenchFrames, SeenDrives
+from hilbench.plain.borrowed_wire import BorrowedWire
 from hilbench.plain.kernel import Table
 from hilbench.plain.packet_kernel import Gathered
 from hilbench.plain.tables import Frames, NotPlainError, Slots, octets, reals, table
@@ -47,6 +48,7 @@ class PlainExchange:
         kernel.warm_up()
         packet_kernel.warm_up_bench()
         self._link, self._nodes, self._sync, self._own, self._tap = link, nodes, sync, own, tap
+        self._wire = BorrowedWire(link)
         self._run: _Run | None = None
         self._wait = 0  # cycles until it is looked again
         self._pause = _LOOK_AGAIN  # cycles to wait when they are plain no more
@@ -82,7 +84,7 @@ class PlainExchange:
             return None
         if self._nodes.is_plain and self._sync.is_plain and not self._own.has_answers:
             try:
-                self._run = _Run(self._link, self._nodes, self._sync, self._tap)
+                self._run = _Run(self._link, self._wire, self._nodes, self._sync, self._tap)
             except NotPlainError:
                 self._run = None
         if self._run is None:
@@ -93,9 +95,11 @@ class PlainExchange:
 class _Run:
     """Plain cycles one after the other, from objects into arrays and back."""
 
-    def __init__(self, link: EmbeddedLink, nodes: Nodes, sync: SyncCycle, tap: LineTap | None) -> None:
+    def __init__(
+        self, link: EmbeddedLink, wire: BorrowedWire, nodes: Nodes, sync: SyncCycle, tap: LineTap | None
+    ) -> None:
         """Raises NotPlainError where cycles are not plain."""
-        self._link, self._nodes, self._sync, self._tap = link, nodes, sync, tap
+        self._link, self._wire, self._nodes, self._sync, self._tap = link, wire, nodes, sync, tap
         self.cycles = 0  #: plain ones so far
         self.sent = False  #: whether the cycle that is no plain one has begun
         slots, self._frames = Slots(), Frames()
@@ -153,7 +157,7 @@ class _Run:
         self._sent_by = kernel.Vectors(
             targets=self._targets,
             set_points=self._set_points,
-            **self._wire(frames, data, self._left),
+            **self._on_wire(frames, data, self._left),
         )
         self._table = self._sent_by.table()
         self._bitrate = nodes.config.bus.bitrate
@@ -180,7 +184,7 @@ class _Run:
         """Of what answers in these frames."""
         measured = self._nodes.measured
         return kernel.Vectors(
-            **self._wire(frames, data, left),
+            **self._on_wire(frames, data, left),
             seen=self._seen_rows,
             feedback=self._feedback,
             said_rows=said,
@@ -191,7 +195,7 @@ class _Run:
             said=measured.said,
         )
 
-    def _wire(self, frames: Frames, data: lay.Bytes, left: lay.Whole) -> dict[str, Any]:
+    def _on_wire(self, frames: Frames, data: lay.Bytes, left: lay.Whole) -> dict[str, Any]:
         """These frames, with values and text, which are those of the run."""
         rows = table(frames.rows, lay.FRAME)
         for row, cob_id in zip(rows, frames.cob_ids, strict=True):
@@ -251,13 +255,19 @@ class _Run:
         """Set points and SYNC onto the bus, and their lines behind those of the last cycle; False, and nothing done,
         where a value does not fit, or something has come before."""
         set_points, real, given = self._set_points_at, self._real_at, self._given_at
+        came = self._wire.look()
+        if came:
+            self._sync.came_between(self._link.frames_from(*came))
+            return False
         for at, name, per_unit in self._names:
             set_points[at] = outputs.get(name, 0.0) * per_unit
         for slot, name in self._told:
             real[slot] = outputs[name]
         given[lay.I_START_NS], given[lay.I_TEXT] = self._sync.next_sync_ns, self._text_end
         self._gathered.begin()
-        outcome = packet_kernel.ask(self._table, self._port_table, self._bitrate)
+        outcome = packet_kernel.ask(
+            self._table, self._port_table, self._wire.table, self._gathered.table, self._bitrate
+        )
         if outcome == packet_kernel.UNSENT:
             at, end = protocol.HEADER.size, self._numbers[packet_kernel.OUT_LENGTH]
             self._link.send_records(self._port.sent[at:end].tobytes())
@@ -276,7 +286,9 @@ class _Run:
             cycle = self._sync.timing.cycles + 1
             due = {pdo.cob_id for pdo in self._sync.due_at_times if (cycle - pdo.since) % pdo.every == 0}
         answers = len(self._due) + len(due)
-        while (outcome := packet_kernel.gather(gathered.table, answers, stage)) == packet_kernel.NOTHING:
+        while (
+            outcome := packet_kernel.gather(gathered.table, self._wire.table, answers, stage)
+        ) == packet_kernel.NOTHING:
             packet = self._link.receive_packet(_PATIENCE_S)
             if packet is None:
                 return None

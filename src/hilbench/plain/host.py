@@ -21,8 +21,9 @@ from hilbench.plain import kernel, packet_kernel
 from hilbench.plain.tables import NotPlainError
 from hilbench.real_time import ProcessSettings, kept_ready
 
-#: Times that it is served after which it is looked anew whether cycles are plain, when they were not.
-_LOOK_AGAIN = 8
+#: Times that it is served after which it is looked anew whether cycles are plain, when they were not; the same by the
+#: clock, of SYNCs, where to look takes time that a cycle does not have.
+_LOOK_AGAIN, _LOOK_AGAIN_BY_CLOCK = 8, 50
 
 
 class PacketRun(Protocol):
@@ -54,7 +55,8 @@ class Application(Protocol):
 class PlainHost:
     """Serves the devices of a host, by packets where its cycles are plain.
 
-    `begin` makes a run, which expects such frames with each SYNC, itself the last; raises NotPlainError.
+    `begin` makes a run, which expects such frames with each SYNC, itself the last; raises NotPlainError. `by_clock`:
+    frames come one by one, and a run begins behind a SYNC.
     """
 
     def __init__(
@@ -63,11 +65,13 @@ class PlainHost:
         link: EmbeddedLink,
         application: Application,
         begin: Callable[[Sequence[Frame]], PacketRun],
+        *,
+        by_clock: bool = False,
     ) -> None:
         kernel.warm_up()
         packet_kernel.warm_up()
         self._host, self._link = host, link
-        self._application, self._new_run = application, begin
+        self._application, self._new_run, self._by_clock = application, begin, by_clock
         self._run: PacketRun | None = None
         self._expected: Sequence[Frame] = ()  # what came with the last SYNC
         self._wait = 0  # times served until it is looked again
@@ -84,11 +88,13 @@ class PlainHost:
             frames = self._link.frames_from(self._link.receive_packet(timeout_s))
         self._host.handle(frames)
         self._note(frames)
+        if self._by_clock and not (frames and frames[-1].can_id == SYNC):
+            return
         if self._wait:
             self._wait -= 1
         elif frames and self._expected and self._host.is_plain and self._application.is_plain:
             self._begin()
-            self._wait = _LOOK_AGAIN
+            self._wait = _LOOK_AGAIN_BY_CLOCK if self._by_clock else _LOOK_AGAIN
 
     def settle(self) -> None:
         """Give the objects what the arrays have."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from hilbench.canopen.object_store import Cell
 from hilbench.cia402.simulated import SimulatedDrive
@@ -38,28 +39,32 @@ class Motors:
         self._drives, self._rows, self._cells = drives, rows, cells
         self._whole, self._real = whole, real
         self._asked, self._shown = asked, shown
-        self._step_s = step_s
         self._ports = [drive.firmware.port for drive in drives]
         self._asked[:] = rows["set_point"]
         self._shown[:] = self._of_ports()
-        self._turned = turned
+        self._turned, self._alone, self._shows_ports = turned, alone, shows_ports
         self._keeps_ports = turned is not None
-        self.step: Callable[[], None] = self._step_by_ports  #: take the set points, and go on
-        step = turned.steps_in_modes(asked, step_s, shown) if alone and isinstance(turned, StepsInModes) else None
-        if step is not None:
-            self._keeps_ports = False
-            self._step: Callable[[], None] = step
-            self.step = self._step_and_show if shows_ports else step
+        self.step = self.step_of(step_s)  #: take the set points, and go on
 
-    def _step_and_show(self) -> None:
-        self._step()
+    def step_of(self, step_s: float) -> Callable[[], None]:
+        """The same for another time."""
+        turned = self._turned
+        if self._alone and isinstance(turned, StepsInModes):
+            step = turned.steps_in_modes(self._asked, step_s, self._shown)
+            if step is not None:
+                self._keeps_ports = False
+                return partial(self._step_and_show, step) if self._shows_ports else step
+        return partial(self._step_by_ports, step_s)
+
+    def _step_and_show(self, step: Callable[[], None]) -> None:
+        step()
         self._give_ports()
 
-    def _step_by_ports(self) -> None:
+    def _step_by_ports(self, step_s: float) -> None:
         assert self._turned is not None, "somebody else's"
         for port, set_point in zip(self._ports, self._asked.tolist(), strict=True):
             port.setpoint = set_point
-        self._turned.step(self._step_s)
+        self._turned.step(step_s)
         self._shown[:] = self._of_ports()
 
     def _of_ports(self) -> list[float]:

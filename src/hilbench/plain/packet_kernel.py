@@ -1,8 +1,8 @@
 """Packets of the embedded bus without the interpreter: received, taken apart, answered by `kernel.exchange`, sent; and
 from the bench's side sent, their answers gathered, and taken apart.
 
-What is called of the C library are recv(2), send(2) and clock_gettime(2). A packet that is not what is expected stays
-in the buffer, for Python.
+What is called of the C library are recv(2), send(2), ppoll(2) and clock_gettime(2). A packet that is not what is
+expected stays in the buffer, for Python.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench import c_library
-from hilbench.c_library import CLOCK_MONOTONIC, MSG_DONTWAIT, MSG_NOSIGNAL, clock_gettime, recv, send
-from hilbench.can import protocol
+from hilbench.c_library import CLOCK_MONOTONIC, MSG_DONTWAIT, MSG_NOSIGNAL, POLLIN, clock_gettime, ppoll, recv, send
+from hilbench.can import loan_kernel, protocol
 from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, NmtState
 from hilbench.compiled import (
     COUNT,
@@ -34,14 +33,17 @@ from hilbench.plain.kernel import Table
 from hilbench.plain.layout import Bytes, Whole
 
 #: What has become of a packet: none has come; another than expected; it is that of a bench that says that it is alive,
-#: which is to be heard before it is answered; answered; the same, but the bus did not take the answers.
-NOTHING, OTHER, ALIVE, ANSWERED, UNSENT = range(5)
-#: Where to begin: with the next packet; with that in the buffer; behind its heartbeat, which was heard.
-RECEIVE, TAKEN, HEARD = range(3)
+#: which is to be heard before it is answered; answered; the same, but the bus did not take the answers; SYNC is there,
+#: and all that came before it.
+NOTHING, OTHER, ALIVE, ANSWERED, UNSENT, SYNCED = range(6)
+#: Where to begin: with the next packet; with that in the buffer; behind its heartbeat, which was heard; behind SYNC,
+#: for which `await_sync` has waited.
+RECEIVE, TAKEN, HEARD, BEHIND_SYNC = range(4)
 #: Places among the numbers. Of Python: the socket, addresses of both buffers and of room for a timespec, frames that
 #: the bus has dropped, until when a packet is taken (ns of the monotonic clock), how long that in the buffer is. Of the
 #: kernel: the same, when it was there, whose heartbeat (COB-ID) is in it, how long what is sent is; what was gathered:
-#: frames, those that are no heartbeats, packets, where the last one ends.
+#: frames, those that are no heartbeats, packets, where the last one ends; until where `await_sync` has looked at what
+#: is in the buffer.
 (
     DESCRIPTOR,
     IN_AT,
@@ -57,8 +59,9 @@ RECEIVE, TAKEN, HEARD = range(3)
     ANSWERS_CAME,
     PACKETS_CAME,
     IN_END,
+    LOOKED_AT,
     PLACES,
-) = range(15)
+) = range(16)
 #: Bus time is the hub's: what the kernel makes of it here nobody asks for.
 BITRATE = 1_000_000
 #: Columns of what is expected, and of what is looked at in it: a value of these octets of a record, under a mask.
@@ -77,9 +80,14 @@ _OCTET = np.dtype(np.uint8)
 # Rows of the table: as `Port` has them.
 _NUMBERS, _EXPECTED, _CHECKS, _ANSWERS, _LEFT, _DATA, _IN, _OUT, _TIME = range(9)
 
+# Room for a timespec, then for a struct pollfd.
+_POLLED, _OF_TIME = 2, 3
+
 _G_NUMBERS, _G_LENGTHS, _G_COB_IDS, _G_SIZES, _G_DATA, _G_PACKETS = range(6)  # as `Gathered` has them
 #: Most frames and packets that are gathered in a cycle.
 _MOST_FRAMES, _MOST_PACKETS = 512, 64
+#: So long it is waited for a packet before the interpreter is asked again, where the wire is lent.
+_PATIENCE_MS: Final = 100
 
 Pairs = NDArray[np.int64]
 
@@ -130,7 +138,7 @@ def new_port(
     numbers = np.zeros(PLACES, np.int64)
     numbers[DESCRIPTOR], numbers[DROPPED] = descriptor, dropped & 0xFFFFFFFF
     sent = np.zeros(_HEADER + _SENT * len(answers), np.uint8)
-    return Port(numbers, expected, checks, answers, left, data, received, sent, np.zeros(2, np.int64))
+    return Port(numbers, expected, checks, answers, left, data, received, sent, np.zeros(_OF_TIME, np.int64))
 
 
 class Gathered:
@@ -259,13 +267,88 @@ def _gather(packet: Bytes, length: int, numbers: Whole, cob_ids: Whole, sizes: W
     return True
 
 
+@compiled
+def _append(port: Table) -> int:
+    """Records of the next packet behind those in the buffer, and its header before them; how many. 0: none has come;
+    -1: frames were lost, there is no room, or nothing more will come."""
+    numbers, words = integers(port, _NUMBERS, (1,)), integers(port, _IN, (1,))
+    end = numbers[LENGTH]
+    if 2 * end > _PACKET_BYTES:
+        return -1
+    at = max(end - _HEADER, 0)
+    last = words[at // 8]
+    length = recv(numbers[DESCRIPTOR], numbers[IN_AT] + at, _PACKET_BYTES - at, MSG_DONTWAIT)
+    if length <= 0:
+        return -1 if length == 0 else 0
+    if end > 0:
+        words[0], words[at // 8] = words[at // 8], last
+    numbers[LENGTH] = at + length
+    octets = words.view(_OCTET)
+    fits = octets[0] == _KIND and _number(octets, _DROPPED_AT, 4) == numbers[DROPPED]
+    return int((length - _HEADER) // _RECEIVED) if fits else -1
+
+
+@compiled
+def _sort_in(port: Table) -> int:
+    """Data of the records that were not looked at yet, up to SYNC, to where those of their frames are: SYNCED, where
+    that is there; NOTHING: more is to come; OTHER: something else is among them."""
+    numbers, packet = integers(port, _NUMBERS, (1,)), integers(port, _IN, (1,)).view(_OCTET)
+    expected, data = integers(port, _EXPECTED, (1, 2)), integers(port, _DATA, (1,)).view(_OCTET)
+    last = len(expected) - 1
+    while max(numbers[LOOKED_AT], _HEADER) < numbers[LENGTH]:
+        at = max(numbers[LOOKED_AT], _HEADER)
+        cob_id, size = _number(packet, at, 4), packet[at + _SIZE_AT]
+        if _NO_NODE < cob_id <= _LAST_NODE and size == 1 and packet[at + _DATA_AT] == _OPERATIONAL:
+            numbers[HEARTBEAT_OF], numbers[LOOKED_AT] = cob_id, at + _RECEIVED
+            continue
+        row = 0
+        while row <= last and (expected[row, COB_ID] != cob_id or expected[row, SIZE] != size):
+            row += 1
+        if row > last:
+            return OTHER
+        numbers[LOOKED_AT] = at + _RECEIVED
+        if row == last:
+            return SYNCED
+        for octet in range(8):
+            data[8 * row + octet] = packet[at + _DATA_AT + octet]
+    return NOTHING
+
+
+@compiled
+def _nothing_stands_against(port: Table) -> bool:
+    """Whether a SYNC that is there can be answered: all that waits is in the buffer, no further SYNC is, and what has
+    to be as it was is so."""
+    numbers, packet = integers(port, _NUMBERS, (1,)), integers(port, _IN, (1,)).view(_OCTET)
+    expected, data = integers(port, _EXPECTED, (1, 2)), integers(port, _DATA, (1,)).view(_OCTET)
+    count = 1
+    while count > 0:
+        count = _append(port)
+    if count < 0:
+        return False
+    for at in range(numbers[LOOKED_AT], numbers[LENGTH], _RECEIVED):
+        if _number(packet, at, 4) == expected[len(expected) - 1, COB_ID]:
+            return False
+    return _passes(data, 0, 8, integers(port, _CHECKS, (1, 2)))
+
+
+@compiled
+def _keep_rest(port: Table) -> None:
+    """What came behind SYNC is the beginning of the next cycle."""
+    numbers, words = integers(port, _NUMBERS, (1,)), integers(port, _IN, (1,))
+    rest = numbers[LENGTH] - numbers[LOOKED_AT]
+    for word in range(rest // 8):
+        words[_HEADER // 8 + word] = words[numbers[LOOKED_AT] // 8 + word]
+    numbers[LENGTH], numbers[LOOKED_AT] = _HEADER + rest if rest > 0 else 0, 0
+
+
 Answer = Callable[[Table, Table, int], int]
-Ask = Callable[[Table, Table, int], int]
-Gather = Callable[[Table, int, int], int]
+AwaitSync = Callable[[Table, int], int]
+Ask = Callable[[Table, Table, Table, Table, int], int]
+Gather = Callable[[Table, Table, int, int], int]
 TakeApart = Callable[[Table, Table, Table, int], bool]
 
 
-def _entry_points(sources: int) -> tuple[Answer, Ask, Gather, TakeApart]:
+def _entry_points(sources: int) -> tuple[Answer, AwaitSync, Ask, Gather, TakeApart]:
     """The compiled functions that Python calls; `sources` as in `compiled.number_of_sources`."""
 
     @entry_point(TABLE, TABLE, COUNT)
@@ -273,30 +356,32 @@ def _entry_points(sources: int) -> tuple[Answer, Ask, Gather, TakeApart]:
         if sources < 0 or len(port) == 0:
             return NOTHING
         numbers, packet = integers(port, _NUMBERS, (1,)), integers(port, _IN, (1,)).view(_OCTET)
+        expected, checks = integers(port, _EXPECTED, (1, 2)), integers(port, _CHECKS, (1, 2))
+        data, left = integers(port, _DATA, (1,)).view(_OCTET), integers(port, _LEFT, (1,))
         if stage == RECEIVE:
             length = recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, 0)
             if length <= 0:
                 return NOTHING
             numbers[LENGTH] = length
-        length = numbers[LENGTH]
-        timespec = integers(port, _TIME, (1,))
-        clock_gettime(CLOCK_MONOTONIC, numbers[TIME_AT])
-        numbers[NOW_NS] = timespec[0] * _SECOND_NS + timespec[1]
-        expected, checks = integers(port, _EXPECTED, (1, 2)), integers(port, _CHECKS, (1, 2))
-        heartbeat = _heartbeat_in(packet, length, numbers[DROPPED], expected)
-        if (
-            heartbeat < 0
-            or numbers[NOW_NS] > numbers[UNTIL_NS]
-            or not _passes(packet, _HEADER + _DATA_AT, _RECEIVED, checks)
-        ):
-            return OTHER
-        if heartbeat > 0 and stage != HEARD:
-            numbers[HEARTBEAT_OF] = heartbeat
-            return ALIVE
-        data, left = integers(port, _DATA, (1,)).view(_OCTET), integers(port, _LEFT, (1,))
-        _take(packet, length, expected, data)
+        if stage != BEHIND_SYNC:
+            length, timespec = numbers[LENGTH], integers(port, _TIME, (1,))
+            clock_gettime(CLOCK_MONOTONIC, numbers[TIME_AT])
+            numbers[NOW_NS] = timespec[0] * _SECOND_NS + timespec[1]
+            heartbeat = _heartbeat_in(packet, length, numbers[DROPPED], expected)
+            if (
+                heartbeat < 0
+                or numbers[NOW_NS] > numbers[UNTIL_NS]
+                or not _passes(packet, _HEADER + _DATA_AT, _RECEIVED, checks)
+            ):
+                return OTHER
+            if heartbeat > 0 and stage != HEARD:
+                numbers[HEARTBEAT_OF] = heartbeat
+                return ALIVE
+            _take(packet, length, expected, data)
         if not kernel.exchange(table, BITRATE):
             return OTHER
+        if stage == BEHIND_SYNC:
+            _keep_rest(port)
         answers = integers(port, _ANSWERS, (1, 2))
         if len(answers) == 0:
             return ANSWERED
@@ -305,34 +390,66 @@ def _entry_points(sources: int) -> tuple[Answer, Ask, Gather, TakeApart]:
         sent = send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], MSG_DONTWAIT | MSG_NOSIGNAL)
         return ANSWERED if sent == numbers[OUT_LENGTH] else UNSENT
 
-    @entry_point(TABLE, TABLE, COUNT)
-    def ask(table: Table, port: Table, bitrate: int) -> int:
+    @entry_point(TABLE, COUNT)
+    def await_sync(port: Table, timeout_ns: int) -> int:
+        if sources < 0 or len(port) == 0:
+            return NOTHING
+        numbers, time = integers(port, _NUMBERS, (1,)), integers(port, _TIME, (1,))
+        while True:
+            outcome = _sort_in(port)
+            if outcome != NOTHING:
+                return SYNCED if outcome == SYNCED and _nothing_stands_against(port) else OTHER
+            count = _append(port)
+            if count == 0:
+                time[0], time[1] = timeout_ns // _SECOND_NS, timeout_ns % _SECOND_NS
+                time[_POLLED] = numbers[DESCRIPTOR] | POLLIN << 32
+                if ppoll(time[_POLLED:].ctypes.data, 1, time.ctypes.data, 0) <= 0:
+                    return NOTHING
+                count = _append(port)
+            if count <= 0:
+                return OTHER
+
+    @entry_point(TABLE, TABLE, TABLE, TABLE, COUNT)
+    def ask(table: Table, port: Table, wire: Table, gathered: Table, bitrate: int) -> int:
         if sources < 0 or len(port) == 0:
             return NOTHING
         numbers, left = integers(port, _NUMBERS, (1,)), integers(port, _LEFT, (1,))
-        length = recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, MSG_DONTWAIT)
+        length = loan_kernel.GONE
+        if loan_kernel.has(wire):
+            length = loan_kernel.receive(wire, integers(port, _IN, (1,)), 0)
+        if length == loan_kernel.GONE:
+            length = recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, MSG_DONTWAIT)
+        elif length == loan_kernel.NOTHING:
+            length = -1
         numbers[LENGTH] = max(length, 0)
         if length >= 0 or not kernel.exchange(table, bitrate):
             return OTHER
         data, out = integers(port, _DATA, (1,)).view(_OCTET), integers(port, _OUT, (1,)).view(_OCTET)
         numbers[OUT_LENGTH] = pack(integers(port, _ANSWERS, (1, 2)), 0, left[_O_SIZE:], data, out)
+        if loan_kernel.put(wire, out, numbers[OUT_LENGTH], integers(gathered, _G_PACKETS, (1,))):
+            return ANSWERED
         sent = send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], MSG_DONTWAIT | MSG_NOSIGNAL)
         return ANSWERED if sent == numbers[OUT_LENGTH] else UNSENT
 
-    @entry_point(TABLE, COUNT, COUNT)
-    def gather(gathered: Table, answers: int, stage: int) -> int:
+    @entry_point(TABLE, TABLE, COUNT, COUNT)
+    def gather(gathered: Table, wire: Table, answers: int, stage: int) -> int:
         if sources < 0 or len(gathered) == 0:
             return NOTHING
         numbers, lengths = integers(gathered, _G_NUMBERS, (1,)), integers(gathered, _G_LENGTHS, (1,))
         cob_ids, sizes = integers(gathered, _G_COB_IDS, (1,)), integers(gathered, _G_SIZES, (1,))
         data = integers(gathered, _G_DATA, (1,)).view(_OCTET)
-        packets = integers(gathered, _G_PACKETS, (1,)).view(_OCTET)
+        words = integers(gathered, _G_PACKETS, (1,))
+        packets = words.view(_OCTET)
         while numbers[ANSWERS_CAME] < answers:
             end, count = numbers[IN_END], numbers[PACKETS_CAME]
             if end + _PACKET_BYTES > len(packets) or count == len(lengths):
                 return OTHER
             if stage == RECEIVE:
-                length = recv(numbers[DESCRIPTOR], numbers[IN_AT] + end, _PACKET_BYTES, 0)
+                length = loan_kernel.GONE
+                if loan_kernel.has(wire):
+                    length = loan_kernel.receive(wire, words[end // 8 :], _PATIENCE_MS)
+                if length == loan_kernel.GONE:
+                    length = recv(numbers[DESCRIPTOR], numbers[IN_AT] + end, _PACKET_BYTES, 0)
                 if length <= 0:
                     return NOTHING
                 numbers[LENGTH] = length
@@ -360,36 +477,42 @@ def _entry_points(sources: int) -> tuple[Answer, Ask, Gather, TakeApart]:
             data[k] = came[k]
         return kernel.exchange(table, bitrate)
 
-    return answer, ask, gather, take_apart
+    return answer, await_sync, ask, gather, take_apart
 
 
 #: answer(table of `kernel.Vectors`, table of `Port`, where to begin): receive a packet, do with it what `exchange`
 #: does, and send what is to be answered; what has become of it.
-#: ask(table of `kernel.Vectors`, table of `Port`, bitrate): send what is in the frames; OTHER, and nothing done, where
-#: a value does not fit, or a packet has come before, which is in the buffer then.
-#: gather(table of `Gathered`, answers, where to begin): receive packets until so many frames that are no heartbeats
-#: have come: ANSWERED; OTHER: a packet is of another kind, or says that frames were lost.
+#: await_sync(table of `Port`, longest time without a packet): receive packets until SYNC is there, before it only what
+#: is expected, and behind it no further SYNC; NOTHING: not yet; OTHER: all that came is in the buffer.
+#: ask(table of `kernel.Vectors`, table of `Port`, table of `can.loan.Loan`, table of `Gathered`, bitrate): send what is
+#: in the frames; OTHER, and nothing done, where a value does not fit, or a packet has come before, which is in the
+#: buffer then.
+#: gather(table of `Gathered`, table of `can.loan.Loan`, answers, where to begin): receive packets until so many frames
+#: that are no heartbeats have come: ANSWERED; OTHER: a packet is of another kind, or says that frames were lost.
 #: take_apart(table of `kernel.Vectors`, table of `Port`, table of `Gathered`, bitrate): what `exchange` does with what
 #: was gathered; False, and nothing done, where that is not what is expected.
-answer, ask, gather, take_apart = _entry_points(number_of_sources(__file__, c_library.__file__, *kernel.SOURCES))
+answer, await_sync, ask, gather, take_apart = _entry_points(
+    number_of_sources(__file__, *loan_kernel.SOURCES, *kernel.SOURCES)
+)
 
 
 def warm_up() -> None:
     """Compile, or load from the cache, what devices call, before anybody waits for a cycle."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     answer(nothing, nothing, RECEIVE)
+    await_sync(nothing, 0)
     warm_up_gathering()
 
 
 def warm_up_bench() -> None:
     """The same of what a bench calls."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
-    ask(nothing, nothing, BITRATE)
+    ask(nothing, nothing, nothing, nothing, BITRATE)
     warm_up_gathering()
 
 
 def warm_up_gathering() -> None:
     """The same of what is gathered."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
-    gather(nothing, 0, RECEIVE)
+    gather(nothing, nothing, 0, RECEIVE)
     take_apart(nothing, nothing, nothing, BITRATE)

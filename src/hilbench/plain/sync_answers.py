@@ -1,4 +1,4 @@
-"""The answers of a host's devices to a SYNC, on arrays: from the packet that the bench has sent to theirs."""
+"""The answers of a host's devices to a SYNC, on arrays: from what the bench has sent to their packet."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from hilbench.can import protocol
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
-from hilbench.canopen.clock import SyncClock
+from hilbench.canopen.clock import MonotonicClock, SyncClock
 from hilbench.canopen.device import Device
 from hilbench.canopen.identifiers import HEARTBEAT, SYNC
 from hilbench.cia402.simulated import SimulatedDrive
@@ -23,11 +23,11 @@ from hilbench.plain.tables import Frames, NotPlainError, Slots, drive_row, table
 _ENABLED = Command.ENABLE_OPERATION.value
 
 
-class SyncAnswers:
-    """Takes what comes with a SYNC, and answers it.
+class _Answers:
+    """What the devices take with a SYNC, and answer.
 
-    `expected`: like the frames of each cycle, SYNC the last; `clock` is that of the devices; `cycle_ns`: from one SYNC
-    to the next. `fill` is to be called before the first cycle.
+    `expected`: like the frames of each cycle, SYNC the last; `cycle_ns`: from one SYNC to the next; `alive_last`: that
+    a device is alive is said behind all else. `fill` is to be called before the first cycle.
     """
 
     def __init__(
@@ -35,12 +35,13 @@ class SyncAnswers:
         link: EmbeddedLink,
         devices: Sequence[Device],
         drives: Sequence[SimulatedDrive],
-        clock: SyncClock,
         expected: Sequence[Frame],
         cycle_ns: int,
+        *,
+        alive_last: bool,
     ) -> None:
         """Raises NotPlainError where cycles are not plain."""
-        self._link, self._devices, self._clock, self._cycle_ns = link, devices, clock, cycle_ns
+        self._link, self._devices, self._cycle_ns = link, devices, cycle_ns
         self._cycles = 0
         self.came: Sequence[bytes] = ()  #: what is for the host
         self.received = packet_kernel.buffer()
@@ -58,7 +59,7 @@ class SyncAnswers:
         self.host = HostFrames(0, devices, drives, self._frames, self.slots, cycle_ns)
         self.host.receive()
         self._checks = self._controlwords(drives)
-        self.host.answer()
+        self.host.answer(alive_last=alive_last)
         self.drives = table([drive_row(drive, self.slots) for drive in drives], lay.DRIVE)
         self._until_ns = self.host.quiet_until_ns()
 
@@ -109,11 +110,52 @@ class SyncAnswers:
         )
         self._port_table, self._numbers = self._port.table(), self._port.numbers.data
 
+    def _send_again(self) -> None:
+        """What the bus did not take."""
+        at, end = protocol.HEADER.size, self._numbers[packet_kernel.OUT_LENGTH]
+        self._link.send_records(self._port.sent[at:end].tobytes())
+
+    def _hear(self, heartbeat: int) -> None:
+        """What the host does with a heartbeat of the bench, which may come again."""
+        for device in self._devices:
+            device.consumer.heard(heartbeat - HEARTBEAT)
+        self._until_ns = self.host.quiet_until_ns()
+
+    def _is_due_at(self, time_ns: int) -> bool:
+        """Whether a device has to say, or notice, something of its own by this time of its clock."""
+        return time_ns > self._until_ns or any(device.outbox for device in self._devices)
+
+    @property
+    def has_answered(self) -> bool:
+        """Whether it has at all."""
+        return self._cycles > 0
+
+    def _give(self, received_ns: int) -> None:
+        """The devices get what the arrays have of their PDOs and heartbeats; the last RPDOs came then."""
+        self.host.give(self._rows, self._data, self._cycles, received_ns)
+
+
+class SyncAnswers(_Answers):
+    """Takes what comes with a SYNC in one packet, and answers it; `clock` is that of the devices."""
+
+    def __init__(
+        self,
+        link: EmbeddedLink,
+        devices: Sequence[Device],
+        drives: Sequence[SimulatedDrive],
+        clock: SyncClock,
+        expected: Sequence[Frame],
+        cycle_ns: int,
+    ) -> None:
+        """Raises NotPlainError where cycles are not plain."""
+        super().__init__(link, devices, drives, expected, cycle_ns, alive_last=False)
+        self._clock = clock
+
     def serve(self, timeout_s: float) -> int:
         """Answer the next packet: ANSWERED; NOTHING: none came within the time; OTHER: it, or what is due, is not
         plain, and nothing was done: `came` has it."""
         clock, numbers = self._clock, self._numbers
-        if self._is_due():
+        if self._is_due_at(clock.next_ns):
             return self._leave(timeout_s)
         self._given_at[lay.I_CLOCKS] = clock.next_ns
         numbers[packet_kernel.UNTIL_NS] = clock.stalls_at_ns
@@ -125,12 +167,6 @@ class SyncAnswers:
         clock.tick_at(numbers[packet_kernel.NOW_NS])
         self._cycles += 1
         return ANSWERED
-
-    def _is_due(self) -> bool:
-        """Whether a device has to say, or notice, something of its own."""
-        if self._clock.next_ns > self._until_ns:
-            return True
-        return any(device.outbox for device in self._devices)
 
     def _leave(self, timeout_s: float) -> int:
         packet = self._link.receive_packet(timeout_s)
@@ -149,28 +185,21 @@ class SyncAnswers:
             outcome = packet_kernel.answer(*tables, packet_kernel.TAKEN)
         if outcome == packet_kernel.ALIVE:
             self._hear(numbers[packet_kernel.HEARTBEAT_OF])
-            outcome = OTHER if self._is_due() else packet_kernel.answer(*tables, packet_kernel.HEARD)
+            outcome = (
+                OTHER if self._is_due_at(self._clock.next_ns) else packet_kernel.answer(*tables, packet_kernel.HEARD)
+            )
         if outcome == packet_kernel.UNSENT:
-            at, end = protocol.HEADER.size, numbers[packet_kernel.OUT_LENGTH]
-            self._link.send_records(self._port.sent[at:end].tobytes())
+            self._send_again()
             outcome = ANSWERED
         if outcome == OTHER:
             self.came = (self.received[: numbers[packet_kernel.LENGTH]].tobytes(),)
         return outcome
 
     def _hear(self, heartbeat: int) -> None:
-        """What the host does with a heartbeat of the bench, which may come again."""
         if heartbeat == self._clock.kept_by:
             self._clock.keep()
             self._numbers[packet_kernel.UNTIL_NS] = self._clock.stalls_at_ns
-        for device in self._devices:
-            device.consumer.heard(heartbeat - HEARTBEAT)
-        self._until_ns = self.host.quiet_until_ns()
-
-    @property
-    def has_answered(self) -> bool:
-        """Whether it has at all."""
-        return self._cycles > 0
+        super()._hear(heartbeat)
 
     @property
     def stands(self) -> bool:
@@ -179,4 +208,69 @@ class SyncAnswers:
 
     def give(self) -> None:
         """The devices get what the arrays have of their PDOs and heartbeats."""
-        self.host.give(self._rows, self._data, self._cycles, self._clock.next_ns - 2 * self._cycle_ns)
+        self._give(self._clock.next_ns - 2 * self._cycle_ns)
+
+
+class ClockedAnswers(_Answers):
+    """The same where frames come one by one as the wire brings them, and the devices go by the wall clock.
+
+    RPDOs count that are there when SYNC comes; one that is not leaves its objects what they are. That a device is alive
+    is said behind its answers, for which somebody waits.
+    """
+
+    def __init__(
+        self,
+        link: EmbeddedLink,
+        devices: Sequence[Device],
+        drives: Sequence[SimulatedDrive],
+        clock: MonotonicClock,
+        cycle_ns: int,
+    ) -> None:
+        """Raises NotPlainError where cycles are not plain."""
+        super().__init__(link, devices, drives, _all_received(devices), cycle_ns, alive_last=True)
+        self._clock = clock
+
+    def await_sync(self, timeout_s: float) -> int:
+        """SYNCED: it is to be answered; NOTHING: it has not come yet; OTHER: what has come, or is due, is not plain, or
+        SYNC has stopped: `came` has all since the last one."""
+        numbers, outcome = self._numbers, OTHER
+        if not self._is_due_at(self._clock.now_ns()):
+            outcome = packet_kernel.await_sync(self._port_table, round(1e9 * timeout_s))
+        if numbers[packet_kernel.HEARTBEAT_OF]:
+            self._hear(numbers[packet_kernel.HEARTBEAT_OF])
+            numbers[packet_kernel.HEARTBEAT_OF] = 0
+        if outcome == packet_kernel.SYNCED:
+            self._clock.tick()
+        if outcome == NOTHING and self._clock.stalled_ns() > 0:
+            outcome = OTHER
+        if outcome == OTHER:
+            self.leave()
+        return outcome
+
+    def leave(self) -> None:
+        """What has come since the last SYNC is for the host."""
+        length = self._numbers[packet_kernel.LENGTH]
+        self.came = (self.received[:length].tobytes(),) if length else ()
+
+    def answer(self) -> None:
+        """Once there is SYNC, and the arrays show what its time is."""
+        self._given_at[lay.I_CLOCKS] = self._clock.now_ns()
+        if packet_kernel.answer(self.table, self._port_table, packet_kernel.BEHIND_SYNC) == packet_kernel.UNSENT:
+            self._send_again()
+        self._cycles += 1
+
+    def give(self) -> None:
+        """The devices get what the arrays have of their PDOs and heartbeats."""
+        self._give(self._clock.now_ns())
+
+
+def _all_received(devices: Sequence[Device]) -> list[Frame]:
+    """All that devices take, with what their objects have of it, and SYNC. Raises NotPlainError where it is to be
+    noticed that a frame stays away."""
+    frames: list[Frame] = []
+    for device in devices:
+        for cob_id, rpdo in device.receive_pdos.items():
+            if rpdo.map is None or rpdo.is_supervised:
+                raise NotPlainError
+            frames.append(Frame(cob_id, rpdo.map.pack([cell.value for cell in rpdo.cells])))
+    return [*frames, Frame(SYNC, b"")]

@@ -71,7 +71,7 @@ def found_rows(result: Result) -> list[tuple[str, ...]]:
 def _row(found: FoundRecord) -> Iterator[str]:
     yield number(found.t_s, 6)
     yield ("no longer " if found.gone else "") + found.effect.replace("_", " ")
-    yield _where(found)
+    yield found.part
     yield ", ".join(
         f"{name} {each.value:.4g}" + (f" ({each.ci95[0]:.4g} to {each.ci95[1]:.4g})" if not found.gone else "")
         for name, each in found.parameters.items()
@@ -81,13 +81,6 @@ def _row(found: FoundRecord) -> Iterator[str]:
     yield number(found.applied_after_s) if found.applied_after_s is not None else never
     yield "" if found.gap is None else f"{found.gap.before:.3g} → {found.gap.after:.3g}"
     yield ", ".join(found.tied_with).replace("_", " ")
-
-
-def _where(found: FoundRecord) -> str:
-    """Its part of the machine; "" of what is everywhere."""
-    if found.axis is not None:
-        return f"axis {found.axis}"
-    return "" if found.span is None else f"span {found.span}"
 
 
 def _draw(figure: Any, history: GapHistory, found: Sequence[FoundRecord]) -> list[Panel]:
@@ -121,7 +114,7 @@ def _mark(axes: Any, t_s: float, found: Sequence[FoundRecord]) -> None:
 
 
 def _words(found: FoundRecord) -> str:
-    where = f", {_where(found)}" if _where(found) else ""
+    where = f", {found.part}" if found.part else ""
     size = "" if found.gone else f": {_size(found)}"
     return f"{'no ' if found.gone else ''}{found.effect.replace('_', ' ')}{where}{size}"
 

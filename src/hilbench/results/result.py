@@ -20,7 +20,7 @@ from pydantic import (
 )
 
 from hilbench.bench.prediction.announcements import Announcement
-from hilbench.bench.reports.found import FoundEffect, GapRow, ModelChange
+from hilbench.bench.reports.found import FoundEffect, GapRow, ModelChange, part_words
 from hilbench.block import Strict
 from hilbench.json_file import JsonFile
 from hilbench.plant.effects import find_effect
@@ -384,6 +384,11 @@ class FoundRecord(Strict):
     gone: bool = False
     refused: bool = False
     tied_with: list[str] = Field(default_factory=list)
+
+    @property
+    def part(self) -> str:
+        """Its part of the machine: "axis 2"; "" of what is everywhere."""
+        return part_words(self.axis, self.span)
 
     @classmethod
     def of(cls, change: ModelChange) -> list[Self]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hilbench.canopen.eds import load_eds
+from hilbench.canopen.eds import shared_eds
 from hilbench.cia402 import objects
 from hilbench.cia402.configuration import DriveSettings, drive_pdos
 from hilbench.cia402.objects import OperationMode
@@ -31,7 +31,7 @@ class AxisListener:
     """Decodes the TPDO1 of one real axis by its EDS."""
 
     def __init__(self, axis: RealAxis, cycle_s: float) -> None:
-        od, node_id = load_eds(axis.eds, axis.node_id), axis.node_id
+        od, node_id = shared_eds(axis.eds, axis.node_id), axis.node_id
         settings = DriveSettings(f"axis of node {node_id}", node_id, OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY, cycle_s)
         _, pdo, indices = drive_pdos(settings, od).tpdos[0]
         self.cob_id = pdo.cob_id

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
 
 from hilbench.estimation.plausibility import Problem
 from hilbench.plant.interface import Plant
@@ -33,18 +34,35 @@ def with_effects(model: MachineParameters, effects: str) -> MachineParameters:
     return type(model).model_validate({**model.model_dump(), "effects": json.loads(effects)})
 
 
+class Coming(Protocol):
+    """A machine that is being made: a future."""
+
+    def done(self) -> bool:
+        """Whether it is."""
+
+    def result(self) -> TwinMachine:
+        """It, once it is."""
+
+
+Make = Callable[[], TwinMachine]
+
+
 class ChangeableMachine:
     """A `TwinMachine` whose model can be exchanged while it runs.
 
-    `make`: a new machine of the model with these effects (JSON) in the place of the configured ones; "": as it is
-    configured. Until the first change all calls go straight to the configured machine.
+    `make`: what makes a new machine of the model with these effects (JSON) in the place of the configured ones; "": as
+    it is configured. Until the first change all calls go straight to the configured machine. `beside`: who makes it
+    while the cycle goes on, which takes some cycles' time; None: it is made at once.
     """
 
-    def __init__(self, make: Callable[[str], TwinMachine], cycle_s: float) -> None:
-        self._make = make
+    def __init__(
+        self, make: Callable[[str], Make], cycle_s: float, beside: Callable[[Make], Coming] | None = None
+    ) -> None:
+        self._make, self._beside = make, beside
         self._cycle_s = cycle_s
-        self._configured = self._current = make("")
+        self._configured = self._current = make("")()
         self.ports: Sequence[MotorPort] = self._configured.ports
+        self._coming: Coming | None = None
         self._candidate: TwinMachine | None = None
         self._effects = self._effects_beside = ""  # of the model in use, and of the candidate
         self._before: Sequence[Measured] | None = None  # while the candidate waits to be released
@@ -66,7 +84,12 @@ class ChangeableMachine:
         """
         if self._share > 0.0:
             raise RuntimeError("a model is being taken over")
-        self._candidate, self._effects_beside = self._make(effects), effects
+        make, self._effects_beside = self._make(effects), effects
+        self._candidate, self._coming = None, None
+        if self._beside is None:
+            self._candidate = make()
+        else:
+            self._coming = self._beside(make)
         self._before, self._released = None, False
         self._synchronized_cycles = self._cycles_over = 0
         self._apart = self._shown = self.largest_steps = ()
@@ -74,7 +97,7 @@ class ChangeableMachine:
     @property
     def changing(self) -> bool:
         """Whether a changed model runs beside the one in use, or is being taken over."""
-        return self._candidate is not None
+        return self._candidate is not None or self._coming is not None
 
     @property
     def changed(self) -> bool:
@@ -84,7 +107,7 @@ class ChangeableMachine:
     @property
     def only_plant(self) -> Plant | None:
         """The configured model where no other is in use or tried; it then moves the ports by itself."""
-        alone = self._candidate is None and self._current is self._configured
+        alone = not self.changing and self._current is self._configured
         return self._configured.plant if alone else None
 
     @property
@@ -137,7 +160,7 @@ class ChangeableMachine:
     def reset(self) -> None:
         """Start anew with the model that was configured."""
         self._candidate, self._current, self._share = None, self._configured, 0.0
-        self._effects = ""
+        self._coming, self._effects = None, ""
         self._configured.reset()
 
     def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> bool:
@@ -186,6 +209,8 @@ class ChangeableMachine:
             return
         self._pass_set_points(self._current)
         self._current.plant.step(duration_s)
+        if self._coming is not None and self._coming.done():
+            self._candidate, self._coming = self._coming.result(), None
         candidate = self._candidate
         if candidate is not None and self._released:
             self._pass_set_points(candidate)

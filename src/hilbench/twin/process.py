@@ -13,7 +13,7 @@ from hilbench.can.frame import Frame
 from hilbench.can.open import BusAddress
 from hilbench.canopen.clock import Clock, SyncClock
 from hilbench.canopen.device import Device, SdoAbort
-from hilbench.canopen.eds import load_eds
+from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.identifiers import NmtState
 from hilbench.canopen.sync_time import SyncTime
@@ -22,7 +22,7 @@ from hilbench.estimation.web_line.torque_shift import TORQUE_SHIFT, UNDECIDED
 from hilbench.plant.interface import Steps
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.pairing import cycles_gone, play
-from hilbench.real_time import ProcessSettings
+from hilbench.real_time import ProcessSettings, right_behind
 from hilbench.topology.blocks import MachineParameters, TwinConfig
 from hilbench.topology.process_data.of_kind import process_data
 from hilbench.topology.signals import Shape
@@ -36,10 +36,9 @@ from hilbench.twin.machines.machine import (
     InVectors,
     MachineVectors,
     Measured,
-    TwinMachine,
     VectorMachine,
 )
-from hilbench.twin.model_change import ChangeableMachine, with_effects
+from hilbench.twin.model_change import ChangeableMachine, Coming, Make, with_effects
 from hilbench.twin.virtual_io import TwinStatus, VirtualIo
 
 #: Error register (1001h): generic and device profile.
@@ -489,19 +488,31 @@ def _at(part: int) -> bytes:
     return bytes((0, 0, 0, 0, part))
 
 
+def _beside(process: ProcessSettings) -> Callable[[Make], Coming]:
+    """Who makes another machine while the cycle goes on by the clock."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    return ThreadPoolExecutor(1, "new-model", initializer=right_behind, initargs=(process.priority,)).submit
+
+
 def twin(setup: TwinSetup) -> HostedDevices:
     """The virtual axes, the virtual I/O and the simulation behind them."""
     model = setup.model
     warm_up(model, setup.twin, setup.shape, setup.cycle_s)
-    devices = [Device(load_eds(node.eds, node.node_id), node.node_id, setup.clock) for node in setup.virtual_axes]
+    devices = [Device(shared_eds(node.eds, node.node_id), node.node_id, setup.clock) for node in setup.virtual_axes]
     io_node = setup.virtual_io
-    io_device = Device(load_eds(io_node.eds, io_node.node_id), io_node.node_id, setup.clock)
+    io_device = Device(shared_eds(io_node.eds, io_node.node_id), io_node.node_id, setup.clock)
     virtual_io = VirtualIo(io_device, process_data(model.machine_kind, setup.shape), boundary(model, setup.shape))
 
-    def make(effects: str) -> TwinMachine:
-        return new_machine(with_effects(model, effects), setup.twin, setup.shape, setup.cycle_s, virtual_io.told)
+    def make(effects: str) -> Make:
+        changed = with_effects(model, effects)
+        return lambda: new_machine(changed, setup.twin, setup.shape, setup.cycle_s, virtual_io.told)
 
-    machine = ChangeableMachine(make, setup.cycle_s)
+    beside = None
+    if setup.process is not None:
+        beside = _beside(setup.process)
+        make("[]")  # what checks a model is slow the first time
+    machine = ChangeableMachine(make, setup.cycle_s, beside)
     drives = [SimulatedDrive(device, port) for device, port in zip(devices, machine.ports, strict=True)]
     application = TwinApplication(setup, machine, drives, io_device, virtual_io)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hilbench.canopen.eds import load_eds
+from hilbench.canopen.eds import shared_eds
 from hilbench.estimation.web_line.config import KnownChangeConfig
 from hilbench.exchange.addressing import declared_units
 from hilbench.exchange.device_clock import device_clock
@@ -23,7 +23,7 @@ def twin_setup(config: BenchConfig) -> TwinSetup:
         return TwinNode(part.node.node_id, part.node.eds)
 
     def axis(part: Part) -> RealAxis:
-        od = load_eds(part.node.eds, part.node.node_id)
+        od = shared_eds(part.node.eds, part.node.node_id)
         return RealAxis(part.node.node_id, part.node.eds, declared_units(part, od))
 
     return TwinSetup(

@@ -38,6 +38,7 @@ from hilbench.plain.exchange import PlainExchange
 from hilbench.processes import ChildProcess
 from hilbench.real_time import comes_first, kept_ready
 from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import Part
 from hilbench.topology.resolved import write_resolved
 from hilbench.twin.machines.kinds import maker, warm_up
 
@@ -46,6 +47,8 @@ if TYPE_CHECKING:
 
 #: Of a node that does not wait for SYNC one comes for certain.
 _HEARTBEATS_TO_WAIT = 1.5
+#: For a reset to be taken: a heartbeat of before that is still on its way is no boot-up.
+_RESET_S = 0.05
 #: For the last command to come back from the bus: it belongs in the trace.
 _LAST_FRAME_S = 0.1
 _EXPECTED = "expected simulate-hardware and twin that were started with --pace "
@@ -127,10 +130,8 @@ def bring_up(
                 supervisor = _start_supervisor(config, folder, copies)
             if supervisor is not None:
                 resources.callback(supervisor.end)
-            _wait_for_nodes(config, master, children, participants)
             announce("configure nodes")
-            found = ask_all(master, config)
-            nodes.configure(master)
+            found = _configure(config, nodes, master, children, participants)
             brought = {} if participants is Participants.PRESENT else config.simulated_drives
             stand_data(config, found, master.written, started=brought).write(folder / FILE)
             master.nmt(NmtCommand.START)
@@ -141,7 +142,7 @@ def bring_up(
         warnings: list[str] = []
         resources.enter_context(kept_ready(config.process_settings("bench"), warnings.append))
         if not here:
-            warnings += _wire_first(config)
+            warnings += wire_first(config)
         producer = None if here else sync_producer(config, link)
         exchange = Exchange(nodes, link, objects, tap=tap, in_process=here is not None, producer=producer)
         if here and inside:
@@ -154,7 +155,7 @@ def bring_up(
         yield StartedBench(nodes, exchange, children, supervisor, warnings)
 
 
-def _wire_first(config: BenchConfig) -> list[str]:
+def wire_first(config: BenchConfig) -> list[str]:
     """Let the hub of an embedded bus come before those who wait for its frames, where these have a priority; what there
     is to say against it."""
     settings, bus = config.process_settings("bench"), config.bus_address
@@ -283,19 +284,34 @@ def _start_supervisor(config: BenchConfig, folder: Path, copies: dict[str, Copy]
     return ChildProcess(_SUPERVISOR, watch.arguments(), folder / "supervisor.log", copy=copies.pop(_SUPERVISOR, None))
 
 
-def _wait_for_nodes(
-    config: BenchConfig, master: Master, children: list[ChildProcess], participants: Participants
-) -> None:
-    for part in config.parts:
-        # It is there already: from its own reset on everything is known.
-        if participants is Participants.PRESENT or not (part.is_simulated or part.is_virtual):
-            master.nmt(NmtCommand.RESET_NODE, part.node.node_id)
+def _configure(
+    config: BenchConfig, nodes: Nodes, master: Master, children: list[ChildProcess], participants: Participants
+) -> dict[str, dict[tuple[int, int], bytes | None]]:
+    """Configure each node once it is there: the drives first, while the twin still loads; what these said before."""
+    # From its own reset on everything is known of one that is there already.
+    there = [part for part in config.parts if participants is Participants.PRESENT or not _is_started(part)]
+    for part in there:
+        master.nmt(NmtCommand.RESET_NODE, part.node.node_id)
+    if there:
+        time.sleep(_RESET_S)
 
     def check() -> None:
         for child in children:
             child.check()
 
-    master.wait_for_boot([part.node.node_id for part in config.parts], config.master.boot_timeout_s, check)
+    timeout_s, twin = config.master.boot_timeout_s, list(config.virtual_nodes)
+    drives = [part.node.node_id for part in config.parts if part.node.node_id not in twin]
+    master.wait_for_boot(drives, timeout_s, check, beside=twin)
+    found = ask_all(master, config)
+    nodes.configure_drives(master)
+    master.wait_for_boot(twin, timeout_s, check)
+    nodes.configure_twin(master)
+    return found
+
+
+def _is_started(part: Part) -> bool:
+    """Whether it is brought by a bench, and not on the bus without one."""
+    return part.is_simulated or part.is_virtual
 
 
 def _wait_until_started(config: BenchConfig, master: Master) -> None:

@@ -18,7 +18,7 @@ from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
 from hilbench.bench.tasks.task import CyclicTask, Outputs
-from hilbench.bench.tasks.tension_control import TensionController, strain_before
+from hilbench.bench.tasks.tension_control import TensionController, strains_around
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask, StrainWay
 from hilbench.bench.tasks.tension_probing import Probing
 from hilbench.bench.tasks.tension_task import EnteringStrain, FeedForward, Leader, LoopNames, TensionTask
@@ -91,7 +91,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         trusts.append(TwinTrust(control, limits.tension_N.trip or inf, cycle_s, names.twin))
         ahead = None
         if plan is not None and axis in ways:
-            ahead = FeedForward(ways[axis], entering_strain(config, state.twin, axis), plan)
+            ahead = FeedForward(ways[axis], *neighbour_strains(config, state.twin, axis), plan)
         loops[axis] = _tension_task(config, state, control, names, axes[-1], trusts[-1], ahead)
         axes.append(loops[axis])
     of_spans = {loop.span: loop for loop in loops.values()}
@@ -157,13 +157,13 @@ def _tension_task(
     ahead: FeedForward | None,
 ) -> TensionTask:
     model, cycle_s, section = section_model(config.web_line), config.cycle_time_s, names.axis
-    strain = strain_before(config, control.span)
-    swing = SwingPlant.of_model(model, cycle_s, section, strain)
+    strains = strains_around(config, control.span)
+    swing = SwingPlant.of_model(model, cycle_s, section, strains)
     return TensionTask(
         names,
         leader,
         control.set_point_N,
-        TensionController.of_model(control.model_copy(update={"span": section}), model, strain),
+        TensionController.of_model(control.model_copy(update={"span": section}), model, strains),
         SwingDamping(swing, control.swing_damping_ratio, model.youngs_modulus_Pa(section)),
         trust,
         state.twin,
@@ -212,17 +212,27 @@ def _reel_speeds(config: BenchConfig, leader: Leader) -> list[ReelSpeeds]:
     return [ReelSpeeds(reels, leader, line_speed)] if reels or line_speed else []
 
 
-def entering_strain(config: BenchConfig, twin: TwinState, axis: int) -> EnteringStrain:
-    """Of the web that comes over a driven axis: that of the web upstream, or what the twin has of the span before it;
-    while it has nothing, what that is to be."""
-    model, shape = config.web_line, config.shape
+def neighbour_strains(config: BenchConfig, twin: TwinState, axis: int) -> tuple[EnteringStrain, EnteringStrain]:
+    """Of the web before the section behind a driven axis, and of that behind it: around the line that of the model,
+    else what the twin has of the span there; while it has nothing, what that is to be."""
+    shape = config.shape
+    first = next(span for span in range(1, shape.spans + 1) if shape.axis_before(span) == axis)
+    wanted = strains_around(config, first)
     before = [span for span in shape.simulated if shape.axis_before(span) == axis - 1]
-    wanted = strain_before(config, next(span for span in range(1, shape.spans + 1) if shape.axis_before(span) == axis))
-    if not before:
+    behind = [span for span in shape.simulated if shape.axis_before(span) == axis + 1]
+    return (
+        _simulated_strain(config, twin, before[-1] if before else None, wanted[0]),
+        _simulated_strain(config, twin, behind[0] if behind else None, wanted[1]),
+    )
+
+
+def _simulated_strain(config: BenchConfig, twin: TwinState, span: int | None, wanted: float) -> EnteringStrain:
+    if span is None:
         return lambda sample: wanted
-    known = shape.shows(before[-1])
-    tension, modulus = f"F{shape.numbered(before[-1])}_sim_N", f"E{shape.numbered(known)}_sim_Pa"
-    section_m2 = model.stiffness_N(before[-1]) / model.youngs_modulus_Pa(known)
+    model, shape = config.web_line, config.shape
+    known = shape.shows(span)
+    tension, modulus = f"F{shape.numbered(span)}_sim_N", f"E{shape.numbered(known)}_sim_Pa"
+    section_m2 = model.stiffness_N(span) / model.youngs_modulus_Pa(known)
 
     def strain(sample: CycleSample) -> float:
         modulus_Pa = getattr(sample, modulus)

@@ -35,7 +35,7 @@ from hilbench.exchange.exchange import Exchange, Inputs
 from hilbench.exchange.nodes import Nodes
 from hilbench.plant.effects import find_effect
 from hilbench.plant.model_file import Machine
-from hilbench.real_time import leave_the_cycle
+from hilbench.real_time import ProcessSettings, beside_the_cycle
 from hilbench.topology.quantities import MODEL_CHANGE, parse_effect_path
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signal_kinds import Signal
@@ -52,7 +52,8 @@ _MOST_OUTSTANDING = 240
 class ModelChanges(CyclicTask):
     """Looks after the diagnosis beside one run. `apply`: models that it has decided for are taken at once.
 
-    `signals`: of a sample, in the order of a row; `model`: as it is configured.
+    `signals`: of a sample, in the order of a row; `model`: as it is configured; `last`: of the cycle's processes that
+    which comes last, None in lockstep.
     """
 
     def __init__(
@@ -65,7 +66,7 @@ class ModelChanges(CyclicTask):
         model: Machine,
         *,
         apply: bool,
-        lockstep: bool,
+        last: ProcessSettings | None,
     ) -> None:
         self.changes: list[ModelChange] = []
         self.gaps: list[GapRow] = []
@@ -77,10 +78,10 @@ class ModelChanges(CyclicTask):
         self._row = attrgetter(*names)
         self._pack = Struct(f"={len(names) + 2}d").pack
         self._apply = apply
-        self._lockstep = lockstep
+        self._lockstep = last is None
         self._rows: list[bytes] = []
         self._answers: deque[Future[Watched]] = deque()
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="twin-model", initializer=leave_the_cycle)
+        self._pool = ThreadPoolExecutor(1, "twin-model", initializer=beside_the_cycle, initargs=(last,))
         self._request: Future[None] | None = None
         self._in_use = ""  # effects of the twin's model
         self._kind, self._configured = model.machine_kind, [entry.model_dump() for entry in model.effects]

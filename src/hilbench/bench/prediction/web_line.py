@@ -15,7 +15,7 @@ from hilbench.bench.prediction.hindsight import Hindsight
 from hilbench.bench.prediction.window import Reading, Window
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.swing_damping import SwingPlant, damping_gains
-from hilbench.bench.tasks.tension_control import TensionController, strain_before
+from hilbench.bench.tasks.tension_control import TensionController, strains_around
 from hilbench.bench.tasks.tension_feed_forward import RollerForces, way_per_s
 from hilbench.bench.tasks.web_limits import limited
 from hilbench.prediction.config import PredictionConfig
@@ -106,7 +106,7 @@ class LineLook:
             leads=partial(_leads, config),
         )
         self._controllers = {
-            span: TensionController.of_model(control, model, strain_before(config, span))
+            span: TensionController.of_model(control, model, strains_around(config, span))
             for span, control in config.tension_controls.items()
         }
 
@@ -180,7 +180,7 @@ class LineLook:
     def _gains(self, config: BenchConfig) -> Callable[[float], Array]:
         model, spans = config.web_line, config.shape.spans
         swings = {
-            span: SwingPlant.of_model(model, config.cycle_time_s, span, strain_before(config, span))
+            span: SwingPlant.of_model(model, config.cycle_time_s, span, strains_around(config, span))
             for span in config.tension_controls
         }
 

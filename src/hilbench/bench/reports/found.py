@@ -21,6 +21,12 @@ CHUNK_CYCLES = 250
 _PARTS: Final = ("axis", "span")
 
 
+def part_words(*numbers: int | None) -> str:
+    """The part of the machine that has the number of the two (axis, span) that is given: "axis 2"; "" of neither."""
+    named = zip(_PARTS, numbers, strict=True)
+    return next((f"{name} {number}" for name, number in named if number is not None), "")
+
+
 @dataclass(frozen=True)
 class FoundValue:
     """A parameter of an effect with its 95 % interval, in `unit`."""
@@ -44,8 +50,7 @@ class FoundEffect:
     @property
     def part(self) -> str:
         """Its part of the machine: "axis 2"; "" of what has none."""
-        numbers = ((name, getattr(self, name)) for name in _PARTS)
-        return next((f"{name} {number}" for name, number in numbers if number is not None), "")
+        return part_words(self.axis, self.span)
 
     @property
     def place(self) -> str:

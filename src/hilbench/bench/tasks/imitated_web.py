@@ -20,12 +20,12 @@ from hilbench.topology.config import BenchConfig
 def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
     """The truth of the run: the model's machine without the model's effects, with what `load:` changes and hides.
 
-    The upstream strain stays the model's: it does not follow a change of E in the span.
+    The strains around the line stay the model's: they do not follow a change of E in a span.
     """
     changes = load.web.model_dump(exclude_none=True)
     data = model.model_dump()
     data["web"] |= changes
-    data["boundary"]["upstream_strain"] = model.upstream_strain
+    data["boundary"] |= {"upstream_strain": model.upstream_strain, "downstream_strain": model.downstream_strain}
     data["effects"] = [entry.model_dump() for entry in load.effects]
     return ModelParameters.model_validate(data)
 

@@ -52,6 +52,7 @@ class SwingPlant:
     span_length_m: float
     section_m2: float
     upstream_strain: float
+    downstream_strain: float
     mass1_kg: float
     mass2_kg: float
     velocity_kp1_N_s_per_m: float
@@ -64,8 +65,8 @@ class SwingPlant:
     delay_cycles: int = 1  #: from measuring to the start of a command's hold
 
     @classmethod
-    def of_model(cls, model: ModelParameters, cycle_s: float, span: int, upstream_strain: float) -> SwingPlant:
-        """A span of a model with its drives, and the strain of the web that enters it.
+    def of_model(cls, model: ModelParameters, cycle_s: float, span: int, strains: tuple[float, float]) -> SwingPlant:
+        """A span of a model with its drives, and the strains of the web before and behind it.
 
         Raises ValueError for a model without drives or web.
         """
@@ -81,7 +82,8 @@ class SwingPlant:
         return cls(
             span_length_m=model.span_length_m(span),
             section_m2=model.section_m2(span),
-            upstream_strain=upstream_strain,
+            upstream_strain=strains[0],
+            downstream_strain=strains[1],
             mass1_kg=model.mass_kg(span),
             mass2_kg=model.mass_kg(span + 1),
             velocity_kp1_N_s_per_m=kp1,
@@ -143,8 +145,9 @@ def _under_way(plant: SwingPlant) -> list[float]:
     return shares
 
 
-#: Of the vectors of `damp`. Plant: span, strain upstream, limit of the command, cycle, by how much ways may differ.
-_LENGTH_M, _UPSTREAM, _LIMIT_M_S, _CYCLE_S, _LEAST_WAY_M = range(5)
+#: Of the vectors of `damp`. Plant: span, strains upstream and downstream, limit of the command, cycle, by how much ways
+#: may differ.
+_LENGTH_M, _UPSTREAM, _DOWNSTREAM, _LIMIT_M_S, _CYCLE_S, _LEAST_WAY_M = range(6)
 #: Gains: those of `DampingGains`, then how many are pending, and these.
 _RATE, _ELONGATION, _FADES, _PENDING, _GAINS = range(5)
 #: State: cycles since the last positions that were taken, whether there are any, they, the web in the span unstretched,
@@ -154,17 +157,15 @@ _CYCLES, _STARTED, _X1_M, _X2_M, _UNSTRETCHED_M, _STRAIN, _ELONGATION_M, _COMMAN
 
 @compiled
 def _elongated_m(plant: Vector, s: Vector, way1_m: float, way2_m: float) -> float:
-    """How much longer the span's web has become, ΔL = L·Δε, by what came in and went out unstretched.
-
-    Forward the balance forgets an error of the strain within L/v. In reverse the same error would grow as fast: so
-    there the strain that is believed goes the other way, and what lasts longer than L/v is forgotten as well.
+    """How much longer the span's web has become, ΔL = L·Δε, by what came in and went out unstretched: forward at
+    roller 1 and 2, in reverse at 2 and 1. The balance forgets an error of the strain within L/v.
     """
     strain = s[_STRAIN]
-    direction = 1.0 if way2_m >= 0.0 else -1.0
-    came_in_m = way1_m / (1.0 + plant[_UPSTREAM]) - way2_m / (1.0 + strain)
-    s[_UNSTRETCHED_M] += direction * came_in_m
+    came_in_m = way1_m / (1.0 + (plant[_UPSTREAM] if way1_m >= 0.0 else strain))
+    went_out_m = way2_m / (1.0 + (strain if way2_m >= 0.0 else plant[_DOWNSTREAM]))
+    s[_UNSTRETCHED_M] += came_in_m - went_out_m
     s[_STRAIN] = plant[_LENGTH_M] / s[_UNSTRETCHED_M] - 1.0
-    return float(direction * plant[_LENGTH_M] * (s[_STRAIN] - strain))
+    return float(plant[_LENGTH_M] * (s[_STRAIN] - strain))
 
 
 @compiled
@@ -221,9 +222,8 @@ class SwingDamping:
         self._plant = plant
         self._ratio = damping_ratio
         self._sent = len(_under_way(plant))
-        self._figures = np.array(
-            [plant.span_length_m, plant.upstream_strain, plant.limit_m_s, plant.cycle_s, plant.least_way_m]
-        )
+        strains = (plant.upstream_strain, plant.downstream_strain)
+        self._figures = np.array([plant.span_length_m, *strains, plant.limit_m_s, plant.cycle_s, plant.least_way_m])
         self._gains = np.zeros(_GAINS + self._sent)
         self._state = np.zeros(_COMMANDS + self._sent)
         self._ways, self._positions_m = pairing_state(2), np.zeros(2)

@@ -35,18 +35,22 @@ _HOLD_S = 0.5
 _KNOWN_S = 0.5
 
 
-def strain_before(config: BenchConfig, span: int) -> float:
-    """Strain of the web that enters a span, by the model: that of the set-point of the nearest span before it with a
-    controller, as an axis without one hands the strain on; that of the web upstream for none."""
-    model = config.web_line
-    before = [control for number, control in config.tension_controls.items() if number < span]
-    return before[-1].set_point_N / model.stiffness_N(before[-1].span) if before else model.upstream_strain
+def strains_around(config: BenchConfig, span: int) -> tuple[float, float]:
+    """Strains of the web before and behind a span, by the model: on each side that of the set-point of the nearest span
+    with a controller, as an axis without one hands the strain on; that of the web around the line for none."""
+    model, controls = config.web_line, config.tension_controls
+    before = [control for number, control in controls.items() if number < span]
+    behind = [control for number, control in controls.items() if number > span]
+    return (
+        before[-1].set_point_N / model.stiffness_N(before[-1].span) if before else model.upstream_strain,
+        behind[0].set_point_N / model.stiffness_N(behind[0].span) if behind else model.downstream_strain,
+    )
 
 
 #: Of the vectors of `control`. Figures: bandwidth, limit of the correction, span and section, what holds the roller
-#: behind it, strain upstream; state: integral in m/s, ratio of speeds, E as it was known (0: before the loop was
-#: closed), whether it is open.
-_BANDWIDTH, _LIMIT_M_S, _LENGTH_M, _AREA_M2, _ROLLER_N_PER_M, _UPSTREAM, _FIGURES = range(7)
+#: behind it, strains upstream and downstream; state: integral in m/s, ratio of speeds, E as it was known (0: before the
+#: loop was closed), whether it is open.
+_BANDWIDTH, _LIMIT_M_S, _LENGTH_M, _AREA_M2, _ROLLER_N_PER_M, _UPSTREAM, _DOWNSTREAM, _FIGURES = range(8)
 _INTEGRAL_M_S, _RATIO, _MODULUS_PA, _OPEN, _STATE = range(5)
 
 
@@ -75,6 +79,8 @@ def _hold(figures: Vector, s: Vector, line_m_s: float, set_point_N: float, cycle
     if s[_MODULUS_PA] != 0.0:
         strain = set_point_N / (s[_MODULUS_PA] * figures[_AREA_M2])
         wanted = 1.0 - (1.0 + figures[_UPSTREAM]) / (1.0 + strain)
+        if line_m_s < 0.0:
+            wanted = 1.0 - (1.0 + strain) / (1.0 + figures[_DOWNSTREAM])
         s[_RATIO] += cycle_s / (_HOLD_S + cycle_s) * (wanted - s[_RATIO])
     return float(line_m_s * (1.0 - s[_RATIO]))
 
@@ -139,7 +145,7 @@ class TensionController:
 
     `roller_stiffness_N_per_m`: what holds the roller behind the span against the web at low frequency; inf for one that
     does not yield.
-    `upstream_strain`: of the web that enters the span.
+    `strains`: of the web before and behind the span.
     """
 
     def __init__(
@@ -148,23 +154,23 @@ class TensionController:
         span_length_m: float,
         section_m2: float,
         roller_stiffness_N_per_m: float,
-        upstream_strain: float,
+        strains: tuple[float, float],
     ) -> None:
         #: Those of `control`.
         self.figures, self.state = np.zeros(_FIGURES), np.zeros(_STATE)
         self.figures[:] = (
             *(config.bandwidth_rad_per_s, config.correction_limit_m_s, span_length_m, section_m2),
-            *(roller_stiffness_N_per_m, upstream_strain),
+            *(roller_stiffness_N_per_m, *strains),
         )
         self.reset()
 
     @classmethod
     def of_model(
-        cls, config: TensionControlConfig, model: ModelParameters, upstream_strain: float
+        cls, config: TensionControlConfig, model: ModelParameters, strains: tuple[float, float]
     ) -> TensionController:
-        """For its span of a model, and the strain of the web that enters that. Raises ValueError without a web."""
+        """For its span of a model, and the strains of the web around that. Raises ValueError without a web."""
         section_m2, stiffness_N_per_m = model.section_m2(config.span), model.drive_stiffness_N_per_m(config.span + 1)
-        return cls(config, model.span_length_m(config.span), section_m2, stiffness_N_per_m, upstream_strain)
+        return cls(config, model.span_length_m(config.span), section_m2, stiffness_N_per_m, strains)
 
     def schedule(self, modulus_Pa: float) -> tuple[float, float, float]:
         """At this E: Kp in m/s per N; a length in m, and a rate in 1/s. Ki is Kp times the line speed over that length,

@@ -4,11 +4,12 @@ that comes into it and the line's speed do not have to become an error first, an
 Mass conservation in span j, solved for the speed of the roller before it at the wanted strain ε and its rate:
 
     v_j = (v_{j+1} - L·ε'/(1 + ε)) · (1 + ε_{j-1}) / (1 + ε),   ε = F/(E·S)
+    v_j = v_{j+1} · (1 + ε) / (1 + ε_{j+1}) - L·ε'/(1 + ε)      in reverse
 
-with E and the strain ε_{j-1} of the span before as the twin has them; ε is on its way to that of the set-point. That
-roller is also the one behind span j - 1: the rollers before it take their speeds from its command by the ratios of
-their own spans, so what is corrected in one span is passed on to all rollers on the side away from the master speed,
-and only there.
+with E and the strain of the span that the web comes from as the twin has them; ε is on its way to that of the
+set-point. That roller is also the one behind span j - 1: the rollers before it take their speeds from its command by
+the ratios of their own spans, so what is corrected in one span is passed on to all rollers on the side away from the
+master speed, and only there.
 
 A roller held by a velocity loop u → kp·(u - v) + ki·∫(u - v) gives way to a force until the integral has taken it up.
 For a force f that is known (m·a at a ramp, the difference of the wanted tensions, with what a change of E that the twin
@@ -99,8 +100,10 @@ class StrainWay:
 
     def velocity(self, behind_m_s: float, entering_strain: float) -> float:
         """Of the axis before the span by mass conservation, from that of the axis behind it and the strain that
-        enters."""
+        enters, in reverse that of the web behind the span."""
         wanted = 1.0 + self._strain
+        if behind_m_s < 0.0:
+            return behind_m_s * wanted / (1.0 + entering_strain) - self.lengthening_m_s / wanted
         return (behind_m_s - self.lengthening_m_s / wanted) * (1.0 + entering_strain) / wanted
 
 

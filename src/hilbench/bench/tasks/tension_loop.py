@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from hilbench.bench.tasks.imitated_web import imitated_web
 from hilbench.bench.tasks.swing_damping import DampingGains, SwingPlant, damping_gains
-from hilbench.bench.tasks.tension_control import TensionController, strain_before
+from hilbench.bench.tasks.tension_control import TensionController, strains_around
 from hilbench.plant.matrix_exponential import matrix_exponential
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.imitation import lead_s
@@ -166,8 +166,7 @@ class TensionLoop:
         """By controlled span."""
         config, found = self.config, {}
         for span, control in config.tension_controls.items():
-            strain = strain_before(config, span)
-            plant = SwingPlant.of_model(config.web_line, config.cycle_time_s, span, strain)
+            plant = SwingPlant.of_model(config.web_line, config.cycle_time_s, span, strains_around(config, span))
             found[span] = damping_gains(plant, control.swing_damping_ratio, self.point.estimates_Pa[span - 1])
         return found
 
@@ -284,7 +283,7 @@ class TensionLoop:
             if ahead:
                 speed = command + self._by_entering_strain(j)
             if j in controls and self.closed:
-                controller = TensionController.of_model(controls[j], config.web_line, strain_before(config, j))
+                controller = TensionController.of_model(controls[j], config.web_line, strains_around(config, j))
                 kp, ki = controller.gains(self.point.line_speed_m_s, self.point.estimates_Pa[j - 1])
                 error = -self._unit(f"web{j}_sim")
                 rows[f"integral{j}"] = self._unit(f"integral{j}") + ki * cycle_s * error

@@ -38,7 +38,7 @@ class Leader(Protocol):
 
 
 class EnteringStrain(Protocol):
-    """Strain of the web that enters a span, as the twin has it."""
+    """Strain of the web that may enter a span, as the twin has it."""
 
     def __call__(self, sample: CycleSample) -> float:
         """From what it has sent last."""
@@ -46,10 +46,11 @@ class EnteringStrain(Protocol):
 
 @dataclass(frozen=True)
 class FeedForward:
-    """What a loop has ahead of its controller; `leads`: of the rollers."""
+    """What a loop has ahead of its controller; strains: of the web around the span; `leads`: of the rollers."""
 
     way: StrainWay
-    entering_strain: EnteringStrain
+    strain_before: EnteringStrain
+    strain_behind: EnteringStrain
     leads: FeedForwardTask
 
 
@@ -192,7 +193,9 @@ class TensionTask(CyclicTask):
             self._modulus_Pa = getattr(sample, names.twin.modulus)
         if ahead is not None:
             set_point_N = ahead.way.tension_N(self._modulus_Pa)
-            around_m_s = ahead.way.velocity(self._leader.damped_m_s, ahead.entering_strain(sample))
+            behind_m_s = self._leader.damped_m_s
+            entering = ahead.strain_before if behind_m_s >= 0.0 else ahead.strain_behind
+            around_m_s = ahead.way.velocity(behind_m_s, entering(sample))
         tension_N = modulus_Pa = 0.0
         if closed:
             tension_N, modulus_Pa = getattr(sample, names.twin.tension), self._modulus_Pa

@@ -23,11 +23,11 @@ from hilbench.estimation.plausibility import Problem
 from hilbench.estimation.web_line import blocks
 
 #: Ratio below which the web is broken, and above which it is whole again.
-_BROKEN, _WHOLE = 0.15, 0.3
+BROKEN, WHOLE = 0.15, 0.3
 #: Smoothing of the tension that is usual: a web that breaks loses that, strange positions alone don't take it away.
 _USUAL_S = 0.3
 #: Least tension that the strain must promise for a ratio to mean anything, as a share of the machine's usual one.
-_LEAST_SHARE = 0.125
+LEAST_SHARE = 0.125
 #: Change of the ratio against what it was so many blocks before from which something has happened.
 _CHANGED, _BEFORE = 0.05, 10
 #: Blocks after which a change that is there at once is there.
@@ -108,7 +108,7 @@ def look(s: Array, block: Array) -> None:
         s[_SINCE_CHANGE_M] = _NONE
         s[_QUIET_M] = _QUIET * s[_SPAN_M]
         return
-    ratio, threshold = tension_N / promised_N, _WHOLE if s[_BROKEN_NOW] != 0.0 else _BROKEN
+    ratio, threshold = tension_N / promised_N, WHOLE if s[_BROKEN_NOW] != 0.0 else BROKEN
     broken = ratio < threshold and tension_N < threshold * s[_USUAL_N]
     s[_BROKEN_NOW] = 1.0 if broken else 0.0
     if not broken:
@@ -174,7 +174,7 @@ def new_state(model_modulus_Pa: float, usual_tension_N: float, span_length_m: fl
     """State of what looks at the blocks of axis 2. `model_modulus_Pa`: what the ratio is formed with."""
     capacities = {_RATIOS: _BEFORE, _SWUNG: round(_QUIET / _NOTED_EVERY)}
     s = np.zeros(_SIZE + sum(map(ring.size, capacities.values())))
-    s[_MODULUS_PA], s[_SPAN_M], s[_LEAST_N] = model_modulus_Pa, span_length_m, _LEAST_SHARE * usual_tension_N
+    s[_MODULUS_PA], s[_SPAN_M], s[_LEAST_N] = model_modulus_Pa, span_length_m, LEAST_SHARE * usual_tension_N
     at = _SIZE
     for place, capacity in capacities.items():
         s[place] = at

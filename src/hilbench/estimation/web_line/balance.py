@@ -24,6 +24,7 @@ from hilbench.plant.web_line.span import SpanFollower
 from hilbench.plant.web_line.span_kernel import SpanVectors, follow_to, modulus_place, put_boundary
 
 _AXIS = 1  #: index of axis 2
+_CREEP = lay.place("web_slip", "creep_per_N")
 #: Relative change of E from which the follower is told: creep and damping depend on it.
 _WORTH_TELLING = 1e-4
 
@@ -76,6 +77,12 @@ def use_modulus(balance: BalanceVectors, youngs_modulus_Pa: float) -> None:
 
 
 @compiled
+def creep_per_N(balance: BalanceVectors) -> float:
+    """Creep over the roller behind the span, by the model."""
+    return float(balance.web.p[modulus_place(balance.web.p) - lay.SP_MODULUS_PA + _CREEP])
+
+
+@compiled
 def weigh(
     balance: BalanceVectors,
     x1_m: float,
@@ -83,14 +90,19 @@ def weigh(
     torque_Nm: float,
     strain_prev: float,
     F_next_N: float,
+    behind_N: float,
+    strain_next: float,
     duration_s: float,
 ) -> None:
-    """The balance at this SYNC into the state, `duration_s` after the last; see `MeasuredBalance.update`."""
+    """The balance at this SYNC into the state, `duration_s` after the last; see `MeasuredBalance.update`.
+
+    `behind_N`, `strain_next`: tension and strain of the web behind roller 2; of several rollers as one the tension is
+    not `F_next_N`, which is behind the last of them."""
     s, velocity_m_s = balance.s, 0.0
     if s[STARTED] == _FOLLOWS:
         follow_to(balance.web, x1_m, x2_m, duration_s)
         velocity_m_s = (x2_m - s[_BEFORE_M]) / duration_s
-    put_boundary(balance.web, strain_prev, F_next_N)
+    put_boundary(balance.web, strain_prev, behind_N, strain_next)
     s[STARTED] = _FOLLOWS
     s[_BEFORE_M] = x2_m
     s[X2_M] = x2_m
@@ -126,7 +138,8 @@ def _entry_point(sources: int) -> Weigh:
     ) -> None:
         if sources >= 0:
             web = SpanVectors(web_p, web_s, web_w, web_v, boundary, tension)
-            weigh(BalanceVectors(p, web, s), x1_m, x2_m, torque_Nm, strain_prev, F_next_N, duration_s)
+            balance, strain_next = BalanceVectors(p, web, s), laws.downstream_strain(p, F_next_N)
+            weigh(balance, x1_m, x2_m, torque_Nm, strain_prev, F_next_N, F_next_N, strain_next, duration_s)
 
     return weigh_once
 

@@ -146,7 +146,7 @@ def two_rollers(model: ModelParameters, span: int, masses_behind_kg: Sequence[fl
     if model.drives is not None and masses_behind_kg:
         data["drives"]["torque_limit_Nm"] = _limits_Nm(model, model.drives, span)
     data["web_load"] = [model.carries_web_load(axis) for axis in around]
-    data["boundary"]["upstream_strain"] = model.upstream_strain
+    data["boundary"] |= {"upstream_strain": model.upstream_strain, "downstream_strain": model.downstream_strain}
     data["effects"] = [
         _moved(entry, span).model_dump()
         for entry in model.effects

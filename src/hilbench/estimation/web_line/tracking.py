@@ -59,7 +59,7 @@ _FOUND_MODULUS_PCT, _FOUND_STRAIN_PCT = 0.3, 0.3
 #: Deviation of E, in %, with which a known change of the tension tells it, and its share of what was stated before.
 _KNOWN_PCT, _SAYS_MORE = 0.3, 0.9
 
-_NOTHING_MEASURED = (nan,) * 7
+_NOTHING_MEASURED = (nan,) * 8
 
 
 class TrackedLine(Protocol):
@@ -249,7 +249,7 @@ class Tracking:
         t, c = self._t, cycle
         self._balance.reset()
         self._forget(c.NEW_WEB)
-        t[c.MISSED_S] = t[c.MEASURED] = t[c.RUNS] = t[c.REFUSED] = t[c.REFUSED_M] = 0.0
+        t[c.MISSED_S] = t[c.MEASURED] = t[c.RUNS] = t[c.REFUSED] = t[c.REFUSED_M] = t[c.CREPT] = 0.0
         if self._known_change is not None:
             self._known_change.reset()
         if self._errors is not None:
@@ -395,6 +395,17 @@ class Tracking:
         return self.measured_strain * self.series_factor / self._t.item(cycle.END_FACTOR)
 
     @property
+    def handed_on_strain(self) -> float:
+        """With which the next span gets it; see `tracking_cycle.handed_on_strain`."""
+        crept = self._t.item(cycle.CREPT)
+        return self.leaving_strain if crept == 0.0 else (1.0 + self.leaving_strain) / (1.0 - crept) - 1.0
+
+    @property
+    def handed_back_strain(self) -> float:
+        """With which the span before gets it in reverse; see `tracking_cycle.handed_back_strain`."""
+        return self.measured_strain * self.series_factor
+
+    @property
     def unstretched_m(self) -> float:
         """Web in the span."""
         return self._balance.span_length_m / (1.0 + self.measured_strain)
@@ -466,14 +477,16 @@ class Tracking:
         strain_prev: float,
         F_next_N: float,
         centre_m: float | None = None,
+        strain_next: float | None = None,
     ) -> None:
         """Take what was measured at the instant that the line has been simulated to; updates the line.
 
-        `centre_m`: of the centre of mass, where roller 2 stands for several.
+        `centre_m`: of the centre of mass, where roller 2 stands for several; `strain_next`: of the web behind the span,
+        without it as the model has it at F_next.
         """
         self._balance.begin(x1_m, x2_m, strain_prev)
-        centre_m = nan if centre_m is None else centre_m
-        values = (x1_m, x2_m, torque_Nm, self._axis2.torque_Nm, strain_prev, F_next_N, centre_m)
+        others = (nan if centre_m is None else centre_m, nan if strain_next is None else strain_next)
+        values = (x1_m, x2_m, torque_Nm, self._axis2.torque_Nm, strain_prev, F_next_N, *others)
         stage = cycle.run_vectors(cycle.COMPARE, tuple(map(float, values)), self._table)
         if stage == cycle.DONE:
             self.has_gone_on()

@@ -29,7 +29,7 @@ from hilbench.estimation.web_line.model_errors import ErrorVectors
 from hilbench.estimation.web_line.synchronizers import changepoint, kalman, plant
 from hilbench.estimation.web_line.synchronizers.changepoint import BankVectors
 from hilbench.estimation.web_line.synchronizers.plant import InputVectors
-from hilbench.plant.web_line import kernel, line_vectors, span_kernel
+from hilbench.plant.web_line import kernel, laws, line_vectors, span_kernel
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.span_kernel import SpanVectors
@@ -39,7 +39,7 @@ _KNOWN_STRAIN = 0.003
 #: Share of the tension by which more may become known to be none without a fresh look at what happens to the web.
 _ALL_AT_ONCE = 0.002
 #: Largest strain, either way, of a measured state that is taken over: no web has more.
-_LARGEST_STRAIN = 0.5
+LARGEST_STRAIN = 0.5
 #: A measured state that is refused for longer is no jump of an encoder, nor a web whose new E is not found yet: the
 #: simulation is not what was measured, s.
 ASTRAY_S = 0.25
@@ -99,8 +99,9 @@ COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(
     CORRECTED_N,  # the same force without that
     REBASED_PA,  # by which E is another one, as more is known to be no tension
     MOVED,  # what the motors show is another one
-) = range(48)
-SIZE = 48
+    CREPT,  # share by which the web leaves the span slower than the roller turns
+) = range(49)
+SIZE = 49
 
 
 class TrackingVectors(NamedTuple):
@@ -146,17 +147,25 @@ def compare(
     strain_prev: float,
     F_next_N: float,
     centre_m: float,
+    strain_next: float,
 ) -> int:
     """Take what was measured at the instant that the line has been simulated to; the stage that is next: HOLD,
     FOUND_WEB or UPDATE.
 
     `torque_Nm`, `torque_sim_Nm`: measured and simulated; `centre_m`: of the centre of mass, where roller 2 stands for
-    several, else NaN.
+    several, else NaN; `strain_next`: of the web behind the span, NaN where that is the end of the line.
     """
     t, now = v.t, v.balance.s
     torque_Nm -= t[SHIFT_NM]
     balance.use_modulus(v.balance, t[MODULUS_PA])
-    balance.weigh(v.balance, x1_m, x2_m, torque_Nm, strain_prev, F_next_N, t[CYCLE_S] + t[MISSED_S])
+    creep_per_N, behind_N = balance.creep_per_N(v.balance), F_next_N
+    if creep_per_N != 0.0:
+        behind_N = line_vectors.tension_behind_N(v.line, int(t[SPAN]), F_next_N)
+    if isnan(strain_next):
+        strain_next = laws.downstream_strain(v.balance.p, F_next_N)
+    duration_s = t[CYCLE_S] + t[MISSED_S]
+    balance.weigh(v.balance, x1_m, x2_m, torque_Nm, strain_prev, F_next_N, behind_N, strain_next, duration_s)
+    t[CREPT] = creep_per_N * (v.balance.web.tension[0] - behind_N) if creep_per_N != 0.0 else 0.0
     if not isnan(centre_m):
         now[balance.X2_M] = centre_m
     force_N, web_per_Pa, velocity_m_s = now[balance.FORCE_N], now[balance.WEB_PER_PA], now[balance.VELOCITY_M_S]
@@ -337,7 +346,7 @@ def transfer(v: TrackingVectors) -> None:
     if t[TRANSFERS_STRAIN] != 0.0 and t[BLACK_BOX] == 0.0:
         measured = span_kernel.first_strain(web)
         # Beyond any web: speeds that are no line's bring encoders there, and -1 would be a web of no length.
-        believable = abs(measured) <= _LARGEST_STRAIN
+        believable = abs(measured) <= LARGEST_STRAIN
         if believable and abs(measured - line_vectors.strain(line, at)) <= t[STRAIN_LIMIT]:
             line_vectors.put_strain(line, at, measured)
             changed = True
@@ -372,11 +381,12 @@ def run(
     strain_prev: float,
     F_next_N: float,
     centre_m: float,
+    strain_next: float,
 ) -> int:
     """A cycle from `stage` on; arguments as of `compare`, which are read there alone. The stage at which Python has
     to do something (HOLD, FOUND_WEB, UPDATE of another method than the bank, SHIFT), or DONE."""
     if stage == COMPARE:
-        stage = compare(v, x1_m, x2_m, torque_Nm, torque_sim_Nm, strain_prev, F_next_N, centre_m)
+        stage = compare(v, x1_m, x2_m, torque_Nm, torque_sim_Nm, strain_prev, F_next_N, centre_m, strain_next)
         if stage == UPDATE and v.t[BANK] != 0.0:
             update(v)
             stage = LOOK_FOR_SHIFT
@@ -389,10 +399,17 @@ def run(
 
 
 @compiled
-def leaving_strain(t: Vector, strain: float) -> float:
-    """Of the web that leaves the span, of which `strain` is measured: all of it pulls alike, and each piece has its
-    strain."""
-    return float(strain * t[SERIES_FACTOR] / t[END_FACTOR])
+def handed_on_strain(t: Vector, strain: float) -> float:
+    """With which the next span gets the web of one of which `strain` is measured: all of it pulls alike, and each piece
+    has its strain. By creep less web comes than the roller's turning tells, as if it were stretched more."""
+    leaving = strain * t[SERIES_FACTOR] / t[END_FACTOR]
+    return float(leaving if t[CREPT] == 0.0 else (1.0 + leaving) / (1.0 - t[CREPT]) - 1.0)
+
+
+@inlined
+def handed_back_strain(t: Vector, strain: float) -> float:
+    """With which the span before gets the web of one of which `strain` is measured, in reverse."""
+    return float(strain * t[SERIES_FACTOR])
 
 
 @compiled
@@ -425,8 +442,10 @@ def _entry_points(
 ) -> tuple[Callable[..., int], Callable[..., None], Callable[..., None], Callable[[Vector, float], bool]]:
     """Compiled functions that are called from Python; `sources` as in the kernel."""
 
-    @entry_point(COUNT, reals(7), TABLE)
-    def run_vectors(stage: int, values: tuple[float, float, float, float, float, float, float], table: Places) -> int:
+    @entry_point(COUNT, reals(8), TABLE)
+    def run_vectors(
+        stage: int, values: tuple[float, float, float, float, float, float, float, float], table: Places
+    ) -> int:
         """`run` with the vectors of a `table_of` what `flat` gives."""
         if sources < 0:
             return DONE
@@ -494,7 +513,7 @@ def _entry_points(
             line,
             floats(table, 51, (1,)),
         )
-        return run(v, stage, values[0], values[1], values[2], values[3], values[4], values[5], values[6])
+        return run(v, stage, values[0], values[1], values[2], values[3], values[4], values[5], values[6], values[7])
 
     @entry_point(COUNT, VECTOR, VECTOR, VECTOR, VECTOR)
     def forget(what: int, block: Vector, of_anomalies: Vector, shift: Vector, delay_line: Vector) -> None:

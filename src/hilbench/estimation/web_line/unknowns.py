@@ -75,6 +75,10 @@ class Unknowns:
         places = np.arange(len(self.covariance))
         self.covariance[places, places] += np.concatenate([variances, of_offsets])
 
+    def jump(self, jumps: Vector) -> None:
+        """The unknowns have changed by something of this covariance (n, n)."""
+        self.covariance[: self._count, : self._count] += jumps
+
     def turn(self, matrix: Vector) -> None:
         """The unknowns are others now, `matrix` (n, n) times those of before."""
         whole = np.eye(len(self.covariance))
@@ -102,7 +106,7 @@ class Unknowns:
         if self.has_begun_to_change:
             return np.zeros(self._count)
         if self._far_off == _TWICE:
-            self.covariance[: self._count, : self._count] += jumps
+            self.jump(jumps)
             self._swing = self._swings * np.abs(left)
             variances = variances + self._swing**2
             spread = known @ self.covariance @ known.T + np.diag(variances)

@@ -110,7 +110,9 @@ def _rows(
         if row > 0:
             for i in range(n):
                 v[i] = (out[place + i] - follower[1 + i]) / cycle_s
-        spans.roll_on(web, follower, scratch, v, boundary[before, 0], boundary[before, 1], duration, cycle_s, tension)
+        entering, f_next_N = boundary[before, 0], boundary[before, 1]
+        strain_next = laws.downstream_strain(web, f_next_N)
+        spans.roll_on(web, follower, scratch, v, entering, f_next_N, strain_next, duration, cycle_s, tension)
         for j in range(k):
             material = follower[1 + n + j]
             out[place + 3 * m + j] = tension[j]
@@ -119,7 +121,9 @@ def _rows(
         for j in range(len(follower)):
             guess[j] = follower[j]
         guess[0] -= lead_s  # only the motion is predicted: the tension has the E of now
-        spans.roll_on(web, guess, scratch, v, boundary[row, 0], boundary[row, 1], lead_s, cycle_s, tension)
+        entering, f_next_N = boundary[row, 0], boundary[row, 1]
+        strain_next = laws.downstream_strain(web, f_next_N)
+        spans.roll_on(web, guess, scratch, v, entering, f_next_N, strain_next, lead_s, cycle_s, tension)
         for j in range(n):
             u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = commands[row, j]
         for j in range(m - n):

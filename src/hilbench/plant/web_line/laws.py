@@ -365,6 +365,12 @@ def _disturbance_N(p: Vector, t_s: float) -> float:
 
 
 @inlined
+def downstream_strain(p: Vector, f_next_N: float) -> float:
+    """Strain of the web behind the line, which enters in reverse, by the tension there."""
+    return f_next_N / p[lay.W_DOWNSTREAM_STIFFNESS_N]
+
+
+@inlined
 def length_factor(p: Vector, span: int) -> float:
     """Factor on the nominal length of a span."""
     return 1.0 + p[span + _LENGTH]
@@ -387,6 +393,7 @@ def span_rates(
     t_s: float,
     strain_prev: float,
     f_next_N: float,
+    strain_next: float,
     w: Vector,
     steps: int,
     speed: int,
@@ -398,22 +405,26 @@ def span_rates(
     """Tensions of the K spans and the rates of the unstretched web in them, in the vector `w` at the given places.
 
     The exact mass conservation of the design, written for the unstretched length m = L/(1 + strain) that lies in
-    a span: m' = v1/(1 + strain_prev) - v2/(1 + strain). It holds for any L(t), and a Runge-Kutta step conserves
+    a span: m' = v1/(1 + strain_prev) - v2/(1 + strain); in reverse m' = v1/(1 + strain) - v2/(1 + strain_next), as web
+    passes a roller with the strain of where it comes from. It holds for any L(t), and a Runge-Kutta step conserves
     the web to rounding.
 
     p (P,): parameters, with the rows of the spans from `first` on; spans: K; t_s: since the start; strain_prev: of the
-    web that enters; f_next_N: tension behind the line. Read from `w`: factors (K,) of the steps of E (`steps`), speeds
-    (K + 1,) of the web at the rollers without creep, m/s (`speed`), unstretched (K,) and then nominal lengths (K,), m
-    (`material`), rates (K,) of the nominal lengths, m/s (`length_rate`). Written: tensions (K,), N (`tension`), and
-    rates (K,) of the unstretched lengths, m/s (`rate`).
+    web before the line; f_next_N, strain_next: tension and strain of that behind it. Read from `w`: factors (K,) of the
+    steps of E (`steps`), speeds (K + 1,) of the web at the rollers without creep, m/s (`speed`), unstretched (K,) and
+    then nominal lengths (K,), m (`material`), rates (K,) of the nominal lengths, m/s (`length_rate`). Written: tensions
+    (K,), N (`tension`), and rates (K,) of the unstretched lengths, m/s (`rate`).
     """
     for k in range(spans):
         row = first + k * lay.SP_SIZE
         strain = w[material + spans + k] * length_factor(p, row) / w[material + k] - 1.0
         w[tension + k] = max(stiffness_N(p, row, t_s, w[steps + k]) * (strain - p[row + _STRAIN_OFFSET]), 0.0)
-    _flows(p, first, spans, strain_prev, f_next_N, w, speed, material, tension, rate)
+    _flows(p, first, spans, strain_prev, f_next_N, strain_next, w, speed, material, tension, rate)
     if _any_in_spans(p, first, spans, _DAMPING_S):
-        _damped(p, first, spans, t_s, strain_prev, f_next_N, w, steps, speed, material, length_rate, tension, rate)
+        _damped(
+            p, first, spans, t_s, strain_prev, f_next_N, strain_next, w, steps, speed, material, length_rate, tension,
+            rate,
+        )  # fmt: skip
 
 
 @inlined
@@ -423,6 +434,7 @@ def _flows(
     spans: int,
     strain_prev: float,
     f_next_N: float,
+    strain_next: float,
     w: Vector,
     speed: int,
     material: int,
@@ -433,16 +445,33 @@ def _flows(
 
     Places in `w` and units as in `span_rates`; read: `speed`, `material`, `tension`, written: `rate`.
     """
-    inflow = w[speed] / (1.0 + strain_prev)
+    inflow = w[speed] / (1.0 + strain_prev) if w[speed] >= 0.0 else _unstretched(p, first, spans, w, speed, material, 0)
     for k in range(spans):
-        row = first + k * lay.SP_SIZE
-        creep = p[row + _CREEP]
-        outflow = w[speed + k + 1] * w[material + k] / (w[material + spans + k] * length_factor(p, row))
-        if creep != 0.0:
+        row, v = first + k * lay.SP_SIZE, w[speed + k + 1]
+        if v >= 0.0:
+            outflow = _unstretched(p, first, spans, w, speed + 1, material, k)
+        elif k + 1 < spans:
+            outflow = _unstretched(p, first, spans, w, speed, material, k + 1)
+        else:
+            outflow = v / (1.0 + strain_next)
+        if p[row + _CREEP] != 0.0:
             behind = w[tension + k + 1] if k + 1 < spans else f_next_N
-            outflow *= 1.0 - creep * (w[tension + k] - behind)
+            outflow *= creep_factor(p, row, v, w[tension + k] - behind)
         w[rate + k] = inflow - outflow
         inflow = outflow
+
+
+@inlined
+def _unstretched(p: Vector, first: int, spans: int, w: Vector, speed: int, material: int, k: int) -> float:
+    """What passes a roller, m/s, of web strained as in span k; `speed`: where that of the roller of span 0 stands."""
+    return w[speed + k] * w[material + k] / (w[material + spans + k] * length_factor(p, first + k * lay.SP_SIZE))
+
+
+@inlined
+def creep_factor(p: Vector, span: int, v_m_s: float, less_N: float) -> float:
+    """Factor on the web that passes the roller behind a span, whose tension is by `less_N` lower behind it: the web
+    slips the way that it is pulled, whichever way the roller turns."""
+    return 1.0 - (p[span + _CREEP] if v_m_s >= 0.0 else -p[span + _CREEP]) * less_N
 
 
 @compiled
@@ -453,6 +482,7 @@ def _damped(
     t_s: float,
     strain_prev: float,
     f_next_N: float,
+    strain_next: float,
     w: Vector,
     steps: int,
     speed: int,
@@ -483,4 +513,4 @@ def _damped(
             creep_before = creep
         if not creeps or change < _TENSION_TOLERANCE_N:
             break
-        _flows(p, first, spans, strain_prev, f_next_N, w, speed, material, tension, rate)
+        _flows(p, first, spans, strain_prev, f_next_N, strain_next, w, speed, material, tension, rate)

@@ -45,6 +45,7 @@ W_SPANS: Final = 2
 W_SAMPLE_TIME_S: Final = 3
 W_SUBSTEPS: Final = 4  #: integration steps per sample time
 W_UPSTREAM_STIFFNESS_N: Final = 5
+W_DOWNSTREAM_STIFFNESS_N: Final = 6
 # Axis rows.
 A_RADIUS_M: Final = 0
 A_MOTOR_MASS_KG: Final = 1  #: on the motor's side of the gear play
@@ -76,7 +77,7 @@ M_AXIS: Final = M_LOOPS + loops.LOOPS_SIZE  #: on whose shaft it is, from 0; of 
 # Span rows.
 SP_SECTION_M2: Final = 0
 SP_MODULUS_PA: Final = 1
-_FIXED = {"web": 6, "axis": A_FIXED, "motor": M_AXIS + 1, "span": 2}
+_FIXED = {"web": 7, "axis": A_FIXED, "motor": M_AXIS + 1, "span": 2}
 
 # State.
 S_COUNT: Final = 0
@@ -383,6 +384,7 @@ def pack(model: ModelParameters, substeps: int = 1) -> Vector:
     parameters[W_SUBSTEPS] = substeps
     if model.web is not None:
         parameters[W_UPSTREAM_STIFFNESS_N] = model.upstream_stiffness_N
+        parameters[W_DOWNSTREAM_STIFFNESS_N] = model.downstream_stiffness_N
         for span, row in enumerate(layout.span_rows(parameters), 1):
             row[SP_SECTION_M2], row[SP_MODULUS_PA] = model.section_m2(span), model.youngs_modulus_Pa(span)
     clear_effects(parameters)

@@ -9,6 +9,7 @@ so heavy that nothing moves it, and no web loads it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import ceil
 from typing import Final
 
 import numpy as np
@@ -95,6 +96,10 @@ class LineFollower(Line):
         self._sample_s = float(self._p[lay.W_SAMPLE_TIME_S])
         self._step_s = step_s(self.parameters)
         hold(self._p)
+        n, rows = self._layout.axes, np.array(self._driven)
+        #: Where the driven rollers (N,) stand in what is integrated: positions and speeds, of roller and motor.
+        self._at, self._at_motor = rows, 2 * n + rows
+        self._speed, self._speed_of_motor = n + rows, 3 * n + rows
         self._carries = [parameters.carries_web_load(axis) for axis in range(1, parameters.axis_count + 1)]
         self._rad_per_m = [parameters.motor_rad_per_m(axis) for axis in range(1, parameters.axis_count + 1)]
         self._described = _description(self._description)
@@ -131,12 +136,12 @@ class LineFollower(Line):
         """
         if not duration_s > 0.0:
             raise ValueError(f"duration {duration_s!r} s, expected more than 0")
-        y, rows = self._layout.y(self._state), list(self._driven)
-        mean_m_s = (np.asarray(positions, dtype=float) - y[rows]) / duration_s
+        y, now_m = self._layout.y(self._state), np.asarray(positions, dtype=float)
+        mean_m_s = (now_m - y[self._at]) / duration_s
         self._see_acceleration(mean_m_s, duration_s)
         gained_m_s = self._gained_m_s(duration_s)
         self._turn(self._state, mean_m_s - 0.5 * gained_m_s, gained_m_s, duration_s)
-        y[rows] = y[[2 * self._layout.axes + row for row in rows]] = positions  # exactly: no drift from adding up
+        y[self._at] = y[self._at_motor] = now_m  # exactly: no drift from adding up
         self._observe()
 
     def _see_acceleration(self, mean_m_s: Vector, duration_s: float) -> None:
@@ -154,12 +159,12 @@ class LineFollower(Line):
     def _turn(self, state: Vector, speeds_m_s: Vector, gained_m_s: Vector, duration_s: float) -> None:
         """Let the line run with driven rollers that begin with these speeds (N,) and gain so much, by as many steps as
         their drives have samples; they have the speeds of the end then."""
-        n, y, rows = self._layout.axes, self._layout.y(state), np.array(self._driven)
+        y = self._layout.y(state)
         steps = max(round(duration_s / self._sample_s), 1) if gained_m_s.any() else 1
         for step in range(steps):
-            y[n + rows] = y[3 * n + rows] = speeds_m_s + (step + 0.5) / steps * gained_m_s
+            y[self._speed] = y[self._speed_of_motor] = speeds_m_s + (step + 0.5) / steps * gained_m_s
             self._go_on(state, duration_s / steps)
-        y[n + rows] = y[3 * n + rows] = speeds_m_s + gained_m_s
+        y[self._speed] = y[self._speed_of_motor] = speeds_m_s + gained_m_s
 
     @property
     def motion(self) -> Vector:
@@ -180,7 +185,7 @@ class LineFollower(Line):
         if not lead_s > 0.0:
             return self.tension_N
         self._guess[:] = self._state
-        speeds_m_s = self._layout.y(self._guess)[self._layout.axes + np.array(self._driven)]
+        speeds_m_s = self._layout.y(self._guess)[self._speed]
         self._turn(self._guess, speeds_m_s, self._gained_m_s(lead_s), lead_s)
         out = np.empty_like(self._out)
         kernel.observe(self._p, self._guess, self._inputs, self._work, out)
@@ -190,10 +195,11 @@ class LineFollower(Line):
     def _go_on(self, state: Vector, duration_s: float) -> None:
         """Let the line run by any time: the samples of drives, which are off, are cut to fit it."""
         p = self._p
-        time_s, samples = float(state[lay.S_COUNT]) * self._sample_s, max(round(duration_s / self._sample_s), 1)
-        p[lay.W_SAMPLE_TIME_S] = duration_s / samples
-        p[lay.W_SUBSTEPS] = np.ceil(p[lay.W_SAMPLE_TIME_S] / self._step_s - 1e-9)
-        state[lay.S_COUNT] = time_s / p[lay.W_SAMPLE_TIME_S]
+        time_s, samples = state.item(lay.S_COUNT) * self._sample_s, max(round(duration_s / self._sample_s), 1)
+        sample_s = duration_s / samples
+        p[lay.W_SAMPLE_TIME_S] = sample_s
+        p[lay.W_SUBSTEPS] = ceil(sample_s / self._step_s - 1e-9)
+        state[lay.S_COUNT] = time_s / sample_s
         self._refresh_directions(state)
         kernel.advance(p, state, self._inputs, self._work, samples)
         p[lay.W_SAMPLE_TIME_S] = self._sample_s

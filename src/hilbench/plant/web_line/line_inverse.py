@@ -48,13 +48,16 @@ def _rates(
     """Tensions and rates of the spans, in the scratch space `w`; `s`: pieces of other web."""
     speed, tension, rate, length_rate, material, steps = _parts(n)
     k, first = n - 1, lay.W_SIZE + n * (lay.A_SIZE + lay.M_SIZE)
+    strain_next = laws.downstream_strain(p, next_N)
     if splice_laws.has_splice(p, s, 0):
         splice_laws.spliced_span_rates(
-            p, s, 0, first, k, t, strain_prev, next_N, w, steps, speed, material, length_rate, tension, rate, way_m,
-            blur_m,
+            p, s, 0, first, k, t, strain_prev, next_N, strain_next, w, steps, speed, material, length_rate, tension,
+            rate, way_m, blur_m,
         )  # fmt: skip
     else:
-        laws.span_rates(p, first, k, t, strain_prev, next_N, w, steps, speed, material, length_rate, tension, rate)
+        laws.span_rates(
+            p, first, k, t, strain_prev, next_N, strain_next, w, steps, speed, material, length_rate, tension, rate
+        )
 
 
 Required = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, float, Vector, Vector, Vector], None]

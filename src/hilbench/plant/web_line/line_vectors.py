@@ -75,6 +75,13 @@ def strain(line: LineVectors, span: int) -> float:
 
 
 @compiled
+def tension_behind_N(line: LineVectors, span: int, F_next_N: float) -> float:
+    """Behind a span (from 0): that of the next one, as it was shown last; behind the last one `F_next_N`."""
+    m, k = int(line.p[lay.W_MOTORS]), int(line.p[lay.W_SPANS])
+    return float(line.out[3 * m + span + 1] if span + 1 < k else F_next_N)
+
+
+@compiled
 def is_near(line: LineVectors, axis: int, x1_m: float, x2_m: float, limit_m: float) -> bool:
     """Whether two axes (the first from 0), as they were shown last, are so near to these positions."""
     apart_1_m, apart_2_m = abs(x1_m - line.out[axis]), abs(x2_m - line.out[axis + 1])

@@ -43,14 +43,17 @@ def web(
         if not slides:
             _put_rates_of_stations(p, u, w, n, m, k, y)
         f_next, material = u[lay.U_F_NEXT_N], y + 4 * n
+        strain_next = laws.downstream_strain(p, f_next)
         if not slides and splice_laws.has_splice(p, s, pieces):
             blur = w[places.part(n, m, k, lay.SPLICE_BLUR)]
             splice_laws.spliced_span_rates(
-                p, s, pieces, first, k, t, strain_prev, f_next, w, steps, speed, material, length_rate, tension, rate,
-                web_way_m(p, w[y]), blur,
+                p, s, pieces, first, k, t, strain_prev, f_next, strain_next, w, steps, speed, material, length_rate,
+                tension, rate, web_way_m(p, w[y]), blur,
             )  # fmt: skip
         else:
-            laws.span_rates(p, first, k, t, strain_prev, f_next, w, steps, speed, material, length_rate, tension, rate)
+            laws.span_rates(
+                p, first, k, t, strain_prev, f_next, strain_next, w, steps, speed, material, length_rate, tension, rate
+            )
 
 
 @inlined

@@ -79,12 +79,18 @@ class MotorParameters(Block):
 
 
 class BoundaryParameters(Block):
-    """What the neighbouring sections do. Without `upstream_strain` it is upstream_tension_N/(E·S) by E·S of span 1."""
+    """What the neighbouring sections do. Without `upstream_strain` it is upstream_tension_N/(E·S) by E·S of span 1,
+    without `downstream_strain` downstream_tension_N/(E·S) by that of the last span."""
 
     upstream_tension_N: NotNegative = Field(default=0.0, description="before the first roller")
     downstream_tension_N: NotNegative = Field(default=0.0, description="behind the last roller")
     upstream_strain: Annotated[FiniteFloat, Field(gt=-0.5, lt=1.0)] | None = Field(
         default=None, description="of the web that enters; stays what it is when E steps"
+    )
+    downstream_strain: Annotated[FiniteFloat, Field(gt=-0.5, lt=1.0)] | None = Field(
+        default=None,
+        description="of the web behind the last roller at downstream_tension_N, which enters in reverse; stays what it "
+        "is when E steps",
     )
 
 
@@ -294,12 +300,28 @@ class ModelParameters(Block):
         return self.boundary.upstream_tension_N / self.stiffness_N(1) if self.web else 0.0
 
     @property
+    def downstream_strain(self) -> float:
+        """Strain of the web behind the last roller, which enters in reverse; stays what it is when E changes (0 without
+        a web)."""
+        if self.boundary.downstream_strain is not None:
+            return self.boundary.downstream_strain
+        return self.boundary.downstream_tension_N / self.stiffness_N(self.span_count) if self.web else 0.0
+
+    @property
     def upstream_stiffness_N(self) -> float:
         """Upstream tension per upstream strain: how F_prev follows a recorded strain."""
         strain, tension = self.upstream_strain, self.boundary.upstream_tension_N
         if tension > 0.0 and strain > 0.0:
             return tension / strain
         return self.stiffness_N(1) if self.web else 0.0
+
+    @property
+    def downstream_stiffness_N(self) -> float:
+        """Downstream tension per downstream strain: how that strain follows a recorded F_next."""
+        strain, tension = self.downstream_strain, self.boundary.downstream_tension_N
+        if tension > 0.0 and strain > 0.0:
+            return tension / strain
+        return self.stiffness_N(self.span_count) if self.web else 0.0
 
     def with_effects(self, *entries: EffectEntry) -> ModelParameters:
         """The same model with further effects, validated. Raises pydantic.ValidationError."""
@@ -331,8 +353,8 @@ def _axis_count(
     if stations is not None:
         return sum(roller.axis is not None for roller in rollers_of(stations))
     parts = (rollers, motors, drives)
-    lengths = [len(value) for part in parts for _, value in part or () if isinstance(value, list)]
-    lengths += [len(value) + 1 for _, value in web or () if isinstance(value, list)]
+    lengths = [len(value) for part in parts if part for value in vars(part).values() if isinstance(value, list)]
+    lengths += [len(value) + 1 for value in (vars(web).values() if web else ()) if isinstance(value, list)]
     return max(lengths, default=1 if web is None else 2)
 
 

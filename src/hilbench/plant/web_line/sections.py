@@ -54,7 +54,9 @@ def section_model(model: ModelParameters) -> ModelParameters:
             "thickness_m": [S / width_m for S, width_m in zip(sections_m2, widths_m, strict=True)],
         }
     )
-    boundary = model.boundary.model_copy(update={"upstream_strain": model.upstream_strain})
+    boundary = model.boundary.model_copy(
+        update={"upstream_strain": model.upstream_strain, "downstream_strain": model.downstream_strain}
+    )
     turned = [
         per_item(model.rollers.inertia_kg_m2, axis) + model.wound_inertia_kg_m2(axis)
         for axis in range(1, model.axis_count + 1)

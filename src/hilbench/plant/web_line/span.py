@@ -67,7 +67,8 @@ class SpanFollower:
         self._pulled: Sequence[int] = ()  # axes whose load motors are in the next three
         self._loads, self._torques, self._speeds = np.zeros((0, 3)), np.zeros(0), np.zeros(n)
         self._shown = np.zeros(2 * n + 3 * k)
-        self._boundary = np.array([parameters.upstream_strain, parameters.boundary.downstream_tension_N])
+        behind_N = parameters.boundary.downstream_tension_N
+        self._boundary = np.array([parameters.upstream_strain, behind_N, laws.downstream_strain(self._p, behind_N)])
         self._tension = np.zeros(k)
         self._stale = False  # tensions are not those of state, boundary and parameters
         self._broken = False
@@ -327,6 +328,8 @@ class SpanFollower:
         place = 0 if name == "strain_prev" else 1
         if value != self._boundary.item(place):  # every cycle, and mostly what it was
             self._boundary[place], self._stale = value, True
+            if place == 1:
+                self._boundary[2] = laws.downstream_strain(self._p, value)
 
     def set_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float

@@ -46,6 +46,7 @@ def _span_rates(
     steps: int,
     strain_prev: float,
     f_next: float,
+    strain_next: float,
     blur_m: float,
 ) -> None:
     """Rates (2·K,), m/s, to place `rate` of `w`, of the unstretched and then the nominal lengths (2·K,), m, at `at`.
@@ -53,7 +54,8 @@ def _span_rates(
     p (P,): parameters of the line. s: state of `roll_on`, for the pieces of other web. w: positions (n,), m, and speeds
     (n,), m/s, at its start; behind them room for the web's speeds (n,), then rates of the nominal lengths (k,), and the
     tensions (k,), N, that come with it; factors (k,) of the steps of E at `steps`. t: s since the start. strain_prev:
-    of the web that enters; f_next: tension behind the line, N; blur_m: way in a step (see `spliced_span_rates`).
+    of the web before the line; f_next, strain_next: tension, N, and strain behind it; blur_m: way in a step (see
+    `spliced_span_rates`).
     """
     speed, length_rate, tension = 2 * n, 3 * n, 3 * n + k
     first, pieces = _first_span(p), POSITIONS + n + 2 * k
@@ -63,10 +65,11 @@ def _span_rates(
     strain = laws.upstream_strain(p, strain_prev, t)
     if splice_laws.has_splice(p, s, pieces):
         splice_laws.spliced_span_rates(
-            p, s, pieces, first, k, t, strain, f_next, w, steps, speed, at, length_rate, tension, rate, w[0], blur_m
-        )
+            p, s, pieces, first, k, t, strain, f_next, strain_next, w, steps, speed, at, length_rate, tension, rate,
+            w[0], blur_m,
+        )  # fmt: skip
     else:
-        laws.span_rates(p, first, k, t, strain, f_next, w, steps, speed, at, length_rate, tension, rate)
+        laws.span_rates(p, first, k, t, strain, f_next, strain_next, w, steps, speed, at, length_rate, tension, rate)
     for j in range(k):
         w[rate + k + j] = w[length_rate + j]
 
@@ -79,6 +82,7 @@ def roll_on(
     v: Vector,
     strain_prev: float,
     f_next: float,
+    strain_next: float,
     duration: float,
     spread_s: float,
     out: Vector,
@@ -86,8 +90,8 @@ def roll_on(
     """Advance s = [t, positions (N,), unstretched lengths (K,), lengths (K,), pieces], s and m, at constant speeds.
 
     p (P,): parameters of the line; w: scratch space of `new_follower_work`; v (N,): speeds, m/s; strain_prev: of the
-    web that enters; f_next: tension behind the line, N; duration: s, 0 for the tensions alone. Tensions into `out`
-    (K,), N, with steps of E spread over the next `spread_s` (`laws.step_factor`).
+    web before the line; f_next, strain_next: tension, N, and strain behind it; duration: s, 0 for the tensions alone.
+    Tensions into `out` (K,), N, with steps of E spread over the next `spread_s` (`laws.step_factor`).
     """
     n, k = int(p[lay.W_AXES]), int(p[lay.W_SPANS])
     count = max(int(np.ceil(duration / LONGEST_STEP_S - 1e-9)), 1)
@@ -117,7 +121,9 @@ def roll_on(
             for j in range(size):
                 slope = w[slopes + (part - 1) * size + j] if part > 0 else 0.0
                 w[stage + j] = w[now + j] + ahead * slope
-            _span_rates(p, s, w, n, k, stage, slopes + part * size, t + ahead, steps, strain_prev, f_next, blur)
+            _span_rates(
+                p, s, w, n, k, stage, slopes + part * size, t + ahead, steps, strain_prev, f_next, strain_next, blur
+            )
         for j in range(size):
             total = w[slopes + j] + 2.0 * (w[slopes + size + j] + w[slopes + 2 * size + j]) + w[slopes + 3 * size + j]
             w[now + j] += h / 6.0 * total
@@ -128,7 +134,7 @@ def roll_on(
     for j in range(size):
         s[1 + n + j] = w[now + j]
     laws.put_step_factors(p, first, k, s[0], spread_s, w, steps)
-    _span_rates(p, s, w, n, k, now, slopes, s[0], steps, strain_prev, f_next, blur)
+    _span_rates(p, s, w, n, k, now, slopes, s[0], steps, strain_prev, f_next, strain_next, blur)
     for j in range(k):
         out[j] = w[3 * n + k + j]
 
@@ -185,7 +191,7 @@ def _entry_points(sources: int) -> tuple[Follow, FollowRows, Pull, Show, Resista
         n = len(x) if sources >= 0 and duration > 0.0 else 0
         for i in range(n):
             v[i] = (x[i] - s[POSITIONS + i]) / duration
-        roll_on(p, s, w, v, boundary[0], boundary[1], duration, LONGEST_STEP_S, out)
+        roll_on(p, s, w, v, boundary[0], boundary[1], boundary[2], duration, LONGEST_STEP_S, out)
         for i in range(n):
             s[POSITIONS + i] = x[i]  # exactly: no drift from adding up
 
@@ -206,7 +212,7 @@ def _entry_points(sources: int) -> tuple[Follow, FollowRows, Pull, Show, Resista
         if lead >= 0.0:
             for i in range(len(s) if sources >= 0 else 0):
                 ahead[i] = s[i]
-            roll_on(p, ahead, w, v, boundary[0], boundary[1], lead, LONGEST_STEP_S, tension)
+            roll_on(p, ahead, w, v, boundary[0], boundary[1], boundary[2], lead, LONGEST_STEP_S, tension)
         for k in range(len(loads)):
             torques[k] = _web_torque_Nm(p, s, boundary, tension, loads[k], speeds[int(loads[k, 0])])
 
@@ -232,7 +238,9 @@ def _entry_points(sources: int) -> tuple[Follow, FollowRows, Pull, Show, Resista
                 v[i] = (x[row, i] - s[1 + i]) / dt if row > 0 else 0.0
             before = max(row - 1, 0)
             duration = dt if row > 0 else 0.0
-            roll_on(p, s, w, v, boundary[before, 0], boundary[before, 1], duration, LONGEST_STEP_S, out[row])
+            f_next = boundary[before, 1]
+            strain_next = laws.downstream_strain(p, f_next)
+            roll_on(p, s, w, v, boundary[before, 0], f_next, strain_next, duration, LONGEST_STEP_S, out[row])
 
     @entry_point(VECTOR, COUNT, REAL, REAL, REAL)
     def resistance(p: Vector, row: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
@@ -258,7 +266,7 @@ class SpanVectors(NamedTuple):
     s: Vector  #: state, as of `roll_on`
     w: Vector  #: scratch space
     v: Vector  #: speeds of the rollers over the last cycle (N,), m/s
-    boundary: Vector  #: strain of the web that enters, tension behind the line in N
+    boundary: Vector  #: strain of the web before the line; tension, N, and strain behind it
     tension: Vector  #: of each span (K,), N
 
 
@@ -267,19 +275,20 @@ def follow_to(web: SpanVectors, x1_m: float, x2_m: float, duration_s: float) -> 
     """The web of two rollers, which are now at these positions, `duration_s` after the last call."""
     web.v[0] = (x1_m - web.s[POSITIONS]) / duration_s
     web.v[1] = (x2_m - web.s[POSITIONS + 1]) / duration_s
-    strain_prev, f_next_N = web.boundary[0], web.boundary[1]
-    roll_on(web.p, web.s, web.w, web.v, strain_prev, f_next_N, duration_s, LONGEST_STEP_S, web.tension)
+    strain_prev, f_next_N, strain_next = web.boundary[0], web.boundary[1], web.boundary[2]
+    roll_on(web.p, web.s, web.w, web.v, strain_prev, f_next_N, strain_next, duration_s, LONGEST_STEP_S, web.tension)
     web.s[POSITIONS] = x1_m  # exactly: no drift from adding up
     web.s[POSITIONS + 1] = x2_m
 
 
 @compiled
-def put_boundary(web: SpanVectors, strain_prev: float, f_next_N: float) -> None:
+def put_boundary(web: SpanVectors, strain_prev: float, f_next_N: float, strain_next: float) -> None:
     """What the neighbouring sections do from now on; tensions are those that come with it."""
+    web.boundary[2] = strain_next
     if web.boundary[0] != strain_prev or web.boundary[1] != f_next_N:
         web.boundary[0] = strain_prev
         web.boundary[1] = f_next_N
-        roll_on(web.p, web.s, web.w, web.v, strain_prev, f_next_N, 0.0, LONGEST_STEP_S, web.tension)
+        roll_on(web.p, web.s, web.w, web.v, strain_prev, f_next_N, strain_next, 0.0, LONGEST_STEP_S, web.tension)
 
 
 @inlined

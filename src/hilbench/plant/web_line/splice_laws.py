@@ -118,6 +118,7 @@ def spliced_span_rates(
     t_s: float,
     strain_prev: float,
     f_next_N: float,
+    strain_next: float,
     w: Vector,
     steps: int,
     speed: int,
@@ -130,11 +131,11 @@ def spliced_span_rates(
 ) -> None:
     """As `laws.span_rates`, with pieces of other web on their way, which stand from place `pieces` of the state `s` on.
 
-    In every span one tension, F = (L - m)/sum of m_j/(E_j·S_j), and at its end the strain of the piece that is there.
-    What comes in has the strain of the web that enters, as when E of the span steps. Places of pieces are counted
-    unstretched from roller 1, whose web has gone `x_m`. `blur_m`: way over which the ends of a piece are not sharp
-    where it leaves a span, so that rates do not jump within a step. Damping beside creep takes the rates at the tension
-    without it.
+    In every span one tension, F = (L - m)/sum of m_j/(E_j·S_j), and where web leaves it the strain of the piece that is
+    there. What comes in has the strain of the web that enters, as when E of the span steps; a piece that comes back in
+    reverse that of its own E·S at the tension behind the line. Places of pieces are counted unstretched from roller 1,
+    whose web has gone `x_m`. `blur_m`: way over which the ends of a piece are not sharp where it leaves a span, so that
+    rates do not jump within a step. Damping beside creep takes the rates at the tension without it.
     """
     noinline()
     stretch_prev = 1.0 + strain_prev
@@ -146,17 +147,29 @@ def spliced_span_rates(
         w[tension + k] = max(laws.stiffness_N(p, row, t_s, w[steps + k]) * factor * strain, 0.0)
         begin += length
     inflow = w[speed] / stretch_prev
+    if w[speed] < 0.0:
+        factor = series_factor(s, pieces, x_m, 0.0, w[material], stretch_prev)
+        at_roller = 1.0 + change_at(s, pieces, x_m, 0.0, stretch_prev, blur_m)
+        stretch = w[material + spans] * laws.length_factor(p, first) / w[material]
+        inflow = w[speed] / (1.0 + (stretch - 1.0) * factor / at_roller)
     begin = 0.0
     for k in range(spans):
         row, length = first + k * lay.SP_SIZE, w[material + k]
         factor = series_factor(s, pieces, x_m, begin, length, stretch_prev)
         stretch = w[material + spans + k] * laws.length_factor(p, row) / length
         begin += length
-        at_end = 1.0 + change_at(s, pieces, x_m, begin, stretch_prev, blur_m)
-        outflow = w[speed + k + 1] / (1.0 + (stretch - 1.0) * factor / at_end)
+        at_roller = 1.0 + change_at(s, pieces, x_m, begin, stretch_prev, blur_m)
+        strain = (stretch - 1.0) * factor
+        if w[speed + k + 1] < 0.0:
+            strain = strain_next
+            if k + 1 < spans:
+                behind = w[material + spans + k + 1] * laws.length_factor(p, row + lay.SP_SIZE) / w[material + k + 1]
+                strain = behind - 1.0
+                strain *= series_factor(s, pieces, x_m, begin, w[material + k + 1], stretch_prev)
+        outflow = w[speed + k + 1] / (1.0 + strain / at_roller)
         if p[row + _CREEP] != 0.0:
-            behind = w[tension + k + 1] if k + 1 < spans else f_next_N
-            outflow *= 1.0 - p[row + _CREEP] * (w[tension + k] - behind)
+            behind_N = w[tension + k + 1] if k + 1 < spans else f_next_N
+            outflow *= laws.creep_factor(p, row, w[speed + k + 1], w[tension + k] - behind_N)
         w[rate + k] = inflow - outflow
         inflow = outflow
         if p[row + _DAMPING_S] > 0.0:

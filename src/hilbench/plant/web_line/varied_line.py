@@ -78,9 +78,9 @@ class VariedLine:
 
     def __init__(self, model: ModelParameters, measured: Collection[str] = ()) -> None:
         self.unknowns = unknowns_of(model, measured)
-        self.line = _damped(model)
+        self.line = damped_follower(model)
         self._model = model
-        self._copies = [_damped(model) for _ in self.unknowns]
+        self._copies = [damped_follower(model) for _ in self.unknowns]
         self._rows = [row for row, roller in enumerate(model.line_rollers) if roller.axis is not None]
         self._idlers = [roller.name for roller in model.line_rollers if roller.axis is None]
         self._rollers = len(model.line_rollers)
@@ -299,7 +299,7 @@ class VariedLine:
         return factor * (length_m / material_m - 1.0)
 
 
-def _damped(model: ModelParameters) -> LineFollower:
+def damped_follower(model: ModelParameters) -> LineFollower:
     """A line whose swings come to rest: those of the real one are not known, and what swings tells nothing slow."""
     follower = LineFollower(model)
     for span in range(1, model.span_count + 1):

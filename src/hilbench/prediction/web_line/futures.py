@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -213,7 +214,9 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         # On the way of a set-point it is where the web is: how far it has come is told by nothing else.
         error_N[ahead] = 0.0
         entering = np.concatenate(([present.upstream_strain], strains[:-1]))
-        around[ahead] *= ((1.0 + entering) / (1.0 + strains))[ahead]
+        behind = np.append(strains[1:], laws.downstream_strain(self._p, present.downstream_tension_N))
+        ratios = np.where(around >= 0.0, (1.0 + entering) / (1.0 + strains), (1.0 + strains) / (1.0 + behind))
+        around[ahead] *= ratios[ahead]
         kept[:, kernel.C_INTEGRAL_M_S] = around - commands[:-1] - gains[:, kernel.G_KP] * error_N
         kept[:, kernel.C_STRAIN] = kept[:, kernel.C_WAY_STRAIN] = strains
         return np.tile(np.append(kept.reshape(-1), np.full(k + 1, np.nan)), (self._futures, 1))

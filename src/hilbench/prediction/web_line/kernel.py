@@ -190,9 +190,15 @@ def _set_points(
             strain, around, goal_N = _strain(p, w, n, m, k, j), speed, set_point[i, j]
             if g[row * k + j, G_WAY_PER_S] > 0.0:
                 wanted, goal_N = 1.0 + c[at + C_WAY_STRAIN], c[at + C_WAY_STRAIN] * known[i, j]
-                entering = _strain(p, w, n, m, k, j - 1) if j > 0 else u[lay.U_STRAIN_PREV]
                 lengthening = g[row * k + j, G_LENGTH_M] * c[at + C_WAY_PER_S]
-                around = (command - lengthening / wanted) * (1.0 + entering) / wanted
+                if command >= 0.0:
+                    entering = _strain(p, w, n, m, k, j - 1) if j > 0 else u[lay.U_STRAIN_PREV]
+                    around = (command - lengthening / wanted) * (1.0 + entering) / wanted
+                else:
+                    entering = laws.downstream_strain(p, u[lay.U_F_NEXT_N])
+                    if j + 1 < k:
+                        entering = _strain(p, w, n, m, k, j + 1)
+                    around = command * wanted / (1.0 + entering) - lengthening / wanted
             error_N = goal_N - known[i, j] * strain
             speed, command = _command(c, at, g, row * k + j, speed, around, error_N, strain, w[4 * n + k + j], h)
             if g[row * k + j, G_WAY_PER_S] > 0.0:

@@ -78,8 +78,8 @@ def _beyond_the_line(run: ShownRun) -> Chart:
             if entering in run and strain in run:
                 came = run.get(entering) if axis == 1 else run.averaged(entering)
                 asked = 1e3 * (expected_v1_m_s(v_behind, came, run.averaged(strain)) - v_behind)
-                label = "mass balance" if axis == shape.axes - 1 else ""
-                fine.append(Curve(label, run.t_s, np.where(steady, asked, np.nan), INK, 0.9, (4, 2)))
+                label, told = "mass balance" if axis == shape.axes - 1 else "", steady & (v_behind > _REVERSE_M_S)
+                fine.append(Curve(label, run.t_s, np.where(told, asked, np.nan), INK, 0.9, (4, 2)))
         entering = strain
     label = "v1 − line in mm/s" if shape.axes == 2 else "difference in mm/s"
     return Chart(label, fine, least=0.05)
@@ -118,6 +118,8 @@ def _published(config: Path, recording: Recording) -> Array | None:
         return None
 
 
+#: Slower than this nobody says that a line runs in reverse, m/s: what mass conservation asks there is that of forward.
+_REVERSE_M_S: Final = -1e-3
 #: Of axes and spans, in their order; of two axes the leading one is vermillion.
 _COLOURS: Final = (BLUE, GREEN, ORANGE, PURPLE, BROWN, SKY)
 

@@ -28,7 +28,7 @@ _NOTHING: Final = nothing_to_judge("line")
 
 def expected_v1_m_s(v2_m_s: Number, strain_prev: Number, strain: Number) -> Number:
     """Steady state of mass conservation in a span, v1/(1+ε_prev) = v2/(1+ε) (design 5), v1 that of the roller before
-    it; numbers or arrays."""
+    it; numbers or arrays. Forward: in reverse web comes in at roller 2."""
     return v2_m_s * (1 + strain_prev) / (1 + strain)
 
 
@@ -104,6 +104,8 @@ def _mass(span: int, shape: Shape) -> dict[str, Metric]:
             raise UnknownFigureError("the line speed changes")
         t_s = stretch.t_s[part]
         behind_m_s = mean_velocity(t_s, behind_m[part])
+        if behind_m_s < 0.0:
+            raise UnknownFigureError("the line runs in reverse")
         asked_m_s = expected_v1_m_s(behind_m_s, float(np.mean(strain_prev[part])), float(np.mean(strain[part])))
         return mean_velocity(t_s, before_m[part]), asked_m_s
 

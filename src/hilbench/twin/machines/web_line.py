@@ -16,7 +16,7 @@ from hilbench.estimation.web_line.config import (
 from hilbench.estimation.web_line.rollers import Rollers
 from hilbench.estimation.web_line.synchronizers.create import METHODS
 from hilbench.estimation.web_line.tracking import MOVES_M_S, PASSED_SPANS, UNKNOWN_STRAIN, Tracking
-from hilbench.estimation.web_line.tracking_cycle import ASTRAY_S
+from hilbench.estimation.web_line.tracking_cycle import ASTRAY_S, LARGEST_STRAIN
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.pairing import Pairing, SteadyWay
 from hilbench.plant.web_line.line import Line
@@ -227,7 +227,8 @@ class WebLineTwin:
         return True
 
     def _bring_back(self, time_s: float, positions_m: Sequence[float], torques_Nm: Sequence[float]) -> None:
-        """Let a simulation that went astray go on from where the machine is."""
+        """Let a simulation that went astray go on from where the machine is; a span whose measured strain no web has,
+        strained as upstream."""
         last, self._refused_at = self._refused_at, (time_s, positions_m)
         others = self._others
         if last is None or not (any(each.tracking.astray for each in self._all) or (others and others.astray)):
@@ -237,7 +238,8 @@ class WebLineTwin:
         strains = {each.span: each.tracking.measured_strain for each in self._all}
         if others is not None:
             strains |= others.strains
-        self.plant.set_state(states | {f"strain{span}": strain for span, strain in strains.items()})
+        believed = {span: strain for span, strain in strains.items() if abs(strain) <= LARGEST_STRAIN}
+        self.plant.set_state(states | {f"strain{span}": strain for span, strain in believed.items()})
 
     def _strain_before(self, span: int, strain_prev: float) -> float:
         """Strain of the web that enters a span, as measured."""
@@ -245,9 +247,16 @@ class WebLineTwin:
             return strain_prev
         before = self._estimated.get(span - 1)
         if before is not None:
-            return before.tracking.leaving_strain
+            return before.tracking.handed_on_strain
         assert self._others is not None, "a span is estimated, or among the others"
         return self._others.strain(span - 1)
+
+    def _strain_behind(self, span: int) -> float | None:
+        """Strain of the web behind a span, which enters it in reverse, as last measured; None behind the line."""
+        behind = self._estimated.get(span + 1)
+        if behind is not None:
+            return behind.tracking.handed_back_strain
+        return None if self._others is None or span == len(self.ports) - 1 else self._others.strain(span + 1)
 
     def _compare(
         self,
@@ -268,7 +277,8 @@ class WebLineTwin:
         torque_Nm, centre_m = torques_Nm[span], None
         if self._several:
             torque_Nm, centre_m = each.section.measured_torque_Nm(torques_Nm), each.section.centre_m
-        tracking.compare(time_s, positions_m[span - 1], positions_m[span], torque_Nm, strain_before, F_next_N, centre_m)
+        around = strain_before, F_next_N, centre_m, self._strain_behind(span)
+        tracking.compare(time_s, positions_m[span - 1], positions_m[span], torque_Nm, *around)
         rad_per_m = 1.0 / self._metres_per_rad[span]
         tracking.look_for_known_change(self.ports[span].setpoint / rad_per_m)
 

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.web_line.anomalies import BROKEN, LEAST_SHARE, WHOLE
 from hilbench.estimation.web_line.blocks import BLOCK_S
 from hilbench.estimation.web_line.section_slip import SectionSlip
 from hilbench.plant.web_line.layout import Vector
@@ -24,12 +25,10 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.varied_line import Kind, Unknown, VariedLine
 
-#: Share of the tension below which a web has torn, and above which it is whole again.
-_TORN, _WHOLE = 0.15, 0.3
 #: Share below which nothing is learned, and for how long: a web that tears has this on its way, another one for good.
 _DOUBTFUL, _DOUBT_S = 0.5, 0.15
-#: Shares of the usual tension: least for a web to be taken for torn, and most of a slack one.
-_LEAST, _SLACK = 0.125, 0.02
+#: Most of the usual tension that a slack web has, as a share.
+_SLACK = 0.02
 #: Speeds at either end of a block, of which the middle one counts: cycles are not of one length where time is real.
 _ENDS: Final = 3
 #: Share of the usual tension that may accelerate the rollers while slip is looked for: of more the model is not sure.
@@ -163,7 +162,7 @@ class SectionWatch:
         for axis, usual_N, promised_N in zip(self._spans, self._usual_N, promises_N, strict=True):
             if axis in self._seen:
                 is_N = promised_N - float(np.sum(more_N[axis:]))
-                self._take(axis, is_N / promised_N if promised_N > _LEAST * usual_N else 1.0)
+                self._take(axis, is_N / promised_N if promised_N > LEAST_SHARE * usual_N else 1.0)
                 steady = abs(np.sum(accelerates_N[axis:])) < _ACCELERATES * usual_N
                 self._look_for_slip(time_s, axis, is_N, ratios.item(axis), steady=bool(steady))
         self._judged_m = self._way_m[-1]
@@ -180,7 +179,7 @@ class SectionWatch:
         """What is left of a section's tension, in a block."""
         if self._time_s < _SETTLED_S:
             return
-        low = share < (_WHOLE if self._torn[axis] else _TORN)
+        low = share < (WHOLE if self._torn[axis] else BROKEN)
         self._torn[axis] = low and (self._low[axis] or self._torn[axis])
         self._low[axis] = low
         self._doubt_s[axis] = self._doubt_s[axis] + BLOCK_S if share < _DOUBTFUL else 0.0

@@ -145,7 +145,7 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
         if k > 0:
             before = table[_OWN + (k - 1) * cycle.ROWS :]
             t_before = floats(before, cycle.STATE_ROW, (1,))
-            strain_before = cycle.leaving_strain(t_before, _strain(before))
+            strain_before = cycle.handed_on_strain(t_before, _strain(before))
             if t_before[cycle.MOVED] != 0.0:
                 _show(table)
         torque_Nm, centre_m = measured[_MEASURED_SIZE * (k + 1) + _TORQUE], nan
@@ -154,7 +154,11 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
             torque_Nm = torques_Nm[k + 1] + rollers.force_behind_N(masses_kg, of_rollers, k + 2) / rad_per_m[k + 1]
             centre_m = rollers.centre_m(masses_kg, of_rollers, k + 2)
         torque_sim_Nm = _torque_of_motors_Nm(shown, rad_per_m, k)
-        compared = x_m[k], x_m[k + 1], torque_Nm, torque_sim_Nm, strain_before, F_next_N, centre_m
+        strain_behind = nan
+        if k + 1 < len(spans):
+            behind = table[_OWN + (k + 1) * cycle.ROWS :]
+            strain_behind = cycle.handed_back_strain(floats(behind, cycle.STATE_ROW, (1,)), _strain(behind))
+        compared = x_m[k], x_m[k + 1], torque_Nm, torque_sim_Nm, strain_before, F_next_N, centre_m, strain_behind
         stage = run_vectors(cycle.COMPARE, compared, of_span)
         if stage != cycle.DONE:
             floats(table, _SAID, (1,))[_AT_SPAN], spans[k, _STRAIN_BEFORE] = k, strain_before

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import exp, hypot, inf, sqrt
+from dataclasses import dataclass, replace
+from math import copysign, exp, hypot, inf, sqrt
 from typing import Final
 
 import numpy as np
 
 from hilbench.estimation.noise_level import NoiseLevel
+from hilbench.estimation.web_line.kicks import Kick
 from hilbench.estimation.web_line.unknowns import Belief, Unknowns
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.drive_response import DriveResponse
@@ -25,6 +26,7 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.stations import Reel, reel_name
 from hilbench.plant.web_line.varied_line import Kind, Unknown, VariedLine
+from hilbench.twin.machines.web_line_kicks import kick_watch
 
 _WINDOW_S: Final = 0.03  #: of which the means are looked at
 # What is believed at the start, as standard deviations.
@@ -57,6 +59,16 @@ _SENSOR_M: Final = 2e-4  #: of a carriage
 _SENSOR_SHARE: Final = 2e-4  #: of a radius
 #: By which the strain of a section may change while a web slips somewhere, of that with which the web comes in.
 _SLIPPING_PER_SQRT_S: Final = 0.2
+#: From when on kicks are looked for: the line is let go in another state than it is in, and swings.
+_KICKS_FROM_S: Final = 0.5
+_KICK_NOISE_SHARE: Final = 1e-3  #: of a limit: what else is in a torque
+#: For how long a kick that noise may be is kept in mind, for what web of another strain tells in the next section.
+_MAY_BE_S: Final = 3.0
+#: Deviations of E by which it is another one in the next section, what of that ends it, and its error, as a share.
+_BOOKED, _DECIDED_SHARE, _BOOKED_OFF = 3.0, 0.6, 0.35
+_IMITATED_SHARE: Final = 0.25  #: error of the size of a kick that load motors imitate
+#: After how long from the start on, and after a change that is told, what is known is what it was.
+_BEGINS_S, _SETTLES_S = 1.0, 0.5
 #: Way of the web, as a share of the shortest section, from which to which what is known is kept; and for how many
 #: lengths of the longest one.
 _KEPT_EVERY, _KEPT_LENGTHS = 0.1, 3.0
@@ -84,11 +96,19 @@ class Found:
 
 class LineUnknowns:
     """Of a line with stations, whose axes answer once a cycle; `measured`: names of stations with a sensor; `torqued`:
-    axes whose torque is told to them, and so says nothing of the web."""
+    axes whose torque is told to them, and so says nothing of the web; `imitated`: whether load motors pull as the web
+    would."""
 
     def __init__(
-        self, model: ModelParameters, cycle_s: float, measured: Sequence[str], torqued: Sequence[int] = ()
+        self,
+        model: ModelParameters,
+        cycle_s: float,
+        measured: Sequence[str],
+        torqued: Sequence[int] = (),
+        *,
+        imitated: bool = False,
     ) -> None:
+        self._imitated = imitated
         self.varied = VariedLine(model, measured)
         self._model, self._cycle_s = model, cycle_s
         pulled = [axis for axis in range(1, model.axis_count + 1) if model.carries_web_load(axis)]
@@ -105,12 +125,9 @@ class LineUnknowns:
             [(_OFFSET_SHARE_PER_SQRT_S * limit_Nm) ** 2 for limit_Nm in self._limits_Nm] + [0.0] * len(self._sensors)
         )
         self._window = max(round(_WINDOW_S / cycle_s), 1)
-        self._response = DriveResponse(
-            [per_item(loops.velocity_kp_Nm_s_per_rad, axis) for axis in axes],
-            [per_item(loops.velocity_ki_Nm_per_rad, axis) for axis in axes],
-            len(self.varied.unknowns) + 1,
-            cycle_s,
-        )
+        gains = [per_item(loops.velocity_kp_Nm_s_per_rad, axis) for axis in axes]
+        rates = [per_item(loops.velocity_ki_Nm_per_rad, axis) for axis in axes]
+        self._response = DriveResponse(gains, rates, len(self.varied.unknowns) + 1, cycle_s)
         self._loads = np.zeros((model.axis_count, len(self.varied.unknowns) + 1))
         kinds = np.array([each.kind for each in self.varied.unknowns])
         self._is_strain = kinds == Kind.STRAIN
@@ -124,6 +141,16 @@ class LineUnknowns:
         lengths_m = [sum(model.span_length_m(k + 1) for k in spans) for spans in _sections(model)]
         self._keep_every_m, self._keep_m = _KEPT_EVERY * min(lengths_m), _KEPT_LENGTHS * max(lengths_m)
         self.begin([0.0] * model.axis_count, 0.0)
+        before = axes_before_spans(model)
+        held = {Unknown(Kind.MODULUS, before[carriage.first_span - 1]) for carriage in model.carriages}
+        answer = DriveResponse(gains, rates, 1, cycle_s)
+        answer.set_inertia(self._inertia_kg_m2.tolist())
+        #: Of each section whose tension a carriage keeps: place of its E, and what looks for kicks of it.
+        self._kicks = [
+            (place, kick_watch(model, unknown.number, self._rows.tolist(), answer, cycle_s))
+            for place, unknown in enumerate(self.varied.unknowns)
+            if unknown in held
+        ]
 
     def begin(self, positions_m: Sequence[float], speed_m_s: float) -> None:
         """The web is let go with the driven rollers (N,) there; it has this speed, 0 at rest."""
@@ -147,6 +174,10 @@ class LineUnknowns:
         self._response.reset()
         self._set_inertia()
         self._slips = False
+        self._settled_s = _BEGINS_S
+        self._may_be: list[tuple[float, int, Kick]] = []  # kicks that noise may be, and when they began
+        #: E of a section behind a carriage's (by the place of that) that is another one and may not be, and since when.
+        self._undecided: dict[int, _Kept] = {}
         self._corrected = np.zeros(len(self.varied.unknowns))
         self._kept = deque([_Kept(-inf, 0.0, self._filter.belief, self._corrected)])
         self._begin_window()
@@ -229,6 +260,7 @@ class LineUnknowns:
         began, self._slips = not self._slips and slips_since_s < inf, slips_since_s < inf
         if began:
             self._take_back(slips_since_s)
+            self._settle(time_s)
             self._response.step(self._loads)
             self._begin_window()
             return True
@@ -236,6 +268,10 @@ class LineUnknowns:
         left = (residuals_Nm - answered[:, -1])[self._rows]
         for noise, value in zip(self._noise, left.tolist(), strict=True):
             noise.update(value)
+        if not limited and self._look_for_kicks(time_s, left):
+            self._response.step(self._loads)
+            self._begin_window()
+            return True
         self._sum[: len(left)] += left
         self._slopes[: len(left)] += answered[self._rows, :-1] * self._shows
         self._cycles += 1
@@ -243,8 +279,10 @@ class LineUnknowns:
         self._loads[:, -1] = self.varied.loads_Nm() - self.varied.loads_without_turn_Nm()
         corrected = False
         if self._cycles >= self._window:
-            corrected = not limited and self._correct()
+            corrected = not limited and self._correct(time_s)
             self._keep(time_s)
+            if not self._slips and self._tells_moduli:
+                self._look_for_drifts()
             self._begin_window()
         self._response.step(self._loads)
         return corrected
@@ -254,13 +292,14 @@ class LineUnknowns:
         self._response.step(self._loads)
         for noise in self._noise:
             noise.interrupt()
+        self._forget_kicks()
         self._begin_window()
 
-    def _correct(self) -> bool:
+    def _correct(self, time_s: float) -> bool:
         count, unknowns = self._cycles, self.varied.unknowns
-        time_s = count * self._cycle_s
-        self._time_s += time_s
-        self._filter.grow(self._growth(time_s), self._offset_growth * time_s)
+        lasted_s = count * self._cycle_s
+        self._time_s += lasted_s
+        self._filter.grow(self._growth(lasted_s), self._offset_growth * lasted_s)
         turned = self.varied.web_changed()
         jumps = turned @ self._jumps @ turned.T
         learns = self._learns_slipping if self._slips else None
@@ -268,10 +307,113 @@ class LineUnknowns:
         changes = self._filter.update(innovations, slopes, self._variances(count), jumps, learns)
         if self._filter.has_begun_to_change:
             self._answer_from_now(count // 2)
+            self._settle(time_s)
             return False
         changes = np.array([self._bounded(each, float(change)) for each, change in zip(unknowns, changes, strict=True)])
         self._apply(changes)
         return True
+
+    def _look_for_kicks(self, time_s: float, left_Nm: Vector) -> bool:
+        """In torques (m,) beside those of the line that is followed; whether there was one."""
+        if not self._tells_moduli or self._slips or self._time_s < _KICKS_FROM_S:
+            self._forget_kicks()
+            return False
+        least = (_KICK_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
+        variances = least + np.array([noise.variance for noise in self._noise])
+        found = [(place, watch.take(left_Nm, variances)) for place, watch in self._kicks]
+        for place, kick in found:
+            if kick is not None:
+                self._may_be.append((time_s - kick.cycles * self._cycle_s, place, kick))
+        for began_s, place, kick in list(self._may_be):
+            if time_s - began_s > _MAY_BE_S:
+                self._may_be.remove((began_s, place, kick))
+            elif kick.sure and not self._imitated:
+                self._kicked(time_s, began_s, place, kick)
+                return True
+            elif (handed_on := self._handed_on(began_s, place, kick)) is not None:
+                self._kicked(time_s, began_s, place, handed_on)
+                return True
+        return False
+
+    def _handed_on(self, began_s: float, place: int, kick: Kick) -> Kick | None:
+        """The kick, where torques tell since then of the section behind what web of the strain that it makes does
+        there: it is booked as E. Of one that load motors imitate, some cycles late, not even the sign is known but by
+        that."""
+        changed, deviation = self._booked_behind(place, self._at(began_s))
+        would_be, share = -changed / (1.0 + changed), kick.share
+        if self._imitated:
+            share = copysign(share, would_be)
+            kick = replace(kick, share=share, deviation=max(kick.deviation, _IMITATED_SHARE * abs(share)))
+        off = abs(would_be - share)
+        told = abs(changed) > _BOOKED * deviation and off < 3.0 * kick.deviation + _BOOKED_OFF * abs(share)
+        return kick if told else None
+
+    def _booked_behind(self, place: int, kept: _Kept) -> tuple[float, float]:
+        """Share by which E of the section behind another one is told to be larger than it was, and the deviation that
+        it had."""
+        axis = self.varied.unknowns[place].number + 1
+        behind = Unknown(Kind.MODULUS, axis)
+        if behind not in self.varied.unknowns:
+            return 0.0, 1.0
+        at = self.varied.unknowns.index(behind)
+        before = 1.0 + float(kept.corrected[at])
+        deviation = sqrt(float(kept.belief.covariance[at, at])) / before
+        return self.varied.modulus_factor(axis) / before - 1.0, deviation
+
+    def _at(self, time_s: float) -> _Kept:
+        """What was known then."""
+        return next((kept for kept in reversed(self._kept) if kept.time_s <= time_s), self._kept[0])
+
+    def _look_for_drifts(self) -> None:
+        """E of a section behind one whose tension a carriage keeps that is told to be another one, and was not at once:
+        it may be, or another strain comes in as E before it is another one, or the web slips behind it."""
+        for place, _ in self._kicks:
+            since = self._undecided.get(place)
+            kept = since or next((each for each in self._kept if each.time_s >= self._settled_s), None)
+            if kept is None:
+                continue
+            changed, deviation = self._booked_behind(place, kept)
+            limit = hypot(_BOOKED * deviation, _MODEL_SHARE) * (1.0 if since is None else _DECIDED_SHARE)
+            if abs(changed) > limit:
+                self._undecided[place] = kept
+            else:
+                self._undecided.pop(place, None)
+
+    def _kicked(self, time_s: float, began_s: float, place: int, kick: Kick) -> None:
+        """E of a section whose tension a carriage keeps is another one: torques have told of the others what was that,
+        and tell now how much it is by the strain of the web that comes from there."""
+        self._take_back(began_s)
+        unknown = self.varied.unknowns[place]
+        factor = self.varied.modulus_factor(unknown.number)
+        changes, jumps = np.zeros(len(self.varied.unknowns)), np.zeros((len(self.varied.unknowns),) * 2)
+        changes[place] = self._bounded(unknown, factor * kick.share)
+        self._hand_on(unknown.number, time_s - began_s, kick, changes)
+        jumps[place, place] = (factor * kick.deviation) ** 2
+        self._apply(changes)
+        self._filter.jump(jumps)
+        self._forget_kicks()
+        self._settle(time_s)
+
+    def _settle(self, time_s: float) -> None:
+        """What has changed is told: from now on it is as it is."""
+        self._settled_s = time_s + _SETTLES_S
+        self._undecided.clear()
+
+    def _hand_on(self, axis: int, since_s: float, kick: Kick, changes: Vector) -> None:
+        """Web that has left the section since the kick has another strain than the line that is followed has handed
+        on: what that is of the strain in the next section."""
+        behind = Unknown(Kind.STRAIN, axis + 1)
+        if behind in self.varied.unknowns:
+            line, spans = self.varied.line, _sections(self._model)
+            way_m = abs(line.v_m_s.item(axis)) * since_s
+            gone = 1.0 - exp(-way_m / sum(self._model.span_length_m(k + 1) for k in spans[axis]))
+            more = -kick.share / (1.0 + kick.share) * line.strain.item(spans[axis - 1][-1])
+            changes[self.varied.unknowns.index(behind)] = self.varied.modulus_factor(axis + 1) * more * gone
+
+    def _forget_kicks(self) -> None:
+        for _, watch in self._kicks:
+            watch.reset()
+        self._may_be.clear()
 
     def _apply(self, changes: Vector) -> None:
         """Correct the line by these of its unknowns (n,), and let them be those of now."""
@@ -297,7 +439,7 @@ class LineUnknowns:
     def _take_back(self, since_s: float) -> None:
         """What torques have told since then of E, and where carriages without a sensor stand, was the slip; tensions
         stay, and are the torques' to tell from now on."""
-        earlier = next((kept for kept in reversed(self._kept) if kept.time_s <= since_s), self._kept[0])
+        earlier = self._at(since_s)
         strains = np.where(self._is_strain, (_STRAIN_AT_REST * self._model.upstream_strain) ** 2, 0.0)
         variances = np.maximum(strains, self._filter.deviations**2)
         self._filter.put_back(earlier.belief, self._by_torque, variances)
@@ -361,7 +503,7 @@ class LineUnknowns:
 
     def separable(self, axis: int) -> bool:
         """Whether anything has told E of the section behind an axis."""
-        if not self._tells_moduli:
+        if not self._tells_moduli or self._is_undecided(axis):
             return False
         return self._deviation(Unknown(Kind.MODULUS, axis)) < 0.5 * _MODULUS_SHARE * self.varied.modulus_factor(axis)
 
@@ -370,8 +512,15 @@ class LineUnknowns:
         factor = self.varied.modulus_factor(axis)
         if not self._tells_moduli:
             return Found(modulus_Pa, inf)
+        if self._is_undecided(axis):
+            return Found(modulus_Pa * factor, inf)
         deviation = self._deviation(Unknown(Kind.MODULUS, axis))
         return Found(modulus_Pa * factor, modulus_Pa * hypot(deviation, _MODEL_SHARE))
+
+    def _is_undecided(self, axis: int) -> bool:
+        """Whether E of the section behind an axis may have changed, or that of one beside it."""
+        numbers = [self.varied.unknowns[place].number for place in self._undecided]
+        return axis in numbers or axis - 1 in numbers
 
     def _deviation(self, unknown: Unknown) -> float:
         return float(self._filter.deviations[self.varied.unknowns.index(unknown)])

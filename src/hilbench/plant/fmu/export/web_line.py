@@ -49,7 +49,8 @@ def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: in
     """
     n, k = int(p[lay.W_AXES]), int(p[lay.W_SPANS])
     strain_prev, f_next = u[n], u[n + 1]
-    span_kernel.roll_on(p, s, w, u, strain_prev, f_next, duration, span_kernel.LONGEST_STEP_S, out)
+    strain_next = laws.downstream_strain(p, f_next)
+    span_kernel.roll_on(p, s, w, u, strain_prev, f_next, strain_next, duration, span_kernel.LONGEST_STEP_S, out)
     first = places.first_span(n, int(p[lay.W_MOTORS]))
     for j in range(k):
         row = first + j * lay.SP_SIZE

@@ -1,0 +1,98 @@
+"""What the torques of a line do after a step of E in a section whose tension a carriage keeps, beside its twin's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from hilbench.estimation.web_line.kicks import KickWatch
+from hilbench.plant.motor_port import MotorMode, MotorPort
+from hilbench.plant.web_line.drive_response import DriveResponse
+from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.line_follower import LineFollower
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sections import axes_before_spans
+from hilbench.plant.web_line.varied_line import damped_follower
+
+#: Steps of E as shares: a stiffer web swings faster.
+_SHARES: Final = (-0.5, -0.3, -0.15, 0.15, 0.3, 0.5)
+#: How long a line comes to rest before, and what is simulated of its kick; the share of that which is looked at.
+_SETTLE_S, _KICK_S, _MOST = 0.9, 0.24, 0.9
+
+
+def kick_watch(
+    model: ModelParameters, axis: int, rows: Sequence[int], response: DriveResponse, cycle_s: float
+) -> KickWatch:
+    """For the section behind an axis; `rows`: of the torques that say something, from 0; `response`: of the drives, to
+    one load each."""
+    kicks = np.stack([_kick(model, axis, share, cycle_s)[:, rows] / share for share in _SHARES])
+    gone = np.cumsum(np.sum(kicks**2, axis=(0, 2)))
+    cycles = int(np.searchsorted(gone, _MOST * gone[-1])) + 1
+    response.reset()
+    loads = []
+    for _ in range(cycles):
+        loads.append(response.torques_Nm[rows, 0])
+        response.step(np.ones((model.axis_count, 1)))
+    return KickWatch(kicks[:, :cycles], _SHARES, np.array(loads))
+
+
+def _kick(model: ModelParameters, axis: int, share: float, cycle_s: float) -> Vector:
+    """Torques (cycles, N) of a line at rest after a step of E, beside those of one that follows its motion."""
+    pair = _Pair(model, cycle_s)
+    for _ in range(round(_SETTLE_S / cycle_s)):
+        pair.step()
+    before = pair.torques_Nm
+    for span, of in enumerate(axes_before_spans(model), 1):
+        if of == axis:
+            pair.line.set_parameter(f"span{span}.youngs_modulus_Pa", (1.0 + share) * model.youngs_modulus_Pa(span))
+    found = []
+    for _ in range(round(_KICK_S / cycle_s)):
+        found.append(pair.torques_Nm - before)
+        pair.step()
+    return np.array(found)
+
+
+class _Pair:
+    """A line at rest, and its twin that follows it."""
+
+    def __init__(self, model: ModelParameters, cycle_s: float) -> None:
+        axes = range(1, model.axis_count + 1)
+        self._ports, self._twins = ([_standing() for _ in axes] for _ in range(2))
+        self.line, self._closed = Line(model, self._ports), Line(model, self._twins)
+        self._followed: LineFollower = damped_follower(model)
+        self._per_m = [model.motor_rad_per_m(axis) for axis in axes]
+        self._cycle_s = cycle_s
+        self._of_axes = {
+            f"{name}{axis}_{unit}" for axis in axes for name, unit in (("x", "m"), ("v", "m_s"), ("tau", "Nm"))
+        }
+        self._followed.reset(self._positions_m)
+        self._transfer()
+
+    @property
+    def _positions_m(self) -> list[float]:
+        return [port.position_rad / per_m for port, per_m in zip(self._ports, self._per_m, strict=True)]
+
+    @property
+    def torques_Nm(self) -> Vector:
+        """Of the line, less those of its twin (N,)."""
+        return np.array([a.torque_Nm - b.torque_Nm for a, b in zip(self._ports, self._twins, strict=True)])
+
+    def _transfer(self) -> None:
+        states = self._followed.get_state().values
+        self._closed.set_state({name: value for name, value in states.items() if name not in self._of_axes})
+
+    def step(self) -> None:
+        """A cycle."""
+        self.line.step(self._cycle_s)
+        self._closed.step(self._cycle_s)
+        self._followed.follow(self._positions_m, self._cycle_s)
+        self._transfer()
+
+
+def _standing() -> MotorPort:
+    port = MotorPort()
+    port.mode, port.setpoint = MotorMode.VELOCITY, 0.0
+    return port
