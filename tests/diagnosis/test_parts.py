@@ -168,6 +168,16 @@ def test_an_axis_that_moves_for_a_short_while_has_rows_on_both_sides() -> None:
     assert np.count_nonzero(split.test) > 500
 
 
+def test_rows_behind_a_standstill_count_where_no_filter_remembers_it() -> None:
+    rows = np.ones(400, bool)
+    rows[:60] = rows[200:210] = False
+    counted = Split.of(rows, 0.1).block >= 0
+    remembered = Split.of(rows, 0.1, memory=24).block >= 0
+    assert counted[210]
+    assert not np.any(remembered[210:234])
+    assert np.array_equal(counted[240:], remembered[240:])
+
+
 def test_few_rows_of_noise_are_not_more_than_noise() -> None:
     rng = np.random.default_rng(1)
     for count in (100, 1000, 20000):

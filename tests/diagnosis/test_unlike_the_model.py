@@ -110,6 +110,35 @@ def test_two_effects_are_told_apart_without_commands_on_a_machine_with_other_loo
 
 
 @pytest.mark.slow
+def test_the_quick_part_of_the_motion_is_by_what_was_found() -> None:
+    """Jitter of the rows leaves a calm part of 1.5 Hz, in which no corner of the speed is."""
+    item = effect("torque_scale", 2, relative_change=-0.19)
+    assert_only(examined(hidden=[item], row_s=0.001, jitter_s=2e-5, loops=OTHER_GAINS), item)
+
+
+@pytest.mark.slow
+def test_what_only_the_held_out_ramp_shows_is_found_behind_what_shows_everywhere() -> None:
+    pair = [effect("inertia_mismatch", 2, relative_change=-0.15), effect("elasticity_shift", relative_change=0.185)]
+    loops = Loops(kp=(1.16, 0.72), ki=(1.11, 1.13), lag_s=(0.0037, 0.0039), trapezoidal=True)
+    recorded = {"row_s": 0.01, "without": ("v1_m_s", "v2_m_s"), "bristle_N_per_m": 7.2e4}
+    found = examined("production", 40.0, 321, hidden=pair, loops=loops, **recorded)
+    assert found.verdict == "named"
+    assert sorted(e.effect for e in found.effects) == ["elasticity_shift", "inertia_mismatch"]
+
+
+@pytest.mark.slow
+def test_a_ripple_once_a_turn_is_not_taken_for_the_encoder_of_the_other_axis() -> None:
+    """Both motors turn nearly alike, and the torque of axis 1 is not recorded."""
+    ripple = effect("torque_ripple", 2, amplitude_Nm=0.113, order=1.0, phase_rad=-2.5)
+    loops = Loops(kp=(1.29, 0.93), ki=(0.83, 1.03), lag_s=(0.0011, 0.0034), trapezoidal=True)
+    hidden = [effect("coulomb_friction", 2, force_N=4.57), ripple]
+    found = examined("identification", 40.0, 302, hidden=hidden, loops=loops, without=("tau1_Nm",))
+    assert [(e.effect, e.axis) for e in found.effects] == [("coulomb_friction", 2), ("torque_ripple", 2)]
+    low, high = found.effects[1].parameters["amplitude_Nm"].ci95
+    assert low < 0.113 < high
+
+
+@pytest.mark.slow
 def test_a_measured_tension_is_used() -> None:
     """With torques as noisy as these, a change of E is known from the tension alone."""
     item = effect("elasticity_shift", relative_change=0.1)

@@ -89,9 +89,11 @@ class Alternatives:
             left = self._space.residual(rest)
             others = self._steps.ranked(offered, left, self._own_without(offered, current.terms, k), _ALTERNATIVES)
             tied[term.key] = []
-            # What was proposed beside a gradual change says nothing of a sudden one in its middle.
+            # What was proposed beside a gradual change says nothing of a sudden one in its middle. A wave that was
+            # searched for among all orders has its price; once a turn is no more far-fetched than the term.
             sudden = [[other] for other in self._proposer.at_once(term, rest)]
-            for terms in sudden + others:
+            round_as_well = [[other] for other in self._proposer.once_a_turn(term)]
+            for terms in sudden + round_as_well + others:
                 if len(terms) > 1 or terms[0].place == term.place:
                     continue
                 cost = price([*rest, *terms], self._samples) - price(current.terms, self._samples)

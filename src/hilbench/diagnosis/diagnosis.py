@@ -233,7 +233,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
     """The verdict on what a search has found; effects with their intervals, gaps, and where they were."""
     announce("judge the residual", 0.95)
     predictor = chosen.predictor
-    before = space.residual([])
+    before = space.before
     rows = predictor.rows
     judged = _judged_by_noise(space, selection) if predictor.exact else _judged_by_rest(space, selection)
     trained, final = judged.trained, judged.final

@@ -92,6 +92,14 @@ class Proposer:
             if axis in self._data.tau_Nm and effect.probe is not None and not effect.probe.by_torque
         }
 
+    def once_a_turn(self, term: Term) -> list[Term]:
+        """In the place of a term that goes round with the motor, the effects with an order once a turn: nothing of them
+        is searched for then; none for another term."""
+        if not term.has_phase or term.effect.domain is not Domain.POSITION_MEASUREMENT:
+            return []
+        waves = [wave for (wave,) in self.waves([1.0]).values()]
+        return [replace(wave, held=frozenset({wave.effect.probe.parameter})) for wave in waves if wave.effect.probe]
+
     def known(self, effect: Effect, axis: int | None, values: Mapping[str, float]) -> Term:
         """An effect that is known to be there, with values to start a fit from: nothing of it is searched for."""
         term = self._term(effect, axis, values)

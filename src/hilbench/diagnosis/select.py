@@ -66,9 +66,12 @@ class Search:
             if len(pruned.terms) > _MOST_TERMS:
                 return Selection(current, offered, steps.samples, exhausted=True)
             current = pruned
+            if steps.space.settle(current.terms):
+                current = steps.again(current, offered.whitening)
             # Responses hardly change by a term more. Only where they promise something are they simulated anew.
             offered = steps.carried_over(current, offered)
-            if not steps.promises(offered):
+            unseen = steps.space.split_again(current.residual)
+            if not (unseen or steps.promises(offered)):
                 break
             current = steps.again(current, offered.whitening)
             offered = steps.candidates(current)

@@ -55,10 +55,11 @@ class Split:
         *,
         counted: bool = False,
         shortest_s: float = _SHORTEST_BLOCK_S,
+        memory: int = 0,
     ) -> Split:
         """Contiguous blocks, equally long, or with `counted` of equally many rows that count.
 
-        first: the first that is held out.
+        first: the first that is held out; memory: how many rows before it a whitened row holds.
         """
         n = len(rows)
         length_s = (np.count_nonzero(rows) if counted else n) * period_s
@@ -74,10 +75,9 @@ class Split:
         for b in np.flatnonzero(held_out):
             block[edges[b] : edges[b] + embargo] = -1
             block[edges[b + 1] - embargo : edges[b + 1]] = -1
-        # A whitened sample holds the ORDER before it.
-        near = np.convolve(~rows, np.ones(ORDER + 1), "full")[:n] > 0.0
+        near = np.convolve(~rows, np.ones(memory + 1), "full")[:n] > 0.0
         block[near] = -1
-        block[:ORDER] = -1
+        block[:memory] = -1
         return cls(block, held_out)
 
     @classmethod
@@ -88,6 +88,7 @@ class Split:
         period_s: float,
         shortest_s: float = _SHORTEST_BLOCK_S,
         residual: Array | None = None,
+        memory: int = 0,
     ) -> Split:
         """The same, with blocks held out that do not have most of what changes in the signals (signals, n): a fit can't
         see the one ramp of a production run where that is held out.
@@ -95,16 +96,16 @@ class Split:
         residual: measured less predicted (signals, n), in units of its noise: what comes once and goes (a splice) is
         not kept from the fit that shall find it either.
         Where equally long blocks leave no rows to one side (an axis that moves for a short while) each has as many.
+        memory: as in `of`.
         """
         change = np.sum(_shares(measured, rows), axis=0)
         excess = np.zeros(len(rows)) if residual is None else _excess(residual, rows)
-        splits = [cls.of(rows, period_s, first, shortest_s=shortest_s) for first in _FIRST_HELD_OUT]
+        splits = [cls.of(rows, period_s, first, shortest_s=shortest_s, memory=memory) for first in _FIRST_HELD_OUT]
         usable = [split for split in splits if np.any(split.test) and np.any(split.train)]
         if not usable:
-            return cls.of(rows, period_s, counted=True, shortest_s=shortest_s)
+            return cls.of(rows, period_s, counted=True, shortest_s=shortest_s, memory=memory)
         held_out = [np.sum(change[split.test]) / max(np.sum(change[split.block >= 0]), 1e-300) for split in usable]
-        unseen = [np.sum(excess[~split.train]) / max(np.sum(excess), 1e-300) for split in usable]
-        worse = np.maximum(held_out, unseen)
+        worse = np.maximum(held_out, [_unseen(excess, split) for split in usable])
         enough = np.flatnonzero(worse < _MOST_HELD_OUT)
         return usable[int(enough[0]) if len(enough) else int(np.argmin(worse))]
 
@@ -139,6 +140,11 @@ def _excess(residual: Array, rows: NDArray[np.bool_]) -> Array:
     return found
 
 
+def _unseen(excess: Array, split: Split) -> float:
+    """Share of what is left beyond noise (n,) that no fit sees."""
+    return float(np.sum(excess[~split.train]) / max(np.sum(excess), 1e-300))
+
+
 @dataclass(frozen=True)
 class Point:
     """One model: its terms, raw residuals (signals, n), and raw derivatives (coordinates, signals, n) by the terms."""
@@ -156,15 +162,42 @@ class Space:
     predictor: Predictor
     period_s: float
     split: Split = field(init=False)
+    before: Array = field(init=False)  #: residual (signals, n) of the model as it is
     simulations: int = 0
+    _quick: Array = field(init=False)  #: of the measured (signals, n), what terms make of the quick part of the motion
 
     def __post_init__(self) -> None:
+        self._quick = np.zeros_like(self.predictor.measured)
+        self.before = self.residual([])
+        self.split = self._balanced(self.before)
+
+    def _balanced(self, residual: Array) -> Split:
+        """Blocks of which those held out have little that only they have, by what is left (signals, n)."""
+        exact, rows = self.predictor.exact, self.predictor.rows
         shortest_s = _SHORTEST_BLOCK_S
-        if not self.predictor.exact:
+        if not exact:
             shortest_s = min(shortest_s, self.duration_s / _LEAST_BLOCKS_OF_ONE_AXIS)
+        # Noise that is white is scaled, whatever was before it; the filter for another has a memory.
+        memory = 0 if exact else ORDER
+        left = _noise_of_right_model(self.predictor).apply(residual) if exact else None
         row_s = self.period_s * self.predictor.every
-        residual = _noise_of_right_model(self.predictor).apply(self.residual([])) if self.predictor.exact else None
-        self.split = Split.balanced(self.predictor.measured, self.predictor.rows, row_s, shortest_s, residual)
+        return Split.balanced(self.predictor.measured, rows, row_s, shortest_s, left, memory)
+
+    def split_again(self, residual: Array) -> bool:
+        """Hold other blocks out where what is left (signals, n) stands nearly all where no fit sees it; whether it did.
+
+        What is larger elsewhere may have hidden, when the blocks were chosen, that they hold out all of another effect.
+        """
+        if not self.predictor.exact:
+            return False
+        excess = _excess(_noise_of_right_model(self.predictor).apply(residual), self.predictor.rows)
+        if _unseen(excess, self.split) < _MOST_HELD_OUT:
+            return False
+        split = self._balanced(residual)
+        if np.array_equal(split.block, self.split.block):
+            return False
+        self.split = split
+        return True
 
     @property
     def duration_s(self) -> float:
@@ -182,7 +215,19 @@ class Space:
         parameters = np.array([pack_with(self.model, terms) for terms in variants])
         with np.errstate(over="ignore", invalid="ignore"):  # a model far off may run away; fits see that
             predicted = self.predictor.predict(parameters)
-        return np.asarray(self.predictor.measured - predicted, np.float64)
+        return np.asarray(self.predictor.measured - self._quick - predicted, np.float64)
+
+    def settle(self, terms: list[Term]) -> bool:
+        """From now on let the model with these terms say what the quick part of a measured motion needs; whether there
+        is one.
+
+        What terms change follows from its calm part; at the corners of a ramp another inertia, or another scale of the
+        torque, is as far off in the quick part as in the calm one, and would be left over.
+        """
+        if not isinstance(self.predictor, LineOnMeasuredMotion):
+            return False
+        self._quick = self.predictor.quick(pack_with(self.model, terms))
+        return True
 
     def residual_with_force(self, terms: list[Term], force_N: float, time_s: float) -> Array:
         """The residual with a force against the motion of the last roller from a time on.
@@ -193,7 +238,7 @@ class Space:
             raise TypeError("the prediction of a lone axis, expected a web")
         self.simulations += 1
         predicted = self.predictor.with_force(force_N, time_s).predict(pack_with(self.model, terms)[None])
-        return np.asarray(self.predictor.measured - predicted[0], np.float64)
+        return np.asarray(self.predictor.measured - self._quick - predicted[0], np.float64)
 
     def doubts(self, terms: list[Term]) -> Array:
         """(shapes, signals, n): by what a right prediction may be off beside the noise, each to one standard

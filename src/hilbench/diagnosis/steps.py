@@ -110,7 +110,11 @@ class Steps:
 
     def __init__(self, space: Space, proposer: Proposer, every: int = 1) -> None:
         self.space, self.proposer, self._every = space, proposer, every
-        self.samples = float(np.count_nonzero(space.split.train) * len(space.predictor.names))
+
+    @property
+    def samples(self) -> float:
+        """How many values fits see."""
+        return float(np.count_nonzero(self.space.split.train) * len(self.space.predictor.names))
 
     # -- candidates ------------------------------------------------------------------------------------------
 

@@ -105,7 +105,8 @@ class LineOnMeasuredMotion:
         measured = thinning.apply(rows)
         for k, axis in enumerate(self._torques):
             measured[k] -= sampling_bias_Nm(model, axis, self._cycle_s) * self._at_rows(self._a[:, axis - 1])
-        self.measured = self._discounted(self._mix(measured) - self._above_the_calm())
+        self._by_model = self._above_the_calm(lay.pack(model))
+        self.measured = self._discounted(self._mix(measured) - self._by_model)
 
     def _usable(self) -> NDArray[np.bool_]:
         """Not standstill, where dry friction is not one law; not while the first strain is remembered; not the ends."""
@@ -122,11 +123,16 @@ class LineOnMeasuredMotion:
         rows = ~near[:: self._whole] & data.usable(reach_s)
         return np.asarray(rows[::every])
 
-    def _above_the_calm(self) -> Array:
-        """(signals, n): what the measured motion needs by the model more than its calm part."""
-        model = lay.pack(self._model)[None]
-        runs = [self._moved_by(model, *motion) for motion in (self._measured_motion, (self._x, self._v, self._a))]
+    def _above_the_calm(self, parameters: Array) -> Array:
+        """(signals, n): what the measured motion needs by parameters (P,) more than its calm part."""
+        motions = self._measured_motion, (self._x, self._v, self._a)
+        runs = [self._moved_by(parameters[None], *motion) for motion in motions]
         return np.asarray((self._signals(runs[0]) - self._signals(runs[1]))[0])
+
+    def quick(self, parameters: Array) -> Array:
+        """(signals, n): how much more of the measured the quick part of the motion needs by parameters (P,) than by
+        the model."""
+        return self._discounted(self._above_the_calm(parameters) - self._by_model)
 
     @property
     def _cycle_s(self) -> float:
