@@ -222,6 +222,20 @@ def test_a_torque_that_is_recorded_late_moves_no_ripple_to_an_order_beside_its_o
     assert all(order == round(order) for order in orders)
 
 
+def test_at_a_speed_that_is_given_and_always_the_same_ripples_are_found_by_their_orders() -> None:
+    """As a torque sensor's recording of a load bench, whose motion nobody recorded."""
+    t = 0.001 * np.arange(12000)
+    angle, noise = 2.0 * np.pi * t, 0.05 * np.random.default_rng(4).standard_normal(len(t))
+    torque = 9.0 + 0.8 * np.sin(4.0 * angle + 0.3) + 0.3 * np.sin(24.0 * angle) + noise
+    found = diagnose(
+        Recording({"t_s": t, "v1_m_s": np.full(len(t), 2.0 * np.pi), "tau1_Nm": torque}), axis_model(1e-3), "bench"
+    )
+    ripples = {round(item.parameters["order"].value): item for item in found.effects if "order" in item.parameters}
+    assert {4, 24} <= set(ripples)
+    assert ripples[4].parameters["amplitude_Nm"].value == pytest.approx(0.8, rel=0.02)
+    assert "inertia_mismatch" in {blind.effect for blind in found.unobservable}
+
+
 def test_what_a_small_swing_about_a_steady_speed_needs_is_no_ripple() -> None:
     (recording,) = Rig(swing=(2.0, 5.0), about_rad_s=20.0).recordings(1, seed=1)
     found = diagnose(recording, axis_model(1.6e-4), "blind")

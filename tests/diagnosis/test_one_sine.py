@@ -67,6 +67,7 @@ def test_a_sine_is_known_by_its_frequency(frequency_Hz: float) -> None:
     assert frequency_of_sine(speed * (1.0 + 0.05 * t_s), 0.004) is None
     assert frequency_of_sine(np.arcsin(speed / 8.0), 0.004) is None  # a triangle
     assert frequency_of_sine(np.zeros(2500), 0.004) is None
+    assert frequency_of_sine(np.full(2500, 6.3), 0.004) is None
 
 
 def test_what_goes_evenly_with_the_position_is_the_size_of_the_speed() -> None:

@@ -24,6 +24,8 @@ def frequency_of_sine(speed: Array, period_s: float) -> float | None:
     spectrum = np.abs(np.fft.rfft(speed * np.hanning(n), _FINER * n))
     step_Hz = 1.0 / (_FINER * n * period_s)
     peak = int(np.argmax(spectrum))
+    if peak < 2 * _FINER:  # the window alone is as wide: a speed that hardly changes
+        return None
     tried = [step_Hz * (peak + part / _BETWEEN) for part in range(-_BETWEEN, _BETWEEN + 1)]
     left = [_left_by_a_sine(speed, t_s, frequency_Hz) for frequency_Hz in tried]
     if min(left) >= (1.0 - _PURE) * float(np.sum(speed**2)):

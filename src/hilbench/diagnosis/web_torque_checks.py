@@ -66,7 +66,9 @@ class SlowMotion:
             return None
         v, a, torque = (values[axis][self.rows] for values in (self.v, self.a, self.tau_Nm))
         columns = np.column_stack([Nm_per_acceleration * a, v, np.sign(v), np.ones_like(v)])
-        theta, *_ = np.linalg.lstsq(columns, torque, rcond=None)
+        theta, _, rank, _ = np.linalg.lstsq(columns, torque, rcond=None)
+        if rank < columns.shape[1]:  # at an even speed nothing tells an inertia
+            return None
         left = torque - columns @ theta
         deviation = float(np.std(left) * np.sqrt(np.linalg.pinv(columns.T @ columns)[0, 0]))
         return float(theta[0]) if abs(float(theta[0])) >= _CERTAIN * deviation else None
