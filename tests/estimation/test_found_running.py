@@ -1,8 +1,9 @@
-"""A twin that joins a line that runs already: neither E nor the strain of the web in the span is known."""
+"""A twin that joins a line that runs already, or rests: neither E nor the strain of the web in the span is known."""
 
 from __future__ import annotations
 
 from dataclasses import fields
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,9 +12,17 @@ from hypothesis import strategies as st
 from tests.estimation.runs import CYCLE_S, NEW_PA, OLD_PA, times, tracked
 from tests.plant.models import model
 
-from hilbench.estimation.web_line.config import ChangepointConfig, EkfConfig, LmConfig, RlsConfig, SynchronizerConfig
+from hilbench.bench.tasks.rest_movement import RestMovement, pull_m
+from hilbench.estimation.web_line.config import (
+    ChangepointConfig,
+    EkfConfig,
+    EstimationConfig,
+    LmConfig,
+    RlsConfig,
+    SynchronizerConfig,
+)
 from hilbench.estimation.web_line.measurements import Measurements
-from hilbench.estimation.web_line.offline import Track
+from hilbench.estimation.web_line.offline import Track, run_offline
 from hilbench.estimation.web_line.synthetic import simulated_measurements
 
 #: What stands in the issue of a line at 3 m/s.
@@ -75,3 +84,67 @@ def test_an_E_that_steps_while_the_twin_joins_is_found_afterwards() -> None:
     data = simulated_measurements(model(), np.column_stack([speed, speed]), true, seed=5)
     track = joined(data, 2.0, 0.7 * OLD_PA, ChangepointConfig())
     assert track.E_Pa[round(2.0 / CYCLE_S) :] == pytest.approx(NEW_PA, rel=WITHIN)
+
+
+AT_REST_S, RAMP_S = 10.0, 2.0
+
+
+def at_rest(share_of_tension: float, moved_mm: float = 0.0) -> Measurements:
+    """A line that stands, its span strained by this share of the strain upstream; after `AT_REST_S` a ramp to 3 m/s.
+
+    `moved_mm`: it makes the bench's small movement from 1 to 9 s.
+    """
+    plant = model(web_load=[False, True])
+    t_s = times(AT_REST_S + RAMP_S + 2.5)
+    speeds = np.outer(3.0 * np.clip((t_s - AT_REST_S) / RAMP_S, 0.0, 1.0), [1.0, 1.0])
+    axis = SimpleNamespace(creep_m_s=0.0, pull_m_s=0.0)
+    if moved_mm:
+        movement = RestMovement(axis, lambda _: (0.0, 0.0), 1e-3 * moved_mm, pull_m(plant, 80.0), CYCLE_S)
+        for row in np.flatnonzero((t_s >= 1.0) & (t_s < 9.0)):
+            movement.go_on()
+            speeds[row] += axis.creep_m_s, axis.creep_m_s + axis.pull_m_s
+    strained = np.zeros((round(2.0 / CYCLE_S), 2))  # before the recording
+    gives_way = 1.0 / plant.stiffness_N(1) + 1.0 / plant.drive_stiffness_N_per_m(2)
+    strained[: len(strained) // 4, 0] = (1.0 - share_of_tension) * plant.boundary.upstream_tension_N * gives_way / 0.5
+    speeds = np.vstack([strained, speeds])
+    data = simulated_measurements(plant, speeds, np.full(len(speeds), OLD_PA), seed=5)
+    return from_row(data, len(strained))
+
+
+def found_at_rest(data: Measurements, believed_Pa: float, method: SynchronizerConfig) -> Track:
+    config = EstimationConfig(estimate=[method], youngs_modulus_Pa=believed_Pa, web_at_rest="unknown")
+    return run_offline(model(web_load=[False, True]), config, data)
+
+
+def row_at(t_s: float) -> int:
+    return round(t_s / CYCLE_S)
+
+
+@pytest.mark.parametrize("method", [ChangepointConfig(), EkfConfig()])
+@pytest.mark.parametrize(("share", "believed"), [(0.4, 0.5), (0.7, 1.8), (1.5, 0.6), (1.0, 1.0)])
+def test_a_web_at_rest_is_unknown_until_it_runs_and_known_in_time_then(
+    method: SynchronizerConfig, share: float, believed: float
+) -> None:
+    track = found_at_rest(at_rest(share), believed * OLD_PA, method)
+    error = track.E_Pa / OLD_PA - 1.0
+    rests = slice(row_at(0.5), row_at(AT_REST_S))
+    assert np.all(np.abs(error[rests]) * OLD_PA <= 1.96 * track.E_sd_Pa[rests])
+    assert np.all(track.E_sd_Pa[rests] > 0.5 * OLD_PA)
+    assert np.all(np.abs(error[row_at(AT_REST_S + RAMP_S + WITHIN_S) :]) < WITHIN)
+
+
+@pytest.mark.parametrize(("share", "believed"), [(0.4, 0.5), (0.7, 1.8), (1.5, 0.6)])
+def test_a_movement_of_a_millimetre_tells_E_and_the_strain_at_rest(share: float, believed: float) -> None:
+    data = at_rest(share, moved_mm=1.0)
+    assert 4e-4 < np.ptp(data.x_m[: row_at(AT_REST_S)], axis=0).max() < 1e-3
+    track = found_at_rest(data, believed * OLD_PA, ChangepointConfig())
+    error = track.E_Pa / OLD_PA - 1.0
+    assert np.all(np.abs(error[row_at(9.2) :]) < WITHIN)
+    assert np.mean(np.abs(error) * OLD_PA <= 1.96 * track.E_sd_Pa) > 0.95
+    # The simulation has the strain, not only E.
+    assert abs(track.residual_Nm[row_at(9.2) : row_at(AT_REST_S)].mean()) < 0.02
+
+
+def test_a_web_that_a_load_model_begins_is_strained_as_upstream() -> None:
+    track = tracked(from_row(running(1.0), 0), ChangepointConfig())
+    assert np.all(np.abs(track.E_Pa[row_at(0.2) :] / OLD_PA - 1.0) < WITHIN)

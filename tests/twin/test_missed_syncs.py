@@ -113,12 +113,13 @@ class OnTheBus:
         answers: int = 2,
         late_s: float = 0.0,
         told: bool = True,
+        enabled: bool = True,
     ) -> None:
         """The SYNC at a time of the line, read at one of the twin's clock; so many axes answer, the first with what it
-        was so long before. `told`: whether the virtual axes have set points."""
+        was so long before. `told`, `enabled`: whether the virtual axes have set points, and are."""
         self.clock.time_ns = round(read_at_s * 1e9)
         for port in self.machine.ports:
-            port.mode, port.torque_limit_Nm = MotorMode.VELOCITY, 9.0
+            port.mode, port.torque_limit_Nm = MotorMode.VELOCITY if enabled else MotorMode.OFF, 9.0
             port.setpoint = ACCELERATION_M_S2 * time_s * MODEL.motor_rad_per_m(1) if told else 0.0
         self._application.before_sync(0)
         self._application.after_sync()
@@ -126,6 +127,10 @@ class OnTheBus:
         for listener, values in zip(self._listeners[:answers], measured, strict=False):
             self.measured[listener.cob_id] = values
             self._application.on_frame(Frame(listener.cob_id, bytes(listener.size)))
+
+    def rests_until_now(self) -> None:
+        """The bench starts: its drives are enabled from the next SYNC on, the first of the line's time."""
+        self.sync(0.0, -CYCLE_S, enabled=False)
 
     @property
     def shown(self) -> tuple[float, float]:
@@ -144,6 +149,7 @@ def test_a_start_at_which_the_bench_leaves_syncs_out_is_no_web_break(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     twin = OnTheBus(monkeypatch)
+    twin.rests_until_now()
     missed = np.random.default_rng(seed).random(400) < 0.1
     problems: set[Problem | None] = set()
     deviations = []
@@ -198,6 +204,7 @@ def test_drives_that_take_a_sync_for_the_next_one_at_low_speed_make_no_web_break
     breaks: bool, further: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     twin = OnTheBus(monkeypatch)
+    twin.rests_until_now()
     told = []
     for cycle in range(200):  # up to 0.4 m/s
         late = cycle % 7 if cycle >= 40 else len(further)
@@ -249,9 +256,9 @@ def test_a_twin_joins_by_measurements_of_two_cycles_in_a_row(monkeypatch: pytest
     bus, released = OnTheBus(monkeypatch), list[float]()
     release = bus.machine.release
 
-    def note(before: list[tuple[float, float]], now: list[tuple[float, float]]) -> bool:
+    def note(before: list[tuple[float, float]], now: list[tuple[float, float]], *, under_way: bool) -> bool:
         released.extend(after[0] - earlier[0] for earlier, after in zip(before, now, strict=True))
-        return release(before, now)
+        return release(before, now, under_way=under_way)
 
     monkeypatch.setattr(bus.machine, "release", note)
     for k, answers in enumerate((2, 1, 2, 2), 500):

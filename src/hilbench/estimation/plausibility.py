@@ -101,6 +101,10 @@ class Plausibility:
         self.state[_DRY], self.state[_SLACK_PER_PA] = float(dry_friction_N > 0.0), _SLACK * slack_per_Pa
         self.state[_LAST_NM] = np.nan
 
+    def sticks(self) -> None:
+        """There is dry friction, whatever the model has of it."""
+        self.state[_DRY] = 1.0
+
     def problem(self, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> Problem | None:
         """What is wrong with this cycle's torque, if anything."""
         return PROBLEMS[_look(self.state, torque_Nm, pull_per_Pa, velocity_m_s)]

@@ -50,6 +50,13 @@ class ProbingConfig(Block):
     deviation_pct: PositiveFloat = Field(default=0.5, description="stated deviation of E from which it is wide")
     settled_s: PositiveFloat = Field(default=2.0, description="how long the line has to be steady before a probe")
     rest_s: float = Field(default=60.0, ge=0, description="least time between two probes that nobody asked for")
+    at_rest_mm: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="how far the rollers of a line of one span may move at rest, where E and strain of the web in it "
+        "are unknown; 0: not at all",
+    )
 
 
 class TensionControlConfig(Block):
@@ -250,6 +257,8 @@ def line_misfits(
         yield "a machine with 'web:' and 'drives:'"
     of_stations = None if machine.stations is None else _stations_misfit(machine, controllers, ahead, names)
     yield from filter(None, [of_stations])
+    if machine.span_count > 1 and any(control.probes.at_rest_mm for control in tension_loops(controllers)):
+        yield "no 'probing: {at_rest_mm: …}' on a line of several spans"
     yield from filter(None, [_measured_misfit(measured, machine)])
     yield from filter(None, [_loops_misfit(machine, controllers, measured)])
 

@@ -163,13 +163,13 @@ class ChangeableMachine:
         self._coming, self._effects = None, ""
         self._configured.reset()
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> bool:
+    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
         """The drives have been enabled; False where these measurements are of several instants."""
         if self._candidate is not None and self._share > 0.0:
             self._take_over(self._candidate)
         self._pass_set_points(self._current)
         self._before, self._released = None, False
-        return self._current.release(before, now)
+        return self._current.release(before, now, under_way=under_way)
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
         """Take what the axes (N,) measured.

@@ -111,6 +111,7 @@ class TwinApplication:
         self._owed = [0] * len(self._listeners)  # SYNCs that the axis has not answered
         self._measured_before: list[Measured] | None = None  # while the machine waits to be released
         self._waited_s = 0.0  # for set points of axes that move
+        self._was_held = False  # the machine, with a drive disabled, since the start
         self._alarms = {part: Alarms(setup.cycle_s) for part in machine.problems}
         self._quiet = True  # no alarm is on
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
@@ -152,7 +153,7 @@ class TwinApplication:
 
     def start(self) -> None:
         """NMT start: SYNCs are counted from here."""
-        self._sync_number = 0
+        self._sync_number, self._was_held = 0, False
 
     def before_sync(self, behind: int) -> None:
         """A SYNC is here, `behind` more are waiting: what still waits for a measurement goes on without."""
@@ -336,7 +337,7 @@ class TwinApplication:
                     self._machine.step(self._cycle_s)
                     self._time_s += self._cycle_s
         else:
-            self._released = False
+            self._released, self._was_held = False, True
             self._measured_before = None
             self._ways.reset()
         self._measured = list(self._nothing)
@@ -356,7 +357,7 @@ class TwinApplication:
         measured = self._measured_before
         if before is None or measured is None or self._waits_for_set_points(before, measured):
             return False
-        if not self._machine.release(before, measured):
+        if not self._machine.release(before, measured, under_way=not self._was_held):
             return False
         self._released = True
         self._time_s = self._waited_s = 0.0

@@ -15,6 +15,7 @@ from hilbench.bench.state import BenchState, TwinState
 from hilbench.bench.tasks.imitated_web import web_load_model
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
+from hilbench.bench.tasks.rest_movement import RestMovement, pull_m
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
 from hilbench.bench.tasks.task import CyclicTask, Outputs
@@ -95,7 +96,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         loops[axis] = _tension_task(config, state, control, names, axes[-1], trusts[-1], ahead)
         axes.append(loops[axis])
     of_spans = {loop.span: loop for loop in loops.values()}
-    probing = [_probing(config, state, of_spans, line_speed)] if of_spans else []
+    probing = [_probing(config, state, of_spans, line_speed, leading)] if of_spans else []
     sensors = sensors_at_start(model, config.shape)
     boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N, sensors)
     load = WebLoadTask(config, partial(reports.note, "load model"))
@@ -136,7 +137,11 @@ def _spans_beside(shape: Shape, axis: int) -> str:
 
 
 def _probing(
-    config: BenchConfig, state: BenchState, loops: Mapping[int, TensionTask], line_speed: Reference
+    config: BenchConfig,
+    state: BenchState,
+    loops: Mapping[int, TensionTask],
+    line_speed: Reference,
+    leading: LeadingAxis,
 ) -> Probing:
     """Probes of the loop of a span at which E is found, the first that is to be probed; none where there is none."""
     controls = config.tension_controls
@@ -144,7 +149,12 @@ def _probing(
     probed = [span for span in at_estimates if controls[span].probes.mode != "off"] or at_estimates
     found = controls[probed[0]].probes if probed else ProbingConfig()
     loop = loops[probed[0]] if probed else next(iter(loops.values()))
-    return Probing(found, loop, loop.names.twin, line_speed, state)
+    at_rest = None
+    if found.at_rest_mm > 0.0:
+        names, pulled_m = loop.names, pull_m(config.web_line, loop.set_point_N)
+        positions_m = attrgetter(names.before, names.behind)
+        at_rest = RestMovement(leading, positions_m, 1e-3 * found.at_rest_mm, pulled_m, config.cycle_time_s)
+    return Probing(found, loop, loop.names.twin, line_speed, state, at_rest)
 
 
 def _tension_task(
@@ -277,21 +287,23 @@ class LeadingAxis(CyclicTask):
         self._drive = drive
         self._command = f"v{axis}_cmd_m_s"
         self._line_speed = line_speed
+        self.creep_m_s = self.pull_m_s = 0.0  #: see `RestMovement`
 
     @property
     def speed_m_s(self) -> float:
-        """What it is to turn at, at the web."""
-        return self._line_speed.present
+        """What it is to turn at, at the web, for those who follow it."""
+        return self._line_speed.present + self.creep_m_s
 
     @property
     def damped_m_s(self) -> float:
         """The same: nothing is damped by it."""
-        return self._line_speed.present
+        return self.speed_m_s
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, m/s at the web."""
-        outputs[self._drive] = self.speed_m_s
-        setattr(sample, self._command, self.speed_m_s)
+        speed_m_s = self.speed_m_s + self.pull_m_s
+        outputs[self._drive] = speed_m_s
+        setattr(sample, self._command, speed_m_s)
 
 
 class FollowingAxis(CyclicTask):

@@ -5,6 +5,10 @@ when the tension moves by a little tells them apart (`hilbench.estimation.web_li
 set-point goes up and down by a small share for some seconds. It is done when the twin states a wide deviation of E, or
 when somebody asks for it (path `tension_control.probe`, object 2200h sub 7); it is told when it begins and ends, it
 stands in the journal, and the recorded set-point shows it.
+
+At rest it is the whole of E and of the web's strain that nothing tells, to a twin that is started beside a web that is
+there already. Where that is permitted, the rollers make a movement of a millimetre at most (`RestMovement`) until the
+twin knows both, or for some seconds; begun, told and refused in the same way, and shown by the recorded commands.
 """
 
 from __future__ import annotations
@@ -17,14 +21,19 @@ from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.reference import Reference
+from hilbench.bench.tasks.rest_movement import RestMovement
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_trust import TwinSignals
 from hilbench.topology.quantities import TENSION_PROBE
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import ProbingConfig
+from hilbench.twin.virtual_io import TwinStatus
 
 #: Slower than this a roller may turn back within a probe, and dry friction with it.
 _LEAST_SPEED_M_S = 0.05
+#: Share of E from which its deviation says that E is not known at all, and the longest movement at rest.
+_UNKNOWN, _LONGEST_AT_REST_S = 0.5, 15.0
+_RUNNING = int(TwinStatus.RUNNING)
 #: How to allow what is asked for.
 _ALLOW = "hilbench sdo write bench 2200:7 1 (0 refuses)"
 
@@ -47,10 +56,18 @@ class Probing(CyclicTask):
     """The probes of one tension loop; a `SettableQuantity`: 1 asks for one or allows it, 0 ends or refuses it."""
 
     def __init__(
-        self, config: ProbingConfig, loop: ProbedLoop, signals: TwinSignals, line_speed: Reference, state: BenchState
+        self,
+        config: ProbingConfig,
+        loop: ProbedLoop,
+        signals: TwinSignals,
+        line_speed: Reference,
+        state: BenchState,
+        at_rest: RestMovement | None = None,
     ) -> None:
         self._config = config
         self._loop = loop
+        self._at_rest = at_rest
+        self._moves = False  # the probe under way is a movement at rest
         self._signals = attrgetter(signals.modulus, signals.deviation)
         self._line_speed = line_speed
         self._state = state
@@ -92,7 +109,9 @@ class Probing(CyclicTask):
                 self._consider(sample)
             return
         self._since_s += cycle_s
-        if not steady:
+        if self._moves:
+            self._go_on_at_rest(sample)
+        elif not steady:
             self._end("broken off: the line is not steady")
         elif self._is_over(sample):
             self._end(self._known(sample))
@@ -115,9 +134,31 @@ class Probing(CyclicTask):
     def _size_N(self) -> float:
         return 0.01 * self._config.amplitude_pct * self._loop.set_point_N
 
+    def _go_on_at_rest(self, sample: CycleSample) -> None:
+        movement, since_s = self._at_rest, self._since_s or 0.0
+        assert movement is not None, "begun"
+        if is_synchronized(sample):
+            self._end(self._known(sample))
+        elif movement.is_beyond(sample):
+            self._end("broken off: a roller has moved further than is permitted")
+        elif self._line_speed.present != 0.0 or not sample.twin_status & _RUNNING:
+            self._end("broken off: the line is not at rest beside a twin")
+        elif since_s >= _LONGEST_AT_REST_S:
+            self._end(f"not told in {_LONGEST_AT_REST_S:g} s, {self._known(sample)}")
+        else:
+            movement.go_on()
+
+    def _rests_unknown(self, sample: CycleSample) -> bool:
+        """Whether the line rests, the twin runs, and knows nothing of the web."""
+        if self._at_rest is None or self._line_speed.present != 0.0 or is_synchronized(sample):
+            return False
+        modulus_Pa, deviation_Pa = self._signals(sample)
+        return bool(sample.twin_status & _RUNNING and deviation_Pa > _UNKNOWN * modulus_Pa)
+
     def _is_steady(self, sample: CycleSample) -> bool:
         now = (self._line_speed.present, self._loop.set_point_N)
-        usable = self._loop.closed and is_synchronized(sample) and abs(now[0]) >= _LEAST_SPEED_M_S
+        runs = self._loop.closed and is_synchronized(sample) and abs(now[0]) >= _LEAST_SPEED_M_S
+        usable = runs or self._rests_unknown(sample)
         same = usable and now == self._steady_at
         self._steady_at = now
         self._steady_for_s = self._steady_for_s + self._state.cycle_s if same else 0.0
@@ -137,13 +178,21 @@ class Probing(CyclicTask):
 
     def _begin(self, sample: CycleSample) -> None:
         self._since_s, self._wanted, self._asked = 0.0, False, False
-        size_N, config = self._size_N, self._config
-        self._note(f"tension set-point ±{size_N:.3g} N for {config.duration_s:g} s, {self._known(sample)}")
+        movement = self._at_rest if self._line_speed.present == 0.0 else None
+        self._moves = movement is not None
+        if movement is not None:
+            movement.begin(sample)
+            what = f"the rollers move by up to {1e3 * movement.way_m:g} mm for up to {_LONGEST_AT_REST_S:g} s"
+        else:
+            what = f"tension set-point ±{self._size_N:.3g} N for {self._config.duration_s:g} s"
+        self._note(f"{what}, {self._known(sample)}")
         self._journal(1.0)
 
     def _end(self, why: str) -> None:
-        self._since_s, self._rested_s = None, 0.0
+        self._since_s, self._rested_s, self._moves = None, 0.0, False
         self._loop.set_point_shift_N = 0.0
+        if self._at_rest is not None:
+            self._at_rest.end()
         self._note(why)
         self._journal(0.0)
 

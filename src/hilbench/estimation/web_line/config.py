@@ -193,6 +193,12 @@ class EstimationConfig(Block):
         "them; E of a span without an entry goes with that of the nearest that has one",
     )
     transfer: TransferConfig = TransferConfig()
+    web_at_rest: Literal["as_upstream", "unknown"] = Field(
+        default="as_upstream",
+        description="strain of the web that is in the line when the drives are enabled at rest: that of the web "
+        "upstream, as a load model begins with, or unknown; it is unknown anyway to a twin that is started beside "
+        "enabled drives",
+    )
     youngs_modulus_Pa: Modulus | None = Field(
         default=None, description="what the twin assumes at the start; the model's value if not given"
     )

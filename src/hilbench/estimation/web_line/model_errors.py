@@ -403,6 +403,18 @@ class ModelErrors:
         self.interrupt()
         self._p[:, filters.E, filters.E] += _INITIAL_E**2
 
+    def know(self, modulus_Pa: float, deviation_Pa: float, friction_N: float, friction_deviation_N: float) -> None:
+        """Something else than what is learned here tells E, and dry friction beyond the model's."""
+        reference_Pa = self._k.item(_REFERENCE_PA)
+        for place, value, deviation in (
+            (filters.E, modulus_Pa / reference_Pa, deviation_Pa / reference_Pa),
+            (filters.DRY, friction_N, friction_deviation_N),
+        ):
+            has_it = np.any(self._places == place, axis=1)
+            self._z[has_it, place] = value
+            self._p[:, place, :] = self._p[:, :, place] = 0.0
+            self._p[has_it, place, place] = deviation**2
+
     @property
     def correction_N(self) -> float:
         """Force in the balance that is believed to be no tension."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.estimation.web_line.even_rows import EvenRows, even_rows
 from hilbench.estimation.web_line.measurements import Measurements
-from hilbench.estimation.web_line.tracking import MOVES_M_S, UNKNOWN_STRAIN, Tracking
+from hilbench.estimation.web_line.tracking import MOVES_M_S, UNKNOWN_AT_REST, UNKNOWN_STRAIN, Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -55,7 +55,7 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
     modulus, deviation, tension, residual = (np.empty(n) for _ in range(4))
     others: dict[str, tuple[Array, Array]] = {}
     spent_ns = 0
-    _join(line, tracking, cycles, cycle_s)
+    _join(line, tracking, cycles, cycle_s, unknown_at_rest=config.web_at_rest == "unknown")
     for row in range(n):
         tension[row] = line.tension_N[0]
         strain_prev, F_next_N = cycles.strain_prev[row], cycles.F_next_N[row]
@@ -88,11 +88,13 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
     )
 
 
-def _join(line: Line, tracking: Tracking, cycles: Measurements, cycle_s: float) -> None:
+def _join(line: Line, tracking: Tracking, cycles: Measurements, cycle_s: float, *, unknown_at_rest: bool) -> None:
     """Where the recording begins under way, let the simulation begin there, with a web that is not known."""
     start_m = cycles.x_m[0]
     speeds = (cycles.x_m[min(1, len(cycles.x_m) - 1)] - start_m) / cycle_s
     if np.abs(speeds).max() <= MOVES_M_S:
+        if unknown_at_rest:
+            tracking.release(UNKNOWN_AT_REST)
         return
     line.set_state({"x1_m": start_m[0], "x2_m": start_m[1], "v1_m_s": speeds[0], "v2_m_s": speeds[1]})
     line.set_state({"tau2_Nm": float(cycles.tau2_Nm[0])})

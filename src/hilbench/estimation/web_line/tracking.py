@@ -29,7 +29,7 @@ from hilbench.estimation.web_line.config import (
     SynchronizerConfig,
 )
 from hilbench.estimation.web_line.delay import DelayFinder
-from hilbench.estimation.web_line.found_running import FoundRunning
+from hilbench.estimation.web_line.found_running import FoundRunning, FoundWeb
 from hilbench.estimation.web_line.known_change import DriveLoop, KnownChange
 from hilbench.estimation.web_line.model_errors import ModelErrors
 from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchronizer, SyncSample
@@ -46,16 +46,18 @@ from hilbench.plant.web_line.splices import Piece
 
 #: Above this speed of an axis the plant runs already when the twin joins.
 MOVES_M_S = 1e-3
-#: How far off the upstream strain may be as a guess of the strain of a web that is found under way.
-UNKNOWN_STRAIN = 0.3
+#: How far off the upstream strain may be as a guess of the strain of a web that is found under way, and of one that is
+#: found at rest, which may be strained by anything.
+UNKNOWN_STRAIN, UNKNOWN_AT_REST = 0.3, 1.0
 #: Spans of web after which a strain that was wrong when they began to pass is none any more (exp(-5) of it is left).
 PASSED_SPANS = 5.0
 #: Least deviation with which a method takes over the estimate of the one before.
 _LEAST_PRIOR_PCT = 0.1
 #: What is left of a shift of the torque that has gone again, as a share of it.
 _GONE = 0.1
-#: Deviations of E and of the strain, in %, with which a web that was found under way is known.
-_FOUND_MODULUS_PCT, _FOUND_STRAIN_PCT = 0.3, 0.3
+#: Deviation of E and of the strain, in %, with which a web that was found is known: while it passes, which makes
+#: a better one of it soon, and at rest, where it takes a movement for so long.
+_FOUND_PCT, _FOUND_AT_REST_PCT = 0.3, 0.5
 #: Deviation of E, in %, with which a known change of the tension tells it, and its share of what was stated before.
 _KNOWN_PCT, _SAYS_MORE = 0.3, 0.9
 
@@ -249,7 +251,7 @@ class Tracking:
         t, c = self._t, cycle
         self._balance.reset()
         self._forget(c.NEW_WEB)
-        t[c.MISSED_S] = t[c.MEASURED] = t[c.RUNS] = t[c.REFUSED] = t[c.REFUSED_M] = t[c.CREPT] = 0.0
+        t[c.MISSED_S] = t[c.MEASURED] = t[c.RUNS] = t[c.REFUSED] = t[c.REFUSED_M] = t[c.CREPT] = t[c.FOUND] = 0.0
         if self._known_change is not None:
             self._known_change.reset()
         if self._errors is not None:
@@ -258,7 +260,10 @@ class Tracking:
         self._found: FoundRunning | None = None
         if strain_uncertainty > 0.0 and not isinstance(self._method, PidConfig | InputConfig):
             plant = Plant.of(self._balance, self.estimate.youngs_modulus_Pa)
-            self._found = FoundRunning(plant, self._strain_prev)
+            friction_share = 0.01 * self.config.model_errors.friction_pct
+            self._found = FoundRunning(plant, self._strain_prev, friction_share)
+            self._state_found(self._found)
+            t[c.BANK] = 0.0  # until it has started from what is found
 
     def _forget(self, what: int) -> None:
         cycle.forget(what, self._blocks.state, self._anomalies, self._shift_finder.state, self._delay_line)
@@ -505,6 +510,8 @@ class Tracking:
                 self._look_at_found_web(time_s, strain_prev)
                 t[c.USED] = 0.0
             self.skip()
+            if self._found is not None:
+                self._state_found(self._found)
         elif t[c.BANK]:
             self._nuisances = None
         if stage != c.SHIFT:
@@ -530,12 +537,19 @@ class Tracking:
 
     def _update(self, time_s: float, strain_prev: float) -> None:
         """Let another method than the bank, or one that begins, take this cycle."""
+        if self._found is not None:  # the web that could not be known has gone
+            self._believe_found(self._found.found)
         t, c, method = self._t, cycle, self._synchronizer
         if t[c.REBASED_PA]:
             method.rebase(t.item(c.REBASED_PA))
         t[c.WEB_PER_PA] = t[c.USED_PER_PA]
         self._state(method.update(self._sample(time_s, strain_prev, t.item(c.CORRECTED_N))))
         t[c.BANK] = isinstance(method, ChangepointSynchronizer) and method.is_compiled
+
+    def _state_found(self, found: FoundRunning) -> None:
+        """E is told as it was believed until the web is known, with what it may be off by."""
+        modulus_Pa, deviation_Pa = self._t.item(cycle.MODULUS_PA), self._own_deviation_Pa
+        self._state(replace(self.estimate, deviation_Pa=max(deviation_Pa, found.deviation_Pa(modulus_Pa))))
 
     def _look_at_found_web(self, time_s: float, strain_prev: float) -> None:
         """The web was found under way: the method begins as soon as its E and strain are known."""
@@ -549,13 +563,31 @@ class Tracking:
         if found is None:
             return
         strain = float(self._balance.web.strain[0]) + found.strain_error
-        known = found.deviation_Pa <= 0.01 * _FOUND_MODULUS_PCT * found.youngs_modulus_Pa
-        if not known or found.strain_deviation > 0.01 * _FOUND_STRAIN_PCT * strain:
+        share = 0.01 * (_FOUND_PCT if self._found.passes else _FOUND_AT_REST_PCT)
+        if found.deviation_Pa > share * found.youngs_modulus_Pa or found.strain_deviation > share * strain:
             return
         self._balance.web.set_state({"strain1": strain})
-        t[c.STRAIN_UNCERTAINTY], self._found = 0.0, None
+        t[c.STRAIN_UNCERTAINTY], t[c.FOUND] = 0.0, 1.0
+        at_rest = not self._found.passes
+        self._believe_found(found)
+        if at_rest:
+            self._know_at_rest(found)
+
+    def _believe_found(self, found: FoundWeb | None) -> None:
+        """The method goes on from what has been found, if anything."""
+        self._found = None
+        if found is None or found.youngs_modulus_Pa <= 0.0:
+            return
         self._state(Estimate(found.youngs_modulus_Pa, found.deviation_Pa))
         self.use(self._method)
+
+    def _know_at_rest(self, found: FoundWeb) -> None:
+        """A movement tells friction from E; a roller that stands under it says nothing of either."""
+        if self._errors is not None:
+            of_friction = found.friction_N, found.friction_deviation_N
+            self._errors.know(found.youngs_modulus_Pa, found.deviation_Pa, *of_friction)
+        if found.sticks:
+            self._plausibility.sticks()
 
     def look_for_known_change(self, set_point_m_s: float) -> None:
         """After `compare`: what the last changes of the tension tell of E, at a steady set-point of axis 2 (m/s).

@@ -100,8 +100,9 @@ COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(
     REBASED_PA,  # by which E is another one, as more is known to be no tension
     MOVED,  # what the motors show is another one
     CREPT,  # share by which the web leaves the span slower than the roller turns
-) = range(49)
-SIZE = 49
+    FOUND,  # the strain of the web has just been found: the simulation had a guess
+) = range(50)
+SIZE = 50
 
 
 class TrackingVectors(NamedTuple):
@@ -347,9 +348,9 @@ def transfer(v: TrackingVectors) -> None:
         measured = span_kernel.first_strain(web)
         # Beyond any web: speeds that are no line's bring encoders there, and -1 would be a web of no length.
         believable = abs(measured) <= LARGEST_STRAIN
-        if believable and abs(measured - line_vectors.strain(line, at)) <= t[STRAIN_LIMIT]:
+        if believable and (t[FOUND] != 0.0 or abs(measured - line_vectors.strain(line, at)) <= t[STRAIN_LIMIT]):
             line_vectors.put_strain(line, at, measured)
-            changed = True
+            changed, t[FOUND] = True, 0.0
         else:
             refused = True
     if t[TRANSFERS_AXES] != 0.0 or t[BLACK_BOX] != 0.0:

@@ -66,10 +66,11 @@ class TwinMachine(Protocol):
     def reset(self) -> None:
         """Start anew with what is assumed at the start, at rest."""
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> bool:
+    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
         """The drives have been enabled: take motion and torque of the axes (N,) over, from two cycles in a row.
 
-        False where either is of several instants: nothing is taken over.
+        `under_way`: they were enabled already when the twin began. False where either measurement is of several
+        instants: nothing is taken over.
         """
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:

@@ -81,7 +81,7 @@ class ServoAxisTwin:
         self._residual_Nm = 0.0
         self._torque_before_Nm: float | None = None  # simulated
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> bool:
+    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
         """Let the shaft go where the real one is."""
         ((then_rad, _),), ((position_rad, torque_Nm),) = before, now
         speed_rad_s = (position_rad - then_rad) / self._cycle_s

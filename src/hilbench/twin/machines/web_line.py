@@ -15,7 +15,13 @@ from hilbench.estimation.web_line.config import (
 )
 from hilbench.estimation.web_line.rollers import Rollers
 from hilbench.estimation.web_line.synchronizers.create import METHODS
-from hilbench.estimation.web_line.tracking import MOVES_M_S, PASSED_SPANS, UNKNOWN_STRAIN, Tracking
+from hilbench.estimation.web_line.tracking import (
+    MOVES_M_S,
+    PASSED_SPANS,
+    UNKNOWN_AT_REST,
+    UNKNOWN_STRAIN,
+    Tracking,
+)
 from hilbench.estimation.web_line.tracking_cycle import ASTRAY_S, LARGEST_STRAIN
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.pairing import Pairing, SteadyWay
@@ -63,6 +69,8 @@ class WebLineTwin:
         self._model = model
         self.plant = Line(model, self.ports)
         self._transfer = config.transfer
+        self._known_at_rest = config.web_at_rest == "as_upstream"
+        self._unknown_strain = 0.0  # of the web that was found at the release
         methods = config.by_span(model.span_count)
         self._rollers = Rollers(model)
         self._several = len(spans) > 1
@@ -170,7 +178,7 @@ class WebLineTwin:
             self._others.reset()
         self._refused_at: tuple[float, Sequence[float]] | None = None
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> bool:
+    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
         """Let the web go, with the axes' motion and torque."""
         last, positions = self._positions_m(before), self._positions_m(now)
         self._pairing.reset()
@@ -183,9 +191,11 @@ class WebLineTwin:
         self.plant.set_state(
             _states(self._told("strain_prev"), positions, speeds if moves else at_rest, torques if moves else at_rest)
         )
+        known_at_rest = self._known_at_rest and not under_way
+        self._unknown_strain = UNKNOWN_STRAIN if moves else 0.0 if known_at_rest else UNKNOWN_AT_REST
         for each in self._all:
-            each.tracking.release(UNKNOWN_STRAIN if moves else 0.0)
-            each.waiting = moves and each.span - 1 in self._estimated
+            each.tracking.release(self._unknown_strain)
+            each.waiting = self._unknown_strain > 0.0 and each.span - 1 in self._estimated
         self._start_anew()
         self._steady.reset()
         return True
@@ -273,7 +283,7 @@ class WebLineTwin:
                 tracking.miss()
                 return
             each.waiting = False
-            tracking.release(UNKNOWN_STRAIN)
+            tracking.release(self._unknown_strain)
         torque_Nm, centre_m = torques_Nm[span], None
         if self._several:
             torque_Nm, centre_m = each.section.measured_torque_Nm(torques_Nm), each.section.centre_m

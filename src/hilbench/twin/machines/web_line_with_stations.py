@@ -87,7 +87,7 @@ class LineWithStationsTwin:
         self._positions_m = None
         self._residuals_Nm = [0.0] * len(self.ports)
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> bool:
+    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
         """Let the web go, with the axes' motion and torque."""
         last, positions = self._at_web(before), self._at_web(now)
         self._pairing.reset()
