@@ -14,6 +14,7 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import offline
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.draws import normal_draws
+from hilbench.prediction.web_line import futures as line_futures
 from hilbench.prediction.web_line.futures import LineCourses, LineFutures, LinePresent
 from hilbench.runs.config import load_with_overrides
 
@@ -167,8 +168,30 @@ def test_the_coarse_step_changes_a_ramp_by_less_than_two_hundredths_of_what_is_s
 
 def test_a_line_of_two_spans_has_a_step_that_its_lighter_spans_allow() -> None:
     stiff = futures_of(config="line_two_spans.yaml")
-    assert stiff.step_s <= 0.00625
+    assert stiff.step_s <= 0.007
     assert futures_of("machine.rollers.inertia_kg_m2=0.05").step_s < 0.003
+
+
+def test_a_coarse_step_changes_little_of_what_comes_of_a_set_point_in_one_of_two_spans(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    courses = {}
+    for longest_s in (0.001, None):
+        if longest_s is not None:
+            monkeypatch.setattr(line_futures, "_LONGEST_STEP_S", longest_s)
+        futures = futures_of(config="line_two_spans.yaml")
+        monkeypatch.undo()
+        present, course = futures.at_rest()
+        wanted_N = course.set_points_N + np.outer(futures.times_s(0.0) >= 0.5, [10.0, 0.0])
+        outlook = futures.look(present, replace(course, set_points_N=wanted_N), futures.no_offsets(), 1)
+        courses[longest_s] = outlook
+    fine, coarse = courses.values()
+    assert coarse.times_s[1] - coarse.times_s[0] != fine.times_s[1] - fine.times_s[0]
+    for signal, most in (("F1_true_N", 0.3), ("F2_true_N", 0.3), ("tau1_Nm", 0.01), ("tau2_Nm", 0.01)):
+        place = fine.place(signal)
+        exact, found = (np.median(each.rows[:, :, place], axis=1) for each in (fine, coarse))
+        off = found - np.interp(coarse.times_s, fine.times_s, exact)
+        assert np.sqrt(np.mean(off**2)) < most, signal
 
 
 @pytest.mark.parametrize("count", [16, 64, 100])

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import floats, inlined, integers, merged
+from hilbench.compiled import compiled, floats, inlined, integers, merged, noinline
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -17,7 +17,7 @@ Cube = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Noise further from a level than so many standard deviations never carries a quantity beyond it.
-_FARTHEST: Final = 6.0
+FARTHEST: Final = 6.0
 #: The step of a crossing that does not come.
 NEVER: Final = -2
 _ROOT_2: Final = sqrt(2.0)
@@ -36,7 +36,7 @@ def _judge(
             survival[b, at] = 0.0
     else:
         away = (level - size) / sigma
-        if away < _FARTHEST:
+        if away < FARTHEST:
             survival[b, at] *= (1.0 - 0.5 * erfc(away / _ROOT_2)) ** samples
     if survival[b, at] < 0.5 and first[b, at] == NEVER:
         first[b, at] = i
@@ -52,6 +52,7 @@ class TallyVectors(NamedTuple):
     first: Indices  #: (B, 2 Q): the step from which a level is crossed more likely than not, `NEVER` before
     largest: Matrix  #: (B, Q)
     rows: Cube  #: (R, B, Q): what is kept of the courses
+    nearest: Vector  #: (Q,): sizes up to which no level is near enough for the noise to carry a quantity beyond it
 
 
 @merged
@@ -65,6 +66,7 @@ def of_table(table: Indices) -> TallyVectors:
         integers(table, 4, (1, 2)),
         floats(table, 5, (1, 2)),
         floats(table, 6, (1, 2, 3)),
+        floats(table, 7, (1,)),
     )
 
 
@@ -75,14 +77,21 @@ def see(v: TallyVectors, q: Vector, samples: float, b: int, i: int) -> None:
     for j in range(q.shape[0]):
         size = abs(q[j] + v.offset[b, j])
         v.largest[b, j] = max(v.largest[b, j], size)
-        for level in range(2):
-            if v.levels[j, level] < np.inf:
-                _judge(size, v.levels[j, level], v.noise[j], samples, v.survival, v.first, b, 2 * j + level, i)
+        if size > v.nearest[j]:
+            _judge_levels(v, size, samples, b, j, i)
+
+
+@compiled
+def _judge_levels(v: TallyVectors, size: float, samples: float, b: int, j: int, i: int) -> None:
+    """The same of quantity j with this size, which is near a level."""
+    noinline()
+    for level in range(2):
+        if v.levels[j, level] < np.inf:
+            _judge(size, v.levels[j, level], v.noise[j], samples, v.survival, v.first, b, 2 * j + level, i)
 
 
 @inlined
-def keep(v: TallyVectors, q: Vector, every: int, b: int, i: int) -> None:
-    """The row of the course that ends with step i, where one does: one of `every` so many."""
-    if (i + 1) % every == 0:
-        for j in range(q.shape[0]):
-            v.rows[(i + 1) // every - 1, b, j] = q[j] + v.offset[b, j]
+def keep(v: TallyVectors, q: Vector, b: int, row: int) -> None:
+    """A row of the course."""
+    for j in range(q.shape[0]):
+        v.rows[row, b, j] = q[j] + v.offset[b, j]

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import table_of
-from hilbench.prediction.judging import NEVER, TallyVectors
+from hilbench.prediction.judging import FARTHEST, NEVER, TallyVectors
 from hilbench.prediction.outlook import Outlook, Watched
 
 Array = NDArray[np.float64]
 
-#: Longest step of a future, s, and the largest share of the fastest motion's time (1/ω) that one may be.
-_LONGEST_STEP_S: Final = 0.00625
+#: Largest share of the fastest motion's time (1/ω) that a step may be.
 _SHARE_OF_FASTEST: Final = 0.6
 #: A row of a course is kept every so often, s.
 _ROW_S: Final = 0.05
@@ -52,14 +51,16 @@ class Tally:
     def of(cls, watched: tuple[Watched, ...], offsets: Offsets, z: Array, step_s: float, steps: int) -> Self:
         """Before the first step; z (B, Q): drawn for what is lasting."""
         (b, q), every = z.shape, max(1, round(_ROW_S / step_s))
+        levels = _levels_of(watched)
         vectors = TallyVectors(
             offset=np.ascontiguousarray(offsets.lasting + offsets.lasting_sd * z),
             noise=np.ascontiguousarray(offsets.noise),
-            levels=_levels_of(watched),
+            levels=levels,
             survival=np.ones((b, 2 * q)),
             first=np.full((b, 2 * q), NEVER, np.int64),
             largest=np.zeros((b, q)),
             rows=np.zeros((steps // every, b, q)),
+            nearest=np.asarray(levels.min(axis=1) - FARTHEST * offsets.noise, np.float64),
         )
         return cls(watched, step_s, every, vectors)
 
@@ -78,9 +79,9 @@ class Tally:
         return Outlook(now_s, self.watched, times_s, v.rows, v.largest, probability, first_s, v.noise)
 
 
-def whole_step_s(fastest_per_s: float, horizon_s: float) -> float:
-    """The step of futures: as long as the fastest motion allows, and a whole part of the horizon."""
-    longest_s = min(_LONGEST_STEP_S, _SHARE_OF_FASTEST / fastest_per_s if fastest_per_s else _LONGEST_STEP_S)
+def whole_step_s(fastest_per_s: float, horizon_s: float, most_s: float) -> float:
+    """The step of futures: as long as the fastest motion allows, `most_s` at most, and a whole part of the horizon."""
+    longest_s = min(most_s, _SHARE_OF_FASTEST / fastest_per_s if fastest_per_s else most_s)
     return horizon_s / ceil(horizon_s / longest_s)
 
 

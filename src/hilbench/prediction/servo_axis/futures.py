@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 #: Inertia of a future is at least this share of the estimate.
 _LEAST_INERTIA_SHARE: Final = 0.05
+#: Longest step, s.
+_LONGEST_STEP_S: Final = 0.00625
 #: So many deviations of its speed within zero a shaft is taken to stand.
 _STANDS: Final = 3.0
 
@@ -134,7 +136,7 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
 
     def _step_s(self, inertia_kg_m2: float) -> float:
         """As long as the drive's velocity loop on so much inertia allows; a twist of the shaft has steps of its own."""
-        return whole_step_s(self._kp / inertia_kg_m2, self._horizon_s)
+        return whole_step_s(self._kp / inertia_kg_m2, self._horizon_s, _LONGEST_STEP_S)
 
     def _courses(self, present: ShaftPresent, courses_at: CoursesAt) -> tuple[float, Array]:
         """The step that the lightest shaft to come allows, and the courses in it, (T, `kernel.COURSES`)."""

@@ -78,13 +78,17 @@ def _run(
     b: int,
 ) -> None:
     """Future b, to its end."""
+    row, until_row = 0, every
     for i in range(courses.shape[0]):
         _change_shaft(p, shaft, b, courses, i)
         u[lay.U_MOTORS + loops.IN_SETPOINT] = courses[i, C_COMMAND]
         kernel.go_on(p, s, u, 1)
         _watched(p, real, steepest, s, u, out, q)
         see(tally, q, samples, b, i)
-        keep(tally, q, every, b, i)
+        until_row -= 1
+        if until_row == 0:
+            keep(tally, q, b, row)
+            row, until_row = row + 1, every
 
 
 Run = Callable[..., None]

@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 #: Gains (K, `kernel.G_SIZE`) of the controllers at an E (Pa) as the twin has it.
 Gains = Callable[[float], Array]
 
+#: Longest step, s: the drives' loops act once in it, and with more the torques where a ramp begins are off by more than
+#: 2 % of what is steered.
+_LONGEST_STEP_S: Final = 0.007
 #: How long the twin takes to find another E: so long after a step of E the controllers still go by the old one.
 _FOUND_AFTER_S: Final = 0.1
 #: E of a future is at least this share of the estimate.
@@ -83,7 +86,7 @@ def step_s(model: ModelParameters, horizon_s: float) -> float:
         loop = per_item(model.drives.velocity_kp_Nm_s_per_rad, axis) * model.motor_rad_per_m(axis) ** 2
         mass_kg = model.mass_kg(axis)
         fastest_per_s = max(fastest_per_s, sqrt(carried / mass_kg), loop / mass_kg)
-    return whole_step_s(fastest_per_s, horizon_s)
+    return whole_step_s(fastest_per_s, horizon_s, _LONGEST_STEP_S)
 
 
 class LineFutures(Futures[LinePresent, LineCourses]):

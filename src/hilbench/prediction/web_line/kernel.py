@@ -18,7 +18,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, INDICES, MATRIX, REAL, TABLE, VECTOR, compiled, entry_point, inlined, noinline
+from hilbench.compiled import (
+    COUNT,
+    INDICES,
+    MATRIX,
+    REAL,
+    TABLE,
+    VECTOR,
+    compiled,
+    entry_point,
+    inlined,
+    merged,
+    noinline,
+)
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.web_line import kernel, laws, places
 from hilbench.plant.web_line import layout as lay
@@ -41,7 +53,8 @@ G_SENT: Final = 7  #: of the damping's last command
 G_DAMPING_LIMIT_M_S: Final = 8
 G_WAY_PER_S: Final = 9  #: rate of the poles on which a set-point goes its way (feed-forward); 0: there is none
 G_LENGTH_M: Final = 10  #: of the span
-G_SIZE: Final = 11
+_G_WAY_LEFT: Final = 11  # what a step leaves of the way
+G_SIZE: Final = 12
 
 # What the controller of a span keeps, from C_SIZE times its number (from 0) on; behind those of all spans stands what
 # each driven roller's drive has taken up of what pulls it, N (NaN: not known yet).
@@ -72,12 +85,12 @@ def _strain(p: Vector, w: Vector, n: int, m: int, k: int, j: int) -> float:
 
 
 @inlined
-def _go_way(c: Vector, at: int, rate_per_s: float, goal: float, h: float) -> None:
-    """The strain that is wanted in a span, a step further on its way to `goal`: three equal poles."""
+def _go_way(c: Vector, at: int, rate_per_s: float, left: float, goal: float, h: float) -> None:
+    """The strain that is wanted in a span, a step further on its way to `goal`: three equal poles, of which `left` is
+    left after it."""
     off = c[at + C_WAY_STRAIN] - goal
     slope = c[at + C_WAY_PER_S] + rate_per_s * off
     bend = 0.5 * (c[at + C_WAY_PER_S2] + 2.0 * rate_per_s * c[at + C_WAY_PER_S] + rate_per_s * rate_per_s * off)
-    left = exp(-rate_per_s * h)
     off = (off + (slope + bend * h) * h) * left
     sloping = (slope + 2.0 * bend * h) * left
     c[at + C_WAY_STRAIN] = goal + off
@@ -98,8 +111,9 @@ def _lead(leads: Matrix, i: int, c: Vector, held: int, acceleration: float, pull
     return ahead_N / kp
 
 
-@compiled
+@merged
 def _plan(
+    k: int,
     c: Vector,
     g: Matrix,
     row: int,
@@ -115,7 +129,6 @@ def _plan(
 
     `acceleration`: of the line, m/s². As `hilbench.bench.tasks.tension_feed_forward`.
     """
-    k = set_point.shape[1]
     pull_N = 0.0  # of the web behind a roller
     for j in range(k, -1, -1):
         here_N = 0.0  # of the web before it
@@ -123,7 +136,8 @@ def _plan(
             acceleration -= g[row * k + j, G_LENGTH_M] * c[C_SIZE * j + C_WAY_PER_S2]
         if j > 0 and g[row * k + j - 1, G_WAY_PER_S] > 0.0:
             at = C_SIZE * (j - 1)
-            _go_way(c, at, g[row * k + j - 1, G_WAY_PER_S], set_point[i, j - 1] / known[i, j - 1], h)
+            rate_per_s, left = g[row * k + j - 1, G_WAY_PER_S], g[row * k + j - 1, _G_WAY_LEFT]
+            _go_way(c, at, rate_per_s, left, set_point[i, j - 1] / known[i, j - 1], h)
             here_N = c[at + C_WAY_STRAIN] * known[i, j - 1]
         ahead[j] = _lead(leads, j, c, C_SIZE * k + j, acceleration, here_N - pull_N)
         pull_N = here_N
@@ -165,8 +179,11 @@ def _command(
     return around - correction, around - correction + damping
 
 
-@compiled
+@merged
 def _set_points(
+    n: int,
+    m: int,
+    k: int,
     p: Vector,
     u: Vector,
     w: Vector,
@@ -181,7 +198,6 @@ def _set_points(
 ) -> None:
     """Velocities of all axes for step i, from the last one on; `known` (T, K): E·S as the twin has it, N; `ahead`
     (K + 1,): what leads each roller, m/s."""
-    n, m, k = places.counts(p)
     h = p[lay.W_SAMPLE_TIME_S]
     speed = command = lead
     for j in range(k, -1, -1):
@@ -207,10 +223,9 @@ def _set_points(
         u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = (command + ahead[j]) * ratio
 
 
-@compiled
-def _watched(p: Vector, s: Vector, u: Vector, w: Vector, load_axes: Indices, q: Vector) -> None:
+@inlined
+def _watched(n: int, m: int, k: int, p: Vector, s: Vector, u: Vector, w: Vector, load_axes: Indices, q: Vector) -> None:
     """The quantities now into q (Q,)."""
-    n, m, k = places.counts(p)
     loads, now_s = load_axes.shape[0], s[lay.S_COUNT] * p[lay.W_SAMPLE_TIME_S]
     for j in range(k):
         span = places.first_span(n, m) + j * lay.SP_SIZE
@@ -228,9 +243,8 @@ def _watched(p: Vector, s: Vector, u: Vector, w: Vector, load_axes: Indices, q: 
 
 
 @inlined
-def _change_moduli(p: Vector, moduli: Vector, scale: float, factor: Matrix, i: int) -> bool:
+def _change_moduli(n: int, m: int, k: int, p: Vector, moduli: Vector, scale: float, factor: Matrix, i: int) -> bool:
     """E of all spans in step i; whether that is another than before."""
-    n, m, k = places.counts(p)
     changed = False
     for j in range(k):
         at = places.first_span(n, m) + j * lay.SP_SIZE + lay.SP_MODULUS_PA
@@ -247,8 +261,11 @@ def _go_on_two_spans(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
     kernel.advance_line(p, s, u, w, 3, 3, 2, 1, True)
 
 
-@compiled
+@merged
 def _run(
+    n: int,
+    m: int,
+    k: int,
     p: Vector,
     s: Vector,
     u: Vector,
@@ -274,24 +291,72 @@ def _run(
 ) -> None:
     """Future b, to its end; `before`: the line speed until now, m/s."""
     leading, h = leads[0, LEAD_KP_N_S_PER_M] > 0.0, p[lay.W_SAMPLE_TIME_S]
-    two_spans = places.counts(p) == (3, 3, 2)
-    _change_moduli(p, moduli, scale, factor, 0)
+    _change_moduli(n, m, k, p, moduli, scale, factor, 0)
     kernel.enter(p, s, u, w)
+    row, until_row = 0, every
     for i in range(lead.shape[0]):
-        changed = i > 0 and _change_moduli(p, moduli, scale, factor, i)
+        changed = i > 0 and _change_moduli(n, m, k, p, moduli, scale, factor, i)
         if leading:
-            _plan(c, g, row_of[i], (lead[i] - (lead[i - 1] if i else before)) / h, set_point, i, known, leads, h, ahead)
-        _set_points(p, u, w, c, g, row_of[i], lead[i], set_point, i, known, ahead)
+            acceleration = (lead[i] - (lead[i - 1] if i else before)) / h
+            _plan(k, c, g, row_of[i], acceleration, set_point, i, known, leads, h, ahead)
+        _set_points(n, m, k, p, u, w, c, g, row_of[i], lead[i], set_point, i, known, ahead)
         if changed:  # the tension jumps with E, and the rollers give way within a step
-            _watched(p, s, u, w, load_axes, q)
+            _watched(n, m, k, p, s, u, w, load_axes, q)
             see(tally, q, 1.0, b, i - 1)
-        if two_spans:
+        if k == 2 and m == 3 and n == 3:
             _go_on_two_spans(p, s, u, w)
         else:
             kernel.go_on(p, s, u, w, 1)
-        _watched(p, s, u, w, load_axes, q)
+        _watched(n, m, k, p, s, u, w, load_axes, q)
         see(tally, q, samples, b, i)
-        keep(tally, q, every, b, i)
+        until_row -= 1
+        if until_row == 0:
+            keep(tally, q, b, row)
+            row, until_row = row + 1, every
+
+
+@compiled
+def _run_counted(
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    c: Vector,
+    q: Vector,
+    moduli: Vector,
+    scale: float,
+    lead: Vector,
+    set_point: Matrix,
+    factor: Matrix,
+    known: Matrix,
+    g: Matrix,
+    row_of: Indices,
+    leads: Matrix,
+    before: float,
+    ahead: Vector,
+    load_axes: Indices,
+    tally: TallyVectors,
+    samples: float,
+    every: int,
+    b: int,
+) -> None:
+    """`_run` with the counts of a line of one or two spans as constants, or with any."""
+    n, m, k = places.counts(p)
+    if (n, m, k) == (2, 2, 1):
+        _run(
+            2, 2, 1, p, s, u, w, c, q, moduli, scale, lead, set_point, factor, known, g, row_of, leads, before, ahead,
+            load_axes, tally, samples, every, b,
+        )  # fmt: skip
+    elif (n, m, k) == (3, 3, 2):
+        _run(
+            3, 3, 2, p, s, u, w, c, q, moduli, scale, lead, set_point, factor, known, g, row_of, leads, before, ahead,
+            load_axes, tally, samples, every, b,
+        )  # fmt: skip
+    else:
+        _run(
+            n, m, k, p, s, u, w, c, q, moduli, scale, lead, set_point, factor, known, g, row_of, leads, before, ahead,
+            load_axes, tally, samples, every, b,
+        )  # fmt: skip
 
 
 Run = Callable[..., None]
@@ -340,10 +405,12 @@ def _entry_point(sources: int) -> Run:
         every: int,
     ) -> None:
         tally = of_table(table)
+        for row in range(g.shape[0]):
+            g[row, _G_WAY_LEFT] = exp(-g[row, G_WAY_PER_S] * p[lay.W_SAMPLE_TIME_S])
         for b in range(start.shape[0] if sources >= 0 else 0):
             s[:] = start[b]
             c[:] = integrals[b]
-            _run(
+            _run_counted(
                 p, s, u, w, c, q, moduli, scale[b], lead, set_point, factor, known, g, row_of, leads, before, ahead,
                 load_axes, tally, samples, every, b,
             )  # fmt: skip
