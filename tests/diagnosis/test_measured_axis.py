@@ -157,6 +157,18 @@ def test_intervals_hold_where_what_explains_is_measured_with_noise() -> None:
     assert plain < 0.5 * seeds
 
 
+def test_counts_between_the_rows_of_an_even_grid_are_noise_as_well() -> None:
+    """A slow hand on a coarse encoder: rows a little off an even grid have parts of a count between held values."""
+    rng = np.random.default_rng(4)
+    even = np.arange(0.0, 20.0, 1e-3)
+    uneven = even + np.concatenate([[0.0], rng.uniform(-2e-4, 2e-4, len(even) - 2), [0.0]])
+    corners = []
+    for t_s in (even, uneven):
+        counted = 3e-3 * np.round((0.2 * np.sin(0.7 * t_s) + 0.02 * np.sin(2.3 * t_s)) / 3e-3)
+        corners.append(MotionFilter.for_position(np.interp(even, t_s, counted), 1e-3).corner_hz)
+    assert corners[1] == pytest.approx(corners[0], rel=0.2)
+
+
 def test_friction_is_found_beside_what_is_not_in_the_vocabulary() -> None:
     hidden = (
         effect("coulomb_friction", 1, force_N=2.0),

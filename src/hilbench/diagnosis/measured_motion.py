@@ -46,6 +46,9 @@ _OTHER_WAYS, _UNSEEN_WAYS = (0.25, 0.5, 2.0, 4.0), (0.1, 0.25, 0.5, 1.0)
 _INERTIA_KNOWN: Final = 0.02
 #: Corner as a share of the Nyquist frequency, and rows per period of it.
 _OF_NYQUIST, _ROWS_PER_PERIOD = 0.8, 4.0
+#: Rows that a step between two held values takes at most where rows were put onto another grid, and how many such steps
+#: say what a count is.
+_ROWS_OF_A_COUNT, _COUNTS = 2, 20
 #: The lowest corner beside another axis, Hz, and the ratio of one that is tried to the next.
 _LOWEST_COUPLED_HZ, _NEXT_COUPLED = 2.0, 0.8
 
@@ -109,9 +112,20 @@ class MotionFilter:
 def position_noise(position: Array) -> float:
     """Standard deviation of the noise of a measured position or speed (n,): white, or counts, whichever is more."""
     steps = np.abs(np.diff(position))
-    counts = steps[steps > 1e-9 * max(float(np.ptp(position)), 1e-300)]
-    count = float(np.min(counts)) if len(counts) else 0.0
+    moves = steps > 1e-9 * max(float(np.ptp(position)), 1e-300)
+    count = max(float(np.min(steps[moves])), _count_between_rows(position, moves)) if np.any(moves) else 0.0
     return max(floor(position), count / float(np.sqrt(12.0)))
+
+
+def _count_between_rows(position: Array, moves: NDArray[np.bool_]) -> float:
+    """The least step of a position (n,) from one held value to the next, hardly a row apart; 0 where few are.
+
+    Rows that were put onto another grid have parts of a count between them, and held values are whole counts apart.
+    moves (n - 1,): whether the position does, from each row to the next.
+    """
+    runs = _runs(moves)
+    short = runs[(runs[:, 1] - runs[:, 0] <= _ROWS_OF_A_COUNT) & (runs[:, 0] > 0) & (runs[:, 1] < len(moves))]
+    return float(np.min(np.abs(position[short[:, 1]] - position[short[:, 0]]))) if len(short) >= _COUNTS else 0.0
 
 
 class OnMeasuredMotion:
