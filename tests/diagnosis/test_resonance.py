@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from tests.diagnosis.axis_rig import Rig
 from tests.diagnosis.servo_bench import HIDDEN, diagnosed, hiding
@@ -96,6 +97,27 @@ def test_one_steady_sine_names_no_resonance_with_an_interval_that_does_not_hold(
     if not named:
         assert found.verdict == "unknown"
         assert unseen(found) != []
+
+
+@pytest.mark.parametrize(("swing_Hz", "swing_rad_s"), [(3.0, 20.0), *slow((2.0, 30.0), (5.0, 10.0))])
+def test_gaps_make_no_more_lines_of_one_steady_sine(swing_Hz: float, swing_rad_s: float) -> None:
+    """Behind a gap the sine goes on with another phase; and each gap is a beginning whose swing fades at the cost of
+    rows, of which most have to stay."""
+    rig = replace(twisting(0.5, 6.0, 0.05), stepped=False, swing=(swing_Hz, swing_rad_s))
+    (whole,) = rig.recordings(1, seed=3)
+    kept = np.ones(len(whole.time_s), bool)
+    for first in np.random.default_rng(1).integers(1000, 9000, 9):
+        kept[first : first + 30] = False
+    found = examined(Recording({name: np.asarray(whole[name])[kept] for name in ("t_s", "x1_m", "tau1_Nm")}))
+    assert "coulomb_friction" in names(found)
+    for item in found.effects:
+        if item.effect == "resonance":
+            assert within(item.parameters["inertia_share"].ci95, 0.5)
+            assert within(item.parameters["frequency_Hz"].ci95, 6.0)
+
+
+def within(interval: tuple[float, float], truth: float) -> bool:
+    return interval[0] <= truth <= interval[1]
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Final
 
@@ -33,13 +34,15 @@ def untold_beside(predictor: Predictor, model: Machine) -> tuple[Effect, ...]:
     return tuple(effect for effect in machines.vocabulary(model) if effect.id in _UNTOLD)
 
 
-def proposer_for(predictor: Predictor, model: Machine, data: Measured) -> Proposer:
-    """Of what a machine may lack as far as a prediction can tell it.
+def proposer_for(predictor: Predictor, model: Machine, data: Measured, without: Collection[str] = ()) -> Proposer:
+    """Of what a machine may lack as far as a prediction can tell it; without: effects that are not looked for.
 
     Beside another axis gravity is looked for in any arc: else it is taken for one of the torques that go with both.
     """
     untold = untold_beside(predictor, model)
-    vocabulary = tuple(effect for effect in machines.vocabulary(model) if effect not in untold)
+    vocabulary = tuple(
+        effect for effect in machines.vocabulary(model) if effect not in untold and effect.id not in without
+    )
     return Proposer(model, data, vocabulary, any_arc=is_coupled(predictor))
 
 

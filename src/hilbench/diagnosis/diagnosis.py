@@ -226,6 +226,9 @@ def _predicted_by(chosen: Choice, model: Machine, data: Measured, announce: Anno
         if (settled := beside_swinging(space, selection.fit.terms)) is not None:
             chosen, space = replace(chosen, predictor=settled), Space(model, settled, data.period_s)
             selection = MeasuredSearch(space, proposer, announce, as_simple).run()
+        if few := untold(space, selection.fit):  # what was found beside them is as little told: once more without
+            proposer = proposer_for(predictor, model, data, {term.effect.id for term in few})
+            selection = replace(MeasuredSearch(space, proposer, announce, as_simple).run(), of_too_few=few)
     return concluded(space, chosen, data, selection, announce)
 
 
@@ -235,6 +238,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
     predictor = chosen.predictor
     before = space.before
     rows = predictor.rows
+    too_few = selection.of_too_few
     judged = _judged_by_noise(space, selection) if predictor.exact else _judged_by_rest(space, selection)
     trained, final = judged.trained, judged.final
     torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
@@ -259,7 +263,6 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
             rms(rest[k, at]) > LARGEST_REST * rms(predictor.measured[k, rows]) for rest, at in left for k in torques
         )
     better = selection.better
-    too_few = [] if predictor.exact else untold(space, final)
     unexplained += [Misfit(names[0], *_swing(term), 0.0, 0.0, "always") for term in too_few]
     unknown |= selection.exhausted or better is not None or bool(too_few)
     if better is not None:  # what pulls at the last roller shows in its torque
@@ -269,8 +272,6 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
     # the rest as noise.
     certain = [] if unknown and predictor.exact else final.terms
     effects = _named(space.model, certain, judged, selection)
-    certain = [term for term in certain if term not in too_few]
-    effects = [effect for effect in effects if effect.place not in [term.place for term in too_few]]
     test = space.split.test
     gaps = [_gap(predictor.names[k], before[k], trained.residual[k], floors[k], test) for k in torques]
     where = located(names, before[torques] / scale, rows, conditions, _ROWS_OF_WHERE)

@@ -295,6 +295,13 @@ class OnMeasuredMotion:
             stands[end : end + round(self._memory_s / self._period_s)] = True
         return ~binary_dilation(stands, iterations=round(_REACH / self.corner_hz / self._period_s))
 
+    @property
+    def starts(self) -> int:
+        """How often the recording begins: after each gap once more."""
+        unknown = ~self._data.usable()
+        unknown[0] = True
+        return len(_runs(unknown))
+
     def floor(self, signal: int) -> float:
         """What of the measured torque is above the band in which motion is known, carried into the band as white."""
         return self._noise_Nm

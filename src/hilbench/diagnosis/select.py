@@ -40,6 +40,7 @@ class Selection:
     exhausted: bool = False  #: more terms would explain more than may be named
     better: Better | None = None
     untold: list[Term] = field(default_factory=list)  #: candidates that the motion can't tell from others
+    of_too_few: list[Term] = field(default_factory=list)  #: that explain, by too few frequencies to be named
 
 
 class Search:

@@ -86,7 +86,7 @@ def law(signal: str, residual: Array, conditions: Sequence[Condition], train: Ro
             break
         chosen.append(one)
         best = square
-    if not chosen or start - best < _ALL * start:
+    if not chosen or start - best <= _ALL * start:  # no rows to hold on: nothing is left of nothing
         return None
     _, theta = _held_out([offset, *(one.values for one in chosen)], residual, train, test)
     terms = tuple(LawTerm(one.of, float(f"{c:.5g}"), one.unit) for one, c in zip(chosen, theta[1:], strict=True))

@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 
 #: Lines of the spectrum by which a resonance has to be told at least.
 _LEAST_LINES: Final = 4.0
-#: Time constants after which a swing has faded, and the share of a recording that is left out for it at most.
+#: Time constants after which a swing has faded, and the share of a recording that is left out for it at most, behind
+#: its beginning and its gaps.
 _FADED: Final = 4.0
 _MOST_FORGOTTEN: Final = 0.5
 
@@ -39,7 +40,8 @@ def beside_swinging(space: Space, terms: list[Term]) -> OnMeasuredMotion | None:
         shapes = range(term.linear, len(here))
         variants += [[*others, term], *([*others, term.at(here + steps * (np.arange(len(here)) == k))] for k in shapes)]
     parameters = np.array([pack_with(space.model, variant) for variant in variants])
-    memory_s = min(max(map(_memory_s, swinging)), _MOST_FORGOTTEN * space.duration_s)
+    most_s = _MOST_FORGOTTEN * space.duration_s / space.predictor.starts
+    memory_s = min(max(map(_memory_s, swinging)), most_s)
     return space.predictor.beside_swinging(parameters, memory_s)
 
 
@@ -49,7 +51,8 @@ def untold(space: Space, found: Fit) -> list[Term]:
     rows, result = space.predictor.rows, []
     derivatives = space.point(found.terms, found.residual).derivatives
     for term, first in zip(found.terms, firsts(found.terms), strict=True):
-        if term.swings and _lines(derivatives[first][:, rows]) < _LEAST_LINES:
+        # Rows are not cut out: the sine that goes on behind a gap with another phase would be another line.
+        if term.swings and _lines(np.where(rows, derivatives[first], 0.0)) < _LEAST_LINES:
             result.append(term)
     return result
 
