@@ -15,7 +15,7 @@ from tests.tiers import slow
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.measured_motion import MotionFilter, OnMeasuredMotion
-from hilbench.diagnosis.rest import Uncertainty, uncertainty, with_noisy_columns
+from hilbench.diagnosis.rest import Uncertainty, uncertainty, with_guess, with_noisy_columns
 from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Place
@@ -154,6 +154,27 @@ def test_intervals_hold_where_what_explains_is_measured_with_noise() -> None:
         inside += off <= float(known.deviations[0] * known.quantiles(0.95)[0])
         plain += off <= float(alone.deviations[0] * alone.quantiles(0.95)[0])
     assert inside >= 0.95 * seeds
+    assert plain < 0.5 * seeds
+
+
+def test_intervals_hold_beside_an_inertia_that_is_a_guess() -> None:
+    """In a free swing gravity and inertia nearly make up for one another: of gravity beside a wrong inertia the rest
+    alone says too little, as long as it is too large for that inertia to be named."""
+    rng = np.random.default_rng(11)
+    n, seeds = 400, 200
+    t = np.arange(n) / n
+    gravity, inertia = np.sin(40.0 * t), -np.sin(40.0 * t) + 0.2 * np.cos(23.0 * t)
+    inside = plain = 0
+    for _ in range(seeds):
+        pushed = np.convolve(rng.standard_normal(n + 40), np.ones(40) / 40**0.5, "valid")[:n]
+        torque = 3.0 * gravity + float(rng.normal(0.0, 1.0)) * inertia + 0.3 * pushed
+        theta = float(gravity @ torque / (gravity @ gravity))
+        columns, left = gravity[None, None], (torque - theta * gravity)[None]
+        alone = uncertainty(columns, left)
+        known = with_guess(alone, columns, left, inertia[None, None])
+        inside += abs(theta - 3.0) <= float(known.deviations[0] * known.quantiles(0.95)[0])
+        plain += abs(theta - 3.0) <= float(alone.deviations[0] * alone.quantiles(0.95)[0])
+    assert inside >= 0.9 * seeds
     assert plain < 0.5 * seeds
 
 

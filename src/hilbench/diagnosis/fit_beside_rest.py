@@ -10,9 +10,18 @@ from numpy.typing import NDArray
 from hilbench.diagnosis.fit import Fit, fit
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.noise import Whitening, scaling
-from hilbench.diagnosis.rest import Uncertainty, by_waves, uncertainty, with_doubts, with_noisy_columns
+from hilbench.diagnosis.rest import (
+    Uncertainty,
+    by_waves,
+    uncertainty,
+    with_doubts,
+    with_guess,
+    with_noisy_columns,
+)
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Term, pack_with
+from hilbench.plant.effect import Domain
+from hilbench.plant.effects import find_effect
 
 Array = NDArray[np.float64]
 
@@ -44,21 +53,31 @@ def uncertainty_of(space: Space, found: Fit, rows: NDArray[np.bool_] | None = No
 
 
 def stated_uncertainty(space: Space, found: Fit) -> Uncertainty:
-    """The same with what noise in the accelerations of coupled axes moves: it hardly shows in them, and what goes with
-    them nearly makes up for one another. On one steady sine by what repeats itself alone."""
+    """The same with an inertia of the model that is a guess, where no term says how far it is off, and with what noise
+    in the accelerations of coupled axes moves: it hardly shows in them, and what goes with them nearly makes up for one
+    another. On one steady sine by what repeats itself alone."""
     known, predictor = uncertainty_of(space, found), space.predictor
     if not isinstance(predictor, OnMeasuredMotion) or not found.terms:
         return known
     if predictor.sine_Hz is not None and not any(term.swings for term in found.terms):
         return _on_one_sine(space, found, predictor, predictor.repeating(predictor.sine_Hz))
+    rows = predictor.rows
+    if predictor.arm is None and not any(map(_tells_inertia, found.terms)):
+        derivatives = space.point(found.terms, found.residual).derivatives[..., rows]
+        known = with_guess(known, derivatives, found.residual[..., rows], predictor.of_inertia[..., rows])
     if predictor.arm is None:
         return known
-    rows = predictor.rows
     alone = replace(space, predictor=predictor.uncoupled)
     beside = alone.point(found.terms, alone.residual(found.terms)).derivatives[:, 0]
     noisy, explained = predictor.by_accelerations(pack_with(space.model, found.terms))
     wide = np.concatenate([predictor.couplings, beside])[:, rows]
     return with_noisy_columns(known, wide, found.residual[0, rows], noisy[..., rows], explained[:, rows])
+
+
+def _tells_inertia(term: Term) -> bool:
+    """Whether another inertia of the model would be another size of a term."""
+    inertia = find_effect("inertia_mismatch")
+    return term.effect.domain in (Domain.INERTIA, Domain.MOTOR_TORQUE) or term.effect.is_alike(inertia)
 
 
 def _on_one_sine(space: Space, found: Fit, predictor: OnMeasuredMotion, waves: Array) -> Uncertainty:

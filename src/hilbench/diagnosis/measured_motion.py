@@ -378,10 +378,16 @@ class OnMeasuredMotion:
         A rigid inertia that the model has not, a torque that is read some time within a row, what the filter takes
         twice of a motion near its corner, and how friction turns over.
         """
-        inertia_Nm = _INERTIA_KNOWN * machines.Nm_per_acceleration(self._model, 1) * self._filter.smooth(self._a)
         here = self._required(parameters)[0]
-        shapes = np.array([inertia_Nm, 0.5 * np.gradient(here), here - self._filter.smooth(here)])
-        return np.concatenate([self._beside(shapes[:, None, :: self.every]), self.doubt_of_turning(parameters)])
+        shapes = np.array([0.5 * np.gradient(here), here - self._filter.smooth(here)])
+        others = self._beside(shapes[:, None, :: self.every])
+        return np.concatenate([_INERTIA_KNOWN * self.of_inertia, others, self.doubt_of_turning(parameters)])
+
+    @property
+    def of_inertia(self) -> Array:
+        """(1, 1, n): the torque of the model's whole inertia, which may be a guess."""
+        inertia_Nm = machines.Nm_per_acceleration(self._model, 1) * self._filter.smooth(self._a)
+        return self._beside(inertia_Nm[None, None, :: self.every])
 
     def doubt_of_turning(self, parameters: Array) -> Array:
         """(1, 1, n): of these, friction that turns over a way too short to be seen, or as sure as that is known."""

@@ -25,6 +25,8 @@ _MOST_TAKEN: Final = 0.95
 #: Ratio of the upper to the lower edge of a band, and degrees of freedom that a fit has to leave in each.
 _WIDTH: Final = 1.5
 _LEAST_FREEDOM: Final = 8.0
+#: Share of its response that others have to leave of something for a search to see how large it is.
+_TOLD: Final = 0.25
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,24 @@ def with_doubts(
     larger = _variances_by_lines(columns, residual) / np.maximum(np.diag(known.covariance), 1e-300)
     wider = np.where(doubted, np.sqrt(np.maximum(larger, 1.0)), 1.0)
     return Uncertainty(known.covariance * np.outer(wider, wider) + moved @ moved.T, known.freedom)
+
+
+def with_guess(known: Uncertainty, columns: Array, residual: Array, guess: Array) -> Uncertainty:
+    """The same beside something that was taken as known, is a guess, and would hardly be seen if it were wrong: the
+    columns nearly make up for it.
+
+    columns, residual: as in `uncertainty`; guess (1, signals, n): what all of it makes. How far it is off is what the
+    recording tells of it, and the coordinates are off by what they make up of that.
+    """
+    making_up = _least_squares(columns, guess.reshape(1, -1))
+    own = guess[0] - np.tensordot(making_up[:, 0], columns, 1)
+    if float(np.sum(own**2)) >= _TOLD * float(np.sum(guess**2)):
+        return known
+    wide = np.concatenate([columns, guess])
+    told = float(uncertainty(wide, residual).covariance[-1, -1])
+    found = float(_least_squares(wide, residual.reshape(1, -1))[-1, 0])
+    moved = making_up * float(np.sqrt((found / (1.0 + told)) ** 2 + told / (1.0 + told)))
+    return Uncertainty(known.covariance + moved @ moved.T, known.freedom)
 
 
 def by_waves(columns: Array, residual: Array, shapes: Array, waves: Array) -> Uncertainty:
