@@ -111,17 +111,19 @@ def with_guess(known: Uncertainty, columns: Array, residual: Array, guess: Array
     """The same beside something that was taken as known, is a guess, and would hardly be seen if it were wrong: the
     columns nearly make up for it.
 
-    columns, residual: as in `uncertainty`; guess (1, signals, n): what all of it makes. How far it is off is what the
-    recording tells of it, and the coordinates are off by what they make up of that.
+    columns, residual: as in `uncertainty`; guess (1, signals, n): what all of it makes. The coordinates are off by what
+    they make up of it as far as it is off. The recording tells that, but for what is left: where it is a hand that
+    moves the axis, it goes with what the axis does, however long the recording is.
     """
     making_up = _least_squares(columns, guess.reshape(1, -1))
-    own = guess[0] - np.tensordot(making_up[:, 0], columns, 1)
-    if float(np.sum(own**2)) >= _TOLD * float(np.sum(guess**2)):
+    own = float(np.sum((guess[0] - np.tensordot(making_up[:, 0], columns, 1)) ** 2))
+    if own >= _TOLD * float(np.sum(guess**2)):
         return known
     wide = np.concatenate([columns, guess])
     told = float(uncertainty(wide, residual).covariance[-1, -1])
     found = float(_least_squares(wide, residual.reshape(1, -1))[-1, 0])
-    moved = making_up * float(np.sqrt((found / (1.0 + told)) ** 2 + told / (1.0 + told)))
+    pushed = max(told, float(np.sum(residual**2)) / max(own, 1e-300))
+    moved = making_up * float(np.sqrt((found / (1.0 + told)) ** 2 + pushed / (1.0 + pushed)))
     return Uncertainty(known.covariance + moved @ moved.T, known.freedom)
 
 
