@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numba
 import numpy as np
+from llvmlite import binding
 from numba import types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, InTreeCacheLocator
 from numba.core.dispatcher import Dispatcher
@@ -73,6 +74,30 @@ class _Places(CompileResultCacheImpl):
     """As numba's; where neither the package's folder nor the user's can be written, hilbench can still be used."""
 
     _locator_classes = [*map(_tried_once, CompileResultCacheImpl._locator_classes), _Installed]  # noqa: RUF012  # as numba has it
+
+    def rebuild(self, target: Any, payload: Any) -> Any:
+        """As numba's, but what is compiled with the function in it reads the intermediate code when it is: to read that
+        takes nine tenths of the time to load a function."""
+        (name, kind, (machine_code, intermediate)), description, *rest = payload
+        engine = target.codegen()._engine
+        engine._defined_symbols |= {description.llvm_func_name, description.llvm_cpython_wrapper_name}
+        found = super().rebuild(target, ((name, kind, (machine_code, _no_code())), description, *rest))
+        library = found.library
+
+        def module_for_linking() -> Any:
+            del library._get_module_for_linking
+            library._shared_module = binding.parse_bitcode(intermediate)
+            engine._load_defined_symbols(library._shared_module)
+            return library._shared_module
+
+        library._get_module_for_linking = module_for_linking
+        return found
+
+
+@cache
+def _no_code() -> bytes:
+    nothing: bytes = binding.parse_assembly("").as_bitcode()
+    return nothing
 
 
 class KeptCode(FunctionCache):
@@ -244,6 +269,13 @@ def number_of_sources(*files: str) -> int:
 @cache  # most kernels are made of the same laws
 def _content(file: str) -> bytes:
     return Path(file).read_bytes()
+
+
+def interpreted(function: Function) -> Function:
+    """A compiled function that calls none, as Python runs it: for who calls it by itself, and now and then. Compiling
+    it, in each process anew, takes a tenth of a second."""
+    plain: Function = function.py_func  # type: ignore[attr-defined]
+    return plain
 
 
 def entry_points(module: ModuleType) -> list[Any]:

@@ -75,6 +75,33 @@ def test_variants_from_one_start_run_what_was_compiled_for_one() -> None:
     assert set(kernel.simulate.overloads) - before <= {kernel.simulate.arguments}  # type: ignore[attr-defined]
 
 
+def test_intermediate_code_is_read_when_something_is_compiled_with_a_function_and_not_to_call_it() -> None:
+    program = """if True:
+        import llvmlite.binding, numpy as np
+        from hilbench.compiled import compiled
+        from hilbench.estimation import noise_level
+        read, parse = [], llvmlite.binding.parse_bitcode
+        def noted(code, *context):
+            read.append(len(code))
+            return parse(code, *context)
+        llvmlite.binding.parse_bitcode = noted
+        one, other = np.zeros(8), np.zeros(8)
+        for k in range(8):
+            noise_level._take(one, 0.5 * k * k)
+        assert not noise_level._take.stats.cache_misses
+        assert max(read) < 2000, read
+        @compiled
+        def through(s, value):
+            noise_level._take(s, value)
+        for k in range(8):
+            through(other, 0.5 * k * k)
+        assert max(read) > 2000, read
+        assert one.any() and one.tobytes() == other.tobytes()
+    """
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
 def test_a_bench_knows_whether_what_it_has_imported_is_compiled() -> None:
     program = """if True:
         import sys

@@ -43,6 +43,7 @@ def test_the_check_before_a_run_imports_no_scipy_and_nothing_that_only_others_ne
         import sys
         from pathlib import Path
         import hilbench.cli.run
+        from hilbench.bench.bench import Bench
         from hilbench.bench.lifecycle.participants import Participants
         from hilbench.bench.lifecycle.startup import processes_beside
         from hilbench.runs.check import check_experiment
@@ -50,6 +51,7 @@ def test_the_check_before_a_run_imports_no_scipy_and_nothing_that_only_others_ne
         loaded = load_with_overrides(Path({str(_CONFIGS)!r}) / "{name}.yaml")
         check_experiment(loaded)
         assert processes_beside(loaded.config, Participants.STARTED)
+        Bench(loaded.config)
         assert "scipy.linalg" not in sys.modules
         of_others = "twin.machines.{other}", "bench.machines.{other}", "prediction.{other}"
         at_the_end = "history.entries", "report.html"

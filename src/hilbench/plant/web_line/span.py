@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hilbench.compiled import table_of
+from hilbench.compiled import interpreted, table_of
 from hilbench.plant.effect import EffectPlace
 from hilbench.plant.effects import effects_of
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
@@ -32,6 +32,8 @@ from hilbench.plant.web_line.simulated import (
 from hilbench.plant.web_line.span_kernel import POSITIONS, SpanVectors
 from hilbench.plant.web_line.splices import WHOLE, Piece, SplicedSpan, has_pieces, put_pieces, spliced_spans
 from hilbench.plant.web_line.stations import ONLY_DRIVEN
+
+_downstream_strain = interpreted(laws.downstream_strain)
 
 BROKEN = Quantity("broken", "1", "1: the web has torn and pulls no more; 0: it is whole")
 
@@ -68,7 +70,7 @@ class SpanFollower:
         self._loads, self._torques, self._speeds = np.zeros((0, 3)), np.zeros(0), np.zeros(n)
         self._shown = np.zeros(2 * n + 3 * k)
         behind_N = parameters.boundary.downstream_tension_N
-        self._boundary = np.array([parameters.upstream_strain, behind_N, laws.downstream_strain(self._p, behind_N)])
+        self._boundary = np.array([parameters.upstream_strain, behind_N, _downstream_strain(self._p, behind_N)])
         self._tension = np.zeros(k)
         self._stale = False  # tensions are not those of state, boundary and parameters
         self._broken = False
@@ -329,7 +331,7 @@ class SpanFollower:
         if value != self._boundary.item(place):  # every cycle, and mostly what it was
             self._boundary[place], self._stale = value, True
             if place == 1:
-                self._boundary[2] = laws.downstream_strain(self._p, value)
+                self._boundary[2] = _downstream_strain(self._p, value)
 
     def set_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.compiled import interpreted
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line import laws
@@ -217,7 +218,8 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         # On the way of a set-point it is where the web is: how far it has come is told by nothing else.
         error_N[ahead] = 0.0
         entering = np.concatenate(([present.upstream_strain], strains[:-1]))
-        behind = np.append(strains[1:], laws.downstream_strain(self._p, present.downstream_tension_N))
+        entering_back = interpreted(laws.downstream_strain)(self._p, present.downstream_tension_N)
+        behind = np.append(strains[1:], entering_back)
         ratios = np.where(around >= 0.0, (1.0 + entering) / (1.0 + strains), (1.0 + strains) / (1.0 + behind))
         around[ahead] *= ratios[ahead]
         kept[:, kernel.C_INTEGRAL_M_S] = around - commands[:-1] - gains[:, kernel.G_KP] * error_N
