@@ -225,8 +225,12 @@ def test_the_processes_of_a_run_are_copies_of_it(tmp_path: Path) -> None:
         from hilbench import processes
         from hilbench.results.run import run_experiment
         from hilbench.runs.config import load_with_overrides
+        from hilbench.topology import resolved
         def new_interpreter(*_, **__):
             raise AssertionError("a new interpreter")
+        def read_again(path):
+            raise AssertionError("it has the config already")
+        resolved.read_resolved = read_again
         processes.subprocess = SimpleNamespace(Popen=new_interpreter, TimeoutExpired=subprocess.TimeoutExpired)
         outcome = run_experiment(load_with_overrides(Path({str(path)!r})), folder / "runs")
         assert outcome.exit_code == 0, outcome.as_json()

@@ -22,7 +22,7 @@ from hilbench.exchange.device_clock import device_clock
 from hilbench.exchange.effect_objects import bind_effect_objects
 from hilbench.hardware.plant_time import ByClock, BySync, PlantTime
 from hilbench.hardware.rigs import new_rig
-from hilbench.plain.host import PacketRun, PlainHost, run_devices
+from hilbench.plain.host import PacketRun, PlainHost, run_devices, warm_up_packets
 from hilbench.plain.rig_run import ClockedRigRun, RigRun
 from hilbench.plain.sync_answers import ClockedAnswers, SyncAnswers
 from hilbench.plant.interface import Plant, Steps, StepsInModes
@@ -181,6 +181,13 @@ def hardware(config: BenchConfig) -> HostedDevices:
             bind_effect_objects(device, _effect_setter(rig, part.axis), config.machine_kind)
     sample_s = config.drive_parameters.sample_time_s
     return HostedDevices(devices, clock, RigApplication(drives, ports, rig, time, config.cycle_time_s, sample_s))
+
+
+def load(config: BenchConfig) -> None:
+    """Compile, or load, all that a process of simulated hardware on the embedded bus runs on."""
+    warm_up(config)
+    warm_up_in_modes(config)
+    warm_up_packets()
 
 
 def warm_up(config: BenchConfig) -> None:

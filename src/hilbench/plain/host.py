@@ -68,8 +68,7 @@ class PlainHost:
         *,
         by_clock: bool = False,
     ) -> None:
-        kernel.warm_up()
-        packet_kernel.warm_up()
+        warm_up_packets()
         self._host, self._link = host, link
         self._application, self._new_run, self._by_clock = application, begin, by_clock
         self._run: PacketRun | None = None
@@ -117,6 +116,12 @@ class PlainHost:
             self._run = self._new_run(self._expected)
         except NotPlainError:
             self._run = None
+
+
+def warm_up_packets() -> None:
+    """Compile, or load, what serves devices by packets."""
+    kernel.warm_up()
+    packet_kernel.warm_up()
 
 
 def run_devices(

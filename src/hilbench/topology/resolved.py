@@ -12,6 +12,15 @@ from hilbench import strict_yaml
 from hilbench.topology.blocks import Pace
 from hilbench.topology.config import BenchConfig
 
+#: That of the bench whose process this will be, in a copy of a process that has it.
+_known: list[BenchConfig] = []
+
+
+def remember(config: BenchConfig) -> None:
+    """For a copy of the process of a bench: what the bench writes into the file is this config. To read it from there
+    takes longer than all else that a process does before it is there."""
+    _known[:] = [config]
+
 
 def write_resolved(config: BenchConfig, path: Path) -> None:
     """Write the config for `read_resolved`; a file that is there already is that of this bench."""
@@ -40,4 +49,5 @@ def config_of_process(program: str) -> BenchConfig:
     parser.add_argument("config", type=Path, help="resolved bench config")
     parser.add_argument("--pace", choices=get_args(Pace), default="realtime", help="by the clock, or by SYNC")
     given = parser.parse_args()
-    return read_resolved(given.config).model_copy(update={"pace": given.pace})
+    config = _known[0] if _known else read_resolved(given.config)
+    return config.model_copy(update={"pace": given.pace})

@@ -11,11 +11,11 @@ from hilbench.can.link import Link
 from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.canopen.mastery import nodes_of_ours
-from hilbench.plain.host import PlainHost, run_devices
+from hilbench.plain.host import PlainHost, run_devices, warm_up_packets
 from hilbench.plain.sync_answers import SyncAnswers
 from hilbench.processes import log, started_by_bench, stop_request
 from hilbench.topology.config import BenchConfig
-from hilbench.twin.machines.kinds import warm_up_in_vectors
+from hilbench.twin.machines.kinds import warm_up, warm_up_in_vectors
 from hilbench.twin.plain_run import TwinRun
 from hilbench.twin.process import TwinApplication, TwinSetup, twin
 from hilbench.twin.setup import twin_setup
@@ -30,6 +30,15 @@ def run(config: BenchConfig) -> int | None:
     stop = stop_request()
     with nodes_of_ours(config.bus_address, config.virtual_nodes, "twin", by_bench=started_by_bench()):
         return run_twin(twin_setup(config), stop, log)
+
+
+def load(config: BenchConfig) -> None:
+    """Compile, or load, all that the twin of a bench on the embedded bus runs on."""
+    of_machine = config.machine, config.twin, config.shape, config.cycle_time_s
+    warm_up(*of_machine)
+    warm_up_packets()
+    if config.pace == "lockstep":
+        warm_up_in_vectors(*of_machine)
 
 
 def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], None]) -> int | None:

@@ -39,7 +39,7 @@ from hilbench.processes import ChildProcess
 from hilbench.real_time import comes_first, kept_ready
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part
-from hilbench.topology.resolved import write_resolved
+from hilbench.topology.resolved import remember, write_resolved
 from hilbench.twin.machines.kinds import maker, warm_up
 
 if TYPE_CHECKING:
@@ -244,15 +244,19 @@ def processes_beside(config: BenchConfig, participants: Participants) -> dict[st
 
 
 def _load_hardware(config: BenchConfig) -> None:
-    from hilbench.hardware.simulation import warm_up as load  # the bench itself need not load it
+    from hilbench.hardware.simulation import load  # the bench itself need not load it
 
+    remember(config)
     if all_compiled():  # else it would compile what the others do
         load(config)
 
 
 def _load_twin(config: BenchConfig) -> None:
+    from hilbench.twin.run import load
+
+    remember(config)
     if all_compiled():
-        warm_up(config.machine, config.twin, config.shape, config.cycle_time_s)
+        load(config)
 
 
 def start_children(config: BenchConfig, folder: Path, copies: dict[str, Copy] | None = None) -> list[ChildProcess]:
