@@ -21,15 +21,6 @@ from numba.core.runtime.nrt import rtsys
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from hilbench.hidden import hidden
-
-# On the first call numba imports scipy.linalg, to see whether products of matrices can be compiled; that takes longer
-# than to load the machine code, in each process of a bench. They can: scipy is installed, and imported where one is.
-with hidden("scipy.linalg"):
-    from numba.np import arraymath
-    from numba.np.arrayobj import make_array, populate_array
-arraymath._HAVE_BLAS = True
-
 Function = TypeVar("Function", bound=Callable[..., object])
 
 #: Types of arguments of an entry point: a float, an int, a bool; arrays of float64 with one to three dimensions and of
@@ -215,6 +206,8 @@ else:
             result = types.Array(dtype, len(dimensions), "C")
 
             def generate(context, builder, signature, arguments):
+                from numba.np.arrayobj import make_array, populate_array  # what is only called needs none of it
+
                 rows = make_array(signature.args[0])(context, builder, arguments[0])
                 first = builder.mul(arguments[1], context.get_constant(types.intp, TABLE_WIDTH))
 
