@@ -92,6 +92,10 @@ class ChildProcess:
         """Its process id."""
         return self._process.pid
 
+    def wait(self) -> int:
+        """Its exit code, once it has ended by itself."""
+        return self._process.wait()
+
     def check(self) -> None:
         """Raise BenchFaultError with its last words when it has ended."""
         code = self._process.poll()

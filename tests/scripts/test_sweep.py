@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pandas
 import pytest
@@ -14,7 +16,8 @@ from distributed import LocalCluster
 from tests.bench.whole_runs import config
 
 from hilbench.errors import UnusableInputError
-from hilbench.scripts.sweep import Axis, Sweep, parse_axis, points
+from hilbench.processes import ChildProcess
+from hilbench.scripts.sweep import Axis, Row, Sweep, parse_axis, points
 
 
 def sweep(path: Path, *options: str) -> subprocess.CompletedProcess[str]:
@@ -91,3 +94,49 @@ def test_a_cluster_does_the_runs_and_one_that_is_not_there_is_said(tmp_path: Pat
     again = Sweep(path, (), [{"seed": "2"}], tmp_path / "other")
     with pytest.raises(UnusableInputError, match="expected a running Dask scheduler"):
         again.run(1, lambda row: None, "gopher://nobody")
+
+
+@pytest.mark.slow
+def test_the_runs_of_a_sweep_are_copies_of_it_that_load_nothing_anew(tmp_path: Path) -> None:
+    path = config(tmp_path, steps=[{"hold": {"duration_s": 0.02}}])
+    program = f"""if True:
+        from pathlib import Path
+        from types import SimpleNamespace
+        from hilbench import processes
+        from hilbench.scripts.sweep import Sweep
+        def new_interpreter(*_, **__):
+            raise AssertionError("a new interpreter")
+        processes.subprocess = SimpleNamespace(Popen=new_interpreter)
+        made = Sweep(Path({str(path)!r}), (), [{{"seed": "1"}}, {{"seed": "2"}}], Path("sweep"))
+        made.run(2, lambda row: None)
+        assert [(row.exit_code, row.said) for row in made.rows.values()] == [(0, ""), (0, "")], made.rows
+        assert all((made.out / row.run / "recording.mf4").exists() for row in made.rows.values())
+    """
+    command = [sys.executable, "-c", program]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
+@pytest.mark.slow
+def test_whoever_ends_a_sweep_ends_the_runs_that_are_under_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = config(tmp_path, steps=[{"hold": {"duration_s": 1.0}}])
+    made = Sweep(path, (), [{"steps.0.hold.duration_s": text} for text in ("50000.0", "0.02")], tmp_path / "sweep")
+    begun: list[int] = []
+
+    class Noted(ChildProcess):
+        def __init__(self, *arguments: Any, **more: Any) -> None:
+            super().__init__(*arguments, **more)
+            begun.append(self.pid)
+
+    def interrupt(row: Row) -> None:
+        assert (row.number, row.passed) == (1, True)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hilbench.scripts.sweep.ChildProcess", Noted)
+    with pytest.raises(KeyboardInterrupt):
+        made.run(2, interrupt)
+    assert len(begun) == 2
+    for pid in begun:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+    assert list(Sweep(path, (), made.runs, made.out).rows) == [1]  # what is left to do when it is started again

@@ -74,11 +74,14 @@ def _run(made: Sweep, jobs: int, cluster: str | None, *, quiet: bool) -> None:
 
     console = Console(stderr=True, highlight=False)
     columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as progress:
+    hidden = quiet or not console.is_terminal
+    # Without a thread of its own: beside one a process is not copied.
+    with Progress(*columns, console=console, disable=hidden, auto_refresh=False) as progress:
         task = progress.add_task("runs", total=len(made.runs), completed=len(made.rows))
 
         def done(row: Row) -> None:
             progress.advance(task)
+            progress.refresh()
             if not quiet:
                 word = "passed" if row.passed else f"exit code {row.exit_code} {row.said}".strip()
                 varied = ", ".join(f"{path}={value}" for path, value in row.changes.items())

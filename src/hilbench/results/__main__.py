@@ -1,4 +1,4 @@
-"""``python -m hilbench.results CONFIG --out FOLDER``: one run of a sweep; prints its result as one JSON object."""
+"""``python -m hilbench.results CONFIG --out FOLDER``: one run of a sweep; its run folder says what came of it."""
 
 import sys
 from argparse import ArgumentParser
@@ -22,7 +22,6 @@ def main() -> None:
     loaded = load_with_overrides(given.config, bus=given.bus, changes=given.set)
     participants = Participants.IN_PROCESS if given.in_process else Participants.STARTED
     outcome = run_experiment(loaded, given.out, participants=participants)
-    print(outcome.as_json())
     sys.exit(outcome.exit_code)
 
 

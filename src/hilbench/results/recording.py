@@ -202,7 +202,7 @@ def write_recording(recording: Recording, path: Path) -> None:
 
 
 def _write_mdf(recording: Recording, path: Path) -> None:
-    asammdf = _asammdf()
+    asammdf = mdf_library()
     from asammdf.blocks.v4_blocks import FileHistory
 
     start = recording.start_time or NO_START_TIME
@@ -340,7 +340,7 @@ def _check_time(time_s: NDArray[np.float64], path: Path) -> None:
         )
 
 
-def _asammdf() -> Any:
+def mdf_library() -> Any:
     """The MDF library, imported when first needed: it takes half a second."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -350,7 +350,7 @@ def _asammdf() -> Any:
 
 def _read_mdf(path: Path) -> Recording:
     _check_mdf_head(path)
-    asammdf = _asammdf()
+    asammdf = mdf_library()
     with _tracebacks_dropped():
         try:
             with asammdf.MDF(path) as mdf:

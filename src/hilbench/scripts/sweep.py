@@ -6,33 +6,41 @@ import csv
 import itertools
 import json
 import os
-import subprocess
-import sys
-import threading
+import select
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import Any, Self
 
 import numpy as np
 
-from hilbench.bench.lifecycle.participants import can_be_in_process
+from hilbench.bench.bench import Bench
+from hilbench.bench.lifecycle.participants import Participants, can_be_in_process
 from hilbench.canopen.mastery import mastery
+from hilbench.copies import Copy, copies
 from hilbench.errors import (
     EXIT_BENCH_FAULT,
     EXIT_CRITERION_FAILED,
     EXIT_INTERRUPTED,
     EXIT_PASSED,
+    HilbenchError,
     UnusableInputError,
 )
 from hilbench.files import make_folder, writing
+from hilbench.processes import ChildProcess
+from hilbench.real_time import for_good
+from hilbench.results.recording import mdf_library
+from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load_with_overrides, parse_change
 
 _DEFINITION, _LOG, _TABLE, _PARQUET = "sweep.json", "results.jsonl", "results.csv", "results.parquet"
 _LAST_WORDS = 300
+_RUN = "run"
 _CONNECT_S = 10
 
 
@@ -72,20 +80,42 @@ class Job:
     folder: str
 
 
+@dataclass
+class _UnderWay:
+    """A run in a process of its own; what it says goes to a file in `folder`."""
+
+    job: Job
+    process: ChildProcess
+    folder: TemporaryDirectory[str]
+
+    @classmethod
+    def begin(cls, job: Job, copy: Copy | None = None) -> Self:
+        """Start it, or let a copy of this process become it."""
+        folder = TemporaryDirectory(prefix="hilbench-sweep-")
+        log = Path(folder.name) / "run.log"
+        arguments = ["hilbench.results", *job.arguments]
+        return cls(job, ChildProcess(f"run {job.number}", arguments, log, copy=copy), folder)
+
+    def result(self) -> Row | None:
+        """What came of it, once it has ended; None when it was interrupted."""
+        job, code, said = self.job, self.process.wait(), self.process.last_words()
+        self.process.end()
+        self.folder.cleanup()
+        if code == EXIT_INTERRUPTED:
+            return None
+        folder = Path(job.folder)
+        folders = sorted(folder.glob("*/")) if folder.is_dir() else []
+        result = RunFolder(folders[-1]).result if folders else None
+        left = json.loads(result.read_text(encoding="utf-8")) if result is not None and result.exists() else {}
+        faults = " ".join(fault["text"] for fault in left.get("faults", []))
+        said = "" if code in (EXIT_PASSED, EXIT_CRITERION_FAILED) else (faults or said)[:_LAST_WORDS]
+        run = str(folders[-1].relative_to(folder.parents[1])) if folders else None
+        return Row(job.number, job.changes, code, run, left.get("metrics", {}), said)
+
+
 def execute(job: Job) -> Row | None:
     """Do a run in a process of its own, here; None when it was interrupted."""
-    command = [sys.executable, "-m", "hilbench.results", *job.arguments]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
-    if ended.returncode == EXIT_INTERRUPTED:
-        return None
-    folder = Path(job.folder)
-    folders = sorted(folder.glob("*/")) if folder.is_dir() else []
-    result = json.loads(ended.stdout) if ended.stdout.startswith("{") else {}
-    faults = [fault["text"] for fault in result.get("faults", [])]
-    words = [*faults, *ended.stderr.split()]
-    said = " ".join(words)[:_LAST_WORDS] if ended.returncode not in (EXIT_PASSED, EXIT_CRITERION_FAILED) else ""
-    run = str(folders[-1].relative_to(folder.parents[1])) if folders else None
-    return Row(job.number, job.changes, ended.returncode, run, result.get("metrics", {}), said)
+    return _UnderWay.begin(job).result()
 
 
 def _row(job: Job, future: Future[Row | None]) -> Row | None:
@@ -180,7 +210,7 @@ class Sweep:
         self._embedded = self._bus.interface == "embedded"
         # In real time what comes late is a part of what a run shows, and nothing does in one process.
         self._in_process = loaded.config.pace == "lockstep" and can_be_in_process(loaded.config)
-        self._stopped = threading.Event()
+        self._any = loaded.config
         self.rows = self._resume()
 
     def _resume(self) -> dict[int, Row]:
@@ -210,17 +240,51 @@ class Sweep:
         if left and self.alone and not self._embedded:
             with mastery(self._bus, self._master_id, f"sweep of {self._config.name}"):
                 pass  # each run takes the bus for itself; a bus that has a master would make all of them fail
-        if cluster is not None and self.alone:
+        if cluster is None:
+            self._run_here(left, 1 if self.alone else jobs, done)
+        elif self.alone:
             raise UnusableInputError("--cluster", "runs on a real bus, or in real time, go one after the other here")
-        with _on_cluster(cluster) if cluster else ThreadPoolExecutor(1 if self.alone else jobs) as pool:
-            act = execute if cluster else self._execute
-            waiting = {pool.submit(act, job): job for job in left}
+        else:
+            self._run_there(left, cluster, done)
+
+    def _run_here(self, left: Sequence[Job], jobs: int, done: Callable[[Row], None]) -> None:
+        """In copies of this process, which has loaded what each of them needs."""
+        if len(left) > 1:
+            self._load()
+        waiting, under_way = deque(left), dict[int, _UnderWay]()
+        ends = select.poll()
+        try:
+            while waiting or under_way:
+                while waiting and len(under_way) < jobs:
+                    with copies({_RUN: lambda: None}) as made:
+                        run = _UnderWay.begin(waiting.popleft(), made.pop(_RUN, None))
+                    end = os.pidfd_open(run.process.pid)
+                    under_way[end] = run
+                    ends.register(end, select.POLLIN)
+                for end, _ in ends.poll():
+                    ends.unregister(end)
+                    os.close(end)
+                    self._keep(under_way.pop(end).result(), done)
+        finally:
+            for run in under_way.values():
+                run.process.end()
+
+    def _load(self) -> None:
+        """Load what a run needs, by a bench that is started and left again; what is wrong with it the runs say."""
+        with for_good(), suppress(HilbenchError):
+            mdf_library()
+            if self._in_process:
+                with Bench(self._any, participants=Participants.IN_PROCESS):
+                    pass
+
+    def _run_there(self, left: Sequence[Job], cluster: str, done: Callable[[Row], None]) -> None:
+        with _on_cluster(cluster) as pool:
+            waiting = {pool.submit(execute, job): job for job in left}
             try:
                 while waiting:
                     for future in wait(waiting, return_when=FIRST_COMPLETED).done:
                         self._keep(_row(waiting.pop(future), future), done)
             except BaseException:
-                self._stopped.set()
                 for future in waiting:
                     future.cancel()
                 raise
@@ -244,10 +308,6 @@ class Sweep:
         elif self._embedded:
             arguments += ["--bus", f"embedded:sweep{os.getpid()}n{number}"]
         return Job(number, changes, tuple(arguments), str(folder))
-
-    def _execute(self, job: Job) -> Row | None:
-        row = None if self._stopped.is_set() else execute(job)
-        return None if self._stopped.is_set() else row
 
     def write_table(self) -> Path:
         """`results.csv`: a row a run, in order; what was varied, exit code, metrics, folder."""
