@@ -25,6 +25,9 @@ from tests.buses import Bus, KernelBus
 import canopen
 from hilbench.can.memory import MemoryBus
 
+# What is imported and collected stays: the collector would look through it again and again meanwhile.
+gc.disable()
+
 # The same examples each time, however busy the machine: nothing fails by chance.
 settings.register_profile(
     "repeatable", derandomize=True, database=None, deadline=None, suppress_health_check=[HealthCheck.too_slow]
@@ -33,6 +36,11 @@ settings.load_profile("repeatable")
 
 # Who leaves a bus waits for canopen's thread there: a second, unless told otherwise.
 canopen.Network.NOTIFIER_CYCLE = 0.05
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(params=["memory", pytest.param("kernel", marks=pytest.mark.vcan)])
