@@ -14,7 +14,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Self
 
 import numpy as np
@@ -82,25 +81,26 @@ class Job:
 
 @dataclass
 class _UnderWay:
-    """A run in a process of its own; what it says goes to a file in `folder`."""
+    """A run in a process of its own; what it says goes to a file beside its folder, kept where it failed."""
 
     job: Job
     process: ChildProcess
-    folder: TemporaryDirectory[str]
+    log: Path
 
     @classmethod
     def begin(cls, job: Job, copy: Copy | None = None) -> Self:
         """Start it, or let a copy of this process become it."""
-        folder = TemporaryDirectory(prefix="hilbench-sweep-")
-        log = Path(folder.name) / "run.log"
-        arguments = ["hilbench.results", *job.arguments]
-        return cls(job, ChildProcess(f"run {job.number}", arguments, log, copy=copy), folder)
+        log = Path(job.folder).with_suffix(".log")
+        log.parent.mkdir(parents=True, exist_ok=True)
+        log.unlink(missing_ok=True)
+        return cls(job, ChildProcess(f"run {job.number}", ["hilbench.results", *job.arguments], log, copy=copy), log)
 
     def result(self) -> Row | None:
         """What came of it, once it has ended; None when it was interrupted."""
         job, code, said = self.job, self.process.wait(), self.process.last_words()
         self.process.end()
-        self.folder.cleanup()
+        if code in (EXIT_PASSED, EXIT_CRITERION_FAILED, EXIT_INTERRUPTED):
+            self.log.unlink(missing_ok=True)
         if code == EXIT_INTERRUPTED:
             return None
         folder = Path(job.folder)
