@@ -16,7 +16,7 @@ SORTS = """if True:
     if sys.argv[1] == "slices":
         work_in_slices()
     began_s, slept = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_nvcsw
-    values.sort()
+    values.sort(kind="stable")  # the default one takes 40 ms where the processor has long vectors
     print(time.process_time() - began_s, resource.getrusage(resource.RUSAGE_SELF).ru_nvcsw - slept)
 """
 

@@ -446,9 +446,11 @@ def _check_positions(measured: Measured, model: Machine, place: str | Path) -> N
 
 
 def _check_torques(measured: Measured, model: Machine, place: str | Path) -> None:
-    if model.drives is None:
-        return
     for axis, torque in measured.tau_Nm.items():
+        if float(np.ptp(torque)) == 0.0:
+            raise UnusableInputError(place, f"channel tau{axis}_Nm never changes, expected a measured torque")
+        if model.drives is None:
+            continue
         limits = model.drives.torque_limit_Nm
         limit = limits[axis - 1] if isinstance(limits, list) else limits
         largest = float(np.max(np.abs(torque)))
@@ -456,5 +458,3 @@ def _check_torques(measured: Measured, model: Machine, place: str | Path) -> Non
             raise UnusableInputError(
                 place, f"channel tau{axis}_Nm reaches {largest:g}, expected N·m within the drive's limit of {limit:g}"
             )
-        if float(np.ptp(torque)) == 0.0:
-            raise UnusableInputError(place, f"channel tau{axis}_Nm never changes, expected a measured torque")

@@ -128,7 +128,6 @@ def mended(
     steps: Sequence[Callable[[_Table], _Table]] = (
         lambda t: _timed(t, place),
         lambda t: _in_order(t, place),
-        lambda t: _without_dead_torques(t, place),
         _without_frozen_rows,
         _without_stuck_values,
         _unwrapped,
@@ -238,21 +237,6 @@ def _without_frozen_rows(table: _Table) -> _Table:
     at = table.t_s[np.argmax(frozen)]
     text = f"{count} row(s) repeat the row before while the axis moves, the first at t = {at:g} s: dropped"
     return table.rows(~frozen, Repair("repeated", "", count, text))
-
-
-def _without_dead_torques(table: _Table, place: str | Path) -> _Table:
-    """A torque that is the same in every row was not measured. Raises UnusableInputError where no other is left."""
-    torques = table.named(_TORQUE)
-    dead = [name for name in torques if len(table.t_s) > 1 and float(np.ptp(table.channels[name])) == 0.0]
-    if dead and len(dead) == len(torques):
-        value = float(table.channels[dead[0]][0])
-        raise UnusableInputError(place, f"channel {dead[0]} is {value:g} in every row, expected a measured torque")
-    for name in dead:
-        text = f"channel {name} is {float(table.channels[name][0]):g} in every row: not used"
-        left = {key: values for key, values in table.channels.items() if key != name}
-        said = Repair("stuck", name, len(table.t_s), text)
-        table = replace(table, channels=left, repairs=(*table.repairs, said))
-    return table
 
 
 def _without_stuck_values(table: _Table) -> _Table:
