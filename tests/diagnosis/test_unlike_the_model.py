@@ -139,6 +139,23 @@ def test_a_ripple_once_a_turn_is_not_taken_for_the_encoder_of_the_other_axis() -
 
 
 @pytest.mark.slow
+def test_a_ripple_at_one_speed_is_not_looked_for_at_orders_that_the_rows_can_not_follow() -> None:
+    """Of rows that come every 12 ms, as the prediction compares them, order 27.93 is order 0 at 3 m/s."""
+    pair = [
+        effect("torque_ripple", 2, amplitude_Nm=0.0475, order=2.0, phase_rad=-1.04),
+        effect("torque_offset", 1, offset_Nm=-0.0626),
+    ]
+    loops = Loops(kp=(1.02, 1.0), ki=(1.27, 0.91), lag_s=(0.0038, 0.0025))
+    found = examined("production", 40.0, 404, hidden=pair, loops=loops, row_s=0.004, bristle_N_per_m=4.7e5)
+    assert found.verdict == "named"
+    assert [("torque_offset", 1) in options or ("torque_ripple", 2) in options for options in named(found)] == [
+        True
+    ] * 2
+    ripple = next(e for e in found.effects if e.effect == "torque_ripple")
+    assert ripple.parameters["order"].value == pytest.approx(2.0, abs=1e-3)
+
+
+@pytest.mark.slow
 def test_a_measured_tension_is_used() -> None:
     """With torques as noisy as these, a change of E is known from the tension alone."""
     item = effect("elasticity_shift", relative_change=0.1)

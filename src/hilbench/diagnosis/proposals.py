@@ -27,6 +27,8 @@ _OF_THE_ROWS: Final = 0.4
 _HIGHEST_ORDER: Final = 64.0
 _LEAST_SHARE_OF_A_TURN: Final = 0.5  #: of the roller's
 _HIGHEST_ORDER_OF_A_SCREW: Final = 1e4
+#: The slowest share of a motion, and the share of its largest step from row to row from which an axis moves.
+_SLOWEST, _MOVES = 0.1, 0.02
 #: Angle that a roller (an arm) has to turn for a torque by its angle to be told from a spring or an offset: over less
 #: a sine is straight within some per cent.
 _LEAST_ARC_RAD: Final = 1.0
@@ -375,9 +377,8 @@ class Proposer:
         top = _HIGHEST_ORDER
         if machines.is_lone(self._model) and turns < _RESOLVED:  # a screw's turn is not the "motor's" of the model
             top = _HIGHEST_ORDER_OF_A_SCREW
-        orders, count = self._peaks(
-            angle, whitened, [name for name in whitened if f"tau{axis}_Nm" in name], self._least_order(axis), top
-        )
+        sharp = [name for name in whitened if f"tau{axis}_Nm" in name]
+        orders, count = self._peaks(angle, whitened, sharp, self._least_order(axis), min(top, _followed(angle)))
         return [self._term(effect, axis, {effect.probe.parameter: order}, slot, count) for order in orders]
 
     def _highest_Hz(self) -> float:
@@ -393,6 +394,14 @@ class Proposer:
         lowest = _LEAST_CYCLES / self._data.duration_s
         frequencies, count = self._peaks(self._data.t_s[::every], whitened, torques, lowest, highest)
         return [self._term(effect, None, {effect.probe.parameter: f}, slot, count) for f in frequencies]
+
+
+def _followed(angle_turns: Array) -> float:
+    """The highest order whose cycles rows at these angles (n,) can follow in the slowest tenth of the motion: of a
+    higher one they show a lower one in its place, as often as rows come."""
+    turned = np.abs(np.diff(angle_turns))
+    moving = turned[turned > _MOVES * float(np.max(turned))]
+    return 0.5 / float(np.quantile(moving, _SLOWEST)) if len(moving) else _HIGHEST_ORDER
 
 
 def peaks(angle_turns: Array, whitened: Array, highest: float, lowest: float = 0.0) -> tuple[list[float], float]:

@@ -433,8 +433,12 @@ class Steps:
                     pairs.append((gain - base - price(terms, self.samples), terms))
         pairs.sort(key=lambda item: -item[0])
         best = max((score for score, _, _ in singles), default=0.0)
-        chosen += [terms for score, terms in pairs[:_PAIRS] if score > max(best, 0.0) + TIED]
-        return chosen
+        # Here, too, variants of two effects at their places would fill all seats.
+        together: dict[frozenset[Place], list[Term]] = {}
+        for score, terms in pairs:
+            if score > max(best, 0.0) + TIED:
+                together.setdefault(frozenset(term.place for term in terms), terms)
+        return chosen + list(together.values())[:_PAIRS]
 
     def _started(
         self, offered: CandidateSet, problem: Linear, mine: list[int], members: list[int], groups: list[list[int]]
