@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.estimation.runs import CYCLE_S, NEW_PA, OLD_PA, times, tracked
 from tests.plant.models import model
 
-from hilbench.bench.tasks.rest_movement import RestMovement, pull_m
+from hilbench.bench.tasks.web_rest_movement import RestMovement, pull_m
 from hilbench.estimation.web_line.config import (
     ChangepointConfig,
     EkfConfig,

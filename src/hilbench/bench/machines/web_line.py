@@ -15,7 +15,6 @@ from hilbench.bench.state import BenchState, TwinState
 from hilbench.bench.tasks.imitated_web import web_load_model
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.rest_movement import RestMovement, pull_m
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
 from hilbench.bench.tasks.task import CyclicTask, Outputs
@@ -29,6 +28,7 @@ from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.bench.tasks.web_positions import CarriageStops, PositionTask
 from hilbench.bench.tasks.web_reel_torque import LoadCells, ReelTorqueTask
 from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelWay
+from hilbench.bench.tasks.web_rest_movement import RestMovement, pull_m
 from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.plausibility import Problem

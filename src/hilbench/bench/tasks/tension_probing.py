@@ -21,9 +21,9 @@ from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.rest_movement import RestMovement
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_trust import TwinSignals
+from hilbench.bench.tasks.web_rest_movement import RestMovement
 from hilbench.topology.quantities import TENSION_PROBE
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import ProbingConfig

@@ -82,6 +82,7 @@ class FoundRunning:
         self._vector = np.zeros(_UNKNOWNS)
         self._square = 0.0
         self._count = 0
+        self._has_rested = False
         self._has_moved = False  # another time friction at rest would take up another part
 
     @property
@@ -110,7 +111,7 @@ class FoundRunning:
         row = self._rows.row
         speed_m_s = float(row[2])
         stands, moves = abs(speed_m_s) <= _STANDS_M_S and not self._has_moved, abs(speed_m_s) >= _MOVES_M_S
-        self._has_moved = self._has_moved or moves
+        self._has_rested, self._has_moved = self._has_rested or stands, self._has_moved or moves
         if not (stands or moves):  # friction may be anything between its two values
             return self.found
         regressors = np.zeros(_UNKNOWNS)
@@ -141,7 +142,10 @@ class FoundRunning:
         over = self._square - 2.0 * float(theta @ self._vector) + float(theta @ self._products @ theta)
         variance = max(max(over, 0.0) / (self._count - 2) / gain, _LEAST_VARIANCE)
         covariance = np.linalg.inv(self._products / variance + self._weights)
-        theta = covariance @ (self._vector / variance + self._weights[_MODULUS])
+        # At rest the rows tell no more than they do. Under way webs around this one may be found at the same time, and
+        # put rows off by more than noise: there what is believed weighs as rows do.
+        weights = self._weights * (variance if self._has_rested else 1.0)
+        theta = np.linalg.solve(self._products + weights, self._vector + weights[_MODULUS])
         share, extra = theta[_MODULUS].item(), theta[_STRAIN].item()
         share_sd, _, friction_sd, _ = np.sqrt(np.diag(covariance)).tolist()
         strain_error = strain_sd = inf

@@ -10,7 +10,7 @@ import pytest
 from tests.bench.whole_runs import SHIPPED, config, run_folders, run_here
 from tests.cli.in_process import hilbench
 
-from hilbench.bench.tasks.rest_movement import RestMovement
+from hilbench.bench.tasks.web_rest_movement import RestMovement
 from hilbench.results.journal import read_journal
 from hilbench.results.recording import Recording, read_recording
 from hilbench.topology.quantities import TENSION_PROBE
