@@ -1,22 +1,26 @@
 """What a twin makes of a step of E whose model lacks something: a table.
 
     hidden_beside_a_step.py [--jobs N] [--write docs/synchronization.md]
+    hidden_beside_a_step.py --drawn 60 [--first-seed N] [--jobs N] [--write docs/synchronization.md]
 
 Lines of other equations than the product's (`tests/independent_line`), run through a production profile: a ramp,
-constant speed, E +20.7 % at 23 s. `--write` puts the table between the marker lines of the page.
+constant speed, E +20.7 % at 23 s. `--drawn` draws so many cases instead: what is hidden and its size, machine, speed,
+profile, rows, noise, and the step. `--write` puts the table between the marker lines of the page.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import docs_page
-from tests.estimation.hidden_beside_a_step import CASES, Outcome, outcome
+from tests.estimation.hidden_beside_a_step import CASES, Drawn, Outcome, drawn, outcome, outcome_of
 
 from hilbench.estimation.web_line.config import ChangepointConfig
 
@@ -26,6 +30,12 @@ DURATION_S = 40.0
 def run(name: str) -> Outcome:
     """One case."""
     return outcome(name, ChangepointConfig(), duration_s=DURATION_S)
+
+
+def run_drawn(seed: int) -> tuple[Drawn, Outcome]:
+    """One that is drawn."""
+    case = drawn(seed)
+    return case, outcome_of(case.line, ChangepointConfig(), case.profile, seed=seed, duration_s=case.duration_s)
 
 
 def table(outcomes: dict[str, Outcome]) -> str:
@@ -42,18 +52,50 @@ def table(outcomes: dict[str, Outcome]) -> str:
     return "\n".join(lines)
 
 
+def drawn_table(first_seed: int, found: list[tuple[Drawn, Outcome]]) -> str:
+    """How many are right, by what is hidden, and those that are not."""
+    of, right = Counter[str](), Counter[str]()
+    for case, ended in found:
+        for name in {str(hidden["effect"]) for hidden in case.hidden} or {"nothing"}:
+            of[name] += 1
+            right[name] += ended.right
+    total, held = sum(ended.right for _, ended in found), sum(ended.covered for _, ended in found) / len(found)
+    lines = [
+        f"Seeds {first_seed} to {first_seed + len(found) - 1}: {total} of {len(found)} right, the interval holds in "
+        f"{100.0 * held:.1f} % of all cycles. By what was hidden: "
+        + ", ".join(f"{name} {right[name]} of {of[name]}" for name in sorted(of))
+        + ".",
+        "",
+        "| not right: seed, hidden | end of run | 95 % holds in % |",
+        "|---|--:|--:|",
+    ]
+    for case, ended in found:
+        if not ended.right:
+            end = f"{ended.end_pct:.2f} % ± {ended.stated_pct:.1f}".replace("-", "−")
+            lines.append(f"| {case.seed}: {case} | {end} | {100.0 * ended.covered:.1f} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Run and print, or write into the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--drawn", type=int, metavar="N")
+    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--write", type=Path)
     options = parser.parse_args()
+    make: Callable[[ProcessPoolExecutor], str]
+    if options.drawn:
+        seeds = range(options.first_seed, options.first_seed + options.drawn)
+        mark, make = "drawn", lambda pool: drawn_table(options.first_seed, list(pool.map(run_drawn, seeds)))
+    else:
+        mark, make = "hidden", lambda pool: table(dict(zip(CASES, pool.map(run, CASES), strict=True)))
     with ProcessPoolExecutor(options.jobs) as pool:
-        found = table(dict(zip(CASES, pool.map(run, CASES), strict=True)))
+        found = make(pool)
     if options.write is None:
         print(found)
     else:
-        docs_page.put(options.write, "hidden", found)
+        docs_page.put(options.write, mark, found)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@ makes of it whose model has nothing of it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +13,10 @@ from tests.independent_line.line import STEP_OF_E, Hidden, Line, effect
 from hilbench.diagnosis.synchronization import measurements_of, twin_config
 from hilbench.estimation.web_line.config import SynchronizerConfig
 from hilbench.estimation.web_line.offline import run_offline
-from hilbench.plant.web_line.parameters import load_model
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 from hilbench.runs.figures import ESTIMATE_BAND, overshoot_pct, time_to_stay
 
-#: The line as the twin believes it.
-MODEL = Path(__file__).parents[1] / "recordings" / "model.yaml"
 #: From here on a twin that has just started is scored, s.
 SCORED_FROM_S = 1.0
 CASES: dict[str, tuple[Hidden, ...]] = {
@@ -62,9 +61,16 @@ class Outcome:
 
 def outcome(name: str, method: SynchronizerConfig, *, seed: int = 0, duration_s: float | None = None) -> Outcome:
     """One case in production: a ramp, then constant speed, E +20.7 % at 23 s."""
-    record = Line(hidden=[*CASES[name], STEP_OF_E]).record("production", seed=seed, duration_s=duration_s)
-    data = measurements_of(Recording(record.channels), name)
-    track = run_offline(load_model(MODEL), twin_config(method), data)
+    return outcome_of(Line(hidden=[*CASES[name], STEP_OF_E]), method, "production", seed=seed, duration_s=duration_s)
+
+
+def outcome_of(
+    line: Line, method: SynchronizerConfig, profile: str, *, seed: int = 0, duration_s: float | None = None
+) -> Outcome:
+    """What becomes of this line, in which E steps once."""
+    record = line.record(profile, seed=seed, duration_s=duration_s)
+    data = measurements_of(Recording(record.channels), profile)
+    track = run_offline(ModelParameters.model_validate(line.model), twin_config(method), data)
     true = record.truth["E_true_Pa"]
     error = track.E_Pa / true - 1.0
     step = int(np.flatnonzero(np.diff(true))[-1]) + 1
@@ -77,3 +83,90 @@ def outcome(name: str, method: SynchronizerConfig, *, seed: int = 0, duration_s:
         time_to_stay(data.t_s, error, ESTIMATE_BAND, step),
         overshoot_pct(track.E_Pa, true, step),
     )
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A case that was drawn."""
+
+    seed: int
+    line: Line
+    hidden: tuple[Hidden, ...]  #: beside the step
+    profile: str
+    duration_s: float
+
+    def __str__(self) -> str:
+        sizes = [
+            f"{item['effect']} " + ", ".join(f"{value:.3g}" for value in item["parameters"].values())
+            for item in self.hidden
+        ]
+        return f"{'; '.join(sizes) or 'nothing'} ({self.profile}, {self.line.upstream_N:.0f} N)"
+
+
+def drawn(seed: int) -> Drawn:
+    """None, one or two effects of drawn sizes in a drawn machine, in which E steps by 6 to 30 % up or down."""
+    rng = np.random.default_rng([seed, 4711])
+    tension_N = float(rng.uniform(50.0, 120.0))
+    names = rng.choice(sorted(_SIZES), rng.choice([0, 1, 2], p=[0.1, 0.5, 0.4]), replace=False)
+    hidden = tuple(_SIZES[str(name)](rng, tension_N) for name in names)
+    profile = str(rng.choice(["production", "identification"], p=[0.7, 0.3]))
+    duration_s = float(rng.uniform(35.0, 60.0))
+    change = float(rng.uniform(0.06, 0.3)) * float(rng.choice([-1.0, 1.0]))
+    step = effect("elasticity_step", time_s=float(rng.uniform(0.4, 0.7)) * duration_s, relative_change=change)
+    line = Line(
+        hidden=[*hidden, step],
+        modulus_Pa=float(rng.uniform(2e9, 12e9)),
+        length_m=float(rng.uniform(0.6, 2.0)),
+        upstream_N=tension_N,
+        downstream_N=tension_N * float(rng.uniform(0.7, 1.0)),
+        top_share=float(rng.uniform(0.4, 1.2)),
+        noise=float(rng.uniform(0.5, 2.0)),
+        row_s=float(rng.choice([0.001, 0.002, 0.004])),
+    )
+    return Drawn(seed, line, hidden, profile, duration_s)
+
+
+def _either(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(rng.uniform(low, high)) * float(rng.choice([-1.0, 1.0]))
+
+
+#: What may be drawn: sizes that lines have, those of forces in shares of the tension.
+_SIZES: dict[str, Callable[[np.random.Generator, float], Hidden]] = {
+    "coulomb_friction": lambda rng, f: effect("coulomb_friction", 2, force_N=f * float(rng.uniform(0.03, 0.25))),
+    "viscous_friction": lambda rng, f: effect(
+        "viscous_friction", 2, coefficient_N_s_per_m=f * float(rng.uniform(0.005, 0.05))
+    ),
+    "torque_offset": lambda rng, f: effect("torque_offset", 2, offset_Nm=_either(rng, 0.02, 0.12)),
+    "torque_scale": lambda rng, f: effect("torque_scale", 2, relative_change=_either(rng, 0.03, 0.12)),
+    "inertia_mismatch": lambda rng, f: effect("inertia_mismatch", 2, relative_change=_either(rng, 0.05, 0.2)),
+    "web_slip": lambda rng, f: effect("web_slip", creep_per_N=float(rng.uniform(1e-6, 4e-6))),
+    "roller_eccentricity": lambda rng, f: effect(
+        "roller_eccentricity",
+        int(rng.choice([1, 2])),
+        amplitude_m=float(rng.uniform(5e-6, 4e-5)),
+        phase_rad=float(rng.uniform(-3.0, 3.0)),
+    ),
+    "unbalance": lambda rng, f: effect(
+        "unbalance", 2, amplitude_Nm=float(rng.uniform(0.2, 1.0)), phase_rad=float(rng.uniform(-3.0, 3.0))
+    ),
+    "torque_ripple": lambda rng, f: effect(
+        "torque_ripple",
+        2,
+        amplitude_Nm=float(rng.uniform(0.04, 0.15)),
+        order=float(rng.choice([1.0, 2.0, 6.0])),
+        phase_rad=float(rng.uniform(-3.0, 3.0)),
+    ),
+    "upstream_disturbance": lambda rng, f: effect(
+        "upstream_disturbance",
+        amplitude_N=f * float(rng.uniform(0.01, 0.05)),
+        frequency_Hz=float(rng.uniform(0.2, 1.0)),
+        phase_rad=0.0,
+    ),
+    "strain_offset": lambda rng, f: effect("strain_offset", strain=_either(rng, 2e-6, 8e-6)),
+    "stribeck_friction": lambda rng, f: effect(
+        "stribeck_friction", 2, force_N=f * float(rng.uniform(0.03, 0.15)), speed_m_s=float(rng.uniform(0.1, 0.5))
+    ),
+    "load_dependent_friction": lambda rng, f: effect(
+        "load_dependent_friction", 2, share=float(rng.uniform(0.01, 0.05))
+    ),
+}
