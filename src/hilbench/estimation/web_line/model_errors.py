@@ -62,8 +62,13 @@ _STUCK = 0.6
 #: counts only so much (variances): that is a change of E.
 _REST = 4e-3
 _REST_SHARE, _APART_S, _USUAL_S, _MOST_APART = 1.0, 0.5, 5.0, 9.0
+#: E that is told has jumped when it is another one than so many blocks before by so many deviations of how far it goes
+#: to and fro, and by so much of itself.
+_JUMP_BLOCKS, _JUMPS, _LEAST_JUMP = 5, 4.0, 0.02
 #: Friction at another speed, beyond viscous: share of its prior deviation after a change by 1 m/s.
 _CURVE = 0.05
+#: Strain that is not as it is measured, as the web that comes in sways, is no tension: up to which share of it.
+_MOST_SWAY = 0.05
 #: A parameter counts as told apart when the data have shrunk its prior deviation to this share.
 _SEPARABLE = 0.7
 #: Relative difference of the radii up to which the rollers' angles are one.
@@ -144,8 +149,9 @@ class ErrorVectors(NamedTuple):
     _BLOCKS_S,
     _LEAST_REST_N2,
     _REST_N2,
+    _TOLD_SIZE,  # of that ring
     _TOLD,
-) = range(10)
+) = range(11)
 
 
 @compiled
@@ -203,6 +209,10 @@ def _look_at_unrest(e: ErrorVectors, told_Pa: float, web_per_Pa: float) -> None:
     ring.push(k, _TOLD, told_Pa)
     if not ring.is_full(k, _TOLD):
         return
+    jumped_N = abs(told_Pa - ring.value(k, _TOLD, int(k[_TOLD_SIZE]) - _JUMP_BLOCKS)) * web_per_Pa
+    by_itself = 0.0 < e.s[filters.APPLIED] < 1.0 or not filters.keeps_speed(e.u, e.s)
+    jumps = not by_itself and jumped_N > max(_JUMPS * sqrt(k[_REST_N2]), _LEAST_JUMP * told_Pa * web_per_Pa)
+    e.u[filters.TOLD_JUMPED] = 1.0 if jumps and e.s[filters.JUMPED_S] > _APART_S else 0.0
     apart_N = _REST_SHARE * (told_Pa - ring.value(k, _TOLD, 0)) * web_per_Pa
     more_N2 = min(apart_N * apart_N, _MOST_APART * k[_REST_N2]) - k[_REST_N2]
     k[_REST_N2] = max(k[_REST_N2] + k[_BLOCKS_S] / _USUAL_S * more_N2, k[_LEAST_REST_N2])
@@ -321,6 +331,7 @@ class ModelErrors:
         u[f.CURVE_N2] = (_CURVE * self._priors[f.DRY]) ** 2
         u[f.STANDSTILL_M_S] = 5.0 * FRICTION_WIDTH_M_S
         u[f.STUCK_N] = self._priors[f.STUCK]
+        u[f.MOST_SWAY_N] = _MOST_SWAY * tension_N
         self._process = 2.0 / _WANDER_S * self._priors**2
         self._process[f.COS2 :] *= _WANDER_S / _BEAT_S
         self._process[f.E] = _E_WALK**2
@@ -331,6 +342,7 @@ class ModelErrors:
         blocks = round(_APART_S / (block * cycle_s)) + 1
         k = self._k = np.zeros(_TOLD + ring.size(blocks))
         ring.put(k, _TOLD, blocks)
+        k[_TOLD_SIZE] = blocks
         k[_REFERENCE_PA], k[_FORCE_PER_TORQUE] = youngs_modulus_Pa, self._force_per_torque
         k[_RADIUS_1_M], k[_RADIUS_2_M] = model.radius_m(1), model.radius_m(2)
         k[_PER_TORQUE2] = self._force_per_torque**2
@@ -348,7 +360,7 @@ class ModelErrors:
         self._places = np.full((len(subsets), size), -1, np.int64)
         self._weights = np.zeros(len(subsets))
         for k, chosen in enumerate(subsets):
-            places = [f.E, f.REST]
+            places = [f.E, f.REST, f.SWAY]
             for there, group in zip(chosen, f.GROUPS, strict=True):
                 places += [place for place in group if there and place < size]
                 self._weights[k] += log(_LACKING if there else 1.0 - _LACKING)
@@ -358,6 +370,7 @@ class ModelErrors:
                 self._p[k, place, place] = self._priors[place] ** 2
             self._p[k, f.E, f.E] = _INITIAL_E**2
             self._p[k, f.REST, f.REST] = self._u[f.REST_N] ** 2
+            self._p[k, f.SWAY, f.SWAY] = f.SWAY_SHARE**2
         self._first = self._z.copy(), self._p.copy(), self._weights.copy()
         self._theta = np.zeros(size)
         self._work = np.zeros((4, size + 1))

@@ -6,11 +6,14 @@ y: force that the web must pull with by measured torque and motion. Offset b, dr
 roller at rest, viscous friction c, error k of the torque's scale (T: force of the motor), error μ of the mass,
 unbalance u and w at the roller's angle φ, creep κ (q: difference of the tensions around the roller, as it builds up in
 the span: q' = v/L·(F − F_next − q)), and eccentricity over the radius, as it builds up by the rollers' angles:
-c_j' = v/L·(cos φ_j − c_j), and s_j. A force that comes and goes (REST) is in all of them.
+c_j' = v/L·(cos φ_j − c_j), and s_j. A force that comes and goes (REST) is in all of them, and a share of what the
+strain sways by about its mean at steady speed (SWAY): web that comes in may sway while a loop keeps its tension. Taken
+for tension, that would make E seem the smaller the longer it lasts.
 
 There is a filter for every subset of the groups of such errors, all on the same blocks, weighed by their evidence
 (Bayesian model averaging). E jumps in all of them when the filter of all groups is surprised, so that a change of E
-says nothing of what is constant beside it.
+says nothing of what is constant beside it; and so it does when E that is told jumps while the roller turns steadily: a
+step that is lost in what such a block may be off by.
 """
 
 from __future__ import annotations
@@ -21,16 +24,16 @@ from math import cos, exp, log, pi, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import CUBE, MATRIX, TABLE, VECTOR, compiled, entry_point, number_of_sources
+from hilbench.compiled import CUBE, MATRIX, TABLE, VECTOR, compiled, entry_point, inlined, number_of_sources
 from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line import ripples
 
 Places = NDArray[np.int64]
 
 # State of a filter. The last two only where the rollers' radii differ: else they can't be told from the two before.
-E, REST, OFFSET, DRY, STUCK, VISCOUS, SCALE, MASS, UNBALANCE_COS, UNBALANCE_SIN, CREEP = range(11)
-COS2, SIN2, COS1, SIN1 = range(11, 15)
-LARGEST, SIZE_OF_EQUALS = 15, 13
+E, REST, SWAY, OFFSET, DRY, STUCK, VISCOUS, SCALE, MASS, UNBALANCE_COS, UNBALANCE_SIN, CREEP = range(12)
+COS2, SIN2, COS1, SIN1 = range(12, 16)
+LARGEST, SIZE_OF_EQUALS = 16, 14
 #: From here on: times E.
 _OF_STRAIN = CREEP
 #: Groups of which the model may lack all or none.
@@ -65,8 +68,10 @@ GROUPS = (
     STANDSTILL_M_S,  # speed up to which a roller may stand
     STUCK_N,  # prior deviation of what keeps a roller at rest
     STEADY_E2,  # variance per s by which E may walk while speed and tension stay
-) = range(21)
-INPUTS = 21
+    TOLD_JUMPED,  # E that is told is another one than before the last blocks
+    MOST_SWAY_N,  # what a tension sways by, at the reference E, at most
+) = range(23)
+INPUTS = 23
 # What is kept from cycle to cycle.
 (
     COUNT,
@@ -95,8 +100,11 @@ INPUTS = 21
     RIPPLE_N,  # force of the motor's ripples that have been found
     RIPPLES_CHANGED,  # another has been found
     PRIOR_N2,  # variance of what may be taken for tension where nothing has been measured
-) = range(26)
-KEPT = 26
+    SLOW_WEB_N,  # mean of the tension at the reference E over some seconds of steady speed
+    SLOW_BLOCKS,  # blocks since that mean has begun
+    USUAL_M_S,  # speed, smoothed over longer
+) = range(29)
+KEPT = 29
 #: Smoothing of the speed that dry friction goes by, and of that which the error of the mass goes by, s.
 _DIRECTION_S, _ACCELERATION_S = 0.02, 0.1
 #: Memory of the force that comes and goes, s.
@@ -111,6 +119,13 @@ _LATE, _QUICK = 0.15, 2.5
 _PRESLIDING = 0.25
 #: What is steady: acceleration (m/s²), difference of the tension from its mean over some time (s), relative.
 _STEADY_M_S2, _STEADY_S, _STEADY_WEB = 0.03, 0.3, 0.01
+#: A speed that is the same as its mean over some time (s), to so much (m/s).
+_USUAL_SPEED_S, _SAME_SPEED_M_S = 0.5, 0.01
+#: Time over which the mean of the tension is taken that it sways about; in which the share of the strain's sway that is
+#: no tension becomes another one, s.
+_SLOW_S, _SWAY_MEMORY_S = 5.0, 30.0
+#: Deviation of that share.
+SWAY_SHARE = 0.6
 #: Innovations beyond so many deviations are no noise; and a mean of them (over so many blocks) beyond so many.
 _SURPRISE, _LEANS, _LEANING_BLOCKS = 4.0, 5.0, 25.0
 #: By how much E may have changed then, relative.
@@ -127,14 +142,17 @@ _SURE, _UNSURE, _APPLIED_PER_S, _FITS_NONE = 0.99, 0.5, 2.0, 2.0
 @compiled
 def _predict(z: Array, p: Array, k: int, places: Places, process: Array, dt: float) -> None:
     """Filter `k` over a block of `dt`; process (N,): variances that it adds."""
-    keep = 1.0 - dt / _REST_MEMORY_S
+    keep, keep_sway = 1.0 - dt / _REST_MEMORY_S, 1.0 - dt / _SWAY_MEMORY_S
     z[k, REST] *= keep
+    z[k, SWAY] *= keep_sway
     for m in range(places.shape[1]):
         i = places[k, m]
         if i < 0:
             break
         p[k, REST, i] *= keep
         p[k, i, REST] *= keep
+        p[k, SWAY, i] *= keep_sway
+        p[k, i, SWAY] *= keep_sway
         p[k, i, i] += process[i]
 
 
@@ -198,6 +216,7 @@ def _regressors(u: Array, s: Array, a: Array, size: int, found: float) -> None:
     inertia = u[MASS_KG] * s[ACCELERATION]
     a[E] = u[WEB_N]
     a[REST] = 1.0
+    a[SWAY] = min(max(s[USUAL_WEB_N] - s[SLOW_WEB_N], -u[MOST_SWAY_N]), u[MOST_SWAY_N])
     a[OFFSET] = 1.0
     a[DRY] = direction
     a[STUCK] = 1.0 - abs(direction)
@@ -221,6 +240,12 @@ def _transport(u: Array, s: Array, states: int, found: float) -> None:
     if states > COS1:
         s[WOBBLE + 2] += share * (cos(u[ANGLE_1]) - s[WOBBLE + 2])
         s[WOBBLE + 3] += share * (sin(u[ANGLE_1]) - s[WOBBLE + 3])
+
+
+@inlined
+def keeps_speed(u: Array, s: Array) -> bool:
+    """Whether the roller turns, and as fast as some tenths of a second before, whatever shakes it."""
+    return bool(abs(s[SMOOTHED_M_S] - s[USUAL_M_S]) < _SAME_SPEED_M_S and abs(s[USUAL_M_S]) > u[STANDSTILL_M_S])
 
 
 @compiled
@@ -346,6 +371,7 @@ def _block(
             s[SURPRISED] = 1.0
             return
         _free_modulus(p, _JUMP * _JUMP)
+        s[SLOW_BLOCKS] = 0.0
         s[LEANING] = 0.0
         s[JUMPED_S] = 0.0
     else:
@@ -354,6 +380,9 @@ def _block(
             _free_modulus(p, _SMALL_JUMP * _SMALL_JUMP)
             s[LEANING] = 0.0
     s[SURPRISED] = 0.0
+    if u[TOLD_JUMPED] != 0.0:
+        _free_modulus(p, _JUMP * _JUMP)
+        s[LEANING] = s[JUMPED_S] = 0.0
     for k in range(z.shape[0]):
         innovation = _innovation(z, p, k, places, mean, y, row)
         spread = float(row[size] + variance + quick)
@@ -394,6 +423,7 @@ def _compiled_cycle(sources: int) -> Callable[..., bool]:
         speed = u[SPEED_M_S]
         slope = (speed - s[SMOOTHED_M_S]) / (_ACCELERATION_S + dt)
         s[SMOOTHED_M_S] += slope * dt
+        s[USUAL_M_S] += (speed - s[USUAL_M_S]) * dt / _USUAL_SPEED_S
         s[DIRECTED_M_S] += (speed - s[DIRECTED_M_S]) * dt / (_DIRECTION_S + dt)
         s[ACCELERATION] = slope
         ended = s[COUNT] >= n
@@ -417,6 +447,10 @@ def _compiled_cycle(sources: int) -> Callable[..., bool]:
             s[WEB_BEFORE_N] = sums[E]
             steady = abs(slope) < _STEADY_M_S2 and abs(sums[E] - s[USUAL_WEB_N]) < _STEADY_WEB * abs(sums[E])
             s[USUAL_WEB_N] += n * dt / _STEADY_S * (sums[E] - s[USUAL_WEB_N])
+            if not keeps_speed(u, s) or u[TOLD_JUMPED] != 0.0:
+                s[SLOW_BLOCKS] = 0.0
+            s[SLOW_BLOCKS] += 1.0
+            s[SLOW_WEB_N] += max(n * dt / _SLOW_S, 1.0 / s[SLOW_BLOCKS]) * (sums[E] - s[SLOW_WEB_N])
             if at_rest > 0.5 and s[STOOD] <= 0.5:
                 for k in range(z.shape[0]):
                     _stop(z, p, k, u[STUCK_N])
@@ -427,6 +461,7 @@ def _compiled_cycle(sources: int) -> Callable[..., bool]:
             if steady:
                 process[E] = u[STEADY_E2] * n * dt
             process[REST] = 2.0 * n * dt / _REST_MEMORY_S * u[REST_N] * u[REST_N]
+            process[SWAY] = 2.0 * n * dt / _SWAY_MEMORY_S * SWAY_SHARE**2
             if process[DRY] > 0.0:
                 process[DRY] += u[CURVE_N2] * abs(speed - s[BEGAN_M_S])
             _block(u, s, z, p, places, weights, process, sums, y, variance, quick, n * dt, work[3])
