@@ -113,6 +113,34 @@ def test_tensions_are_kept_by_the_torques_of_the_reels_and_a_diagnosis_says_that
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("imitated", [0.85, 1.0, 1.2])
+def test_the_twin_of_reels_in_torque_mode_has_E_and_tensions_from_the_load_cells(
+    tmp_path: Path, imitated: float
+) -> None:
+    """From rest, while the line speeds up and slows down, and as the web becomes another."""
+    believed_Pa, stepped_s = 0.16e9, 2.5
+    ramp = "{ramp: {path: line_speed_m_s, to: %s, duration_s: 1.0}}"
+    step = f"{{step: {{path: load.web.youngs_modulus_Pa, to: {0.9 * imitated * believed_Pa}}}}}"
+    steps = f"[{ramp % 1.5}, {{hold: {{until_s: {stepped_s}}}}}, {step}, {{hold: {{until_s: 3.5}}}}, {ramp % 0.8}]"
+    first = f"load.web.youngs_modulus_Pa={imitated * believed_Pa}"
+    outcome = run(tmp_path, f"steps={steps}", "criteria=[]", first)
+    assert outcome.result.faults == []
+    found = {name: np.asarray(values) for name, values in read_recording(outcome.folder.recording).channels.items()}
+    time_s = found["t_s"]
+    settled = (time_s > 0.5) & ~((time_s > stepped_s) & (time_s < stepped_s + 0.2))
+    for span in (1, 4):
+        error_Pa = found[f"E{span}_sim_Pa"] - found[f"E{span}_true_Pa"]
+        assert np.max(np.abs(error_Pa / found[f"E{span}_true_Pa"])[settled]) < 0.02
+        deviation_Pa = found[f"E{span}_sd_Pa"][settled]
+        assert np.all(np.abs(error_Pa[settled]) < 2.0 * deviation_Pa)
+        assert np.max(deviation_Pa) < 0.03 * believed_Pa
+        # Idlers swing at first, and after the step, against a web that damps nothing: means over such a swing.
+        cycles = 20
+        off_N = np.convolve(found[f"F{span}_sim_N"] - found[f"F{span}_true_N"], np.ones(cycles) / cycles)[: len(time_s)]
+        assert np.max(np.abs(off_N[settled])) < 0.02 * 15.0
+
+
+@pytest.mark.slow
 def test_Kocs_pid_on_the_reels_torques_deviates_as_published_within_a_third() -> None:
     unwinder, winder = torque_mode_pct(feed_forward=False)
     assert winder == pytest.approx(75.0, rel=1 / 3)

@@ -24,6 +24,8 @@ from hilbench.twin.machines.web_line_with_stations import LineWithStationsTwin
 Array = NDArray[np.float64]
 CYCLE_S = 0.003
 _TORQUE_NOISE_NM, _POSITION_NOISE_RAD = 0.02, 2e-6
+CELL_OFF = 3e-3  #: constant error of a load cell, as a share
+_CELL_NOISE_N = 0.3
 
 #: The demonstrator's rollers, motors and drives, with longer spans between them.
 PAPER: dict[str, Any] = DEMONSTRATOR | {
@@ -141,9 +143,15 @@ class BesideStations:
             self._keep(true)
         self._before = measured
         for name, signal in self.shape.sensors:
-            self._said[signal] = true[f"{signal[0]}_{name}_m"]
+            self._said[signal] = self._cell_N(name, true) if signal[0] == "F" else true[f"{signal[0]}_{name}_m"]
         self.line.step(CYCLE_S)
         self.time_s += CYCLE_S
+
+    def _cell_N(self, name: str, true: Mapping[str, float]) -> float:
+        """What the load cell of an idler says: the tensions on both sides of it, with noise and a constant error."""
+        between = [roller.name for roller in self._true.line_rollers].index(name)
+        mean_N = 0.5 * (true[f"F{between}_N"] + true[f"F{between + 1}_N"])
+        return mean_N * (1.0 + CELL_OFF) + _CELL_NOISE_N * float(self._rng.normal())
 
     def _keep(self, true: Mapping[str, float]) -> None:
         values, shape, row = iter(self.twin.published()), self.shape, {"t_s": self.time_s}

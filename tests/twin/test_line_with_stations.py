@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.tiers import slow
 from tests.twin.beside_stations import Array, BesideStations, beside, dancer_line, winding_line
+from tests.twin.independent_dancer import IndependentDancer
 from tests.twin.independent_winding import IndependentWinding
 
 SPRUNG = {"spring_N_per_m": 800.0, "spring_rest_m": 0.1}
@@ -93,6 +94,26 @@ def test_a_wrong_E_is_found_behind_a_dancer_with_its_deviation() -> None:
     settled = after(found, 0.5)
     assert np.max(np.abs(error[settled])) < 0.03 * true_Pa
     assert np.all(np.abs(error[settled]) < 3.0 * deviation[settled])
+    assert line.twin.separable
+
+
+@pytest.mark.parametrize("factor", [1.2, *slow(0.8, 1.0)])
+def test_a_load_cell_tells_E_and_tension_where_no_torque_does(factor: float) -> None:
+    """Of no roller the torque says anything of the web. The cell is 0.3 % off: so are tension and E."""
+    true = IndependentDancer(modulus_Pa=np.full(4, factor * 8.7e9), force_N=factor * 160.0, next_N=factor * 80.0)
+    believed = dancer_line().model_copy(update={"web_load": False})
+    line = BesideStations(true, believed, believed, measured=("guide",))  # type: ignore[arg-type]
+    line.go(1.0, 1.0, 1.0, 1.0, ramp_s=1.0)
+    line.go(2.0, 1.0, 1.0, 1.0)
+    true.modulus_Pa = np.array([1.0, 1.0, 0.85, 0.85]) * factor * 8.7e9
+    line.go(3.5, 1.0, 1.0, 1.0)
+    found = line.table()
+    true_Pa = np.where(found["t_s"] > 2.0, 0.85, 1.0) * factor * 8.7e9
+    error = found["E4_sim_Pa"] / true_Pa - 1.0
+    settled = after(found, 0.5) & ~((found["t_s"] > 2.0) & (found["t_s"] < 2.5))
+    assert np.max(np.abs(error[settled])) < 0.01
+    assert np.all(np.abs(error[settled]) * true_Pa[settled] < 2.0 * found["E4_sd_Pa"][settled])
+    assert np.max(np.abs(found["F4_sim_N"] / found["F4_true_N"] - 1.0)[settled]) < 0.01
     assert line.twin.separable
 
 

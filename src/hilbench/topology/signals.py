@@ -90,12 +90,13 @@ class Shape:
 
     @property
     def sensors(self) -> tuple[tuple[str, str], ...]:
-        """Each station with a sensor, and the signal of that: carriages, then reels."""
-        return tuple(
+        """Each station with a sensor, and the signal of that: carriages, reels, then load cells."""
+        placed = (
             (name, f"{'x' if name in self.carriages else 'r'}_{name}_meas_m")
             for name in self.stations
             if name in self.measured
         )
+        return (*placed, *((cell, f"F_{cell}_meas_N") for cell in self.cells))
 
     def axis_before(self, number: int) -> int:
         """Number of the driven axis before the span of that number; the one behind it is the next."""

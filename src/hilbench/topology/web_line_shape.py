@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans, first_spans
-from hilbench.plant.web_line.stations import Reel, reel_name
+from hilbench.plant.web_line.stations import Idler, Reel, reel_name
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_config import (
     ControllerConfig,
@@ -40,11 +40,15 @@ def web_line_shape(
 
 
 def sensors_at_start(machine: ModelParameters, shape: Shape) -> dict[str, float]:
-    """What the sensors of carriages and reels say while these stand as at the start, m, by signal."""
+    """What the sensors of carriages and reels, m, and load cells, N, say while the line stands as at the start, by
+    signal."""
     found = {carriage.station.name: carriage.station.position_m for carriage in machine.carriages}
-    for roller in machine.line_rollers:
+    for row, roller in enumerate(machine.line_rollers):
         if isinstance(roller.station, Reel) and roller.axis is not None:
             found[reel_name(roller.station)] = machine.radius_m(roller.axis)
+        elif isinstance(roller.station, Idler):
+            stiffness_N = [machine.stiffness_N(span) for span in (row, row + 1)]
+            found[roller.station.name] = machine.upstream_strain * sum(stiffness_N) / 2.0
     return {signal: found[name] for name, signal in shape.sensors}
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState, TwinState
-from hilbench.bench.tasks.imitated_web import web_load_model
+from hilbench.bench.tasks.imitated_web import imitated_web, web_load_model
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
@@ -97,7 +97,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         axes.append(loops[axis])
     of_spans = {loop.span: loop for loop in loops.values()}
     probing = [_probing(config, state, of_spans, line_speed, leading)] if of_spans else []
-    sensors = sensors_at_start(model, config.shape)
+    sensors = sensors_at_start(imitated_web(model, config.load), config.shape)
     boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N, sensors)
     load = WebLoadTask(config, partial(reports.note, "load model"))
     limit_watch = LimitWatch(limits, model, cycle_s, config.shape)
@@ -264,11 +264,11 @@ class BoundaryTask(CyclicTask):
         self._moved = False
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Strain upstream of the line, tension downstream of it, positions and radii."""
+        """Strain upstream of the line, tension downstream of it, positions, radii and tensions."""
         sample.strain_prev = outputs["strain_prev"] = self._strain_prev
         sample.F_next_N = outputs["F_next_N"] = self._tension_next_N
-        for signal, value_m in self._at_start.items():
-            outputs[signal] = getattr(sample, signal) if self._moved else value_m
+        for signal, value in self._at_start.items():
+            outputs[signal] = getattr(sample, signal) if self._moved else value
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Sensors have said something."""

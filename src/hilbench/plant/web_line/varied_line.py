@@ -19,7 +19,7 @@ from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
-from hilbench.plant.web_line.stations import Reel, reel_name
+from hilbench.plant.web_line.stations import Idler, Reel, reel_name
 
 #: Less of what a carriage was varied by is left no more, and is not blown up again.
 _LEAST_LEFT: Final = 0.05
@@ -83,6 +83,7 @@ class VariedLine:
         self._copies = [damped_follower(model) for _ in self.unknowns]
         self._rows = [row for row, roller in enumerate(model.line_rollers) if roller.axis is not None]
         self._idlers = [roller.name for roller in model.line_rollers if roller.axis is None]
+        self._idler_rows = [row for row, each in enumerate(model.line_rollers) if isinstance(each.station, Idler)]
         self._rollers = len(model.line_rollers)
         before = axes_before_spans(model)
         self._spans = {axis: [k for k, of in enumerate(before) if of == axis] for axis in range(model.axis_count + 1)}
@@ -203,6 +204,24 @@ class VariedLine:
         return np.array(
             [(copy.motion[row] - own) / unknown.step for unknown, copy in zip(self.unknowns, self._copies, strict=True)]
         )
+
+    def cell_N(self, idler: int) -> float:
+        """What the load cell of an idler (from 1) tells: the mean of the tensions on both sides."""
+        return self._beside(self.line, idler)
+
+    def cell_slopes(self, idler: int) -> Vector:
+        """How that depends on each unknown (n,)."""
+        own = self.cell_N(idler)
+        return np.array(
+            [
+                (self._beside(copy, idler) - own) / unknown.step
+                for unknown, copy in zip(self.unknowns, self._copies, strict=True)
+            ]
+        )
+
+    def _beside(self, follower: LineFollower, idler: int) -> float:
+        row = self._idler_rows[idler - 1]
+        return 0.5 * float(follower.tension_N[row - 1] + follower.tension_N[row])
 
     # -- corrections -------------------------------------------------------------------------------------
 

@@ -2,7 +2,7 @@
 
 Sub-indices are given once and for all: span k, of a line with more than driven rollers the section behind driven
 roller k, has the five of 6403h from 5·(k - 1) + 1 on, of dancers, accumulators and
-reels station k the two from 81 + 2·(k - 1) on; sensors of these have those of 6413h from 3 on.
+reels station k the two from 81 + 2·(k - 1) on; sensors of these, and load cells, have those of 6413h from 3 on.
 """
 
 from __future__ import annotations
@@ -71,11 +71,15 @@ def _stations(shape: Shape) -> list[tuple[IoSignal, IoSignal]]:
     return found
 
 
+def _of_sensor(number: int) -> str:
+    return f"Sensor {number}: of a dancer, accumulator or reel [m], or load cell [N]"
+
+
 def process_data(shape: Shape) -> ProcessData:
     """Of a line with so many spans."""
     stations = _stations(shape)
     sensors = (
-        IoSignal(signal, OUTPUTS, sub, f"Sensor {sub - _FIRST_OF_SENSORS + 1} of a dancer, accumulator or reel [m]")
+        IoSignal(signal, OUTPUTS, sub, _of_sensor(sub - _FIRST_OF_SENSORS + 1))
         for sub, (_, signal) in enumerate(shape.sensors, _FIRST_OF_SENSORS)
     )
     spans = {number: _span(shape, number) for number in shape.simulated}

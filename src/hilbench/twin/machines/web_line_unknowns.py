@@ -24,9 +24,9 @@ from hilbench.plant.web_line.drive_response import DriveResponse
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
-from hilbench.plant.web_line.stations import Reel, reel_name
 from hilbench.plant.web_line.varied_line import Kind, Unknown, VariedLine
 from hilbench.twin.machines.web_line_kicks import kick_watch
+from hilbench.twin.machines.web_line_sensors import StationSensors
 
 _WINDOW_S: Final = 0.03  #: of which the means are looked at
 # What is believed at the start, as standard deviations.
@@ -50,13 +50,12 @@ _MODULUS_PER_SQRT_S: Final = 3e-3
 _OFFSET_SHARE: Final = 0.002  #: constant error of a torque: friction, offset; of the drive's limit
 _OFFSET_SHARE_PER_SQRT_S: Final = 5e-4  #: by which that changes
 _LEAST_NOISE_SHARE: Final = 2e-3  #: of a window: idlers swing, by which it is no white noise
-#: Of a limit, at first: the line is let go in another state than it is in, and swings; and for how long.
+#: Of a limit, or of the tension at a load cell, at first: the line is let go in another state than it is in, and
+#: swings; and for how long.
 _SWING_SHARE, _SWING_S = 0.2, 0.05
-#: After a change of the web: of the torques that show it, and for how long; of sensors nothing.
+#: After a change of the web: of the torques and tensions that show it, and for how long; of other sensors nothing.
 _CHANGE_SWING_SHARE, _CHANGE_SWINGS_S = 0.3, 0.13
 _INERTIA_SHARE: Final = 0.05  #: of the torque that accelerates
-_SENSOR_M: Final = 2e-4  #: of a carriage
-_SENSOR_SHARE: Final = 2e-4  #: of a radius
 #: By which the strain of a section may change while a web slips somewhere, of that with which the web comes in.
 _SLIPPING_PER_SQRT_S: Final = 0.2
 #: From when on kicks are looked for: the line is let go in another state than it is in, and swings.
@@ -114,16 +113,15 @@ class LineUnknowns:
         pulled = [axis for axis in range(1, model.axis_count + 1) if model.carries_web_load(axis)]
         self._axes = [axis for axis in pulled if axis not in torqued]
         self._rows = np.array(self._axes, int) - 1
-        self._sensors = [(name, unknown) for name, unknown in _stations(model).items() if name in measured]
+        self._sensors = StationSensors(model, self.varied, measured)
         loops, axes = model.drives, range(1, model.axis_count + 1)
         assert loops is not None, "a twin's model has drives"
         self._limits_Nm = [per_item(loops.torque_limit_Nm, axis) for axis in self._axes]
-        offsets = [_OFFSET_SHARE * limit_Nm for limit_Nm in self._limits_Nm] + [0.0] * len(self._sensors)
-        self._offsets = np.array(offsets)
+        limits_Nm, of_sensors = np.array(self._limits_Nm), self._sensors.offsets
+        self._offsets = np.concatenate([_OFFSET_SHARE * limits_Nm, of_sensors])
         self._shows = np.array([self._shows_in_torques(each) for each in self.varied.unknowns], float)
-        self._offset_growth = np.array(
-            [(_OFFSET_SHARE_PER_SQRT_S * limit_Nm) ** 2 for limit_Nm in self._limits_Nm] + [0.0] * len(self._sensors)
-        )
+        growth = (_OFFSET_SHARE_PER_SQRT_S * limits_Nm) ** 2
+        self._offset_growth = np.concatenate([growth, np.zeros_like(of_sensors)])
         self._window = max(round(_WINDOW_S / cycle_s), 1)
         gains = [per_item(loops.velocity_kp_Nm_s_per_rad, axis) for axis in axes]
         rates = [per_item(loops.velocity_ki_Nm_per_rad, axis) for axis in axes]
@@ -131,11 +129,11 @@ class LineUnknowns:
         self._loads = np.zeros((model.axis_count, len(self.varied.unknowns) + 1))
         kinds = np.array([each.kind for each in self.varied.unknowns])
         self._is_strain = kinds == Kind.STRAIN
-        sensed = np.array([each in [unknown for _, unknown in self._sensors] for each in self.varied.unknowns], bool)
+        sensed = np.array([each in self._sensors.sensed for each in self.varied.unknowns], bool)
         #: What nothing but torques and tensions tells.
         self._by_torque = ~self._is_strain & ~sensed
         #: From what each unknown is learned while a web slips: torques tell tensions then, sensors what they sense.
-        self._learns_slipping = np.zeros((len(kinds), len(offsets)), bool)
+        self._learns_slipping = np.zeros((len(kinds), len(self._offsets)), bool)
         self._learns_slipping[self._is_strain, : len(self._axes)] = True
         self._learns_slipping[~self._by_torque, len(self._axes) :] = True
         lengths_m = [sum(model.span_length_m(k + 1) for k in spans) for spans in _sections(model)]
@@ -149,7 +147,7 @@ class LineUnknowns:
         self._kicks = [
             (place, kick_watch(model, unknown.number, self._rows.tolist(), answer, cycle_s))
             for place, unknown in enumerate(self.varied.unknowns)
-            if unknown in held
+            if unknown in held and self._axes  # without torques that tell of the web there is nothing to see
         ]
 
     def begin(self, positions_m: Sequence[float], speed_m_s: float) -> None:
@@ -164,7 +162,8 @@ class LineUnknowns:
         moduli = self._moduli_apart(common, _SECTION_SHARE) if self._tells_moduli else nothing
         self._jumps = self._moduli_apart(_JUMP_SHARE, _SECTION_JUMP_SHARE) if self._tells_moduli else nothing
         swings_on = exp(-self._window * self._cycle_s / _CHANGE_SWINGS_S)
-        swings = np.where(np.arange(len(self._offsets)) < len(self._axes), _CHANGE_SWING_SHARE, 0.0)
+        told_by_tension = np.concatenate([np.ones(len(self._axes), bool), self._sensors.tensions_N > 0.0])
+        swings = np.where(told_by_tension, _CHANGE_SWING_SHARE, 0.0)
         self._filter = Unknowns(believed + moduli, self._offsets, swings, swings_on)
         self._noise = [NoiseLevel(0.01 * limit_Nm, 1e-4 * limit_Nm) for limit_Nm in self._limits_Nm]
         self._positions_m, self._way_m, self._window_way_m = list(positions_m), 0.0, 0.0
@@ -224,21 +223,16 @@ class LineUnknowns:
 
     def _begin_window(self) -> None:
         self._cycles = 0
-        self._sum = np.zeros(len(self._axes) + len(self._sensors))
+        self._sum = np.zeros(len(self._offsets))
         self._slopes = np.zeros((len(self._sum), len(self.varied.unknowns)))
 
     # -- each cycle --------------------------------------------------------------------------------------
 
     def sense(self, told: Mapping[str, float]) -> None:
-        """What the sensors of stations said of the motion that was followed last, m, by name."""
+        """What the sensors of stations said of the motion that was followed last, m and N, by name."""
         first = len(self._axes)
-        for at, (name, unknown) in enumerate(self._sensors, first):
-            if unknown.kind is Kind.CARRIAGE:
-                self._sum[at] += told[name] - self.varied.carriage_m(unknown.number)
-                self._slopes[at] += self.varied.carriage_slopes(unknown.number)
-            else:
-                self._sum[at] += told[name] / self._model.radius_m(unknown.number) - self.varied.ratio(unknown.number)
-                self._slopes[at, self.varied.unknowns.index(unknown)] += 1.0
+        self._sum[first:] += self._sensors.left(told)
+        self._slopes[first:] += self._sensors.slopes()
 
     def follow(self, positions_m: Sequence[float], duration_s: float) -> None:
         """The driven rollers (N,) are there now."""
@@ -486,8 +480,9 @@ class LineUnknowns:
         accelerating_Nm = self._inertia_kg_m2[self._rows] * per_m * rates
         noise = np.array([noise.variance / count for noise in self._noise])
         noise += (_LEAST_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
-        noise += (_SWING_SHARE * np.array(self._limits_Nm) * exp(-self._time_s / _SWING_S)) ** 2
-        sensors = [_SENSOR_M**2 if unknown.kind is Kind.CARRIAGE else _SENSOR_SHARE**2 for _, unknown in self._sensors]
+        swing = exp(-self._time_s / _SWING_S)
+        noise += (_SWING_SHARE * np.array(self._limits_Nm) * swing) ** 2
+        sensors = self._sensors.variances + (_SWING_SHARE * self._sensors.tensions_N * swing) ** 2
         return np.concatenate([noise + (_INERTIA_SHARE * accelerating_Nm) ** 2, sensors])
 
     # -- what is found -----------------------------------------------------------------------------------
@@ -530,12 +525,3 @@ def _sections(model: ModelParameters) -> list[list[int]]:
     """Numbers of the spans of each section, from 0."""
     before = axes_before_spans(model)
     return [[k for k, of in enumerate(before) if of == axis] for axis in range(1, model.axis_count)]
-
-
-def _stations(model: ModelParameters) -> dict[str, Unknown]:
-    """Those that may have a sensor, by name, and what it measures."""
-    found = {each.station.name: Unknown(Kind.CARRIAGE, at) for at, each in enumerate(model.carriages, 1)}
-    for roller in model.line_rollers:
-        if isinstance(roller.station, Reel) and roller.axis is not None:
-            found[reel_name(roller.station)] = Unknown(Kind.RADIUS, roller.axis)
-    return found
