@@ -133,6 +133,27 @@ def test_E_of_a_line_that_a_twin_joins_at_rest_is_found_and_does_not_drift_as_th
     assert np.all(found["E2_sd_Pa"][after(found, 0.2)] < 0.03 * factor * 2e8)
 
 
+@pytest.mark.parametrize(
+    ("factor", "speed_m_s", "seed"), [(1.2, 3.0, 1), *slow((0.8, 1.0, 2), (1.2, 0.5, 2), (0.9, 2.0, 3), (1.0, 2.0, 4))]
+)
+def test_E_between_measured_reels_that_are_joined_under_way_is_told_once_other_web_has_come(
+    factor: float, speed_m_s: float, seed: int
+) -> None:
+    true = IndependentWinding((0.25, 0.15, 0.12), modulus_Pa=factor * 2e8, held=True)
+    line = BesideStations(true, winding_line(), winding_line(), measured=("unwinder", "rewinder"), seed=seed)
+    speeds = [share * speed_m_s for share in (1.0, 1.0003, 1.0006)]
+    line.go(1.5, *speeds, ramp_s=1.0, with_twin=False)
+    line.go(2.5, *speeds, with_twin=False)
+    line.go(2.5 + 1.6 * 5.0 / speed_m_s, *speeds)
+    found = line.table()
+    assert np.all(np.isinf(found["E2_sd_Pa"][~after(found, 4.9 / speed_m_s)]))
+    gone = after(found, 5.5 / speed_m_s)
+    error_Pa, deviation_Pa = found["E2_sim_Pa"] / factor - 2e8, found["E2_sd_Pa"] / factor
+    assert np.all(np.abs(error_Pa[gone]) < 2.0 * deviation_Pa[gone])
+    assert np.max(deviation_Pa[gone]) < 0.03 * 2e8
+    assert line.twin.separable
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_radii_without_a_sensor_are_found_over_the_whole_reel(seed: int) -> None:

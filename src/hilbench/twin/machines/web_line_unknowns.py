@@ -138,6 +138,7 @@ class LineUnknowns:
         self._learns_slipping[~self._by_torque, len(self._axes) :] = True
         lengths_m = [sum(model.span_length_m(k + 1) for k in spans) for spans in _sections(model)]
         self._keep_every_m, self._keep_m = _KEPT_EVERY * min(lengths_m), _KEPT_LENGTHS * max(lengths_m)
+        self._web_m = sum(lengths_m)
         self.begin([0.0] * model.axis_count, 0.0)
         before = axes_before_spans(model)
         held = {Unknown(Kind.MODULUS, before[carriage.first_span - 1]) for carriage in model.carriages}
@@ -155,8 +156,11 @@ class LineUnknowns:
         self.varied.reset(positions_m, speed_m_s)
         under_way = speed_m_s != 0.0
         believed = np.diag([self._believed(each, under_way) ** 2 for each in self.varied.unknowns])
-        # Which of E and strain makes the tension of a line that is joined under way is not known.
-        self._tells_moduli = not under_way and any(each.kind is Kind.MODULUS for each in self.varied.unknowns)
+        # Which of E and strain makes the tension of a line that is joined under way is known once its web has left and
+        # other has come; but behind a carriage, which keeps the tension, that comes with a strain that E has made.
+        self._known_from_m = self._web_m if under_way else 0.0
+        tells = not under_way or not self._model.carriages
+        self._tells_moduli = tells and any(each.kind is Kind.MODULUS for each in self.varied.unknowns)
         nothing = np.zeros_like(believed)
         common = sqrt(_MODULUS_SHARE**2 - _SECTION_SHARE**2)
         moduli = self._moduli_apart(common, _SECTION_SHARE) if self._tells_moduli else nothing
@@ -513,7 +517,10 @@ class LineUnknowns:
         return Found(modulus_Pa * factor, modulus_Pa * hypot(deviation, _MODEL_SHARE))
 
     def _is_undecided(self, axis: int) -> bool:
-        """Whether E of the section behind an axis may have changed, or that of one beside it."""
+        """Whether E of the section behind an axis may have changed, or that of one beside it, or web whose strain
+        nobody knows is still there."""
+        if self._way_m < self._known_from_m:
+            return True
         numbers = [self.varied.unknowns[place].number for place in self._undecided]
         return axis in numbers or axis - 1 in numbers
 

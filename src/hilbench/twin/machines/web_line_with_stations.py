@@ -4,8 +4,8 @@ What the axes measure moves the twin's own dancers and accumulators (`hilbench.p
 their torques, and sensors of stations, say otherwise corrects carriages, radii of reels, and E of the sections where it
 shows (`web_line_unknowns`). Where a carriage keeps the tension E changes no force, but the strain that the web has in
 the next section: it is told as far as all of the line is one web. Beside a reel without a sensor of its radius the
-tension tells the radius, and E is that of the model; so it is on a line that is joined under way, whose strain is not
-known.
+tension tells the radius, and E is that of the model; so it is on a line with a carriage that is joined under way. Of
+another that is joined E is told once its web, whose strain nobody knows, has left.
 """
 
 from __future__ import annotations
