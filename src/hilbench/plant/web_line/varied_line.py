@@ -205,6 +205,15 @@ class VariedLine:
             [(copy.motion[row] - own) / unknown.step for unknown, copy in zip(self.unknowns, self._copies, strict=True)]
         )
 
+    def length_m(self, axis: int) -> float:
+        """Of the section behind an axis, with what its carriages have made longer."""
+        first = 4 * (self._rollers + len(self._model.carriages)) + len(self._moduli)
+        return float(sum(self.line.motion[first + k] for k in self._spans[axis]))
+
+    def strain(self, axis: int) -> float:
+        """Of the section behind an axis, times relative E."""
+        return self._seen(Unknown(Kind.STRAIN, axis), self.line)
+
     def cell_N(self, idler: int) -> float:
         """What the load cell of an idler (from 1) tells: the mean of the tensions on both sides."""
         return self._beside(self.line, idler)
@@ -245,6 +254,27 @@ class VariedLine:
         for varied, follower in zip((None, *self.unknowns), (self.line, *self._copies), strict=True):
             self._put_moduli(follower, varied)
             follower.set_state(self._within_stops(follower))
+
+    def rebook(self, changes: Vector) -> None:
+        """E of sections is other by so much (n,), and has been all the time; their tensions are as they are."""
+        before = self._errors.copy()
+        for i, unknown in enumerate(self.unknowns):
+            if unknown.kind is Kind.MODULUS:
+                self._errors[i] += changes[i]
+        first, count = 4 * (self._rollers + len(self._model.carriages)), len(self._moduli)
+        for varied, follower in zip((None, *self.unknowns), (self.line, *self._copies), strict=True):
+            motion = follower.motion.copy()
+            for i, unknown in enumerate(self.unknowns):
+                if unknown.kind is not Kind.MODULUS or not changes[i]:
+                    continue
+                step = unknown.step if unknown is varied else 0.0
+                ratio = (1.0 + before[i] + step) / (1.0 + self._errors[i] + step)
+                material = first + np.array(self._spans[unknown.number])
+                length_m = motion[material + count]
+                motion[material] = length_m / (1.0 + ratio * (length_m / motion[material] - 1.0))
+            follower.motion = motion
+            self._put_moduli(follower, varied)
+            follower.set_state({})
 
     def _within_stops(self, follower: LineFollower) -> dict[str, float]:
         """Carriages that are beyond a stop, back at it."""

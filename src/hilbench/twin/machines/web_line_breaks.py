@@ -4,7 +4,9 @@ All driven rollers behind a section together carry the difference of its tension
 between them. So what their torques and speeds say, beside what the line that is followed has, is the tension that the
 section has in truth: where almost nothing is left of it, in two blocks running, the web has torn. Where the roller
 behind it slips, more and more is lost of what the encoders promise (`hilbench.estimation.web_line.section_slip`); a
-carriage would give way to that and keep the tension, and beside a reel without a sensor nobody knows what they promise.
+carriage would give way to that and keep the tension: where it has a sensor, web that is lost shows
+(`hilbench.estimation.web_line.carriage_slip`). Beside a reel without a sensor nobody knows what they promise.
+Where they promise a slack web and the torques say that it pulls, a roller beside it goes another way than its web.
 """
 
 from __future__ import annotations
@@ -18,17 +20,22 @@ import numpy as np
 from hilbench.estimation.plausibility import Problem
 from hilbench.estimation.web_line.anomalies import BROKEN, LEAST_SHARE, WHOLE
 from hilbench.estimation.web_line.blocks import BLOCK_S
+from hilbench.estimation.web_line.carriage_slip import CarriageSlip
 from hilbench.estimation.web_line.section_slip import SectionSlip
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
+from hilbench.plant.web_line.stations import Reel, reel_name
 from hilbench.plant.web_line.varied_line import Kind, Unknown, VariedLine
 
 #: Share below which nothing is learned, and for how long: a web that tears has this on its way, another one for good.
 _DOUBTFUL, _DOUBT_S = 0.5, 0.15
 #: Most of the usual tension that a slack web has, as a share.
 _SLACK = 0.02
+#: Share of the usual tension from which a web pulls, whatever the encoders promise; that within which the torques say
+#: what is promised; and way of the web, in lengths of the section, after which they do so again.
+_PULLS, _AGREES, _AGREES_AGAIN = 0.25, 0.1, 1.0
 #: Speeds at either end of a block, of which the middle one counts: cycles are not of one length where time is real.
 _ENDS: Final = 3
 #: Share of the usual tension that may accelerate the rollers while slip is looked for: of more the model is not sure.
@@ -39,10 +46,16 @@ _SETTLED_S: Final = 0.5
 
 class SectionWatch:
     """Of a line whose N driven rollers answer once a cycle. `told`: the span by whose number each section is told, by
-    the axis before it; `unknowns`: what the line that is followed is corrected by."""
+    the axis before it; `unknowns`: what the line that is followed is corrected by; `measured`: names of stations with a
+    sensor."""
 
     def __init__(
-        self, model: ModelParameters, cycle_s: float, told: Mapping[int, int], unknowns: Sequence[Unknown]
+        self,
+        model: ModelParameters,
+        cycle_s: float,
+        told: Mapping[int, int],
+        unknowns: Sequence[Unknown],
+        measured: Sequence[str],
     ) -> None:
         before = axes_before_spans(model)
         self._model, self._cycle_s = model, cycle_s
@@ -54,11 +67,28 @@ class SectionWatch:
         self._seen = [axis for axis in told if all(carried[axis:])]
         self._told = told
         self._per_m = np.array([model.motor_rad_per_m(axis) for axis in axes])
+        self._length_m = {axis: sum(model.span_length_m(k + 1) for k in spans) for axis, spans in self._spans.items()}
         self._usual_N = [model.upstream_strain * model.stiffness_N(spans[-1] + 1) for spans in self._spans.values()]
         self._slips = {
-            axis: SectionSlip(usual_N, sum(model.span_length_m(k + 1) for k in self._spans[axis]))
+            axis: SectionSlip(usual_N, self._length_m[axis])
             for axis, usual_N in zip(self._spans, self._usual_N, strict=True)
             if axis in self._seen and {Unknown(Kind.STRAIN, axis), Unknown(Kind.MODULUS, axis)} <= set(unknowns)
+        }
+        unmeasured = [
+            roller.axis or 0
+            for roller in model.line_rollers
+            if isinstance(roller.station, Reel) and reel_name(roller.station) not in measured
+        ]
+        held = [(before[carriage.first_span - 1], carriage) for carriage in model.carriages]
+        of_sections = [axis for axis, _ in held]
+        self._carriage_slips = {
+            axis: CarriageSlip(
+                self._length_m[axis], carriage.last_span - carriage.first_span + 1, abs(model.upstream_strain)
+            )
+            for axis, carriage in held
+            if carriage.station.name in measured
+            and of_sections.count(axis) == 1
+            and not {axis, axis + 1} & set(unmeasured)
         }
         self.reset(under_way=False)
 
@@ -69,8 +99,17 @@ class SectionWatch:
         self._torn = dict.fromkeys(self._seen, False)
         self._doubt_s = dict.fromkeys(self._seen, 0.0)
         self._slack = dict.fromkeys(self._told, False)
+        #: What the encoders promise of a section is not so, though it was until then; and the tension by the torques.
+        self._belied_since_s: dict[int, float] = {}
+        self._belied = dict.fromkeys(self._seen, False)  # in the block before
+        self._agreed_s = dict.fromkeys(self._seen, 0.0)
+        self._agreed_m = dict.fromkeys(self._seen, 0.0)  # way of the web for which they have agreed again
+        self._is_N: dict[int, float] = {}
         for slip in self._slips.values():
             slip.reset(under_way=under_way)
+        for of_carriage in self._carriage_slips.values():
+            of_carriage.reset()
+        self._lengths_m: dict[int, float] = {}  # of the sections with a carriage, when they were judged
         self._judged_m: Vector | None = None  # where the driven rollers were then
         self.interrupt()
 
@@ -97,9 +136,15 @@ class SectionWatch:
             found[span] = Problem.SLACK if self._slack[axis] else None
             if self._torn.get(axis, False):
                 found[span] = Problem.WEB_BREAK
-            elif not self._slack[axis] and axis in self._slips and self._slips[axis].slips:
+            elif axis in self._belied_since_s or (not self._slack[axis] and self._is_slipping(axis)):
                 found[span] = Problem.SLIP
         return found
+
+    def _is_slipping(self, axis: int) -> bool:
+        of_carriage = self._carriage_slips.get(axis)
+        return (axis in self._slips and self._slips[axis].slips) or (
+            of_carriage is not None and of_carriage.since_s < inf
+        )
 
     @property
     def doubtful(self) -> bool:
@@ -109,7 +154,16 @@ class SectionWatch:
     @property
     def slips_since_s(self) -> float:
         """When no web slipped yet; inf where none does."""
-        return min((slip.since_s for slip in self._slips.values() if slip.slips), default=inf)
+        since_s = [slip.since_s for slip in self._slips.values() if slip.slips]
+        since_s += [slip.since_s for slip in self._carriage_slips.values()]
+        return min([*since_s, *self._belied_since_s.values()], default=inf)
+
+    def take_belied(self) -> dict[int, float]:
+        """Since the last call: tensions by the torques of the sections of which the encoders promise something else for
+        good, N, by the axis before."""
+        taken = {axis: tension_N for axis, tension_N in self._is_N.items() if axis in self._belied_since_s}
+        self._is_N.clear()
+        return taken
 
     def look(
         self,
@@ -136,6 +190,8 @@ class SectionWatch:
         self._collected += 1
         if self._collected > self._cycles:
             self._judge(time_s, line, inertia_kg_m2)
+            self._look_for_lost_web(time_s, followed)
+            self._judged_m = self._way_m[-1]
             self.interrupt()
 
     def corrected(self, followed: VariedLine) -> None:
@@ -150,8 +206,8 @@ class SectionWatch:
 
     def _judge(self, time_s: float, line: LineFollower, inertia_kg_m2: Vector) -> None:
         """A block is complete."""
-        for axis, tightest_N, usual_N in zip(self._spans, self._tightest_N.tolist(), self._usual_N, strict=True):
-            self._slack[axis] = tightest_N <= _SLACK * usual_N
+        lows = zip(self._spans, self._tightest_N.tolist(), self._usual_N, strict=True)
+        self._slack = {axis: tightest_N <= _SLACK * usual_N for axis, tightest_N, usual_N in lows}
         speeds = np.diff(np.array(self._way_m), axis=0) / self._cycle_s
         gained_m_s = np.median(speeds[-_ENDS:], axis=0) - np.median(speeds[:_ENDS], axis=0)
         gained_m_s2 = gained_m_s / ((len(speeds) - _ENDS) * self._cycle_s)
@@ -162,10 +218,21 @@ class SectionWatch:
         for axis, usual_N, promised_N in zip(self._spans, self._usual_N, promises_N, strict=True):
             if axis in self._seen:
                 is_N = promised_N - float(np.sum(more_N[axis:]))
+                self._compare(time_s, axis, is_N / usual_N, promised_N / usual_N)
+                self._is_N[axis] = is_N
                 self._take(axis, is_N / promised_N if promised_N > LEAST_SHARE * usual_N else 1.0)
                 steady = abs(np.sum(accelerates_N[axis:])) < _ACCELERATES * usual_N
                 self._look_for_slip(time_s, axis, is_N, ratios.item(axis), steady=bool(steady))
-        self._judged_m = self._way_m[-1]
+
+    def _look_for_lost_web(self, time_s: float, followed: VariedLine) -> None:
+        """A block is complete: of the sections whose carriage has a sensor."""
+        before_m, self._lengths_m = self._lengths_m, {axis: followed.length_m(axis) for axis in self._carriage_slips}
+        if self._judged_m is None or self._time_s < _SETTLED_S:
+            return
+        ways_m = self._way_m[-1] - self._judged_m
+        for axis, slip in self._carriage_slips.items():
+            into_m, out_m = (float(ways_m[of - 1]) * followed.line.radius_ratio(of) for of in (axis, axis + 1))
+            slip.take(time_s, into_m, out_m, self._lengths_m[axis] - before_m.get(axis, self._lengths_m[axis]))
 
     def _look_for_slip(self, time_s: float, axis: int, is_N: float, ratio: float, *, steady: bool) -> None:
         """In a block; `ratio`: radius of the roller behind the section over that at the start."""
@@ -174,6 +241,21 @@ class SectionWatch:
         way_m = float(self._way_m[-1][axis] - self._judged_m[axis]) * ratio
         followed_N, lasted_s = self._followed_N[axis] / self._collected, self._collected * self._cycle_s
         self._slips[axis].take(time_s, is_N, followed_N, way_m, lasted_s, steady=steady)
+
+    def _compare(self, time_s: float, axis: int, share: float, promised: float) -> None:
+        """In a block, of the usual tension: what a section has by the torques, and what the encoders promise."""
+        belied = self._slack[axis] and share > _PULLS
+        self._slack[axis] &= not belied
+        if belied and self._belied[axis] and self._time_s >= _SETTLED_S:
+            self._belied_since_s.setdefault(axis, self._agreed_s[axis])
+        self._belied[axis] = belied
+        agrees = abs(share - promised) < _AGREES
+        if agrees and axis not in self._belied_since_s:
+            self._agreed_s[axis] = time_s - self._collected * self._cycle_s
+        way_m = 0.0 if self._judged_m is None else abs(float(self._way_m[-1][axis] - self._judged_m[axis]))
+        self._agreed_m[axis] = self._agreed_m[axis] + way_m if agrees else 0.0
+        if self._agreed_m[axis] > _AGREES_AGAIN * self._length_m[axis]:
+            self._belied_since_s.pop(axis, None)
 
     def _take(self, axis: int, share: float) -> None:
         """What is left of a section's tension, in a block."""

@@ -42,6 +42,7 @@ _USUAL_WAY_M: Final = 1.0  #: of a carriage without stops
 _MODEL_SHARE: Final = 0.01  #: of E, that no model of a line is surer of
 # What changes meanwhile.
 _CARRIAGE_M_PER_SQRT_M: Final = 1e-4  #: of web
+_SLIPPING_M_PER_SQRT_M: Final = 2e-3  #: while a web slips somewhere
 _THICKNESS_SHARE: Final = 0.1  #: error of the thickness by which a reel's radius changes
 _RADIUS_PER_SQRT_M: Final = 2e-5  #: what else
 _STRAIN_PER_SQRT_S: Final = 1e-3  #: of that with which the web comes in
@@ -128,7 +129,7 @@ class LineUnknowns:
         self._response = DriveResponse(gains, rates, len(self.varied.unknowns) + 1, cycle_s)
         self._loads = np.zeros((model.axis_count, len(self.varied.unknowns) + 1))
         kinds = np.array([each.kind for each in self.varied.unknowns])
-        self._is_strain = kinds == Kind.STRAIN
+        self._is_strain, self._is_modulus = kinds == Kind.STRAIN, kinds == Kind.MODULUS
         sensed = np.array([each in self._sensors.sensed for each in self.varied.unknowns], bool)
         #: What nothing but torques and tensions tells.
         self._by_torque = ~self._is_strain & ~sensed
@@ -425,6 +426,17 @@ class LineUnknowns:
         self._loads[:, -1] = self.varied.loads_Nm() - self.varied.loads_without_turn_Nm()
         self._set_inertia()
 
+    def put_tensions(self, tensions_N: Mapping[int, float]) -> None:
+        """The sections behind these axes have these tensions, whatever the encoders promise: of those whose strain is
+        an unknown."""
+        changes = np.zeros(len(self.varied.unknowns))
+        for axis, tension_N in tensions_N.items():
+            strain = Unknown(Kind.STRAIN, axis)
+            if strain in self.varied.unknowns:
+                stiffness_N = self._model.stiffness_N(_sections(self._model)[axis - 1][0] + 1)
+                changes[self.varied.unknowns.index(strain)] = tension_N / stiffness_N - self.varied.strain(axis)
+        self._apply(changes)
+
     def _keep(self, time_s: float) -> None:
         """Keep what is known, for `_take_back`."""
         kept = self._kept
@@ -441,7 +453,11 @@ class LineUnknowns:
         strains = np.where(self._is_strain, (_STRAIN_AT_REST * self._model.upstream_strain) ** 2, 0.0)
         variances = np.maximum(strains, self._filter.deviations**2)
         self._filter.put_back(earlier.belief, self._by_torque, variances)
-        self._apply(np.where(self._by_torque, earlier.corrected - self._corrected, 0.0))
+        back = np.where(self._by_torque, earlier.corrected - self._corrected, 0.0)
+        moduli = np.where(self._is_modulus, back, 0.0)
+        self.varied.rebook(moduli)
+        self._corrected = self._corrected + moduli
+        self._apply(back - moduli)
 
     def _answer_from_now(self, cycles: int) -> None:
         """What has changed in the web changed so many cycles ago: until then no drive had to answer to it."""
@@ -464,7 +480,7 @@ class LineUnknowns:
         found = []
         for unknown in self.varied.unknowns:
             if unknown.kind is Kind.CARRIAGE:
-                found.append(_CARRIAGE_M_PER_SQRT_M**2 * way_m)
+                found.append((_SLIPPING_M_PER_SQRT_M if self._slips else _CARRIAGE_M_PER_SQRT_M) ** 2 * way_m)
             elif unknown.kind is Kind.RADIUS:
                 # A thickness that is wrong goes on adding up: its share of the way, squared.
                 thickness = (_THICKNESS_SHARE * self.varied.slope_per_m(unknown.number)) ** 2

@@ -58,7 +58,7 @@ class LineWithStationsTwin:
         self._web_m = sum(model.span_length_m(span) for span in range(1, model.span_count + 1))
         self._before = axes_before_spans(model)
         told_by = {self._before[span - 1]: span for span in shape.simulated}
-        self._watch = SectionWatch(model, cycle_s, told_by, self._unknowns.varied.unknowns)
+        self._watch = SectionWatch(model, cycle_s, told_by, self._unknowns.varied.unknowns, shape.measured)
         self._limited = False
         self._unknown_m = 0.0  # so much web that could not be known is still in the line
         self._missed = 0
@@ -131,6 +131,10 @@ class LineWithStationsTwin:
         if self._unknowns.compare(time_s, left, limited=limited, slips_since_s=since_s):
             self._watch.corrected(self._unknowns.varied)
             self._take_moduli()
+        belied_N = self._watch.take_belied()
+        if belied_N:
+            self._unknowns.put_tensions(belied_N)
+            self._watch.corrected(self._unknowns.varied)
         self._transfer()
         return True
 

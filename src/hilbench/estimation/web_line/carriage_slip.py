@@ -1,0 +1,64 @@
+"""Slip of a web at a roller beside a section whose tension a carriage keeps: more web is lost than strain can be.
+
+What goes into the section by its first roller, less what goes out by its last and what the carriage makes room for, is
+what the web is stretched on its way, and what slips. The carriage is where its sensor says. Web that comes in with
+another strain, or another E, loses a share that is no more than the usual strain; a slip below that is none to this.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import inf
+from typing import Final, NamedTuple
+
+#: Share of the web that is lost, over the usual strain, from which it slips, and below which it does so no more.
+_SLIPS, _ENDS = 2.0, 1.0
+#: What is not known of the room that a carriage makes, for each strand, m.
+_ROOM_M: Final = 3e-4
+#: Way after which what was lost is kept, as a share of the section's length.
+_KEPT_EVERY: Final = 0.05
+
+
+class _Kept(NamedTuple):
+    time_s: float
+    way_m: float
+    lost_m: float
+
+
+class CarriageSlip:
+    """Of a section of this length, with so many strands of web at its carriage, whose web usually has this strain."""
+
+    def __init__(self, length_m: float, strands: int, strain: float) -> None:
+        self._length_m, self._strain, self._unsure_m = length_m, strain, _ROOM_M * strands
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing is known of what was before."""
+        self._kept: deque[_Kept] = deque()
+        self._way_m = self._lost_m = 0.0
+        self.since_s = inf  #: when no web slipped yet; inf where none does
+        self._told_m = 0.0  # way until it slipped
+
+    def take(self, time_s: float, before_m: float, behind_m: float, room_m: float) -> None:
+        """Until now went so much in by the roller before the section, out by that behind it, and the web between them
+        became so much longer by its carriage, each since the last call."""
+        self._way_m += abs(behind_m)
+        self._lost_m += before_m - behind_m - room_m
+        while len(self._kept) > 1 and self._kept[1].way_m <= self._way_m - self._length_m:
+            self._kept.popleft()
+        if not self._kept or self._way_m - self._kept[-1].way_m >= _KEPT_EVERY * self._length_m:
+            self._judge()
+            self._kept.append(_Kept(time_s, self._way_m, self._lost_m))
+
+    def _judge(self) -> None:
+        if not self._kept:
+            return
+        if self.since_s == inf:
+            if any(self._is_lost(each, _SLIPS, self._unsure_m) for each in self._kept):
+                self.since_s, self._told_m = self._kept[0].time_s, self._way_m
+        elif self._way_m - self._told_m > self._length_m and not self._is_lost(self._kept[0], _ENDS, 0.0):
+            self.since_s = inf
+
+    def _is_lost(self, since: _Kept, strains: float, unsure_m: float) -> bool:
+        most_m = strains * self._strain * (self._way_m - since.way_m) + unsure_m
+        return abs(self._lost_m - since.lost_m) > most_m
