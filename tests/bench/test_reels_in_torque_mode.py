@@ -141,6 +141,23 @@ def test_the_twin_of_reels_in_torque_mode_has_E_and_tensions_from_the_load_cells
 
 
 @pytest.mark.slow
+def test_a_twin_that_is_started_again_between_the_reels_tells_E_once_other_web_has_come(tmp_path: Path) -> None:
+    ramp = "{ramp: {path: line_speed_m_s, to: 1.5, duration_s: 1.0}}"
+    steps = f"steps=[{ramp}, {{hold: {{until_s: 2.0}}}}, {{restart_twin: {{}}}}, {{hold: {{duration_s: 2.5}}}}]"
+    outcome = run(tmp_path, steps, "criteria=[]", "load.web.youngs_modulus_Pa=0.176e9")
+    assert outcome.result.faults == []
+    found = {name: np.asarray(values) for name, values in read_recording(outcome.folder.recording).channels.items()}
+    again = found["t_s"] > 2.1
+    for span in (1, 4):
+        error = found[f"E{span}_sim_Pa"] / found[f"E{span}_true_Pa"] - 1.0
+        told = again & np.isfinite(found[f"E{span}_sd_Pa"])
+        # 1.9 m of web are in the line.
+        assert 2.1 + 1.9 / 1.5 - 0.2 < found["t_s"][told][0] < 2.1 + 1.9 / 1.5 + 0.4
+        assert np.max(np.abs(error[told])) < 0.02
+        assert np.all(np.abs(error[told]) < 2.0 * found[f"E{span}_sd_Pa"][told] / 0.176e9)
+
+
+@pytest.mark.slow
 def test_Kocs_pid_on_the_reels_torques_deviates_as_published_within_a_third() -> None:
     unwinder, winder = torque_mode_pct(feed_forward=False)
     assert winder == pytest.approx(75.0, rel=1 / 3)

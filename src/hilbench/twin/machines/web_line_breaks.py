@@ -36,6 +36,8 @@ _SLACK = 0.02
 #: Share of the usual tension from which a web pulls, whatever the encoders promise; that within which the torques say
 #: what is promised; and way of the web, in lengths of the section, after which they do so again.
 _PULLS, _AGREES, _AGREES_AGAIN = 0.25, 0.1, 1.0
+#: By which a reel with a sensor may carry another length of web than is reckoned with.
+_REEL_SHARE: Final = 5e-4
 #: Speeds at either end of a block, of which the middle one counts: cycles are not of one length where time is real.
 _ENDS: Final = 3
 #: Share of the usual tension that may accelerate the rollers while slip is looked for: of more the model is not sure.
@@ -74,22 +76,7 @@ class SectionWatch:
             for axis, usual_N in zip(self._spans, self._usual_N, strict=True)
             if axis in self._seen and {Unknown(Kind.STRAIN, axis), Unknown(Kind.MODULUS, axis)} <= set(unknowns)
         }
-        unmeasured = [
-            roller.axis or 0
-            for roller in model.line_rollers
-            if isinstance(roller.station, Reel) and reel_name(roller.station) not in measured
-        ]
-        held = [(before[carriage.first_span - 1], carriage) for carriage in model.carriages]
-        of_sections = [axis for axis, _ in held]
-        self._carriage_slips = {
-            axis: CarriageSlip(
-                self._length_m[axis], carriage.last_span - carriage.first_span + 1, abs(model.upstream_strain)
-            )
-            for axis, carriage in held
-            if carriage.station.name in measured
-            and of_sections.count(axis) == 1
-            and not {axis, axis + 1} & set(unmeasured)
-        }
+        self._carriage_slips = _carriage_slips(model, measured, self._length_m)
         self.reset(under_way=False)
 
     def reset(self, *, under_way: bool) -> None:
@@ -265,3 +252,21 @@ class SectionWatch:
         self._torn[axis] = low and (self._low[axis] or self._torn[axis])
         self._low[axis] = low
         self._doubt_s[axis] = self._doubt_s[axis] + BLOCK_S if share < _DOUBTFUL else 0.0
+
+
+def _carriage_slips(
+    model: ModelParameters, measured: Sequence[str], lengths_m: Mapping[int, float]
+) -> dict[int, CarriageSlip]:
+    """Of the sections with one carriage that has a sensor, by the axis before; not beside a reel whose radius has
+    none. `lengths_m`: of the sections."""
+    before = axes_before_spans(model)
+    held = [before[carriage.first_span - 1] for carriage in model.carriages]
+    reels = {each.axis: reel_name(each.station) for each in model.line_rollers if isinstance(each.station, Reel)}
+    found = {}
+    for axis, carriage in zip(held, model.carriages, strict=True):
+        beside = [reels[of] for of in (axis, axis + 1) if of in reels]
+        if held.count(axis) == 1 and {carriage.station.name, *beside} <= set(measured):
+            strain = abs(model.upstream_strain) + (_REEL_SHARE if beside else 0.0)
+            strands = carriage.last_span - carriage.first_span + 1
+            found[axis] = CarriageSlip(lengths_m[axis], strands, strain)
+    return found
