@@ -198,6 +198,24 @@ def test_noise_alone_is_no_misfit(seed: int) -> None:
     assert not any(m.significant for m in found)
 
 
+@pytest.mark.parametrize(("deviations", "significant"), [(5.0, False), (7.0, True)])
+def test_what_depends_on_an_angle_is_a_misfit_from_six_deviations_of_chance_on(
+    deviations: float, significant: bool
+) -> None:
+    """Chi-square of 24 bins has a variance of 48; 15 more are asked for."""
+    bins, n = 24, 9600
+    angle = (np.arange(n) + 0.5) / n
+    excess = deviations * np.sqrt(2.0 * bins) + 15.0
+    r = np.sqrt((excess + bins) / n) * np.where((angle * bins).astype(int) % 2, 1.0, -1.0)
+    (found, *_) = [
+        each
+        for each in misfits(("tau",), r[None, :], np.ones(n, bool), [Condition("angle", "m", angle, period=1.0)])
+        if each.condition == "angle"
+    ]
+    assert found.excess == pytest.approx(excess)
+    assert found.significant is significant
+
+
 @pytest.mark.parametrize(
     ("name", "shape"),
     [

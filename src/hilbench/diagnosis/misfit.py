@@ -27,7 +27,7 @@ _PEAK: Final = 24.0
 _WINDOW_S, _BURST = 0.5, 7.0
 #: Rms over the floor from which more than noise is left even if no condition explains it, and standard errors from
 #: which it is where there are few rows.
-_LARGEST_RATIO, _ERRORS = 1.05, 3.0
+_LARGEST_RATIO, _RMS_ERRORS = 1.05, 3.0
 #: Variance of a floor, which comes of fourth differences (`noise.floor`), in that of an rms of as many rows:
 #: 1 + 2·Σρ², with their correlations ρ = 56, 28, 8, 1 in 70.
 _OF_FLOOR: Final = 1.0 + 2.0 * (56.0**2 + 28.0**2 + 8.0**2 + 1.0) / 70.0**2
@@ -190,7 +190,7 @@ def _burst(name: str, values: Array, rows: NDArray[np.bool_], time: Condition) -
 def largest_ratio(rows: NDArray[np.bool_]) -> float:
     """Of the rms of a signal's residual on these rows (n,) to its floor, as far as noise alone may make it."""
     count = max(int(np.count_nonzero(rows)), 1)
-    return max(_LARGEST_RATIO, 1.0 + _ERRORS * float(np.sqrt((1.0 + _OF_FLOOR) / (2.0 * count))))
+    return max(_LARGEST_RATIO, 1.0 + _RMS_ERRORS * float(np.sqrt((1.0 + _OF_FLOOR) / (2.0 * count))))
 
 
 def astray(
