@@ -10,9 +10,13 @@ import pytest
 from tests.bench.whole_runs import SHIPPED, config, run_folders, run_here
 from tests.cli.in_process import hilbench
 
-from hilbench.bench.tasks.web_rest_movement import RestMovement
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.tasks.web_rest_movement import Positions, RestMovement, pulls_m
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.journal import read_journal
 from hilbench.results.recording import Recording, read_recording
+from hilbench.results.run import run_experiment
+from hilbench.runs.config import load_with_overrides
 from hilbench.topology.quantities import TENSION_PROBE
 from hilbench.topology.sample import sample_type
 
@@ -62,7 +66,7 @@ def relative_error(recording: Recording) -> np.ndarray:
 def test_it_tells_E_and_strain_of_a_web_that_a_twin_finds_at_rest(tmp_path: Path) -> None:
     recording, journal, said = ran(tmp_path, {"mode": "on", "at_rest_mm": 1.0}, [*FOUND, *RUN])
     assert journal == [1.0, 0.0]
-    assert "probe: the rollers move by up to 1 mm for up to 15 s" in said
+    assert "probe: the rollers move by up to 1 mm for up to 20 s" in said
     moved = rows(recording, RESTARTED_S + 0.1, RUNS_S)
     known = moved[np.asarray(recording["E_sd_Pa"])[moved] < 0.1 * 8.7e9]
     unknown = moved[moved < known[0]]
@@ -116,34 +120,143 @@ def test_an_operator_is_asked_first_and_may_end_it(tmp_path: Path) -> None:
     assert journal == [1.0, 1.0, 0.0, 0.0]  # allowed, begun, to be ended, ended
 
 
+def movement_of(
+    axes: int, way_m: float, pulled_m: np.ndarray, positions_m: Positions
+) -> tuple[RestMovement, SimpleNamespace, list[SimpleNamespace]]:
+    leader, moved = SimpleNamespace(creep_m_s=0.0), [SimpleNamespace(pull_m_s=0.0) for _ in range(axes)]
+    return RestMovement(leader, moved, positions_m, way_m, pulled_m, CYCLE_S), leader, moved
+
+
+def line_model(name: str, **changes: object) -> ModelParameters:
+    model = load_with_overrides(SHIPPED.with_name(name)).config.web_line
+    return ModelParameters.model_validate(model.model_dump() | changes)
+
+
+SHIPPED_LINES = ["web_section_step.yaml", "line_two_spans.yaml", "line_three_spans.yaml"]
+
+
 @pytest.mark.parametrize("way_m", [0.2e-3, 1e-3])
-@pytest.mark.parametrize("pulled_m", [0.0, 0.1e-3, 1.0])
-def test_rollers_that_nothing_holds_go_no_farther_than_is_permitted(way_m: float, pulled_m: float) -> None:
-    axis = SimpleNamespace(creep_m_s=0.0, pull_m_s=0.0)
-    movement = RestMovement(axis, lambda _: (0.0, 0.0), way_m, pulled_m, CYCLE_S)
-    ways_m = np.zeros((round(15.0 / CYCLE_S), 2))
+@pytest.mark.parametrize("tension_N", [0.0, 20.0, 500.0])
+@pytest.mark.parametrize("name", SHIPPED_LINES)
+def test_rollers_that_nothing_holds_go_no_farther_than_is_permitted(name: str, tension_N: float, way_m: float) -> None:
+    model = line_model(name)
+    pulled_m = pulls_m(model, [tension_N] * model.span_count, way_m)
+    movement, leader, axes = movement_of(model.axis_count, way_m, pulled_m, lambda _: [0.0] * model.axis_count)
+    ways_m = np.zeros((round(15.0 / CYCLE_S), len(axes)))
     for way in ways_m:
         movement.go_on()
-        way[:] = np.array([axis.creep_m_s, axis.creep_m_s + axis.pull_m_s]) * CYCLE_S
+        way[:] = [(leader.creep_m_s + axis.pull_m_s) * CYCLE_S for axis in axes]
     assert np.abs(np.cumsum(ways_m, axis=0)).max() <= way_m
     movement.end()
-    assert axis.creep_m_s == axis.pull_m_s == 0.0
+    assert leader.creep_m_s == 0.0
+    assert all(axis.pull_m_s is None for axis in axes)
 
 
 def test_a_roller_that_is_turned_by_something_else_is_noticed() -> None:
-    axis = SimpleNamespace(creep_m_s=0.0, pull_m_s=0.0)
-    at_m = [0.0, 5.0]
-    movement = RestMovement(axis, lambda _: (at_m[0], at_m[1]), WAY_M, 1e-4, CYCLE_S)
+    at_m = [0.0, 2.0, 5.0]
+    movement, _, _ = movement_of(3, WAY_M, np.array([-1e-4, 0.0, 1e-4]), lambda _: tuple(at_m))
     sample = sample_type([])()
     movement.begin(sample)
-    at_m[1] += 0.9e-3
+    at_m[2] += 0.9e-3
     assert not movement.is_beyond(sample)
-    at_m[1] += 0.2e-3
+    at_m[2] += 0.2e-3
     assert movement.is_beyond(sample)
 
 
-def test_a_line_of_several_spans_is_refused() -> None:
-    several = SHIPPED.with_name("line_two_spans.yaml")
-    done = hilbench("check", several, "--set", "controllers.infeed_tension.probing={mode: on, at_rest_mm: 1.0}")
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_the_tension_of_every_span_goes_up_and_down_alike(share: float) -> None:
+    set_points_N = share * np.array([80.0, 85.0, 90.0])
+    model = line_model("line_three_spans.yaml")
+    told_m = pulls_m(model, set_points_N.tolist(), 1e-3)
+    # Springs in a row, of the webs and of what holds the rollers; the first is held as it is told.
+    web = np.array([model.stiffness_N(span) / model.span_length_m(span) for span in (1, 2, 3)])
+    held = model.drive_stiffness_N_per_m(2)
+    stiffness = np.diag(held + web + np.append(web[1:], 0.0)) - np.diag(web[1:], 1) - np.diag(web[1:], -1)
+    moved_m = np.linalg.solve(stiffness, held * told_m[1:] + np.array([web[0] * told_m[0], 0.0, 0.0]))
+    tensions_N = web * np.diff(np.insert(moved_m, 0, told_m[0]))
+    assert tensions_N / set_points_N == pytest.approx(0.15 if share < 1.0 else 0.132, rel=0.01)
+
+
+LINES = [SHIPPED.with_name(f"line_{number}_spans.yaml") for number in ("two", "three")]
+
+
+#: Webs that are strained otherwise than that upstream, and a twin that finds them.
+LINE_FOUND: list[object] = [
+    {"hold": {"duration_s": 1.0}},
+    {"set": {"path": "tension_control.span1.set_point_N", "to": 55.0}},
+    {"set": {"path": "tension_control.span2.set_point_N", "to": 100.0}},
+    {"hold": {"until_s": RESTARTED_S}},
+    {"restart_twin": {}},
+]
+RUN_LINE: list[object] = [
+    {"ramp": {"path": "line_speed_m_s", "to": 2.0, "duration_s": 3.0}},
+    {"hold": {"duration_s": 3.5}},
+]
+LATER_S = 26.0
+
+
+def line_of_spans(folder: Path, shipped: Path, probing: str, steps: list[object]) -> tuple[Recording, list[float]]:
+    """A run of a line whose twin believes E to be 0.6 of what it is, and what the journal has of probes."""
+    changes = [
+        f"controllers.infeed_tension.probing={probing}",
+        "twin.youngs_modulus_Pa=5.22e9",
+        *(f"steps={steps}", "criteria=[]"),
+    ]
+    given = load_with_overrides(shipped, bus=f"embedded:{folder.name}", changes=changes)
+    outcome = run_experiment(given, folder / "runs", participants=Participants.IN_PROCESS)
+    assert outcome.result.faults == []
+    journal = [each.value for each in read_journal(outcome.folder.path / "journal.log") if each.path == TENSION_PROBE]
+    return read_recording(outcome.folder.recording), journal
+
+
+def error_of(recording: Recording, span: int) -> np.ndarray:
+    return np.asarray(recording[f"E{span}_sim_Pa"]) / np.asarray(recording[f"E{span}_true_Pa"]) - 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shipped", LINES)
+def test_it_tells_E_and_strain_of_every_span_of_a_line(shipped: Path, tmp_path: Path) -> None:
+    steps = [*LINE_FOUND, {"hold": {"until_s": LATER_S}}, *RUN_LINE]
+    recording, journal = line_of_spans(tmp_path, shipped, "{mode: on, at_rest_mm: 1.0}", steps)
+    assert journal == [1.0, 0.0]
+    rests = rows(recording, RESTARTED_S + 0.1, LATER_S)
+    status = np.asarray(recording["twin_status"]).astype(int)
+    known_s = recording.time_s[rests[np.flatnonzero(status[rests] & 2)[0]]]
+    later = rows(recording, known_s + 0.5, LATER_S + 6.5)
+    spans = sum(name.endswith("_sim_N") for name in recording.channels)
+    for axis in range(1, spans + 2):
+        positions = np.asarray(recording[f"x{axis}_m"])[rests]
+        assert 1e-4 < np.abs(positions - positions[0]).max() <= WAY_M
+    for span in range(1, spans + 1):
+        error, deviation = error_of(recording, span), np.asarray(recording[f"E{span}_sd_Pa"]) / 8.7e9
+        assert np.mean(np.abs(error[rests]) <= 1.96 * deviation[rests]) > 0.95
+        assert np.abs(error[later]).max() < 0.015
+        apart_N = np.asarray(recording[f"F{span}_sim_N"])[later] - np.asarray(recording[f"F{span}_true_N"])[later]
+        assert np.abs(apart_N).max() < 1.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shipped", LINES)
+def test_without_leave_the_web_that_leaves_tells_E_of_every_span(shipped: Path, tmp_path: Path) -> None:
+    steps = [*LINE_FOUND, {"hold": {"until_s": RESTARTED_S + 1.0}}, *RUN_LINE]
+    recording, journal = line_of_spans(tmp_path, shipped, "off", steps)
+    assert journal == []
+    begins_s = RESTARTED_S + 1.0
+    rests, runs = rows(recording, RESTARTED_S + 0.3, begins_s), rows(recording, RESTARTED_S + 0.3, begins_s + 6.5)
+    spans = sum(name.endswith("_sim_N") for name in recording.channels)
+    for span in range(1, spans + 1):
+        error, deviation = error_of(recording, span), np.asarray(recording[f"E{span}_sd_Pa"]) / 8.7e9
+        assert np.all(deviation[rests] > 0.5)
+        assert np.mean(np.abs(error[runs]) <= 1.96 * deviation[runs]) > 0.95
+        assert np.abs(error[rows(recording, begins_s + 3.0 + 2.0, begins_s + 6.5)]).max() < 0.01
+
+
+@pytest.mark.parametrize("key", ["twin.web_at_rest=unknown", "controllers.infeed_tension.probing={at_rest_mm: 1.0}"])
+def test_webs_that_nothing_tells_are_refused_in_one_line(key: str) -> None:
+    done = hilbench("check", LINES[0], "--set", key, "--set", "twin.estimate=[{method: changepoint, span: 1}]")
     assert done.returncode == 2
-    assert "at_rest_mm" in done.stdout + done.stderr
+    assert "not without span 2" in done.stdout + done.stderr
+    stations = SHIPPED.with_name("line_with_dancer.yaml")
+    done = hilbench("check", stations, "--set", key.replace("infeed_tension", "outfeed_tension"))
+    assert done.returncode == 2
+    assert "on a line with 'stations:'" in done.stdout + done.stderr

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.estimation.runs import CYCLE_S, NEW_PA, OLD_PA, times, tracked
 from tests.plant.models import model
 
-from hilbench.bench.tasks.web_rest_movement import RestMovement, pull_m
+from hilbench.bench.tasks.web_rest_movement import RestMovement, pulls_m
 from hilbench.estimation.web_line.config import (
     ChangepointConfig,
     EkfConfig,
@@ -97,12 +97,14 @@ def at_rest(share_of_tension: float, moved_mm: float = 0.0) -> Measurements:
     plant = model(web_load=[False, True])
     t_s = times(AT_REST_S + RAMP_S + 2.5)
     speeds = np.outer(3.0 * np.clip((t_s - AT_REST_S) / RAMP_S, 0.0, 1.0), [1.0, 1.0])
-    axis = SimpleNamespace(creep_m_s=0.0, pull_m_s=0.0)
+    leader, axes = SimpleNamespace(creep_m_s=0.0), [SimpleNamespace(pull_m_s=0.0) for _ in range(2)]
     if moved_mm:
-        movement = RestMovement(axis, lambda _: (0.0, 0.0), 1e-3 * moved_mm, pull_m(plant, 80.0), CYCLE_S)
+        way_m = 1e-3 * moved_mm
+        pulled_m = pulls_m(plant, [80.0], way_m)
+        movement = RestMovement(leader, axes, lambda _: (0.0, 0.0), way_m, pulled_m, CYCLE_S)
         for row in np.flatnonzero((t_s >= 1.0) & (t_s < 9.0)):
             movement.go_on()
-            speeds[row] += axis.creep_m_s, axis.creep_m_s + axis.pull_m_s
+            speeds[row] += [leader.creep_m_s + axis.pull_m_s for axis in axes]
     strained = np.zeros((round(2.0 / CYCLE_S), 2))  # before the recording
     gives_way = 1.0 / plant.stiffness_N(1) + 1.0 / plant.drive_stiffness_N_per_m(2)
     strained[: len(strained) // 4, 0] = (1.0 - share_of_tension) * plant.boundary.upstream_tension_N * gives_way / 0.5

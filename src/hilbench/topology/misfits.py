@@ -17,6 +17,7 @@ from hilbench.topology.web_line_config import (
     controller_misfits,
     estimate_misfits,
     line_misfits,
+    rest_misfit,
 )
 
 #: Keys of `twin:` that every kind of machine has, and those of machines whose equations are known; the others say how
@@ -80,6 +81,8 @@ def whole_misfits(
         ahead = [key for key in ("prediction", "live_diagnosis", "splices") if getattr(twin, key)]
         names = {*drives, *load_motors}
         yield from line_misfits(machine, controllers, load.measured, "".join(ahead[:1]), names)
+        if machine.stations is None:
+            yield from filter(None, [rest_misfit(twin, machine, controllers)])
     elif machine.drives is None:
         yield "a machine with 'drives:'"
     elif load.measured:

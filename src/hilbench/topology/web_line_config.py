@@ -54,8 +54,8 @@ class ProbingConfig(Block):
         default=0.0,
         ge=0,
         le=1,
-        description="how far the rollers of a line of one span may move at rest, where E and strain of the web in it "
-        "are unknown; 0: not at all",
+        description="how far the rollers of the line may move at rest, where E and strains of the webs in it are "
+        "unknown; 0: not at all; the largest of the controllers'",
     )
 
 
@@ -223,9 +223,12 @@ def estimate_misfits(twin: EstimationConfig, machine: ModelParameters) -> Iterat
     if len(twin.estimate) > len(given) and len(twin.estimate) > 1:
         yield "'estimate' with a span in every entry, or one entry without a span for all of them"
     yield from _each_once(given, machine.span_count, "E of a span is found in one way")
+    unknown = "'web_at_rest: unknown'" if twin.web_at_rest == "unknown" else ""
     if machine.stations is not None:
+        yield from [f"no {unknown} on a line with 'stations:', or {ONLY_DRIVEN}"] if unknown else []
         return
     methods = twin.by_span(machine.span_count)
+    yield from filter(None, [_untold_misfit(unknown, methods, machine.span_count)])
     corrects_input = any(isinstance(estimate, InputConfig) for estimate in methods.values())
     if corrects_input and twin.splices:
         yield "another method than 'input' where 'splices' are looked for: it corrects no E"
@@ -240,6 +243,20 @@ def estimate_misfits(twin: EstimationConfig, machine: ModelParameters) -> Iterat
             f"'estimate' at a span behind which the web loads every roller: span {first} can't be seen in "
             f"torques as long as 'machine.web_load' says that axis {unloaded[0]} carries none"
         )
+
+
+def rest_misfit(
+    twin: EstimationConfig, machine: ModelParameters, controllers: Iterable[ControllerConfig]
+) -> str | None:
+    """Why a line of driven rollers can't be asked at rest, in one line, or None."""
+    asked = any(control.probes.at_rest_mm for control in tension_loops(controllers))
+    return _untold_misfit("'at_rest_mm'" if asked else "", twin.by_span(machine.span_count), machine.span_count)
+
+
+def _untold_misfit(key: str, estimated: Collection[int], count: int) -> str | None:
+    """Why webs that nothing is known of can't be told, where a key ("": none) asks for that."""
+    untold = [span for span in range(1, count + 1) if span not in estimated]
+    return f"'twin: {{estimate: …}}' at every span with {key}, not without span {untold[0]}" if key and untold else None
 
 
 def line_misfits(
@@ -257,8 +274,6 @@ def line_misfits(
         yield "a machine with 'web:' and 'drives:'"
     of_stations = None if machine.stations is None else _stations_misfit(machine, controllers, ahead, names)
     yield from filter(None, [of_stations])
-    if machine.span_count > 1 and any(control.probes.at_rest_mm for control in tension_loops(controllers)):
-        yield "no 'probing: {at_rest_mm: …}' on a line of several spans"
     yield from filter(None, [_measured_misfit(measured, machine)])
     yield from filter(None, [_loops_misfit(machine, controllers, measured)])
 
@@ -317,7 +332,7 @@ def _stations_misfit(
         return "'stations' that begin and end with a driven roller or reel"
     if ahead:
         return f"no '{ahead}' on a line with 'stations:', or {ONLY_DRIVEN}"
-    if any(control.probes.mode != "off" for control in tension_loops(controllers)):
+    if any(control.probes.mode != "off" or control.probes.at_rest_mm for control in tension_loops(controllers)):
         return f"no 'probing' on a line with 'stations:', or {ONLY_DRIVEN}"
     twice = [name for name in station_names(machine) if name in names]
     return f"names that differ: a station and another part are both named {twice[0]}" if twice else None

@@ -28,7 +28,7 @@ from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.bench.tasks.web_positions import CarriageStops, PositionTask
 from hilbench.bench.tasks.web_reel_torque import LoadCells, ReelTorqueTask
 from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelWay
-from hilbench.bench.tasks.web_rest_movement import RestMovement, pull_m
+from hilbench.bench.tasks.web_rest_movement import RestMovement, pulls_m
 from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.plausibility import Problem
@@ -96,7 +96,8 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         loops[axis] = _tension_task(config, state, control, names, axes[-1], trusts[-1], ahead)
         axes.append(loops[axis])
     of_spans = {loop.span: loop for loop in loops.values()}
-    probing = [_probing(config, state, of_spans, line_speed, leading)] if of_spans else []
+    moved = _rest_movement(config, leading, [each for each in reversed(axes) if not isinstance(each, PositionTask)])
+    probing = [_probing(config, state, of_spans, line_speed, moved)] if of_spans else []
     sensors = sensors_at_start(imitated_web(model, config.load), config.shape)
     boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N, sensors)
     load = WebLoadTask(config, partial(reports.note, "load model"))
@@ -141,7 +142,7 @@ def _probing(
     state: BenchState,
     loops: Mapping[int, TensionTask],
     line_speed: Reference,
-    leading: LeadingAxis,
+    at_rest: RestMovement | None,
 ) -> Probing:
     """Probes of the loop of a span at which E is found, the first that is to be probed; none where there is none."""
     controls = config.tension_controls
@@ -149,12 +150,26 @@ def _probing(
     probed = [span for span in at_estimates if controls[span].probes.mode != "off"] or at_estimates
     found = controls[probed[0]].probes if probed else ProbingConfig()
     loop = loops[probed[0]] if probed else next(iter(loops.values()))
-    at_rest = None
-    if found.at_rest_mm > 0.0:
-        names, pulled_m = loop.names, pull_m(config.web_line, loop.set_point_N)
-        positions_m = attrgetter(names.before, names.behind)
-        at_rest = RestMovement(leading, positions_m, 1e-3 * found.at_rest_mm, pulled_m, config.cycle_time_s)
-    return Probing(found, loop, loop.names.twin, line_speed, state, at_rest)
+    of_all = [LoopNames.of(loop.names.drive, span, config.shape).twin for span in config.shape.estimated]
+    return Probing(found, loop, loop.names.twin, line_speed, state, at_rest, of_all)
+
+
+def _rest_movement(
+    config: BenchConfig, leading: LeadingAxis, axes: Sequence[LeadingAxis | FollowingAxis | TensionTask]
+) -> RestMovement | None:
+    """Of a line of driven rollers `axes`, in its direction; None where none is permitted."""
+    controls, model = config.tension_controls, config.web_line
+    way_mm = max((control.probes.at_rest_mm for control in controls.values()), default=0.0)
+    if way_mm == 0.0:
+        return None
+    usual_N = max(control.set_point_N for control in controls.values())
+    set_points_N = [
+        controls[span].set_point_N if span in controls else usual_N for span in range(1, model.span_count + 1)
+    ]
+    positions_m = attrgetter(*(f"x{axis}_m" for axis in range(1, model.axis_count + 1)))
+    way_m = 1e-3 * way_mm
+    pulled_m = pulls_m(model, set_points_N, way_m)
+    return RestMovement(leading, axes, positions_m, way_m, pulled_m, config.cycle_time_s)
 
 
 def _tension_task(
@@ -287,7 +302,8 @@ class LeadingAxis(CyclicTask):
         self._drive = drive
         self._command = f"v{axis}_cmd_m_s"
         self._line_speed = line_speed
-        self.creep_m_s = self.pull_m_s = 0.0  #: see `RestMovement`
+        self.creep_m_s = 0.0  #: see `RestMovement`, as the next
+        self.pull_m_s: float | None = None
 
     @property
     def speed_m_s(self) -> float:
@@ -301,7 +317,7 @@ class LeadingAxis(CyclicTask):
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, m/s at the web."""
-        speed_m_s = self.speed_m_s + self.pull_m_s
+        speed_m_s = self.speed_m_s + (self.pull_m_s or 0.0)
         outputs[self._drive] = speed_m_s
         setattr(sample, self._command, speed_m_s)
 
@@ -316,6 +332,7 @@ class FollowingAxis(CyclicTask):
         self._command = f"v{axis}_cmd_m_s"
         self._leader = leader
         self._ahead = ahead
+        self.pull_m_s: float | None = None  #: see `RestMovement`
 
     @property
     def speed_m_s(self) -> float:
@@ -330,7 +347,7 @@ class FollowingAxis(CyclicTask):
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, m/s at the web."""
         lead_m_s = self._ahead.lead_m_s(self._axis) if self._ahead else 0.0
-        outputs[self._drive] = command_m_s = self.damped_m_s + lead_m_s
+        outputs[self._drive] = command_m_s = self.damped_m_s + lead_m_s + (self.pull_m_s or 0.0)
         setattr(sample, self._command, command_m_s)
 
 

@@ -13,6 +13,7 @@ twin knows both, or for some seconds; begun, told and refused in the same way, a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import inf, isfinite
 from operator import attrgetter
 from typing import Protocol
@@ -32,7 +33,7 @@ from hilbench.twin.virtual_io import TwinStatus
 #: Slower than this a roller may turn back within a probe, and dry friction with it.
 _LEAST_SPEED_M_S = 0.05
 #: Share of E from which its deviation says that E is not known at all, and the longest movement at rest.
-_UNKNOWN, _LONGEST_AT_REST_S = 0.5, 15.0
+_UNKNOWN, _LONGEST_AT_REST_S = 0.5, 20.0
 _RUNNING = int(TwinStatus.RUNNING)
 #: How to allow what is asked for.
 _ALLOW = "hilbench sdo write bench 2200:7 1 (0 refuses)"
@@ -53,7 +54,10 @@ class ProbedLoop(Protocol):
 
 
 class Probing(CyclicTask):
-    """The probes of one tension loop; a `SettableQuantity`: 1 asks for one or allows it, 0 ends or refuses it."""
+    """The probes of one tension loop; a `SettableQuantity`: 1 asks for one or allows it, 0 ends or refuses it.
+
+    `signals`: of the loop's span; `at_rest`: the movement that is permitted at rest, `of_all`: all spans that it tells.
+    """
 
     def __init__(
         self,
@@ -63,12 +67,14 @@ class Probing(CyclicTask):
         line_speed: Reference,
         state: BenchState,
         at_rest: RestMovement | None = None,
+        of_all: Sequence[TwinSignals] = (),
     ) -> None:
         self._config = config
         self._loop = loop
         self._at_rest = at_rest
         self._moves = False  # the probe under way is a movement at rest
         self._signals = attrgetter(signals.modulus, signals.deviation)
+        self._of_all = [attrgetter(each.modulus, each.deviation) for each in of_all]
         self._line_speed = line_speed
         self._state = state
         self._steady_for_s = 0.0
@@ -149,11 +155,12 @@ class Probing(CyclicTask):
             movement.go_on()
 
     def _rests_unknown(self, sample: CycleSample) -> bool:
-        """Whether the line rests, the twin runs, and knows nothing of the web."""
+        """Whether the line rests, the twin runs, and knows nothing of a web."""
         if self._at_rest is None or self._line_speed.present != 0.0 or is_synchronized(sample):
             return False
-        modulus_Pa, deviation_Pa = self._signals(sample)
-        return bool(sample.twin_status & _RUNNING and deviation_Pa > _UNKNOWN * modulus_Pa)
+        known = (of_span(sample) for of_span in self._of_all)
+        unknown = any(deviation_Pa > _UNKNOWN * modulus_Pa for modulus_Pa, deviation_Pa in known)
+        return bool(sample.twin_status & _RUNNING) and unknown
 
     def _is_steady(self, sample: CycleSample) -> bool:
         now = (self._line_speed.present, self._loop.set_point_N)

@@ -117,6 +117,7 @@ class TensionTask(CyclicTask):
         self._leader = leader
         self._set_point_N = set_point_N
         self.set_point_shift_N = 0.0  #: of a probe
+        self.pull_m_s: float | None = None  #: see `RestMovement`
         self._controller = controller  # keeps its vectors, as the next
         self._damping = damping
         self._table = tension_cycle.table(controller, damping)
@@ -205,9 +206,13 @@ class TensionTask(CyclicTask):
         planned_m_s = ahead.way.shown_m_s if ahead is not None else 0.0
         now = speed_m_s, set_point_N, tension_N, modulus_Pa, since_s, around_m_s, *self._ways(sample), planned_m_s
         self._speed_m_s, damping_m_s = tension_cycle.step(closed, now, self._table)
+        if self.pull_m_s is not None:
+            damping_m_s = 0.0  # it would take the pull back
         self._damped_m_s = velocity_m_s = self._speed_m_s + damping_m_s
         if ahead is not None:
             velocity_m_s += ahead.leads.lead_m_s(names.axis)
+        if self.pull_m_s is not None:
+            velocity_m_s += self.pull_m_s
         outputs[names.drive] = velocity_m_s
         setattr(sample, names.command, velocity_m_s)
 

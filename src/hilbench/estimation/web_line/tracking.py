@@ -37,6 +37,7 @@ from hilbench.estimation.web_line.synchronizers.changepoint import ChangepointSy
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
 from hilbench.estimation.web_line.synchronizers.plant import Plant
 from hilbench.estimation.web_line.torque_shift import TorqueShiftFinder
+from hilbench.estimation.web_line.unknown_webs import UnknownWebs
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import LineVectors
@@ -57,7 +58,7 @@ _LEAST_PRIOR_PCT = 0.1
 _GONE = 0.1
 #: Deviation of E and of the strain, in %, with which a web that was found is known: while it passes, which makes
 #: a better one of it soon, and at rest, where it takes a movement for so long.
-_FOUND_PCT, _FOUND_AT_REST_PCT = 0.3, 0.5
+_FOUND_PCT, _FOUND_AT_REST_PCT = 0.3, 0.33
 #: Deviation of E, in %, with which a known change of the tension tells it, and its share of what was stated before.
 _KNOWN_PCT, _SAYS_MORE = 0.3, 0.9
 
@@ -246,8 +247,9 @@ class Tracking:
         self._state(Estimate(self._initial_Pa, inf))
         self.release()
 
-    def release(self, strain_uncertainty: float = 0.0) -> None:
-        """The web is released anew, strained as upstream but for an unknown share (relative)."""
+    def release(self, strain_uncertainty: float = 0.0, webs: UnknownWebs | None = None, place: int = 0) -> None:
+        """The web is released anew, strained as upstream but for an unknown share (relative); `webs`: those of the
+        line, where it has several spans, and which of them this is, from 0."""
         t, c = self._t, cycle
         self._balance.reset()
         self._forget(c.NEW_WEB)
@@ -256,12 +258,13 @@ class Tracking:
             self._known_change.reset()
         if self._errors is not None:
             self._errors.release()
-        t[c.STRAIN_UNCERTAINTY] = strain_uncertainty
+        t[c.STRAIN_UNCERTAINTY] = self._unknown = strain_uncertainty
+        self._webs, self._place = webs or unknown_webs(self._model), place
         self._found: FoundRunning | None = None
         if strain_uncertainty > 0.0 and not isinstance(self._method, PidConfig | InputConfig):
             plant = Plant.of(self._balance, self.estimate.youngs_modulus_Pa)
             friction_share = 0.01 * self.config.model_errors.friction_pct
-            self._found = FoundRunning(plant, self._strain_prev, friction_share)
+            self._found = FoundRunning(plant, self._webs, place, self._strain_prev, friction_share)
             self._state_found(self._found)
             t[c.BANK] = 0.0  # until it has started from what is found
 
@@ -539,6 +542,7 @@ class Tracking:
         """Let another method than the bank, or one that begins, take this cycle."""
         if self._found is not None:  # the web that could not be known has gone
             self._believe_found(self._found.found)
+        self._webs.know(self._place)
         t, c, method = self._t, cycle, self._synchronizer
         if t[c.REBASED_PA]:
             method.rebase(t.item(c.REBASED_PA))
@@ -552,26 +556,33 @@ class Tracking:
         self._state(replace(self.estimate, deviation_Pa=max(deviation_Pa, found.deviation_Pa(modulus_Pa))))
 
     def _look_at_found_web(self, time_s: float, strain_prev: float) -> None:
-        """The web was found under way: the method begins as soon as its E and strain are known."""
-        if self._found is None:
-            return
+        """The web was found under way: the method begins as soon as its E and strain, and the strain of the web that
+        enters, are known."""
+        t, c, webs, place = self._t, cycle, self._webs, self._place
+        webs.move(place, self._balance.sample.velocity_m_s, self._cycle_s)
+        t[c.STRAIN_UNCERTAINTY] = max(t.item(c.STRAIN_UNCERTAINTY), self._unknown * webs.entering(place))
+        if self._found is not None and self._is_found(self._found, time_s, strain_prev):
+            webs.know(place)
+
+    def _is_found(self, finding: FoundRunning, time_s: float, strain_prev: float) -> bool:
+        """Whether E and strain of the web have become known in this cycle, and the method goes on from there."""
         t, c = self._t, cycle
         if not t[c.USED]:
-            self._found.skip(self._balance.sample.velocity_m_s, self._cycle_s)
-            return
-        found = self._found.update(self._sample(time_s, strain_prev, t.item(c.USED_N)))
-        if found is None:
-            return
+            finding.skip(self._cycle_s)
+            return False
+        found = finding.update(self._sample(time_s, strain_prev, t.item(c.USED_N)))
+        if found is None or not self._webs.enters_known(self._place):
+            return False
         strain = float(self._balance.web.strain[0]) + found.strain_error
-        share = 0.01 * (_FOUND_PCT if self._found.passes else _FOUND_AT_REST_PCT)
+        share = 0.01 * (_FOUND_PCT if finding.passes else _FOUND_AT_REST_PCT)
         if found.deviation_Pa > share * found.youngs_modulus_Pa or found.strain_deviation > share * strain:
-            return
+            return False
         self._balance.web.set_state({"strain1": strain})
         t[c.STRAIN_UNCERTAINTY], t[c.FOUND] = 0.0, 1.0
-        at_rest = not self._found.passes
         self._believe_found(found)
-        if at_rest:
+        if not finding.passes:
             self._know_at_rest(found)
+        return True
 
     def _believe_found(self, found: FoundWeb | None) -> None:
         """The method goes on from what has been found, if anything."""
@@ -632,6 +643,17 @@ class Tracking:
             t[cycle.SHIFT_NM] = 0.0
         t[cycle.MODULUS_PA] = shift.youngs_modulus_Pa
         self.use(self._method)
+
+
+def unknown_webs(model: ModelParameters) -> UnknownWebs:
+    """Those of a line, E as the model has it."""
+    spans = range(1, model.span_count + 1)
+    creeps = {e.section or 1: e.parameters.get("creep_per_N", 0.0) for e in model.effects if e.effect == "web_slip"}
+    return UnknownWebs(
+        [model.span_length_m(span) for span in spans],
+        [creeps.get(span, 0.0) for span in spans],
+        [model.stiffness_N(span) for span in spans],
+    )
 
 
 def _known_change(

@@ -21,8 +21,10 @@ from hilbench.estimation.web_line.tracking import (
     UNKNOWN_AT_REST,
     UNKNOWN_STRAIN,
     Tracking,
+    unknown_webs,
 )
 from hilbench.estimation.web_line.tracking_cycle import ASTRAY_S, LARGEST_STRAIN
+from hilbench.estimation.web_line.unknown_webs import UnknownWebs
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.pairing import Pairing, SteadyWay
 from hilbench.plant.web_line.line import Line
@@ -52,7 +54,6 @@ class _Estimated:
     section: WebSection
     tracking: Tracking
     residual_Nm: float = 0.0  #: torque of the axis behind it, measured less simulated
-    waiting: bool = False  #: for the span before it, whose web is not known yet
 
 
 class WebLineTwin:
@@ -60,7 +61,7 @@ class WebLineTwin:
 
     The web starts as the bench's load model does, strained like the web upstream. On axes that move already this is a
     guess: the twin then calls itself synchronized when strain and E are known, at the latest when the web that it could
-    not know has been transported out of the span; one span after the other, as each hands its web on.
+    not know has been transported out of the line.
     """
 
     def __init__(self, model: ModelParameters, config: EstimationConfig, cycle_s: float, told: Told) -> None:
@@ -70,7 +71,6 @@ class WebLineTwin:
         self.plant = Line(model, self.ports)
         self._transfer = config.transfer
         self._known_at_rest = config.web_at_rest == "as_upstream"
-        self._unknown_strain = 0.0  # of the web that was found at the release
         methods = config.by_span(model.span_count)
         self._rollers = Rollers(model)
         self._several = len(spans) > 1
@@ -136,8 +136,8 @@ class WebLineTwin:
     def synchronized(self) -> bool:
         """Whether E of each span is known as well as the config asks for, and the web is the one that was measured."""
         if self._only is not None:
-            return self._only.tracking.synchronized and not self._only.waiting
-        return all(each.tracking.synchronized and not each.waiting for each in self._all)
+            return self._only.tracking.synchronized
+        return all(each.tracking.synchronized for each in self._all)
 
     @property
     def separable(self) -> bool:
@@ -164,7 +164,7 @@ class WebLineTwin:
         """Start anew with the E that is assumed at the start, at rest."""
         for each in self._all:
             each.tracking.reset()
-            each.residual_Nm, each.waiting = 0.0, False
+            each.residual_Nm = 0.0
         self._start_anew()
         at_rest = [0.0] * len(self.ports)
         self.plant.set_state(_states(self._told("strain_prev"), at_rest, at_rest, at_rest))
@@ -192,11 +192,13 @@ class WebLineTwin:
             _states(self._told("strain_prev"), positions, speeds if moves else at_rest, torques if moves else at_rest)
         )
         known_at_rest = self._known_at_rest and not under_way
-        self._unknown_strain = UNKNOWN_STRAIN if moves else 0.0 if known_at_rest else UNKNOWN_AT_REST
+        unknown = UNKNOWN_STRAIN if moves else 0.0 if known_at_rest else UNKNOWN_AT_REST
+        webs = unknown_webs(self._model)
         for each in self._all:
-            each.tracking.release(self._unknown_strain)
-            each.waiting = self._unknown_strain > 0.0 and each.span - 1 in self._estimated
+            each.tracking.release(unknown, webs, each.span - 1)
         self._start_anew()
+        if self._others is not None:
+            self._others.webs = webs
         self._steady.reset()
         return True
 
@@ -278,12 +280,6 @@ class WebLineTwin:
         F_next_N: float,
     ) -> None:
         span, tracking = each.span, each.tracking
-        if each.waiting:
-            if not self._estimated[span - 1].tracking.web_is_known:
-                tracking.miss()
-                return
-            each.waiting = False
-            tracking.release(self._unknown_strain)
         torque_Nm, centre_m = torques_Nm[span], None
         if self._several:
             torque_Nm, centre_m = each.section.measured_torque_Nm(torques_Nm), each.section.centre_m
@@ -325,7 +321,7 @@ class WebLineTwin:
         if self._others is not None or self.plant.changes_elasticity:
             return False
         # While it refuses what is measured, the simulation may have to be brought back.
-        return all(each.tracking.in_vectors and not (each.waiting or each.tracking.refused) for each in self._all)
+        return all(each.tracking.in_vectors and not each.tracking.refused for each in self._all)
 
     def warm_up_in_vectors(self) -> None:
         """Compile, or load, what it runs on then."""
@@ -393,6 +389,7 @@ class _OtherSpans:
         self._limit = strain_limit
         self._passed_m = PASSED_SPANS * max(model.span_length_m(span) for span in range(1, model.span_count + 1))
         self._moduli = [f"span{span}.youngs_modulus_Pa" for span in range(1, model.span_count + 1)]
+        self.webs: UnknownWebs | None = None  #: of the line, as of the release
         self.reset()
 
     def reset(self) -> None:
@@ -400,7 +397,7 @@ class _OtherSpans:
         self.refused = False
         self._refused_m = self._refused_s = 0.0  # web that has passed, and time, while states were refused
         self._running = False
-        self._last_m = 0.0
+        self._last_m: Sequence[float] = ()
 
     def follow(self, positions_m: Sequence[float], strain_prev: float, F_next_N: float, cycle_s: float) -> None:
         """The rollers are at these positions (N,) a cycle after the last; around the line is what is told."""
@@ -411,10 +408,14 @@ class _OtherSpans:
             web.follow(positions_m, cycle_s)
         else:
             web.reset(positions_m, strain=[strain_prev] * (len(positions_m) - 1))
-        way_m = abs(positions_m[0] - self._last_m) if self._running else 0.0
+        ways_m = [x - then for x, then in zip(positions_m, self._last_m, strict=True)] if self._running else []
+        way_m = abs(ways_m[0]) if ways_m else 0.0
+        if self.webs is not None and ways_m:
+            for span in self._spans:
+                self.webs.move(span - 1, ways_m[span] / cycle_s, cycle_s)
         self._refused_m = self._refused_m + way_m if self.refused else 0.0
         self._refused_s = self._refused_s + cycle_s if self.refused else 0.0
-        self._last_m = positions_m[0]
+        self._last_m = positions_m
         self._running = True
 
     @property
