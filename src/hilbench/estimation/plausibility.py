@@ -18,8 +18,9 @@ _FROZEN_CYCLES = 20
 _SATURATED, _FREE, _FREE_S = 0.995, 0.98, 0.05
 #: Share of the upstream strain below which the web counts as slack: no tension, nothing to learn.
 _SLACK = 0.02
-#: Speed below which a roller with dry friction stands: friction takes up the tension.
-_STANDSTILL_M_S = 1e-3
+#: Speed below which a roller with dry friction stands: friction takes up the tension. Of friction that the model does
+#: not have: below which it goes to and fro, and the friction with it.
+_STANDSTILL_M_S, _TO_AND_FRO_M_S = 1e-3, 0.02
 
 
 class Problem(IntEnum):
@@ -37,8 +38,9 @@ class Problem(IntEnum):
 #: Problems by their numbers; 0: none.
 PROBLEMS: dict[int, Problem | None] = {0: None} | {int(problem): problem for problem in Problem}
 
-# State. Limits of the torque, in N·m; pull_per_Pa up to which the web is slack; cycles until the torque counts as free.
-_LIMIT_NM, _FREE_CYCLES, _LIMITED, _DRY, _SLACK_PER_PA, _LAST_NM, _SAME, _HAS_CHANGED = range(8)
+# State. Limits of the torque, in N·m; cycles until it counts as free; below which speed the roller stands; pull_per_Pa
+# up to which the web is slack.
+_LIMIT_NM, _FREE_CYCLES, _LIMITED, _STANDS_M_S, _SLACK_PER_PA, _LAST_NM, _SAME, _HAS_CHANGED = range(8)
 _SIZE = 8
 _INVALID, _FROZEN, _SATURATED_NOW = int(Problem.INVALID), int(Problem.FROZEN), int(Problem.SATURATED)
 _SLACK_NOW, _STANDING = int(Problem.SLACK), int(Problem.STANDSTILL)
@@ -64,7 +66,7 @@ def find_problem(s: Array, torque_Nm: float, pull_per_Pa: float, velocity_m_s: f
         return _FROZEN
     if pull_per_Pa <= s[_SLACK_PER_PA]:
         return _SLACK_NOW
-    if s[_DRY] != 0.0 and abs(velocity_m_s) < _STANDSTILL_M_S:
+    if abs(velocity_m_s) < s[_STANDS_M_S]:
         return _STANDING
     return 0
 
@@ -98,12 +100,13 @@ class Plausibility:
     def __init__(self, torque_limit_Nm: float, dry_friction_N: float, slack_per_Pa: float, cycle_s: float) -> None:
         self.state = np.zeros(_SIZE)
         self.state[_LIMIT_NM], self.state[_FREE_CYCLES] = torque_limit_Nm, round(_FREE_S / cycle_s)
-        self.state[_DRY], self.state[_SLACK_PER_PA] = float(dry_friction_N > 0.0), _SLACK * slack_per_Pa
+        self.state[_STANDS_M_S] = _STANDSTILL_M_S if dry_friction_N > 0.0 else 0.0
+        self.state[_SLACK_PER_PA] = _SLACK * slack_per_Pa
         self.state[_LAST_NM] = np.nan
 
     def sticks(self) -> None:
         """There is dry friction, whatever the model has of it."""
-        self.state[_DRY] = 1.0
+        self.state[_STANDS_M_S] = _TO_AND_FRO_M_S
 
     def problem(self, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> Problem | None:
         """What is wrong with this cycle's torque, if anything."""
