@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
-from math import inf, nan
+from math import hypot, inf, nan
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -59,6 +59,8 @@ _GONE = 0.1
 #: Deviation of E and of the strain, in %, with which a web that was found is known: while it passes, which makes
 #: a better one of it soon, and at rest, where it takes a movement for so long.
 _FOUND_PCT, _FOUND_AT_REST_PCT = 0.3, 0.33
+#: By what share dry friction of a roller that creeps may be another one than where the line runs (deviation).
+_AT_SPEED = 0.1
 #: Deviation of E, in %, with which a known change of the tension tells it, and its share of what was stated before.
 _KNOWN_PCT, _SAYS_MORE = 0.3, 0.9
 
@@ -595,8 +597,8 @@ class Tracking:
     def _know_at_rest(self, found: FoundWeb) -> None:
         """A movement tells friction from E; a roller that stands under it says nothing of either."""
         if self._errors is not None:
-            of_friction = found.friction_N, found.friction_deviation_N
-            self._errors.know(found.youngs_modulus_Pa, found.deviation_Pa, *of_friction)
+            friction_sd_N = hypot(found.friction_deviation_N, _AT_SPEED * found.friction_N)
+            self._errors.know(found.youngs_modulus_Pa, found.deviation_Pa, found.friction_N, friction_sd_N)
         if found.sticks:
             self._plausibility.sticks()
 
