@@ -72,9 +72,7 @@ def test_what_comes_is_in_the_model_within_a_minute_beside_a_bench_that_misses_c
     loaded = load_with_overrides(CONFIGS / f"{name}.yaml")
     data = loaded.config.model_dump()
     sizes = [each for each in data["criteria"] if each["target"] is not None]
-    bounds = {f"found.{effect}.applied_after_s": 60.0}
-    if name != "live_eccentricity":  # of which the tension makes a step of up to 1.4 N: docs/live_diagnosis.md
-        bounds[f"found.{effect}.tension_step_N"] = 0.5
+    bounds = {f"found.{effect}.applied_after_s": 60.0, f"found.{effect}.tension_step_N": 0.5}
     data["criteria"] = [*sizes, *({"name": metric, "metric": metric, "max": most} for metric, most in bounds.items())]
     data["steps"] = [*_until(data["steps"], 36.0), {"hold": {"until_s": 40.0}}]
     changed = LoadedConfig(type(loaded.config).model_validate(data), loaded.document)

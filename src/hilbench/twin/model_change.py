@@ -18,6 +18,7 @@ from hilbench.plant.motor_port import MotorPort
 from hilbench.topology.blocks import MachineParameters
 from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines.machine import Measured, TwinMachine
+from hilbench.twin.smooth_change import SmoothChange
 
 #: Time over which what is shown goes from one model to the other, and for which the changed one must have been
 #: synchronized before, s.
@@ -73,6 +74,7 @@ class ChangeableMachine:
         self._cycles_since = 0  # that the models have gone since the last one
         self._apart: Sequence[float] = ()  # what is shown, less what the model in use alone would show
         self._shown: Sequence[float] = ()
+        self._smooth = SmoothChange(self._configured.largest_steps)
         #: Of each shown value the largest step from one cycle to the next that the last change has made; none before.
         self.largest_steps: Sequence[float] = ()
 
@@ -93,6 +95,7 @@ class ChangeableMachine:
         self._before, self._released = None, False
         self._synchronized_cycles = self._cycles_over = 0
         self._apart = self._shown = self.largest_steps = ()
+        self._smooth = SmoothChange(self._configured.largest_steps)
 
     @property
     def changing(self) -> bool:
@@ -107,7 +110,7 @@ class ChangeableMachine:
     @property
     def only_plant(self) -> Plant | None:
         """The configured model where no other is in use or tried; it then moves the ports by itself."""
-        alone = not self.changing and self._current is self._configured
+        alone = not self.changing and self._current is self._configured and self._smooth.is_over
         return self._configured.plant if alone else None
 
     @property
@@ -161,6 +164,7 @@ class ChangeableMachine:
         """Start anew with the model that was configured."""
         self._candidate, self._current, self._share = None, self._configured, 0.0
         self._coming, self._effects = None, ""
+        self._smooth = SmoothChange(self._configured.largest_steps)
         self._configured.reset()
 
     def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
@@ -237,10 +241,9 @@ class ChangeableMachine:
         """What the virtual I/O shows now: of both models where one is being taken over."""
         shown = self._current.published()
         if self._candidate is None or self._share == 0.0:
-            return shown
-        apart = [self._share * (new - old) for old, new in zip(shown, self._candidate.published(), strict=True)]
-        both = [old + more for old, more in zip(shown, apart, strict=True)]
-        self._note_steps(apart, both)
+            return shown if self._smooth.is_over else self._smooth.show(shown, shown, 1.0)
+        both = self._smooth.show(shown, self._candidate.published(), self._share)
+        self._note_steps([now - old for old, now in zip(shown, both, strict=True)], both)
         return both
 
     def _note_steps(self, apart: Sequence[float], shown: Sequence[float]) -> None:

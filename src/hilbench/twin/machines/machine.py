@@ -97,6 +97,11 @@ class TwinMachine(Protocol):
     def published(self) -> Sequence[float]:
         """What the virtual I/O shows now: one value for each signal of 6403h (`ProcessData.published`)."""
 
+    @property
+    def largest_steps(self) -> Sequence[float]:
+        """Of each of these values by how much another model may change it from one cycle to the next; inf, or nothing
+        where there are no more: by anything."""
+
 
 #: What a machine in vectors has done in a cycle: gone on; the same, and what it reports may be another; gone on without
 #: a measurement, as they were not of one instant.

@@ -177,6 +177,9 @@ class ServoAxisTwin:
         if number:
             raise ValueError(f"method {number}, expected 0: a servo axis has the configured one")
 
+    #: See `TwinMachine`.
+    largest_steps: Sequence[float] = ()
+
     def published(self) -> tuple[float, ...]:
         """Inertia, dry friction, deviation of the inertia, simulated torque, its residual."""
         found = self._estimate

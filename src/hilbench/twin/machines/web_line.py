@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
 
 from hilbench.estimation.plausibility import Problem
 from hilbench.estimation.web_line.config import (
@@ -39,6 +39,9 @@ from hilbench.twin.machines.web_line_cycle import LineInVectors
 from hilbench.twin.machines.web_line_errors import as_effects
 from hilbench.twin.machines.web_passage import Passage
 from hilbench.twin.machines.web_section import WebSection
+
+#: By how much another model may change a tension from one cycle to the next, as a share of a usual one.
+_LARGEST_STEP = 0.005
 
 
 def boundary(model: ModelParameters) -> dict[str, float]:
@@ -367,6 +370,16 @@ class WebLineTwin:
                 factor = line.elasticity_factor(span) * each.tracking.series_factor
                 values += (factor * modulus_Pa, factor * deviation_Pa, self.ports[span].torque_Nm, each.residual_Nm)
         return tuple(values)
+
+    @property
+    def largest_steps(self) -> Sequence[float]:
+        """See `TwinMachine`: of tensions."""
+        around = self._model.boundary
+        step_N = _LARGEST_STEP * max(around.upstream_tension_N, around.downstream_tension_N)
+        steps = list[float]()
+        for span in range(1, self._model.span_count + 1):
+            steps += (step_N, *([inf] * 4 if span in self._estimated else []))
+        return steps
 
 
 def _over_rollers(method: SynchronizerConfig, rollers: int) -> SynchronizerConfig:

@@ -203,6 +203,9 @@ class LineWithStationsTwin:
         if number:
             raise ValueError(f"method {number}, expected 0: E of a line with stations is found in one way")
 
+    #: See `TwinMachine`.
+    largest_steps: Sequence[float] = ()
+
     def published(self) -> tuple[float, ...]:
         """Of each section its tension; where E is told E with its deviation, inf where nothing tells it, the
         simulated torque of the axis behind it, and the residual; position of each carriage, radius of each reel, with
