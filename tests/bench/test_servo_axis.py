@@ -51,6 +51,10 @@ def test_the_twin_finds_the_imitated_inertia_and_friction_and_a_step_of_it() -> 
         assert before.J_sim_kg_m2 == pytest.approx(0.048, rel=0.01)
         assert before.coulomb_sim_Nm == pytest.approx(before.coulomb_true_Nm, abs=0.05)
         assert 0.0 < before.J_sd_kg_m2 < 0.01 * before.J_sim_kg_m2
+        assert abs(before.coulomb_sim_Nm - before.coulomb_true_Nm) <= 1.96 * before.coulomb_sd_Nm
+        viscous, deviation = before.viscous_sim_Nm_s_per_rad, before.viscous_sd_Nm_s_per_rad
+        assert 0.0 < deviation < 0.004
+        assert abs(viscous - 0.004) <= 1.96 * deviation
         running.step("load.shaft.inertia_kg_m2", 0.06)
         swing(running, 2.0)
         assert running.get("load.shaft.inertia_kg_m2") == running.last.J_true_kg_m2 == 0.06
@@ -133,7 +137,7 @@ def test_process_data_of_the_shaft_are_its_own_signals_and_nothing_is_sent_of_a_
     nodes = Nodes(load_with_overrides(CONFIG).config)
     assert [variable.subindex for variable in nodes.io.sent[0].variables] == [1, 2]
     assert nodes.io.boundary == ()
-    assert len(nodes.pdo_maps("virtual_io")) == 3
+    assert len(nodes.pdo_maps("virtual_io")) == 5
     assert len(Nodes(load_with_overrides(WEB).config).io.boundary) == 1
 
 

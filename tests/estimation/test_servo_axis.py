@@ -10,7 +10,13 @@ from tests.tiers import slow
 
 from hilbench.estimation.servo_axis.balance import ShaftSample
 from hilbench.estimation.servo_axis.config import BesideInertia, InertiaConfig
-from hilbench.estimation.servo_axis.inertia import InertiaEstimator
+from hilbench.estimation.servo_axis.inertia import (
+    COULOMB,
+    COULOMB_SD,
+    VISCOUS,
+    VISCOUS_SD,
+    InertiaEstimator,
+)
 from hilbench.estimation.servo_axis.offline import ShaftRecording, track
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.sampled_shaft import imitation_delay_s
@@ -86,6 +92,36 @@ def drawn(seed: int) -> tuple[ServoAxisParameters, float]:
 def exact() -> InertiaConfig:
     """Nothing wanders and nothing is left out: what is stated is what noise makes."""
     return InertiaConfig(unmodelled_pct=0.0, friction_memory_s=1e5, wander_pct_per_sqrt_s=0.0)
+
+
+def one_way(duration_s: float) -> np.ndarray:
+    """Between 8 and 20 rad/s, from rest: 4 s a period."""
+    t = np.arange(round(duration_s / CYCLE_S)) * CYCLE_S
+    return np.where(
+        t < 0.5, 40.0 * t, np.interp((t - 0.5) % 4.0, [0.0, 1.5, 2.0, 3.0, 3.5], [20.0, 20.0, 8.0, 8.0, 20.0])
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("commands", [sine(6.0), trapezoids(6.0), one_way(8.0)])
+def test_friction_is_as_sure_as_it_is_told_to_be(commands: np.ndarray) -> None:
+    held: dict[str, list[np.ndarray]] = {}
+    for seed in range(40):
+        true, offset = drawn(seed)
+        estimator = InertiaEstimator(InertiaConfig(), axis())
+        data, truth = record(true, commands, seed, offset_Nm=offset), true.shaft
+        rows = []
+        for position, torque in zip(data.x_rad, data.tau_Nm, strict=True):
+            estimator.update(ShaftSample(CYCLE_S, position, torque))
+            rows.append(estimator.told.copy())
+        told = np.array(rows)[200:]
+        for name, at, sd, value in (
+            ("dry", COULOMB, COULOMB_SD, truth.coulomb_friction_Nm),
+            ("viscous", VISCOUS, VISCOUS_SD, truth.viscous_friction_Nm_s_per_rad),
+        ):
+            held.setdefault(name, []).append(np.abs(told[:, at] - value) <= 1.96 * told[:, sd])
+    for name, seeds in held.items():
+        assert np.mean(seeds) > 0.93, name
 
 
 @pytest.mark.slow

@@ -47,6 +47,8 @@ def at_work(speed_rad_s: float = 20.0) -> ShaftPresent:
         inertia_sd_kg_m2=0.0,
         dry_friction_Nm=DRY,
         dry_friction_sd_Nm=0.0,
+        viscous_friction_Nm_s_per_rad=VISCOUS,
+        viscous_friction_sd_Nm_s_per_rad=0.0,
     )
 
 
@@ -145,6 +147,15 @@ def test_a_friction_that_is_not_sure_spreads_the_torque_of_an_even_speed() -> No
     low, median, high = (each[-1] for each in outlook.band(outlook.place("tau1_Nm"), 0.9))
     assert median == pytest.approx(DRY + VISCOUS * 20.0, abs=0.001)
     assert (high - low) / 2 == pytest.approx(1.645 * 0.02, rel=0.05)
+
+
+def test_a_viscous_friction_that_is_not_sure_spreads_it_in_proportion_to_the_speed() -> None:
+    futures = futures_of(count=256)
+    present = replace(at_work(), viscous_friction_Nm_s_per_rad=1.5 * VISCOUS, viscous_friction_sd_Nm_s_per_rad=0.001)
+    outlook = futures.look(present, steady(), futures.no_offsets(), 1)
+    low, median, high = (each[-1] for each in outlook.band(outlook.place("tau1_Nm"), 0.9))
+    assert median == pytest.approx(DRY + 1.5 * VISCOUS * 20.0, abs=0.001)
+    assert (high - low) / 2 == pytest.approx(1.645 * 0.001 * 20.0, rel=0.05)
 
 
 def test_a_band_holds_what_will_be_measured_with_its_noise() -> None:

@@ -81,6 +81,12 @@ def test_a_dbc_file_of_a_servo_axis_names_what_its_twin_finds_in_its_units() -> 
     twin = [database.get_message_by_name(f"virtual_io_TPDO{number}") for number in (1, 2)]
     units = {signal.name: signal.unit for message in twin for signal in message.signals}
     assert units == {"J_sim_kg_m2": "kgm^2", "coulomb_sim_Nm": "Nm", "J_sd_kg_m2": "kgm^2", "tau1_residual_Nm": "Nm"}
+    more = [database.get_message_by_name(f"virtual_io_TPDO{number}") for number in (4, 5)]
+    assert {signal.name: signal.unit for message in more for signal in message.signals} == {
+        "viscous_sim_Nm_s_per_rad": "Nms/rad",
+        "viscous_sd_Nm_s_per_rad": "Nms/rad",
+        "coulomb_sd_Nm": "Nm",
+    }
 
 
 MAPPING = """

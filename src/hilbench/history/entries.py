@@ -112,10 +112,10 @@ def _of_twin(recording: Recording) -> Iterator[Quantity]:
         return
     last = int(np.flatnonzero(good)[-1])
     for estimate in (*web_line.estimates(recording.channels), *servo_axis.estimates()):
-        if estimate.value not in recording or (estimate.deviation and estimate.deviation not in recording):
+        if estimate.value not in recording or estimate.deviation not in recording:
             continue
         values = np.asarray(recording[estimate.value], np.float64)
-        sd = np.asarray(recording[estimate.deviation], np.float64)[last] if estimate.deviation else 0.0
+        sd = np.asarray(recording[estimate.deviation], np.float64)[last]
         if np.isfinite(values[last]) and np.isfinite(sd) and np.ptp(values[good]) > 0.0:
             yield Quantity(estimate.quantity, float(values[last]), float(sd), estimate.unit)
 

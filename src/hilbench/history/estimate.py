@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Estimate:
-    """An estimate's channel, that of its deviation ("" where the twin states none), and its name in the history."""
+    """An estimate's channel, that of its deviation, and its name in the history."""
 
     value: str
     deviation: str

@@ -9,5 +9,11 @@ def estimates() -> tuple[Estimate, ...]:
     """Of its shaft."""
     return (
         Estimate("J_sim_kg_m2", "J_sd_kg_m2", "shaft.inertia_kg_m2", "kg·m²"),
-        Estimate("coulomb_sim_Nm", "", "shaft.coulomb_friction_Nm", "N·m"),
+        Estimate("coulomb_sim_Nm", "coulomb_sd_Nm", "shaft.coulomb_friction_Nm", "N·m"),
+        Estimate(
+            "viscous_sim_Nm_s_per_rad",
+            "viscous_sd_Nm_s_per_rad",
+            "shaft.viscous_friction_Nm_s_per_rad",
+            "N·m·s/rad",
+        ),
     )

@@ -34,6 +34,14 @@ _SERVO_AXIS: Final = (
     SignalKind("J_sim_kg_m2", "kg·m²", "inertia of the shaft estimated by the twin", "twin"),
     SignalKind("J_sd_kg_m2", "kg·m²", "standard deviation of the inertia, as the twin states it", "twin"),
     SignalKind("coulomb_sim_Nm", "N·m", "dry friction of the shaft estimated by the twin", "twin"),
+    SignalKind("coulomb_sd_Nm", "N·m", "standard deviation of the dry friction; 0 where it is the model's", "twin"),
+    SignalKind("viscous_sim_Nm_s_per_rad", "N·m·s/rad", "viscous friction of the shaft estimated by the twin", "twin"),
+    SignalKind(
+        "viscous_sd_Nm_s_per_rad",
+        "N·m·s/rad",
+        "standard deviation of the viscous friction; 0 where it is the model's",
+        "twin",
+    ),
     SignalKind("tau{axis}_sim_Nm", "N·m", "torque of axis {axis} simulated by the twin, motor side", "twin", Per.AXIS),
     SignalKind(
         "tau{axis}_residual_Nm",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +26,12 @@ Array = NDArray[np.float64]
 _COMMAND = "v1_cmd_rad_s"
 #: So many of its stated deviations away an inertia is another one.
 _ANOTHER = 3.0
-#: Weight of the latest look in the mean of an estimate, and in its mean square.
-_NEW = 0.1
+#: What the twin has found of the shaft, each with its deviation.
+_FOUND = (
+    *("J_sim_kg_m2", "J_sd_kg_m2"),
+    *("coulomb_sim_Nm", "coulomb_sd_Nm"),
+    *("viscous_sim_Nm_s_per_rad", "viscous_sd_Nm_s_per_rad"),
+)
 #: The quantities whose courses futures follow. When the twin finds another inertia plays no part: no controller goes by
 #: it.
 FORESEEN = {SPEED: _COMMAND, SHAFT_INERTIA: "J_true_kg_m2", SHAFT_COULOMB_FRICTION: "coulomb_true_Nm"}
@@ -46,10 +49,10 @@ class ShaftLook:
             for each in limited(config.safety.limits, motor)
         )
         self._quantities = tuple(each.signal for each in self.watched)
-        self.signals = (*self._quantities, "x1_rad", _COMMAND, "J_sim_kg_m2", "J_sd_kg_m2", "coulomb_sim_Nm")
+        self.signals = (*self._quantities, "x1_rad", _COMMAND, *_FOUND)
         self._compared = np.array([k for k, each in enumerate(self.watched) if each.unit == "N·m"])
         self._believed = 0.0, 0.0  # inertia and its deviation
-        self._found, self._dry = _FoundInertia(), _Wandering()
+        self._found = _FoundInertia()
         drives = config.servo_axis.drives
         self._looks = drives.sample_time_s / config.cycle_time_s if drives else 0.0  # of the drive's loop, in cycles
         self.futures = ShaftFutures(
@@ -92,7 +95,7 @@ class ShaftLook:
         return self.futures.prepare(present, partial(_courses, asked_now, to_find, present, asked), offsets, *key)
 
     def _present(self, now_s: float, reading: Reading, fit_noise: float) -> ShaftPresent:
-        inertia, deviation, dry = reading.last("J_sim_kg_m2", "J_sd_kg_m2", "coulomb_sim_Nm").tolist()
+        inertia, deviation, dry, dry_sd, viscous, viscous_sd = reading.last(*_FOUND).tolist()
         position, speed, torque = reading.fitted("x1_rad", "v1_rad_s", "tau1_Nm").tolist()
         # A set point acts a cycle after it was asked for; the drive has last looked a sample time ago.
         (command,), (followed,) = reading.ago(1, _COMMAND).tolist(), reading.ago(2, _COMMAND).tolist()
@@ -108,24 +111,10 @@ class ShaftLook:
             inertia_kg_m2=inertia,
             inertia_sd_kg_m2=deviation,
             dry_friction_Nm=dry,
-            dry_friction_sd_Nm=self._dry.deviation(dry),
+            dry_friction_sd_Nm=dry_sd,
+            viscous_friction_Nm_s_per_rad=viscous,
+            viscous_friction_sd_Nm_s_per_rad=viscous_sd,
         )
-
-
-class _Wandering:
-    """How far an estimate whose deviation the twin does not tell has lately been from its mean."""
-
-    def __init__(self) -> None:
-        self._mean = self._square = 0.0
-        self._count = 0
-
-    def deviation(self, estimate: float) -> float:
-        """With the estimate of another look; 0 with the first."""
-        self._count += 1
-        new = max(_NEW, 1.0 / self._count)
-        self._mean += new * (estimate - self._mean)
-        self._square += new * ((estimate - self._mean) ** 2 - self._square)
-        return sqrt(self._square)
 
 
 class _FoundInertia:

@@ -52,8 +52,9 @@ class BankVectors(NamedTuple):
 #: separable; then the prior deviations of what is estimated beside it, and what the model has of that.
 _LOG_JUMP, _LOG_DRIFT, _UNMODELLED, _SEPARABLE, PRIORS = range(5)
 OF_MODEL: Final = PRIORS + kalman.TERMS
-#: What is told (5,): inertia and its deviation, whether it is separable; viscous and dry friction, with the model's.
-INERTIA, DEVIATION, SEPARABLE, VISCOUS, COULOMB = range(5)
+#: What is told (7,): inertia and its deviation, whether it is separable; viscous and dry friction, with the model's,
+#: and their deviations, 0 where they are not estimated.
+INERTIA, DEVIATION, SEPARABLE, VISCOUS, COULOMB, VISCOUS_SD, COULOMB_SD = range(7)
 #: Rows of a table of an estimator: those of its inputs, then those of the bank.
 _BANK_ROW: Final = len(InputVectors._fields)
 ROWS: Final = _BANK_ROW + len(BankVectors._fields)
@@ -81,6 +82,7 @@ def _tell(v: BankVectors, inertia_kg_m2: float, told: Array) -> None:
     told[SEPARABLE] = 1.0 if share < v.figures[_SEPARABLE] else 0.0
     told[VISCOUS] = v.out[0, kalman.Q + 1] + v.figures[OF_MODEL + 1]
     told[COULOMB] = v.out[0, kalman.Q + 2] + v.figures[OF_MODEL + 2]
+    told[VISCOUS_SD], told[COULOMB_SD] = v.out[1, kalman.Q + 1], v.out[1, kalman.Q + 2]
 
 
 @merged
@@ -188,7 +190,7 @@ class InertiaEstimator:
         self._bank = BankVectors(self._z, self._p, self._records, self._settings, places, work, self._out, figures)
         self._cycle_s = 0.0  # that the priors of a birth are of
         #: What is told, by INERTIA and so on.
-        self.told = np.zeros(COULOMB + 1)
+        self.told = np.zeros(COULOMB_SD + 1)
         self._begin()
         self._gather()
         self._tell()
@@ -283,7 +285,7 @@ class InertiaEstimator:
     @property
     def estimate(self) -> ShaftEstimate:
         """As of the last cycle."""
-        inertia, deviation_kg_m2, separable, _, _ = self.told.tolist()
+        inertia, deviation_kg_m2, separable = self.told[: SEPARABLE + 1].tolist()
         values = self._out[0, kalman.Q :] + self._bank.figures[OF_MODEL:]
         deviations, priors = self._out[1, kalman.Q :].tolist(), self._inputs.priors.tolist()
         rows = zip(_NAMES, values.tolist(), deviations, priors, strict=True)

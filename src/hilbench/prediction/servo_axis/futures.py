@@ -38,7 +38,7 @@ _STANDS: Final = 3.0
 class ShaftPresent:
     """What is known of a servo axis now, at the motor shaft, SI.
 
-    `speed_sd_rad_s`: what the speed may be off by. Inertia and dry friction as the twin has them, with their stated
+    `speed_sd_rad_s`: what the speed may be off by. Inertia and friction as the twin has them, with their stated
     deviations; `command_rad_s`: as the drive follows it from now on; `error_rad_s`: how far the speed was off what it
     followed when its velocity loop last looked.
     """
@@ -54,6 +54,8 @@ class ShaftPresent:
     inertia_sd_kg_m2: float
     dry_friction_Nm: float
     dry_friction_sd_Nm: float
+    viscous_friction_Nm_s_per_rad: float
+    viscous_friction_sd_Nm_s_per_rad: float
 
 
 @dataclass(frozen=True)
@@ -105,12 +107,12 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
     ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
         """See `Futures`."""
         step_s, courses = self._courses(present, courses_at)
-        z = normal_draws(self._futures, 3 + self.quantities, *key)
+        z = normal_draws(self._futures, 4 + self.quantities, *key)
         p = self._p.copy()
         p[lay.P_SAMPLE_TIME_S] = step_s
         shaft = self._drawn(p, present, z)
-        start = self._start(p, present, z[:, 2])
-        tally = Tally.of(self.watched, offsets, z[:, 3:], step_s, len(courses))
+        start = self._start(p, present, z[:, 3])
+        tally = Tally.of(self.watched, offsets, z[:, 4:], step_s, len(courses))
 
         def run() -> None:
             kernel.run_futures(
@@ -123,9 +125,9 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
 
     def at_rest(self) -> tuple[ShaftPresent, CoursesAt]:
         """A shaft that stands and is to stand."""
-        inertia = self._p.item(lay.P_INERTIA)
+        inertia, dry, viscous = (self._p.item(at) for at in (lay.P_INERTIA, lay.P_COULOMB, lay.P_VISCOUS))
         return (
-            ShaftPresent(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, inertia, 0.0, self._p.item(lay.P_COULOMB), 0.0),
+            ShaftPresent(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, inertia, 0.0, dry, 0.0, viscous, 0.0),
             lambda times_s: ShaftCourses(np.zeros(len(times_s)), np.ones(len(times_s)), np.zeros(len(times_s))),
         )
 
@@ -161,12 +163,13 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         return np.asarray(now_s - self._cycle_s + step_s * np.arange(steps), np.float64)
 
     def _drawn(self, p: Array, present: ShaftPresent, z: Array) -> Array:
-        """Inertia and dry friction of each future (B, `kernel.DRAWN`), both without the model's effects."""
+        """Inertia and friction of each future (B, `kernel.DRAWN`), without the model's effects."""
         share = present.inertia_sd_kg_m2 / present.inertia_kg_m2
         inertia = present.inertia_kg_m2 * np.maximum(1.0 + share * z[:, 0], _LEAST_INERTIA_SHARE)
         dry = present.dry_friction_Nm + present.dry_friction_sd_Nm * z[:, 1]
+        viscous = present.viscous_friction_Nm_s_per_rad + present.viscous_friction_sd_Nm_s_per_rad * z[:, 2]
         # What was found has what the model's effects make of the inertia.
-        return np.ascontiguousarray(np.stack((inertia / look_at(p, present.now_s)[0], dry), axis=1))
+        return np.ascontiguousarray(np.stack((inertia / look_at(p, present.now_s)[0], dry, viscous), axis=1))
 
     def _start(self, p: Array, present: ShaftPresent, z: Array) -> Array:
         """States (B, S): the shaft at its speed in the drive's loop; z (B,) of the speed."""

@@ -41,14 +41,15 @@ COURSES: Final = 3
 # Columns of what a future has drawn of its shaft.
 D_INERTIA: Final = 0  #: kg·m², without the model's effects
 D_DRY: Final = 1  #: dry friction, N·m, without the model's effects
-DRAWN: Final = 2
+D_VISCOUS: Final = 2  #: viscous friction, N·m·s/rad, without the model's effects
+DRAWN: Final = 3
 
 
 @inlined
 def _change_shaft(p: Vector, shaft: Matrix, b: int, courses: Matrix, i: int) -> None:
-    """Inertia and dry friction of future b in step i."""
+    """Inertia and friction of future b in step i."""
     p[lay.P_INERTIA] = shaft[b, D_INERTIA] * courses[i, C_INERTIA]
-    p[lay.P_COULOMB] = max(shaft[b, D_DRY] + courses[i, C_DRY], 0.0)
+    p[lay.P_COULOMB], p[lay.P_VISCOUS] = max(shaft[b, D_DRY] + courses[i, C_DRY], 0.0), max(shaft[b, D_VISCOUS], 0.0)
 
 
 @inlined

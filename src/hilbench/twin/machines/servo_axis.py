@@ -7,7 +7,7 @@ from math import inf, isnan, nan
 
 from hilbench.estimation.plausibility import Plausibility, Problem
 from hilbench.estimation.servo_axis.balance import ShaftSample
-from hilbench.estimation.servo_axis.inertia import InertiaEstimator, ShaftEstimate
+from hilbench.estimation.servo_axis.inertia import COULOMB_SD, VISCOUS_SD, InertiaEstimator, ShaftEstimate
 from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.fmu.shaft import FmuAxis
 from hilbench.plant.motor_port import MotorPort
@@ -181,12 +181,16 @@ class ServoAxisTwin:
     largest_steps: Sequence[float] = ()
 
     def published(self) -> tuple[float, ...]:
-        """Inertia, dry friction, deviation of the inertia, simulated torque, its residual."""
-        found = self._estimate
+        """Inertia, dry friction, deviation of the inertia, simulated torque, its residual; deviation of the dry
+        friction, viscous friction, its deviation."""
+        found, told = self._estimate, self._estimator.told
         return (
             found.inertia_kg_m2,
             self._found[_COULOMB],
             found.deviation_kg_m2,
             self.ports[0].torque_Nm,
             self._residual_Nm,
+            told.item(COULOMB_SD),
+            self._found[_VISCOUS],
+            told.item(VISCOUS_SD),
         )

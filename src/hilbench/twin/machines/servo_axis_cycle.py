@@ -85,6 +85,9 @@ def _publish(values: Vector, at: Places, told: Vector, said: Vector, torque_Nm: 
     values[at[_PUBLISHED + 2]] = told[inertia.DEVIATION]
     values[at[_PUBLISHED + 3]] = torque_Nm
     values[at[_PUBLISHED + 4]] = said[RESIDUAL_NM]
+    values[at[_PUBLISHED + 5]] = told[inertia.COULOMB_SD]
+    values[at[_PUBLISHED + 6]] = said[VISCOUS]
+    values[at[_PUBLISHED + 7]] = told[inertia.VISCOUS_SD]
 
 
 @compiled
