@@ -15,6 +15,7 @@ import numba
 import numpy as np
 from llvmlite import binding
 from numba import types
+from numba.core import cgutils
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, InTreeCacheLocator
 from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys
@@ -173,6 +174,11 @@ if TYPE_CHECKING:
         """The same of int64."""
         raise NotImplementedError
 
+    def call_at(function: int, argument: int, table: int, rows: int) -> int:
+        """In the body of an entry point: call another one by its `address_of`, with an argument and a `table_of` so
+        many rows that stands at this address. Only for functions of (COUNT, TABLE) that return an int64."""
+        raise NotImplementedError
+
 else:
     # Division as in numpy and C (no check for zero); no fastmath: equal results on every machine.
     # Without NRT, numba's runtime, there are no reference counts: with them a step of the model takes ten times as
@@ -231,6 +237,28 @@ else:
 
     floats, integers = _array_of(types.float64), _array_of(types.int64)
 
+    @intrinsic
+    def call_at(typing_context, function, argument, table, rows):
+        result = types.int64
+
+        def generate(context, builder, signature, arguments):
+            from numba.np.arrayobj import make_array, populate_array
+
+            of_function, of_call = (COUNT, TABLE), context.call_conv
+            address, argument, data, rows = arguments
+            array = make_array(TABLE)(context, builder)
+            width, step = (context.get_constant(types.intp, size) for size in (TABLE_WIDTH, 8))
+            strides = [builder.mul(width, step), step]
+            populate_array(array, builder.inttoptr(data, array.data.type), [rows, width], strides, step, None)
+            kind = of_call.get_function_type(result, of_function).as_pointer()
+            callee = builder.inttoptr(address, kind)
+            status, found = of_call.call_function(builder, callee, result, of_function, [argument, array._getvalue()])
+            with cgutils.if_unlikely(builder, status.is_error):
+                of_call.return_status_propagate(builder, status)
+            return found
+
+        return result(types.intp, COUNT, types.intp, types.intp), generate
+
 
 #: Columns of a `table_of`: address, and up to three lengths.
 TABLE_WIDTH = 4
@@ -248,6 +276,15 @@ def table_of(arrays: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
             raise ValueError(f"an array of {array.dtype} {array.shape}, expected float64 or int64 in one piece")
         row[: 1 + array.ndim] = (array.ctypes.data, *array.shape)
     return table
+
+
+def address_of(function: Callable[[int, NDArray[np.int64]], int]) -> int:
+    """Where the machine code of an entry point of (COUNT, TABLE) stands, for `call_at`; compiled, or loaded, if need
+    be. It stays there as long as the process lives."""
+    dispatcher: Any = function
+    dispatcher.compile(dispatcher.arguments)
+    found = dispatcher.overloads[dispatcher.arguments]
+    return int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
 
 
 def number_of_sources(*files: str) -> int:

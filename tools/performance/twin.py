@@ -98,7 +98,9 @@ def _in_vectors(machines: list[WebLineTwin], inputs: _Inputs, count: int) -> Non
         measured[_TORQUE::_MEASURED_SIZE] = inputs.torques[row]
         asked[:] = inputs.speeds[row]
         for each in going:
-            each.go_on(row * _CYCLE_S)
+            code = each.piece.function(each.piece.argument, each.piece.table)
+            if code != each.piece.goes_on:
+                each.go_on_from(code, row * _CYCLE_S)
 
 
 def _begun(model: ModelParameters, machine: WebLineTwin, measured: Rows, asked: Rows, shown: Rows) -> InVectors:
@@ -108,5 +110,6 @@ def _begun(model: ModelParameters, machine: WebLineTwin, measured: Rows, asked: 
     places = dict(zip(told, range(len(told)), strict=True))
     behind = range(len(told), len(values))
     return machine.in_vectors(
-        MachineVectors(measured, asked, shown, values, places, behind, np.zeros(2, np.int64), number=0, status=1)
+        MachineVectors(measured, asked, shown, values, places, behind, np.zeros(2, np.int64), number=0, status=1),
+        otherwise=lambda code: False,
     )

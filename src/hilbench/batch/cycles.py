@@ -14,11 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from hilbench.batch import counting
 from hilbench.batch.wiring import InOneProcess, Wiring
 from hilbench.can.frame import Frame
 from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.identifiers import HEARTBEAT
+from hilbench.chain import GOES_ON, Chained, never
 from hilbench.cia402.state_machine import Command
+from hilbench.compiled import table_of
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.frame_tap import FrameTap, LineTap
 from hilbench.exchange.nodes import Nodes
@@ -41,6 +44,8 @@ _LOOK_AGAIN = 8
 #: Cycles whose lines of the trace are handed over together: some milliseconds of a run's own time.
 _TRACED_TOGETHER = 32
 _ENABLED = Command.ENABLE_OPERATION.value
+#: The first of the totals, which only grow.
+_SUMS = counting.DURATION_NS + 1
 
 
 class PlainCycles:
@@ -143,10 +148,8 @@ class _Run:
         self._machine = TwinInArrays(here.machine, self._wiring.hosts[1], slots)
         self._whole, self._real = np.array(slots.whole, np.int64), np.array(slots.real, np.float64)
         self._real = self._real if len(self._real) else np.zeros(1)
-        # One value goes faster through these than through the array.
-        self._whole_at, self._real_at = self._whole.data, reals(self._real)
-        row, of_status = self._wiring.status
-        self._status_sent, self._status_at = lay.O_SIZE + row, self._whole_at[of_status]
+        # One value goes faster through this than through the array.
+        self._real_at = reals(self._real)
         self._data = np.zeros((len(frames.rows), 8), np.uint8)
         for row, content in frames.constants.items():
             self._data[row, : len(content)] = np.frombuffer(content, np.uint8)
@@ -154,7 +157,7 @@ class _Run:
             np.zeros(lay.I_SIZE, np.int64),
             np.zeros(lay.O_SIZE + len(frames.rows), np.int64),
         )
-        self._given_at = self._given.data
+        self._given_at, self._left_at = self._given.data, self._left.data
         self._feedback = np.zeros(4 * len(self._seen_rows))
         self._asked, self._shown = np.zeros(len(drives)), np.zeros(lay.PORT_SIZE * len(drives))
         self._set_points = np.zeros(len(self._target_rows))
@@ -191,7 +194,26 @@ class _Run:
             of_drives=measured.of_drives,
             said=measured.said,
         )
-        self._table, self._bitrate = self._vectors.table(), self._nodes.config.bus.bitrate
+        self._table = self._vectors.table()
+        self._count_from_here()
+
+    def _count_from_here(self) -> None:
+        """The pieces of a cycle that are no drive's and no machine's."""
+        config, (row, of_status) = self._nodes.config, self._wiring.status
+        self._totals, self._heard = np.zeros(counting.TOTALS, np.int64), np.zeros(len(self._rows), np.int64)
+        self._totals_at, self._heard_at = self._totals.data, self._heard.data
+        self._passed, self._ticked, self._said_alive = [0] * _SUMS, 0, False
+        kept = (
+            *(self._given, self._left, self._vectors.frames.view(np.int64).reshape(-1), self._whole),
+            *(self._nodes.measured.counted, self._totals, self._heard, np.array([row, of_status.start])),
+        )
+        counted = table_of(kept)
+        self._exchange = Chained(kernel.exchange, config.bus.bitrate, self._table, otherwise=never)
+        self._publish = Chained(kernel.publish, 0, self._table, otherwise=self._publish_by_objects)
+        self._count = Chained(counting.count, config.cycle_ns, counted, otherwise=never, keeps=kept)
+        self._alive: Chained | None = None
+        if self._own_heartbeat >= 0:
+            self._alive = Chained(counting.said_alive, self._own_heartbeat, counted, otherwise=self._say_alive)
 
     def _join_motors(self) -> None:
         """The drives on both sides, with what they turn."""
@@ -241,90 +263,116 @@ class _Run:
 
     def cycle(self, outputs: Mapping[str, float]) -> bool:
         """Run one; False where it is not plain, and nothing was done. Raises as `SyncCycle` and `Nodes.decode`."""
-        here, sync, nodes = self._here, self._sync, self._nodes
         begun_ns = time.monotonic_ns()
-        if not self._still_plain(begun_ns) or not self._exchange(outputs):
+        if not self._plain_cycles(begun_ns):
             return False
-        said_alive = self._count_frames()
-        here.hardware.clock.tick_at(begun_ns)
-        here.twin.clock.tick_at(begun_ns)
+        self._put(outputs)
+        if self._exchange.function(self._exchange.argument, self._exchange.table) != GOES_ON:
+            return False
+        if self._alive is not None:
+            self._alive()
+        self._tick(begun_ns, self._ticked + 1)
         self._hardware.step()
         self._machine.go_on()
-        if not kernel.publish(self._table):
-            self._hardware.publish_by_objects()
-            self._machine.publish_by_objects()
-        left = self._left_now
-        sync.count(left[lay.O_BITS], begun_ns, time.monotonic_ns(), said_alive=said_alive)
-        self._cycles += 1
-        fault, self._fault = self._fault or self._write_waiting(), None
-        if fault is not None:
-            raise fault
-        status = self._status_at.tolist() if left[self._status_sent] else None
-        nodes.take_plain(status, self._heard() if left[lay.O_TIMED] else ())
+        self._publish()
+        self._count()
+        self._tap_frames()
+        self._pass(begun_ns)
         return True
 
-    def _still_plain(self, now_ns: int) -> bool:
+    def _plain_cycles(self, now_ns: int) -> int:
+        """How many cycles from now on are plain, as far as this shows."""
         here, nodes, sync = self._here, self._nodes, self._sync
         if self._hardware.over or here.bus.waiting or not self._machine.stays():
-            return False
+            return 0
         if sync.due_always is not self._due or nodes.supervised != self._supervised:
-            return False
+            return 0
         for drive in self._bench_drives:
             if drive.controlword != _ENABLED or not drive.reached:
-                return False
+                return 0
         for device in self._devices:
             if device.outbox:
-                return False
-        for clock, until_ns in self._until_ns:
-            if not clock.runs_until(now_ns, until_ns):
-                return False
-        return not sync.is_slow(now_ns * 1e-9)
+                return 0
+        if sync.is_slow(now_ns * 1e-9):
+            return 0
+        return min(clock.syncs_until(now_ns, until_ns) for clock, until_ns in self._until_ns)
 
-    def _exchange(self, outputs: Mapping[str, float]) -> bool:
-        """The frames of the cycle; False, and nothing done, where a value does not fit."""
-        here, given, set_points, real = self._here, self._given_at, self._set_points_at, self._real_at
+    def _put(self, outputs: Mapping[str, float]) -> None:
+        """What goes out with the next SYNC."""
+        set_points, real = self._set_points_at, self._real_at
         for at, name, per_unit in self._names:
             set_points[at] = outputs.get(name, 0.0) * per_unit
         for slot, name in self._told:
             real[slot] = outputs[name]
         self._machine.before_sync()
+        self._set_times()
+
+    def _set_times(self) -> None:
+        here, given = self._here, self._given_at
         given[lay.I_START_NS] = self._sync.next_sync_ns
         given[lay.I_CLOCKS], given[lay.I_CLOCKS + 1] = here.hardware.clock.next_ns, here.twin.clock.next_ns
-        return kernel.exchange(self._table, self._bitrate)
 
-    def _count_frames(self) -> bool:
-        """What the frames were; whether the bench's heartbeat was among them."""
-        here, given = self._here, self._given_at
-        self._left_now = left = self._left.tolist()
-        here.bus.account(left[lay.O_FRAMES], left[lay.O_BITS], left[lay.O_DURATION_NS])
-        if self._lines is not None:
-            given[lay.I_TEXT] = left[lay.O_TEXT]
-            self._waiting += 1
-            self._waiting_frames += left[lay.O_FRAMES]
-        elif self._tap is not None:
-            self._tap.write(self._sent_frames())
-            self._tap.end_cycle()
-        if self._own_heartbeat < 0 or not left[lay.O_SIZE + self._own_heartbeat]:
-            return False
+    def _say_alive(self, _: int) -> bool:
+        """The bench's heartbeat was on the wire."""
+        self._tick(time.monotonic_ns(), self._totals_at[counting.RUN])
         sender = self._frames.cob_ids[self._own_heartbeat] - HEARTBEAT
-        for served in (here.hardware, here.twin):
+        for served in (self._here.hardware, self._here.twin):
             for device in served.devices:
                 device.consumer.heard(sender)
         self._deadlines()
+        self._said_alive = True
         return True
 
-    def _sent_frames(self) -> list[Frame]:
+    def _tick(self, now_ns: int, syncs: int) -> None:
+        """So many SYNCs were on the wire by now since this run began."""
+        for served in (self._here.hardware, self._here.twin):
+            served.clock.tick_at(now_ns, syncs - self._ticked)
+        self._ticked = syncs
+
+    def _publish_by_objects(self, _: int) -> bool:
+        self._hardware.publish_by_objects()
+        self._machine.publish_by_objects()
+        return False
+
+    def _pass(self, begun_ns: int) -> None:
+        """The objects that count cycles learn of those since the last time. Raises as `SyncCycle` and
+        `Nodes.decode`."""
+        totals = self._totals_at.tolist()
+        cycles, frames, bits, duration_ns = (now - then for now, then in zip(totals[:_SUMS], self._passed, strict=True))
+        if not cycles:
+            return
+        self._passed = totals[:_SUMS]
+        self._here.bus.account(frames, bits, duration_ns)
+        if self._lines is not None:
+            self._waiting += cycles
+            self._waiting_frames += frames
+        self._tick(begun_ns, totals[counting.RUN])
+        last_bits, said_alive, self._said_alive = self._left_at[lay.O_BITS], self._said_alive, False
+        self._sync.count(cycles, bits, last_bits, begun_ns, time.monotonic_ns(), said_alive=said_alive)
+        self._cycles += cycles
+        fault, self._fault = self._fault or self._write_waiting(), None
+        if fault is not None:
+            raise fault
+        before = totals[counting.RUN] - cycles
+        heard = [
+            (device.node_id, at - before) for device, row in self._heartbeats if (at := self._heard_at[row]) > before
+        ]
+        self._nodes.pass_plain(cycles, heard, max(0, totals[counting.REPORTED] - before))
+
+    def _tap_frames(self) -> None:
         """For a tap that wants frames."""
+        if self._lines is None and self._tap is not None:
+            self._tap.write(self._sent_frames())
+            self._tap.end_cycle()
+
+    def _sent_frames(self) -> list[Frame]:
         frames, times_ns = self._frames, self._rows["time_ns"].tolist()
         data = self._data.tobytes()
         return [
             Frame(cob_id, data[8 * row : 8 * row + size], times_ns[row])
             for row, (cob_id, size) in enumerate(zip(frames.cob_ids, frames.sizes, strict=True))
-            if self._left_now[lay.O_SIZE + row]
+            if self._left_at[lay.O_SIZE + row]
         ]
-
-    def _heard(self) -> list[int]:
-        return [device.node_id for device, row in self._heartbeats if self._left_now[lay.O_SIZE + row]]
 
     def _write_waiting(self) -> BenchFaultError | None:
         """The lines of the last cycles; what the trace has to say against them."""

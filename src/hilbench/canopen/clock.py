@@ -74,13 +74,14 @@ class SyncClock:
         """Until when, by the monotonic clock, SYNC runs though none comes."""
         return self._last_sync_ns + self._stall_ns
 
-    def runs_until(self, monotonic_ns: int, until_ns: int) -> bool:
-        """Whether SYNC runs by the monotonic clock, and the next one does not lead beyond a time."""
-        return monotonic_ns - self._last_sync_ns <= self._stall_ns and self._time_ns + self._cycle_ns <= until_ns
+    def syncs_until(self, monotonic_ns: int, until_ns: int) -> int:
+        """How many SYNCs do not lead beyond a time; 0 where none runs by the monotonic clock."""
+        runs = monotonic_ns - self._last_sync_ns <= self._stall_ns
+        return max(0, (until_ns - self._time_ns) // self._cycle_ns) if runs else 0
 
-    def tick_at(self, monotonic_ns: int) -> None:
-        """`tick` for one that was asked what the monotonic clock shows already, and is not stalled."""
-        self._time_ns += self._cycle_ns
+    def tick_at(self, monotonic_ns: int, syncs: int = 1) -> None:
+        """`tick` for so many by one that was asked what the monotonic clock shows already, and is not stalled."""
+        self._time_ns += syncs * self._cycle_ns
         self._last_sync_ns = monotonic_ns
 
     def expect_sync(self) -> None:

@@ -12,6 +12,7 @@ from typing import Protocol
 from hilbench.can.confinement import ControllerState
 from hilbench.can.link import Link
 from hilbench.canopen.object_store import ObjectStore
+from hilbench.exchange import measured
 from hilbench.exchange.emergencies import Emergency
 from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.nodes import Nodes
@@ -86,6 +87,7 @@ class Exchange:
             producer=producer,
         )
         self._plain: PlainCycles | None = None
+        self._counted = nodes.measured.counted.data
         self.timing = sync.timing
         self.pacing = sync.pacing
         self.silent = sync.silent  #: who does not answer, and is not waited for any longer
@@ -101,11 +103,16 @@ class Exchange:
         if self._by_clock:
             sync.wait_for_turn()
         if self._plain is not None and self._plain.cycle(outputs):
+            self._count()
             return nodes
         received = sync.exchange([*nodes.encode(outputs), *own.answers()])
         own.handle(received)
         nodes.decode(received, sync.before_sync, sync.gone_by)
+        self._count()
         return nodes
+
+    def _count(self) -> None:
+        self._counted[measured.CYCLES], self._counted[measured.BITS] = self.timing.cycles, self._sync.last_bits
 
     @property
     def unexpected(self) -> Sequence[Unexpected]:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.chain import GOES_ON, Chained, Function, never
 from hilbench.compiled import (
-    INDICES,
+    COUNT,
     TABLE,
     TABLE_WIDTH,
-    VECTOR,
     compiled,
     entry_point,
     floats,
@@ -31,6 +31,9 @@ POSITION, VELOCITY, TORQUE, STATUSWORD, OF_DRIVE = range(5)
 #: the TPDO that brings it.
 _MEASURED, _SIMULATED, _RESIDUAL, _BROUGHT_BY, _OF_TORQUE = range(5)
 _NOWHERE = -1
+#: What is counted: cycles, and bits on the bus in the last one; the SYNC that the twin has answered last, by its count,
+#: and its status (bits of `TwinStatus`).
+CYCLES, BITS, TWIN_SYNC, TWIN_STATUS, _COUNTED = range(5)
 
 
 @compiled
@@ -46,11 +49,18 @@ def take_twin(came: Whole, torques: Whole, before_Nm: Vector, of_drives: Vector,
         before_Nm[k] = of_drives[row[_MEASURED]]
 
 
-Fill = Callable[[NDArray[np.int64], Vector, Whole], None]
+@compiled
+def twin_age_cycles(syncs: int, twin_sync: int) -> int:
+    """See `exchange.nodes.Nodes.twin_age`."""
+    # Started beside running SYNCs it may have counted one or two more than the bench.
+    age = ((syncs - twin_sync + 0x8000) & 0xFFFF) - 0x8000
+    return age if age > 0 else 0
+
+
 Take = Callable[[NDArray[np.int64]], None]
 
 
-def _entry_points(sources: int) -> tuple[Take, Fill]:
+def _entry_points(sources: int) -> tuple[Take, Function]:
     """For Python; `sources` as in `compiled.number_of_sources`."""
 
     @entry_point(TABLE)
@@ -59,10 +69,11 @@ def _entry_points(sources: int) -> tuple[Take, Fill]:
             came, torques, before_Nm = integers(table, 0, (1,)), integers(table, 1, (1,)), floats(table, 2, (1,))
             take_twin(came, torques, before_Nm, floats(table, 3, (1,)), floats(table, 4, (1,)))
 
-    @entry_point(TABLE, VECTOR, INDICES)
-    def fill(table: NDArray[np.int64], reals: Vector, wholes: Whole) -> None:
+    @entry_point(COUNT, TABLE)
+    def fill(twin_status: int, table: NDArray[np.int64]) -> int:
         if sources < 0 or len(table) == 0:
-            return
+            return GOES_ON
+        reals, wholes = floats(table, 9, (1,)), integers(table, 10, (1,))
         of_drives, said = floats(table, 3, (1,)), floats(table, 4, (1,))
         places, of_said, rad_per_unit = integers(table, 5, (1,)), integers(table, 6, (1,)), floats(table, 7, (1,))
         for k in range(len(rad_per_unit)):
@@ -74,6 +85,8 @@ def _entry_points(sources: int) -> tuple[Take, Fill]:
             wholes[place[STATUSWORD]] = int(shown[STATUSWORD])
         for k in range(len(said)):
             reals[of_said[k]] = said[k]
+        wholes[twin_status] = integers(table, 8, (1,))[TWIN_STATUS]
+        return GOES_ON
 
     return take, fill
 
@@ -108,7 +121,8 @@ class SimulatedTorque:
 
 class Measured:
     """Vectors of what has been answered. `of_drives` (4 D,); `said` (S,): the twin's signals, TPDO by TPDO, then the
-    torques that follow from residuals; `came` (P,): which of these TPDOs brought something in this cycle.
+    torques that follow from residuals; `came` (P,): which of these TPDOs brought something in this cycle; `counted`: by
+    CYCLES and so on.
 
     `said_by`: the signals of each TPDO of the twin.
     """
@@ -136,26 +150,37 @@ class Measured:
         ]
         names += [each.signal for each in torques]
         self.of_drives, self.said = np.zeros(OF_DRIVE * len(drives)), np.zeros(len(names))
-        self.came = np.zeros(len(said_by), np.int64)
+        self.came, self.counted = np.zeros(len(said_by), np.int64), np.zeros(_COUNTED, np.int64)
         self.torques, self.before_Nm = np.array(rows, np.int64).reshape(-1), np.zeros(len(torques))
         places = [kind.place(name) if name else _NOWHERE for drive in drives for name in drive.signals]
         self._kept = (
             *(self.came, self.torques, self.before_Nm, self.of_drives, self.said),
             *(np.array(places, np.int64), kind.places(names), np.array([each.rad_per_unit for each in drives])),
+            self.counted,
         )
         self._table = table_of(self._kept)
+        self._filled: CycleSample | None = None
+        self._filling: Chained
 
     def take_twin(self) -> None:
         """All of a cycle is here: what follows from it."""
         _take(self._table)
 
     def fill(self, sample: CycleSample) -> None:
-        """Into a sample; SI, positions and velocities in the machine's unit."""
-        _fill(self._table, sample.reals, sample.wholes)
+        """Into a sample; SI, positions and velocities in the machine's unit; and the twin's status."""
+        self.filling(sample)()
+
+    def filling(self, sample: CycleSample) -> Chained:
+        """The same as a piece of a cycle."""
+        if sample is not self._filled:
+            kept = *self._kept, sample.reals, sample.wholes
+            place = type(sample).place("twin_status")
+            self._filled, self._filling = sample, Chained(_fill, place, table_of(kept), otherwise=never, keeps=kept)
+        return self._filling
 
 
 def warm_up() -> None:
     """Compile, or load from the cache, before anybody waits for a cycle."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     _take(nothing)
-    _fill(nothing, np.zeros(0), np.zeros(0, np.int64))
+    _fill(0, nothing)

@@ -371,14 +371,15 @@ class SyncCycle:
         """What the last cycle has left for the trace; what the trace has to say against it."""
         return self._write_last_answers()
 
-    def count(self, bits: int, begun_ns: int, ended_ns: int, *, said_alive: bool) -> None:
-        """A cycle of so many bits was run by somebody else, between these times of the monotonic clock."""
+    def count(self, cycles: int, bits: int, last_bits: int, begun_ns: int, ended_ns: int, *, said_alive: bool) -> None:
+        """Cycles of so many bits, and the last of them, were run by somebody else, between these times of the monotonic
+        clock."""
         timing = self.timing
-        timing.cycles += 1
+        timing.cycles += cycles
         timing.bits += bits
         timing.wait_ns += ended_ns - begun_ns
         timing.ended_ns = ended_ns
-        self.last_bits = bits
+        self.last_bits = last_bits
         self.before_sync = 0
         if said_alive:
             self._alive_s = begun_ns * 1e-9

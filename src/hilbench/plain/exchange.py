@@ -232,7 +232,7 @@ class _Run:
             return False
         own = self._bench.own_heartbeat
         said_alive = own >= 0 and self._left_at[lay.O_SIZE + own] != 0
-        sync.count(bits, begun_ns, time.monotonic_ns(), said_alive=said_alive)
+        sync.count(1, bits, bits, begun_ns, time.monotonic_ns(), said_alive=said_alive)
         self.cycles += 1
         self.sent = False
         fault, self.fault = self.fault, None

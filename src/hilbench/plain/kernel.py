@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from hilbench.can import compiled_wire, wire
 from hilbench.can.compiled_wire import bits_on_wire
+from hilbench.chain import GOES_ON, Function
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
 from hilbench.compiled import (
     COUNT,
@@ -72,8 +72,8 @@ _OCTET, _SINGLE = np.dtype(np.uint8), np.dtype(np.float32)
     _OF_DRIVES,
     _SAID,
 ) = range(24)
-Exchange = Callable[[Table, int], bool]
-Publish = Callable[[Table], bool]
+#: What `exchange` and `publish` return where nothing was done: a value does not fit, a fault would follow.
+DOES_NOT_FIT = FAULT = 1
 
 
 #: What is not given.
@@ -298,13 +298,13 @@ def _encode(targets: Rows, sent: Rows, set_points: Real, whole: Whole, real: Rea
     return _all_fit(sent, whole, real, single)
 
 
-def _entry_points(sources: int) -> tuple[Exchange, Publish]:
+def _entry_points(sources: int) -> tuple[Function, Function]:
     """The compiled functions that Python calls; `sources` as in `compiled.number_of_sources`."""
 
-    @entry_point(TABLE, COUNT)
-    def exchange(table: Table, bitrate: int) -> bool:
+    @entry_point(COUNT, TABLE)
+    def exchange(bitrate: int, table: Table) -> int:
         if sources < 0 or len(table) == 0:
-            return False
+            return GOES_ON
         targets, frames = integers(table, _TARGETS, (1,)).view(_TARGET), integers(table, _FRAMES, (1,)).view(_FRAME)
         sent, received = integers(table, _SENT, (1,)).view(_FIELD), integers(table, _RECEIVED, (1,)).view(_FIELD)
         drives, seen = integers(table, _DRIVES, (1,)).view(_DRIVE), integers(table, _SEEN, (1,)).view(_SEEN_BY)
@@ -320,7 +320,7 @@ def _entry_points(sources: int) -> tuple[Exchange, Publish]:
         feedback, asked = floats(table, _FEEDBACK, (1,)), floats(table, _ASKED, (1,))
         data = all_data.reshape((len(frames), 8))
         if not _encode(targets, sent, set_points, whole, real, single):
-            return False
+            return DOES_NOT_FIT
         bits_of = left[_O_SIZE:]
         left[:] = 0
         taken = 0
@@ -360,27 +360,27 @@ def _entry_points(sources: int) -> tuple[Exchange, Publish]:
                 if bits_of[k]:
                     at = _line(frames[k], heads, data[k], text, at)
             left[_O_TEXT] = at
-        return True
+        return GOES_ON
 
-    @entry_point(TABLE)
-    def publish(table: Table) -> bool:
+    @entry_point(COUNT, TABLE)
+    def publish(_: int, table: Table) -> int:
         if sources < 0 or len(table) == 0:
-            return False
+            return GOES_ON
         drives = integers(table, _DRIVES, (1,)).view(_DRIVE)
         ports, whole = floats(table, _SHOWN, (1,)), integers(table, _WHOLE, (1,))
         for k in range(len(drives)):
             drive, port = drives[k], ports[k * _PORT_SIZE : (k + 1) * _PORT_SIZE]
             if not abs(port[1]) <= drive.overspeed_rad_s:
-                return False
+                return FAULT
             unit = drive.velocity_rad_s if drive.velocity else drive.torque_Nm
             largest = abs(port[0] / drive.position_rad)
             largest = max(largest, abs(port[1] / drive.velocity_rad_s), abs(port[1] / drive.vl_rad_s))
             largest = max(largest, abs(port[2] / drive.torque_Nm), abs(port[3] / unit))
             if not largest < _LARGEST:
-                return False
+                return FAULT
         for k in range(len(drives)):
             _show(drives[k], ports[k * _PORT_SIZE : (k + 1) * _PORT_SIZE], whole)
-        return True
+        return GOES_ON
 
     return exchange, publish
 
@@ -410,14 +410,14 @@ def _show(drive: Row, port: Real, whole: Whole) -> None:
 
 #: Files that the machine code depends on.
 SOURCES = (__file__, *(str(module.__file__) for module in (lay, compiled_wire, wire, measured)))
-#: exchange(table of `Vectors`, bitrate): the frames of a cycle over the wire; False, and nothing done, where a value
-#: does not fit.
-#: publish(table): feedback into the objects; False, and nothing done, where a fault would follow.
+#: exchange(bitrate, table of `Vectors`): the frames of a cycle over the wire; DOES_NOT_FIT, and nothing done, where a
+#: value does not.
+#: publish(0, table): feedback into the objects; FAULT, and nothing done, where one would follow.
 exchange, publish = _entry_points(number_of_sources(*SOURCES))
 
 
 def warm_up() -> None:
     """Compile, or load from the cache, before anybody waits for a cycle."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
-    exchange(nothing, 1_000_000)
-    publish(nothing)
+    exchange(1_000_000, nothing)
+    publish(0, nothing)

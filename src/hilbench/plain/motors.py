@@ -44,9 +44,10 @@ class Motors:
         self._shown[:] = self._of_ports()
         self._turned, self._alone, self._shows_ports = turned, alone, shows_ports
         self._keeps_ports = turned is not None
-        self.step = self.step_of(step_s)  #: take the set points, and go on
+        #: Take the set points, and go on; a piece of a cycle where nobody looks at the ports meanwhile.
+        self.step: Callable[[], object] = self.step_of(step_s)
 
-    def step_of(self, step_s: float) -> Callable[[], None]:
+    def step_of(self, step_s: float) -> Callable[[], object]:
         """The same for another time."""
         turned = self._turned
         if self._alone and isinstance(turned, StepsInModes):
@@ -56,7 +57,7 @@ class Motors:
                 return partial(self._step_and_show, step) if self._shows_ports else step
         return partial(self._step_by_ports, step_s)
 
-    def _step_and_show(self, step: Callable[[], None]) -> None:
+    def _step_and_show(self, step: Callable[[], object]) -> None:
         step()
         self._give_ports()
 

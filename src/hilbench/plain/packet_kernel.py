@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hilbench.c_library import CLOCK_MONOTONIC, MSG_DONTWAIT, MSG_NOSIGNAL, POLLIN, clock_gettime, ppoll, recv, send
 from hilbench.can import loan_kernel, protocol
 from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, NmtState
+from hilbench.chain import GOES_ON
 from hilbench.compiled import (
     COUNT,
     TABLE,
@@ -378,7 +379,7 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, Ask, Gather, TakeApa
                 numbers[HEARTBEAT_OF] = heartbeat
                 return ALIVE
             _take(packet, length, expected, data)
-        if not kernel.exchange(table, BITRATE):
+        if kernel.exchange(BITRATE, table) != GOES_ON:
             return OTHER
         if stage == BEHIND_SYNC:
             _keep_rest(port)
@@ -422,7 +423,7 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, Ask, Gather, TakeApa
         elif length == loan_kernel.NOTHING:
             length = -1
         numbers[LENGTH] = max(length, 0)
-        if length >= 0 or not kernel.exchange(table, bitrate):
+        if length >= 0 or kernel.exchange(bitrate, table) != GOES_ON:
             return OTHER
         data, out = integers(port, _DATA, (1,)).view(_OCTET), integers(port, _OUT, (1,)).view(_OCTET)
         numbers[OUT_LENGTH] = pack(integers(port, _ANSWERS, (1, 2)), 0, left[_O_SIZE:], data, out)
@@ -475,7 +476,7 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, Ask, Gather, TakeApa
             return False
         for k in range(8 * len(expected)):
             data[k] = came[k]
-        return kernel.exchange(table, bitrate)
+        return kernel.exchange(bitrate, table) == GOES_ON
 
     return answer, await_sync, ask, gather, take_apart
 

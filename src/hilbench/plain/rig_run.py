@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+from hilbench.chain import GOES_ON
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.plain import kernel
 from hilbench.plain.motors import Motors
@@ -73,7 +74,7 @@ class _AnswersAndMotors:
         return self._of_sync.came
 
     def _publish(self) -> None:
-        if not kernel.publish(self._of_sync.table):
+        if kernel.publish(0, self._of_sync.table) != GOES_ON:
             self._motors.publish_by_objects()
 
     def end(self) -> None:
@@ -114,7 +115,7 @@ class ClockedRigRun(_AnswersAndMotors):
         super().__init__(answers, rig, longest_step * sample_s)
         self._answers, self._time = answers, time
         self._sample_s, self._longest_step = sample_s, longest_step
-        self._steps: dict[int, Callable[[], None]] = {longest_step: self._motors.step}  # by their sample times
+        self._steps: dict[int, Callable[[], object]] = {longest_step: self._motors.step}  # by their sample times
 
     def serve(self, timeout_s: float) -> bool:
         """See `host.PacketRun`."""

@@ -11,15 +11,18 @@ a rotary machine has `x1_rad`, `v1_rad_s`. A ratio has the unit "1".
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.plant.motor_port import MotorPort
 from hilbench.suggest import did_you_mean
+
+if TYPE_CHECKING:  # numba, which a check of a config does not need
+    from hilbench.chain import Chained
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +132,7 @@ class StepsInModes(Protocol):
 
     def steps_in_modes(
         self, set_points: NDArray[np.float64], duration_s: float, shown: NDArray[np.float64]
-    ) -> Callable[[], None] | None:
+    ) -> Chained | None:
         """What lets it go on with set points (M,); `shown`, (5 M,): position, velocity, torque, reference, torque
         limited. None for a machine that can't."""
 

@@ -32,18 +32,21 @@ class SensorNoise:
     def __init__(self, seeds: Sequence[np.random.SeedSequence], block: int = 256) -> None:
         # Of each motor the first stream is the torque's, the last the position's.
         self._generators = [np.random.default_rng(child) for seed in seeds for child in reversed(seed.spawn(3))]
-        self._block = block
-        self._rows = np.zeros((0, len(self._generators)))
-        self._next = 0
+        #: Those that were drawn, (B, 3 M), and the row of the next step, (1,): B when all are used.
+        self.rows, self.next = np.zeros((block, len(self._generators))), np.array([block])
+
+    def draw(self) -> None:
+        """The numbers of the next B steps."""
+        for column, one in enumerate(self._generators):
+            self.rows[:, column] = one.standard_normal(len(self.rows))
+        self.next[0] = 0
 
     def row(self) -> NDArray[np.float64]:
-        """The numbers of the next step."""
-        at = self._next
-        if at == len(self._rows):
-            self._rows = np.stack([one.standard_normal(self._block) for one in self._generators], axis=1)
-            at = 0
-        self._next = at + 1
-        row: NDArray[np.float64] = self._rows[at]
+        """The numbers of the next step, until they are drawn anew."""
+        if self.next[0] == len(self.rows):
+            self.draw()
+        self.next[0] += 1
+        row: NDArray[np.float64] = self.rows[self.next[0] - 1]
         return row
 
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from hilbench.canopen.object_store import Cell
+from hilbench.chain import Chained
 from hilbench.plain import layout as lay
 from hilbench.plain.devices import HostFrames
 from hilbench.plain.motors import Motors
@@ -101,10 +102,16 @@ class TwinInArrays:
 
     def stays(self) -> bool:
         """Whether the next cycle can go on in the arrays as this one did."""
+        self._application.count_syncs()
         if self._motors.over or self._application.leaves_vectors:
             return False
         looks = not (self._in_vectors or (self._cycles + 1) % _LOOK_FOR_VECTORS)
         return not (looks and self._application.goes_in_vectors)
+
+    @property
+    def piece(self) -> Chained | None:
+        """Of a cycle: the same as `go_on`, with nothing to do before SYNC; None while it has not all in vectors."""
+        return self._application.in_vectors if self._in_vectors else None
 
     def before_sync(self) -> None:
         """What the TPDOs of the next SYNC carry goes into the arrays."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.loan import NO_WIRE
+from hilbench.chain import GOES_ON
 from hilbench.plain import kernel, packet_kernel
 from hilbench.plain import layout as lay
 from hilbench.plain.packet_kernel import ANSWERED, BITRATE, NOTHING, OTHER, RECEIVE, TAKEN, Gathered
@@ -142,7 +143,7 @@ class TwinRun:
     def _go_on(self) -> None:
         """With what the axes have said."""
         self._machine.go_on()
-        if not kernel.publish(self._answers.table):
+        if kernel.publish(0, self._answers.table) != GOES_ON:
             self._machine.publish_by_objects()
         self._machine.before_sync()
         self._awaits = False

@@ -17,6 +17,7 @@ from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.identifiers import NmtState
 from hilbench.canopen.sync_time import SyncTime
+from hilbench.chain import Chained
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.estimation.web_line.torque_shift import TORQUE_SHIFT, UNDECIDED
 from hilbench.plant.interface import Steps
@@ -262,7 +263,7 @@ class TwinApplication:
         self._said = (self._sync_number + 1) & 0xFFFF, 0, self._status()
         return self._said
 
-    def go_on(self, measured: list[Measured], step: Callable[[], None]) -> None:
+    def go_on(self, measured: list[Measured], step: Callable[[], object]) -> None:
         """The rest of a cycle after `begin_plain`: what the axes (N,) have measured at SYNC. `step`: what lets the
         virtual axes go on with what they turn, in the place of their `sync` and the machine's `step`."""
         self._sync_number += 1
@@ -275,6 +276,7 @@ class TwinApplication:
 
     def awaits_measurements(self) -> None:
         """The same where nobody runs the rest: it goes on as the axes answer."""
+        self.count_syncs()
         self._sync_number += 1
         self._measured = list(self._nothing)
         self._owed = [owed + 1 for owed in self._owed]
@@ -294,23 +296,55 @@ class TwinApplication:
         assert isinstance(machine, VectorMachine), "asked for before"
         self._behind = 0
         vectors.whole[vectors.number], vectors.whole[vectors.status] = (self._sync_number + 1) & 0xFFFF, self._status()
-        self._in_vectors, self.leaves_vectors = machine.in_vectors(vectors), False
+        self._in_vectors, self.leaves_vectors = machine.in_vectors(vectors, self._go_on_from), False
         self._vectors = vectors
 
+    @property
+    def in_vectors(self) -> Chained | None:
+        """`begin_plain` and `go_on` as a piece of a cycle, which may be another one after Python's part of it; None
+        while each cycle has one."""
+        return self._in_vectors.piece if self._in_vectors is not None and self._quiet else None
+
     def go_on_in_vectors(self) -> None:
-        """`begin_plain` and `go_on`."""
+        """The same of one cycle."""
         assert self._in_vectors is not None, "begun"
+        piece = self._in_vectors.piece
+        code = piece.function(piece.argument, piece.table)
+        if code != piece.goes_on or not self._quiet:
+            self._go_on_from(code)
+
+    def _go_on_from(self, code: int) -> bool:
+        """Python's part of a cycle in vectors; whether the next ones may have none."""
+        machine = self._in_vectors
+        assert machine is not None, "begun"
+        self._count_syncs(-1 if machine.has_ended(code) else 0)
         self._sync_number += 1
-        went = self._in_vectors.go_on(self._time_s)
+        piece = machine.piece
+        went = machine.go_on_from(code, self._time_s)
         if went == LOOK or (went != MISSED and not self._quiet):
             self._report_problem()
             self._report_shift()
             self.leaves_vectors = self._machine.refused
         self._time_s += self._cycle_s
+        return self._quiet and not self.leaves_vectors and piece is machine.piece
+
+    def count_syncs(self) -> None:
+        """Of the cycles in vectors, now and then: their number is one of 16 bits."""
+        if self._in_vectors is not None:
+            self._count_syncs(0)
+
+    def _count_syncs(self, further: int) -> None:
+        vectors = self._vectors
+        syncs = (int(vectors.whole[vectors.number]) - 1 + further - self._sync_number) & 0xFFFF
+        self._sync_number += syncs
+        for _ in range(syncs):
+            self._time_s += self._cycle_s
 
     def end_in_vectors(self) -> None:
         """The machine is in its objects again."""
         if self._in_vectors is not None:
+            if not self._pending:
+                self._count_syncs(0)
             said, vectors = self._in_vectors.give(), self._vectors
             status = int(vectors.whole[vectors.status]) if self._pending else said
             self._io.publish_status(self._sync_number, 0, status)

@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable
 
 import can
+from hilbench import chain
+from hilbench.batch import counting
 from hilbench.batch.cycles import PlainCycles
 from hilbench.batch.wiring import InOneProcess, Served
 from hilbench.can.confinement import ControllerState
@@ -42,6 +44,8 @@ class InProcess:
         self.bus = MemoryBus(config.bus_address.channel, config.bus.bitrate)
         self._lock = threading.RLock()
         kernel.warm_up()
+        counting.warm_up()
+        chain.warm_up()
         warm_up_in_modes(config)
         by_sync = config.model_copy(update={"pace": "lockstep"})
         setup = twin_setup(by_sync)

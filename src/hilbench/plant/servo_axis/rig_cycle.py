@@ -7,8 +7,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, TABLE, VECTOR, entry_point, floats
+from hilbench.chain import GOES_ON
+from hilbench.compiled import COUNT, TABLE, VECTOR, entry_point, floats, integers
 from hilbench.plant import drive_loops as loops
+from hilbench.plant import sensor_rows
+from hilbench.plant.sensor_rows import take_row
 from hilbench.plant.servo_axis import kernel
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.layout import Vector
@@ -19,6 +22,8 @@ Table = NDArray[np.int64]
 SHOWN = 5
 #: Of each motor: standard deviations of position, velocity and torque, and what the encoder counts.
 SENSOR = 4
+#: What `step_by` returns where the normal numbers are to be drawn anew, and nothing was done.
+DRAW = 1
 
 
 def _entry_point(sources: int) -> Callable[[Table, int, Vector], None]:
@@ -51,3 +56,25 @@ def _entry_point(sources: int) -> Callable[[Table, int, Vector], None]:
 #: step(table of parameters, state, inputs, out, set points (M,), sensors (M · SENSOR,), shown (M · SHOWN,); samples,
 #: normal numbers (3 · M,)): `kernel.advance` and `kernel.observe`, with ports that stay as they are, and `Sensors`.
 step = _entry_point(kernel.source_number(__file__))
+
+
+def _by_table(sources: int) -> Callable[[int, Table], int]:
+    """For Python; `sources` as in the kernel."""
+
+    @entry_point(COUNT, TABLE)
+    def step_by(samples: int, table: Table) -> int:
+        if sources < 0:
+            return GOES_ON
+        numbers = floats(table, 7, (1, 2))
+        row = take_row(numbers, integers(table, 8, (1,)))
+        if row < 0:
+            return DRAW
+        step(table, samples, numbers[row])
+        return GOES_ON
+
+    return step_by
+
+
+#: step_by(samples, table of the vectors in this order, and behind them the numbers, as of `sensor_rows.take_row`): the
+#: same.
+step_by = _by_table(kernel.source_number(str(sensor_rows.__file__), __file__))

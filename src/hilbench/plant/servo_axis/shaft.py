@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import table_of
+from hilbench.chain import Chained
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import LoadMotorParameters
 from hilbench.plant.sampling import samples_per
+from hilbench.plant.sensor_rows import chained_with_noise, silence
 from hilbench.plant.sensors import SensorNoise
 from hilbench.plant.servo_axis import kernel, rig_cycle
 from hilbench.plant.servo_axis import layout as lay
@@ -118,19 +119,15 @@ class Shaft:
         for row, port in zip(lay.motor_inputs(self._inputs), self._ports, strict=False):
             row[:] = port.mode, port.setpoint, port.slope, port.torque_limit_Nm
 
-    def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> Callable[[], None] | None:
+    def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> Chained | None:
         """`step` with set points (M,) in place of those of the ports, whose modes and limits stay what they are; what
         the ports would show goes into `shown`, (5 M,): position, velocity, torque, reference, torque limited.
 
         The ports do not learn of it; who calls it keeps the vectors. Raises ValueError as `step`.
         """
-        of = self.step_in_vectors(duration_s, set_points, shown)
-        table = table_of(of.vectors)
-
-        def step() -> None:
-            rig_cycle.step(table, of.samples, of.silence if self._noise is None else self._noise.row())
-
-        return step
+        of, noise = self.step_in_vectors(duration_s, set_points, shown), self._noise
+        numbers = silence(len(self._ports)) if noise is None else (noise.rows, noise.next)
+        return chained_with_noise(rig_cycle.step_by, of.samples, (*of.vectors, *numbers), noise)
 
     def step_in_vectors(self, duration_s: float, set_points: Vector, shown: Vector) -> ShaftStep:
         """The same for compiled callers, of a shaft without sensors."""
@@ -138,9 +135,8 @@ class Shaft:
         self._read_ports()
         motors = len(self._ports)
         sensors = np.zeros(rig_cycle.SENSOR * motors) if self._noise is None else self._sensor_figures
-        silence = np.full(3 * motors, -0.0)  # what -0.0 is added to keeps its sign
         kept = self._p, self._state, self._inputs, self._out, set_points, sensors, shown
-        return ShaftStep(samples, kept, silence)
+        return ShaftStep(samples, kept, silence(motors)[0][0])
 
     def _go(self, samples: int) -> None:
         kernel.advance(self._p, self._state, self._inputs, samples)

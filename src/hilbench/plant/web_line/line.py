@@ -89,7 +89,7 @@ class Line(SimulatedLine):
     def step_in_vectors(self, duration_s: float) -> LineStep:
         """For compiled callers that go on by so long. Raises ValueError as `step`."""
         samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
-        return LineStep(samples, self._places_of_motors, self._figures, self._silence)
+        return LineStep(samples, self._places_of_motors, self._figures, self._silence[0])
 
     @property
     def moduli(self) -> Vector:

@@ -7,7 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.chain import GOES_ON
 from hilbench.compiled import COUNT, INDICES, TABLE, VECTOR, compiled, entry_point, floats, integers
+from hilbench.plant import sensor_rows
+from hilbench.plant.sensor_rows import take_row
 from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.kernel import advance, observe
@@ -20,6 +23,8 @@ Step = Callable[[Vector, Vector, Vector, Vector, Vector, NDArray[np.int64], Vect
 SHOWN = 5
 #: Of each motor: standard deviations of position, velocity and torque, and what the encoder counts.
 SENSOR = 4
+#: What `step_by` returns where the normal numbers are to be drawn anew, and nothing was done.
+DRAW = 1
 
 
 @compiled
@@ -78,18 +83,26 @@ def _entry_point(sources: int) -> Step:
 step = _entry_point(kernel.source_number(__file__))
 
 
-def _by_table(sources: int) -> Callable[[Table, int, Vector], None]:
-    @entry_point(TABLE, COUNT, VECTOR)
-    def step_by(table: Table, samples: int, noise: Vector) -> None:
+def _by_table(sources: int) -> Callable[[int, Table], int]:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(COUNT, TABLE)
+    def step_by(samples: int, table: Table) -> int:
         if sources < 0:
-            return
+            return GOES_ON
+        numbers = floats(table, 9, (1, 2))
+        row = take_row(numbers, integers(table, 10, (1,)))
+        if row < 0:
+            return DRAW
         p, s, u = floats(table, 0, (1,)), floats(table, 1, (1,)), floats(table, 2, (1,))
         work, out, motors = floats(table, 3, (1,)), floats(table, 4, (1,)), integers(table, 5, (1,))
         set_points, sensors, shown = floats(table, 6, (1,)), floats(table, 7, (1,)), floats(table, 8, (1,))
-        step(p, s, u, work, out, motors, set_points, samples, sensors, noise, shown)
+        step(p, s, u, work, out, motors, set_points, samples, sensors, numbers[row], shown)
+        return GOES_ON
 
     return step_by
 
 
-#: step_by(table of the vectors in this order, samples, normal numbers): the same.
-step_by = _by_table(kernel.source_number(__file__))
+#: step_by(samples, table of the vectors in this order but for the numbers, which are the last two, as of
+#: `sensor_rows.take_row`): the same.
+step_by = _by_table(kernel.source_number(str(sensor_rows.__file__), __file__))

@@ -14,13 +14,14 @@ from typing import Literal
 
 import numpy as np
 
-from hilbench.compiled import table_of
+from hilbench.chain import Chained
 from hilbench.plant.drive_loops import OFF
 from hilbench.plant.effect import Effect, MachineKind
 from hilbench.plant.effects import find_effect
 from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.sampling import samples_per
+from hilbench.plant.sensor_rows import chained_with_noise, silence
 from hilbench.plant.sensors import SensorNoise
 from hilbench.plant.web_line import kernel, rig_cycle
 from hilbench.plant.web_line import layout as lay
@@ -181,7 +182,7 @@ class SimulatedLine:
         shown = [rows[motor] for motor in self._motors]
         self._places_of_motors = np.array(self._motors, np.int64)
         self._figures = np.zeros(rig_cycle.SENSOR * len(shown))  # of sensors that add nothing:
-        self._silence = np.full(3 * len(shown), -0.0)  # what -0.0 is added to keeps its sign
+        self._silence, self._always = silence(len(shown))
         axis_of = {row: number for number, row in enumerate(self._driven, 1)}
         self._per_m = [1.0 if unit == "m" else float(rows[row, lay.M_RAD_PER_M]) for row in self._driven]
         axes, spans = axis_names(n, unit), span_names(k)
@@ -245,7 +246,7 @@ class SimulatedLine:
         kernel.advance(self._p, self._state, self._inputs, self._work, samples)
         self._observe()
 
-    def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> Callable[[], None]:
+    def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> Chained:
         """`step` with set points (M,) in place of those of the ports, whose modes and limits stay what they are; what
         the ports would show goes into `shown`, (5 M,): position, velocity, torque, reference, torque limited.
 
@@ -253,13 +254,10 @@ class SimulatedLine:
         """
         samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
         own = self._p, self._state, self._inputs, self._work, self._out, self._places_of_motors
-        table = table_of((*own, set_points, self._figures, shown))
-
-        def step() -> None:
-            noise = self._silence if self._noise is None else self._noise.row()
-            rig_cycle.step_by(table, samples, noise)
-
-        return step
+        noise = self._noise
+        numbers = (self._silence, self._always) if noise is None else (noise.rows, noise.next)
+        vectors = *own, set_points, self._figures, shown, *numbers
+        return chained_with_noise(rig_cycle.step_by, samples, vectors, noise)
 
     def _observe(self) -> None:
         """Bring `_out` up to the state, and the feedback to the ports."""

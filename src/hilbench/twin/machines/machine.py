@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.chain import Chained
 from hilbench.estimation.plausibility import Problem
 from hilbench.plant.interface import Plant
 from hilbench.plant.motor_port import MotorPort
@@ -132,9 +133,16 @@ class MachineVectors:
 class InVectors(Protocol):
     """A released machine, with the model that it was configured with, while it goes on in vectors."""
 
-    def go_on(self, time_s: float) -> int:
-        """`compare`, `listen`, a step of the plant, `published`, and the status for the next SYNC: WENT_ON, LOOK or
-        MISSED."""
+    @property
+    def piece(self) -> Chained:
+        """Of a cycle: `compare`, `listen`, a step of the plant, `published`, and the status for the next SYNC; another
+        one once `go_on_from` has made its vectors others."""
+
+    def has_ended(self, code: int) -> bool:
+        """Whether with this the cycle has gone on to its end."""
+
+    def go_on_from(self, code: int, time_s: float) -> int:
+        """The rest of a cycle whose piece has returned this: WENT_ON, LOOK or MISSED."""
 
     def give(self) -> int:
         """The objects get what the vectors have; returns the status that was said at the last SYNC."""
@@ -151,5 +159,5 @@ class VectorMachine(Protocol):
     def warm_up_in_vectors(self) -> None:
         """Compile, or load, what it runs on then."""
 
-    def in_vectors(self, vectors: MachineVectors) -> InVectors:
-        """The machine in vectors; its objects are to be left alone until it gives."""
+    def in_vectors(self, vectors: MachineVectors, otherwise: Callable[[int], bool]) -> InVectors:
+        """The machine in vectors; its objects are to be left alone until it gives. `otherwise`: of its piece."""

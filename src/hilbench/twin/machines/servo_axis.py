@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import inf, isnan, nan
 
 from hilbench.estimation.plausibility import Plausibility, Problem
@@ -137,7 +137,7 @@ class ServoAxisTwin:
         """Compile, or load, what it runs on then."""
         cycle.warm_up()
 
-    def in_vectors(self, vectors: MachineVectors) -> ShaftInVectors:
+    def in_vectors(self, vectors: MachineVectors, otherwise: Callable[[int], bool]) -> ShaftInVectors:
         """While this goes on in vectors; see `VectorMachine`."""
         before_Nm = nan if self._torque_before_Nm is None else self._torque_before_Nm
         said = {
@@ -156,6 +156,7 @@ class ServoAxisTwin:
             said,
             self._take_over,
             vectors,
+            otherwise,
         )
 
     def _take_over(self, said: Vector) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.chain import Chained
 from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers, table_of
 from hilbench.estimation import plausibility
 from hilbench.estimation.plausibility import PROBLEMS, Plausibility, Problem, find_problem
@@ -42,8 +43,8 @@ _BANK = _INPUTS + len(balance.InputVectors._fields)
 #: Figures: drive samples of a cycle, share of the inertia up to which its deviation is that of a known one.
 _SAMPLES, _KNOWN = range(2)
 #: What was said last: residual of the torque, what was simulated (NaN: nothing) and its ripple; the `Problem`; dry and
-#: viscous friction as they are found; the status of the last SYNC.
-RESIDUAL_NM, BEFORE_NM, _RIPPLE_NM, PROBLEM, COULOMB, VISCOUS, _STATUS = range(7)
+#: viscous friction as they are found; the status of the last SYNC; the problem of the cycle before.
+RESIDUAL_NM, BEFORE_NM, _RIPPLE_NM, PROBLEM, COULOMB, VISCOUS, _STATUS, _PROBLEM_BEFORE = range(8)
 #: Places: number of the SYNC and status among the whole numbers; among the values what is published.
 _NUMBER, _STATUS_AT, _PUBLISHED = range(3)
 #: Position and torque in what is measured, torque in what the motor shows.
@@ -115,7 +116,7 @@ def _entry_point(sources: int) -> Callable[[int, Places], int]:
         figures, whole, at = floats(table, _FIGURES, (1,)), integers(table, _WHOLE, (1,)), integers(table, _AT, (1,))
         position_rad, torque_Nm = measured[_POSITION], measured[_TORQUE]
         if stage == _COMPARE:
-            said[RESIDUAL_NM] = torque_Nm - shown[_TORQUE]
+            said[RESIDUAL_NM], said[_PROBLEM_BEFORE] = torque_Nm - shown[_TORQUE], said[PROBLEM]
             said[PROBLEM] = find_problem(floats(table, _PLAUSIBILITY, (1,)), torque_Nm, 1.0, position_rad)
             if said[PROBLEM] != 0.0:
                 return HOLD
@@ -133,7 +134,7 @@ def _entry_point(sources: int) -> Callable[[int, Places], int]:
         said[_STATUS] = whole[at[_STATUS_AT]]
         whole[at[_STATUS_AT]] = _status(told, said[PROBLEM], figures[_KNOWN])
         whole[at[_NUMBER]] = (whole[at[_NUMBER]] + 1) % _NUMBERS
-        return _DONE if said[PROBLEM] == 0.0 else _LOOK
+        return _DONE if said[PROBLEM] == 0.0 and said[_PROBLEM_BEFORE] == 0.0 else _LOOK
 
     return run
 
@@ -169,10 +170,12 @@ class ShaftInVectors:
         said: dict[int, float],
         keeps: Callable[[Vector], None],
         vectors: MachineVectors,
+        otherwise: Callable[[int], bool],
     ) -> None:
+        self._otherwise = otherwise
         self._estimator, self._cycle_s, self._keeps = estimator, cycle_s, keeps
         self._measured = vectors.measured
-        self._said = np.zeros(_STATUS + 1)
+        self._said = np.zeros(_PROBLEM_BEFORE + 1)
         for place, value in said.items():
             self._said[place] = value
         at = np.array([vectors.number, vectors.status, *vectors.published], np.int64)
@@ -188,17 +191,19 @@ class ShaftInVectors:
         """What the estimator consists of may be other vectors."""
         self._of = self._estimator.table
         self._table = np.concatenate([table_of(self._own), self._of])
+        self.piece = Chained(_run, _COMPARE, self._table, goes_on=_DONE, otherwise=self._otherwise)
 
-    def go_on(self, time_s: float) -> int:
+    def has_ended(self, code: int) -> bool:
         """See `machine.InVectors`."""
-        had_problem = self._said.item(PROBLEM) != 0.0
-        stage = _run(_COMPARE, self._table)
-        if stage not in _ENDS:
-            stage = self._go_on_by_objects(stage)
-        if had_problem or stage == _LOOK:
+        return code in _ENDS
+
+    def go_on_from(self, code: int, time_s: float) -> int:
+        """See `machine.InVectors`."""
+        if code not in _ENDS:
+            code = self._go_on_by_objects(code)
+        if code == _LOOK:
             self._keeps(self._said)
-            return LOOK
-        return _ENDS[stage]
+        return _ENDS[code]
 
     def _go_on_by_objects(self, stage: int) -> int:
         """What is Python's of a stage, and what is behind that."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, sqrt
 
@@ -331,7 +331,7 @@ class WebLineTwin:
         if self._others is None:
             web_line_cycle.warm_up()
 
-    def in_vectors(self, vectors: MachineVectors) -> LineInVectors:
+    def in_vectors(self, vectors: MachineVectors, otherwise: Callable[[int], bool]) -> LineInVectors:
         """While this goes on in vectors; see `VectorMachine`."""
         return LineInVectors(
             self._all,
@@ -344,6 +344,7 @@ class WebLineTwin:
             self._rollers,
             self._passage,
             vectors,
+            otherwise,
         )
 
     def use_method(self, number: int) -> None:

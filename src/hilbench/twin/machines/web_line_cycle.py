@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.chain import Chained
 from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers, table_of
 from hilbench.estimation.web_line import rollers, splices, torque_shift
 from hilbench.estimation.web_line import tracking_cycle as cycle
@@ -322,7 +323,9 @@ class LineInVectors:
         of_rollers: Rollers,
         passage: Passage | None,
         vectors: MachineVectors,
+        otherwise: Callable[[int], bool],
     ) -> None:
+        self._otherwise = otherwise
         self._estimated, self._passage, self._values = estimated, passage, vectors.values
         ways, positions_m = pairing_of_axes.vectors(len(rad_per_m))
         self._positions_m = positions_m
@@ -349,15 +352,19 @@ class LineInVectors:
         if not len(self._table) or any(now is not then for now, then in zip(tables, self._of, strict=True)):
             self._of = tables
             self._table = np.concatenate([table_of(self._own), *tables])
+            self.piece = Chained(_run, cycle.COMPARE, self._table, goes_on=_DONE, otherwise=self._otherwise)
         self._figures[_INPUT_STRAIN] = self._estimated[0].tracking.input_strain
         self._spans[:, _SEPARABLE] = [each.tracking.separable for each in self._estimated]
 
-    def go_on(self, time_s: float) -> int:
+    def has_ended(self, code: int) -> bool:
         """See `machine.InVectors`."""
-        stage = _run(cycle.COMPARE, self._table)
-        while stage not in _ENDS:
-            stage = self._go_on_by_objects(stage, time_s)
-        return _ENDS[stage]
+        return code in _ENDS
+
+    def go_on_from(self, code: int, time_s: float) -> int:
+        """See `machine.InVectors`."""
+        while code not in _ENDS:
+            code = self._go_on_by_objects(code, time_s)
+        return _ENDS[code]
 
     def _go_on_by_objects(self, stage: int, time_s: float) -> int:
         """What is Python's of a stage, and what is behind that."""
