@@ -16,15 +16,19 @@ NMT, SDO = 0x000, 0x600
 Change = Callable[[Bench], None]
 
 
-def ending_of(bench: Bench, cycles: int, changes: Sequence[tuple[int, Change]]) -> str:
-    """Run so many cycles, with what is done in between, by cycle; the error that has ended it, or nothing."""
+def ending_of(bench: Bench, cycles: int, changes: Sequence[tuple[int, Change]], *, together: bool = False) -> str:
+    """Run so many cycles, with what is done in between, by cycle; the error that has ended it, or nothing. `together`:
+    all cycles up to the next change are asked for at once."""
+    ends = sorted({*(at for at, _ in changes if 0 < at < cycles), cycles}) if together else range(1, cycles + 1)
     try:
         with bench:
-            for cycle in range(cycles):
+            cycle = 0
+            for end in ends:
                 for at, change in changes:
                     if at == cycle:
                         change(bench)
-                bench.cycle()
+                bench.run((end - cycle) * bench.config.cycle_time_s) if together else bench.cycle()
+                cycle = end
     except HilbenchError as error:
         return f"{type(error).__name__}: {error}"
     return ""

@@ -23,8 +23,10 @@ from numpy.typing import NDArray
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.tasks.reference import Reference
+from hilbench.bench.tasks.strain_way import StrainWay
 from hilbench.bench.tasks.tension_control import TensionController, control
-from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask, StrainWay
+from hilbench.bench.tasks.tension_cycle import LOOP, MODULUS_PA, SET_POINT_N
+from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.web_winding_control import CarriageForce, ReelMechanics, ReelTension
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.parameters import per_item
@@ -228,12 +230,12 @@ FILM_N, FILM_CYCLE_S = 14.0, 0.002
 FILM_LOOP = {"bandwidth_rad_per_s": 4.0, "set_point_N": FILM_N, "feed_forward": "twin"}
 
 
-@dataclass
 class KnownTension:
     """What keeps the tension of a span, as the feed-forward asks it."""
 
-    goal_N: float
-    modulus_Pa: float
+    def __init__(self, goal_N: float, modulus_Pa: float) -> None:
+        self.loop = np.zeros(LOOP)
+        self.loop[[SET_POINT_N, MODULUS_PA]] = goal_N, modulus_Pa
 
 
 def film(duration_s: float = 2.0, *, feed_forward: bool = True, modulus_error: float = 0.01) -> Course:
@@ -265,7 +267,7 @@ def film(duration_s: float = 2.0, *, feed_forward: bool = True, modulus_error: f
         line_speed.set(LINE_SPEED, min(max(1.0 + (cycle * FILM_CYCLE_S - 2.0) / duration_s, 1.0), 2.0))
         plan.before(nothing, {})
         speed_m_s = line_speed.present
-        leads = {axis: plan.lead_m_s(axis) if feed_forward else 0.0 for axis in range(1, model.axis_count + 1)}
+        leads = {axis: plan.lead(axis).item() if feed_forward else 0.0 for axis in range(1, model.axis_count + 1)}
         commands = {model.axis_count: speed_m_s + leads[model.axis_count]}
         for span in reversed(spans):
             entering = model.upstream_strain if span == 1 else now[f"strain{span - 1}"]

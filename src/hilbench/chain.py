@@ -55,6 +55,10 @@ class Chained:
         return code == self.goes_on or self.otherwise(code)
 
 
+class LeftError(Exception):
+    """A piece can't be done, and was not: Python has the cycle from there on."""
+
+
 def never(code: int) -> bool:
     """Of a piece of which nothing is Python's."""
     raise AssertionError(f"a compiled piece of a cycle has returned {code}")

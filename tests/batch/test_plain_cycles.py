@@ -6,7 +6,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from operator import attrgetter
+from datetime import UTC, datetime
+from enum import Enum
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -15,17 +16,20 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.plain_runs import CONFIGS, NMT, Change, download, ending_of, notices_of, objects_of, sets
+from tests.tiers import slow
 
 from hilbench.batch.cycles import PlainCycles
 from hilbench.bench.bench import Bench
+from hilbench.bench.chained import ChainedBench
 from hilbench.bench.lifecycle import in_process
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.reports.change import Change as Change_
 from hilbench.can.frame import Frame
 from hilbench.canopen.host import HostedDevices
 from hilbench.estimation.web_line import tracking_cycle
+from hilbench.results.run import Recorder
 from hilbench.results.trace import TraceWriter
 from hilbench.runs.config import load_with_overrides
-from hilbench.topology.sample import CycleSample
 from hilbench.twin.machines import servo_axis_cycle, web_line_cycle
 from hilbench.twin.machines.servo_axis_cycle import ShaftInVectors
 from hilbench.twin.machines.web_line_cycle import LineInVectors
@@ -39,33 +43,41 @@ class Left:
     """What a run left behind."""
 
     plain: int = 0  #: cycles
+    chained: int = 0  #: those of them that went without Python
     trace: list[str] = field(default_factory=list)
-    samples: list[bytes] = field(default_factory=list)
+    samples: dict[str, bytes] = field(default_factory=dict)
+    journal: list[Change_] = field(default_factory=list)
     notices: list[tuple[float, str, str, int]] = field(default_factory=list)
     objects: list[object] = field(default_factory=list)
     ending: str = ""
 
 
-class Samples:
-    """Keeps the bits of every sample of a bench."""
+class How(Enum):
+    """The ways in which cycles are run."""
 
-    def __init__(self, names: Sequence[str]) -> None:
-        self._row = attrgetter(*names)
-        self.kept: list[bytes] = []
-
-    def sample(self, sample: CycleSample) -> None:
-        self.kept.append(repr(self._row(sample)).encode())
+    INTERPRETED = 0
+    ONE_BY_ONE = 1  #: compiled
+    CHAINED = 2
 
 
-def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int, *, compiled: bool) -> Left:
+def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int, how: How) -> Left:
     """A bench that runs for so many cycles, with what is done in between, by cycle."""
     left, hosted = Left(), list[HostedDevices]()
-    plain = PlainCycles.cycle
+    plain, chained, at_once = PlainCycles.cycle, ChainedBench._run, ChainedBench.run
 
     def counted(self: PlainCycles, outputs: Any) -> bool:
-        done = compiled and plain(self, outputs)
+        done = how is not How.INTERPRETED and plain(self, outputs)
         left.plain += done
         return done
+
+    def at_once_or_not(self: ChainedBench, most: int) -> int:
+        return at_once(self, most) if how is How.CHAINED else 0
+
+    def counted_in_chains(self: ChainedBench, *arguments: Any) -> tuple[int, bool]:
+        done, further = chained(self, *arguments)
+        left.plain += done
+        left.chained += done
+        return done, further
 
     def kept(make: Callable[..., HostedDevices]) -> Callable[..., HostedDevices]:
         def made(*arguments: Any) -> HostedDevices:
@@ -74,19 +86,28 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
 
         return made
 
-    samples = Samples([signal.name for signal in loaded.config.signals])
-    trace = folder / f"trace{compiled:d}.log"
+    recorder = Recorder(loaded.config.signals)
+    trace = folder / f"trace-{how.name}.log"
     trace.unlink(missing_ok=True)
     with (
         patch.object(PlainCycles, "cycle", counted),
+        patch.object(ChainedBench, "_run", counted_in_chains),
+        patch.object(ChainedBench, "run", at_once_or_not),
         patch.object(in_process, "hardware", kept(in_process.hardware)),
         patch.object(in_process, "twin", kept(in_process.twin)),
         patch.object(time, "time_ns", lambda: EPOCH_NS),
         TraceWriter(trace, "can0") as tap,
     ):
-        bench = Bench(loaded.config, observers=[samples], tap=tap, participants=Participants.IN_PROCESS)
-        left.ending = ending_of(bench, cycles, changes)
-    left.samples = samples.kept
+        bench = Bench(
+            loaded.config,
+            observers=[recorder],
+            tap=tap,
+            participants=Participants.IN_PROCESS,
+            journal=left.journal.append,
+        )
+        left.ending = ending_of(bench, cycles, changes, together=how is How.CHAINED)
+    recording = recorder.recording(datetime.fromtimestamp(0, UTC), "")
+    left.samples = {name: recording[name].tobytes() for name in recording.channels}
     left.notices = notices_of(bench)
     left.objects = objects_of(hosted)
     lines = trace.read_text().splitlines()
@@ -96,18 +117,30 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
     return left
 
 
-def check(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int = 150, least: int = 60) -> Left:
-    """Both kinds of cycles make the same; `least`: so many of them are plain at least."""
-    one = run(folder, loaded, changes, cycles, compiled=True)
-    other = run(folder, loaded, changes, cycles, compiled=False)
-    assert one.plain >= least
-    assert other.plain == 0
-    assert one.ending == other.ending
-    assert one.samples == other.samples
-    assert one.trace == other.trace
-    assert one.notices == other.notices
-    assert one.objects == other.objects
-    return one
+def check(
+    folder: Path,
+    loaded: Any,
+    changes: Sequence[tuple[int, Change]],
+    cycles: int = 150,
+    least: int = 60,
+    *,
+    chains: bool = True,
+) -> Left:
+    """All kinds of cycles make the same; `least`: so many of them are plain at least, and so many of these go without
+    Python where all of a cycle can (`chains`)."""
+    reference = run(folder, loaded, changes, cycles, How.INTERPRETED)
+    assert reference.plain == 0
+    for how in (How.ONE_BY_ONE, How.CHAINED):
+        left = run(folder, loaded, changes, cycles, how)
+        assert left.plain >= least
+        assert left.chained >= (least // 2 if how is How.CHAINED and chains else 0)
+        assert left.ending == reference.ending
+        assert [name for name in left.samples if left.samples[name] != reference.samples[name]] == []
+        assert left.trace == reference.trace
+        assert left.journal == reference.journal
+        assert left.notices == reference.notices
+        assert left.objects == reference.objects
+    return left
 
 
 # -- what comes between ----------------------------------------------------------------------------------------------
@@ -191,6 +224,10 @@ def test_a_line_runs_alike_whatever_comes_between(
     check(tmp_path, loaded, changes, least=0)
 
 
+#: Benches of which every part of a cycle is compiled.
+CHAINED = {"web_section_step", "line_two_spans", "line_three_spans"}
+
+
 @pytest.mark.parametrize(
     ("name", "path"),
     [
@@ -203,7 +240,39 @@ def test_a_line_runs_alike_whatever_comes_between(
     ],
 )
 def test_every_kind_of_bench_runs_alike(tmp_path: Path, name: str, path: str) -> None:
-    check(tmp_path, load_with_overrides(CONFIGS / f"{name}.yaml"), [(10, sets(path, 0.05)), (80, sets(path, 0.1))])
+    changes = [(10, sets(path, 0.05)), (80, sets(path, 0.1))]
+    check(tmp_path, load_with_overrides(CONFIGS / f"{name}.yaml"), changes, chains=name in CHAINED)
+
+
+def ramps(path: str, to: float, duration_s: float) -> Change:
+    return lambda bench: bench.ramp(path, to, duration_s)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("web_section_step", ramps("line_speed_m_s", 0.7, 0.3)),
+        ("web_section_step", ramps("tension_control.set_point_N", 95.0, 0.1)),
+        *slow(("line_three_spans", ramps("line_speed_m_s", 0.7, 0.3))),
+    ],
+)
+def test_what_is_moved_runs_alike(tmp_path: Path, name: str, change: Change) -> None:
+    check(tmp_path, load_with_overrides(CONFIGS / f"{name}.yaml"), [(10, sets("line_speed_m_s", 0.05)), (40, change)])
+
+
+def test_a_limit_warns_and_trips_in_the_same_cycle(tmp_path: Path) -> None:
+    limits = ["safety.limits.speed_m_s.warning=0.2", "safety.limits.speed_m_s.trip=0.6"]
+    loaded = load_with_overrides(CONFIGS / "web_section_step.yaml", changes=limits)
+    left = check(tmp_path, loaded, [(10, ramps("line_speed_m_s", 1.0, 0.4))])
+    assert "speed of axis 1" in left.ending or "speed of axis 2" in left.ending
+    assert "beyond its trip level 0.6 m/s" in left.ending
+    assert [text for _, source, text, _ in left.notices if source == "limits"] != []
+
+
+def test_drives_at_their_limit_are_told_in_the_same_cycles(tmp_path: Path) -> None:
+    loaded = load_with_overrides(CONFIGS / "web_section_step.yaml")
+    left = check(tmp_path, loaded, [(10, sets("line_speed_m_s", 1.0))], cycles=700, least=500)
+    assert len([text for _, source, text, _ in left.notices if source == "saturation"]) >= 2
 
 
 def test_a_load_motor_that_its_shaft_turns_too_fast_fails_alike(tmp_path: Path) -> None:
@@ -234,7 +303,7 @@ def test_who_reads_and_finds_nothing_ends_no_plain_cycles(tmp_path: Path) -> Non
 
     loaded = load_with_overrides(CONFIGS / "web_section_step.yaml")
     with patch.object(PlainCycles, "settle", counted):
-        left = run(tmp_path, loaded, [(20, opens), (60, reads)], 80, compiled=True)
+        left = run(tmp_path, loaded, [(20, opens), (60, reads)], 80, How.ONE_BY_ONE)
     assert left.plain >= 40
     assert left.ending == ""
 
@@ -289,7 +358,7 @@ def test_a_twin_of_several_spans_that_joins_under_way_finds_the_same(tmp_path: P
     the wall clock: the frames are not compared."""
     changes = [(20, sets("line_speed_m_s", 1.0)), (300, restarts_the_twin)]
     loaded = load_with_overrides(CONFIGS / "line_two_spans.yaml")
-    one, other = (run(tmp_path, loaded, changes, 1000, compiled=compiled) for compiled in (True, False))
+    one, other = (run(tmp_path, loaded, changes, 1000, how) for how in (How.CHAINED, How.INTERPRETED))
     assert one.plain >= 600
     assert one.samples == other.samples
 
@@ -305,5 +374,5 @@ def test_what_a_twin_of_a_servo_axis_has_python_do_now_and_then_is_alike(tmp_pat
     ]
     loaded = load_with_overrides(CONFIGS / "servo_axis.yaml")
     with counts_stages(ShaftInVectors, stages):
-        check(tmp_path, loaded, changes, cycles=320, least=250)
+        check(tmp_path, loaded, changes, cycles=320, least=250, chains=False)
     assert {servo_axis_cycle.NOT_NEXT, servo_axis_cycle.HOLD} <= set(stages)

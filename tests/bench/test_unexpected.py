@@ -12,11 +12,12 @@ from tests.cli.in_process import hilbench
 from tests.tiers import slow
 
 from hilbench.batch.cycles import PlainCycles
+from hilbench.bench.chained import ChainedBench
 from hilbench.bench.lifecycle import in_process
 from hilbench.bench.operator.operator import Operator
 from hilbench.bench.operator.operator_objects import OperatorObjects
 from hilbench.bench.tasks.load_model import LoadModel
-from hilbench.bench.tasks.tension_trust import TwinTrust
+from hilbench.bench.tasks.tension_task import TensionTask
 from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.cia402.state_machine import State
@@ -47,6 +48,15 @@ OF_INTERPRETED_CYCLES = {
     (SyncCycle, "exchange"),
     (Tracking, "compare"),
 }
+
+
+#: What is called for 32 cycles at once.
+OF_CHAINS = {"write_lines", "count", "pass_plain"}
+
+
+def one_by_one(patch: pytest.MonkeyPatch) -> None:
+    """Every cycle is Python's, as where a task is."""
+    patch.setattr(ChainedBench, "run", lambda self, cycles: 0)
 
 
 class Stands:
@@ -101,7 +111,7 @@ def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
 @pytest.mark.parametrize(
     ("owner", "name"),
     [
-        (TwinTrust, "update"),
+        (TensionTask, "before"),
         (LoadModel, "follow_in"),
         (PlainCycles, "cycle"),
         (SyncCycle, "exchange"),
@@ -112,7 +122,7 @@ def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
             (Nodes, "encode"),
             (Nodes, "fill"),
             (TwinConnection, "before"),
-            (Nodes, "take_plain"),
+            (Nodes, "pass_plain"),
             (OwnNode, "handle"),
             (OperatorObjects, "changes"),
             (TraceWriter, "write"),
@@ -131,8 +141,9 @@ def test_whatever_breaks_in_mid_run_the_drives_stop_and_the_result_says_what(
     stand = Stands(monkeypatch)
     if (owner, name) in OF_INTERPRETED_CYCLES:
         monkeypatch.setattr(PlainCycles, "cycle", lambda self, outputs: False)
-    # Plain cycles hand their lines over by 32.
-    after = {"set": 50, "write": 4 * CALLS, "write_lines": CALLS // 32}.get(name, CALLS)
+    if name not in OF_CHAINS:
+        one_by_one(monkeypatch)
+    after = {"set": 50, "write": 4 * CALLS}.get(name, CALLS // 32 if name in OF_CHAINS else CALLS)
     breaks(monkeypatch, owner, name, KeyError("nobody foresaw"), after=after, for_good=for_good)
     result, kept, said = ended(config(tmp_path, steps=MOVING), tmp_path / "runs")
     assert result.faults[0].source == "bench"
@@ -156,6 +167,7 @@ def test_whatever_breaks_in_mid_run_the_drives_stop_and_the_result_says_what(
     ids=lambda error: type(error).__name__,
 )
 def test_whatever_kind_of_exception_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    one_by_one(monkeypatch)
     stand = Stands(monkeypatch)
     breaks(monkeypatch, LimitWatch, "update", error, after=CALLS, for_good=False)
     result, _, _ = ended(config(tmp_path, steps=MOVING), tmp_path / "runs")
@@ -198,6 +210,7 @@ def test_what_breaks_after_the_run_leaves_recording_and_result(tmp_path: Path, m
 def test_a_run_folder_that_somebody_removed_is_told_and_what_is_known_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    one_by_one(monkeypatch)
     original, calls = LimitWatch.update, [0]
 
     def removing(self: LimitWatch, sample: Any) -> list[str]:
@@ -218,6 +231,7 @@ def test_a_run_folder_that_somebody_removed_is_told_and_what_is_known_is_written
 
 
 def test_a_result_that_can_not_be_written_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one_by_one(monkeypatch)
     original, calls = LimitWatch.update, [0]
 
     def replacing(self: LimitWatch, sample: Any) -> list[str]:
@@ -237,6 +251,7 @@ def test_a_result_that_can_not_be_written_is_one_line(tmp_path: Path, monkeypatc
 
 
 def test_the_result_of_what_nobody_foresaw_is_plain_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one_by_one(monkeypatch)
     breaks(monkeypatch, LimitWatch, "update", ValueError("a\nb \udcff ü"), after=CALLS, for_good=False)
     result, _, _ = ended(config(tmp_path, steps=MOVING), tmp_path / "runs")
     assert "a\\nb \\udcff ü" in result.faults[0].text
@@ -248,6 +263,7 @@ def test_the_result_of_what_nobody_foresaw_is_plain_json(tmp_path: Path, monkeyp
 def test_whatever_number_a_node_says_the_run_goes_on_or_ends_by_a_fault_that_is_known(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, signal: str, value: float
 ) -> None:
+    one_by_one(monkeypatch)
     original, calls = Nodes.fill, [0]
 
     def forged(self: Nodes, sample: CycleSample) -> None:

@@ -9,7 +9,8 @@ is the reference: before it, and before anybody uses the bus, objects get back w
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -19,10 +20,11 @@ from hilbench.batch.wiring import InOneProcess, Wiring
 from hilbench.can.frame import Frame
 from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.identifiers import HEARTBEAT
-from hilbench.chain import GOES_ON, Chained, never
+from hilbench.chain import GOES_ON, Chained, LeftError, never
 from hilbench.cia402.state_machine import Command
 from hilbench.compiled import table_of
 from hilbench.errors import BenchFaultError
+from hilbench.exchange.exchange import ChainedCycles
 from hilbench.exchange.frame_tap import FrameTap, LineTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.own_node import OwnNode
@@ -37,6 +39,7 @@ from hilbench.plain.tables import (
     reals,
     table,
 )
+from hilbench.topology.sample import CycleSample
 from hilbench.twin.in_arrays import TwinInArrays, give_counters
 
 #: Cycles after which it is looked anew whether cycles are plain, when they were not.
@@ -44,6 +47,12 @@ _LOOK_AGAIN = 8
 #: Cycles whose lines of the trace are handed over together: some milliseconds of a run's own time.
 _TRACED_TOGETHER = 32
 _ENABLED = Command.ENABLE_OPERATION.value
+
+
+def _left(_: int) -> bool:
+    raise LeftError
+
+
 #: The first of the totals, which only grow.
 _SUMS = counting.DURATION_NS + 1
 
@@ -78,6 +87,12 @@ class PlainCycles:
             self.settle()
             return False
 
+    @contextmanager
+    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> Iterator[ChainedCycles | None]:
+        """See `exchange.exchange.PlainCycles`."""
+        with self._sync.lock, self._here.lock:
+            yield None if self._run is None else self._run.chained(sample, shown)
+
     def settle(self) -> None:
         """Give the objects what the arrays have."""
         if self._run is None:
@@ -109,7 +124,9 @@ class _Run:
     def __init__(self, here: InOneProcess, nodes: Nodes, sync: SyncCycle, tap: FrameTap | None) -> None:
         """Raises NotPlainError where cycles are not plain."""
         self._here, self._nodes, self._sync, self._tap = here, nodes, sync, tap
-        self._cycles = 0
+        self._cycles = self._chained_ns = 0
+        self.pieces: Sequence[Chained] = ()  #: see `exchange.exchange.ChainedCycles`
+        self._of_pieces: tuple[object, ...] = ()
         self._bench_drives = nodes.drives
         self._devices = (*here.hardware.devices, *here.twin.devices)
         step_s = here.rig.plain_step_s()
@@ -330,9 +347,67 @@ class _Run:
         self._ticked = syncs
 
     def _publish_by_objects(self, _: int) -> bool:
+        self._tick_this()
         self._hardware.publish_by_objects()
         self._machine.publish_by_objects()
         return False
+
+    def _tick_this(self) -> None:
+        """The SYNC of the cycle that is not counted yet was on the wire."""
+        self._tick(time.monotonic_ns(), self._totals_at[counting.RUN] + 1)
+
+    # -- many cycles -----------------------------------------------------------------------------------------
+
+    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> _Run | None:
+        """This run as `exchange.exchange.ChainedCycles`; None where a part of a cycle is Python's."""
+        machine, hardware = self._machine.piece, self._hardware.step
+        row, _ = self._wiring.status
+        if machine is None or not isinstance(hardware, Chained) or self._rows[row]["every"] != 1:
+            return None
+        if self._tap is not None and self._lines is None:
+            return None
+        if self._of_pieces != (machine, sample, shown):
+            self._of_pieces = machine, sample, shown
+
+            def otherwise(code: int) -> bool:
+                self._tick_this()
+                return machine.otherwise(code)
+
+            self.pieces = (
+                self._ask(sample, shown),
+                Chained(kernel.exchange, self._exchange.argument, self._table, otherwise=_left),
+                *(() if self._alive is None else (self._alive,)),
+                hardware,
+                Chained(
+                    machine.function, machine.argument, machine.table, goes_on=machine.goes_on, otherwise=otherwise
+                ),
+                self._publish,
+                self._count,
+                self._nodes.measured.filling(sample),
+            )
+        return self
+
+    def _ask(self, sample: CycleSample, shown: Mapping[str, str]) -> Chained:
+        """Outputs by what shows them."""
+        kind, outputs = type(sample), self._names
+        places = [place for at, name, _ in outputs for place in (at, kind.place(shown[name]))]
+        told = [place for slot, name in self._told for place in (slot, kind.place(shown[name]))]
+        kept = (
+            *(sample.reals, self._set_points, np.array([per_unit for _, _, per_unit in outputs])),
+            *(np.array(places, np.int64), self._real, np.array(told, np.int64)),
+        )
+        return Chained(counting.ask, 0, table_of(kept), otherwise=never, keeps=kept)
+
+    def cycles(self) -> int:
+        """See `exchange.exchange.ChainedCycles`."""
+        self._chained_ns = now_ns = time.monotonic_ns()
+        self._set_times()
+        room = _TRACED_TOGETHER - self._waiting
+        return min(self._plain_cycles(now_ns), self._nodes.not_silent_cycles, room)
+
+    def passed(self) -> None:
+        """See `exchange.exchange.ChainedCycles`."""
+        self._pass(self._chained_ns)
 
     def _pass(self, begun_ns: int) -> None:
         """The objects that count cycles learn of those since the last time. Raises as `SyncCycle` and

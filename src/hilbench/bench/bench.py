@@ -10,7 +10,10 @@ from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Self
 
-from hilbench.bench.cycle import BenchCycle, CycleObserver, InterruptedByOperatorError
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.bench.cycle import BenchCycle, InterruptedByOperatorError
 from hilbench.bench.lifecycle import idle
 from hilbench.bench.lifecycle.drives import Drives
 from hilbench.bench.lifecycle.participants import Participants
@@ -18,6 +21,7 @@ from hilbench.bench.lifecycle.startup import TWIN, StartedBench, bring_up, held_
 from hilbench.bench.machines.kinds import machine_tasks
 from hilbench.bench.model_changes.process import LiveProcess
 from hilbench.bench.model_changes.task import ModelChanges
+from hilbench.bench.observer import CycleObserver
 from hilbench.bench.operator.operator import Operator, StepEvent
 from hilbench.bench.prediction.create import prediction_task
 from hilbench.bench.prediction.task import Prediction
@@ -384,15 +388,28 @@ class Bench:
         """Run for a time, rounded to whole cycles. Raises UnusableValueError for what is no time of 0 or more."""
         duration_s = quantities.checked_duration_s("duration_s", duration_s)
         self._state.running()
-        for _ in range(round(duration_s / self.config.cycle_time_s)):
-            self.cycle()
+        self._cycle.run_many(round(duration_s / self.config.cycle_time_s))
 
     def ramp(self, path: str, to: float, duration_s: float) -> None:
         """Move a quantity linearly to `to` within `duration_s`, which is above 0.
 
         Raises as `set`, before anything moves; for a switch, and for a duration that is none, too.
         """
-        self._operator.ramp(path, to, duration_s, self.cycle)
+        self._operator.ramp(path, to, duration_s, self)
+
+    def follow_values(self, path: str, values: NDArray[np.float64]) -> None:
+        """Give a quantity these values (n,), one in each of the next n cycles. Raises as `set`, before any of them."""
+        path = quantities.checked_path(path)
+        for value in {float(values.min()), float(values.max())}:
+            quantities.checked_value(path, value)
+        self._state.running()
+        self._operator.follow(path, values, self)
+
+    def cycles_at_once(self, most: int) -> int:
+        """Run at most so many cycles without Python, from the next one on; how many, 0 where that is not to be run so.
+        Raises as `cycle`."""
+        self._state.running()
+        return self._cycle.run_chained(most)
 
     def wait_until(self, condition: Callable[[CycleSample], bool], *, timeout_s: float, for_s: float = 0.0) -> bool:
         """Run until `condition` has held for `for_s` without a break; False when it did not within `timeout_s`.

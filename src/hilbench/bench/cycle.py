@@ -6,8 +6,10 @@ Nothing here knows what machine it is: set points and measurements pass through 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
+from hilbench.bench.chained import ChainedBench
+from hilbench.bench.observer import CycleObserver
+from hilbench.bench.stamp import Stamp
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.task import CyclicTask, Outputs, overrides
 from hilbench.errors import EXIT_INTERRUPTED, BenchFaultError, HilbenchError
@@ -20,13 +22,6 @@ class InterruptedByOperatorError(HilbenchError):
     """The operator asked the run to end; the drives were stopped."""
 
     exit_code = EXIT_INTERRUPTED
-
-
-class CycleObserver(Protocol):
-    """Sees a run as it happens: recorder, progress display, an experiment's own code."""
-
-    def sample(self, sample: CycleSample) -> None:
-        """One cycle of the enabled bench; the object is reused, so copy what is kept."""
 
 
 class BenchCycle:
@@ -48,6 +43,9 @@ class BenchCycle:
     ) -> None:
         self._state = state
         self._exchange = exchange
+        self._in_order = watches, machine
+        self._chained: ChainedBench | None = None
+        self._stamp = Stamp(state, exchange)
         self._command = [task.before for task in machine if overrides(task, "before")]
         self._rest = [task.rest for task in machine if overrides(task, "rest")]
         self._follow = [task.after for task in machine if overrides(task, "after")]
@@ -65,6 +63,33 @@ class BenchCycle:
         finally:
             self._in_cycle = False
 
+    def run_many(self, cycles: int) -> None:
+        """So many, one by one where they must be. Raises as `run`."""
+        while cycles > 0:
+            gone = self.run_chained(cycles)
+            if not gone:
+                self.run()
+                gone = 1
+            cycles -= gone
+
+    def run_chained(self, cycles: int) -> int:
+        """At most so many without Python; how many, 0 where the next one is not to be run so. Raises as `run`."""
+        if not self._state.enabled or self._state.interrupt_requested:
+            return 0
+        chained = self._chained or self._chain()
+        self._in_cycle = True
+        try:
+            return chained.run(cycles)
+        finally:
+            self._in_cycle = False
+
+    def _chain(self) -> ChainedBench:
+        watches, machine = self._in_order
+        self._chained = ChainedBench(
+            self._state, self._exchange, self._stamp, watches, machine, self._observers, self._finish
+        )
+        return self._chained
+
     def stay_alive(self, silence_s: float) -> None:
         """From another thread, between two cycles; one that hangs is for the supervisor."""
         if not self._in_cycle:
@@ -76,7 +101,14 @@ class BenchCycle:
             raise InterruptedByOperatorError("interrupted, drives were stopped")
         for before in self._watch_before:
             before(sample, outputs)
-        inputs = self.exchange()
+        return self._see(self.exchange())
+
+    def _finish(self, outputs: Outputs) -> None:
+        """A cycle whose set points are there already, as they are `outputs`."""
+        self._see(self._exchange_with(outputs))
+
+    def _see(self, inputs: Inputs) -> CycleSample:
+        sample = self._state.sample
         for after in self._watch_after:
             after(sample, inputs)
         for observer in self._observers:
@@ -88,11 +120,15 @@ class BenchCycle:
 
         `instead`: outputs in the place of what the tasks say.
         """
-        state, exchange = self._state, self._exchange
+        state = self._state
         sample, outputs = state.sample, Outputs()
         for command in self._command if state.enabled else self._rest:
             command(sample, outputs)
         outputs.update(instead or {})
+        return self._exchange_with(outputs)
+
+    def _exchange_with(self, outputs: Outputs) -> Inputs:
+        state, exchange, sample = self._state, self._exchange, self._state.sample
         try:
             inputs = exchange.cycle(outputs)
         finally:
@@ -101,10 +137,7 @@ class BenchCycle:
         if exchange.unexpected:
             self._check(exchange.unexpected)
         inputs.fill(sample)
-        sample.cycle = exchange.timing.cycles
-        sample.twin_age_cycles = inputs.twin_age(sample.cycle - state.twin.started_cycle)
-        sample.t_s = state.experiment_time_s(sample.cycle)
-        sample.bus_bits = exchange.last_bits
+        self._stamp()
         if state.enabled:
             for follow in self._follow:
                 follow(sample, inputs)

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.tasks.task import MANY, Pieces
 from hilbench.cli.shown import servo_axis, web_line
 from hilbench.cli.shown.machine import Shown
 from hilbench.errors import UnusableInputError
@@ -166,6 +167,16 @@ class Progress:
         elif sample.t_s >= self._next_s:
             self._next_s = sample.t_s + _PLAIN_LINE_EVERY_S
             self._console.print("  ".join(f"{name} {value}" for name, value in self._rows(sample)), soft_wrap=True)
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """Nothing is shown of cycles before it is time to."""
+
+        def cycles() -> int:
+            if self._live is not None:
+                return MANY if time.monotonic() < self._next_s else 0
+            return max(0, int((self._next_s - sample.t_s) / self._cycle_s) - 1)
+
+        return Pieces(cycles=cycles)
 
     def _rows(self, sample: CycleSample) -> list[tuple[str, str]]:
         factor = max(0.0, sample.t_s) / max(1e-3, time.monotonic() - self._started_s)

@@ -6,12 +6,17 @@ What is above knows set points and measurements; frames, COB-IDs and the objects
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hilbench.can.confinement import ControllerState
 from hilbench.can.link import Link
 from hilbench.canopen.object_store import ObjectStore
+from hilbench.chain import Chained
 from hilbench.exchange import measured
 from hilbench.exchange.emergencies import Emergency
 from hilbench.exchange.frame_tap import FrameTap
@@ -44,11 +49,30 @@ class Inputs(Protocol):
         """Put the measurements into a sample; SI, positions and velocities in the machine's unit."""
 
 
+class ChainedCycles(Protocol):
+    """Cycles as pieces that need no Python, from a sample that shows the outputs to one that has the inputs."""
+
+    @property
+    def pieces(self) -> Sequence[Chained]:
+        """Those of a cycle. The one that sends the outputs raises `hilbench.chain.LeftError` where it can't: the cycle
+        is the interpreted one then."""
+
+    def cycles(self) -> int:
+        """How many from the next one on may be run by these; called right before they are."""
+
+    def passed(self) -> None:
+        """All that count cycles learn of those that were run. Raises as `SyncCycle` and `Nodes.decode`."""
+
+
 class PlainCycles(Protocol):
     """Runs cycles in which nothing but set points and feedback changes, in the place of the interpreted ones."""
 
     def cycle(self, outputs: Mapping[str, float]) -> bool:
         """Run one, as `Exchange.cycle`; False where it was none, and nothing was done."""
+
+    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[ChainedCycles | None]:
+        """While nobody else uses the bus: cycles that need no Python, as the last one was; None: they do. `shown`: the
+        signals of the sample that show the outputs, by the names of these."""
 
 
 class Exchange:
@@ -119,6 +143,24 @@ class Exchange:
         """What came in the last cycle, and is not of the bench or its nodes; also where a fault of a drive has ended
         it, which may be a stranger's doing."""
         return self._nodes.unexpected
+
+    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[ChainedCycles | None]:
+        """See `PlainCycles.chained`."""
+        return self._plain.chained(sample, shown) if self._plain is not None else nullcontext()
+
+    @property
+    def runs_by_clock(self) -> bool:
+        """Whether each cycle waits for its turn."""
+        return self._by_clock
+
+    @property
+    def counted(self) -> NDArray[np.int64]:
+        """As of `exchange.measured`, after each cycle."""
+        return self._nodes.measured.counted
+
+    def filling(self, sample: CycleSample) -> Chained:
+        """`Inputs.fill` as a piece of a cycle."""
+        return self._nodes.measured.filling(sample)
 
     def use(self, made: Callable[[SyncCycle, OwnNode], PlainCycles | None]) -> None:
         """Let cycles that are plain be run by what `made` makes."""

@@ -45,6 +45,15 @@ class Timeliness:
             if age or lateness.lately:
                 lateness.lately += self._weight * ((age > 0) - lateness.lately)
 
+    @property
+    def nobody_late(self) -> bool:
+        """Nobody was in this run."""
+        return not self._late_lately
+
+    def pass_on_time(self, cycles: int) -> None:
+        """So many cycles in which, as before, nobody was late."""
+        self.cycles += cycles
+
     def trouble(self) -> str:
         """Who is late so often that it may be why something else goes wrong; "" for nobody."""
         if not self._late_lately:

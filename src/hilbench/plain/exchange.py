@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from hilbench.plain.borrowed_wire import BorrowedWire
 from hilbench.plain.kernel import Table
 from hilbench.plain.packet_kernel import Gathered
 from hilbench.plain.tables import Frames, NotPlainError, Slots, octets, reals, table
+from hilbench.topology.sample import CycleSample
 
 #: Cycles after which it is looked anew whether cycles are plain, when they were not; twice as many each time that so
 #: few were plain in a row that it did not pay, up to the longest.
@@ -69,6 +71,10 @@ class PlainExchange:
         self._own.handle(received)
         self._nodes.decode(received, self._sync.before_sync)
         return True
+
+    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[None]:
+        """None: others are waited for in each cycle."""
+        return nullcontext()
 
     def settle(self) -> None:
         """Give the objects what the arrays have."""

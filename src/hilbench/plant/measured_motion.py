@@ -13,6 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.chain import Chained
 from hilbench.compiled import FLAG, VECTOR, compiled, entry_point, number_of_sources
 from hilbench.plant import pairing
 from hilbench.plant.pairing import Pairing, Vector, paired
@@ -138,6 +139,16 @@ class InStep(Protocol):
         """Let it follow, by `gone_s`, positions (N,) and speeds (N,) at the first places of `values`, and put there
         torques of the load motors (M,), N·m, predicted by `ahead_s`, at the next ones, then what it is now: a place,
         and which output of its description, of each that is asked for."""
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether nothing was changed since it has followed last."""
+
+    def piece(self, values: Vector, places: NDArray[np.int64], otherwise: Callable[[int], bool]) -> Chained:
+        """The same as a piece of a cycle with samples that are not late, of which all but ALL is `otherwise`."""
+
+    def has_followed(self, code: int) -> HasFollowed:
+        """What the piece has done where it has returned this."""
 
 
 @runtime_checkable

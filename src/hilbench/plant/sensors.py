@@ -42,11 +42,11 @@ class SensorNoise:
         self.next[0] = 0
 
     def row(self) -> NDArray[np.float64]:
-        """The numbers of the next step, until they are drawn anew."""
+        """The numbers of the next step."""
         if self.next[0] == len(self.rows):
             self.draw()
         self.next[0] += 1
-        row: NDArray[np.float64] = self.rows[self.next[0] - 1]
+        row: NDArray[np.float64] = self.rows[self.next[0] - 1].copy()
         return row
 
 

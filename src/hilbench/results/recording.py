@@ -134,41 +134,45 @@ class RecordingBuilder:
         self._row = struct.Struct("=" + "".join("q" if is_whole else "d" for is_whole in self._whole))
         self._row_size = self._row.size
         self._full: list[NDArray[np.float64]] = []
+        self.used = np.zeros(1, np.int64)  #: rows of the block
+        self._at = self.used.data  # one value goes faster through this
         self._open_block(max(expected_rows, 1))
 
     def _open_block(self, rows: int) -> None:
-        self._block = np.full((rows, len(self.names)), np.nan)
-        self._bytes = self._block.data.cast("B")
-        self._offset, self._end = 0, len(self._bytes)
+        self.block = np.full((rows, len(self.names)), np.nan)  #: of rows: those so far, and room for more
+        self._bytes = self.block.data.cast("B")
+        self.used[0] = 0
 
     def append(self, row: Sequence[float]) -> None:
         """Add one sample: a value per channel. Raises struct.error if the row has another length."""
-        if self._offset == self._end:
-            self._next_block()
-        self._row.pack_into(self._bytes, self._offset, *row)
-        self._offset += self._row_size
+        at = self._next_row()
+        self._row.pack_into(self._bytes, at, *row)
+        self._at[0] += 1
 
     def append_packed(self, row: memoryview) -> None:
         """The same of a row that is in memory already, as bytes. Raises ValueError if it has another length."""
-        at = self._offset
-        if at == self._end:
-            self._next_block()
-            at = 0
-        end = at + self._row_size
-        self._bytes[at:end] = row
-        self._offset = end
+        at = self._next_row()
+        self._bytes[at : at + self._row_size] = row
+        self._at[0] += 1
 
-    def _next_block(self) -> None:
-        self._full.append(self._block)
+    def _next_row(self) -> int:
+        """Where it begins in the bytes of the block."""
+        if self._at[0] == len(self.block):
+            self.next_block()
+        return self._at[0] * self._row_size
+
+    def next_block(self) -> None:
+        """The block is full: go on in another one."""
+        self._full.append(self.block)
         self._open_block(_BLOCK_ROWS)
 
     def __len__(self) -> int:
         """Number of samples so far."""
-        return sum(map(len, self._full)) + self._offset // self._row_size
+        return sum(map(len, self._full)) + self._at[0]
 
     def build(self, start_time: datetime | None = None, comment: str = "") -> Recording:
         """What was recorded so far, as a copy; counts and bit fields become integers where every sample is one."""
-        rows = np.concatenate([*self._full, self._block[: self._offset // self._row_size]])
+        rows = np.concatenate([*self._full, self.block[: self._at[0]]])
         whole = rows.view(np.int64)
         channels = {
             name: _typed(name, np.ascontiguousarray((whole if is_whole else rows)[:, column], np.float64))

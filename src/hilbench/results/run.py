@@ -20,6 +20,7 @@ from hilbench.bench.lifecycle.participants import Participants, check_in_process
 from hilbench.bench.lifecycle.startup import held_bus, processes_beside
 from hilbench.bench.reports.change import Change
 from hilbench.bench.reports.notice import Notice
+from hilbench.bench.tasks.task import Pieces
 from hilbench.copies import copies
 from hilbench.errors import (
     EXIT_BENCH_FAULT,
@@ -35,6 +36,7 @@ from hilbench.exchange.timeliness import Timeliness
 from hilbench.processes import end_signals, leave_terminal
 from hilbench.results.journal import JournalWriter
 from hilbench.results.junit import write_junit
+from hilbench.results.keeping import Keeping
 from hilbench.results.provenance import Provenance
 from hilbench.results.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
 from hilbench.results.result import (
@@ -117,6 +119,7 @@ class Recorder:
     def __init__(self, signals: Sequence[Signal]) -> None:
         names = [signal.name for signal in signals]
         self._builder = RecordingBuilder(names, whole={signal.name for signal in signals if signal.integer})
+        self._keeping = Keeping(self._builder)
         self._of: CycleSample | None = None
 
     def sample(self, sample: CycleSample) -> None:
@@ -124,6 +127,10 @@ class Recorder:
         if sample is not self._of:
             self._of, self._row = sample, sample.reals.data[: len(self._builder.names)].cast("B")
         self._builder.append_packed(self._row)
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """The same as a piece of a cycle."""
+        return self._keeping.pieces(sample)
 
     def recording(self, started: datetime, comment: str) -> Recording:
         """What was kept so far."""

@@ -13,9 +13,13 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import takewhile
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hilbench import strict_yaml
 from hilbench.bench.bench import Bench
@@ -56,11 +60,19 @@ class Scenario:
         cycle_s = bench.config.cycle_time_s
         due = {path: list(points) for path, points in self.jumps.items()}
         waiting = [_Watched(expectation) for expectation in self.expectations]
-        for k in range(round(self.duration_s / cycle_s) + 1):
+        cycles, k = round(self.duration_s / cycle_s) + 1, 0
+        while k < cycles:
             t_s = k * cycle_s
             for path, points in due.items():
                 while points and points[0][0] <= t_s + cycle_s / 2:
                     bench.set(path, points.pop(0)[1])
+            if not waiting and len(self.ramps) == 1:
+                (path,) = self.ramps
+                values = self._smooth(self.ramps[path], due, range(k, cycles), cycle_s)
+                if len(values):
+                    bench.follow_values(path, values)
+                    k += len(values)
+                    continue
             for path, points in self.ramps.items():
                 if points[0][0] <= t_s <= points[-1][0] + cycle_s:
                     bench.set(path, _between(points, t_s))
@@ -69,7 +81,23 @@ class Scenario:
                 watched.see(sample, t_s)
             judged += [watched.verdict() for watched in waiting if watched.expectation.end_s <= t_s]
             waiting = [watched for watched in waiting if watched.expectation.end_s > t_s]
+            k += 1
         judged += [watched.verdict() for watched in waiting]
+
+    @staticmethod
+    def _smooth(
+        points: list[tuple[float, float]],
+        due: Mapping[str, list[tuple[float, float]]],
+        cycles: range,
+        cycle_s: float,
+    ) -> NDArray[np.float64]:
+        """Values of a ramp in these cycles, as long as it moves and nothing jumps."""
+        jump_s = min((waiting[0][0] for waiting in due.values() if waiting), default=math.inf)
+        times = (k * cycle_s for k in cycles)
+        moved = takewhile(
+            lambda t_s: points[0][0] <= t_s <= points[-1][0] + cycle_s and not jump_s <= t_s + cycle_s / 2, times
+        )
+        return np.array([_between(points, t_s) for t_s in moved])
 
 
 @dataclass

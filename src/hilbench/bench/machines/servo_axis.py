@@ -14,7 +14,7 @@ from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.shaft_limits import ShaftLimitWatch
 from hilbench.bench.tasks.task import CyclicTask, Outputs
-from hilbench.bench.tasks.watches import Watch
+from hilbench.bench.tasks.watches import QuietWatch
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.fmu.follower import FmuFollower
 from hilbench.plant.interface import Follower
@@ -57,8 +57,8 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         quantities=(speed, load),
         control=(SpeedTask(drive, speed), load),
         watches=(
-            Watch("limits", ShaftLimitWatch(config, motor).update, state.reports),
-            Watch("saturation", SaturationWatch(config).update, state.reports),
+            QuietWatch("limits", ShaftLimitWatch(config, motor), state.reports),
+            QuietWatch("saturation", SaturationWatch(config), state.reports),
         ),
         twin_age_limit_cycles=_TWIN_AGE_LIMIT_CYCLES,
         warm_up=load.model.warm_up,

@@ -12,24 +12,29 @@ import numpy as np
 
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState, TwinState
+from hilbench.bench.tasks import axis_cycle
 from hilbench.bench.tasks.imitated_web import imitated_web, web_load_model
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
+from hilbench.bench.tasks.strain_way import EnteringStrain, StrainWay
 from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
-from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.task import MANY, CyclicTask, OfSample, Outputs, Pieces
 from hilbench.bench.tasks.tension_control import TensionController, strains_around
-from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask, StrainWay
+from hilbench.bench.tasks.tension_cycle import SPEEDS
+from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_probing import Probing
-from hilbench.bench.tasks.tension_task import EnteringStrain, FeedForward, Leader, LoopNames, TensionTask
+from hilbench.bench.tasks.tension_task import FeedForward, Leader, LoopNames, TensionTask
 from hilbench.bench.tasks.tension_trust import TwinTrust
-from hilbench.bench.tasks.watches import Watch
+from hilbench.bench.tasks.watches import QuietWatch
 from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.bench.tasks.web_positions import CarriageStops, PositionTask
 from hilbench.bench.tasks.web_reel_torque import LoadCells, ReelTorqueTask
 from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelWay
 from hilbench.bench.tasks.web_rest_movement import RestMovement, pulls_m
 from hilbench.bench.tasks.web_winding_control import DancerPosition
+from hilbench.chain import Chained, never
+from hilbench.compiled import table_of
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.plausibility import Problem
 from hilbench.exchange.exchange import Inputs
@@ -92,7 +97,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         trusts.append(TwinTrust(control, limits.tension_N.trip or inf, cycle_s, names.twin))
         ahead = None
         if plan is not None and axis in ways:
-            ahead = FeedForward(ways[axis], *neighbour_strains(config, state.twin, axis), plan)
+            ahead = FeedForward(ways[axis], *neighbour_strains(config, axis), plan)
         loops[axis] = _tension_task(config, state, control, names, axes[-1], trusts[-1], ahead)
         axes.append(loops[axis])
     of_spans = {loop.span: loop for loop in loops.values()}
@@ -119,8 +124,8 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         watches=(
             WebAlarms(trusts, state.twin, stop_on_break=config.safety.on_web_break == "stop"),
             *(CarriageStops(each) for each in model.carriages if each.station.name in config.load.measured),
-            Watch("limits", limit_watch.update, reports),
-            Watch("saturation", SaturationWatch(config).update, reports),
+            QuietWatch("limits", limit_watch, reports),
+            QuietWatch("saturation", SaturationWatch(config), reports),
         ),
         twin_age_limit_cycles=max((control.twin_age_limit_cycles for control in controls.values()), default=_TWIN_AGE),
         warm_up=load.model.warm_up,
@@ -237,7 +242,7 @@ def _reel_speeds(config: BenchConfig, leader: Leader) -> list[ReelSpeeds]:
     return [ReelSpeeds(reels, leader, line_speed)] if reels or line_speed else []
 
 
-def neighbour_strains(config: BenchConfig, twin: TwinState, axis: int) -> tuple[EnteringStrain, EnteringStrain]:
+def neighbour_strains(config: BenchConfig, axis: int) -> tuple[EnteringStrain, EnteringStrain]:
     """Of the web before the section behind a driven axis, and of that behind it: around the line that of the model,
     else what the twin has of the span there; while it has nothing, what that is to be."""
     shape = config.shape
@@ -246,26 +251,18 @@ def neighbour_strains(config: BenchConfig, twin: TwinState, axis: int) -> tuple[
     before = [span for span in shape.simulated if shape.axis_before(span) == axis - 1]
     behind = [span for span in shape.simulated if shape.axis_before(span) == axis + 1]
     return (
-        _simulated_strain(config, twin, before[-1] if before else None, wanted[0]),
-        _simulated_strain(config, twin, behind[0] if behind else None, wanted[1]),
+        _simulated_strain(config, before[-1] if before else None, wanted[0]),
+        _simulated_strain(config, behind[0] if behind else None, wanted[1]),
     )
 
 
-def _simulated_strain(config: BenchConfig, twin: TwinState, span: int | None, wanted: float) -> EnteringStrain:
+def _simulated_strain(config: BenchConfig, span: int | None, wanted: float) -> EnteringStrain:
     if span is None:
-        return lambda sample: wanted
+        return EnteringStrain(wanted)
     model, shape = config.web_line, config.shape
     known = shape.shows(span)
-    tension, modulus = f"F{shape.numbered(span)}_sim_N", f"E{shape.numbered(known)}_sim_Pa"
     section_m2 = model.stiffness_N(span) / model.youngs_modulus_Pa(known)
-
-    def strain(sample: CycleSample) -> float:
-        modulus_Pa = getattr(sample, modulus)
-        if not twin.fresh(sample) or not modulus_Pa > 0.0:
-            return wanted
-        return float(getattr(sample, tension) / (modulus_Pa * section_m2))
-
-    return strain
+    return EnteringStrain(wanted, f"F{shape.numbered(span)}_sim_N", f"E{shape.numbered(known)}_sim_Pa", section_m2)
 
 
 class BoundaryTask(CyclicTask):
@@ -289,6 +286,11 @@ class BoundaryTask(CyclicTask):
         """Sensors have said something."""
         self._moved = True
 
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """The sample shows all of it, and keeps it."""
+        shown = {name: name for name in ("strain_prev", "F_next_N", *self._at_start)}
+        return Pieces(cycles=lambda: MANY if self._moved else 0, shown=shown)
+
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The same; stations are as at the start when the drives are enabled again."""
         self._moved = False
@@ -302,8 +304,31 @@ class LeadingAxis(CyclicTask):
         self._drive = drive
         self._command = f"v{axis}_cmd_m_s"
         self._line_speed = line_speed
-        self.creep_m_s = 0.0  #: see `RestMovement`, as the next
-        self.pull_m_s: float | None = None
+        self.speeds, self._moved = np.zeros(SPEEDS), axis_cycle.not_moved()
+        self._piece = OfSample(self._on)
+        axis_cycle.warm_up()
+
+    def _on(self, sample: CycleSample) -> Chained:
+        kept = self._line_speed.vector, self._moved, self.speeds, sample.reals
+        return Chained(axis_cycle.lead, type(sample).place(self._command), table_of(kept), otherwise=never, keeps=kept)
+
+    @property
+    def creep_m_s(self) -> float:
+        """See `RestMovement`, as the next."""
+        return float(self._moved[axis_cycle.CREEP_M_S])
+
+    @creep_m_s.setter
+    def creep_m_s(self, value: float) -> None:
+        self._moved[axis_cycle.CREEP_M_S] = value
+
+    @property
+    def pull_m_s(self) -> float:
+        """Of this axis alone; nan: there is no movement."""
+        return float(self._moved[axis_cycle.PULL_M_S])
+
+    @pull_m_s.setter
+    def pull_m_s(self, value: float) -> None:
+        self._moved[axis_cycle.PULL_M_S] = value
 
     @property
     def speed_m_s(self) -> float:
@@ -317,22 +342,40 @@ class LeadingAxis(CyclicTask):
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, m/s at the web."""
-        speed_m_s = self.speed_m_s + (self.pull_m_s or 0.0)
-        outputs[self._drive] = speed_m_s
-        setattr(sample, self._command, speed_m_s)
+        self._piece(sample)()
+        outputs[self._drive] = getattr(sample, self._command)
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """The same."""
+        return Pieces(before=[self._piece(sample)], shown={self._drive: self._command})
 
 
 class FollowingAxis(CyclicTask):
     """An axis before a span without a controller turns as fast as the one behind it: the strain that enters the span is
-    then the strain in it."""
+    then the strain in it. With the damping of that axis, or the span would be stretched by it."""
 
     def __init__(self, drive: str, axis: int, leader: Leader, ahead: FeedForwardTask | None) -> None:
         self._drive = drive
-        self._axis = axis
         self._command = f"v{axis}_cmd_m_s"
         self._leader = leader
-        self._ahead = ahead
-        self.pull_m_s: float | None = None  #: see `RestMovement`
+        self.speeds = np.zeros(SPEEDS)
+        self._lead = ahead.lead(axis) if ahead else np.zeros(1)
+        self._moved = axis_cycle.not_moved()
+        self._piece = OfSample(self._on)
+
+    def _on(self, sample: CycleSample) -> Chained:
+        kept = self._leader.speeds, self._lead, self.speeds, sample.reals, self._moved
+        place = type(sample).place(self._command)
+        return Chained(axis_cycle.follow, place, table_of(kept), otherwise=never, keeps=kept)
+
+    @property
+    def pull_m_s(self) -> float:
+        """See `RestMovement`."""
+        return float(self._moved[axis_cycle.PULL_M_S])
+
+    @pull_m_s.setter
+    def pull_m_s(self, value: float) -> None:
+        self._moved[axis_cycle.PULL_M_S] = value
 
     @property
     def speed_m_s(self) -> float:
@@ -341,14 +384,17 @@ class FollowingAxis(CyclicTask):
 
     @property
     def damped_m_s(self) -> float:
-        """With the damping of the axis behind it, or the span would be stretched by that."""
+        """With that."""
         return self._leader.damped_m_s
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, m/s at the web."""
-        lead_m_s = self._ahead.lead_m_s(self._axis) if self._ahead else 0.0
-        outputs[self._drive] = command_m_s = self.damped_m_s + lead_m_s + (self.pull_m_s or 0.0)
-        setattr(sample, self._command, command_m_s)
+        self._piece(sample)()
+        outputs[self._drive] = getattr(sample, self._command)
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """The same."""
+        return Pieces(before=[self._piece(sample)], shown={self._drive: self._command})
 
 
 class WebLoadTask(LoadTask):
@@ -388,9 +434,24 @@ class WebLoadTask(LoadTask):
             return
         if followed is None:
             self.follow(sample, self._positions(sample), self._speeds(sample), late=late)
+        self._show(sample)
+
+    def _show(self, sample: CycleSample) -> None:
         true = self.model.outputs()
         for signal, place in self._places:
             setattr(sample, signal, true[place])
+
+    def in_pieces(self, sample: CycleSample) -> Pieces | None:
+        """The same."""
+
+        def otherwise(_: HasFollowed) -> bool:
+            self._show(sample)
+            return True
+
+        piece = self.model.piece(sample.reals, self._at, otherwise)
+        if piece is None:
+            return None
+        return Pieces(after=[piece], cycles=lambda: MANY if self.model.goes_on else 0, shown=dict(self._commands))
 
 
 def _of_stations(shape: Shape) -> list[tuple[str, str, str]]:
@@ -417,3 +478,7 @@ class WebAlarms(CyclicTask):
                     trust.forget(str(emergency))
             if emergency.code == Problem.WEB_BREAK and self._stop_on_break:
                 raise BenchFaultError(f"t = {sample.t_s:.3f} s: {emergency.node} reports a web break{emergency.where}")
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """Nobody sends any there."""
+        return Pieces()

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hilbench.bench.operator.operator_objects import OperatorObjects
 from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.task import CyclicTask, Outputs, SettableQuantity
+from hilbench.bench.tasks.task import MANY, CyclicTask, Outputs, Pieces, SettableQuantity
 from hilbench.errors import UnusableValueError
 from hilbench.topology import quantities
 from hilbench.topology.config import BenchConfig
@@ -24,6 +28,16 @@ class StepEvent:
     path: str
     before: float
     after: float
+
+
+class Cycles(Protocol):
+    """Runs the cycles of a bench."""
+
+    def cycle(self) -> object:
+        """Run one."""
+
+    def cycles_at_once(self, most: int) -> int:
+        """Run at most so many without Python; how many, 0 where the next one is not to be run so."""
 
 
 class Operator(CyclicTask):
@@ -69,20 +83,41 @@ class Operator(CyclicTask):
         self.events.append(StepEvent(self._state.sample.t_s, path, self.get(path), to))
         self.set(path, to)
 
-    def ramp(self, path: str, to: float, duration_s: float, cycle: Callable[[], object]) -> None:
-        """Move a quantity linearly, one `cycle` after the other. Raises UnusableValueError before anything moves."""
+    def ramp(self, path: str, to: float, duration_s: float, cycles: Cycles) -> None:
+        """Move a quantity linearly, cycle by cycle. Raises UnusableValueError before anything moves."""
         path = quantities.checked_path(path, quantities.rampable_path)
         to = quantities.checked_value(path, to)
         duration_s = quantities.checked_duration_s("duration_s", duration_s, above_zero=True)
-        cycles = max(1, round(duration_s / self._state.cycle_s))
+        count = max(1, round(duration_s / self._state.cycle_s))
         start = self.get(path)
+        self.follow(path, start + (to - start) * np.arange(1, count + 1) / count, cycles)
+
+    def follow(self, path: str, values: NDArray[np.float64], cycles: Cycles) -> None:
+        """Give a quantity these values, one in each cycle. Raises UnusableValueError before anything moves."""
         self._ramped = path
         try:
-            for k in range(1, cycles + 1):
-                self.set(path, start + (to - start) * k / cycles)
-                cycle()
+            while len(values):
+                gone = self._on_course(path, values, cycles)
+                if not gone:
+                    self.set(path, float(values[0]))
+                    cycles.cycle()
+                    gone = 1
+                values = values[gone:]
         finally:
             self._ramped = ""
+
+    def _on_course(self, path: str, values: NDArray[np.float64], cycles: Cycles) -> int:
+        """The same in cycles that go without Python; in how many, 0: the next one does not."""
+        reference, before = self._reference, self._reference.present
+        if not (reference.owns(path) and reference.is_free):
+            return 0
+        first, count = self._state.running().timing.cycles, reference.lay_course(values)
+        try:
+            return cycles.cycles_at_once(count)
+        finally:
+            for at, value in enumerate(values[: reference.end_course()].tolist()):
+                self._state.journal(Change(first + at, "set", path, value, before))
+                before = value
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Apply what was asked for over the bus since the last cycle."""
@@ -100,6 +135,13 @@ class Operator(CyclicTask):
             self.set(self._reference.path, value)
             if not is_there:
                 self._reference.head_for(goal)
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """The course of the reference, while nothing else is asked for."""
+        return Pieces(
+            before=[self._reference.piece],
+            cycles=lambda: 0 if self.objects.asked or self._reference.goal is not None else MANY,
+        )
 
     def slow_down(self) -> Iterator[None]:
         """Bring the reference to zero at the rate of a quick stop, a step for each item."""

@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import inf
+from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.chain import Function
 from hilbench.errors import BenchFaultError
 from hilbench.topology.safety import Limit
 from hilbench.topology.sample import CycleSample
 from hilbench.twin.virtual_io import TwinStatus
 
-_SYNCHRONIZED = int(TwinStatus.SYNCHRONIZED)
+SYNCHRONIZED = int(TwinStatus.SYNCHRONIZED)
 #: A warning is over, and can come again, when the quantity has fallen below this share of its level.
 _RELEASE = 0.95
 
@@ -22,6 +27,38 @@ class LimitTripError(BenchFaultError):
 
 #: What is watched in a cycle: its name, its value (a size), its unit with a space before it, and its levels.
 Watched = tuple[str, float, str, Limit]
+
+
+#: What a compiled look at a sample finds.
+QUIET, LOUD = 0, 1
+
+
+@dataclass(frozen=True)
+class Look:
+    """A compiled look at a sample: whether it is QUIET, so that there is nothing to say."""
+
+    function: Function
+    argument: int
+    table: NDArray[np.int64]
+    keeps: object
+
+    @property
+    def is_quiet(self) -> bool:
+        """What it finds now."""
+        return self.function(self.argument, self.table) == QUIET
+
+
+class Watching(Protocol):
+    """Looks at each sample whether something is to be said of it."""
+
+    def look(self, sample: CycleSample) -> Look:
+        """The look at this sample, which is mostly the same object."""
+
+    def update(self, sample: CycleSample) -> list[tuple[str, str]]:
+        """What is to be said of it: texts, each after its kind. It may raise a fault."""
+
+    def found(self, sample: CycleSample) -> list[tuple[str, str]]:
+        """The same of one that is LOUD already."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +116,7 @@ def apart(estimate: float, model: float) -> float:
 
 def is_synchronized(sample: CycleSample) -> bool:
     """Whether the twin says so."""
-    return bool(sample.twin_status & _SYNCHRONIZED)
+    return bool(sample.twin_status & SYNCHRONIZED)
 
 
 def load_motor_labels(motors: Sequence[str]) -> dict[str, str]:

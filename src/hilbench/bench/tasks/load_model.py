@@ -7,11 +7,12 @@ stand's flywheel), because imitating an inertia by torque over a sampled bus is 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.chain import Chained
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
 from hilbench.plant.interface import Follower
@@ -108,6 +109,19 @@ class LoadModel:
         followed = self._in_step.follow(values, places, late=late)
         self._is_ahead = self._is_ahead or followed is not HasFollowed.NOT
         return followed
+
+    def piece(self, values: Vector, places: Places, otherwise: Callable[[HasFollowed], bool]) -> Chained | None:
+        """`follow_in` as a piece of a cycle, while `goes_on` says so; None of a machine that does not follow so."""
+        in_step = self._in_step
+        if in_step is None:
+            return None
+        return in_step.piece(values, places, lambda code: otherwise(in_step.has_followed(code)))
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the machine follows in one call, and nothing was changed since it did so last."""
+        in_step = self._in_step
+        return self._running and self._is_ahead and in_step is not None and in_step.usable and in_step.is_shown
 
     def _gone_s(self, positions: Sequence[float], speeds: Sequence[float], *, late: bool) -> float:
         """By how much the machine has to follow; 0 where nothing new is known that is of one instant."""

@@ -4,6 +4,37 @@ from __future__ import annotations
 
 from math import copysign
 
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.chain import GOES_ON, Chained, Function, never
+from hilbench.compiled import COUNT, TABLE, entry_point, floats, integers, number_of_sources, table_of
+
+#: Cycles that a course is laid down for at once.
+_LONGEST_COURSE = 256
+#: Of a course: the value of the next cycle, and how many there are.
+_NEXT, _END = range(2)
+
+
+def _entry_point(sources: int) -> Function:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(COUNT, TABLE)
+    def follow(_: int, table: NDArray[np.int64]) -> int:
+        if sources < 0 or len(table) == 0:
+            return GOES_ON
+        at = integers(table, 2, (1,))
+        if at[_NEXT] < at[_END]:
+            floats(table, 0, (1,))[0] = floats(table, 1, (1,))[at[_NEXT]]
+            at[_NEXT] += 1
+        return GOES_ON
+
+    return follow
+
+
+#: follow(0, table of the present value (1,), a course, where it is (2,)): the value of the next cycle.
+_follow = _entry_point(number_of_sources(__file__))
+
 
 class Reference:
     """A speed set point that is settable by one path, in the unit of the path per s; `step`: its largest change in a
@@ -11,11 +42,26 @@ class Reference:
 
     def __init__(self, path: str, step: float) -> None:
         self.path = path
-        self.present = 0.0
+        self.vector = np.zeros(1)  #: of the present value
+        self._at = self.vector.data.cast("B").cast("d")  # one value goes faster through this
+        self._course, self._on_course = np.zeros(_LONGEST_COURSE), np.zeros(2, np.int64)
+        kept = self.vector, self._course, self._on_course
+        #: A piece of a cycle: follow the course.
+        self.piece = Chained(_follow, 0, table_of(kept), otherwise=never, keeps=kept)
+        self.piece()  # compiled, or loaded, before anybody waits for a cycle
         self._step = step
         self._goal: float | None = None
         self._ceiling: float | None = None
         self._held_back = False
+
+    @property
+    def present(self) -> float:
+        """Its value now."""
+        return float(self._at[0])
+
+    @present.setter
+    def present(self, value: float) -> None:
+        self._at[0] = value
 
     def owns(self, path: str) -> bool:
         """Whether it is this reference."""
@@ -40,6 +86,24 @@ class Reference:
     def goal(self) -> float | None:
         """Where it goes by itself; None while it stays what it was set to."""
         return self._goal
+
+    @property
+    def is_free(self) -> bool:
+        """Whether it becomes what it is set to, and nothing else moves it."""
+        return self._goal is None and self._ceiling is None
+
+    def lay_course(self, values: NDArray[np.float64]) -> int:
+        """Take these in the next cycles, one in each that begins with `piece`; for how many of them there is room."""
+        count = min(len(values), _LONGEST_COURSE)
+        self._course[:count] = values[:count]
+        self._on_course[:] = 0, count
+        return count
+
+    def end_course(self) -> int:
+        """Stay what it is now; how many values of the course it has had."""
+        had = int(self._on_course[_NEXT])
+        self._on_course[:] = 0
+        return had
 
     def head_for(self, goal: float) -> None:
         """Go there by itself, step by step."""

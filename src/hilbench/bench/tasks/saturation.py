@@ -5,15 +5,16 @@ The drive reports it (statusword 6041h bit 11, internal limit active), or its to
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.tasks.limits import load_motor_labels
+from hilbench.bench.tasks.limits import LOUD, QUIET, Look, load_motor_labels
+from hilbench.bench.tasks.task import OfSample
+from hilbench.chain import Function
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
-from hilbench.compiled import INDICES, VECTOR, entry_point, number_of_sources
+from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, number_of_sources, table_of
 from hilbench.plant.parameters import per_item
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
@@ -38,23 +39,27 @@ Vector = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 
-def _entry_point(sources: int) -> Callable[[Vector, Places, Places, Vector], bool]:
+def _entry_point(sources: int) -> Function:
     """For Python; `sources` as in `compiled.number_of_sources`."""
 
-    @entry_point(VECTOR, INDICES, INDICES, VECTOR)
-    def is_quiet(values: Vector, words: Places, at: Places, at_limit_Nm: Vector) -> bool:
-        """Whether no drive is at its limit, as in nearly every cycle; `at` (2 D,): where of each torque and statusword
-        are, in `values` and `words`."""
-        limited = 0 if sources >= 0 else 1
+    @entry_point(COUNT, TABLE)
+    def look(_: int, table: Places) -> int:
+        if sources < 0 or len(table) == 0:
+            return QUIET
+        values, words, at = floats(table, 0, (1,)), integers(table, 1, (1,)), integers(table, 2, (1,))
+        at_limit_Nm, limited = floats(table, 3, (1,)), integers(table, 4, (1,))[0]
         for k in range(len(at_limit_Nm)):
             limited += abs(values[at[2 * k]]) >= at_limit_Nm[k] or words[at[2 * k + 1]] & _LIMITED != 0
-        return limited == 0
+        return QUIET if limited == 0 else LOUD
 
-    return is_quiet
+    return look
 
 
 _LIMITED = int(STATUS_INTERNAL_LIMIT)
-_is_quiet = _entry_point(number_of_sources(__file__))
+#: look(0, table of a sample, `reals` and `wholes`, where of each drive torque and statusword are in these (2 D,), the
+#: torque from which it is at its limit, N·m (D,), drives that were in the last cycle (1,)): QUIET where none is, as in
+#: nearly every cycle.
+_look = _entry_point(number_of_sources(__file__))
 
 
 class SaturationWatch:
@@ -72,13 +77,24 @@ class SaturationWatch:
         self._limited: dict[str, _Limited] = {}
         self._at = PlacesIn([name for _, torque, status in self._signals for name in (torque, status)])
         self._at_limit_Nm = np.array([_AT_LIMIT * self._limits_Nm[drive] for drive, _, _ in self._signals])
+        self._known, self._looks = np.zeros(1, np.int64), OfSample(self._on)
         # Compiled, or loaded, before anybody waits for a cycle.
-        _is_quiet(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+        _look(0, np.zeros((0, TABLE_WIDTH), np.int64))
+
+    def _on(self, sample: CycleSample) -> Look:
+        kept = sample.reals, sample.wholes, self._at.of(sample), self._at_limit_Nm, self._known
+        return Look(_look, 0, table_of(kept), kept)
+
+    def look(self, sample: CycleSample) -> Look:
+        """See `limits.Watching`."""
+        return self._looks(sample)
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """What begins or ends in this cycle, as text for the operator, with the kind of notice that it is."""
-        if not self._limited and self._is_quiet(sample):
-            return []
+        return [] if self.look(sample).is_quiet else self.found(sample)
+
+    def found(self, sample: CycleSample) -> list[tuple[str, str]]:
+        """See `limits.Watching`."""
         found = []
         for drive, torque, status in self._signals:
             torque_Nm, statusword = getattr(sample, torque), getattr(sample, status)
@@ -99,7 +115,5 @@ class SaturationWatch:
                 lasted_s = known.last_s - known.since_s + self._cycle_s
                 text = f"{drive} has left its limit: at it for {known.total_s:.3g} s within {lasted_s:.3g} s"
                 found.append((f"{drive} left", text))
+        self._known[0] = len(self._limited)
         return found
-
-    def _is_quiet(self, sample: CycleSample) -> bool:
-        return _is_quiet(sample.reals, sample.wholes, self._at.of(sample), self._at_limit_Nm)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from operator import attrgetter
 
-from hilbench.bench.tasks.limits import Levels, Limited, Watched, apart, is_synchronized, least_told
+from hilbench.bench.tasks.limit_look import LimitLook
+from hilbench.bench.tasks.limits import Levels, Limited, Look, Watched, apart, is_synchronized, least_told
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.safety import LimitsConfig
 from hilbench.topology.sample import CycleSample
@@ -28,27 +28,30 @@ class ShaftLimitWatch:
         self._levels = Levels()
         limits = config.safety.limits
         self._limited, self._ratio = limited(limits, motor), limits.estimate_ratio
-        self._values = attrgetter(*(each.signal for each in self._limited))
-        self._told_from = [least_told(each.limit) for each in self._limited]
-        self._ratio_told_from = least_told(self._ratio)
+        self._look = LimitLook(
+            [each.signal for each in self._limited],
+            [least_told(each.limit) for each in self._limited],
+            [("J_sim_kg_m2", self._inertia_kg_m2)],
+            least_told(self._ratio),
+        )
+
+    def look(self, sample: CycleSample) -> Look:
+        """See `limits.Watching`."""
+        return self._look.of(sample)
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """The warnings that begin in this cycle, each after its quantity. Raises LimitTripError."""
-        values: tuple[float, ...] = self._values(sample)
-        if self._levels.quiet and self._is_quiet(sample, values):
-            return []
-        return self._levels.check(sample.t_s, self._quantities(sample, values))
+        return [] if self.look(sample).is_quiet else self.found(sample)
 
-    def _is_quiet(self, sample: CycleSample, values: tuple[float, ...]) -> bool:
-        """Whether everything is so small that there is nothing to say, as in nearly every cycle."""
-        for value, least in zip(values, self._told_from, strict=True):
-            if not -least < value < least:
-                return False
-        return not is_synchronized(sample) or apart(sample.J_sim_kg_m2, self._inertia_kg_m2) < self._ratio_told_from
+    def found(self, sample: CycleSample) -> list[tuple[str, str]]:
+        """See `limits.Watching`."""
+        found = self._levels.check(sample.t_s, self._quantities(sample))
+        self._look.warned(self._levels)
+        return found
 
-    def _quantities(self, sample: CycleSample, values: tuple[float, ...]) -> Iterator[Watched]:
-        for each, value in zip(self._limited, values, strict=True):
-            yield each.name, abs(value), f" {each.unit}", each.limit
+    def _quantities(self, sample: CycleSample) -> Iterator[Watched]:
+        for each in self._limited:
+            yield each.name, abs(getattr(sample, each.signal)), f" {each.unit}", each.limit
         if is_synchronized(sample):
             ratio = apart(sample.J_sim_kg_m2, self._inertia_kg_m2)
             yield "estimate of the inertia over the model's", ratio, "", self._ratio

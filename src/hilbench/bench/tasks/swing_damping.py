@@ -28,7 +28,7 @@ from struct import Struct
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import REAL, VECTOR, compiled, entry_point, number_of_sources
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point, interpreted, number_of_sources
 from hilbench.plant import pairing
 from hilbench.plant.pairing import paired, pairing_state
 from hilbench.plant.parameters import per_item
@@ -146,13 +146,19 @@ def _under_way(plant: SwingPlant) -> list[float]:
 
 
 #: Of the vectors of `damp`. Plant: span, strains upstream and downstream, limit of the command, cycle, by how much ways
-#: may differ.
-_LENGTH_M, _UPSTREAM, _DOWNSTREAM, _LIMIT_M_S, _CYCLE_S, _LEAST_WAY_M = range(6)
+#: may differ, E that the gains are for.
+_LENGTH_M, _UPSTREAM, _DOWNSTREAM, _LIMIT_M_S, _CYCLE_S, _LEAST_WAY_M, _MODULUS_PA = range(7)
 #: Gains: those of `DampingGains`, then how many are pending, and these.
 _RATE, _ELONGATION, _FADES, _PENDING, _GAINS = range(5)
 #: State: cycles since the last positions that were taken, whether there are any, they, the web in the span unstretched,
 #: its strain, the elongation; then the last commands.
 _CYCLES, _STARTED, _X1_M, _X2_M, _UNSTRETCHED_M, _STRAIN, _ELONGATION_M, _COMMANDS = range(8)
+
+
+@compiled
+def has_changed(plant: Vector, modulus_Pa: float) -> bool:
+    """Whether E is so much another that `SwingDamping.use_modulus` makes other gains."""
+    return bool(abs(modulus_Pa / plant[_MODULUS_PA] - 1.0) > _WORTH_CHANGING)
 
 
 @compiled
@@ -210,6 +216,7 @@ def _entry_point(sources: int) -> Callable[[Vector, Vector, Vector, Vector, Vect
 
 _damp = _entry_point(number_of_sources(pairing.__file__, __file__))
 _POSITIONS = Struct("=2d")
+_has_changed = interpreted(has_changed)
 
 
 class SwingDamping:
@@ -223,7 +230,8 @@ class SwingDamping:
         self._ratio = damping_ratio
         self._sent = len(_under_way(plant))
         strains = (plant.upstream_strain, plant.downstream_strain)
-        self._figures = np.array([plant.span_length_m, *strains, plant.limit_m_s, plant.cycle_s, plant.least_way_m])
+        figures = plant.span_length_m, *strains, plant.limit_m_s, plant.cycle_s, plant.least_way_m, modulus_Pa
+        self._figures = np.array(figures)
         self._gains = np.zeros(_GAINS + self._sent)
         self._state = np.zeros(_COMMANDS + self._sent)
         self._ways, self._positions_m = pairing_state(2), np.zeros(2)
@@ -245,11 +253,11 @@ class SwingDamping:
 
     def use_modulus(self, modulus_Pa: float) -> None:
         """E that the gains follow from now on."""
-        if abs(modulus_Pa / self._modulus_Pa - 1.0) > _WORTH_CHANGING:
+        if _has_changed(self._figures, modulus_Pa):
             self._use(modulus_Pa)
 
     def _use(self, modulus_Pa: float) -> None:
-        self._modulus_Pa = modulus_Pa
+        self._figures[_MODULUS_PA] = modulus_Pa
         gains = damping_gains(self._plant, self._ratio, modulus_Pa)
         self._gains[:_GAINS] = gains.rate, gains.elongation_per_s, gains.washout_per_s, len(gains.pending)
         self._gains[_GAINS : _GAINS + len(gains.pending)] = gains.pending

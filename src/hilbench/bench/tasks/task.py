@@ -2,14 +2,62 @@
 
 from __future__ import annotations
 
-from typing import Literal, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Generic, Literal, Protocol, TypeVar
 
+from hilbench.chain import Chained
 from hilbench.exchange.exchange import Inputs
 from hilbench.topology.sample import CycleSample
 
 #: What goes to the nodes with the next SYNC, SI: set points by the names of the drives (velocity on the side of the
 #: machine, or torque at the shaft), and what the twin gets to know, by the names of the signals.
 Outputs = dict[str, float]
+
+
+#: More cycles than anybody asks for.
+MANY = 1 << 30
+
+
+def _many() -> int:
+    return MANY
+
+
+def _nothing(cycles: int) -> None:
+    """Nobody counts them."""
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """What a task does in cycles that go without Python; none of it: it has nothing to do in such.
+
+    `cycles`: how many from the next one on may go so (0: the next one is Python's); asked right before they do. `went`:
+    so many have. `shown`: the signals that show what it puts into the outputs, by the names of these.
+    """
+
+    before: Sequence[Chained] = ()
+    after: Sequence[Chained] = ()
+    cycles: Callable[[], int] = _many
+    went: Callable[[int], None] = _nothing
+    shown: Mapping[str, str] = field(default_factory=dict)
+
+
+Made = TypeVar("Made")
+
+
+class OfSample(Generic[Made]):
+    """What is made on the vectors of a sample, for who gets samples one by one: mostly the same object."""
+
+    def __init__(self, make: Callable[[CycleSample], Made]) -> None:
+        self._make = make
+        self._sample: CycleSample | None = None
+        self._made: Made
+
+    def __call__(self, sample: CycleSample) -> Made:
+        """On this one."""
+        if sample is not self._sample:
+            self._made, self._sample = self._make(sample), sample
+        return self._made
 
 
 class CyclicTask:
@@ -28,6 +76,10 @@ class CyclicTask:
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The drives are off; one that has no set point gets zero."""
+
+    def in_pieces(self, sample: CycleSample) -> Pieces | None:
+        """`before` and `after` as pieces of a cycle, on this sample; None: it is Python's in every cycle."""
+        return None
 
 
 def overrides(task: CyclicTask, moment: Literal["before", "after", "rest"]) -> bool:

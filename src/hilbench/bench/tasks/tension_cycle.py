@@ -1,51 +1,183 @@
-"""What a tension loop makes of a cycle, compiled: the controller's velocity, and the damping of the swing."""
+"""What a tension loop makes of a cycle, compiled: whether it may be closed on the twin, the controller's velocity, and
+the damping of the swing.
+
+It goes by stages: where something is rare (the loop opens or closes, the damping's gains follow another E) it says so,
+Python does its part, and calls it again from the stage behind.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.tasks import swing_damping, tension_control
-from hilbench.bench.tasks.swing_damping import SwingDamping, damp
-from hilbench.bench.tasks.tension_control import TensionController, control
-from hilbench.compiled import FLAG, TABLE, TABLE_WIDTH, entry_point, floats, number_of_sources, reals, table_of
+from hilbench.bench.tasks import strain_way, swing_damping, tension_control, tension_trust
+from hilbench.bench.tasks.strain_way import entering_strain, shown_m_s, way_tension_N, way_velocity
+from hilbench.bench.tasks.swing_damping import damp, has_changed
+from hilbench.bench.tasks.tension_control import control
+from hilbench.bench.tasks.tension_trust import TOLD, TRUSTED, judged
+from hilbench.chain import GOES_ON, Function
+from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, compiled, entry_point, floats, integers, number_of_sources
 from hilbench.plant import pairing
 
 Table = NDArray[np.int64]
-#: Line speed, set-point, tension, E, time since the controller's last step, what is known to be right already (NaN:
-#: nothing), positions of the axes before and behind the span, what they are to show of its lengthening; as of `control`
-#: and `damp`.
-Now = tuple[float, float, float, float, float, float, float, float, float]
+Vector = NDArray[np.float64]
+Places = NDArray[np.int64]
+
+#: Where a cycle begins, and behind what is to be decided.
+JUDGE, CONTROL = range(2)
+#: What is Python's: the twin's data are of before it was lost; it is trusted, and was not, or the other way round; E is
+#: another than the damping's gains are for. Below them what `judged` has found.
+STALE, CHANGED, OTHER_MODULUS = range(16, 19)
+# Rows of the table.
+(
+    _CONTROLLER,
+    _CONTROLLED,
+    _PLANT,
+    _GAINS,
+    _PAIRED,
+    _DAMPED_STATE,
+    _POSITIONS,
+    _LOOP,
+    _LEADER,
+    _VALUES,
+    _WORDS,
+    _AT,
+    _TRUST,
+    _TRUST_STATE,
+    _TRUST_AT,
+    _WAY,
+    _ENTERING,
+    _ENTERING_AT,
+    _LEADS,
+) = range(19)
+#: Of a loop: set-point, what a probe shifts it by, E as it was known last; what the axis is to turn at without and with
+#: the damping; the cycle whose twin data the controller has had, -1: none; whether it is closed, NEVER: it was not yet;
+#: whether the twin's data are of now; a cycle, s; positions of the axes before and behind the span where no signal
+#: shows them; what a movement at rest adds to the velocity, nan: there is none.
+SET_POINT_N, SHIFT_N, MODULUS_PA, SPEED_M_S, DAMPED_M_S, CONTROLLED_CYCLE, CLOSED, FRESH, CYCLE_S = range(9)
+BEFORE_M, BEHIND_M, PULL_M_S, LOOP = range(9, 13)
+NEVER = -1.0
+#: Speeds of an axis that another one follows: without and with what is damped.
+LEADS_BY, LEADS_DAMPED_BY, SPEEDS = range(3)
+#: Places in a sample: whether the loop is closed, command, tension and E of the twin, positions (NOWHERE: in the loop),
+#: age in cycles, number of the cycle.
+_CLOSED_AT, _COMMAND_AT, _TENSION_AT, _MODULUS_AT, _BEFORE_AT, _BEHIND_AT, _AGE_AT, _CYCLE_AT = range(8)
+NOWHERE = -1
+#: Cycles of late data of the twin that the tension controller makes up for in one step.
+_MOST_CYCLES_AT_ONCE = 10
 
 
-def table(controller: TensionController, damping: SwingDamping) -> Table:
-    """Of the vectors of both, which keep them; `step` is compiled, or loaded, before anybody waits for a cycle."""
-    step(False, (0.0,) * 9, np.zeros((0, TABLE_WIDTH), np.int64))
-    return table_of((controller.figures, controller.state, *damping.vectors))
+@compiled
+def _since_controlled_s(loop: Vector, words: Places, at: Places) -> float:
+    """The time that the twin's data have gone on since the controller's last step: none while they are repeated."""
+    reported = words[at[_CYCLE_AT]] - words[at[_AGE_AT]]
+    cycles = 1 if loop[CONTROLLED_CYCLE] == NEVER else reported - int(loop[CONTROLLED_CYCLE])
+    loop[CONTROLLED_CYCLE] = reported
+    return float(min(max(cycles, 0), _MOST_CYCLES_AT_ONCE) * loop[CYCLE_S])
 
 
-def _entry_point(sources: int) -> Callable[[bool, Now, Table], tuple[float, float]]:
+@compiled
+def _control(table: Table, loop: Vector, values: Vector, words: Places, at: Places) -> None:
+    """Velocity of the axis from the last sample."""
+    leader, way = floats(table, _LEADER, (1,)), floats(table, _WAY, (1,))
+    closed = loop[CLOSED] == 1.0
+    words[at[_CLOSED_AT]] = 1 if closed else 0
+    since_s, set_point_N, around_m_s = (
+        _since_controlled_s(loop, words, at),
+        loop[SET_POINT_N] + loop[SHIFT_N],
+        np.nan,
+    )
+    tension_N, modulus_Pa, planned_m_s, lead_m_s = 0.0, 0.0, 0.0, 0.0
+    if closed:
+        tension_N = values[at[_TENSION_AT]]
+        modulus_Pa = loop[MODULUS_PA] = values[at[_MODULUS_AT]]
+    else:
+        since_s = loop[CYCLE_S]
+    if len(way) > 0:
+        behind_m_s, entering = leader[LEADS_DAMPED_BY], floats(table, _ENTERING, (1,))
+        strain = entering_strain(
+            entering, integers(table, _ENTERING_AT, (1,)), values, behind_m_s >= 0.0, loop[FRESH] != 0.0
+        )
+        set_point_N = way_tension_N(way, loop[MODULUS_PA])
+        around_m_s, planned_m_s = way_velocity(way, behind_m_s, strain), shown_m_s(way)
+        lead_m_s = floats(table, _LEADS, (1,))[0]
+    loop[SPEED_M_S] = control(
+        floats(table, _CONTROLLER, (1,)),
+        floats(table, _CONTROLLED, (1,)),
+        closed,
+        leader[LEADS_BY],
+        set_point_N,
+        tension_N,
+        modulus_Pa,
+        since_s,
+        around_m_s,
+    )
+    positions_m, gains = floats(table, _POSITIONS, (1,)), floats(table, _GAINS, (1,))
+    positions_m[0] = loop[BEFORE_M] if at[_BEFORE_AT] == NOWHERE else values[at[_BEFORE_AT]]
+    positions_m[1] = loop[BEHIND_M] if at[_BEHIND_AT] == NOWHERE else values[at[_BEHIND_AT]]
+    plant, ways, s = floats(table, _PLANT, (1,)), floats(table, _PAIRED, (1,)), floats(table, _DAMPED_STATE, (1,))
+    loop[DAMPED_M_S], pull_m_s = loop[SPEED_M_S] + damp(plant, gains, ways, s, positions_m, planned_m_s), loop[PULL_M_S]
+    if np.isnan(pull_m_s):
+        values[at[_COMMAND_AT]] = loop[DAMPED_M_S] + lead_m_s
+    else:  # what is damped would take the pull back
+        loop[DAMPED_M_S] = loop[SPEED_M_S]
+        values[at[_COMMAND_AT]] = loop[SPEED_M_S] + lead_m_s + pull_m_s
+
+
+def _entry_point(sources: int) -> Function:
     """For Python; `sources` as in `compiled.number_of_sources`."""
 
-    @entry_point(FLAG, reals(9), TABLE)
-    def step(closed: bool, now: Now, table: Table) -> tuple[float, float]:
+    @entry_point(COUNT, TABLE)
+    def run(stage: int, table: Table) -> int:
         if sources < 0 or len(table) == 0:
-            return 0.0, 0.0
-        velocity_m_s = control(
-            floats(table, 0, (1,)), floats(table, 1, (1,)), closed, now[0], now[1], now[2], now[3], now[4], now[5]
-        )
-        positions_m = floats(table, 6, (1,))
-        positions_m[0], positions_m[1] = now[6], now[7]
-        plant, gains, ways = floats(table, 2, (1,)), floats(table, 3, (1,)), floats(table, 4, (1,))
-        return velocity_m_s, damp(plant, gains, ways, floats(table, 5, (1,)), positions_m, now[8])
+            return GOES_ON
+        loop, values, words = floats(table, _LOOP, (1,)), floats(table, _VALUES, (1,)), integers(table, _WORDS, (1,))
+        at = integers(table, _AT, (1,))
+        if stage == JUDGE:
+            if loop[FRESH] == 0.0:
+                return STALE
+            state = floats(table, _TRUST_STATE, (1,))
+            found = judged(floats(table, _TRUST, (1,)), state, values, words, integers(table, _TRUST_AT, (1,)))
+            if found != TRUSTED:
+                return found
+            if (state[TOLD] != 0.0) != (loop[CLOSED] == 1.0):
+                return CHANGED
+            if loop[CLOSED] == 1.0 and has_changed(floats(table, _PLANT, (1,)), values[at[_MODULUS_AT]]):
+                return OTHER_MODULUS
+        _control(table, loop, values, words, at)
+        return GOES_ON
 
-    return step
+    return run
 
 
-#: step(whether the loop is closed, as it is now, table): velocity of the axis before the span, and what damps the swing
-#: beside it, m/s.
-step = _entry_point(
-    number_of_sources(*(str(module.__file__) for module in (pairing, swing_damping, tension_control)), __file__)
+#: run(stage, table of `Vectors`): GOES_ON, or what is Python's.
+run = _entry_point(
+    number_of_sources(
+        *(str(module.__file__) for module in (pairing, strain_way, swing_damping, tension_control, tension_trust)),
+        __file__,
+    )
 )
+
+
+def warm_up() -> None:
+    """Compile, or load, before anybody waits for a cycle."""
+    run(JUDGE, np.zeros((0, TABLE_WIDTH), np.int64))
+
+
+def in_order(
+    controller: Sequence[Vector],
+    damping: Sequence[Vector],
+    loop: Vector,
+    leader: Vector,
+    sample: tuple[Vector, Places, Places],
+    trust: Sequence[NDArray[Any]],
+    ahead: Sequence[NDArray[Any]] | None,
+) -> tuple[NDArray[Any], ...]:
+    """The vectors of the table: figures and state of `control`, those of `damp`, the loop, `SPEEDS` of the axis behind
+    the span, a sample as `reals` and `wholes` with the places in it, figures, state and places of `judged`; of a loop
+    with a feed-forward `strain_way`, what enters the span with the places of that, and the lead of the axis."""
+    nothing = np.zeros(0)
+    return (*controller, *damping, loop, leader, *sample, *trust, *(ahead or (nothing, nothing, nothing, nothing)))

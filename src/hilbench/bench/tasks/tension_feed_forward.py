@@ -19,92 +19,107 @@ The last roller is told the line's speed and no more: by what it gives way the o
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
-from math import exp
+from math import nan
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.bench.tasks import strain_way
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.strain_way import StrainWay, lengthening_m_s2, way_tension_N, way_update
+from hilbench.bench.tasks.task import CyclicTask, Outputs, Pieces
+from hilbench.bench.tasks.tension_cycle import MODULUS_PA, SET_POINT_N, SHIFT_N
+from hilbench.chain import GOES_ON, Chained, Function, never
+from hilbench.compiled import (
+    COUNT,
+    TABLE,
+    TABLE_WIDTH,
+    compiled,
+    entry_point,
+    floats,
+    interpreted,
+    number_of_sources,
+    table_of,
+)
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.sample import CycleSample
 
-#: Way of a set-point: rate of the three equal poles, times the rise time; 2 % are left then.
-_POLES = 7.5
+Vector = NDArray[np.float64]
+Table = NDArray[np.int64]
+
 #: Share of a motor's greatest torque that is asked of it ahead.
 _TORQUE_SHARE = 0.5
-#: Cycles from a command to the sample that shows what the axes have made of it.
-_SHOWN_CYCLES = 2
+#: Of a roller: mass, kg, and kp, N·s/m, at the web; share of what the drive does not have yet that it takes up in a
+#: cycle; the most that is asked ahead, N; what its drive has, N (NaN: what is there); place of its axis among the
+#: leads, of its way (NOWHERE: none), and of the ways of the spans that pull it back and forward.
+_MASS_KG, _KP_N_S_PER_M, _SHARE, _LIMIT_N, _HELD_N, _AXIS, _OWN_WAY, _PULLED_BACK, _PULLED_ON, _ROLLER = range(10)
+NOWHERE = -1
+# Rows of the table; behind them, of each way, its vector and that of its loop.
+_ROLLERS, _LEADS_M_S, _LINE_SPEED, _OWN, _WAYS = range(5)
+#: Of the task: a cycle, s, and the line's speed in the last one.
+_CYCLE_S, _SPEED_M_S = range(2)
 
 
-def way_per_s(rise_s: float) -> float:
-    """Rate of the three equal poles of a way, of which 98 % are made in `rise_s`."""
-    return _POLES / rise_s
+@compiled
+def _lead_m_s(r: Vector, acceleration_m_s2: float, force_N: float) -> float:
+    """See `RollerForces.lead_m_s`."""
+    if r[_KP_N_S_PER_M] <= 0.0:
+        return 0.0
+    wanted_N = r[_MASS_KG] * acceleration_m_s2 + force_N
+    held_N = wanted_N if np.isnan(r[_HELD_N]) else r[_HELD_N]
+    ahead_N = min(max(wanted_N - held_N, -r[_LIMIT_N]), r[_LIMIT_N])
+    r[_HELD_N] = held_N + r[_SHARE] * (wanted_N - held_N)
+    return float(ahead_N / r[_KP_N_S_PER_M])
 
 
-class StrainWay:
-    """The strain wanted in a span, on its smooth way to what the set-point asks for at the present E.
+@compiled
+def _pull_N(table: Table, way: float, sign: float) -> float:
+    """What a span that has a way pulls by."""
+    if way < 0.0:
+        return 0.0
+    row = _WAYS + 2 * int(way)
+    return sign * way_tension_N(floats(table, row, (1,)), floats(table, row + 1, (1,))[MODULUS_PA])
 
-    Three equal poles; `rise_s`: until 98 % of a step are made. A change of E moves the goal, and leaves the strain of
-    the moment, as it leaves that of the web: what the controller sees is how far the web is from its way back.
-    """
 
-    def __init__(self, rise_s: float, cycle_s: float, length_m: float, section_m2: float) -> None:
-        self._per_s = way_per_s(rise_s)
-        self._cycle_s = cycle_s
-        self._left = exp(-self._per_s * cycle_s)
-        self._length_m = length_m
-        self._section_m2 = section_m2
-        self.reset(0.0)
+def _entry_point(sources: int) -> Function:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
 
-    def reset(self, strain: float) -> None:
-        """At rest there."""
-        self._strain = strain
-        self._rate_per_s = self._bend_per_s2 = 0.0
-        self._shown_m_s = deque([0.0] * _SHOWN_CYCLES, _SHOWN_CYCLES)
+    @entry_point(COUNT, TABLE)
+    def plan(_: int, table: Table) -> int:
+        if sources < 0 or len(table) == 0:
+            return GOES_ON
+        for row in range(_WAYS, len(table), 2):
+            loop = floats(table, row + 1, (1,))
+            way_update(floats(table, row, (1,)), loop[SET_POINT_N] + loop[SHIFT_N], loop[MODULUS_PA])
+        own, rollers, leads_m_s = (
+            floats(table, _OWN, (1,)),
+            floats(table, _ROLLERS, (1, 2)),
+            floats(table, _LEADS_M_S, (1,)),
+        )
+        speed_m_s = floats(table, _LINE_SPEED, (1,))[0]
+        acceleration_m_s2 = (speed_m_s - own[_SPEED_M_S]) / own[_CYCLE_S]
+        own[_SPEED_M_S] = speed_m_s
+        for k in range(len(rollers)):
+            roller = rollers[k]
+            if roller[_OWN_WAY] >= 0.0:
+                acceleration_m_s2 -= lengthening_m_s2(floats(table, _WAYS + 2 * int(roller[_OWN_WAY]), (1,)))
+            pull_N = 0.0
+            pull_N += _pull_N(table, roller[_PULLED_BACK], 1.0)
+            pull_N += _pull_N(table, roller[_PULLED_ON], -1.0)
+            leads_m_s[int(roller[_AXIS])] = _lead_m_s(roller, acceleration_m_s2, pull_N)
+        leading_m_s = leads_m_s[int(rollers[0, _AXIS])]
+        for k in range(len(leads_m_s)):
+            leads_m_s[k] -= leading_m_s
+        return GOES_ON
 
-    def update(self, goal_N: float, modulus_Pa: float) -> None:
-        """One cycle towards the goal."""
-        stiffness_N, w, duration_s = modulus_Pa * self._section_m2, self._per_s, self._cycle_s
-        goal = goal_N / stiffness_N
-        off = self._strain - goal
-        slope = self._rate_per_s + w * off
-        bend = 0.5 * (self._bend_per_s2 + 2.0 * w * self._rate_per_s + w * w * off)
-        left = self._left
-        off = (off + (slope + bend * duration_s) * duration_s) * left
-        sloping = (slope + 2.0 * bend * duration_s) * left
-        self._strain = goal + off
-        self._rate_per_s = sloping - w * off
-        self._bend_per_s2 = 2.0 * bend * left - 2.0 * w * sloping + w * w * off
-        self._shown_m_s.append(self.lengthening_m_s)
+    return plan
 
-    @property
-    def lengthening_m_s(self) -> float:
-        """L·ε'."""
-        return self._length_m * self._rate_per_s
 
-    @property
-    def shown_m_s(self) -> float:
-        """That which the last sample is to show."""
-        return self._shown_m_s[0]
-
-    @property
-    def lengthening_m_s2(self) -> float:
-        """L·ε''."""
-        return self._length_m * self._bend_per_s2
-
-    def tension_N(self, modulus_Pa: float) -> float:
-        """What is wanted at this moment."""
-        return self._strain * modulus_Pa * self._section_m2
-
-    def velocity(self, behind_m_s: float, entering_strain: float) -> float:
-        """Of the axis before the span by mass conservation, from that of the axis behind it and the strain that
-        enters, in reverse that of the web behind the span."""
-        wanted = 1.0 + self._strain
-        if behind_m_s < 0.0:
-            return behind_m_s * wanted / (1.0 + entering_strain) - self.lengthening_m_s / wanted
-        return (behind_m_s - self.lengthening_m_s / wanted) * (1.0 + entering_strain) / wanted
+_plan = _entry_point(number_of_sources(str(strain_way.__file__), __file__))
+_lead_once = interpreted(_lead_m_s)
 
 
 class RollerForces:
@@ -114,12 +129,11 @@ class RollerForces:
     """
 
     def __init__(self, mass_kg: float, kp_N_s_per_m: float, ki_N_per_m: float, limit_N: float, cycle_s: float) -> None:
-        self._mass_kg = mass_kg
-        self._kp_N_s_per_m = kp_N_s_per_m
-        self._limit_N = limit_N
         # By this share the leads of a step sum up to what the integral of the drive is to be.
-        self._share = min(cycle_s * ki_N_per_m / kp_N_s_per_m, 1.0) if kp_N_s_per_m > 0.0 else 0.0
-        self._held_N: float | None = None
+        share = min(cycle_s * ki_N_per_m / kp_N_s_per_m, 1.0) if kp_N_s_per_m > 0.0 else 0.0
+        self.vector = np.full(_ROLLER, float(NOWHERE))  #: as above
+        self.vector[: _LIMIT_N + 1] = mass_kg, kp_N_s_per_m, share, limit_N
+        self.reset()
 
     @classmethod
     def of_model(cls, model: ModelParameters, axis: int, cycle_s: float) -> RollerForces:
@@ -135,33 +149,24 @@ class RollerForces:
     def figures(self) -> tuple[float, float, float, float]:
         """Mass, kg, and kp, N·s/m, at the web; share of what the drive does not have yet that it takes up in a cycle;
         the most that is asked ahead, N."""
-        return self._mass_kg, self._kp_N_s_per_m, self._share, self._limit_N
+        mass_kg, kp_N_s_per_m, share, limit_N = self.vector[: _LIMIT_N + 1].tolist()
+        return mass_kg, kp_N_s_per_m, share, limit_N
 
     def reset(self) -> None:
         """The drive's integral has what is there (drives off)."""
-        self._held_N = None
+        self.vector[_HELD_N] = nan
 
     def lead_m_s(self, acceleration_m_s2: float, force_N: float) -> float:
         """What to add to the command, from the planned acceleration and what pulls the roller back, N at the web."""
-        if self._kp_N_s_per_m <= 0.0:
-            return 0.0
-        wanted_N = self._mass_kg * acceleration_m_s2 + force_N
-        held_N = wanted_N if self._held_N is None else self._held_N
-        ahead_N = min(max(wanted_N - held_N, -self._limit_N), self._limit_N)
-        self._held_N = held_N + self._share * (wanted_N - held_N)
-        return ahead_N / self._kp_N_s_per_m
+        return _lead_once(self.vector, acceleration_m_s2, force_N)
 
 
 class Goal(Protocol):
     """Something that keeps a tension."""
 
     @property
-    def goal_N(self) -> float:
-        """What it is to be."""
-
-    @property
-    def modulus_Pa(self) -> float:
-        """E of the web there, as far as it is known."""
+    def loop(self) -> Vector:
+        """As of `tension_cycle`: what it is to be, and E of the web there."""
 
 
 class FeedForwardTask(CyclicTask):
@@ -179,49 +184,50 @@ class FeedForwardTask(CyclicTask):
         loops: Mapping[int, Goal],
         ways: Mapping[int, StrainWay],
     ) -> None:
-        self._cycle_s = cycle_s
         self._line_speed = line_speed
-        self._speed_m_s = 0.0
         self._loops, self._ways = loops, ways
         self._upstream_strain = model.upstream_strain
+        self._own, self._leads_m_s = np.array([cycle_s, 0.0]), np.zeros(model.axis_count)
         for way in ways.values():
             way.reset(self._upstream_strain)
-        axes = range(model.axis_count, 0, -1)
-        self._rollers = {axis: RollerForces.of_model(model, axis, cycle_s) for axis in axes}
-        self._pulled = {
-            axis: tuple((span, sign) for span, sign in ((axis - 1, 1.0), (axis, -1.0)) if span in ways)
-            for axis in axes
-            if model.carries_web_load(axis)
-        }
-        self._leads_m_s = dict.fromkeys(axes, 0.0)
+        self._rollers = np.array([self._roller(model, axis, cycle_s) for axis in range(model.axis_count, 0, -1)])
+        self._piece: Chained | None = None
+        _plan(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before anybody waits for a cycle
 
-    def lead_m_s(self, axis: int) -> float:
-        """What the command of an axis has more than its planned speed, in this cycle."""
-        return self._leads_m_s[axis]
+    def _roller(self, model: ModelParameters, axis: int, cycle_s: float) -> Vector:
+        place = {span: at for at, span in enumerate(self._ways)}
+        roller = RollerForces.of_model(model, axis, cycle_s).vector
+        roller[_AXIS], roller[_OWN_WAY] = axis - 1, place.get(axis, NOWHERE)
+        if model.carries_web_load(axis):
+            roller[_PULLED_BACK], roller[_PULLED_ON] = place.get(axis - 1, NOWHERE), place.get(axis, NOWHERE)
+        return roller
+
+    def lead(self, axis: int) -> Vector:
+        """What the command of an axis has more than its planned speed, in this cycle, m/s (1,)."""
+        return self._leads_m_s[axis - 1 : axis]
+
+    @property
+    def piece(self) -> Chained:
+        """One cycle further."""
+        if self._piece is None:
+            kept = [self._rollers, self._leads_m_s, self._line_speed.vector, self._own]
+            for span, way in self._ways.items():
+                kept += [way.vector, self._loops[span].loop]
+            self._piece = Chained(_plan, 0, table_of(kept), otherwise=never, keeps=kept)
+        return self._piece
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """One cycle further."""
-        for span, way in self._ways.items():
-            way.update(self._loops[span].goal_N, self._loops[span].modulus_Pa)
-        speed_m_s = self._line_speed.present
-        acceleration_m_s2 = (speed_m_s - self._speed_m_s) / self._cycle_s
-        self._speed_m_s = speed_m_s
-        for axis, roller in self._rollers.items():
-            if axis in self._ways:
-                acceleration_m_s2 -= self._ways[axis].lengthening_m_s2
-            pull_N = 0.0
-            for span, sign in self._pulled.get(axis, ()):
-                pull_N += sign * self._ways[span].tension_N(self._loops[span].modulus_Pa)
-            self._leads_m_s[axis] = roller.lead_m_s(acceleration_m_s2, pull_N)
-        leading_m_s = next(iter(self._leads_m_s.values()))
-        for axis in self._leads_m_s:
-            self._leads_m_s[axis] -= leading_m_s
+        self.piece()
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """The same."""
+        return Pieces(before=[self.piece])
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """Nothing turns: the web is strained as upstream, and the ways begin there."""
-        self._speed_m_s = self._line_speed.present
+        self._own[_SPEED_M_S] = self._line_speed.present
         for way in self._ways.values():
             way.reset(self._upstream_strain)
-        for axis, roller in self._rollers.items():
-            roller.reset()
-            self._leads_m_s[axis] = 0.0
+        self._rollers[:, _HELD_N] = nan
+        self._leads_m_s[:] = 0.0

@@ -22,7 +22,7 @@ from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.task import MANY, CyclicTask, Outputs, Pieces
 from hilbench.bench.tasks.tension_trust import TwinSignals
 from hilbench.bench.tasks.web_rest_movement import RestMovement
 from hilbench.topology.quantities import TENSION_PROBE
@@ -124,6 +124,10 @@ class Probing(CyclicTask):
         else:
             half = int(2.0 * self._since_s / self._config.period_s)
             self._loop.set_point_shift_N = self._size_N if half % 2 == 0 else -self._size_N
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """Nothing, where there are no probes."""
+        return Pieces(cycles=lambda: MANY if self._config.mode == "off" else 0)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The drives are off."""

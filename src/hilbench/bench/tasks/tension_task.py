@@ -5,28 +5,34 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import nan
-from operator import attrgetter
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hilbench.bench.state import Reports, TwinState
-from hilbench.bench.tasks import tension_cycle
+from hilbench.bench.tasks import tension_cycle as cycle
+from hilbench.bench.tasks.strain_way import EnteringStrain, StrainWay, entering_vectors
 from hilbench.bench.tasks.swing_damping import SwingDamping
-from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.task import MANY, CyclicTask, OfSample, Outputs, Pieces
 from hilbench.bench.tasks.tension_control import TensionController
-from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask, StrainWay
+from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_trust import TwinSignals, TwinTrust
+from hilbench.chain import Chained
+from hilbench.compiled import table_of
 from hilbench.exchange.exchange import Inputs
 from hilbench.topology.quantities import tension_set_point
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
 
-#: Cycles of late data of the twin that the tension controller makes up for in one step.
-_MOST_CYCLES_AT_ONCE = 10
+Vector = NDArray[np.float64]
 
 
 class Leader(Protocol):
-    """An axis whose speed the axis before it follows."""
+    """An axis whose speed the axis before it follows. `speeds`: the same for compiled callers, by LEADS_BY and so on of
+    `tension_cycle`."""
+
+    speeds: Vector
 
     @property
     def speed_m_s(self) -> float:
@@ -35,13 +41,6 @@ class Leader(Protocol):
     @property
     def damped_m_s(self) -> float:
         """The same with that."""
-
-
-class EnteringStrain(Protocol):
-    """Strain of the web that may enter a span, as the twin has it."""
-
-    def __call__(self, sample: CycleSample) -> float:
-        """From what it has sent last."""
 
 
 @dataclass(frozen=True)
@@ -112,34 +111,53 @@ class TensionTask(CyclicTask):
         feed_forward: FeedForward | None = None,
         ways: Callable[[CycleSample], tuple[float, float]] | None = None,
     ) -> None:
-        self._ways = ways or attrgetter(names.before, names.behind)
+        self._ways = ways
         self._names = names
         self._leader = leader
-        self._set_point_N = set_point_N
-        self.set_point_shift_N = 0.0  #: of a probe
-        self.pull_m_s: float | None = None  #: see `RestMovement`
-        self._controller = controller  # keeps its vectors, as the next
-        self._damping = damping
-        self._table = tension_cycle.table(controller, damping)
-        self._trust = trust
-        self._twin = twin
+        self._controller, self._damping, self._trust, self._twin = controller, damping, trust, twin
         self._reports = reports
-        self._cycle_s = cycle_s
-        self._modulus_Pa = modulus_Pa
         self._ahead = feed_forward
-        self._controlled_cycle: int | None = None  # whose twin data the controller has had
-        self._was_closed: bool | None = None  # None before it was closed for the first time
-        self._speed_m_s = self._damped_m_s = 0.0
+        #: As of `tension_cycle`; one value goes faster through `_at`.
+        self.loop = np.zeros(cycle.LOOP)
+        self.loop[[cycle.SET_POINT_N, cycle.MODULUS_PA, cycle.CYCLE_S]] = set_point_N, modulus_Pa, cycle_s
+        self.loop[[cycle.CONTROLLED_CYCLE, cycle.CLOSED]] = cycle.NEVER
+        self.loop[cycle.PULL_M_S] = np.nan
+        self.speeds = self.loop[cycle.SPEED_M_S : cycle.DAMPED_M_S + 1]
+        self._at = self.loop.data.cast("B").cast("d")
+        self._piece = OfSample(self._on)
+        cycle.warm_up()
+
+    def _on(self, sample: CycleSample) -> Chained:
+        """The piece of a cycle."""
+        self._sample = sample
+        names, kind, ahead = self._names, type(sample), None
+        of_web = [cycle.NOWHERE, cycle.NOWHERE] if self._ways else kind.places([names.before, names.behind]).tolist()
+        of_twin = [names.twin.tension, names.twin.modulus]
+        at = [*kind.places([names.closed, names.command, *of_twin]).tolist(), *of_web]
+        at += kind.places(["twin_age_cycles", "cycle"]).tolist()
+        if self._ahead is not None:
+            of_strains = entering_vectors(kind, (self._ahead.strain_before, self._ahead.strain_behind))
+            ahead = self._ahead.way.vector, *of_strains, self._ahead.leads.lead(names.axis)
+        kept = cycle.in_order(
+            (self._controller.figures, self._controller.state),
+            self._damping.vectors,
+            self.loop,
+            self._leader.speeds,
+            (sample.reals, sample.wholes, np.array(at, np.int64)),
+            self._trust.vectors(sample),
+            ahead,
+        )
+        return Chained(cycle.run, cycle.JUDGE, table_of(kept), otherwise=self._decide, keeps=kept)
 
     @property
     def speed_m_s(self) -> float:
         """What the axis is to turn at, without the damping."""
-        return self._speed_m_s
+        return float(self._at[cycle.SPEED_M_S])
 
     @property
     def damped_m_s(self) -> float:
         """With the damping."""
-        return self._damped_m_s
+        return float(self._at[cycle.DAMPED_M_S])
 
     @property
     def names(self) -> LoopNames:
@@ -154,22 +172,40 @@ class TensionTask(CyclicTask):
     @property
     def set_point_N(self) -> float:
         """The set-point without a probe's shift."""
-        return self._set_point_N
+        return float(self._at[cycle.SET_POINT_N])
+
+    @property
+    def pull_m_s(self) -> float:
+        """See `RestMovement`."""
+        return float(self.loop[cycle.PULL_M_S])
+
+    @pull_m_s.setter
+    def pull_m_s(self, value: float) -> None:
+        self.loop[cycle.PULL_M_S] = value
+
+    @property
+    def set_point_shift_N(self) -> float:
+        """Of a probe."""
+        return float(self._at[cycle.SHIFT_N])
+
+    @set_point_shift_N.setter
+    def set_point_shift_N(self, value: float) -> None:
+        self._at[cycle.SHIFT_N] = value
 
     @property
     def goal_N(self) -> float:
         """What the tension is to be: with a probe's shift."""
-        return self._set_point_N + self.set_point_shift_N
+        return self.set_point_N + self.set_point_shift_N
 
     @property
     def modulus_Pa(self) -> float:
         """E of the web there, as it was known last."""
-        return self._modulus_Pa
+        return float(self._at[cycle.MODULUS_PA])
 
     @property
     def closed(self) -> bool:
         """Whether the loop was closed in the last cycle."""
-        return bool(self._was_closed)
+        return bool(self._at[cycle.CLOSED] == 1.0)
 
     def owns(self, path: str) -> bool:
         """Whether it is the set-point."""
@@ -177,75 +213,62 @@ class TensionTask(CyclicTask):
 
     def value(self, path: str) -> float:
         """The set-point, N."""
-        return self._set_point_N
+        return self.set_point_N
 
     def set(self, path: str, value: float) -> None:
         """Another set-point, N."""
-        self._set_point_N = value
+        self._at[cycle.SET_POINT_N] = value
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis from the last sample."""
-        names = self._names
-        closed = self._is_closed(sample)
-        setattr(sample, names.closed, int(closed))
-        speed_m_s, since_s = float(self._leader.speed_m_s), self._since_controlled_s(sample)
-        ahead, set_point_N, around_m_s = self._ahead, float(self.goal_N), nan
-        if closed:
-            self._modulus_Pa = getattr(sample, names.twin.modulus)
-        if ahead is not None:
-            set_point_N = ahead.way.tension_N(self._modulus_Pa)
-            behind_m_s = self._leader.damped_m_s
-            entering = ahead.strain_before if behind_m_s >= 0.0 else ahead.strain_behind
-            around_m_s = ahead.way.velocity(behind_m_s, entering(sample))
-        tension_N = modulus_Pa = 0.0
-        if closed:
-            tension_N, modulus_Pa = getattr(sample, names.twin.tension), self._modulus_Pa
-            self._damping.use_modulus(modulus_Pa)
-        else:
-            since_s = self._cycle_s
-        planned_m_s = ahead.way.shown_m_s if ahead is not None else 0.0
-        now = speed_m_s, set_point_N, tension_N, modulus_Pa, since_s, around_m_s, *self._ways(sample), planned_m_s
-        self._speed_m_s, damping_m_s = tension_cycle.step(closed, now, self._table)
-        if self.pull_m_s is not None:
-            damping_m_s = 0.0  # it would take the pull back
-        self._damped_m_s = velocity_m_s = self._speed_m_s + damping_m_s
-        if ahead is not None:
-            velocity_m_s += ahead.leads.lead_m_s(names.axis)
-        if self.pull_m_s is not None:
-            velocity_m_s += self.pull_m_s
-        outputs[names.drive] = velocity_m_s
-        setattr(sample, names.command, velocity_m_s)
+        self._at[cycle.FRESH] = self._twin.fresh(sample)
+        if self._ways is not None:
+            self._at[cycle.BEFORE_M], self._at[cycle.BEHIND_M] = self._ways(sample)
+        self._piece(sample)()
+        outputs[self._names.drive] = getattr(sample, self._names.command)
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Record the set-point."""
         setattr(sample, self._names.set_point, self.goal_N)
 
+    def in_pieces(self, sample: CycleSample) -> Pieces | None:
+        """The same; the set-point stays what it is."""
+        if self._ways is not None:
+            return None
+
+        def cycles() -> int:
+            fresh = self._twin.fresh(sample)
+            shown = getattr(sample, self._names.set_point) == self.goal_N
+            return MANY if fresh == bool(self._at[cycle.FRESH]) and shown else 0
+
+        return Pieces(before=[self._piece(sample)], cycles=cycles, shown={self._names.drive: self._names.command})
+
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The web is at rest, strained as upstream."""
         self._damping.reset()
-        setattr(sample, self._names.set_point, self._set_point_N)
+        setattr(sample, self._names.set_point, self.set_point_N)
 
-    def _is_closed(self, sample: CycleSample) -> bool:
-        """Whether the loop is closed on the twin's data in `sample`; that it opens or closes again is reported."""
-        if self._twin.fresh(sample):
-            closed = self._trust.update(sample)
-        else:
-            closed = False
+    def _decide(self, code: int) -> bool:
+        """What is Python's of a cycle, and what is behind that."""
+        sample = self._sample
+        if code == cycle.STALE:
             self._trust.forget(self._twin.why)
-        loop, axis = self._names.of_loop, self._names.axis
-        if self._was_closed and not closed:
-            self._reports.note("twin", f"{loop} open, axis {axis} follows the ratio of speeds: {self._trust.doubt}")
-        elif closed and self._was_closed is False:
-            self._reports.note("twin", f"{loop} closed again: the twin is synchronized")
-        if closed or self._was_closed is not None:
-            self._was_closed = closed
-        return closed
+        elif code < cycle.STALE:
+            self._trust.doubts(code, sample)
+        self._look_whether_closed()
+        if self.closed:
+            self._damping.use_modulus(getattr(sample, self._names.twin.modulus))
+        piece = self._piece(sample)
+        piece.function(cycle.CONTROL, piece.table)
+        return True
 
-    def _since_controlled_s(self, sample: CycleSample) -> float:
-        """The time that the twin's data have gone on since the controller's last step: none while they are repeated."""
-        reported_cycle, before = sample.cycle - sample.twin_age_cycles, self._controlled_cycle
-        self._controlled_cycle = reported_cycle
-        cycles = 1 if before is None else reported_cycle - before
-        if cycles == 1:  # nearly always
-            return self._cycle_s
-        return min(max(cycles, 0), _MOST_CYCLES_AT_ONCE) * self._cycle_s
+    def _look_whether_closed(self) -> None:
+        """By what is to be said of the twin; that the loop opens or closes again is reported."""
+        closed, was_closed = self._trust.trusted, self._at[cycle.CLOSED]
+        loop, axis = self._names.of_loop, self._names.axis
+        if was_closed == 1.0 and not closed:
+            self._reports.note("twin", f"{loop} open, axis {axis} follows the ratio of speeds: {self._trust.doubt}")
+        elif closed and was_closed == 0.0:
+            self._reports.note("twin", f"{loop} closed again: the twin is synchronized")
+        if closed or was_closed != cycle.NEVER:
+            self._at[cycle.CLOSED] = closed

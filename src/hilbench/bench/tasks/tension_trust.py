@@ -7,13 +7,12 @@ stay so: a twin is synchronized when the noise is small, however much of E may b
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import INDICES, VECTOR, entry_point, number_of_sources
+from hilbench.compiled import compiled
 from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
 from hilbench.topology.sample import CycleSample, PlacesIn
 from hilbench.topology.web_line_config import TensionControlConfig
@@ -40,49 +39,42 @@ class TwinSignals:
     deviation: str = "E_sd_Pa"
 
 
-#: Of the vectors of `judge`. Figures: cycles of age, and of refusing, tensions in N and deviation of E in % up to which
-#: they are believed; state: whether the twin has called itself synchronized and not been in doubt since, and how many
-#: cycles in a row it has refused what was measured and not called itself that.
+#: Of the vectors of `judged`. Figures: cycles of age, and of refusing, tensions in N and deviation of E in % up to
+#: which they are believed; state: whether the twin has called itself synchronized and not been in doubt since, and how
+#: many cycles in a row it has refused what was measured and not called itself that.
 _AGE_LIMIT, _REFUSES_CYCLES, _LOWEST_N, _HIGHEST_N, _DEVIATION_PCT, _FIGURES = range(6)
 #: Places in a sample: age in cycles, status, tension in N, E and its deviation in Pa.
 _AGE, _STATUS, _TENSION_N, _MODULUS_PA, _DEVIATION_PA, _PLACES = range(6)
-_TOLD, _ASTRAY_CYCLES, _STATE = range(3)
-#: What `judge` says.
-_TRUSTED, _OLD, _ASTRAY, _NO_WEB, _OUTSIDE, _UNSURE = range(6)
+TOLD, _ASTRAY_CYCLES, _STATE = range(3)
+#: What `judged` says.
+TRUSTED, _OLD, _ASTRAY, _NO_WEB, _OUTSIDE, _UNSURE = range(6)
 
 
-def _entry_point(sources: int) -> Callable[[Vector, Vector, Vector, Places, Places], int]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(VECTOR, VECTOR, VECTOR, INDICES, INDICES)
-    def judge(figures: Vector, state: Vector, values: Vector, words: Places, at: Places) -> int:
-        tension_N, modulus_Pa = values[at[_TENSION_N]], values[at[_MODULUS_PA]]
-        deviation_Pa = values[at[_DEVIATION_PA]]
-        if sources < 0 or words[at[_AGE]] > figures[_AGE_LIMIT]:
-            return _OLD
-        status = words[at[_STATUS]]
-        synchronized = status & _SYNCHRONIZED != 0
-        astray = status & _REFUSED != 0 and not synchronized
-        state[_ASTRAY_CYCLES] = state[_ASTRAY_CYCLES] + 1.0 if astray else 0.0
-        if state[_ASTRAY_CYCLES] > figures[_REFUSES_CYCLES]:
-            return _ASTRAY
-        if not (np.isfinite(tension_N) and LEAST_MODULUS_Pa <= modulus_Pa <= LARGEST_MODULUS_Pa):
-            return _NO_WEB
-        if not figures[_LOWEST_N] <= tension_N <= figures[_HIGHEST_N]:
-            return _OUTSIDE
-        # A twin that is starting knows nothing yet; an infinite deviation is that of a method which has none.
-        if state[_TOLD] != 0.0 or synchronized:
-            limit_pct = figures[_DEVIATION_PCT] * (1.0 if state[_TOLD] != 0.0 else _CLOSES_AT)
-            if 0.01 * limit_pct * modulus_Pa < deviation_Pa < np.inf:
-                return _UNSURE
-        if synchronized:
-            state[_TOLD] = 1.0
-        return _TRUSTED
-
-    return judge
-
-
-_judge = _entry_point(number_of_sources(__file__))
+@compiled
+def judged(figures: Vector, state: Vector, values: Vector, words: Places, at: Places) -> int:
+    """What is to be said of the twin's data at these places of a sample."""
+    tension_N, modulus_Pa = values[at[_TENSION_N]], values[at[_MODULUS_PA]]
+    deviation_Pa = values[at[_DEVIATION_PA]]
+    if words[at[_AGE]] > figures[_AGE_LIMIT]:
+        return _OLD
+    status = words[at[_STATUS]]
+    synchronized = status & _SYNCHRONIZED != 0
+    astray = status & _REFUSED != 0 and not synchronized
+    state[_ASTRAY_CYCLES] = state[_ASTRAY_CYCLES] + 1.0 if astray else 0.0
+    if state[_ASTRAY_CYCLES] > figures[_REFUSES_CYCLES]:
+        return _ASTRAY
+    if not (np.isfinite(tension_N) and LEAST_MODULUS_Pa <= modulus_Pa <= LARGEST_MODULUS_Pa):
+        return _NO_WEB
+    if not figures[_LOWEST_N] <= tension_N <= figures[_HIGHEST_N]:
+        return _OUTSIDE
+    # A twin that is starting knows nothing yet; an infinite deviation is that of a method which has none.
+    if state[TOLD] != 0.0 or synchronized:
+        limit_pct = figures[_DEVIATION_PCT] * (1.0 if state[TOLD] != 0.0 else _CLOSES_AT)
+        if 0.01 * limit_pct * modulus_Pa < deviation_Pa < np.inf:
+            return _UNSURE
+    if synchronized:
+        state[TOLD] = 1.0
+    return TRUSTED
 
 
 class TwinTrust:
@@ -105,25 +97,29 @@ class TwinTrust:
         self._figures, self._state = figures, np.zeros(_STATE)
         self._synchronized = self._state.data.cast("B").cast("d")  # quicker than the vector
         self._why = "not synchronized yet"
-        # Compiled, or loaded, before anybody waits for a cycle.
-        _judge(figures, self._state.copy(), np.zeros(_PLACES), np.zeros(_PLACES, np.int64), np.arange(_PLACES))
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the loop may be closed."""
+        return self._synchronized[TOLD] != 0.0
 
     @property
     def doubt(self) -> str:
         """Why the loop is open; "" while it may be closed."""
-        return "" if self._synchronized[_TOLD] else self._why
+        return "" if self.trusted else self._why
 
     def forget(self, reason: str) -> None:
         """Open the loop until the twin is synchronized anew."""
-        self._synchronized[_TOLD] = 0.0
+        self._synchronized[TOLD] = 0.0
         self._why = reason
 
-    def update(self, sample: CycleSample) -> bool:
-        """Whether the loop may be closed on the twin's data in `sample`."""
-        found = _judge(self._figures, self._state, sample.reals, sample.wholes, self._at.of(sample))
-        if found != _TRUSTED:
-            self.forget(self._doubt(found, sample))
-        return self._synchronized[_TOLD] != 0.0
+    def doubts(self, found: int, sample: CycleSample) -> None:
+        """What `judged` has found, if it is not TRUSTED."""
+        self.forget(self._doubt(found, sample))
+
+    def vectors(self, sample: CycleSample) -> tuple[Vector, Vector, Places]:
+        """Figures, state and places of `judged`, for compiled callers."""
+        return self._figures, self._state, self._at.of(sample)
 
     def _doubt(self, found: int, sample: CycleSample) -> str:
         config = self._config
@@ -137,5 +133,5 @@ class TwinTrust:
         if found == _OUTSIDE:
             highest_N = self._figures.item(_HIGHEST_N)
             return f"simulated tension {tension_N:.1f} N is outside 0 to {highest_N:g} N"
-        limit_pct = config.twin_deviation_limit_pct * (1.0 if self._synchronized[_TOLD] else _CLOSES_AT)
+        limit_pct = config.twin_deviation_limit_pct * (1.0 if self.trusted else _CLOSES_AT)
         return f"the deviation of E is above {limit_pct:g} %"

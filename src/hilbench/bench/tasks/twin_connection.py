@@ -14,7 +14,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
-from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.task import MANY, CyclicTask, Outputs, Pieces
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.nodes import Nodes
@@ -96,6 +96,21 @@ class TwinConnection(CyclicTask):
             self._lose(nodes.twin_problem)
         elif self._counts_anew():
             self._lose("the twin counts SYNC anew, as after an NMT command of somebody else")
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """Nothing is to be done while the twin answers."""
+        return Pieces(cycles=self._goes_well)
+
+    def _goes_well(self) -> int:
+        """For so many cycles nothing is, if answers come as they did."""
+        nodes, cycles = self._nodes, self._exchange.timing.cycles
+        busy = self._return is not None or self._returned_cycle is not None or self._twin.away or self._jumped_for
+        if busy or nodes.twin_problem or (self._exchange.silent and nodes.twin_name in self._exchange.silent):
+            return 0
+        age = nodes.twin_age(cycles - self._twin.started_cycle)
+        if age != self._age_before or age > self._age_limit:
+            return 0
+        return -cycles % _LOOK_CYCLES if self._process is not None else MANY
 
     def _counts_anew(self) -> bool:
         """Whether the age of the twin's answers has jumped, which late answers can't do, and stays what it is."""

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from hilbench.bench.state import Reports, TwinState
-from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.limits import QUIET, Watching
+from hilbench.bench.tasks.task import MANY, CyclicTask, Outputs, Pieces
 from hilbench.can.confinement import ControllerState
+from hilbench.chain import Chained
 from hilbench.exchange.exchange import Exchange, Inputs
 from hilbench.exchange.timeliness import Timeliness
 from hilbench.processes import ChildProcess
@@ -26,8 +28,30 @@ class Watch(CyclicTask):
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Note what is new."""
-        for kind, text in self._look(sample):
+        self._note(self._look(sample))
+
+    def _note(self, found: Iterable[tuple[str, str]]) -> None:
+        for kind, text in found:
             self._reports.note(self._source, text, kind=kind)
+
+
+class QuietWatch(Watch):
+    """The same of what is quiet in nearly every cycle."""
+
+    def __init__(self, source: str, watching: Watching, reports: Reports) -> None:
+        super().__init__(source, watching.update, reports)
+        self._watching = watching
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """The same."""
+        look = self._watching.look(sample)
+
+        def otherwise(_: int) -> bool:
+            self._note(self._watching.found(sample))
+            return True
+
+        piece = Chained(look.function, look.argument, look.table, goes_on=QUIET, otherwise=otherwise, keeps=look)
+        return Pieces(after=[piece])
 
 
 class SupervisorWatch(CyclicTask):
@@ -59,6 +83,15 @@ class LatenessWatch(CyclicTask):
         if trouble:
             self._reports.condition("late samples", trouble)
 
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """Nobody is late there."""
+
+        def cycles() -> int:
+            on_time = self._twin.away or sample.twin_age_cycles == 0
+            return MANY if on_time and self._timeliness.nobody_late else 0
+
+        return Pieces(cycles=cycles, went=self._timeliness.pass_on_time)
+
 
 class ControllerWatch(CyclicTask):
     """The bench's own CAN controller. Many broken-off frames: still a bus, but not for long."""
@@ -75,6 +108,10 @@ class ControllerWatch(CyclicTask):
             self._state = state
             self._reports.note("bus", f"the bench's CAN controller is {state.value}")
 
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """Nothing happens to a frame there."""
+        return Pieces(cycles=lambda: MANY if self._exchange.controller is self._state else 0)
+
 
 class EmergencyWatch(CyclicTask):
     """EMCY messages of the nodes, as notices."""
@@ -87,3 +124,7 @@ class EmergencyWatch(CyclicTask):
         for emergency, count in inputs.emergencies.items():
             source = f"{emergency.node} (node {emergency.node_id})"
             self._reports.note(source, str(emergency), kind=emergency.kind, count=count)
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """Nobody sends any there."""
+        return Pieces()

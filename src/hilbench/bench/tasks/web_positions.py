@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from math import pi, sin
 
+import numpy as np
+
 from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.tension_cycle import LEADS_BY, SPEEDS
 from hilbench.bench.tasks.tension_task import Leader
 from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.errors import BenchFaultError
@@ -49,18 +52,18 @@ class PositionTask(CyclicTask):
         self._feed = position_path(station, FEED)
         self._values = {self._set_point: set_point_m, self._feed: 1.0}
         self._ramped = 1.0  # of the way from standing to feeding
-        self._speed_m_s = 0.0
+        self.speeds = np.zeros(SPEEDS)
         self._moved = False  # until then the sensor has told nothing
 
     @property
     def speed_m_s(self) -> float:
         """What the axis is to turn at, at the web."""
-        return self._speed_m_s
+        return float(self.speeds[LEADS_BY])
 
     @property
     def damped_m_s(self) -> float:
         """The same: nothing is damped through a carriage."""
-        return self._speed_m_s
+        return self.speed_m_s
 
     def owns(self, path: str) -> bool:
         """Whether it is the set-point, or whether the axis feeds."""
@@ -82,8 +85,8 @@ class PositionTask(CyclicTask):
         else:
             wanted_m, position_m = self._values[self._set_point], getattr(sample, self._measured)
             velocity_m_s = self._loop.velocity(behind_m_s, wanted_m, 0.0, position_m, self._cycle_s)
-        self._speed_m_s = outputs[self._drive] = share * velocity_m_s
-        setattr(sample, self._command, self._speed_m_s)
+        self.speeds[:] = outputs[self._drive] = speed_m_s = share * velocity_m_s
+        setattr(sample, self._command, speed_m_s)
 
     def _share(self) -> float:
         """Of its speed, at which the axis feeds now: from one end to the other with a bounded jerk."""

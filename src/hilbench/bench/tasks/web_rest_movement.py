@@ -9,7 +9,7 @@ way that is permitted, even where no web holds anybody.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import cos, pi
+from math import cos, nan, pi
 from typing import Protocol
 
 import numpy as np
@@ -49,7 +49,7 @@ class LeadingRoller(Protocol):
 class PulledRoller(Protocol):
     """An axis of the line."""
 
-    pull_m_s: float | None  #: of this one alone; None: there is no movement
+    pull_m_s: float  #: of this one alone; nan: there is no movement
 
 
 def pulls_m(model: ModelParameters, set_points_N: Sequence[float], way_m: float) -> Array:
@@ -126,4 +126,4 @@ class RestMovement:
         """Stand."""
         self._leader.creep_m_s = 0.0
         for axis in self._axes:
-            axis.pull_m_s = None
+            axis.pull_m_s = nan

@@ -3,12 +3,11 @@ ahead, and what is true."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import FLAG, INDICES, TABLE, VECTOR, compiled, entry_point, floats
+from hilbench.chain import Function
+from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers
 from hilbench.plant import measured_motion, pairing
 from hilbench.plant.measured_motion import ahead_s, gone_s
 from hilbench.plant.web_line import kernel, span_kernel
@@ -18,7 +17,8 @@ Table = NDArray[np.int64]
 Places = NDArray[np.int64]
 Vector = NDArray[np.float64]
 
-# Rows of the table: those of a `SpanFollower`, in whose `pull` torques are the last, then those of the measured motion.
+# Rows of the table: those of a `SpanFollower`, in whose `pull` torques are the last, those of the measured motion, then
+# where that is measured and what follows is shown.
 (
     _P,
     _STATE,
@@ -35,7 +35,9 @@ Vector = NDArray[np.float64]
     _WAYS,
     _POSITIONS,
     _MEASURED_SPEEDS,
-) = range(15)
+    _VALUES,
+    _AT,
+) = range(17)
 
 
 #: What `follow` has done: nothing, as there is nothing to follow; followed; the same, of a web with pieces of another.
@@ -51,19 +53,20 @@ def _show(at: Places, torques: Vector, shown: Vector, values: Vector) -> None:
         values[at[k]] = shown[at[k + 1]]
 
 
-def _entry_point(sources: int) -> Callable[[Table, Vector, Places, bool], int]:
+def _entry_point(sources: int) -> Function:
     """For Python; `sources` as in the kernel."""
 
-    @entry_point(TABLE, VECTOR, INDICES, FLAG)
-    def follow(table: Table, values: Vector, at: Places, late: bool) -> int:
-        if sources < 0:
+    @entry_point(COUNT, TABLE)
+    def follow(late: int, table: Table) -> int:
+        if sources < 0 or len(table) == 0:
             return NOTHING
+        values, at = floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
         motion, ways, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
         speeds = floats(table, _MEASURED_SPEEDS, (1,))
         axes = len(x)
         for k in range(axes):
             x[k], speeds[k] = values[at[k]], values[at[axes + k]]
-        duration_s = gone_s(motion, ways, x, speeds, late)
+        duration_s = gone_s(motion, ways, x, speeds, late != 0)
         if not duration_s > 0.0:
             return NOTHING
         p, s, w = floats(table, _P, (1,)), floats(table, _STATE, (1,)), floats(table, _WORK, (1,))
@@ -84,8 +87,8 @@ def _entry_point(sources: int) -> Callable[[Table, Vector, Places, bool], int]:
     return follow
 
 
-#: follow(table of the vectors in the order of these rows, values, places in these, whether a sample is late): as of
-#: `measured_motion.InStep`.
+#: follow(whether a sample is late, table of the vectors in the order of these rows, the last are values and places in
+#: these): as of `measured_motion.InStep`.
 follow = _entry_point(
     kernel.source_number(*(str(module.__file__) for module in (measured_motion, pairing, span_kernel)), __file__)
 )

@@ -1,0 +1,113 @@
+"""A compiled look at a sample: whether any of its quantities is so large that limits have something to say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.bench.tasks.limits import LOUD, QUIET, SYNCHRONIZED, Levels, Look
+from hilbench.bench.tasks.task import OfSample
+from hilbench.chain import Function
+from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, number_of_sources, table_of
+from hilbench.topology.sample import CycleSample, PlacesIn
+
+Vector = NDArray[np.float64]
+Table = NDArray[np.int64]
+
+# Rows of the table: a sample, and where in it sizes are, estimates, then positions and set points of the axes; from
+# which sizes on there is something to say; figures; the model's values of what is estimated; how far the axes are off.
+_VALUES, _WORDS, _AT, _TOLD_FROM, _FIGURES, _MODELS, _OFF = range(7)
+#: Figures: a cycle, s; the least difference of positions and ratio of estimates that are told; whether there has been a
+#: sample since the drives were enabled; whether a warning is on.
+_CYCLE_S, _APART, _RATIO, _STARTED, _WARNED, _COUNT = range(6)
+#: Of each axis with the one behind it: difference of their positions at the start, what their set points have added up
+#: to since, and how far they are off that.
+_AT_START, _COMMANDED, _SIZE, _OFF_ROWS = range(4)
+
+
+def _entry_point(sources: int) -> Function:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(COUNT, TABLE)
+    def look(status: int, table: Table) -> int:
+        if sources < 0 or len(table) == 0:
+            return QUIET
+        values, at, told_from = (
+            floats(table, _VALUES, (1,)),
+            integers(table, _AT, (1,)),
+            floats(table, _TOLD_FROM, (1,)),
+        )
+        figures, models, off = (
+            floats(table, _FIGURES, (1,)),
+            floats(table, _MODELS, (1,)),
+            floats(table, _OFF, (1, 2)),
+        )
+        sizes, pairs = len(told_from), off.shape[1]
+        estimate = sizes
+        position, command = estimate + len(models), estimate + len(models) + pairs + 1
+        loud = 0 if figures[_WARNED] == 0.0 else 1
+        for k in range(pairs):
+            apart = values[at[position + k]] - values[at[position + k + 1]]
+            if figures[_STARTED] == 0.0:
+                off[_AT_START, k] = apart
+            off[_COMMANDED, k] += (values[at[command + k]] - values[at[command + k + 1]]) * figures[_CYCLE_S]
+            off[_SIZE, k] = abs(apart - off[_AT_START, k] - off[_COMMANDED, k])
+            loud += not off[_SIZE, k] < figures[_APART]
+        figures[_STARTED] = 1.0
+        for k in range(sizes):
+            loud += not -told_from[k] < values[at[k]] < told_from[k]
+        if integers(table, _WORDS, (1,))[status] & SYNCHRONIZED != 0:
+            for k in range(len(models)):
+                ratio = values[at[estimate + k]] / models[k]
+                loud += not (ratio > 0.0 and max(ratio, 1.0 / ratio) < figures[_RATIO])
+        return QUIET if loud == 0 else LOUD
+
+    return look
+
+
+#: look(place of the twin's status, table): QUIET where everything is so small that there is nothing to say, and no
+#: warning is on, as in nearly every cycle.
+_look = _entry_point(number_of_sources(__file__))
+
+
+class LimitLook:
+    """Of the signals `sizes`, from `told_from` of each on; of `estimates`, by the model's value of each, from `ratio`
+    on; of how far the axes whose positions and set points are `positions` and `commands` are apart, from `told_apart`
+    on."""
+
+    def __init__(
+        self,
+        sizes: Sequence[str],
+        told_from: Sequence[float],
+        estimates: Sequence[tuple[str, float]],
+        ratio: float,
+        positions: Sequence[str] = (),
+        commands: Sequence[str] = (),
+        told_apart: float = 0.0,
+        cycle_s: float = 0.0,
+    ) -> None:
+        self._at = PlacesIn([*sizes, *(name for name, _ in estimates), *positions, *commands])
+        self._told_from, self._models = np.array(told_from), np.array([value for _, value in estimates])
+        self._figures, self._off = np.zeros(_COUNT), np.zeros((_OFF_ROWS, max(len(positions) - 1, 0)))
+        self._figures[[_CYCLE_S, _APART, _RATIO]] = cycle_s, told_apart, ratio
+        self.of = OfSample(self._on)  #: a sample
+        _look(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before anybody waits for a cycle
+
+    def _on(self, sample: CycleSample) -> Look:
+        kept = (
+            *(sample.reals, sample.wholes, self._at.of(sample), self._told_from),
+            *(self._figures, self._models, self._off),
+        )
+        return Look(_look, type(sample).place("twin_status"), table_of(kept), kept)
+
+    @property
+    def apart(self) -> list[float]:
+        """How far each axis is from where it should be beside the one behind it, as looked at last."""
+        apart: list[float] = self._off[_SIZE].tolist()
+        return apart
+
+    def warned(self, levels: Levels) -> None:
+        """Whether there is nothing to say while all is small."""
+        self._figures[_WARNED] = not levels.quiet

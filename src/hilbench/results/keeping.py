@@ -1,0 +1,55 @@
+"""Samples kept for the recording, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.bench.tasks.task import Pieces
+from hilbench.chain import GOES_ON, Chained, Function, never
+from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, integers, number_of_sources, table_of
+from hilbench.results.recording import RecordingBuilder
+from hilbench.topology.sample import CycleSample
+
+
+def _entry_point(sources: int) -> Function:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(COUNT, TABLE)
+    def keep(_: int, table: NDArray[np.int64]) -> int:
+        if sources < 0 or len(table) == 0:
+            return GOES_ON
+        words, block, used = integers(table, 0, (1,)), integers(table, 1, (1, 2)), integers(table, 2, (1,))
+        at = used[0]
+        for k in range(block.shape[1]):
+            block[at, k] = words[k]
+        used[0] = at + 1
+        return GOES_ON
+
+    return keep
+
+
+#: keep(0, table of a sample as whole numbers, block (n, m) of rows as such, how many of them are used (1,)).
+_keep = _entry_point(number_of_sources(__file__))
+
+
+class Keeping:
+    """Puts samples into what a `RecordingBuilder` has room for."""
+
+    def __init__(self, builder: RecordingBuilder) -> None:
+        self._builder = builder
+        _keep(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before anybody waits for a cycle
+
+    def pieces(self, sample: CycleSample) -> Pieces:
+        """Of a cycle with this sample. The next block is Python's."""
+        builder, kept = self._builder, [sample.wholes, self._builder.block.view(np.int64), self._builder.used]
+        table = table_of(kept)
+
+        def cycles() -> int:
+            block = builder.block
+            if kept[1].base is not block:
+                kept[1] = block.view(np.int64)
+                table[:] = table_of(kept)
+            return len(block) - int(builder.used[0])
+
+        return Pieces(after=[Chained(_keep, 0, table, otherwise=never, keeps=kept)], cycles=cycles)
