@@ -225,7 +225,7 @@ def test_a_line_runs_alike_whatever_comes_between(
 
 
 #: Benches of which every part of a cycle is compiled.
-CHAINED = {"web_section_step", "line_two_spans", "line_three_spans"}
+CHAINED = {"web_section_step", "line_two_spans", "line_three_spans", "servo_axis"}
 
 
 @pytest.mark.parametrize(
@@ -374,5 +374,5 @@ def test_what_a_twin_of_a_servo_axis_has_python_do_now_and_then_is_alike(tmp_pat
     ]
     loaded = load_with_overrides(CONFIGS / "servo_axis.yaml")
     with counts_stages(ShaftInVectors, stages):
-        check(tmp_path, loaded, changes, cycles=320, least=250, chains=False)
+        check(tmp_path, loaded, changes, cycles=320, least=250)
     assert {servo_axis_cycle.NOT_NEXT, servo_axis_cycle.HOLD} <= set(stages)

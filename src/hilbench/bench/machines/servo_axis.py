@@ -13,7 +13,7 @@ from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.shaft_limits import ShaftLimitWatch
-from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.task import MANY, CyclicTask, OfSample, Outputs, Pieces
 from hilbench.bench.tasks.watches import QuietWatch
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.fmu.follower import FmuFollower
@@ -23,8 +23,10 @@ from hilbench.plant.servo_axis.imitation import ImitatedShaft
 from hilbench.plant.servo_axis.stability import sampled_shaft
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import SPEED
-from hilbench.topology.sample import CycleSample
+from hilbench.topology.sample import CycleSample, PlacesIn
 
+#: The signal that shows what the axis is told.
+_COMMAND = "v1_cmd_rad_s"
 #: No controller rides on the twin's data: how old they may be before it counts as lost.
 _TWIN_AGE_LIMIT_CYCLES = 10
 #: Ways of a cycle that are longer are measured well enough to count cycles by them: some counts of a 16-bit encoder.
@@ -70,11 +72,16 @@ class SpeedTask(CyclicTask):
 
     def __init__(self, drive: str, speed: Reference) -> None:
         self._drive = drive
-        self._speed = speed
+        self._piece = OfSample(lambda sample: speed.shown_in(sample, _COMMAND))
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, rad/s at the motor."""
-        sample.v1_cmd_rad_s = outputs[self._drive] = self._speed.present
+        self._piece(sample)()
+        outputs[self._drive] = getattr(sample, _COMMAND)
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """The same."""
+        return Pieces(before=[self._piece(sample)], shown={self._drive: _COMMAND})
 
 
 class ShaftLoadTask(LoadTask):
@@ -84,10 +91,20 @@ class ShaftLoadTask(LoadTask):
         super().__init__(motors, model)
         known = {quantity.name for quantity in model.machine.describe().parameters}
         self._has_inertia, self._has_friction = "inertia_kg_m2" in known, "coulomb_friction_Nm" in known
+        self._at = PlacesIn(["x1_rad", "v1_rad_s", *(command for _, command in self._commands)])
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Let the imitated shaft follow the measured motion; the truth of the run is recorded."""
-        self.follow(sample, (sample.x1_rad,), (sample.v1_rad_s,), late=inputs.axes_late)
+        late = inputs.axes_late
+        if self.model.follow_in(sample.reals, self._at.of(sample), late=late) is None:
+            self.follow(sample, (sample.x1_rad,), (sample.v1_rad_s,), late=late)
         machine = self.model.machine
         sample.J_true_kg_m2 = machine.parameter("inertia_kg_m2") if self._has_inertia else nan
         sample.coulomb_true_Nm = machine.parameter("coulomb_friction_Nm") if self._has_friction else nan
+
+    def in_pieces(self, sample: CycleSample) -> Pieces | None:
+        """The same; the truth stays what it is."""
+        piece = self.model.piece(sample.reals, self._at.of(sample), lambda _: True)
+        if piece is None:
+            return None
+        return Pieces(after=[piece], cycles=lambda: MANY if self.model.goes_on else 0, shown=dict(self._commands))

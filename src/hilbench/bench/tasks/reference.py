@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hilbench.chain import GOES_ON, Chained, Function, never
 from hilbench.compiled import COUNT, TABLE, entry_point, floats, integers, number_of_sources, table_of
+from hilbench.topology.sample import CycleSample
 
 #: Cycles that a course is laid down for at once.
 _LONGEST_COURSE = 256
@@ -16,7 +17,7 @@ _LONGEST_COURSE = 256
 _NEXT, _END = range(2)
 
 
-def _entry_point(sources: int) -> Function:
+def _entry_points(sources: int) -> tuple[Function, Function]:
     """For Python; `sources` as in `compiled.number_of_sources`."""
 
     @entry_point(COUNT, TABLE)
@@ -29,11 +30,18 @@ def _entry_point(sources: int) -> Function:
             at[_NEXT] += 1
         return GOES_ON
 
-    return follow
+    @entry_point(COUNT, TABLE)
+    def show(place: int, table: NDArray[np.int64]) -> int:
+        if sources >= 0 and len(table) > 0:
+            floats(table, 1, (1,))[place] = floats(table, 0, (1,))[0]
+        return GOES_ON
+
+    return follow, show
 
 
 #: follow(0, table of the present value (1,), a course, where it is (2,)): the value of the next cycle.
-_follow = _entry_point(number_of_sources(__file__))
+#: show(place of a signal, table of the present value (1,), `reals` of a sample): what it is.
+_follow, _show = _entry_points(number_of_sources(__file__))
 
 
 class Reference:
@@ -62,6 +70,11 @@ class Reference:
     @present.setter
     def present(self, value: float) -> None:
         self._at[0] = value
+
+    def shown_in(self, sample: CycleSample, signal: str) -> Chained:
+        """A piece of a cycle: a signal shows what it is."""
+        kept = self.vector, sample.reals
+        return Chained(_show, type(sample).place(signal), table_of(kept), otherwise=never, keeps=kept)
 
     def owns(self, path: str) -> bool:
         """Whether it is this reference."""

@@ -13,17 +13,34 @@ from collections.abc import Callable, Mapping, Sequence
 from math import inf
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hilbench.compiled import REAL, VECTOR, entry_point, inlined
+from hilbench.chain import Chained, Function
+from hilbench.compiled import (
+    COUNT,
+    MATRIX,
+    REAL,
+    TABLE,
+    TABLE_WIDTH,
+    compiled,
+    entry_point,
+    floats,
+    inlined,
+    integers,
+    table_of,
+)
+from hilbench.plant import measured_motion, pairing
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
+from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion, ahead_s, gone_s
 from hilbench.plant.parameters import per_item
-from hilbench.plant.servo_axis import kernel, laws
+from hilbench.plant.servo_axis import kernel, laws, tracking_filter
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import IDS, imitated_effect_problem
 from hilbench.plant.servo_axis.layout import Vector
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.shaft import Shaft
-from hilbench.plant.servo_axis.tracking_filter import TrackingFilter
+from hilbench.plant.servo_axis.tracking_filter import TrackingFilter, gains, later, transition
+from hilbench.plant.servo_axis.tracking_filter import follow as follow_position
 
 #: Time constant of the filter of the acceleration, in bus cycles: longer ones allow more inertia, and imitate it worse.
 FILTER_CYCLES = 2.5
@@ -32,7 +49,20 @@ FILTER_CYCLES = 2.5
 _SLOPE_SHARE = 0.25
 _LEAST_LEAD_S = 1e-3
 
-Torque = Callable[[Vector, Vector, float, float, float, float, float], float]
+Table = NDArray[np.int64]
+Matrix = NDArray[np.float64]
+
+# Rows of the table: parameters of the imitated shaft and of the real one, inputs of the first, its filtered motion, and
+# its own figures; of a shaft on measured motion then those of that, `transition` and `gains` of a cycle, `transition`
+# until the torque acts, torques of the load motors (M,), and where is measured and shown.
+_IMITATED, _REAL, _INPUTS, _FILTERED, _OWN = range(5)
+_MOTION, _WAYS, _POSITIONS, _SPEEDS, _FORWARD, _GAINS, _FORWARD_AHEAD, _TORQUES, _VALUES, _AT = range(5, 15)
+#: Own figures: its time, the acceleration beyond which no motor turns it; a cycle, and how much later than measured
+#: torques act, as a rule; the time that has gone by where it was another.
+_TIME_S, _MOST_RAD_S2, _CYCLE_S, _LEAD_S, _GONE_S, _OWN_SIZE = range(6)
+#: What `follow` has done: nothing, as there is nothing to follow; followed; nothing but counted, as other times than
+#: those of a cycle have gone by, or are to.
+NOTHING, FOLLOWED, ANOTHER_TIME = range(3)
 
 
 @inlined
@@ -51,19 +81,56 @@ def load_torque_Nm(
     return unbalance - inertia * a - smooth - limited
 
 
-def _compiled_torque(sources: int) -> Torque:
-    """The function that is called from Python; `sources` as in the kernel."""
+@compiled
+def _torque_ahead_Nm(table: Table, forward: Matrix, lead_s: float, speed_rad_s: float) -> float:
+    """`ImitatedShaft.load_torques_Nm`; `forward` (4, 4): the `transition` of that time."""
+    imitated, real, inputs = floats(table, _IMITATED, (1,)), floats(table, _REAL, (1,)), floats(table, _INPUTS, (1,))
+    motion, own = floats(table, _FILTERED, (1,)), floats(table, _OWN, (1,))
+    position, a, jerk = later(motion, forward, 0), later(motion, forward, 2), later(motion, forward, 3)
+    # No motor turns the shaft faster: more is a sample of another instant than it was taken for.
+    a = min(max(a, -own[_MOST_RAD_S2]), own[_MOST_RAD_S2])
+    v = speed_rad_s + lead_s * (a - 0.5 * lead_s * jerk)
+    steepest = _SLOPE_SHARE * real[lay.P_INERTIA] / max(lead_s, _LEAST_LEAD_S)
+    return float(load_torque_Nm(imitated, real, own[_TIME_S], position, v, a, steepest) + inputs[lay.U_TORQUE_NM])
 
-    @entry_point(VECTOR, VECTOR, REAL, REAL, REAL, REAL, REAL)
-    def torque_Nm(
-        imitated: Vector, real: Vector, time_s: float, x: float, v: float, a: float, steepest: float
-    ) -> float:
-        return float(load_torque_Nm(imitated, real, time_s, x, v, a, steepest)) if sources >= 0 else 0.0
 
-    return torque_Nm
+def _entry_points(sources: int) -> tuple[Callable[[Table, Matrix, float, float], float], Function]:
+    """For Python; `sources` as in the kernel."""
+
+    @entry_point(TABLE, MATRIX, REAL, REAL)
+    def torque_Nm(table: Table, forward: Matrix, lead_s: float, speed_rad_s: float) -> float:
+        return _torque_ahead_Nm(table, forward, lead_s, speed_rad_s) if sources >= 0 else 0.0
+
+    @entry_point(COUNT, TABLE)
+    def follow(late: int, table: Table) -> int:
+        if sources < 0 or len(table) == 0:
+            return NOTHING
+        counted, ways, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
+        speeds, values, at = floats(table, _SPEEDS, (1,)), floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
+        own, torques = floats(table, _OWN, (1,)), floats(table, _TORQUES, (1,))
+        x[0], speeds[0] = values[at[0]], values[at[1]]
+        duration_s = gone_s(counted, ways, x, speeds, late != 0)
+        if not duration_s > 0.0:
+            return NOTHING
+        lead_s = ahead_s(counted)
+        if duration_s != own[_CYCLE_S] or lead_s != own[_LEAD_S]:
+            own[_GONE_S] = duration_s
+            return ANOTHER_TIME
+        follow_position(
+            floats(table, _FILTERED, (1,)), floats(table, _FORWARD, (1, 2)), floats(table, _GAINS, (1,)), x[0]
+        )
+        own[_TIME_S] += duration_s
+        torque_Nm = _torque_ahead_Nm(table, floats(table, _FORWARD_AHEAD, (1, 2)), lead_s, speeds[0])
+        for k in range(len(torques)):
+            values[at[2 + k]] = torques[k] = torque_Nm
+        return FOLLOWED
+
+    return torque_Nm, follow
 
 
-_torque_Nm = _compiled_torque(kernel.source_number(__file__))
+_torque_Nm, _follow = _entry_points(
+    kernel.source_number(*(str(module.__file__) for module in (measured_motion, pairing, tracking_filter)), __file__)
+)
 
 
 def most_rad_s2(real: ServoRigParameters) -> float:
@@ -98,9 +165,13 @@ class ImitatedShaft:
         self._machine = Shaft(imitated.model_copy(update={"effects": of_shaft}), None, (), 1)
         self._real = lay.pack(known, real.load_motor)
         self._filter = TrackingFilter(filter_cycles * cycle_s)
-        # No motor turns the shaft faster: more is a sample of another instant than it was taken for.
-        self._most_rad_s2 = most_rad_s2(real)
-        self._time_s = 0.0
+        self._cycle_s = cycle_s
+        self._own = np.zeros(_OWN_SIZE)
+        self._own[_MOST_RAD_S2] = most_rad_s2(real)
+        #: Vectors of the first rows of the table.
+        self._kept = self._machine.packed, self._real, self._machine.inputs, self._filter.motion, self._own
+        self._table = table_of(self._kept)
+        self._stale = True  # something was changed since it has followed last
 
     def describe(self) -> PlantDescription:
         """Kind and parameters of a servo axis; what it says of the motion, instead of what it does."""
@@ -126,7 +197,7 @@ class ImitatedShaft:
     @property
     def time_s(self) -> float:
         """Time since the start."""
-        return self._time_s
+        return self._own.item(_TIME_S)
 
     def reset(self, positions: Sequence[float]) -> None:
         """The shaft is at rest at `positions` (1,)."""
@@ -135,7 +206,8 @@ class ImitatedShaft:
     def follow(self, positions: Sequence[float], duration_s: float) -> None:
         """The shaft is at `positions` (1,), `duration_s` (above 0) after the last call."""
         self._filter.update(positions[0], duration_s)
-        self._time_s += duration_s
+        self._own[_TIME_S] += duration_s
+        self._stale = False
 
     def load_torques_Nm(self, axes: Sequence[int], speeds: Sequence[float], lead_s: float) -> list[float]:
         """Torque of the load motor that acts `lead_s` after the motion was measured; `speeds` (1,) are measured.
@@ -144,12 +216,11 @@ class ImitatedShaft:
         """
         if any(axis != 1 for axis in axes):
             raise ValueError(f"load motors on axes {list(axes)}, expected axis 1: a servo axis has one shaft")
-        position, _, acceleration, jerk = self._filter.predicted(lead_s).tolist()
-        acceleration = min(max(acceleration, -self._most_rad_s2), self._most_rad_s2)
-        speed = speeds[0] + lead_s * (acceleration - 0.5 * lead_s * jerk)
-        steepest = steepest_Nm_s_per_rad(self._real, lead_s)
-        torque = _torque_Nm(self._machine.packed, self._real, self._time_s, position, speed, acceleration, steepest)
-        return [torque + self._machine.external_torque_Nm] * len(axes)
+        return [_torque_Nm(self._table, transition(lead_s), float(lead_s), float(speeds[0]))] * len(axes)
+
+    def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> ShaftInStep:
+        """With measured motion, and load motors on `axes`; see `hilbench.plant.measured_motion.FollowsInStep`."""
+        return ShaftInStep(self, motion, len(axes))
 
     def outputs(self) -> dict[str, float]:
         """Motion of the shaft, as the filter has it."""
@@ -157,7 +228,7 @@ class ImitatedShaft:
 
     def get_state(self) -> PlantState:
         """The filtered motion now."""
-        return PlantState(self.outputs(), (self._filter.motion.copy(), self._time_s))
+        return PlantState(self.outputs(), (self._filter.motion.copy(), self.time_s))
 
     def set_state(self, state: PlantState | Mapping[str, float]) -> None:
         """Go on from a state of an equal machine, or transfer the states given by name. Raises ValueError."""
@@ -172,7 +243,7 @@ class ImitatedShaft:
     def _restore(self, memory: object) -> None:
         match memory:
             case (np.ndarray() as motion, float() as time_s):
-                self._filter.motion, self._time_s = motion.copy(), time_s
+                self._filter.motion[:], self._own[_TIME_S] = motion, time_s
             case _:
                 raise ValueError("a state of another machine, expected one of an equal imitated shaft")
 
@@ -182,10 +253,12 @@ class ImitatedShaft:
 
     def set_parameter(self, name: str, value: float) -> None:
         """Imitate another value from now on. Raises ValueError for an unknown name or an impossible value."""
+        self._stale = True
         self._machine.set_parameter(name, value)
 
     def set_input(self, name: str, value: float) -> None:
         """Torque from outside that is imitated as well. Raises as `Shaft.set_input`."""
+        self._stale = True
         self._machine.set_input(name, value)
 
     def set_effect(
@@ -193,6 +266,7 @@ class ImitatedShaft:
     ) -> None:
         """Imitate an effect of the shaft from now on. Raises ValueError, also for effects of drive and motor."""
         self._check(effect_id, axis)
+        self._stale = True
         self._machine.set_effect(effect_id, axis, section=section, slot=slot, **parameters)
 
     def clear_effect(
@@ -200,9 +274,70 @@ class ImitatedShaft:
     ) -> None:
         """Imitate it no more. Raises as `set_effect`."""
         self._check(effect_id, axis)
+        self._stale = True
         self._machine.clear_effect(effect_id, axis, section=section, slot=slot)
 
     def _check(self, effect_id: str, axis: int | None) -> None:
         problem = imitated_effect_problem(effect_id, axis)
         if problem:
             raise ValueError(problem)
+
+
+class ShaftInStep:
+    """An `ImitatedShaft` on measured motion, in one call a cycle; see `hilbench.plant.measured_motion.InStep`. Of what
+    it is now it shows nothing: all that is asked of it are parameters."""
+
+    def __init__(self, shaft: ImitatedShaft, motion: MeasuredMotion, motors: int) -> None:
+        self._shaft, self._motion, self._torques = shaft, motion, np.zeros(motors)
+        shaft._own[_CYCLE_S], shaft._own[_LEAD_S] = shaft._cycle_s, motion.ahead_s
+        forward, gain = transition(shaft._cycle_s), gains(shaft._cycle_s, shaft._filter.filter_s)
+        of_motion = motion.state, motion.ways, motion.positions, motion.speeds
+        self._kept = *shaft._kept, *of_motion, forward, gain, transition(motion.ahead_s), self._torques
+        self._of: tuple[Vector, NDArray[np.int64]] | None = None
+        self._table = np.zeros((0, TABLE_WIDTH), np.int64)
+
+    @property
+    def torques_Nm(self) -> list[float]:
+        """See there."""
+        torques_Nm: list[float] = self._torques.tolist()
+        return torques_Nm
+
+    @property
+    def usable(self) -> bool:
+        """Always."""
+        return True
+
+    @property
+    def is_shown(self) -> bool:
+        """See there."""
+        return not self._shaft._stale
+
+    def follow(self, values: Vector, places: NDArray[np.int64], *, late: bool) -> HasFollowed:
+        """See there."""
+        return self.has_followed(_follow(int(late), self._on(values, places)))
+
+    def piece(self, values: Vector, places: NDArray[np.int64], otherwise: Callable[[int], bool]) -> Chained:
+        """See there."""
+        table, kept = self._on(values, places), (self._kept, values, places)
+        return Chained(_follow, 0, table, goes_on=FOLLOWED, otherwise=otherwise, keeps=kept)
+
+    def has_followed(self, code: int) -> HasFollowed:
+        """See there."""
+        if code == NOTHING:
+            return HasFollowed.NOT
+        if code == ANOTHER_TIME:
+            self._follow_for(self._shaft._own.item(_GONE_S))
+        self._shaft._stale = False
+        return HasFollowed.ALL
+
+    def _follow_for(self, duration_s: float) -> None:
+        assert self._of is not None, "followed before"
+        (values, places), shaft, motion = self._of, self._shaft, self._motion
+        shaft.follow(motion.positions.tolist(), duration_s)
+        self._torques[:] = shaft.load_torques_Nm([1] * len(self._torques), motion.speeds.tolist(), motion.ahead_s)
+        values[places[2:]] = self._torques
+
+    def _on(self, values: Vector, places: NDArray[np.int64]) -> Table:
+        if self._of is None or self._of[0] is not values or self._of[1] is not places:
+            self._of, self._table = (values, places), table_of((*self._kept, values, places))
+        return self._table

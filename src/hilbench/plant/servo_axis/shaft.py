@@ -84,14 +84,14 @@ class Shaft:
         return self._p
 
     @property
+    def inputs(self) -> Vector:
+        """Those of the kernel."""
+        return self._inputs
+
+    @property
     def inertia_factor(self) -> float:
         """How many times as large as its parameter the inertia is now, by effects."""
         return float(kernel.look(self._p, self.time_s)[0])
-
-    @property
-    def external_torque_Nm(self) -> float:
-        """Torque from outside."""
-        return self._inputs.item(lay.U_TORQUE_NM)
 
     @property
     def ports(self) -> tuple[MotorPort, ...]:

@@ -92,7 +92,7 @@ class TrackingFilter:
 
     def __init__(self, filter_s: float) -> None:
         self.motion: Vector = np.zeros(ORDER)
-        self._filter_s = filter_s
+        self.filter_s = filter_s
 
     def reset(self, position_rad: float, speed_rad_s: float = 0.0) -> None:
         """At this position, with this even speed."""
@@ -100,7 +100,7 @@ class TrackingFilter:
 
     def update(self, position_rad: float, duration_s: float) -> None:
         """The shaft is at `position_rad`, `duration_s` after the last."""
-        _follow(self.motion, transition(duration_s), gains(duration_s, self._filter_s), position_rad)
+        _follow(self.motion, transition(duration_s), gains(duration_s, self.filter_s), position_rad)
 
     def predicted(self, lead_s: float) -> Vector:
         """(4,): the motion `lead_s` later, with constant jerk."""
