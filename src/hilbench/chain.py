@@ -124,8 +124,3 @@ def _entry_point() -> Callable[[Table, NDArray[np.int64]], bool]:
 
 #: run(the chain's table, its state): whether a piece has something for Python.
 _run = _entry_point()
-
-
-def warm_up() -> None:
-    """Compile, or load from the cache, before anybody waits for a cycle."""
-    _run(np.zeros((0, _COLUMNS), np.int64), np.zeros(_STATE, np.int64))

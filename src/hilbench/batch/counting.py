@@ -100,4 +100,3 @@ def warm_up() -> None:
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     count(0, nothing)
     said_alive(0, nothing)
-    ask(0, nothing)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hilbench.bench.tasks.task import Pieces
 from hilbench.chain import GOES_ON, Chained, Function, never
-from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, integers, number_of_sources, table_of
+from hilbench.compiled import COUNT, TABLE, entry_point, integers, number_of_sources, table_of
 from hilbench.results.recording import RecordingBuilder
 from hilbench.topology.sample import CycleSample
 
@@ -38,7 +38,6 @@ class Keeping:
 
     def __init__(self, builder: RecordingBuilder) -> None:
         self._builder = builder
-        _keep(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before anybody waits for a cycle
 
     def pieces(self, sample: CycleSample) -> Pieces:
         """Of a cycle with this sample. The next block is Python's."""

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable
 
 import can
-from hilbench import chain
 from hilbench.batch import counting
 from hilbench.batch.cycles import PlainCycles
 from hilbench.batch.wiring import InOneProcess, Served
@@ -45,7 +44,6 @@ class InProcess:
         self._lock = threading.RLock()
         kernel.warm_up()
         counting.warm_up()
-        chain.warm_up()
         warm_up_in_modes(config)
         by_sync = config.model_copy(update={"pace": "lockstep"})
         setup = twin_setup(by_sync)

@@ -73,6 +73,7 @@ class SpeedTask(CyclicTask):
     def __init__(self, drive: str, speed: Reference) -> None:
         self._drive = drive
         self._piece = OfSample(lambda sample: speed.shown_in(sample, _COMMAND))
+        speed.warm_up_shown()
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, rad/s at the motor."""

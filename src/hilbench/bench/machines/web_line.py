@@ -306,7 +306,7 @@ class LeadingAxis(CyclicTask):
         self._line_speed = line_speed
         self.speeds, self._moved = np.zeros(SPEEDS), axis_cycle.not_moved()
         self._piece = OfSample(self._on)
-        axis_cycle.warm_up()
+        axis_cycle.warm_up(axis_cycle.lead)
 
     def _on(self, sample: CycleSample) -> Chained:
         kept = self._line_speed.vector, self._moved, self.speeds, sample.reals
@@ -362,6 +362,7 @@ class FollowingAxis(CyclicTask):
         self._lead = ahead.lead(axis) if ahead else np.zeros(1)
         self._moved = axis_cycle.not_moved()
         self._piece = OfSample(self._on)
+        axis_cycle.warm_up(axis_cycle.follow)
 
     def _on(self, sample: CycleSample) -> Chained:
         kept = self._leader.speeds, self._lead, self.speeds, sample.reals, self._moved

@@ -68,8 +68,6 @@ def _entry_points(sources: int) -> tuple[Function, Function]:
 lead, follow = _entry_points(number_of_sources(str(tension_cycle.__file__), __file__))
 
 
-def warm_up() -> None:
-    """Compile, or load, before anybody waits for a cycle."""
-    nothing = np.zeros((0, TABLE_WIDTH), np.int64)
-    lead(0, nothing)
-    follow(0, nothing)
+def warm_up(function: Function) -> None:
+    """Compile, or load, one of these, before anybody waits for a cycle."""
+    function(0, np.zeros((0, TABLE_WIDTH), np.int64))

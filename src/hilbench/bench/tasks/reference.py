@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.chain import GOES_ON, Chained, Function, never
-from hilbench.compiled import COUNT, TABLE, entry_point, floats, integers, number_of_sources, table_of
+from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, number_of_sources, table_of
 from hilbench.topology.sample import CycleSample
 
 #: Cycles that a course is laid down for at once.
@@ -56,7 +56,6 @@ class Reference:
         kept = self.vector, self._course, self._on_course
         #: A piece of a cycle: follow the course.
         self.piece = Chained(_follow, 0, table_of(kept), otherwise=never, keeps=kept)
-        self.piece()  # compiled, or loaded, before anybody waits for a cycle
         self._step = step
         self._goal: float | None = None
         self._ceiling: float | None = None
@@ -70,6 +69,11 @@ class Reference:
     @present.setter
     def present(self, value: float) -> None:
         self._at[0] = value
+
+    @staticmethod
+    def warm_up_shown() -> None:
+        """Compile, or load, what `shown_in` makes, before anybody waits for a cycle."""
+        _show(0, np.zeros((0, TABLE_WIDTH), np.int64))
 
     def shown_in(self, sample: CycleSample, signal: str) -> Chained:
         """A piece of a cycle: a signal shows what it is."""
