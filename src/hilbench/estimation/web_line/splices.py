@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import REAL, VECTOR, compiled, entry_point, number_of_sources
+from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point, number_of_sources
 from hilbench.estimation.web_line.balance import BalanceSample
 
 Array = NDArray[np.float64]
@@ -73,6 +73,77 @@ def collect(s: Vector, force_N: float, web_per_Pa: float, velocity_m_s: float, b
     return bool(s[COUNT] >= s[CYCLES])
 
 
+#: Of a shape with the places of its joint, the best: what of the squares it explains, which place, the change, and the
+#: mean of the shape.
+_EXPLAINED, _PLACE, _CHANGE, _MEAN, _BEST = range(5)
+#: Rows of these, in the order of `_Kind`.
+_STEPS, _WEBS_IN, _SHORTS, _SHAPES = range(4)
+
+
+@compiled
+def _shape(kind: int, into: float, left: float) -> float:
+    """Compliance over the change of the whole span's, a joint being so far in, in lengths of the span; left: of what
+    fades with that."""
+    if into <= 0.0:
+        return 0.0
+    if kind == _STEPS:
+        return 1.0
+    return 1.0 - left if kind == _WEBS_IN else left
+
+
+@compiled
+def _explain(
+    kind: int, into: Vector, left: Vector, values: Vector, motion: Array, of_values: Vector, found: Vector
+) -> None:
+    """Least squares of values (n,) as a shape times its change, with what orthonormal rows (k, n) explain of both, and
+    `of_values` (k,) of the values: see `_BEST`, but for the place."""
+    count, squares, product, total = len(values), 0.0, 0.0, 0.0
+    of_shape_0, of_shape_1, of_shape_2 = 0.0, 0.0, 0.0
+    for j in range(count):
+        shape = _shape(kind, into[j], left[j])
+        squares += shape * shape
+        product += shape * values[j]
+        total += shape
+        of_shape_0 += shape * motion[0, j]
+        if len(motion) > 1:
+            of_shape_1 += shape * motion[1, j]
+            of_shape_2 += shape * motion[2, j]
+    squares -= of_shape_0 * of_shape_0 + of_shape_1 * of_shape_1 + of_shape_2 * of_shape_2
+    product -= of_shape_0 * of_values[0]
+    if len(motion) > 1:
+        product -= of_shape_1 * of_values[1] + of_shape_2 * of_values[2]
+    squares = max(squares, 1e-12)
+    found[_CHANGE] = product / squares
+    found[_EXPLAINED], found[_MEAN] = found[_CHANGE] * found[_CHANGE] * squares, total / count
+
+
+def _looking(sources: int) -> Callable[[Vector, Vector, Array, Vector, Array], None]:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(VECTOR, VECTOR, MATRIX, VECTOR, MATRIX)
+    def explain_all(ways: Vector, values: Vector, motion: Array, fronts: Vector, best: Array) -> None:
+        """The best of each shape: ways (n,) and fronts (m,) in lengths of the span."""
+        if sources < 0:
+            return
+        of_values, found = np.zeros(len(motion)), np.zeros(_BEST)
+        into, left = np.zeros(len(values)), np.zeros(len(values))
+        for k in range(len(motion)):
+            for j in range(len(values)):
+                of_values[k] += motion[k, j] * values[j]
+        best[:, _EXPLAINED] = -1.0
+        for place in range(len(fronts)):
+            for j in range(len(values)):
+                into[j] = ways[j] - fronts[place]
+                left[j] = exp(-into[j]) if into[j] > 0.0 else 1.0
+            for kind in range(_SHAPES):
+                _explain(kind, into, left, values, motion, of_values, found)
+                if found[_EXPLAINED] > best[kind, _EXPLAINED]:
+                    found[_PLACE] = place
+                    best[kind] = found
+
+    return explain_all
+
+
 def _entry_points(
     sources: int,
 ) -> tuple[Callable[[Vector], None], Callable[[Vector, float, float, float, float], bool]]:
@@ -91,6 +162,7 @@ def _entry_points(
 
 
 _interrupt, _collect = _entry_points(number_of_sources(__file__))
+_explain_all = _looking(number_of_sources(__file__))
 
 
 class Joint(NamedTuple):
@@ -114,7 +186,7 @@ class Entered:
     relative_change: float = 0.0
 
 
-class _Kind(Enum):
+class _Kind(Enum):  # in this order: _STEPS and so on
     """What has changed: E of the web in the span, the web that comes in, or a short piece of it."""
 
     STEP = "step"
@@ -188,11 +260,8 @@ class SpliceFinder:
             return None
         places = np.linspace(_BEFORE, len(ways_m) - _BEHIND - 1, min(_PLACES, len(ways_m) - _BEFORE - _BEHIND))
         fronts_m = 0.5 * (ways_m[places.astype(int)] + ways_m[places.astype(int) + 1])
-        into = (ways_m - fronts_m[:, None]) / self._length_m
-        inside, left = into > 0.0, np.exp(-np.maximum(into, 0.0))
-        shapes = {_Kind.STEP: inside.astype(float), _Kind.WEB: 1.0 - left, _Kind.SHORT: np.where(inside, left, 0.0)}
         motion = _known_ways(speeds_m_s, accelerating)
-        fits = {kind: _best(compliances, shape, fronts_m, noise, motion) for kind, shape in shapes.items()}
+        fits = self._fits(ways_m, compliances, motion, fronts_m, noise)
         # What none of them explains, as a roller that a step has hit, counts as noise.
         total = float(np.sum(_without(compliances, motion) ** 2)) / noise**2
         rest = (total - max(fit.gain for fit in fits.values())) / len(compliances)
@@ -210,6 +279,22 @@ class SpliceFinder:
             self._joint = None
             return Entered(None, relative_change=1.0 / (1.0 + fits[kind].share) - 1.0)
         return self._entered(fits[kind], (float(ways_m[-1]) - fits[kind].front_m) / self._length_m)
+
+    def _fits(
+        self, ways_m: Array, compliances: Array, motion: Array, fronts_m: Array, noise: float
+    ) -> dict[_Kind, _Fit]:
+        """The best of a + b·shape + what else may be, of each kind; motion (n, k): as of `_known_ways`."""
+        values, rows, best = (
+            np.ascontiguousarray(compliances),
+            np.ascontiguousarray(motion.T),
+            np.zeros((_SHAPES, _BEST)),
+        )
+        _explain_all(ways_m / self._length_m, values, rows, fronts_m / self._length_m, best)
+        mean, fits = float(values.mean()), {}
+        for kind, (explained, place, change, of_shape) in zip(_Kind, best.tolist(), strict=True):
+            share = change / (mean - change * of_shape)
+            fits[kind] = _Fit(explained / noise**2, float(fronts_m[int(place)]), share)
+        return fits
 
     def _can_be_told(self, kind: _Kind, fit: _Fit, now_m: float) -> bool:
         """Whether an explanation is one of a web, and its joint so far in that a step would look otherwise."""
@@ -277,15 +362,3 @@ def _known_ways(speeds_m_s: Array, accelerating: Array) -> Array:
 def _without(values: Array, ways: Array) -> Array:
     """Values (..., n) less what orthonormal columns (n, k) explain of them."""
     return np.asarray(values - (values @ ways) @ ways.T)
-
-
-def _best(values: Array, shapes: Array, fronts_m: Array, noise: float, ways: Array) -> _Fit:
-    """The best of a + b·shape + what else may be, by least squares: values (n,), shapes (m, n), fronts (m,), m, and
-    orthonormal columns (n, k) of what else may be, a among them."""
-    centred = _without(shapes, ways)
-    squares = np.maximum(np.einsum("mn,mn->m", centred, centred), 1e-12)
-    slopes = centred @ values / squares
-    at = int(np.argmax(slopes * slopes * squares))
-    before = float(values.mean() - slopes[at] * shapes[at].mean())
-    slope = float(slopes[at])
-    return _Fit(slope * slope * float(squares[at]) / noise**2, float(fronts_m[at]), slope / before)
