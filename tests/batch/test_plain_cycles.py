@@ -269,6 +269,16 @@ def test_a_limit_warns_and_trips_in_the_same_cycle(tmp_path: Path) -> None:
     assert [text for _, source, text, _ in left.notices if source == "limits"] != []
 
 
+def test_what_the_twin_reports_under_way_is_on_the_bus_before_the_next_sync(tmp_path: Path) -> None:
+    """Friction that comes shifts the torque: the twin is sure of it within a second, and says so by EMCY."""
+    changes = [
+        (5, ramps("line_speed_m_s", 3.0, 2.0)),
+        (1005, sets("hardware.effects.coulomb_friction.axis2.force_N", 16.0)),
+    ]
+    left = check(tmp_path, load_with_overrides(CONFIGS / "web_section_step.yaml"), changes, cycles=1500, least=1400)
+    assert [text for _, _, text, _ in left.notices if "FF17h" in text] != []
+
+
 def test_drives_at_their_limit_are_told_in_the_same_cycles(tmp_path: Path) -> None:
     loaded = load_with_overrides(CONFIGS / "web_section_step.yaml")
     left = check(tmp_path, loaded, [(10, sets("line_speed_m_s", 1.0))], cycles=700, least=500)

@@ -326,7 +326,8 @@ class TwinApplication:
             self._report_shift()
             self.leaves_vectors = self._machine.refused
         self._time_s += self._cycle_s
-        return self._quiet and not self.leaves_vectors and piece is machine.piece
+        # What was reported goes out before the next SYNC.
+        return went != LOOK and self._quiet and not self.leaves_vectors and piece is machine.piece
 
     def count_syncs(self) -> None:
         """Of the cycles in vectors, now and then: their number is one of 16 bits."""
