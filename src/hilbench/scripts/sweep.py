@@ -34,12 +34,15 @@ from hilbench.files import make_folder, writing
 from hilbench.processes import ChildProcess
 from hilbench.real_time import for_good
 from hilbench.results.recording import mdf_library
+from hilbench.results.run import Recorder
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load_with_overrides, parse_change
 
 _DEFINITION, _LOG, _TABLE, _PARQUET = "sweep.json", "results.jsonl", "results.csv", "results.parquet"
 _LAST_WORDS = 300
 _RUN = "run"
+#: So many cycles have called all that a run calls in its cycles.
+_LOADING_CYCLES = 50
 _CONNECT_S = 10
 
 
@@ -270,12 +273,14 @@ class Sweep:
                 run.process.end()
 
     def _load(self) -> None:
-        """Load what a run needs, by a bench that is started and left again; what is wrong with it the runs say."""
+        """Load what a run needs, by a bench that is started, runs a little and is left again; what is wrong with it the
+        runs say."""
         with for_good(), suppress(HilbenchError):
             mdf_library()
             if self._in_process:
-                with Bench(self._any, participants=Participants.IN_PROCESS):
-                    pass
+                recorder = Recorder(self._any.signals)
+                with Bench(self._any, observers=[recorder], participants=Participants.IN_PROCESS) as bench:
+                    bench.run(_LOADING_CYCLES * self._any.cycle_time_s)
 
     def _run_there(self, left: Sequence[Job], cluster: str, done: Callable[[Row], None]) -> None:
         with _on_cluster(cluster) as pool:
