@@ -419,6 +419,8 @@ class ModelErrors:
     def know(self, modulus_Pa: float, deviation_Pa: float, friction_N: float, friction_deviation_N: float) -> None:
         """Something else than what is learned here tells E, and dry friction beyond the model's."""
         reference_Pa = self._k.item(_REFERENCE_PA)
+        sway = filters.SWAY
+        self._z[:, sway] = self._p[:, sway, :] = self._p[:, :, sway] = 0.0  # no web has come in since that is known
         for place, value, deviation in (
             (filters.E, modulus_Pa / reference_Pa, deviation_Pa / reference_Pa),
             (filters.DRY, friction_N, friction_deviation_N),

@@ -216,7 +216,9 @@ def _regressors(u: Array, s: Array, a: Array, size: int, found: float) -> None:
     inertia = u[MASS_KG] * s[ACCELERATION]
     a[E] = u[WEB_N]
     a[REST] = 1.0
-    a[SWAY] = min(max(s[USUAL_WEB_N] - s[SLOW_WEB_N], -u[MOST_SWAY_N]), u[MOST_SWAY_N])
+    a[SWAY] = 0.0
+    if abs(s[USUAL_M_S]) > u[STANDSTILL_M_S]:  # at rest no web comes in
+        a[SWAY] = min(max(s[USUAL_WEB_N] - s[SLOW_WEB_N], -u[MOST_SWAY_N]), u[MOST_SWAY_N])
     a[OFFSET] = 1.0
     a[DRY] = direction
     a[STUCK] = 1.0 - abs(direction)
