@@ -180,7 +180,8 @@ def _drive(
         units = _units(master, node_id, od, bench, name)
 
         def heartbeat() -> None:
-            link.send([Frame(HEARTBEAT + MASTER_ID, NmtState.OPERATIONAL.heartbeat)])
+            # Not as operational: that is a master whose SYNC will go on, for which simulated drives hold their time.
+            link.send([Frame(HEARTBEAT + MASTER_ID, NmtState.PRE_OPERATIONAL.heartbeat)])
 
         file = eds.name if bench is None and eds.is_file() else "its EDS file"
         alive = _Alive(heartbeat, resources.enter_context(end_requests()))
