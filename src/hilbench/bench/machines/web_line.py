@@ -3,12 +3,14 @@ tension of the span between kept where there is a controller; load motors imitat
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from math import inf
 from operator import attrgetter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState, TwinState
@@ -33,7 +35,7 @@ from hilbench.bench.tasks.web_reel_torque import LoadCells, ReelTorqueTask
 from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelWay
 from hilbench.bench.tasks.web_rest_movement import RestMovement, pulls_m
 from hilbench.bench.tasks.web_winding_control import DancerPosition
-from hilbench.chain import Chained, never
+from hilbench.chain import Chained, Function, never
 from hilbench.compiled import table_of
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.plausibility import Problem
@@ -297,38 +299,62 @@ class BoundaryTask(CyclicTask):
         self.before(sample, outputs)
 
 
-class LeadingAxis(CyclicTask):
-    """The last axis follows the line speed."""
+class _AxisWithoutLoop(CyclicTask):
+    """An axis whose velocity one compiled piece makes, of what others say and of what a movement at rest adds."""
 
-    def __init__(self, drive: str, axis: int, line_speed: Reference) -> None:
+    def __init__(self, drive: str, axis: int, function: Function) -> None:
         self._drive = drive
         self._command = f"v{axis}_cmd_m_s"
-        self._line_speed = line_speed
+        self._function = function
         self.speeds, self._moved = np.zeros(SPEEDS), axis_cycle.not_moved()
         self._piece = OfSample(self._on)
-        axis_cycle.warm_up(axis_cycle.lead)
+        axis_cycle.warm_up(function)
+
+    @abstractmethod
+    def _vectors(self, sample: CycleSample) -> tuple[NDArray[np.float64], ...]:
+        """Of the table of `function`."""
 
     def _on(self, sample: CycleSample) -> Chained:
-        kept = self._line_speed.vector, self._moved, self.speeds, sample.reals
-        return Chained(axis_cycle.lead, type(sample).place(self._command), table_of(kept), otherwise=never, keeps=kept)
-
-    @property
-    def creep_m_s(self) -> float:
-        """See `RestMovement`, as the next."""
-        return float(self._moved[axis_cycle.CREEP_M_S])
-
-    @creep_m_s.setter
-    def creep_m_s(self, value: float) -> None:
-        self._moved[axis_cycle.CREEP_M_S] = value
+        kept = self._vectors(sample)
+        return Chained(self._function, type(sample).place(self._command), table_of(kept), otherwise=never, keeps=kept)
 
     @property
     def pull_m_s(self) -> float:
-        """Of this axis alone; nan: there is no movement."""
+        """Of this axis alone, see `RestMovement`; nan: there is no movement."""
         return float(self._moved[axis_cycle.PULL_M_S])
 
     @pull_m_s.setter
     def pull_m_s(self, value: float) -> None:
         self._moved[axis_cycle.PULL_M_S] = value
+
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+        """Velocity of the axis, m/s at the web."""
+        self._piece(sample)()
+        outputs[self._drive] = getattr(sample, self._command)
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """The same."""
+        return Pieces(before=[self._piece(sample)], shown={self._drive: self._command})
+
+
+class LeadingAxis(_AxisWithoutLoop):
+    """The last axis follows the line speed."""
+
+    def __init__(self, drive: str, axis: int, line_speed: Reference) -> None:
+        super().__init__(drive, axis, axis_cycle.lead)
+        self._line_speed = line_speed
+
+    def _vectors(self, sample: CycleSample) -> tuple[NDArray[np.float64], ...]:
+        return self._line_speed.vector, self._moved, self.speeds, sample.reals
+
+    @property
+    def creep_m_s(self) -> float:
+        """Of all axes, see `RestMovement`."""
+        return float(self._moved[axis_cycle.CREEP_M_S])
+
+    @creep_m_s.setter
+    def creep_m_s(self, value: float) -> None:
+        self._moved[axis_cycle.CREEP_M_S] = value
 
     @property
     def speed_m_s(self) -> float:
@@ -340,43 +366,18 @@ class LeadingAxis(CyclicTask):
         """The same: nothing is damped by it."""
         return self.speed_m_s
 
-    def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Velocity of the axis, m/s at the web."""
-        self._piece(sample)()
-        outputs[self._drive] = getattr(sample, self._command)
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
-        """The same."""
-        return Pieces(before=[self._piece(sample)], shown={self._drive: self._command})
-
-
-class FollowingAxis(CyclicTask):
+class FollowingAxis(_AxisWithoutLoop):
     """An axis before a span without a controller turns as fast as the one behind it: the strain that enters the span is
     then the strain in it. With the damping of that axis, or the span would be stretched by it."""
 
     def __init__(self, drive: str, axis: int, leader: Leader, ahead: FeedForwardTask | None) -> None:
-        self._drive = drive
-        self._command = f"v{axis}_cmd_m_s"
+        super().__init__(drive, axis, axis_cycle.follow)
         self._leader = leader
-        self.speeds = np.zeros(SPEEDS)
         self._lead = ahead.lead(axis) if ahead else np.zeros(1)
-        self._moved = axis_cycle.not_moved()
-        self._piece = OfSample(self._on)
-        axis_cycle.warm_up(axis_cycle.follow)
 
-    def _on(self, sample: CycleSample) -> Chained:
-        kept = self._leader.speeds, self._lead, self.speeds, sample.reals, self._moved
-        place = type(sample).place(self._command)
-        return Chained(axis_cycle.follow, place, table_of(kept), otherwise=never, keeps=kept)
-
-    @property
-    def pull_m_s(self) -> float:
-        """See `RestMovement`."""
-        return float(self._moved[axis_cycle.PULL_M_S])
-
-    @pull_m_s.setter
-    def pull_m_s(self, value: float) -> None:
-        self._moved[axis_cycle.PULL_M_S] = value
+    def _vectors(self, sample: CycleSample) -> tuple[NDArray[np.float64], ...]:
+        return self._leader.speeds, self._lead, self.speeds, sample.reals, self._moved
 
     @property
     def speed_m_s(self) -> float:
@@ -387,15 +388,6 @@ class FollowingAxis(CyclicTask):
     def damped_m_s(self) -> float:
         """With that."""
         return self._leader.damped_m_s
-
-    def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Velocity of the axis, m/s at the web."""
-        self._piece(sample)()
-        outputs[self._drive] = getattr(sample, self._command)
-
-    def in_pieces(self, sample: CycleSample) -> Pieces:
-        """The same."""
-        return Pieces(before=[self._piece(sample)], shown={self._drive: self._command})
 
 
 class WebLoadTask(LoadTask):
