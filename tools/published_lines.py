@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.strain_way import StrainWay
 from hilbench.bench.tasks.tension_control import TensionController, control
 from hilbench.bench.tasks.tension_cycle import LOOP, MODULUS_PA, SET_POINT_N
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
+from hilbench.bench.tasks.web_strain_way import StrainWay
 from hilbench.bench.tasks.web_winding_control import CarriageForce, ReelMechanics, ReelTension
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.parameters import per_item

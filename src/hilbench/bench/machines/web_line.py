@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState, TwinState
-from hilbench.bench.tasks import axis_cycle
+from hilbench.bench.tasks import web_axis_cycle
 from hilbench.bench.tasks.imitated_web import imitated_web, web_load_model
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
-from hilbench.bench.tasks.strain_way import EnteringStrain, StrainWay
 from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
 from hilbench.bench.tasks.task import MANY, CyclicTask, OfSample, Outputs, Pieces
 from hilbench.bench.tasks.tension_control import TensionController, strains_around
@@ -34,6 +33,7 @@ from hilbench.bench.tasks.web_positions import CarriageStops, PositionTask
 from hilbench.bench.tasks.web_reel_torque import LoadCells, ReelTorqueTask
 from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelWay
 from hilbench.bench.tasks.web_rest_movement import RestMovement, pulls_m
+from hilbench.bench.tasks.web_strain_way import EnteringStrain, StrainWay
 from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.chain import Chained, Function, never
 from hilbench.compiled import table_of
@@ -306,9 +306,9 @@ class _AxisWithoutLoop(CyclicTask):
         self._drive = drive
         self._command = f"v{axis}_cmd_m_s"
         self._function = function
-        self.speeds, self._moved = np.zeros(SPEEDS), axis_cycle.not_moved()
+        self.speeds, self._moved = np.zeros(SPEEDS), web_axis_cycle.not_moved()
         self._piece = OfSample(self._on)
-        axis_cycle.warm_up(function)
+        web_axis_cycle.warm_up(function)
 
     @abstractmethod
     def _vectors(self, sample: CycleSample) -> tuple[NDArray[np.float64], ...]:
@@ -321,11 +321,11 @@ class _AxisWithoutLoop(CyclicTask):
     @property
     def pull_m_s(self) -> float:
         """Of this axis alone, see `RestMovement`; nan: there is no movement."""
-        return float(self._moved[axis_cycle.PULL_M_S])
+        return float(self._moved[web_axis_cycle.PULL_M_S])
 
     @pull_m_s.setter
     def pull_m_s(self, value: float) -> None:
-        self._moved[axis_cycle.PULL_M_S] = value
+        self._moved[web_axis_cycle.PULL_M_S] = value
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, m/s at the web."""
@@ -341,7 +341,7 @@ class LeadingAxis(_AxisWithoutLoop):
     """The last axis follows the line speed."""
 
     def __init__(self, drive: str, axis: int, line_speed: Reference) -> None:
-        super().__init__(drive, axis, axis_cycle.lead)
+        super().__init__(drive, axis, web_axis_cycle.lead)
         self._line_speed = line_speed
 
     def _vectors(self, sample: CycleSample) -> tuple[NDArray[np.float64], ...]:
@@ -350,11 +350,11 @@ class LeadingAxis(_AxisWithoutLoop):
     @property
     def creep_m_s(self) -> float:
         """Of all axes, see `RestMovement`."""
-        return float(self._moved[axis_cycle.CREEP_M_S])
+        return float(self._moved[web_axis_cycle.CREEP_M_S])
 
     @creep_m_s.setter
     def creep_m_s(self, value: float) -> None:
-        self._moved[axis_cycle.CREEP_M_S] = value
+        self._moved[web_axis_cycle.CREEP_M_S] = value
 
     @property
     def speed_m_s(self) -> float:
@@ -372,7 +372,7 @@ class FollowingAxis(_AxisWithoutLoop):
     then the strain in it. With the damping of that axis, or the span would be stretched by it."""
 
     def __init__(self, drive: str, axis: int, leader: Leader, ahead: FeedForwardTask | None) -> None:
-        super().__init__(drive, axis, axis_cycle.follow)
+        super().__init__(drive, axis, web_axis_cycle.follow)
         self._leader = leader
         self._lead = ahead.lead(axis) if ahead else np.zeros(1)
 

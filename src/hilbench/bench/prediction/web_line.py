@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from hilbench.bench.prediction.hindsight import Hindsight
 from hilbench.bench.prediction.window import Reading, Window
 from hilbench.bench.tasks.limits import is_synchronized
-from hilbench.bench.tasks.strain_way import way_per_s
 from hilbench.bench.tasks.swing_damping import SwingPlant, damping_gains
 from hilbench.bench.tasks.tension_control import TensionController, strains_around
 from hilbench.bench.tasks.tension_feed_forward import RollerForces
 from hilbench.bench.tasks.web_limits import limited
+from hilbench.bench.tasks.web_strain_way import way_per_s
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Outlook, Watched
 from hilbench.prediction.plan import Asked, Move

@@ -26,11 +26,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.tasks import strain_way
+from hilbench.bench.tasks import web_strain_way
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.strain_way import StrainWay, lengthening_m_s2, way_tension_N, way_update
 from hilbench.bench.tasks.task import CyclicTask, Outputs, Pieces
 from hilbench.bench.tasks.tension_cycle import MODULUS_PA, SET_POINT_N, SHIFT_N
+from hilbench.bench.tasks.web_strain_way import StrainWay, lengthening_m_s2, way_tension_N, way_update
 from hilbench.chain import GOES_ON, Chained, Function, never
 from hilbench.compiled import (
     COUNT,
@@ -118,7 +118,7 @@ def _entry_point(sources: int) -> Function:
     return plan
 
 
-_plan = _entry_point(number_of_sources(str(strain_way.__file__), __file__))
+_plan = _entry_point(number_of_sources(str(web_strain_way.__file__), __file__))
 _lead_once = interpreted(_lead_m_s)
 
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from hilbench.bench.state import Reports, TwinState
 from hilbench.bench.tasks import tension_cycle as cycle
-from hilbench.bench.tasks.strain_way import EnteringStrain, StrainWay, entering_vectors
 from hilbench.bench.tasks.swing_damping import SwingDamping
 from hilbench.bench.tasks.task import MANY, CyclicTask, OfSample, Outputs, Pieces
 from hilbench.bench.tasks.tension_control import TensionController
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_trust import TwinSignals, TwinTrust
+from hilbench.bench.tasks.web_strain_way import EnteringStrain, StrainWay, entering_vectors
 from hilbench.chain import Chained
 from hilbench.compiled import table_of
 from hilbench.exchange.exchange import Inputs
