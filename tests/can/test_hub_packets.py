@@ -41,6 +41,21 @@ def test_with_and_without_the_interpreter_packets_are_alike(packets, times):
 
 
 @pytest.mark.parametrize("loaded", [True, False])
+def test_the_last_words_of_who_leaves_without_having_read_all_are_heard(loaded):
+    with ExitStack() as resources:
+        stations = Stations(resources, loaded=loaded)
+        leaving = stations.ends.pop(1)
+        stations.clients[1].connection.send(packet_of([(7, 0, 8, bytes(8))]))
+        for number in (3, 4):
+            leaving.send(packet_of([(number, 0, 8, bytes(8))]))
+        leaving.close()
+        stations.serve()
+        packets = [stations.ends[0].recv(protocol.PACKET_BYTES) for _ in range(2)]
+        stations.say_no_more()
+        assert [protocol.STAMPED_CAN_RECORD.unpack(packet[protocol.HEADER.size :])[0] for packet in packets] == [3, 4]
+
+
+@pytest.mark.parametrize("loaded", [True, False])
 def test_what_a_station_hears_of_a_packet_is_one_packet(loaded):
     with ExitStack() as resources:
         stations = Stations(resources, loaded=loaded)
