@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from enum import Enum
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 from hilbench.bench.bench import Bench
+from hilbench.bench.chained import ChainedBench
 from hilbench.can.frame import Frame
 from hilbench.canopen.host import HostedDevices
 from hilbench.errors import HilbenchError
@@ -14,6 +19,32 @@ CONFIGS = Path(__file__).resolve().parents[1] / "bench_configs"
 NMT, SDO = 0x000, 0x600
 
 Change = Callable[[Bench], None]
+
+
+class How(Enum):
+    """The ways in which cycles are run."""
+
+    INTERPRETED = 0
+    ONE_BY_ONE = 1  #: compiled
+    CHAINED = 2
+
+
+@contextmanager
+def chained_as(how: How) -> Iterator[Callable[[], int]]:
+    """Benches chain their cycles only where that is `how`; how many they have chained."""
+    run, at_once, done = ChainedBench._run, ChainedBench.run, 0
+
+    def at_once_or_not(self: ChainedBench, most: int) -> int:
+        return at_once(self, most) if how is How.CHAINED else 0
+
+    def counted(self: ChainedBench, *arguments: Any) -> tuple[int, bool]:
+        nonlocal done
+        found = run(self, *arguments)
+        done += found[0]
+        return found
+
+    with patch.object(ChainedBench, "_run", counted), patch.object(ChainedBench, "run", at_once_or_not):
+        yield lambda: done
 
 
 def ending_of(bench: Bench, cycles: int, changes: Sequence[tuple[int, Change]], *, together: bool = False) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import INDICES, TABLE, address_of, call_at, entry_point
+from hilbench.compiled import COUNT, INDICES, TABLE, TABLE_WIDTH, address_of, call_at, entry_point
 
 Table = NDArray[np.int64]
 Function = Callable[[int, Table], int]
@@ -56,7 +56,7 @@ class Chained:
 
 
 class LeftError(Exception):
-    """A piece can't be done, and was not: Python has the cycle from there on."""
+    """A piece can't be done, or not to its end: Python has the cycle from there on."""
 
 
 def never(code: int) -> bool:
@@ -124,3 +124,22 @@ def _entry_point() -> Callable[[Table, NDArray[np.int64]], bool]:
 
 #: run(the chain's table, its state): whether a piece has something for Python.
 _run = _entry_point()
+
+
+def _handing_over() -> Function:
+    """For Python."""
+
+    @entry_point(COUNT, TABLE)
+    def hand_over(code: int, _: Table) -> int:
+        return code
+
+    return hand_over
+
+
+_hand_over = _handing_over()
+
+
+def by_python(act: Callable[[], bool]) -> Chained:
+    """A piece that Python does in each cycle; as `otherwise` of `Chained`."""
+    table = np.zeros((0, TABLE_WIDTH), np.int64)
+    return Chained(_hand_over, GOES_ON + 1, table, otherwise=lambda _: act(), keeps=table)

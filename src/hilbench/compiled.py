@@ -17,7 +17,7 @@ from llvmlite import binding
 from numba import types
 from numba.core import cgutils
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, InTreeCacheLocator
-from numba.core.dispatcher import Dispatcher
+from numba.core.registry import CPUDispatcher
 from numba.core.runtime.nrt import rtsys
 from numba.extending import intrinsic
 from numpy.typing import NDArray
@@ -313,7 +313,8 @@ def entry_points(module: ModuleType) -> list[Any]:
     return [
         each
         for each in vars(module).values()
-        if isinstance(each, Dispatcher) and hasattr(each, "arguments") and each.__module__ == module.__name__
+        # To ask for an instance of it would ask its metaclass, that of abstract classes, of each name in each module.
+        if type(each) is CPUDispatcher and hasattr(each, "arguments") and each.__module__ == module.__name__
     ]
 
 

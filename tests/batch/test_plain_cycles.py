@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from enum import Enum
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -15,12 +14,11 @@ from unittest.mock import patch
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.plain_runs import CONFIGS, NMT, Change, download, ending_of, notices_of, objects_of, sets
+from tests.plain_runs import CONFIGS, NMT, Change, How, chained_as, download, ending_of, notices_of, objects_of, sets
 from tests.tiers import slow
 
 from hilbench.batch.cycles import PlainCycles
 from hilbench.bench.bench import Bench
-from hilbench.bench.chained import ChainedBench
 from hilbench.bench.lifecycle import in_process
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.reports.change import Change as Change_
@@ -52,32 +50,15 @@ class Left:
     ending: str = ""
 
 
-class How(Enum):
-    """The ways in which cycles are run."""
-
-    INTERPRETED = 0
-    ONE_BY_ONE = 1  #: compiled
-    CHAINED = 2
-
-
 def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int, how: How) -> Left:
     """A bench that runs for so many cycles, with what is done in between, by cycle."""
     left, hosted = Left(), list[HostedDevices]()
-    plain, chained, at_once = PlainCycles.cycle, ChainedBench._run, ChainedBench.run
+    plain = PlainCycles.cycle
 
     def counted(self: PlainCycles, outputs: Any) -> bool:
         done = how is not How.INTERPRETED and plain(self, outputs)
         left.plain += done
         return done
-
-    def at_once_or_not(self: ChainedBench, most: int) -> int:
-        return at_once(self, most) if how is How.CHAINED else 0
-
-    def counted_in_chains(self: ChainedBench, *arguments: Any) -> tuple[int, bool]:
-        done, further = chained(self, *arguments)
-        left.plain += done
-        left.chained += done
-        return done, further
 
     def kept(make: Callable[..., HostedDevices]) -> Callable[..., HostedDevices]:
         def made(*arguments: Any) -> HostedDevices:
@@ -91,8 +72,7 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
     trace.unlink(missing_ok=True)
     with (
         patch.object(PlainCycles, "cycle", counted),
-        patch.object(ChainedBench, "_run", counted_in_chains),
-        patch.object(ChainedBench, "run", at_once_or_not),
+        chained_as(how) as chained,
         patch.object(in_process, "hardware", kept(in_process.hardware)),
         patch.object(in_process, "twin", kept(in_process.twin)),
         patch.object(time, "time_ns", lambda: EPOCH_NS),
@@ -106,6 +86,8 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
             journal=left.journal.append,
         )
         left.ending = ending_of(bench, cycles, changes, together=how is How.CHAINED)
+    left.chained = chained()
+    left.plain += left.chained
     recording = recorder.recording(datetime.fromtimestamp(0, UTC), "")
     left.samples = {name: recording[name].tobytes() for name in recording.channels}
     left.notices = notices_of(bench)

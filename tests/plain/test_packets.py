@@ -18,17 +18,20 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.bench.whole_runs import frames_by_cycle
-from tests.plain_runs import CONFIGS, NMT, Change, download, ending_of, notices_of, objects_of, sets
+from tests.plain_runs import CONFIGS, NMT, Change, How, chained_as, download, ending_of, notices_of, objects_of, sets
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.tasks.task import Pieces
 from hilbench.can import hub_client
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.host import DeviceHost, HostedDevices
+from hilbench.chain import by_python
 from hilbench.hardware.simulation import hardware, plain_host
 from hilbench.plain.exchange import PlainExchange
+from hilbench.plain.exchange import _Run as PlainRun
 from hilbench.plain.host import PlainHost
 from hilbench.plain.rig_run import RigRun
 from hilbench.results.trace import TraceWriter
@@ -48,6 +51,7 @@ class Left:
     """What a run left behind."""
 
     plain: int = 0  #: cycles of the bench
+    chained: int = 0  #: those of them in which Python had the exchange alone
     lent: int = 0  #: those without the hub
     of_hosts: Counter[type] = field(default_factory=Counter)  #: SYNCs that hardware and twin have answered on arrays
     samples: list[bytes] = field(default_factory=list)
@@ -65,6 +69,13 @@ class Samples:
 
     def sample(self, sample: CycleSample) -> None:
         self.kept.append(sample.reals.tobytes() + sample.wholes.tobytes())
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        def keep() -> bool:
+            self.sample(sample)
+            return True
+
+        return Pieces(after=[by_python(keep)])
 
 
 @contextmanager
@@ -110,15 +121,16 @@ def lends(bus: BusAddress) -> Iterator[None]:
         yield
 
 
-def run(
-    folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int, *, compiled: bool, lent: bool
-) -> Left:
+def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int, how: How, *, lent: bool) -> Left:
     """A bench that runs for so many cycles, with what is done in between, by cycle."""
-    left, samples = Left(), Samples()
-    cycle, serve = PlainExchange.cycle, PlainHost.serve
+    left, samples, compiled = Left(), Samples(), how is not How.INTERPRETED
+    cycle, plain, serve = PlainExchange.cycle, PlainRun.cycle, PlainHost.serve
 
-    def counted(self: PlainExchange, outputs: Any) -> bool:
-        done = compiled and cycle(self, outputs)
+    def compiled_or_not(self: PlainExchange, outputs: Any) -> bool:
+        return compiled and cycle(self, outputs)
+
+    def counted(self: PlainRun, outputs: Any) -> bool:
+        done = plain(self, outputs)
         left.plain += done
         left.lent += done and self._wire._loan is not None and self._wire._loan.lasts
         return done
@@ -131,14 +143,17 @@ def run(
 
     trace = folder / f"trace-{uuid.uuid4().hex}.log"
     with (
-        patch.object(PlainExchange, "cycle", counted),
+        patch.object(PlainExchange, "cycle", compiled_or_not),
+        patch.object(PlainRun, "cycle", counted),
+        chained_as(how) as chained,
         patch.object(PlainHost, "serve", counted_by_host),
         TraceWriter(trace, "can0") as tap,
         lends(loaded.config.bus_address) if lent else nullcontext(),
         served(loaded, compiled=compiled) as all_hosted,
     ):
         bench = Bench(loaded.config, observers=[samples], tap=tap, participants=Participants.PRESENT)
-        left.ending = ending_of(bench, cycles, changes)
+        left.ending = ending_of(bench, cycles, changes, together=how is How.CHAINED)
+    left.chained = chained()
     left.samples = samples.kept
     left.notices = notices_of(bench)
     # While the drives are stopped nobody waits for the twin.
@@ -148,25 +163,27 @@ def run(
 
 
 def check(folder: Path, options: Sequence[str], changes: Sequence[tuple[int, Change]], **what: Any) -> Left:
-    """Both kinds of cycles make the same; `least`: so many of them are plain at least, on each side, and where the hub
-    has `lent` the wire, without it."""
+    """All kinds of cycles make the same; `least`: so many of them are plain at least, on each side, and where the hub
+    has `lent` the wire, without it; half as many are chained where they can be (`chains`)."""
     name, cycles, least = what.get("name", "web_section_step"), what.get("cycles", 150), what.get("least", 60)
-    lent = what.get("lent", False)
+    lent, chain = what.get("lent", False), what.get("chains", True)
     kinds = []
-    for compiled in (True, False):
+    for how in How:
         bus = f"embedded:p{uuid.uuid4().hex[:10]}"
         loaded = load_with_overrides(CONFIGS / f"{name}.yaml", changes=[f"bus.address={bus}", *options])
-        kinds.append(run(folder, loaded, changes, cycles, compiled=compiled, lent=lent))
-    one, other = kinds
-    assert min(one.plain, one.of_hosts[RigRun], one.of_hosts[TwinRun]) >= least
-    assert (other.plain, other.of_hosts.total()) == (0, 0)
-    assert one.lent >= least * lent
-    assert one.ending == other.ending
-    assert one.samples == other.samples
-    assert one.notices == other.notices
-    assert one.trace == other.trace
-    assert one.objects == other.objects
-    return one
+        kinds.append(run(folder, loaded, changes, cycles, how, lent=lent))
+    reference, one_by_one, chained = kinds
+    assert (reference.plain, reference.of_hosts.total()) == (0, 0)
+    assert chained.chained >= least // 2 * chain
+    for left in (one_by_one, chained):
+        assert min(left.plain, left.of_hosts[RigRun], left.of_hosts[TwinRun]) >= least
+        assert left.lent >= least * lent
+        assert left.ending == reference.ending
+        assert left.samples == reference.samples
+        assert left.notices == reference.notices
+        assert left.trace == reference.trace
+        assert left.objects == reference.objects
+    return chained
 
 
 # -- what comes between ----------------------------------------------------------------------------------------------
@@ -261,4 +278,5 @@ def test_a_line_runs_alike_whatever_comes_between(
     ],
 )
 def test_every_kind_of_bench_runs_alike(tmp_path: Path, name: str, path: str) -> None:
-    check(tmp_path, [], [(10, sets(path, 0.05)), (80, sets(path, 0.1))], name=name)
+    changes = [(10, sets(path, 0.05)), (80, sets(path, 0.1))]
+    check(tmp_path, [], changes, name=name, chains=name != "line_with_dancer")  # its position loop is Python's

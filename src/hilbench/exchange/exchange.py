@@ -17,7 +17,6 @@ from hilbench.can.confinement import ControllerState
 from hilbench.can.link import Link
 from hilbench.canopen.object_store import ObjectStore
 from hilbench.chain import Chained
-from hilbench.exchange import measured
 from hilbench.exchange.emergencies import Emergency
 from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.nodes import Nodes
@@ -54,8 +53,8 @@ class ChainedCycles(Protocol):
 
     @property
     def pieces(self) -> Sequence[Chained]:
-        """Those of a cycle. The one that sends the outputs raises `hilbench.chain.LeftError` where it can't: the cycle
-        is the interpreted one then."""
+        """Those of a cycle. The one that sends the outputs raises `hilbench.chain.LeftError` where the cycle is none of
+        these: `Exchange.cycle` runs it, or goes on with it, then."""
 
     def cycles(self) -> int:
         """How many from the next one on may be run by these; called right before they are."""
@@ -111,7 +110,6 @@ class Exchange:
             producer=producer,
         )
         self._plain: PlainCycles | None = None
-        self._counted = nodes.measured.counted.data
         self.timing = sync.timing
         self.pacing = sync.pacing
         self.silent = sync.silent  #: who does not answer, and is not waited for any longer
@@ -136,7 +134,7 @@ class Exchange:
         return nodes
 
     def _count(self) -> None:
-        self._counted[measured.CYCLES], self._counted[measured.BITS] = self.timing.cycles, self._sync.last_bits
+        self._nodes.measured.count(self.timing.cycles, self._sync.last_bits)
 
     @property
     def unexpected(self) -> Sequence[Unexpected]:

@@ -8,8 +8,8 @@ else is for the interpreted cycle, which is the reference; it goes on in the mid
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,10 @@ from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.can.wire import frame_bits
 from hilbench.canopen.identifiers import SYNC
+from hilbench.chain import Chained, LeftError, by_python
 from hilbench.cia402.state_machine import Command
 from hilbench.errors import BenchFaultError
+from hilbench.exchange.exchange import ChainedCycles
 from hilbench.exchange.frame_tap import LineTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.own_node import OwnNode
@@ -38,6 +40,8 @@ from hilbench.topology.sample import CycleSample
 #: Cycles after which it is looked anew whether cycles are plain, when they were not; twice as many each time that so
 #: few were plain in a row that it did not pay, up to the longest.
 _LOOK_AGAIN, _LONGEST_PAUSE, _PAYS = 8, 512, 64
+#: Of a bench whose cycles are in pieces, at most so many with the bus for itself.
+_CHAINED_CYCLES = 32
 #: So long it is waited for a packet before the interpreted cycle goes on waiting.
 _PATIENCE_S = 0.1
 _ENABLED = Command.ENABLE_OPERATION.value
@@ -62,7 +66,7 @@ class PlainExchange:
             run = self._run or self._begin()
             if run is None:
                 return False
-            if run.cycle(outputs):
+            if not run.left and run.cycle(outputs):
                 return True
             self.settle()
             if not run.sent:
@@ -72,16 +76,18 @@ class PlainExchange:
         self._nodes.decode(received, self._sync.before_sync)
         return True
 
-    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[None]:
-        """None: others are waited for in each cycle."""
-        return nullcontext()
+    @contextmanager
+    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> Iterator[ChainedCycles | None]:
+        """See `exchange.exchange.PlainCycles`: others are waited for by Python, in each cycle."""
+        with self._sync.lock:
+            yield None if self._run is None else self._run.chained(sample, shown)
 
     def settle(self) -> None:
         """Give the objects what the arrays have."""
         run, self._run = self._run, None
         if run is not None:
             self._wait = self._pause
-            self._pause = _LOOK_AGAIN if run.cycles >= _PAYS else min(2 * self._pause, _LONGEST_PAUSE)
+            self._pause = _LOOK_AGAIN if run.done >= _PAYS else min(2 * self._pause, _LONGEST_PAUSE)
             run.end()
 
     def _begin(self) -> _Run | None:
@@ -106,7 +112,10 @@ class _Run:
     ) -> None:
         """Raises NotPlainError where cycles are not plain."""
         self._link, self._wire, self._nodes, self._sync, self._tap = link, wire, nodes, sync, tap
-        self.cycles = 0  #: plain ones so far
+        self.done = 0  #: plain cycles so far
+        self.pieces: Sequence[Chained] = ()  #: see `exchange.exchange.ChainedCycles`
+        self._of_pieces: tuple[object, ...] = ()
+        self.left = False  #: whether a chained cycle was no plain one: it goes on otherwise
         self.sent = False  #: whether the cycle that is no plain one has begun
         slots, self._frames = Slots(), Frames()
         self._bench = BenchFrames(nodes, sync, self._frames, slots)
@@ -239,7 +248,7 @@ class _Run:
         own = self._bench.own_heartbeat
         said_alive = own >= 0 and self._left_at[lay.O_SIZE + own] != 0
         sync.count(1, bits, bits, begun_ns, time.monotonic_ns(), said_alive=said_alive)
-        self.cycles += 1
+        self.done += 1
         self.sent = False
         fault, self.fault = self.fault, None
         if fault is not None:
@@ -247,6 +256,32 @@ class _Run:
         status = self._status_at.tolist() if order.has_status else None
         nodes.take_plain(status, order.heartbeats)
         return True
+
+    # -- several of them -------------------------------------------------------------------------------------
+
+    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> _Run:
+        """This run as `exchange.exchange.ChainedCycles`."""
+        if self._of_pieces != (sample, shown):
+            self._of_pieces = sample, shown
+            values, kind = sample.reals.data, type(sample)
+            at = {output: kind.place(signal) for output, signal in shown.items()}
+
+            def exchange() -> bool:
+                if not self.cycle({output: values[place] for output, place in at.items()}):
+                    self.left = True
+                    raise LeftError
+                self._nodes.measured.count(self._sync.timing.cycles, self._sync.last_bits)
+                return True
+
+            self.pieces = by_python(exchange), self._nodes.measured.filling(sample)
+        return self
+
+    def cycles(self) -> int:
+        """See `exchange.exchange.ChainedCycles`; other users of the bus wait so long."""
+        return _CHAINED_CYCLES
+
+    def passed(self) -> None:
+        """See `exchange.exchange.ChainedCycles`: each cycle was counted."""
 
     def _still_plain(self, now_s: float) -> bool:
         nodes, sync = self._nodes, self._sync
@@ -320,7 +355,7 @@ class _Run:
             self._text_end = answered[lay.O_TEXT]
             self._traced += left[lay.O_FRAMES] + answered[lay.O_FRAMES]
         for cob_id, row in order.rare.items():
-            self._rare[cob_id] = self.cycles, order.data[row, : order.sizes[row]].tobytes()
+            self._rare[cob_id] = self.done, order.data[row, : order.sizes[row]].tobytes()
         self._last = order
         return left[lay.O_BITS] + answered[lay.O_BITS]
 
@@ -360,18 +395,18 @@ class _Run:
         """The objects get what the arrays have."""
         if self._text_end and self._tap is not None:
             self._give_lines(self._tap, self._text_end)
-        if not self.cycles or self._last is None:
+        if not self.done or self._last is None:
             return
         data = self._last.data.tobytes()
         for row, cob_id in enumerate(self._last.cob_ids):
             answer = self._nodes.answers.get(cob_id)
             if answer is not None and answer.every == 1:
-                answer.answered_until(self.cycles, data[8 * row : 8 * row + answer.size], 0)
+                answer.answered_until(self.done, data[8 * row : 8 * row + answer.size], 0)
         for cob_id, answer in self._nodes.answers.items():
             if answer.every != 1:
                 at, content = self._rare.get(cob_id, (-1, None))
-                answer.answered_until(self.cycles, content, self.cycles - 1 - at)
+                answer.answered_until(self.done, content, self.done - 1 - at)
         self._seen.give(self._seen_rows, self._whole)
         for (drive, _, _), (at, _, _) in zip(self._nodes.set_points, self._names, strict=True):
             drive.setpoint = float(self._set_points[at])
-        self._nodes.end_plain(self.cycles)
+        self._nodes.end_plain(self.done)

@@ -66,6 +66,10 @@ class SupervisorWatch(CyclicTask):
         if self._exchange.timing.cycles % _LOOK_CYCLES == 0:
             self._supervisor.check()
 
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """Nothing is to be done until then."""
+        return Pieces(cycles=lambda: -self._exchange.timing.cycles % _LOOK_CYCLES)
+
 
 class LatenessWatch(CyclicTask):
     """Whose answers came late, and whether that may be why something else goes wrong."""
