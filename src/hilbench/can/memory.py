@@ -226,6 +226,7 @@ class MemoryCanBus(can.BusABC):
         self._link = bus.open_link()
         self._received: deque[Frame] = deque()
         self.channel_info = f"hilbench memory bus {bus.channel}"
+        self._receives = True
         super().__init__(bus.channel, can_filters, **kwargs)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
@@ -233,6 +234,15 @@ class MemoryCanBus(can.BusABC):
             self._link.send([to_frame(msg)])
         except (BusError, ValueError) as error:
             raise can.CanOperationError(str(error)) from error
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame; None where none comes within `timeout` s (None: wait for one)."""
+        try:
+            return super().recv(timeout)
+        except can.CanOperationError:
+            if self._receives:
+                raise
+            return None
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if not self._received:
@@ -246,6 +256,11 @@ class MemoryCanBus(can.BusABC):
 
     def _apply_filters(self, filters: can.typechecking.CanFilters | None) -> None:
         self._link.set_filters(kernel_filters(filters))
+
+    def end_receiving(self) -> None:
+        """From now on `recv` returns None at once, also where somebody waits in it; nothing can be sent any more."""
+        self._receives = False
+        self._link.close()
 
     def shutdown(self) -> None:
         super().shutdown()

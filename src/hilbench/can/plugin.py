@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import time
 from typing import Any
 
@@ -44,6 +46,7 @@ class EmbeddedBus(can.BusABC):
         self.channel_info = f"hilbench embedded bus {self.channel}"
         #: Frames this station lost because it did not read fast enough.
         self.dropped = 0
+        self._receives = True
         wanted = Wanted(bitrate, data_bitrate, timing)
         try:
             membership = hub_client.join(
@@ -78,6 +81,15 @@ class EmbeddedBus(can.BusABC):
         padded = bytes(msg.data).ljust(can.util.dlc2len(can.util.len2dlc(msg.dlc)), b"\0")
         return _FD_HEADER + protocol.FD_RECORD.pack(can_id, len(padded), flags, padded)
 
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame; None where none comes within `timeout` s (None: wait for one)."""
+        try:
+            return super().recv(timeout)
+        except can.CanOperationError:
+            if self._receives:
+                raise
+            return None
+
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         deadline = None if timeout is None else time.monotonic() + timeout
         try:
@@ -109,6 +121,12 @@ class EmbeddedBus(can.BusABC):
 
     def fileno(self) -> int:
         return self._connection.fileno()
+
+    def end_receiving(self) -> None:
+        """From now on `recv` returns None at once, also where somebody waits in it."""
+        self._receives = False
+        with contextlib.suppress(OSError):  # the bus is lost
+            self._connection.shutdown(socket.SHUT_RD)
 
     def shutdown(self) -> None:
         super().shutdown()

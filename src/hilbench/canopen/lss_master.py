@@ -11,12 +11,11 @@ from typing import Final, Self
 
 from canopen.lss import CS_INQUIRE_SERIAL_NUMBER, CS_INQUIRE_VENDOR_ID, LssError
 
-import canopen
 from hilbench.can.python_can import can
 from hilbench.canopen.identifiers import HEARTBEAT, NMT, NmtCommand
 from hilbench.canopen.lss_slave import BIT_RATES, UNCONFIGURED
 from hilbench.canopen.master import Identity
-from hilbench.canopen.sdo_client import NOTIFIER_CYCLE_S
+from hilbench.canopen.network import Network
 from hilbench.errors import BenchFaultError, BusError
 
 _MOST_DEVICES: Final = 127
@@ -37,8 +36,7 @@ class LssMaster:
     """
 
     def __init__(self, bus: can.BusABC, timeout_s: float = 0.1) -> None:
-        self._network = canopen.Network(bus)
-        self._network.NOTIFIER_CYCLE = NOTIFIER_CYCLE_S
+        self._network = Network(bus)
         self._network.lss.RESPONSE_TIMEOUT = timeout_s
         self._network.connect()
 

@@ -13,13 +13,12 @@ from typing import Any, Final, Self
 import canopen
 from hilbench.can.python_can import can
 from hilbench.canopen.identifiers import FUNCTION_CODE, SDO_ANSWER
+from hilbench.canopen.network import Network
 from hilbench.errors import BusError
 
 #: For a bus on which nothing is wanted but answers.
 SDO_ANSWERS: Final[can.typechecking.CanFilters] = [{"can_id": SDO_ANSWER, "can_mask": FUNCTION_CODE, "extended": False}]
 
-#: How long canopen's thread may go on after `close`.
-NOTIFIER_CYCLE_S = 0.1
 #: Of so many contents what was sent and not heard yet is kept, and for so long: a bus in lockstep may stand still.
 _SENT_KEPT, _SENT_KNOWN_S = 256, 60.0
 
@@ -66,8 +65,8 @@ class SentFrames:
             return bool(young)
 
 
-class _Network(canopen.Network):
-    """canopen's network that keeps what it sends."""
+class _Network(Network):
+    """A network that keeps what it sends."""
 
     def __init__(self, bus: can.BusABC, sent: SentFrames) -> None:
         super().__init__(bus)
@@ -101,7 +100,6 @@ class SdoClient:
     def __init__(self, bus: can.BusABC, timeout_s: float) -> None:
         self.sent = SentFrames()
         self._network = _Network(bus, self.sent)
-        self._network.NOTIFIER_CYCLE = NOTIFIER_CYCLE_S
         self._network.listeners.append(_LossIsKnown())  # type: ignore[arg-type] # any listener will do
         self._network.connect()
         self._timeout_s = timeout_s
