@@ -25,7 +25,7 @@ from hilbench.can.disturbance import ErrorInjection
 from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.can.hub import RECEIVE_LIMIT
 from hilbench.can.link import Link
-from hilbench.can.open import BusAddress, open_link
+from hilbench.can.open import BusAddress, open_link, starting
 from hilbench.can.requests import Wanted
 from hilbench.can.wire import frame_bits
 from hilbench.errors import BusError, UnusableInputError
@@ -198,6 +198,29 @@ def test_many_starters_find_one_hub(runtime: Any) -> None:
     assert all(collect(link, 1) for link in links[1:])
     for link in links:
         link.close()
+
+
+def test_a_hub_that_was_started_ahead_is_the_one_that_is_joined(runtime: Any) -> None:
+    with starting(REAL):
+        assert runtime.hubs()
+        with closing(open_link(VIRTUAL)) as link:  # who joins first says how time goes
+            assert runtime.eventually(lambda: len(runtime.hubs()) == 1)  # who has started it is gone
+            (hub,) = runtime.hubs()
+            assert hub_client.statistics(VIRTUAL.channel).stations == 1
+            link.send([Frame(0x1, b"")])
+        with starting(VIRTUAL):
+            assert runtime.hubs() == [hub]
+    assert runtime.eventually(lambda: not runtime.hubs())
+
+
+def test_what_keeps_a_hub_from_starting_is_told_to_who_joins(runtime: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    with (
+        starting(VIRTUAL),
+        pytest.raises(BusError, match="embedded bus hilbench0: its hub did not start: no output"),
+    ):
+        open_link(VIRTUAL)
+    protocol.log_path(runtime.folder, VIRTUAL.channel).unlink()
 
 
 def test_killed_clients_leave_no_hub(runtime: Any, start: Start) -> None:

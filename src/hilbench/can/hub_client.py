@@ -231,7 +231,35 @@ def _lock(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
+@contextlib.contextmanager
+def starting(channel: str) -> Iterator[None]:
+    """Meanwhile the hub of `channel` starts, where none is there: who joins waits for less of it, and is told what has
+    kept it from starting."""
+    path = protocol.socket_path(channel)
+    with contextlib.ExitStack() as resources:
+        if not protocol.is_path(channel):
+            with contextlib.suppress(OSError, BusError), _lock(path.parent):
+                connection = _connect(path)
+                if connection is None:
+                    connection, starter = _begin_hub(channel, path)
+                    resources.callback(starter.wait)
+                resources.enter_context(connection)
+        yield
+
+
 def _start_hub(channel: str, path: Path) -> socket.socket:
+    """The connection to a hub that has detached itself."""
+    connection, starter = _begin_hub(channel, path)
+    try:
+        _check_started(channel, path.parent, starter)
+    except BaseException:
+        connection.close()
+        path.unlink(missing_ok=True)
+        raise
+    return connection
+
+
+def _begin_hub(channel: str, path: Path) -> tuple[socket.socket, subprocess.Popen[bytes]]:
     """Listen at `path` (a dead hub's socket file gives way), connect, and start the hub with the listening socket."""
     path.unlink(missing_ok=True)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
@@ -241,23 +269,23 @@ def _start_hub(channel: str, path: Path) -> socket.socket:
         connection = _connect(path)
         assert connection is not None
         try:
-            _spawn(channel, path.parent, listener)
+            starter = _spawn(channel, path.parent, listener)
         except BaseException:
             connection.close()
             path.unlink(missing_ok=True)
             raise
-    return connection
+    return connection, starter
 
 
-def _spawn(channel: str, folder: Path, listener: socket.socket) -> None:
-    """Start the hub process; returns when it has detached itself."""
+def _spawn(channel: str, folder: Path, listener: socket.socket) -> subprocess.Popen[bytes]:
+    """Start the hub process; it ends when the hub has detached itself."""
     log = protocol.log_path(folder, channel)
     # The hub needs the standard library and this package: no site-packages (-S), nothing from a current directory (-P).
     command = [sys.executable, "-S", "-P", "-m", "hilbench.can.hub"]
     options = ["--channel", channel, "--directory", os.fspath(folder), "--listener", str(listener.fileno())]
     environment = {**os.environ, "PYTHONPATH": os.fspath(Path(__file__).resolve().parents[2])}
     with log.open("wb") as output:
-        starter = subprocess.Popen(
+        return subprocess.Popen(
             command + options,
             env=environment,
             stdin=subprocess.DEVNULL,
@@ -266,12 +294,17 @@ def _spawn(channel: str, folder: Path, listener: socket.socket) -> None:
             pass_fds=[listener.fileno()],
             start_new_session=True,
         )
+
+
+def _check_started(channel: str, folder: Path, starter: subprocess.Popen[bytes]) -> None:
     if not _ended(starter):
         starter.kill()
         starter.wait()
         raise BusError(f"embedded bus {channel}: its hub did not start within {_TIMEOUT_S:g} s")
     if starter.returncode:
-        raise BusError(f"embedded bus {channel}: its hub did not start: {_last_line(log)}")
+        raise BusError(
+            f"embedded bus {channel}: its hub did not start: {_last_line(protocol.log_path(folder, channel))}"
+        )
 
 
 def _ended(process: subprocess.Popen[bytes]) -> bool:

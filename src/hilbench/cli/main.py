@@ -6,12 +6,15 @@ import gc
 import os
 import sys
 from collections.abc import Callable
+from copy import copy
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.main import get_command_name
+from typer.models import CommandInfo
 
 from hilbench.cli import (
     boot,
@@ -478,9 +481,20 @@ app.command()(convert.dbc)
 
 
 @cache
-def _command() -> Callable[[], object]:
-    """All commands, made from their signatures once in a process: that takes longer than many a command."""
-    return typer.main.get_command(app)
+def _command(name: str) -> Callable[[], object]:
+    """The command of this name, by itself; all of them where none has it. They are made from their signatures, once in
+    a process: for all of them that takes longer than many a command."""
+    named = [each for each in app.registered_commands if _name_of(each) == name]
+    if not named:
+        return typer.main.get_command(app)
+    alone = copy(app)
+    alone.registered_commands, alone.registered_groups = named, []
+    return typer.main.get_command(alone)
+
+
+def _name_of(command: CommandInfo) -> str:
+    assert command.callback is not None
+    return command.name or get_command_name(command.callback.__name__)
 
 
 #: What a command imports stays: to look through it for garbage as often as Python does takes a sixth of its start.
@@ -490,4 +504,4 @@ _NEW_OBJECTS_BEFORE_COLLECTION = 10_000
 def main() -> None:
     """Entry point: errors meant for a person become one line on standard error and the exit code of their kind."""
     gc.set_threshold(_NEW_OBJECTS_BEFORE_COLLECTION)
-    sys.exit(ended(lambda: _command()()))
+    sys.exit(ended(lambda: _command(next(iter(sys.argv[1:]), ""))()))

@@ -18,7 +18,7 @@ from hilbench.bench.lifecycle.supervisor import Watch
 from hilbench.can import hub_client
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.link import Link, PacketLink
-from hilbench.can.open import open_link, open_python_can
+from hilbench.can.open import open_link, open_python_can, starting
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.canopen.identifiers import NmtCommand
 from hilbench.canopen.master import Master
@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 
 #: Of a node that does not wait for SYNC one comes for certain.
 _HEARTBEATS_TO_WAIT = 1.5
+#: While the nodes are configured who reads the bus beside that sees so soon that it is done.
+_LOOKS_S = 0.005
 #: For a reset to be taken: a heartbeat of before that is still on its way is no boot-up.
 _RESET_S = 0.05
 #: For the last command to come back from the bus: it belongs in the trace.
@@ -78,7 +80,11 @@ def held_bus(config: BenchConfig, participants: Participants, *, force: bool = F
         yield
         return
     brings = config.simulated_drives | config.virtual_nodes if participants is Participants.STARTED else {}
-    with mastery(config.bus_address, config.master.node_id, f"bench {config.name}", brings=brings, despite_heard=force):
+    bus = config.bus_address
+    with (
+        mastery(bus, config.master.node_id, f"bench {config.name}", brings=brings, despite_heard=force),
+        starting(bus),
+    ):
         yield
 
 
@@ -337,7 +343,7 @@ def _watched(link: Link, tap: FrameTap | None, sent: SentFrames) -> Iterator[Non
     def drain() -> None:
         try:
             while not done.is_set():
-                frames = link.receive(0.02)
+                frames = link.receive(_LOOKS_S)
                 if any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in frames):
                     failures.append(EmergencyStopError("emergency stop (COB-ID 001h) on the bus during the start"))
                 for frame in frames:
