@@ -17,7 +17,7 @@ from unittest.mock import patch
 
 import pytest
 from tests.plain.test_packets import run
-from tests.plain_runs import CONFIGS, download, objects_of, sets
+from tests.plain_runs import CONFIGS, How, download, objects_of, sets
 
 from hilbench.can import embedded, hub_client, protocol
 from hilbench.can.embedded import EmbeddedLink
@@ -58,7 +58,7 @@ def heard_by_a_twin(folder: Path) -> list[Packet]:
     changes = [f"bus.address=embedded:b{uuid.uuid4().hex[:10]}"]
     loaded = load_with_overrides(CONFIGS / "web_section_step.yaml", changes=changes)
     with patch.object(embedded, "receive_packet", kept):
-        run(folder, loaded, [(10, sets("line_speed_m_s", 0.4))], 220, compiled=False, lent=False)
+        run(folder, loaded, [(10, sets("line_speed_m_s", 0.4))], 220, How.INTERPRETED, lent=False)
     return next(each for each in heard.values() if any(f.can_id == 0x220 for packet in each for f in packet))
 
 
