@@ -297,6 +297,8 @@ def _text(loc: Location, model: type[BaseModel], found: Sequence[ErrorDetails]) 
         return f"'{key}' is missing"
     messages = dict.fromkeys(details["msg"].removeprefix("Value error, ") for details in found)
     message = " ".join(", or ".join(messages).split())
+    if first["type"] == "value_error" and isinstance(first["input"], dict):  # a block: what of it says the message
+        return f"'{key}': expected {message}"
     text = f"'{key}' is {first['input']!r}, expected: {message}"
     return text if len(text) <= _LONGEST_TEXT else f"'{key}': {message}"
 
