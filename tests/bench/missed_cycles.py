@@ -19,13 +19,15 @@ from hilbench.twin.process import TwinApplication
 
 
 class _Counted:
-    """The twin's clock, which has seen so many periods since the last SYNC as there were."""
+    """The twin's clock, which has seen so many cycles since the last SYNC as there were."""
 
-    at_ns = 0
     missed = 0
 
-    def heard(self, now_ns: int, behind: int = 0) -> int:
+    def heard(self, behind: int) -> int:
         return 1 + self.missed
+
+    def pop_other(self) -> None:
+        """A cycle is as long as the config says."""
 
 
 @contextmanager
@@ -49,7 +51,7 @@ def missed(share: float, from_cycle: int, longest: int = 5, seed: int = 3) -> It
 
     def make(self: TwinApplication, *of: Any) -> None:
         made(self, *of)
-        self._sync_time = counted  # type: ignore[assignment]
+        self._bus_cycle = counted  # type: ignore[assignment]
 
     with pytest.MonkeyPatch.context() as patch:
         # A cycle before which some were missed is none of the plain ones that run compiled.

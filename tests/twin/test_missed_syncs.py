@@ -28,7 +28,7 @@ from hilbench.twin.model_change import ChangeableMachine
 from hilbench.twin.process import TwinApplication
 from hilbench.twin.process import twin as make_twin
 from hilbench.twin.setup import twin_setup
-from hilbench.twin.virtual_io import VirtualIo
+from hilbench.twin.virtual_io import TwinStatus, VirtualIo
 
 CONFIG = load_with_overrides(Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml").config
 MODEL = CONFIG.web_line
@@ -88,20 +88,22 @@ def test_after_missed_cycles_positions_of_two_instants_are_told_from_those_of_on
 
 
 class OnTheBus:
-    """The twin beside the line of `motion`, SYNC by SYNC, with a clock of its own."""
+    """The twin beside the line of `motion`, SYNC by SYNC, with a clock of its own; `cycle_s`: as its config has it."""
 
     measured: ClassVar[dict[int, tuple[float, float]]] = {}  #: by COB-ID: what is on the bus is so for all
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, cycle_s: float = CYCLE_S) -> None:
         self.clock = Clock()
-        setup = replace(twin_setup(CONFIG), clock=self.clock)
+        setup = replace(twin_setup(CONFIG), clock=self.clock, cycle_s=cycle_s)
         node = setup.virtual_io
-        device = Device(load_eds(node.eds, node.node_id), node.node_id, self.clock)
-        virtual_io = VirtualIo(device, process_data(MachineKind(MODEL.kind), setup.shape), boundary(MODEL))
+        self.device = Device(load_eds(node.eds, node.node_id), node.node_id, self.clock)
+        virtual_io = VirtualIo(self.device, process_data(MachineKind(MODEL.kind), setup.shape), boundary(MODEL))
         self.machine = ChangeableMachine(
-            lambda _: lambda: new_machine(MODEL, setup.twin, setup.shape, CYCLE_S, virtual_io.told), CYCLE_S
+            lambda _: lambda: new_machine(MODEL, setup.twin, setup.shape, cycle_s, virtual_io.told), cycle_s
         )
-        self._application = TwinApplication(setup, self.machine, [], device, virtual_io)
+        self.device.boot()
+        self.said: list[str] = []
+        self._application = TwinApplication(setup, self.machine, [], self.device, virtual_io, self.said.append)
         self._listeners = [AxisListener(axis, CYCLE_S) for axis in setup.real_axes]
         monkeypatch.setattr(AxisListener, "decode", lambda listener, data: self.measured[listener.cob_id])
 
@@ -131,6 +133,11 @@ class OnTheBus:
     def rests_until_now(self) -> None:
         """The bench starts: its drives are enabled from the next SYNC on, the first of the line's time."""
         self.sync(0.0, -CYCLE_S, enabled=False)
+
+    @property
+    def is_said_to_be_synchronized(self) -> bool:
+        """By the status that it sends (2100h:3)."""
+        return bool(int(self.device.cell(0x2100, 3).value) & TwinStatus.SYNCHRONIZED)
 
     @property
     def shown(self) -> tuple[float, float]:

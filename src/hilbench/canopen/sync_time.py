@@ -7,8 +7,10 @@ from collections import deque
 #: Gains of the loop that follows SYNC: a third of the arrivals' jitter is left in the phase, a hundredth in the period.
 _PHASE_GAIN = 1 / 8
 _PERIOD_GAIN = 1 / 120
-#: So many intervals in a row that differ by no more than this part of them are a period.
+#: So many intervals in a row that differ by no more than this part of them are a period; another one than expected when
+#: it differs by more than that, or by so many times as much as they do, and this part at least.
 _ALIKE, _ALIKE_WITHIN = 5, 0.25
+_SURELY, _LEAST = 2, 0.03
 _SHORTEST_NS = 100_000
 #: SYNCs in a row that were each one too many: the clock by which they are read was set back.
 _SET_BACK = 3
@@ -79,8 +81,10 @@ class SyncTime:
         if len(measured) < _ALIKE:
             return False
         mean_ns = sum(measured) // _ALIKE
-        alike = measured[-1] - measured[0] <= _ALIKE_WITHIN * mean_ns
-        expected = abs(mean_ns - self.period_ns) <= _ALIKE_WITHIN * self.period_ns
+        spread_ns = measured[-1] - measured[0]
+        alike = spread_ns <= _ALIKE_WITHIN * mean_ns
+        surely_ns = max(_SURELY * spread_ns, _LEAST * self.period_ns)
+        expected = abs(mean_ns - self.period_ns) <= min(surely_ns, _ALIKE_WITHIN * self.period_ns)
         if expected or not alike or mean_ns < _SHORTEST_NS:
             return False
         self.period_ns, self.at_ns, self._regular = mean_ns, self._heard_ns, 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from struct import unpack_from
 
+from hilbench.canopen.bus_cycle import OTHER_CYCLE
 from hilbench.estimation.plausibility import Problem
 from hilbench.estimation.web_line.torque_shift import TORQUE_SHIFT, UNDECIDED
 
@@ -29,6 +30,7 @@ _CLASSES = {
 }
 _OF_TWIN = {int(problem): problem.name.lower().replace("_", " ") for problem in Problem} | {
     TORQUE_SHIFT: "shift of friction or torque offset of axis {axis}",
+    OTHER_CYCLE: "SYNC comes by another cycle than the twin's config has",
     UNDECIDED: "torque of axis {axis} has changed: E, or a shift of friction or offset; another tension would tell",
 }
 #: Codes that the bench acts on: these are never too many.
@@ -47,7 +49,7 @@ class Emergency:
     code: int
     register: int
     cleared: int = 0
-    shift_Nm: float = 0.0  #: of TORQUE_SHIFT: what the measured torque has shifted by
+    size: float = 0.0  #: of TORQUE_SHIFT: what the measured torque has shifted by, N·m; of OTHER_CYCLE: the cycle, s
     part: int = 0  #: number of the span that the twin speaks of, on a line of several
 
     @classmethod
@@ -57,8 +59,8 @@ class Emergency:
             return None
         code = int.from_bytes(data[:2], "little")
         cleared = int.from_bytes(data[3:5], "little") if code == 0 else 0
-        shift_Nm = float(unpack_from("<f", data, 3)[0]) if code == TORQUE_SHIFT else 0.0
-        return cls(node_id, node, code, data[2], cleared, shift_Nm, data[7] if code in _OF_TWIN else 0)
+        size = float(unpack_from("<f", data, 3)[0]) if code in (TORQUE_SHIFT, OTHER_CYCLE) else 0.0
+        return cls(node_id, node, code, data[2], cleared, size, data[7] if code in _OF_TWIN else 0)
 
     @property
     def kind(self) -> str:
@@ -73,7 +75,9 @@ class Emergency:
     def __str__(self) -> str:
         if self.code == 0:
             return f"EMCY 0000h: {_meaning(self.cleared)} is over" if self.cleared else "EMCY 0000h: no error any more"
-        size = f", {self.shift_Nm:+.3g} N·m" if self.code == TORQUE_SHIFT else ""
+        if self.code == OTHER_CYCLE:
+            return f"EMCY {self.code:04X}h: {_meaning(self.code)}: {1e3 * self.size:.4g} ms"
+        size = f", {self.size:+.3g} N·m" if self.code == TORQUE_SHIFT else ""
         if self.code in (TORQUE_SHIFT, UNDECIDED):
             return f"EMCY {self.code:04X}h: {_meaning(self.code, self.part)}{size}"
         return f"EMCY {self.code:04X}h: {_meaning(self.code)}{self.where}"

@@ -144,6 +144,10 @@ class Plant(Machine, Protocol):
     def ports(self) -> tuple[MotorPort, ...]:
         """One for each motor of the description; empty if every motor is off for good."""
 
+    def lock_to(self, duration_s: float) -> None:
+        """Let the drives' sample time be the nearest to the model's of which `duration_s` is a multiple, as that of
+        drives whose loops lock to a cycle."""
+
     def step(self, duration_s: float) -> None:
         """Go on with the ports' set points held, and write the feedback to the ports.
 

@@ -90,6 +90,7 @@ class ChangeableMachine:
         self._candidate, self._coming = None, None
         if self._beside is None:
             self._candidate = make()
+            self._candidate.go_by(self._cycle_s)
         else:
             self._coming = self._beside(make)
         self._before, self._released = None, False
@@ -160,6 +161,31 @@ class ChangeableMachine:
         """Whether the torque has changed, and nothing tells yet why."""
         return self._current.torque_undecided
 
+    def doubt(self, *, doubted: bool) -> None:
+        """Whether nobody knows how long a cycle is."""
+        for machine in self._machines:
+            machine.doubt(doubted=doubted)
+
+    def go_by(self, cycle_s: float) -> None:
+        """Each cycle is so long from the next on, whichever model is in use."""
+        self._cycle_s = cycle_s
+        for machine in self._machines:
+            machine.go_by(cycle_s)
+
+    def keep(self) -> None:
+        """What is known now was found with cycles of the right length."""
+        for machine in self._machines:
+            machine.keep()
+
+    @property
+    def _machines(self) -> list[TwinMachine]:
+        """All that there are."""
+        found = [self._configured]
+        for machine in (self._current, self._candidate):
+            if machine is not None and machine is not self._configured:
+                found.append(machine)
+        return found
+
     def reset(self) -> None:
         """Start anew with the model that was configured."""
         self._candidate, self._current, self._share = None, self._configured, 0.0
@@ -215,6 +241,7 @@ class ChangeableMachine:
         self._current.plant.step(duration_s)
         if self._coming is not None and self._coming.done():
             self._candidate, self._coming = self._coming.result(), None
+            self._candidate.go_by(self._cycle_s)
         candidate = self._candidate
         if candidate is not None and self._released:
             self._pass_set_points(candidate)

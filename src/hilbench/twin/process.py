@@ -11,18 +11,19 @@ from struct import pack
 
 from hilbench.can.frame import Frame
 from hilbench.can.open import BusAddress
+from hilbench.canopen.bus_cycle import OTHER_CYCLE, BusCycle
 from hilbench.canopen.clock import Clock, SyncClock
 from hilbench.canopen.device import Device, SdoAbort
 from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.identifiers import NmtState
-from hilbench.canopen.sync_time import SyncTime
 from hilbench.chain import Chained
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.estimation.web_line.torque_shift import TORQUE_SHIFT, UNDECIDED
 from hilbench.plant.interface import Steps
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.pairing import cycles_gone, play
+from hilbench.processes import log
 from hilbench.real_time import ProcessSettings, right_behind
 from hilbench.topology.blocks import MachineParameters, TwinConfig
 from hilbench.topology.process_data.of_kind import process_data
@@ -49,6 +50,8 @@ _VALUE_TOO_HIGH, _INVALID_VALUE, _PRESENT_STATE = 0x06090031, 0x06090030, 0x0800
 _MOST_OWED = 100
 #: Missed SYNCs in a row that the simulation makes up for; after more a twin has to find the plant anew.
 _MOST_SKIPPED = 100
+#: How often what is known is kept, to come back to should SYNC turn out to come by another cycle, s.
+_KEPT_S = 0.25
 #: From which speed on, at the motor, an axis moves that has to be told so before the machine is released; how long that
 #: is waited for.
 _MOVES_RAD_S, _LONGEST_WAIT_S = 0.05, 0.1
@@ -94,11 +97,14 @@ class TwinApplication:
         drives: Sequence[SimulatedDrive],
         device: Device,
         virtual_io: VirtualIo,
+        say: Callable[[str], None] = log,
     ) -> None:
         self.missed = 0
         self.malformed = 0  #: frames with the COB-ID, but not the length, of an axis' TPDO
         self.surplus = 0  #: TPDOs of an axis beyond the one that answers SYNC
         self._cycle_s = setup.cycle_s
+        self._model = setup.model
+        self._say = say
         self._hold_when_behind = setup.twin.behind == "hold"
         self._machine = machine
         self._ports = machine.ports
@@ -118,12 +124,14 @@ class TwinApplication:
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
         self._pending = self._released = False
         self._sync_number = self._behind = 0
-        self._time_s = 0.0
-        self._now_ns = setup.clock.now_ns
+        self._time_s = self._kept_s = 0.0
         # In lockstep one SYNC is one cycle, however long it took.
-        self._sync_time = None if isinstance(setup.clock, SyncClock) else SyncTime(round(setup.cycle_s * 1e9))
+        in_lockstep = isinstance(setup.clock, SyncClock)
+        self._config_ns = round(setup.cycle_s * 1e9)
+        self._bus_cycle = None if in_lockstep else BusCycle(self._config_ns, setup.clock.now_ns)
+        self._apart = False  # SYNC comes by another cycle
         self._skipped = 0  # cycles that by the clock the axes have gone, less the SYNCs that came
-        self._ways = _Ways(setup)
+        self._ways = _Ways(setup.model, setup.cycle_s)
         self._said = (0, 0, 0)  # with the last SYNC of a plain cycle
         self._in_vectors: InVectors | None = None
         self.leaves_vectors = False  #: what is in vectors has to go on in objects
@@ -170,14 +178,44 @@ class TwinApplication:
         self._io.publish_status(self._sync_number, behind, self._status())
 
     def _look_at_the_clock(self, behind: int) -> None:
-        """In real time the axes have gone on through the cycles whose SYNC the bench has missed."""
-        if self._sync_time is None:
+        """In real time the axes have gone on through the cycles whose SYNC the bench has missed; and how long a cycle
+        is, who sends SYNC says."""
+        if self._bus_cycle is None:
             return
-        first = self._sync_time.at_ns is None
-        skipped = self._sync_time.heard(self._now_ns(), behind) - 1
-        if skipped:
+        skipped = self._bus_cycle.heard(behind) - 1
+        if skipped and not self._apart:
             self._measured_before = None
-        self._skipped = 0 if first or not self._released else self._skipped + skipped
+        self._skipped = self._skipped + skipped if self._released else 0
+        other_ns, were_apart = self._bus_cycle.pop_other(), self._apart
+        self._apart = not self._bus_cycle.in_step
+        if self._apart is not were_apart:
+            self._machine.doubt(doubted=self._apart)
+        if other_ns is not None:
+            self._go_by(other_ns * 1e-9)
+            self._tell_cycle(other_ns)
+        elif were_apart and not self._apart:
+            self._go_by(self._cycle_s)
+        elif not self._apart and self._time_s - self._kept_s >= _KEPT_S:
+            self._kept_s = self._time_s
+            self._machine.keep()
+
+    def _go_by(self, cycle_s: float) -> None:
+        """From here on that is a cycle, by which SYNC comes; for a while it did not."""
+        self._cycle_s = cycle_s
+        self._machine.go_by(cycle_s)
+        for alarms in self._alarms.values():
+            alarms.go_by(cycle_s)
+        self._ways = _Ways(self._model, cycle_s)
+        self._measured_before, self._skipped = None, 0
+
+    def _tell_cycle(self, cycle_ns: int) -> None:
+        self._device.clear_emergency(OTHER_CYCLE)
+        said, of_config = f"SYNC comes every {cycle_ns * 1e-6:.4g} ms", f"{self._config_ns * 1e-6:.4g} ms"
+        if cycle_ns != self._config_ns:
+            self._device.emergency(OTHER_CYCLE, _PROFILE_SPECIFIC, pack("<fx", self._cycle_s))
+            self._say(f"{said}, cycle_time_s is {of_config}: the twin goes by SYNC")
+        else:
+            self._say(f"{said} again, as cycle_time_s says")
 
     def _catch_up(self) -> bool:
         """Through the cycles without SYNC that lie before this one; whether this one is a new one.
@@ -229,7 +267,7 @@ class TwinApplication:
     def is_plain(self) -> bool:
         """Whether the machine goes on with every SYNC, by what the axes measure at it."""
         powered = all(port.mode is not MotorMode.OFF for port in self._ports) and max(self._owed) < _MOST_OWED
-        return powered and self._sync_time is None and self._released and not self._pending and self._time_s > 0.0
+        return powered and self._bus_cycle is None and self._released and not self._pending and self._time_s > 0.0
 
     @property
     def listeners(self) -> Sequence[AxisListener]:
@@ -364,7 +402,7 @@ class TwinApplication:
             self._measured_before = None
         elif all(port.mode is not MotorMode.OFF for port in self._ports):
             if self._released or self._release():
-                new = self._sync_time is None or self._catch_up()
+                new = self._bus_cycle is None or self._catch_up()
                 if new:  # else the axes stand where they were measured before, and no time has passed since
                     self._compare(self._complete())
                 self._machine.listen()
@@ -395,7 +433,7 @@ class TwinApplication:
         if not self._machine.release(before, measured, under_way=not self._was_held):
             return False
         self._released = True
-        self._time_s = self._waited_s = 0.0
+        self._time_s = self._waited_s = self._kept_s = 0.0
         return True
 
     def _waits_for_set_points(self, before: list[Measured], measured: list[Measured]) -> bool:
@@ -466,7 +504,7 @@ class TwinApplication:
         machine, status = self._machine.in_use, 0
         if self._released:
             status |= _RUNNING
-            if machine.synchronized:
+            if machine.synchronized and not self._apart:
                 status |= _SYNCHRONIZED
         if machine.problem is not None:
             status |= _HOLDING
@@ -489,10 +527,9 @@ class TwinApplication:
 class _Ways:
     """How far the axes go in a cycle, of which their ways between two measurements tell how many there were."""
 
-    def __init__(self, setup: TwinSetup) -> None:
-        model = setup.model
-        of_a_cycle = play(model.position_unit, setup.cycle_s)
-        self._plays = [of_a_cycle * model.motor_rad_per_unit(axis) for axis in range(1, len(setup.real_axes) + 1)]
+    def __init__(self, model: MachineParameters, cycle_s: float) -> None:
+        of_a_cycle = play(model.position_unit, cycle_s)
+        self._plays = [of_a_cycle * model.motor_rad_per_unit(axis) for axis in range(1, model.axis_count + 1)]
         self.reset()
 
     def reset(self) -> None:

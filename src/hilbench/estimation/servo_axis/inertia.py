@@ -164,6 +164,16 @@ class ShaftEstimate:
     also: tuple[Nuisance, ...] = ()
 
 
+class Known(NamedTuple):
+    """What is known of a shaft at some time: means and covariances of the filters, records, mixture, settings."""
+
+    z: Array
+    p: Array
+    records: Array
+    out: Array
+    settings: Array
+
+
 class InertiaEstimator:
     """Finds inertia and friction of an axis, one sample a cycle; `model` is where it starts."""
 
@@ -272,6 +282,22 @@ class InertiaEstimator:
         """A time without a usable sample: what is known stays, less and less sure; the motion is found anew."""
         self._inputs.interrupt()
         return self._less_sure(duration_s)
+
+    def known(self) -> Known:
+        """What is known now, to come back to."""
+        return Known(*[each.copy() for each in self._kept()])
+
+    def go_back(self, known: Known) -> ShaftEstimate:
+        """Go on from what was known; the motion is found anew."""
+        for now, then in zip(self._kept(), known, strict=True):
+            now[:] = then
+        self._inputs.interrupt()
+        self._lose(lost=True)
+        self._tell()
+        return self.estimate
+
+    def _kept(self) -> Known:
+        return Known(self._z, self._p, self._records, self._out, self._settings)
 
     def _less_sure(self, duration_s: float) -> ShaftEstimate:
         if self._inputs.lost:

@@ -324,8 +324,7 @@ class ModelErrors:
         self._priors = prior_deviations(config, model, self._force_per_torque)
         tension_N = max(model.boundary.upstream_tension_N, model.boundary.downstream_tension_N)
         u = self._u = np.zeros(f.INPUTS)
-        block = max(2, round(_BLOCK_S / cycle_s))
-        u[f.CYCLE_S], u[f.BLOCK], u[f.MASS_KG], u[f.SPAN_M] = cycle_s, block, balance.mass_kg, balance.span_length_m
+        u[f.MASS_KG], u[f.SPAN_M] = balance.mass_kg, balance.span_length_m
         u[f.STIFFNESS_N] = youngs_modulus_Pa * balance.section_m2
         u[f.REST_N] = _REST * tension_N
         u[f.CURVE_N2] = (_CURVE * self._priors[f.DRY]) ** 2
@@ -339,17 +338,25 @@ class ModelErrors:
         self._torque = NoiseLevel(_TORQUE_NOISE_NM, _TORQUE_FLOOR_NM)
         self._position = NoiseLevel(_POSITION_NOISE_M, _POSITION_FLOOR_M)
         self._s = np.zeros(f.KEPT)
-        blocks = round(_APART_S / (block * cycle_s)) + 1
-        k = self._k = np.zeros(_TOLD + ring.size(blocks))
-        ring.put(k, _TOLD, blocks)
-        k[_TOLD_SIZE] = blocks
+        self._k = np.zeros(_TOLD)
+        self._set_cycle(cycle_s)
+        k = self._k
         k[_REFERENCE_PA], k[_FORCE_PER_TORQUE] = youngs_modulus_Pa, self._force_per_torque
         k[_RADIUS_1_M], k[_RADIUS_2_M] = model.radius_m(1), model.radius_m(2)
         k[_PER_TORQUE2] = self._force_per_torque**2
         k[_PER_POSITION2] = 2.0 * (u.item(f.STIFFNESS_N) / u.item(f.SPAN_M)) ** 2
-        k[_BLOCKS_S] = block * cycle_s
         k[_LEAST_REST_N2] = k[_REST_N2] = u.item(f.REST_N) ** 2
         self._start()
+
+    def _set_cycle(self, cycle_s: float) -> None:
+        f, block = filters, max(2, round(_BLOCK_S / cycle_s))
+        self._u[f.CYCLE_S], self._u[f.BLOCK] = cycle_s, block
+        blocks = round(_APART_S / (block * cycle_s)) + 1
+        k = np.zeros(_TOLD + ring.size(blocks))
+        k[:_TOLD] = self._k[:_TOLD]
+        ring.put(k, _TOLD, blocks)
+        k[_TOLD_SIZE], k[_BLOCKS_S] = blocks, block * cycle_s
+        self._k = k
 
     def _start(self) -> None:
         """A filter for every subset of the groups, the empty one first and that of all last."""
@@ -402,6 +409,11 @@ class ModelErrors:
     def interrupt(self) -> None:
         """A cycle is missing, or can't be used: no mean goes across."""
         _act(_INTERRUPT, *self.vectors, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def go_by(self, cycle_s: float) -> None:
+        """A cycle is so long from the next on: what is known stays. Its vectors are others then."""
+        self._set_cycle(cycle_s)
+        self.interrupt()
 
     def hold(self, duration_s: float) -> None:
         """Nothing can be measured: what is known gets less."""

@@ -233,13 +233,7 @@ class Tracking:
         self._line.set_parameter("youngs_modulus_Pa", self._initial_Pa)
         if self.config.unmodelled_torque_Nm is None:
             self._errors = self._new_errors()
-        self._plausibility = Plausibility(
-            self._torque_limit_Nm,
-            self._balance.dry_friction_N,
-            self._balance.section_m2 * self._strain_prev,
-            self._cycle_s,
-        )
-        self._delay_finder = DelayFinder(self._cycle_s)
+        self._look_anew()
         t[c.MODULUS_PA], t[c.WEB_PER_PA] = self._initial_Pa, self._balance.section_m2 * self._strain_prev
         self._begin(self.config.synchronizer, self._initial_Pa)
         t[c.DELAY_S] = self._model_delay_s
@@ -248,6 +242,35 @@ class Tracking:
         t[c.SHIFT_NM] = 0.0
         self._state(Estimate(self._initial_Pa, inf))
         self.release()
+
+    def _look_anew(self) -> None:
+        """At what is measured, cycle by cycle."""
+        self._plausibility = Plausibility(
+            self._torque_limit_Nm,
+            self._balance.dry_friction_N,
+            self._balance.section_m2 * self._strain_prev,
+            self._cycle_s,
+        )
+        self._delay_finder = DelayFinder(self._cycle_s)
+
+    def doubt(self, *, doubted: bool) -> None:
+        """Whether nobody knows how long a cycle is: the web is followed by its ways, and nothing is learned."""
+        self._t[cycle.DOUBTED] = doubted
+
+    def go_by(self, cycle_s: float, known: Known) -> None:
+        """A cycle is so long from the next on; goes on from what was known, with the strain as it is measured."""
+        self._cycle_s = self._t[cycle.CYCLE_S] = cycle_s
+        self._blocks = Blocks(self._balance.mass_kg, cycle_s)
+        self._delay_line = delay.new_line(cycle_s)
+        self._known_change = _known_change(self._model, self.config, self._balance.mass_kg, cycle_s)
+        self._look_anew()
+        self._go_back(known)
+        if self._errors is not None:
+            self._errors.go_by(cycle_s)
+        self.use(self._method)
+        self._forget(cycle.SUSPEND)
+        if self._found is not None:  # the web that is looked for was looked at with another cycle
+            self._find_web()
 
     def release(self, strain_uncertainty: float = 0.0, webs: UnknownWebs | None = None, place: int = 0) -> None:
         """The web is released anew, strained as upstream but for an unknown share (relative); `webs`: those of the
@@ -264,11 +287,15 @@ class Tracking:
         self._webs, self._place = webs or unknown_webs(self._model), place
         self._found: FoundRunning | None = None
         if strain_uncertainty > 0.0 and not isinstance(self._method, PidConfig | InputConfig):
-            plant = Plant.of(self._balance, self.estimate.youngs_modulus_Pa)
-            friction_share = 0.01 * self.config.model_errors.friction_pct
-            self._found = FoundRunning(plant, self._webs, place, self._strain_prev, friction_share)
-            self._state_found(self._found)
-            t[c.BANK] = 0.0  # until it has started from what is found
+            self._find_web()
+
+    def _find_web(self) -> None:
+        """E and strain of a web that nobody knows are found first."""
+        plant = Plant.of(self._balance, self.estimate.youngs_modulus_Pa)
+        friction_share = 0.01 * self.config.model_errors.friction_pct
+        self._found = FoundRunning(plant, self._webs, self._place, self._strain_prev, friction_share)
+        self._state_found(self._found)
+        self._t[cycle.BANK] = 0.0  # until it has started from what is found
 
     def _forget(self, what: int) -> None:
         cycle.forget(what, self._blocks.state, self._anomalies, self._shift_finder.state, self._delay_line)
@@ -456,10 +483,13 @@ class Tracking:
     def believe(self, known: Known, strain: float) -> None:
         """What has come to light since then was no change of E of the web that is in the span, but another strain."""
         self._balance.web.set_state({"strain1": strain})
-        self._errors = deepcopy(known.errors)
-        self._t[cycle.SHIFT_NM], self._t[cycle.MODULUS_PA] = known.torque_shift_Nm, known.youngs_modulus_Pa
+        self._go_back(known)
         self.use(self._method)
         self._forget(cycle.SUSPEND)
+
+    def _go_back(self, known: Known) -> None:
+        self._errors = deepcopy(known.errors)
+        self._t[cycle.SHIFT_NM], self._t[cycle.MODULUS_PA] = known.torque_shift_Nm, known.youngs_modulus_Pa
 
     @property
     def torque_undecided(self) -> bool:

@@ -13,7 +13,7 @@ from hilbench.plant import drive_loops as loops
 from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import LoadMotorParameters
-from hilbench.plant.sampling import samples_per
+from hilbench.plant.sampling import locked_sample_time_s, samples_per
 from hilbench.plant.sensor_rows import chained_with_noise, silence
 from hilbench.plant.sensors import SensorNoise
 from hilbench.plant.servo_axis import kernel, rig_cycle
@@ -66,6 +66,7 @@ class Shaft:
         substeps: int,
     ) -> None:
         self._p = lay.pack(parameters, load_motor, substeps)
+        self._sample_time_s = self._p.item(lay.P_SAMPLE_TIME_S)
         self._ports = tuple(ports)
         self._state = lay.new_state(self._p)
         self._inputs = lay.new_inputs(self._p)
@@ -102,6 +103,12 @@ class Shaft:
     def time_s(self) -> float:
         """Time since the start."""
         return float(self._state[lay.S_COUNT] * self._p[lay.P_SAMPLE_TIME_S])
+
+    def lock_to(self, duration_s: float) -> None:
+        """Let the drives' sample time be the nearest to the model's of which `duration_s` is a multiple."""
+        time_s, sample_s = self.time_s, locked_sample_time_s(duration_s, self._sample_time_s)
+        self._p[lay.P_SAMPLE_TIME_S] = sample_s
+        self._state[lay.S_COUNT] = round(time_s / sample_s)
 
     def step(self, duration_s: float) -> None:
         """Go on by a multiple of the drives' sample time, with the ports' set points held.

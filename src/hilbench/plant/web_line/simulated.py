@@ -20,7 +20,7 @@ from hilbench.plant.effect import Effect, MachineKind
 from hilbench.plant.effects import find_effect
 from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
-from hilbench.plant.sampling import samples_per
+from hilbench.plant.sampling import locked_sample_time_s, samples_per
 from hilbench.plant.sensor_rows import chained_with_noise, silence
 from hilbench.plant.sensors import SensorNoise
 from hilbench.plant.web_line import kernel, rig_cycle
@@ -167,6 +167,7 @@ class SimulatedLine:
         forces: Mapping[Quantity, int] = MappingProxyType({}),
     ) -> None:
         self._p, self._state = p, state
+        self._sample_time_s = p.item(lay.W_SAMPLE_TIME_S)
         self._layout = layout = Layout.of(p)
         self._ports = tuple(ports)
         self._noise: SensorNoise | None = None  # of one with sensors
@@ -235,6 +236,12 @@ class SimulatedLine:
     def time_s(self) -> float:
         """Time since the start; the time of the effects' laws."""
         return float(self._state[lay.S_COUNT] * self._p[lay.W_SAMPLE_TIME_S])
+
+    def lock_to(self, duration_s: float) -> None:
+        """Let the drives' sample time be the nearest to the model's of which `duration_s` is a multiple."""
+        time_s, sample_s = self.time_s, locked_sample_time_s(duration_s, self._sample_time_s)
+        self._p[lay.W_SAMPLE_TIME_S] = sample_s
+        self._state[lay.S_COUNT] = round(time_s / sample_s)
 
     def step(self, duration_s: float) -> None:
         """Go on by a multiple of the drives' sample time with the ports' set points; write the feedback to them.

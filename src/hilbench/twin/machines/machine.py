@@ -67,6 +67,17 @@ class TwinMachine(Protocol):
     def reset(self) -> None:
         """Start anew with what is assumed at the start, at rest."""
 
+    def doubt(self, *, doubted: bool) -> None:
+        """Whether nobody knows how long a cycle is, as SYNC does not come as often as was believed: what is measured
+        is followed then, and nothing is learned from it."""
+
+    def go_by(self, cycle_s: float) -> None:
+        """Each cycle is so long from the next on. Goes on from what was known when it was last but one said to `keep`
+        it, and from where the machine is now."""
+
+    def keep(self) -> None:
+        """What is known now was found with cycles that are as long as is believed. A release does the same."""
+
     def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
         """The drives have been enabled: take motion and torque of the axes (N,) over, from two cycles in a row.
 

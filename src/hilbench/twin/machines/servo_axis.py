@@ -7,7 +7,7 @@ from math import inf, isnan, nan
 
 from hilbench.estimation.plausibility import Plausibility, Problem
 from hilbench.estimation.servo_axis.balance import ShaftSample
-from hilbench.estimation.servo_axis.inertia import COULOMB_SD, VISCOUS_SD, InertiaEstimator, ShaftEstimate
+from hilbench.estimation.servo_axis.inertia import COULOMB_SD, VISCOUS_SD, InertiaEstimator, Known, ShaftEstimate
 from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.fmu.shaft import FmuAxis
 from hilbench.plant.motor_port import MotorPort
@@ -41,7 +41,7 @@ class ServoAxisTwin:
         )
         self._model = model
         self._config = config
-        self._cycle_s = cycle_s
+        self._cycle_s, self._doubted = cycle_s, False
         self._limit_Nm = per_item(model.drives.torque_limit_Nm, 1) if model.drives else inf
         self.reset()
 
@@ -73,13 +73,32 @@ class ServoAxisTwin:
 
     def _begin(self) -> None:
         self._estimator = InertiaEstimator(self._config.inertia, self._model)
-        self._plausibility = Plausibility(self._limit_Nm, 0.0, 0.0, self._cycle_s)
+        self._kept: tuple[Known, ...] = (self._estimator.known(),)
+        self._set_cycle(self._cycle_s)
         initial = self._model.inertia_kg_m2 * self.plant.inertia_factor
         self._estimate = ShaftEstimate(initial, 0.01 * self._config.inertia.initial_deviation_pct * initial, False)
         self.problem: Problem | None = None
         self.shift_span = 0
         self._residual_Nm = 0.0
+
+    def _set_cycle(self, cycle_s: float) -> None:
+        self._cycle_s = cycle_s
+        self._plausibility = Plausibility(self._limit_Nm, 0.0, 0.0, cycle_s)
         self._torque_before_Nm: float | None = None  # simulated
+
+    def doubt(self, *, doubted: bool) -> None:
+        """See `TwinMachine`."""
+        self._doubted = doubted
+
+    def go_by(self, cycle_s: float) -> None:
+        """Each cycle is so long from the next on; see `TwinMachine`."""
+        self.plant.lock_to(cycle_s)
+        self._set_cycle(cycle_s)
+        self._estimate = self._estimator.go_back(self._kept[0])
+
+    def keep(self) -> None:
+        """What is known now, for `go_by`."""
+        self._kept = self._kept[-1], self._estimator.known()
 
     def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
         """Let the shaft go where the real one is."""
@@ -94,6 +113,7 @@ class ServoAxisTwin:
             }
         )
         self._torque_before_Nm = None
+        self._kept = (self._estimator.known(),)
         return True
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
@@ -102,7 +122,7 @@ class ServoAxisTwin:
         simulated_Nm = self.ports[0].torque_Nm
         self._residual_Nm = torque_Nm - simulated_Nm
         self.problem = self._plausibility.problem(torque_Nm, 1.0, position_rad)
-        if self.problem is not None:
+        if self.problem is not None or self._doubted:
             self._torque_before_Nm = None
             self._estimate = self._estimator.hold(self._cycle_s)
             return True

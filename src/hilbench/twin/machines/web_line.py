@@ -20,6 +20,7 @@ from hilbench.estimation.web_line.tracking import (
     PASSED_SPANS,
     UNKNOWN_AT_REST,
     UNKNOWN_STRAIN,
+    Known,
     Tracking,
     unknown_webs,
 )
@@ -94,14 +95,40 @@ class WebLineTwin:
                 break
             joined.append(self._estimated[span].tracking)
         looks = self._several if config.splices is None else config.splices
-        self._passage = Passage(joined, cycle_s) if looks else None
+        self._joined = joined if looks else []
         others = [span for span in spans if span not in methods]
         self._others = _OtherSpans(model, others, config.transfer.strain_limit) if others else None
         self._told = told
-        self._cycle_s = cycle_s
         self._metres_per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in axes]
         self._pairing = Pairing(least_way_m(model))
-        self._steady = SteadyWay(cycle_s)  # of the axis behind the first of these spans
+        self._last_at: tuple[float, Sequence[float]] | None = None  # while it may have to be brought back
+        self._must_come_back = False
+        self._set_cycle(cycle_s)
+        #: What was known before, and then.
+        self._kept: tuple[Sequence[Known], ...] = ([each.tracking.known() for each in self._all],)
+
+    def _set_cycle(self, cycle_s: float) -> None:
+        self._cycle_s = cycle_s
+        self._passage = Passage(self._joined, cycle_s) if self._joined else None
+        self._steady = SteadyWay(cycle_s)  # of the axis behind the first of the spans at which E is found
+
+    def doubt(self, *, doubted: bool) -> None:
+        """See `TwinMachine`."""
+        for each in self._all:
+            each.tracking.doubt(doubted=doubted)
+
+    def go_by(self, cycle_s: float) -> None:
+        """Each cycle is so long from the next on; see `TwinMachine`."""
+        self.plant.lock_to(cycle_s)
+        self._set_cycle(cycle_s)
+        for each, known in zip(self._all, self._kept[0], strict=True):
+            each.tracking.put_pieces(())
+            each.tracking.go_by(cycle_s, known)
+        self._last_at, self._must_come_back = None, True  # where the wrong cycles have led it
+
+    def keep(self) -> None:
+        """What is known now, for `go_by`."""
+        self._kept = self._kept[-1], [each.tracking.known() for each in self._all]
 
     @property
     def problem(self) -> Problem | None:
@@ -179,7 +206,7 @@ class WebLineTwin:
             self._passage.reset()
         if self._others is not None:
             self._others.reset()
-        self._refused_at: tuple[float, Sequence[float]] | None = None
+        self._last_at, self._must_come_back = None, False
 
     def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
         """Let the web go, with the axes' motion and torque."""
@@ -200,6 +227,7 @@ class WebLineTwin:
         for each in self._all:
             each.tracking.release(unknown, webs, each.span - 1)
         self._start_anew()
+        self._kept = ([each.tracking.known() for each in self._all],)
         if self._others is not None:
             self._others.webs = webs
         self._steady.reset()
@@ -235,19 +263,21 @@ class WebLineTwin:
             self._passage.update(positions_m[self._all[0].span - 1 :])
         if others is not None and self._transfer.strain:
             others.transfer(self.plant)
-        if self.refused:
+        if self.refused or self._must_come_back:
             self._bring_back(time_s, positions_m, measured_Nm)
         else:
-            self._refused_at = None
+            self._last_at = None
         return True
 
     def _bring_back(self, time_s: float, positions_m: Sequence[float], torques_Nm: Sequence[float]) -> None:
         """Let a simulation that went astray go on from where the machine is; a span whose measured strain no web has,
         strained as upstream."""
-        last, self._refused_at = self._refused_at, (time_s, positions_m)
+        last, self._last_at = self._last_at, (time_s, positions_m)
         others = self._others
-        if last is None or not (any(each.tracking.astray for each in self._all) or (others and others.astray)):
+        astray = any(each.tracking.astray for each in self._all) or (others is not None and others.astray)
+        if last is None or not (astray or self._must_come_back):
             return
+        self._must_come_back = False
         speeds = [(x - then) / (time_s - last[0]) for x, then in zip(positions_m, last[1], strict=True)]
         states = _states(self._told("strain_prev"), positions_m, speeds, torques_Nm)
         strains = {each.span: each.tracking.measured_strain for each in self._all}

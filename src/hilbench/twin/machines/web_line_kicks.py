@@ -65,6 +65,8 @@ class _Pair:
         self._followed: LineFollower = damped_follower(model)
         self._per_m = [model.motor_rad_per_m(axis) for axis in axes]
         self._cycle_s = cycle_s
+        for line in (self.line, self._closed):
+            line.lock_to(cycle_s)
         self._of_axes = {
             f"{name}{axis}_{unit}" for axis in axes for name, unit in (("x", "m"), ("v", "m_s"), ("tau", "Nm"))
         }

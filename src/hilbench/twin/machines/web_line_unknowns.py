@@ -110,7 +110,7 @@ class LineUnknowns:
     ) -> None:
         self._imitated = imitated
         self.varied = VariedLine(model, measured)
-        self._model, self._cycle_s = model, cycle_s
+        self._model = model
         pulled = [axis for axis in range(1, model.axis_count + 1) if model.carries_web_load(axis)]
         self._axes = [axis for axis in pulled if axis not in torqued]
         self._rows = np.array(self._axes, int) - 1
@@ -123,10 +123,9 @@ class LineUnknowns:
         self._shows = np.array([self._shows_in_torques(each) for each in self.varied.unknowns], float)
         growth = (_OFFSET_SHARE_PER_SQRT_S * limits_Nm) ** 2
         self._offset_growth = np.concatenate([growth, np.zeros_like(of_sensors)])
-        self._window = max(round(_WINDOW_S / cycle_s), 1)
-        gains = [per_item(loops.velocity_kp_Nm_s_per_rad, axis) for axis in axes]
-        rates = [per_item(loops.velocity_ki_Nm_per_rad, axis) for axis in axes]
-        self._response = DriveResponse(gains, rates, len(self.varied.unknowns) + 1, cycle_s)
+        self._gains = [per_item(loops.velocity_kp_Nm_s_per_rad, axis) for axis in axes]
+        self._rates = [per_item(loops.velocity_ki_Nm_per_rad, axis) for axis in axes]
+        self._set_cycle(cycle_s)
         self._loads = np.zeros((model.axis_count, len(self.varied.unknowns) + 1))
         kinds = np.array([each.kind for each in self.varied.unknowns])
         self._is_strain, self._is_modulus = kinds == Kind.STRAIN, kinds == Kind.MODULUS
@@ -141,16 +140,39 @@ class LineUnknowns:
         self._keep_every_m, self._keep_m = _KEPT_EVERY * min(lengths_m), _KEPT_LENGTHS * max(lengths_m)
         self._web_m = sum(lengths_m)
         self.begin([0.0] * model.axis_count, 0.0)
-        before = axes_before_spans(model)
-        held = {Unknown(Kind.MODULUS, before[carriage.first_span - 1]) for carriage in model.carriages}
-        answer = DriveResponse(gains, rates, 1, cycle_s)
+        self._set_kicks()
+
+    def _set_cycle(self, cycle_s: float) -> None:
+        self._cycle_s = cycle_s
+        self._window = max(round(_WINDOW_S / cycle_s), 1)
+        self._response = DriveResponse(self._gains, self._rates, len(self.varied.unknowns) + 1, cycle_s)
+
+    def _set_kicks(self) -> None:
+        """Look for kicks, as they are in such cycles."""
+        model = self._model
+        held = {
+            Unknown(Kind.MODULUS, axes_before_spans(model)[carriage.first_span - 1]) for carriage in model.carriages
+        }
+        answer = DriveResponse(self._gains, self._rates, 1, self._cycle_s)
         answer.set_inertia(self._inertia_kg_m2.tolist())
         #: Of each section whose tension a carriage keeps: place of its E, and what looks for kicks of it.
         self._kicks = [
-            (place, kick_watch(model, unknown.number, self._rows.tolist(), answer, cycle_s))
+            (place, kick_watch(model, unknown.number, self._rows.tolist(), answer, self._cycle_s))
             for place, unknown in enumerate(self.varied.unknowns)
             if unknown in held and self._axes  # without torques that tell of the web there is nothing to see
         ]
+
+    def go_by(self, cycle_s: float) -> None:
+        """Each cycle is so long from the next on; what is known stays."""
+        if cycle_s == self._cycle_s:
+            return
+        states = self._response.states
+        self._set_cycle(cycle_s)
+        self._response.states = states
+        self._set_inertia()
+        self._set_kicks()
+        self._may_be.clear()
+        self._begin_window()
 
     def begin(self, positions_m: Sequence[float], speed_m_s: float) -> None:
         """The web is let go with the driven rollers (N,) there; it has this speed, 0 at rest."""

@@ -51,15 +51,11 @@ class LineWithStationsTwin:
         self._model = model
         self._shape = shape
         self._told = told
-        self._cycle_s = cycle_s
         self._per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in axes]
-        least_m = least_way_m(model)
-        self._pairing = Pairing(least_m) if isfinite(least_m) else OwnWays(model.position_unit, cycle_s)
         self._web_m = sum(model.span_length_m(span) for span in range(1, model.span_count + 1))
         self._before = axes_before_spans(model)
-        told_by = {self._before[span - 1]: span for span in shape.simulated}
-        self._watch = SectionWatch(model, cycle_s, told_by, self._unknowns.varied.unknowns, shape.measured)
-        self._limited = False
+        self._set_cycle(cycle_s)
+        self._limited = self._doubted = False
         self._unknown_m = 0.0  # so much web that could not be known is still in the line
         self._missed = 0
         self._residuals_Nm = [0.0] * model.axis_count
@@ -69,6 +65,28 @@ class LineWithStationsTwin:
         driven = [axis for axis in axes if axis not in shape.torqued]
         self._of_axes = {f"{name}{axis}_{unit}" for axis in driven for name, unit in _OF_AN_AXIS}
         self._of_axes |= {f"tau{axis}_Nm" for axis in shape.torqued}
+
+    def _set_cycle(self, cycle_s: float) -> None:
+        model, shape, least_m = self._model, self._shape, least_way_m(self._model)
+        self._cycle_s = cycle_s
+        self._pairing = Pairing(least_m) if isfinite(least_m) else OwnWays(model.position_unit, cycle_s)
+        told_by = {self._before[span - 1]: span for span in shape.simulated}
+        self._watch = SectionWatch(model, cycle_s, told_by, self._unknowns.varied.unknowns, shape.measured)
+
+    def doubt(self, *, doubted: bool) -> None:
+        """See `TwinMachine`."""
+        self._doubted = doubted
+
+    def go_by(self, cycle_s: float) -> None:
+        """Each cycle is so long from the next on; see `TwinMachine`. What was found meanwhile stays."""
+        self.plant.lock_to(cycle_s)
+        self._unknowns.go_by(cycle_s)
+        self._set_cycle(cycle_s)
+        self._watch.reset(under_way=True)
+        self._missed = 0
+
+    def keep(self) -> None:
+        """Nothing is gone back to: what is found wrongly is soon corrected."""
 
     @property
     def problems(self) -> Mapping[int, Problem | None]:
@@ -127,7 +145,7 @@ class LineWithStationsTwin:
         self._look_for_breaks(time_s, positions, [torque for _, torque in measured])
         left = np.array([torque - port.torque_Nm for (_, torque), port in zip(measured, self.ports, strict=True)])
         self._residuals_Nm = (left - self._unknowns.torques_missing_Nm).tolist()
-        limited, since_s = self._limited or self._watch.doubtful, self._watch.slips_since_s
+        limited, since_s = self._limited or self._watch.doubtful or self._doubted, self._watch.slips_since_s
         if self._unknowns.compare(time_s, left, limited=limited, slips_since_s=since_s):
             self._watch.corrected(self._unknowns.varied)
             self._take_moduli()
@@ -141,7 +159,7 @@ class LineWithStationsTwin:
     def _look_for_breaks(self, time_s: float, positions_m: Sequence[float], torques_Nm: Sequence[float]) -> None:
         """What has torn, slips, or is slack."""
         self._limited = any(port.torque_limited for port in self.ports)
-        if self._limited:
+        if self._limited or self._doubted:
             self._watch.suspend()
         else:
             unknowns = self._unknowns

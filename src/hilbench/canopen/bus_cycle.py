@@ -1,0 +1,98 @@
+"""How long a cycle of the bus is, by the clock of a twin that nobody paces.
+
+The config says how often SYNC comes; who sends it may go by another config, or be another master. What SYNC does for
+long enough is the cycle from then on. Until then, and as long as SYNC flutters, cycles of the length that is gone by
+are counted: as many as there were in that time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from hilbench.canopen.sync_time import SyncTime
+
+#: EMCY error code: SYNC comes by another cycle than the config's (CiA 301: FFxxh, device specific).
+OTHER_CYCLE: Final = 0xFF19
+#: By how much another cycle differs from the one that is gone by: no clock is so wrong; from what difference on it does
+#: so whatever jitters; and how much a period goes to and fro that is the same.
+_ANOTHER, _PARTED, _SAME = 5e-3, 2e-2, 1e-2
+#: SYNC must have had the new period for so long, and so often; and twice as long each time when the last change is not
+#: so long ago, up to the longest.
+_LASTS_NS, _PERIODS, _LONGEST_NS = 250_000_000, 10, 64_000_000_000
+_SELDOM_NS = 60_000_000_000
+#: Shortest and longest cycle, as of a config.
+_SHORTEST_NS, _MOST_NS = 500_000, 100_000_000
+#: A period that is so near to one which 60C2h can express (a number up to 255 and a power of ten) is that one.
+_EXPRESSED, _LARGEST = 2e-3, 255
+
+
+class BusCycle:
+    """Follows SYNC by `now_ns`; `cycle_ns`: as the config has it."""
+
+    def __init__(self, cycle_ns: int, now_ns: Callable[[], int]) -> None:
+        self._cycle_ns = cycle_ns
+        self._now_ns = now_ns
+        self._sync = SyncTime(cycle_ns)
+        self._lasts_ns = _LASTS_NS
+        self._changed_ns: int | None = None
+        self._due_ns = 0  # since SYNC has parted from the cycle, less the cycles that were counted
+        self._hold(0)
+
+    def _hold(self, period_ns: int) -> None:
+        """SYNC has this period from now on; 0: that of the cycle."""
+        self._period_ns, self._since_ns, self._periods = period_ns, self._sync.at_ns or 0, 0
+
+    @property
+    def in_step(self) -> bool:
+        """Whether SYNC comes by the cycle that is gone by, as far as jitter lets that be seen at once."""
+        return abs(self._period_ns - self._cycle_ns) <= _PARTED * self._cycle_ns if self._period_ns else True
+
+    def heard(self, behind: int) -> int:
+        """A SYNC was read, and `behind` more wait; how many cycles have passed since the one before: more than 1 after
+        lost ones, 0 for one too many. Of the first it is 1."""
+        first = self._sync.at_ns is None
+        periods = self._sync.heard(self._now_ns(), behind)
+        passed_ns = periods * self._sync.period_ns
+        jumped = self._sync.pop_new_period()
+        period_ns = self._sync.period_ns
+        if abs(period_ns - self._cycle_ns) <= _ANOTHER * self._cycle_ns:
+            self._hold(0)
+            self._due_ns = 0
+            return 1 if first else periods
+        if jumped or abs(period_ns - self._period_ns) > _SAME * self._period_ns:
+            self._hold(period_ns)
+        else:
+            self._periods += periods
+        self._due_ns += passed_ns
+        cycles = round(self._due_ns / self._cycle_ns)
+        self._due_ns -= cycles * self._cycle_ns
+        return cycles
+
+    def pop_other(self) -> int | None:
+        """The cycle (ns) that is gone by from here on, where that is another one than before; to be asked after each
+        SYNC."""
+        lasted_ns = (self._sync.at_ns or 0) - self._since_ns
+        if not self._period_ns or self._periods < _PERIODS or lasted_ns < self._lasts_ns:
+            return None
+        cycle_ns = _as_expressed(lasted_ns // self._periods)
+        is_another = abs(cycle_ns - self._cycle_ns) > _ANOTHER * self._cycle_ns
+        if not (is_another and _SHORTEST_NS <= cycle_ns <= _MOST_NS):
+            return None
+        now_ns = self._now_ns()
+        again = self._changed_ns is not None and now_ns - self._changed_ns < _SELDOM_NS
+        self._lasts_ns = min(2 * self._lasts_ns, _LONGEST_NS) if again else _LASTS_NS
+        self._changed_ns = now_ns
+        self._cycle_ns = cycle_ns
+        self._hold(0)
+        self._due_ns = 0
+        return cycle_ns
+
+
+def _as_expressed(period_ns: int) -> int:
+    """The period as 60C2h of drives can say it, where it is one of those: as measured it is off by what clocks are."""
+    unit_ns = 1
+    while period_ns / unit_ns > _LARGEST:
+        unit_ns *= 10
+    said_ns = round(period_ns / unit_ns) * unit_ns
+    return said_ns if abs(said_ns - period_ns) <= _EXPRESSED * period_ns else period_ns
