@@ -4,14 +4,15 @@ makes of it whose model has nothing of it."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from tests.independent_line.line import STEP_OF_E, Hidden, Line, effect
+from tests.independent_line.line import STEP_OF_E, Hidden, Line, Record, effect
 
 from hilbench.diagnosis.synchronization import measurements_of, twin_config
-from hilbench.estimation.web_line.config import SynchronizerConfig
-from hilbench.estimation.web_line.offline import run_offline
+from hilbench.estimation.nuisance import Nuisance
+from hilbench.estimation.web_line.config import ChangepointConfig, SynchronizerConfig
+from hilbench.estimation.web_line.offline import Track, run_offline
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 from hilbench.runs.figures import ESTIMATE_BAND, overshoot_pct, time_to_stay
@@ -67,21 +68,28 @@ def outcome_of(
     line: Line, method: SynchronizerConfig, profile: str, *, seed: int = 0, duration_s: float | None = None
 ) -> Outcome:
     """What becomes of this line, in which E steps once."""
-    record = line.record(profile, seed=seed, duration_s=duration_s)
-    data = measurements_of(Recording(record.channels), profile)
-    track = run_offline(ModelParameters.model_validate(line.model), twin_config(method), data)
-    true = record.truth["E_true_Pa"]
+    record, track = _track(line, method, profile, seed, duration_s)
+    t_s, true = record.channels["t_s"], record.truth["E_true_Pa"]
     error = track.E_Pa / true - 1.0
     step = int(np.flatnonzero(np.diff(true))[-1]) + 1
-    scored = data.t_s >= SCORED_FROM_S
+    scored = t_s >= SCORED_FROM_S
     inside = np.abs(track.E_Pa - true) <= 1.96 * track.E_sd_Pa
     return Outcome(
         100.0 * float(error[-1]),
         100.0 * float(track.E_sd_Pa[-1] / true[-1]),
         float(np.mean(inside[scored])),
-        time_to_stay(data.t_s, error, ESTIMATE_BAND, step),
+        time_to_stay(t_s, error, ESTIMATE_BAND, step),
         overshoot_pct(track.E_Pa, true, step),
     )
+
+
+def _track(
+    line: Line, method: SynchronizerConfig, profile: str, seed: int, duration_s: float | None
+) -> tuple[Record, Track]:
+    """A run of the line, and what a twin makes of it whose model has nothing of what is hidden."""
+    record = line.record(profile, seed=seed, duration_s=duration_s)
+    data = measurements_of(Recording(record.channels), profile)
+    return record, run_offline(ModelParameters.model_validate(line.model), twin_config(method), data)
 
 
 @dataclass(frozen=True)
@@ -127,6 +135,39 @@ def drawn(seed: int) -> Drawn:
 
 def _either(rng: np.random.Generator, low: float, high: float) -> float:
     return float(rng.uniform(low, high)) * float(rng.choice([-1.0, 1.0]))
+
+
+@dataclass(frozen=True)
+class Accelerated:
+    """The mass by which the measured torque of a drawn line accelerates, over the model's, less 1: as it is, as a twin
+    has found it, and the deviation that it states."""
+
+    seed: int
+    profile: str
+    true: float
+    found: Nuisance
+
+    @property
+    def held(self) -> bool:
+        """Whether the 95 % interval holds what is."""
+        return abs(self.found.value - self.true) <= 1.96 * self.found.deviation
+
+
+def accelerated(seed: int) -> Accelerated:
+    """Of a line as `drawn` (its machine, profile and step of E), in which inertia and scale of the torque are drawn,
+    and beside them, every other time, friction."""
+    case, rng = drawn(seed), np.random.default_rng([seed, 99])
+    inertia, scale = float(rng.normal(0.0, 0.1)), float(rng.normal(0.0, 0.05))
+    hidden = [
+        effect("inertia_mismatch", 2, relative_change=inertia),
+        effect("torque_scale", 2, relative_change=scale),
+    ]
+    if seed % 2:
+        hidden += [_SIZES[name](rng, 0.5 * case.line.upstream_N) for name in ("coulomb_friction", "viscous_friction")]
+    line = replace(case.line, hidden=[*hidden, case.line.hidden[-1]])
+    track = _track(line, ChangepointConfig(), case.profile, seed, case.duration_s)[1]
+    (found,) = [error for error in track.errors if error.name == "inertia_share"]
+    return Accelerated(seed, case.profile, (1.0 + inertia) / (1.0 + scale) - 1.0, found)
 
 
 #: What may be drawn: sizes that lines have, those of forces in shares of the tension.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.estimation.hidden_beside_a_step import drawn, outcome, outcome_of
+from tests.estimation.hidden_beside_a_step import accelerated, drawn, outcome, outcome_of
 from tests.estimation.runs import measured, stepped, tracked
 from tests.tiers import slow
 
@@ -42,6 +42,17 @@ def test_what_is_drawn_is_no_more_wrong_than_is_said(seed: int) -> None:
     found = outcome_of(case.line, ChangepointConfig(), case.profile, seed=seed, duration_s=case.duration_s)
     assert found.covered >= 0.93, (str(case), found)
     assert abs(found.end_pct) <= 1.96 * found.stated_pct
+
+
+@pytest.mark.slow
+def test_what_is_told_of_the_inertia_is_what_the_torque_shows_of_it() -> None:
+    """Inertia and scale of the torque are drawn: a motor that pulls less accelerates less."""
+    found = [accelerated(seed) for seed in range(10)]
+    told = [each for each in found if each.found.separable]
+    assert len(told) >= 8
+    assert sum(each.held for each in told) >= len(told) - 1
+    # With nothing known the errors would be as large as what was drawn.
+    assert np.std([each.found.value - each.true for each in told]) < 0.5 * np.std([each.true for each in told])
 
 
 @pytest.mark.parametrize(

@@ -76,9 +76,16 @@ def test_a_run_adds_errors_of_the_model_that_its_twin_could_tell(stand: Path) ->
     friction, row = told[VISCOUS], rows[VISCOUS]
     assert row.quantity.value == friction["value"]
     assert row.quantity.sd == pytest.approx((friction["ci95"][1] - friction["ci95"][0]) / 3.92, rel=1e-3)
-    assert not {"torque_scale", "inertia_mismatch"} & {each["effect"] for each in result["estimated"]}, (
-        "they are taken for each other"
-    )
+
+
+def test_the_inertia_enters_as_the_torque_shows_it_with_what_does_the_same(stand: Path) -> None:
+    result = json.loads(next(stand.glob("runs/*/result.json")).read_text())
+    (told,) = [each for each in result["estimated"] if each["effect"] == "inertia_mismatch"]
+    row = named(History(stand / "history.sqlite"))["axis2.inertia_mismatch.relative_change"]
+    assert (row.quantity.value, row.quantity.unit) == (told["value"], "1")
+    assert told["ci95"][0] < 0.0 < told["ci95"][1]
+    assert row.quantity.tied_with == "torque_scale"
+    assert not [each for each in result["estimated"] if each["effect"] == "torque_scale"]
 
 
 @pytest.mark.slow

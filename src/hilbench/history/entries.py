@@ -127,7 +127,8 @@ def _beside(folder: RunFolder) -> Iterator[Quantity]:
     for each in Result.read(folder.result).estimated or ():
         if each.separable:
             sd = (each.ci95[1] - each.ci95[0]) / (2.0 * _NORMAL_95)
-            yield Quantity(f"{each.place}.{each.effect}.{each.parameter}", each.value, sd, each.unit)
+            tied = ", ".join(each.tied_with)
+            yield Quantity(f"{each.place}.{each.effect}.{each.parameter}", each.value, sd, each.unit, tied)
 
 
 def _place(effect: Mapping[str, Any]) -> str:

@@ -35,7 +35,7 @@ _LINES, _ARROW, _BECAME, _WHAT = 0.77, 0.73, 0.79, 0.87
 
 
 #: Columns of the table of what the twin found of errors of its model.
-ESTIMATED_COLUMNS: Final = ("Effect", "Where", "Parameter", ">Value", ">95 %", "Unit")
+ESTIMATED_COLUMNS: Final = ("Effect", "Where", "Parameter", ">Value", ">95 %", "Unit", "Could also be")
 
 
 def estimated_rows(result: Result) -> list[tuple[str, ...]]:
@@ -48,6 +48,7 @@ def estimated_rows(result: Result) -> list[tuple[str, ...]]:
             f"{each.value:.3g}",
             f"{each.ci95[0]:.3g} to {each.ci95[1]:.3g}",
             each.unit,
+            ", ".join(each.tied_with).replace("_", " "),
         )
         for each in result.estimated or []
         if each.separable

@@ -328,7 +328,8 @@ class FoundParameter(Strict):
 class EstimatedRecord(Strict):
     """A parameter of an effect as the twin found it while the machine ran, with its 95 % interval, and where.
 
-    Not `separable`: the data of the run don't tell it; the interval is what was assumed before.
+    Not `separable`: the data of the run don't tell it; the interval is what was assumed before. `tied_with`: effects
+    that it can't be told from: the value is that where they are not there.
     """
 
     effect: str
@@ -338,6 +339,7 @@ class EstimatedRecord(Strict):
     ci95: tuple[float, float]
     unit: str
     separable: bool
+    tied_with: list[str] = Field(default_factory=list)
 
     @classmethod
     def of(cls, found: FoundBeside) -> Self:
@@ -351,6 +353,7 @@ class EstimatedRecord(Strict):
             ci95=(found.value - half, found.value + half),
             unit=find_effect(found.effect).parameter(found.parameter).unit,
             separable=found.separable,
+            tied_with=list(found.tied_with),
         )
 
 

@@ -14,7 +14,7 @@ class FoundBeside:
 
     `place`: where, as the history of a stand names it: ``axis2``, or what the kind of machine calls it. `deviation`:
     standard deviation, in the unit of the parameter. Not `separable`: the data don't tell it; value and deviation are
-    what was assumed.
+    what was assumed. `tied_with`: effects that do the same to the data: the value is that where they are not there.
     """
 
     effect: str
@@ -23,6 +23,7 @@ class FoundBeside:
     value: float
     deviation: float
     separable: bool
+    tied_with: tuple[str, ...] = ()
 
 
 def as_text(found: Sequence[FoundBeside]) -> str:
@@ -34,6 +35,6 @@ def read_text(text: str) -> list[FoundBeside]:
     """The same, read. Raises ValueError for what is none of it."""
     try:
         rows: list[dict[str, Any]] = json.loads(text) if text else []
-        return [FoundBeside(**row) for row in rows]
+        return [FoundBeside(**row | {"tied_with": tuple(row.get("tied_with", ()))}) for row in rows]
     except TypeError as error:
         raise ValueError(f"{error}, expected parameters of effects") from None

@@ -71,6 +71,8 @@ _CURVE = 0.05
 _MOST_SWAY = 0.05
 #: A parameter counts as told apart when the data have shrunk its prior deviation to this share.
 _SEPARABLE = 0.7
+#: The deviation of what accelerates counts so many times: the blocks of a ramp err alike.
+_ALIKE_IN_A_RAMP = 1.5
 #: Relative difference of the radii up to which the rollers' angles are one.
 _SAME_RADIUS = 0.01
 _TORQUE_NOISE_NM, _TORQUE_FLOOR_NM = 0.05, 1e-4
@@ -80,8 +82,6 @@ _NAMES = {
     "torque_offset_Nm": filters.OFFSET,
     "dry_friction_N": filters.DRY,
     "viscous_friction_N_s_per_m": filters.VISCOUS,
-    "torque_scale": filters.SCALE,
-    "inertia_share": filters.MASS,
     "creep_per_N": filters.CREEP,
 }
 
@@ -465,13 +465,18 @@ class ModelErrors:
 
     def found(self) -> tuple[Nuisance, ...]:
         """What is estimated beside E by now, by the filter that allows for all of it; of an eccentricity (of roller 2,
-        and of one of equal radius before it) the amplitude."""
+        and of one of equal radius before it) the amplitude. The mass is that by which the measured torque accelerates:
+        its error and that of the torque's scale are told together, which of them it is by nothing that they do."""
         mean, deviations = self._z[-1], np.sqrt(np.diag(self._p[-1]))
         rows = []
         for name, place in _NAMES.items():
             unit = self._force_per_torque if place == filters.OFFSET else 1.0
             deviation, prior = deviations.item(place), self._priors.item(place)
             rows.append(Nuisance(name, mean.item(place) / unit, deviation / unit, deviation < _SEPARABLE * prior))
+        both = [filters.SCALE, filters.MASS]
+        deviation = _ALIKE_IN_A_RAMP * sqrt(self._p[-1][np.ix_(both, both)].sum())
+        separable = deviation < _SEPARABLE * self._priors.item(filters.MASS)
+        rows.append(Nuisance("inertia_share", float(mean[both].sum()), deviation, separable))
         wobble = slice(filters.COS2, filters.COS2 + 2)
         deviation = float(np.hypot(*deviations[wobble]))
         separable = deviation < _SEPARABLE * float(np.hypot(*self._priors[wobble]))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.estimation.web_line.even_rows import EvenRows, even_rows
 from hilbench.estimation.web_line.measurements import Measurements
@@ -29,6 +30,7 @@ class Track:
     residual_Nm: Array
     nuisances: dict[str, tuple[Array, Array]]  #: value and deviation by name
     synchronizer_us: float | None  #: mean CPU time of a cycle of the method alone; None where it was not measured
+    errors: tuple[Nuisance, ...] = ()  #: of the model, as they are known at the end
 
 
 def remarks(model: ModelParameters, data: Measurements) -> list[str]:
@@ -85,6 +87,7 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
         residual[at],
         {name: (values[at], deviations[at]) for name, (values, deviations) in others.items()},
         spent_ns / 1000.0 / n,
+        tracking.errors,
     )
 
 

@@ -10,16 +10,17 @@ from hilbench.plant.effects import find_effect
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.twin.found import FoundBeside
 
-#: Effect and parameter of each error that is handed out, by the name that the estimator gives it. Scale of the torque
-#: and inertia are not: a run tells them apart only while it accelerates, and their intervals leave out the neutral
-#: value on a machine that has neither.
+#: Effect and parameter of each error that is handed out, by the name that the estimator gives it.
 _EFFECTS: Final = {
     "torque_offset_Nm": ("torque_offset", "offset_Nm"),
     "dry_friction_N": ("coulomb_friction", "force_N"),
     "viscous_friction_N_s_per_m": ("viscous_friction", "coefficient_N_s_per_m"),
     "creep_per_N": ("web_slip", "creep_per_N"),
+    "inertia_share": ("inertia_mismatch", "relative_change"),
     "eccentricity_m": ("roller_eccentricity", "amplitude_m"),
 }
+#: What the data do not tell an error from: a motor that pulls less accelerates less, as a heavier roller does.
+_TIED: Final = {"inertia_share": ("torque_scale",)}
 
 
 def as_effects(errors: Sequence[Nuisance], model: ModelParameters, span: int) -> Iterator[FoundBeside]:
@@ -37,6 +38,10 @@ def as_effects(errors: Sequence[Nuisance], model: ModelParameters, span: int) ->
         own = next((entry for entry in model.effects if entry.effect == effect and entry.axis == axis), None)
         if own is not None and error.name == "eccentricity_m":
             continue  # two that are at different angles do not add up
-        value = error.value + (0.0 if own is None else own.parameters.get(parameter, 0.0))
+        of_model = 0.0 if own is None else own.parameters.get(parameter, 0.0)
+        value, deviation = of_model + error.value, error.deviation
+        if error.name == "inertia_share":  # of the mass as the model has it
+            value, deviation = (1.0 + of_model) * (1.0 + error.value) - 1.0, (1.0 + of_model) * deviation
         place = f"axis{axis}" if of_axis else ("web" if alone else f"span{span}")
-        yield FoundBeside(effect, parameter, place, value, error.deviation, error.separable)
+        tied_with = _TIED.get(error.name, ())
+        yield FoundBeside(effect, parameter, place, value, deviation, error.separable, tied_with)
