@@ -12,7 +12,8 @@ to part, and the deviation says how far. Each span is told the strains of the ot
 
 At rest they stay the same, however long it lasts. There one roller has to move against the other by a little. Then, and
 at rest, dry friction that the model does not know takes up an unknown part of the tension: one that goes with the
-direction of a slow motion, and one at rest, beside the two, each as large as is usual.
+direction of a slow motion, and one at rest, beside the two, each as large as is usual. The one at rest is the same
+until the web pulls otherwise: what a roller stands under goes along with that, whether it breaks loose or not.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ _LEAST_SHARE = 0.01
 #: Speeds (m/s, behind the filter) up to which a roller stands, and from which on all of its dry friction goes with its
 #: direction. That counts as unknown below `SLOW_M_S`: where the line runs, it is for `model_errors`.
 _STANDS_M_S, _MOVES_M_S = 1e-4, FRICTION_WIDTH_M_S
+#: Change of the strain, relative, from which on a web pulls otherwise than when its roller came to rest.
+_PULLED = 0.02
 #: Deviations beyond which friction is there.
 _SURE = 4.0
 #: What is left at least of a web that goes to and fro with the rollers, as a movement at rest takes it.
@@ -91,7 +94,8 @@ class FoundRunning:
         self._square = 0.0
         self._count = 0
         self._has_rested = False
-        self._has_moved = False  # another time friction at rest would take up another part
+        self._rests_at = 0.0  # what the web pulls with per E there, behind the filter
+        self._has_moved = False  # from then on friction at rest takes up another part
 
     @property
     def passes(self) -> bool:
@@ -120,10 +124,15 @@ class FoundRunning:
         speed_m_s = float(row[2])
         stands = abs(speed_m_s) <= _STANDS_M_S and not self._has_moved
         moves = abs(speed_m_s) >= _MOVES_M_S
+        # A roller that stands takes up what it is pulled by more, and stands as long as its friction can do that.
+        if stands and self._has_rested and abs(row[0] - self._rests_at) > _PULLED * abs(self._rests_at):
+            stands, self._has_moved = False, True
         # Several rollers count as one only when they do the same.
         stands = stands and self._webs.go_along(self._span, 0.0, _STANDS_M_S)
         moves = moves and self._webs.go_along(self._span, speed_m_s, _MOVES_M_S)
-        self._has_rested, self._has_moved = self._has_rested or stands, self._has_moved or moves
+        if stands and not self._has_rested:
+            self._has_rested, self._rests_at = True, float(row[0])
+        self._has_moved = self._has_moved or moves
         if not (stands or moves):  # friction may be anything between its two values
             return self.found
         regressors = np.zeros(self._unknowns)
