@@ -1,4 +1,5 @@
-"""The line of three spans on the kernel's bus and on two CAN controllers of one wire: the bits of the embedded bus.
+"""The line of three spans on the kernel's bus, on two CAN controllers of one wire, and in one process without a bus:
+the bits of the embedded bus.
 
 HILBENCH_VCAN and HILBENCH_CAN name the interfaces, HILBENCH_EMBEDDED_RUN the folder with the run on the embedded bus.
 """
@@ -32,10 +33,11 @@ def assert_is_that_of_the_embedded_bus(runs: Path) -> None:
     assert [name for name in found.channels if not np.array_equal(found[name], expected[name])] == []
 
 
-def test_every_signal_on_the_kernels_bus(tmp_path: Path) -> None:
+@pytest.mark.parametrize("where", ["on the kernel's bus", "in one process"])
+def test_every_signal(where: str, tmp_path: Path) -> None:
+    how = ["--in-process"] if where == "in one process" else ["--bus", f"socketcan:{os.environ['HILBENCH_VCAN']}"]
     command = [sys.executable, "-m", "hilbench.cli", "run", str(CONFIG), "--no-report", "--out", str(tmp_path / "runs")]
-    bus = f"socketcan:{os.environ['HILBENCH_VCAN']}"
-    done = subprocess.run([*command, "--bus", bus], capture_output=True, text=True, check=False)
+    done = subprocess.run([*command, *how], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert_is_that_of_the_embedded_bus(tmp_path / "runs")
 
