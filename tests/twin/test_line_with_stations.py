@@ -62,6 +62,24 @@ def test_a_twin_that_joins_under_way_finds_a_sprung_dancer() -> None:
         assert np.max(np.abs(found[f"F{span}_sim_N"] - found[f"F{span}_true_N"])[settled]) < 1.5
 
 
+@pytest.mark.parametrize("speed_m_s", [1.0, *slow(0.5, 2.0)])
+def test_a_web_that_a_twin_joins_under_way_does_not_swing_for_it(speed_m_s: float) -> None:
+    """The measurement with which it is let go is the first that is compared: no way of two cycles in one."""
+    believed = dancer_line()
+    line = BesideStations(IndependentDancer(), believed, believed, measured=("dancer",))  # type: ignore[arg-type]
+    speeds = [speed_m_s] * 3
+    line.go(1.0, *speeds, ramp_s=1.0, with_twin=False)
+    line.go(1.5, *speeds, with_twin=False)
+    line.go(2.5, *speeds)
+    found = line.table()
+    off_N = np.abs(found["F4_sim_N"] - found["F4_true_N"])
+    # It begins with the tension that the model has.
+    assert abs(found["F4_true_N"][0] - 80.0) > 1.0
+    assert np.max(off_N) < abs(found["F4_true_N"][0] - 80.0) + 1.0
+    assert np.max(off_N[after(found, 0.1)]) < 1.0
+    assert np.max(np.abs(off_by(found, "x_dancer"))) < 2e-4
+
+
 def test_of_a_dancer_with_a_constant_force_that_is_joined_the_twin_says_that_it_knows_no_place() -> None:
     line = beside(dancer_line(), dancer_line())
     line.go(1.0, 1.0, 1.0, 1.0, ramp_s=1.0, with_twin=False)

@@ -111,6 +111,9 @@ class LineWithStationsTwin:
         self._pairing.reset()
         if not (self._pairing.update(*last) and self._pairing.update(*positions)):
             return False
+        # From where they were a cycle before: the same measurement is compared next.
+        self._pairing.reset()
+        self._pairing.update(*last)
         self._positions_m, self._missed = positions, 0
         moves = max(abs(x - then) for x, then in zip(positions, last, strict=True)) > 1e-3 * self._cycle_s
         self._watch.reset(under_way=moves)
@@ -119,7 +122,6 @@ class LineWithStationsTwin:
         speeds = [(x - then) / self._cycle_s if moves else 0.0 for x, then in zip(positions, last, strict=True)]
         # Reels turn at what their radius makes of the speed of the web, by which the others turn.
         of_rollers = [v for axis, v in enumerate(speeds, 1) if axis not in self._reels] or speeds
-        # From where they were a cycle before: the same measurement is compared next.
         self._unknowns.begin(last, sum(of_rollers) / len(of_rollers))
         states: dict[str, float] = {}
         for axis, (x, v, (_, torque)) in enumerate(zip(positions, speeds, now, strict=True), 1):
