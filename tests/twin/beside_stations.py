@@ -60,6 +60,20 @@ def dancer_line(youngs_modulus_Pa: float = 8.7e9, *, next_N: float = 70.0, **dan
     )
 
 
+def guided_line(youngs_modulus_Pa: float = 8.7e9, **changes: Any) -> ModelParameters:
+    """Of three driven rollers, with guide rollers in between."""
+    guide = {"type": "idler", "radius_m": 0.06, "inertia_kg_m2": 0.004}
+    driven = {"type": "roller"}
+    return ModelParameters.model_validate(
+        PAPER
+        | {
+            "web": PAPER["web"] | {"youngs_modulus_Pa": youngs_modulus_Pa},
+            "stations": [driven, guide | {"name": "first"}, driven, guide | {"name": "second"}, driven],
+        }
+        | changes
+    )
+
+
 def winding_line(radii_m: tuple[float, float] = (0.25, 0.12), **web: Any) -> ModelParameters:
     """An unwinder, a press and a rewinder, of whose reels these are the radii at the start."""
     reel = {"core_radius_m": 0.05, "density_kg_m3": 300.0}
@@ -99,11 +113,13 @@ class BesideStations:
         believed: ModelParameters,
         measured: tuple[str, ...] = (),
         seed: int = 1,
+        config: EstimationConfig | None = None,
     ) -> None:
+        config = config or EstimationConfig()
         controls: list[ControllerConfig] = [TensionControlConfig(span=believed.span_count)]
-        self.shape = web_line_shape(believed, (), EstimationConfig(), controls, measured)
+        self.shape = web_line_shape(believed, (), config, controls, measured)
         self._said = dict(boundary(believed, self.shape))
-        self.twin = LineWithStationsTwin(believed, self.shape, CYCLE_S, self._said.__getitem__)
+        self.twin = LineWithStationsTwin(believed, config, self.shape, CYCLE_S, self._said.__getitem__)
         self.line, self._true = line, true
         self.time_s, self.cycles = 0.0, 0
         self._rng = np.random.default_rng(seed)
@@ -173,8 +189,12 @@ class BesideStations:
 
 
 def beside(
-    true: ModelParameters, believed: ModelParameters, measured: tuple[str, ...] = (), seed: int = 1
+    true: ModelParameters,
+    believed: ModelParameters,
+    measured: tuple[str, ...] = (),
+    seed: int = 1,
+    config: EstimationConfig | None = None,
 ) -> BesideStations:
     """The twin beside the plant."""
     line = Line(true, [MotorPort() for _ in range(true.axis_count)])
-    return BesideStations(line, true, believed, measured, seed)
+    return BesideStations(line, true, believed, measured, seed, config)

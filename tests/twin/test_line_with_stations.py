@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests.tiers import slow
-from tests.twin.beside_stations import Array, BesideStations, beside, dancer_line, winding_line
+from tests.twin.beside_stations import CYCLE_S, Array, BesideStations, beside, dancer_line, guided_line, winding_line
 from tests.twin.independent_dancer import IndependentDancer
 from tests.twin.independent_winding import IndependentWinding
+
+from hilbench.estimation.web_line.config import EstimationConfig
 
 SPRUNG = {"spring_N_per_m": 800.0, "spring_rest_m": 0.1}
 #: Of the web beside the dancer, two strands.
@@ -149,6 +151,38 @@ def test_E_of_a_line_that_a_twin_joins_at_rest_is_found_and_does_not_drift_as_th
     error = found["E2_sim_Pa"] / (factor * 2e8) - 1.0
     assert np.max(np.abs(error[after(found, 0.2)])) < 0.01
     assert np.all(found["E2_sd_Pa"][after(found, 0.2)] < 0.03 * factor * 2e8)
+
+
+@pytest.mark.parametrize(
+    ("factor", "strained"),
+    [(1.1, (1.5, 0.6)), *slow((0.85, (0.6, 1.4)), (1.2, (0.6, 1.5)), (1.0, (1.0, 1.0)), (1.22, (1.6, 1.2)))],
+)
+def test_a_web_at_rest_between_idlers_that_nobody_knows_is_told_with_E_once_it_has_left(
+    factor: float, strained: tuple[float, float]
+) -> None:
+    """E `factor` of what is believed, both sections strained so many times as the web upstream."""
+    true, believed = guided_line(factor * 8.7e9), guided_line()
+    line = beside(true, believed, config=EstimationConfig(web_at_rest="unknown"))
+    strains = {f"strain{span}": strained[span > 2] * true.upstream_strain for span in range(1, 5)}
+    line.line.set_state(strains)
+    line.go(0.5, 0.0, 0.0, 0.0, with_twin=False)
+    line.go(1.5, 0.0, 0.0, 0.0)
+    rests = len(line.table()["t_s"])
+    line.go(3.5, 3.0, 3.0, 3.0, ramp_s=2.0)
+    line.go(6.5, 3.0, 3.0, 3.0)
+    found = line.table()
+    error, deviation = found["E4_sim_Pa"] / (factor * 8.7e9) - 1.0, found["E4_sd_Pa"] / 8.7e9
+    assert np.all(np.isinf(deviation[:rests]))  # until the web of all spans has left, after 9 m
+    told = np.isfinite(deviation)
+    assert np.count_nonzero(told) > 0.9 / CYCLE_S
+    assert np.mean(np.abs(error[told]) <= 1.96 * deviation[told]) > 0.95
+    assert np.max(np.abs(error[told])) < 0.03
+    tensions = [name for name in found if name.endswith("_sim_N")]
+    assert len(tensions) == 2
+    for name in tensions:
+        apart_N = found[name] - found[name.replace("sim", "true")]
+        assert np.max(np.abs(apart_N[rests // 2 : rests])) < 2.0  # what they pull with shows at rest
+        assert np.max(np.abs(apart_N[told])) < 0.04 * 80.0
 
 
 @pytest.mark.parametrize(

@@ -225,7 +225,8 @@ def estimate_misfits(twin: EstimationConfig, machine: ModelParameters) -> Iterat
     yield from _each_once(given, machine.span_count, "E of a span is found in one way")
     unknown = "'web_at_rest: unknown'" if twin.web_at_rest == "unknown" else ""
     if machine.stations is not None:
-        yield from [f"no {unknown} on a line with 'stations:', or {ONLY_DRIVEN}"] if unknown else []
+        if unknown and (machine.carriages or reel_axes(machine)):
+            yield f"no {unknown} on a line with 'stations:' but rollers and idlers"
         return
     methods = twin.by_span(machine.span_count)
     yield from filter(None, [_untold_misfit(unknown, methods, machine.span_count)])

@@ -22,7 +22,7 @@ def maker(model: MachineParameters) -> Callable[[TwinConfig, Shape, float, Told]
     if model.stations is not None:
         from hilbench.twin.machines.web_line_with_stations import LineWithStationsTwin
 
-        return lambda _, shape, cycle_s, told: LineWithStationsTwin(model, shape, cycle_s, told)
+        return lambda config, shape, cycle_s, told: LineWithStationsTwin(model, config, shape, cycle_s, told)
     from hilbench.twin.machines.web_line import WebLineTwin
 
     return lambda config, _, cycle_s, told: WebLineTwin(model, config, cycle_s, told)

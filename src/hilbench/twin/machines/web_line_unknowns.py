@@ -35,7 +35,11 @@ _MODULUS_SHARE: Final = 0.2
 _SECTION_SHARE: Final = 0.03  #: by which E of a section is another than that of the whole web
 #: By which E changes at once: that of the whole web, and besides that of a section.
 _JUMP_SHARE, _SECTION_JUMP_SHARE = 0.15, 0.15
-_STRAIN_AT_REST, _STRAIN_UNDER_WAY = 0.02, 0.5  #: of the strain with which the web comes in
+#: Share of a web of which nothing is known that has to have left before E is learned: until then it is the same as the
+#: strain to what is measured. And the deviation of E, relative, that learning both of them from their product adds.
+_SHOWN_FROM, _OF_PRODUCT = 0.1, 0.01
+#: Of the strain with which the web comes in: at rest, under way, and at rest where nobody knows it.
+_STRAIN_AT_REST, _STRAIN_UNDER_WAY, _STRAIN_UNKNOWN = 0.02, 0.5, 1.0
 #: Of its way. Of one that is under way nothing is believed but its stops, nor of one whose spring will tell.
 _CARRIAGE_AT_REST: Final = 0.01
 _USUAL_WAY_M: Final = 1.0  #: of a carriage without stops
@@ -136,6 +140,8 @@ class LineUnknowns:
         self._learns_slipping = np.zeros((len(kinds), len(self._offsets)), bool)
         self._learns_slipping[self._is_strain, : len(self._axes)] = True
         self._learns_slipping[~self._by_torque, len(self._axes) :] = True
+        #: The same of a web at rest of which nothing is known: one number says nothing of E and strain apart.
+        self._learns_unknown = np.repeat(~self._is_modulus[:, None], len(self._offsets), axis=1)
         lengths_m = [sum(model.span_length_m(k + 1) for k in spans) for spans in _sections(model)]
         self._keep_every_m, self._keep_m = _KEPT_EVERY * min(lengths_m), _KEPT_LENGTHS * max(lengths_m)
         self._web_m = sum(lengths_m)
@@ -174,14 +180,19 @@ class LineUnknowns:
         self._may_be.clear()
         self._begin_window()
 
-    def begin(self, positions_m: Sequence[float], speed_m_s: float) -> None:
-        """The web is let go with the driven rollers (N,) there; it has this speed, 0 at rest."""
+    def begin(self, positions_m: Sequence[float], speed_m_s: float, *, known: bool = True) -> None:
+        """The web is let go with the driven rollers (N,) there; it has this speed, 0 at rest. Not `known`: nobody knows
+        how a web at rest is strained."""
         self.varied.reset(positions_m, speed_m_s)
-        under_way = speed_m_s != 0.0
-        believed = np.diag([self._believed(each, under_way) ** 2 for each in self.varied.unknowns])
+        under_way = speed_m_s != 0.0 or not known
+        strained = _STRAIN_AT_REST if not under_way else _STRAIN_UNDER_WAY if speed_m_s else _STRAIN_UNKNOWN
+        believed = np.diag([self._believed(each, under_way, strained) ** 2 for each in self.varied.unknowns])
         # Which of E and strain makes the tension of a line that is joined under way is known once its web has left and
         # other has come; but behind a carriage, which keeps the tension, that comes with a strain that E has made.
         self._known_from_m = self._web_m if under_way else 0.0
+        unknown_at_rest = not known and speed_m_s == 0.0
+        self._moduli_from_m = _SHOWN_FROM * self._web_m if unknown_at_rest else 0.0
+        self._model_share = hypot(_MODEL_SHARE, _OF_PRODUCT if unknown_at_rest else 0.0)
         tells = not under_way or not self._model.carriages
         self._tells_moduli = tells and any(each.kind is Kind.MODULUS for each in self.varied.unknowns)
         nothing = np.zeros_like(believed)
@@ -208,7 +219,7 @@ class LineUnknowns:
         self._kept = deque([_Kept(-inf, 0.0, self._filter.belief, self._corrected)])
         self._begin_window()
 
-    def _believed(self, unknown: Unknown, under_way: bool) -> float:
+    def _believed(self, unknown: Unknown, under_way: bool, strained: float) -> float:
         if unknown.kind is Kind.CARRIAGE:
             station = self._model.carriages[unknown.number - 1].station
             ends = (station.lower_stop_m, station.upper_stop_m)
@@ -216,7 +227,7 @@ class LineUnknowns:
             known = not under_way and not self._shows_in_torques(unknown)
             return _CARRIAGE_AT_REST * way_m if known else way_m / sqrt(12.0)
         if unknown.kind is Kind.STRAIN:
-            return self._model.upstream_strain * (_STRAIN_UNDER_WAY if under_way else _STRAIN_AT_REST)
+            return self._model.upstream_strain * strained
         return _RADIUS_SHARE if unknown.kind is Kind.RADIUS else 0.0
 
     def _moduli_apart(self, common: float, apart: float) -> Vector:
@@ -324,6 +335,8 @@ class LineUnknowns:
         turned = self.varied.web_changed()
         jumps = turned @ self._jumps @ turned.T
         learns = self._learns_slipping if self._slips else None
+        if self._way_m < self._moduli_from_m:
+            learns = self._learns_unknown
         innovations, slopes = self._sum / count, self._slopes / count
         changes = self._filter.update(innovations, slopes, self._variances(count), jumps, learns)
         if self._filter.has_begun_to_change:
@@ -552,7 +565,7 @@ class LineUnknowns:
         if self._is_undecided(axis):
             return Found(modulus_Pa * factor, inf)
         deviation = self._deviation(Unknown(Kind.MODULUS, axis))
-        return Found(modulus_Pa * factor, modulus_Pa * hypot(deviation, _MODEL_SHARE))
+        return Found(modulus_Pa * factor, modulus_Pa * hypot(deviation, self._model_share))
 
     def _is_undecided(self, axis: int) -> bool:
         """Whether E of the section behind an axis may have changed, or that of one beside it, or web whose strain

@@ -16,6 +16,7 @@ from math import isfinite
 import numpy as np
 
 from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.pairing import OwnWays, Pairing
 from hilbench.plant.web_line.line import Line
@@ -39,7 +40,9 @@ class LineWithStationsTwin:
     tensions are those of the measured motion, whatever they were.
     """
 
-    def __init__(self, model: ModelParameters, shape: Shape, cycle_s: float, told: Told) -> None:
+    def __init__(
+        self, model: ModelParameters, config: EstimationConfig, shape: Shape, cycle_s: float, told: Told
+    ) -> None:
         axes = range(1, model.axis_count + 1)
         self.ports = tuple(MotorPort() for _ in axes)
         self.plant = Line(model, self.ports)
@@ -51,6 +54,9 @@ class LineWithStationsTwin:
         self._model = model
         self._shape = shape
         self._told = told
+        #: Whether a web that is found at rest may be strained by anything: with idlers alone that shows as it leaves.
+        self._shows_at_rest = not model.carriages and not shape.reels
+        self._known_at_rest = config.web_at_rest == "as_upstream"
         self._per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in axes]
         self._web_m = sum(model.span_length_m(span) for span in range(1, model.span_count + 1))
         self._before = axes_before_spans(model)
@@ -116,13 +122,14 @@ class LineWithStationsTwin:
         self._pairing.update(*last)
         self._positions_m, self._missed = positions, 0
         moves = max(abs(x - then) for x, then in zip(positions, last, strict=True)) > 1e-3 * self._cycle_s
-        self._watch.reset(under_way=moves)
-        self._unknown_m = self._web_m if moves else 0.0
-        self.synchronized = not moves
+        known = not moves and (not self._shows_at_rest or (self._known_at_rest and not under_way))
+        self._watch.reset(under_way=not known)
+        self._unknown_m = 0.0 if known else self._web_m
+        self.synchronized = known
         speeds = [(x - then) / self._cycle_s if moves else 0.0 for x, then in zip(positions, last, strict=True)]
         # Reels turn at what their radius makes of the speed of the web, by which the others turn.
         of_rollers = [v for axis, v in enumerate(speeds, 1) if axis not in self._reels] or speeds
-        self._unknowns.begin(last, sum(of_rollers) / len(of_rollers))
+        self._unknowns.begin(last, sum(of_rollers) / len(of_rollers), known=known)
         states: dict[str, float] = {}
         for axis, (x, v, (_, torque)) in enumerate(zip(positions, speeds, now, strict=True), 1):
             states |= {f"x{axis}_m": x, f"v{axis}_m_s": v, f"tau{axis}_Nm": torque}
