@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -13,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
-from tests.bench.whole_runs import STARTED, config, run, run_folders, run_here
+from tests.bench.whole_runs import config, run_folders, run_here
 
 from hilbench.bench.lifecycle import in_process
 from hilbench.canopen.bus_cycle import BusCycle
@@ -84,24 +80,3 @@ def test_the_loop_works_on_it_as_on_a_twin_whose_config_has_the_cycle_of_the_ben
     assert np.array(largest[1]) == pytest.approx(largest[0], abs=0.5, rel=0.5)
     assert largest[1][1] < 0.015
     assert texts(result) == [SAID]
-
-
-@pytest.mark.slow
-def test_in_real_time_it_says_so_where_it_runs_and_to_the_bench(tmp_path: Path) -> None:
-    steps = [{"hold": {"duration_s": 1.5}}]
-    bench = config(tmp_path, steps=steps, cycle_time_s=CYCLE_S, pace="realtime")
-    beside = tmp_path / "twin.yaml"
-    beside.write_text(yaml.safe_dump(yaml.safe_load(bench.read_text()) | {"cycle_time_s": 0.002}, sort_keys=False))
-    started = []
-    for command, path in (("simulate-hardware", bench), ("twin", beside)):
-        words = [sys.executable, "-m", "hilbench.cli", command, str(path)]
-        started.append(subprocess.Popen(words, stdout=subprocess.PIPE, text=True, start_new_session=True))
-        STARTED.append(started[-1])
-    run(bench, "--no-start", "--no-report")
-    said = []
-    for process in started:
-        process.send_signal(signal.SIGTERM)
-        said.append(process.communicate(timeout=30)[0])
-    assert said[1].count("SYNC comes every 4 ms, cycle_time_s is 2 ms: the twin goes by SYNC") == 1
-    (folder,) = run_folders(bench)
-    assert texts(Result.read(folder / "result.json")).count(SAID) == 1

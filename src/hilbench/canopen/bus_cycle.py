@@ -19,12 +19,13 @@ OTHER_CYCLE: Final = 0xFF19
 _ANOTHER, _PARTED, _SAME = 5e-3, 2e-2, 1e-2
 #: SYNC must have had the new period for so long, and so often; and twice as long each time when the last change is not
 #: so long ago, up to the longest.
-_LASTS_NS, _PERIODS, _LONGEST_NS = 250_000_000, 10, 64_000_000_000
+_LASTS_NS, _PERIODS, _LONGEST_NS = 250_000_000, 32, 64_000_000_000
 _SELDOM_NS = 60_000_000_000
 #: Shortest and longest cycle, as of a config.
 _SHORTEST_NS, _MOST_NS = 500_000, 100_000_000
-#: A period that is so near to one which 60C2h can express (a number up to 255 and a power of ten) is that one.
-_EXPRESSED, _LARGEST = 2e-3, 255
+#: A period that is so near (relative) to one which 60C2h can express is that one: a power of ten times a number up to
+#: 255, rather one up to 25.
+_EXPRESSED: Final = ((25, 5e-3), (255, 2e-3))
 
 
 class BusCycle:
@@ -91,8 +92,11 @@ class BusCycle:
 
 def _as_expressed(period_ns: int) -> int:
     """The period as 60C2h of drives can say it, where it is one of those: as measured it is off by what clocks are."""
-    unit_ns = 1
-    while period_ns / unit_ns > _LARGEST:
-        unit_ns *= 10
-    said_ns = round(period_ns / unit_ns) * unit_ns
-    return said_ns if abs(said_ns - period_ns) <= _EXPRESSED * period_ns else period_ns
+    for largest, near in _EXPRESSED:
+        unit_ns = 1
+        while period_ns / unit_ns > largest:
+            unit_ns *= 10
+        said_ns = round(period_ns / unit_ns) * unit_ns
+        if abs(said_ns - period_ns) <= near * period_ns:
+            return said_ns
+    return period_ns
