@@ -22,6 +22,7 @@ class _Counted:
     """The twin's clock, which has seen so many cycles since the last SYNC as there were."""
 
     missed = 0
+    in_step = True
 
     def heard(self, behind: int) -> int:
         return 1 + self.missed
