@@ -242,7 +242,7 @@ def starting(channel: str) -> Iterator[None]:
                 connection = _connect(path)
                 if connection is None:
                     connection, starter = _begin_hub(channel, path)
-                    resources.callback(starter.wait)
+                    resources.callback(_ended, starter)
                 resources.enter_context(connection)
         yield
 

@@ -19,6 +19,7 @@ from hilbench.can.confinement import ControllerState, bus_off
 from hilbench.can.disturbance import Disturber, ErrorInjection
 from hilbench.can.embedded import check_frame
 from hilbench.can.frame import Frame
+from hilbench.can.letting_go import LetsGo
 from hilbench.can.listeners import Listeners
 from hilbench.can.medium import FOREVER, Medium, Station
 from hilbench.can.messages import kernel_filters, to_frame, to_message
@@ -219,14 +220,13 @@ class MemoryLink:
             raise BusError(f"{self.channel}: this link is closed")
 
 
-class MemoryCanBus(can.BusABC):
+class MemoryCanBus(LetsGo):
     """A python-can bus on a MemoryBus."""
 
     def __init__(self, bus: MemoryBus, can_filters: can.typechecking.CanFilters | None = None, **kwargs: Any) -> None:
         self._link = bus.open_link()
         self._received: deque[Frame] = deque()
         self.channel_info = f"hilbench memory bus {bus.channel}"
-        self._receives = True
         super().__init__(bus.channel, can_filters, **kwargs)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
@@ -234,15 +234,6 @@ class MemoryCanBus(can.BusABC):
             self._link.send([to_frame(msg)])
         except (BusError, ValueError) as error:
             raise can.CanOperationError(str(error)) from error
-
-    def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame; None where none comes within `timeout` s (None: wait for one)."""
-        try:
-            return super().recv(timeout)
-        except can.CanOperationError:
-            if self._receives:
-                raise
-            return None
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if not self._received:
@@ -257,9 +248,7 @@ class MemoryCanBus(can.BusABC):
     def _apply_filters(self, filters: can.typechecking.CanFilters | None) -> None:
         self._link.set_filters(kernel_filters(filters))
 
-    def end_receiving(self) -> None:
-        """From now on `recv` returns None at once, also where somebody waits in it; nothing can be sent any more."""
-        self._receives = False
+    def _wake(self) -> None:
         self._link.close()
 
     def shutdown(self) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 from hilbench.can import hub_client, protocol
 from hilbench.can.embedded import can_record, receive_packet, send_packet
 from hilbench.can.frame import Frame
+from hilbench.can.letting_go import LetsGo
 from hilbench.can.messages import identifier_with_flags, kernel_filters, to_message
 from hilbench.can.python_can import can
 from hilbench.can.requests import Wanted
@@ -20,7 +21,7 @@ _CLASSICAL_HEADER = protocol.HEADER.pack(protocol.KIND_CLASSICAL, 0)
 _FD_HEADER = protocol.HEADER.pack(protocol.KIND_FD, 0)
 
 
-class EmbeddedBus(can.BusABC):
+class EmbeddedBus(LetsGo):
     """One station on an emulated CAN bus that any program of the same user can join.
 
     `channel` names the bus. `bitrate` and `data_bitrate` (bit/s) and `timing` ("real": a frame takes its bit time;
@@ -46,7 +47,6 @@ class EmbeddedBus(can.BusABC):
         self.channel_info = f"hilbench embedded bus {self.channel}"
         #: Frames this station lost because it did not read fast enough.
         self.dropped = 0
-        self._receives = True
         wanted = Wanted(bitrate, data_bitrate, timing)
         try:
             membership = hub_client.join(
@@ -81,15 +81,6 @@ class EmbeddedBus(can.BusABC):
         padded = bytes(msg.data).ljust(can.util.dlc2len(can.util.len2dlc(msg.dlc)), b"\0")
         return _FD_HEADER + protocol.FD_RECORD.pack(can_id, len(padded), flags, padded)
 
-    def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame; None where none comes within `timeout` s (None: wait for one)."""
-        try:
-            return super().recv(timeout)
-        except can.CanOperationError:
-            if self._receives:
-                raise
-            return None
-
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         deadline = None if timeout is None else time.monotonic() + timeout
         try:
@@ -122,9 +113,7 @@ class EmbeddedBus(can.BusABC):
     def fileno(self) -> int:
         return self._connection.fileno()
 
-    def end_receiving(self) -> None:
-        """From now on `recv` returns None at once, also where somebody waits in it."""
-        self._receives = False
+    def _wake(self) -> None:
         with contextlib.suppress(OSError):  # the bus is lost
             self._connection.shutdown(socket.SHUT_RD)
 

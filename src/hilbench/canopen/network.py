@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
-
 import canopen
+from hilbench.can.letting_go import LetsGo
 from hilbench.can.python_can import can
 
 #: How long its thread waits for a message at a time: by then it sees that it is to end.
 _RECEIVES_FOR_S = 0.1
-
-
-@runtime_checkable
-class EndsReceiving(Protocol):
-    """A bus of which a thread that waits in `recv` can be let go."""
-
-    def end_receiving(self) -> None:
-        """From now on `recv` returns None at once, also where somebody waits in it."""
 
 
 class Network(canopen.Network):
@@ -28,6 +19,6 @@ class Network(canopen.Network):
 
     def disconnect(self) -> None:
         """Leave the bus; at once, where the bus can do that."""
-        if isinstance(self.bus, EndsReceiving):
+        if isinstance(self.bus, LetsGo):
             self.bus.end_receiving()
         super().disconnect()
