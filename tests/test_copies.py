@@ -175,6 +175,25 @@ def test_a_copy_prepares_itself_while_the_other_process_goes_on_and_what_fails_t
     )
 
 
+def test_a_copy_says_whether_it_can_go_on_before_it_does(tmp_path: Path) -> None:
+    done(
+        tmp_path,
+        """if True:
+        def fails():
+            raise RuntimeError("nobody hears it")
+        def goes_on():
+            while not (folder / "heard").exists():
+                time.sleep(0.001)
+            (folder / "gone on").touch()
+        with copies({"can": lambda: goes_on, "cannot": lambda: None, "fails": fails}) as waiting:
+            assert [waiting[name].can for name in ("fails", "can", "cannot", "can")] == [False, True, False, True]
+            assert not (folder / "gone on").exists()
+            (folder / "heard").touch()
+        assert (folder / "gone on").exists()
+    """,
+    )
+
+
 def test_nothing_is_copied_beside_other_threads(tmp_path: Path) -> None:
     done(
         tmp_path,

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.synchronization import MethodResult, compare_methods
-from hilbench.estimation.web_line.config import AlsoEstimated, ChangepointConfig, SynchronizerConfig
-from hilbench.estimation.web_line.synchronizers.create import METHODS
+from hilbench.estimation.web_line.config import METHODS, AlsoEstimated, ChangepointConfig, SynchronizerConfig
 from hilbench.estimation.web_line.synthetic import simulated_measurements
 from hilbench.runs.config import load_with_overrides
 

@@ -26,7 +26,11 @@ from typing import IO, NoReturn
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_INTERRUPTED
 from hilbench.unexpected import unexpected
 
+#: Called in a copy before it waits; what it returns is called after the copy has said that there is something (`can`).
+Preparation = Callable[[], Callable[[], object] | None]
+
 _LONGEST_ORDER = 1 << 16
+_YES, _NO = b"y", b"n"
 # <sys/prctl.h>
 _PR_SET_NAME, _PR_SET_MM, _PR_SET_MM_MAP = 15, 35, 14
 #: Fields of /proc/self/stat (proc(5)) behind the name: the bounds of what a `struct prctl_mm_map` begins with.
@@ -37,8 +41,10 @@ _START_DATA, _END_DATA, _START_BRK, _ARG_START, _ENV_START, _ENV_END = (field - 
 class Copy:
     """One copy: it waits for `become`; from then on it is a process as `subprocess.Popen` has it."""
 
-    def __init__(self, pid: int, order: IO[bytes]) -> None:
+    def __init__(self, pid: int, order: IO[bytes], tells: IO[bytes]) -> None:
         self.pid = pid
+        self._tells = tells
+        self._can: bool | None = None
         self.returncode: int | None = None
         #: Its standard input; what it becomes hears by its end that this process is gone.
         self.stdin = order
@@ -51,6 +57,13 @@ class Copy:
         """
         order = json.dumps([list(arguments), str(log.absolute()), dict(environment)])
         self.stdin.write(order.encode() + b"\n")
+
+    @property
+    def can(self) -> bool:
+        """Whether its preparation found something to go on with; waits until it says so. False: it has failed, too."""
+        if self._can is None:
+            self._can = self._tells.read(1) == _YES
+        return self._can
 
     def poll(self) -> int | None:
         """Its exit code, negative: the signal that ended it; None: it runs."""
@@ -85,6 +98,7 @@ class Copy:
     def _ended(self, status: int) -> None:
         self.returncode = os.waitstatus_to_exitcode(status)
         os.close(self._end)
+        self._tells.close()
 
 
 def _readable(descriptor: int, timeout_s: float) -> bool:
@@ -94,11 +108,11 @@ def _readable(descriptor: int, timeout_s: float) -> bool:
 
 
 @contextmanager
-def copies(preparations: Mapping[str, Callable[[], object]]) -> Iterator[dict[str, Copy]]:
+def copies(preparations: Mapping[str, Preparation]) -> Iterator[dict[str, Copy]]:
     """Copies of this process as it is now, by name; take them from the dictionary. What is left in it ends on leaving.
 
-    Each calls what stands beside its name before it waits: what it will need has to be loaded then. It must change
-    nothing outside of the process; what it raises is left to whatever the copy becomes.
+    Each calls what stands beside its name before it waits, and what that returns: what it will need has to be loaded
+    then. They must change nothing outside of the process; what they raise is left to whatever the copy becomes.
     None where other threads run (what they have locked would stay locked in a copy), and none where this process has
     its modules from an importer of its own that nothing can be run by, as under pytest.
     """
@@ -116,37 +130,39 @@ def copies(preparations: Mapping[str, Callable[[], object]]) -> Iterator[dict[st
             copy.wait()
 
 
-def _fork(prepare: Callable[[], object]) -> Copy:
-    receives, sends = os.pipe2(os.O_CLOEXEC)
+def _fork(prepare: Preparation) -> Copy:
+    (receives, sends), (hears, tells) = os.pipe2(os.O_CLOEXEC), os.pipe2(os.O_CLOEXEC)
     try:
         # A signal in between would be handled by this process' handlers in both.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
         try:
             pid = os.fork()
             if pid == 0:
-                _wait_for_order(receives, before, prepare)
+                _wait_for_order(receives, tells, before, prepare)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
     except OSError:
         os.close(sends)
+        os.close(hears)
         raise
     finally:
         os.close(receives)
-    return Copy(pid, os.fdopen(sends, "wb", buffering=0))
+        os.close(tells)
+    return Copy(pid, os.fdopen(sends, "wb", buffering=0), os.fdopen(hears, "rb", buffering=0))
 
 
-def _wait_for_order(receives: int, signals: Iterable[int], prepare: Callable[[], object]) -> NoReturn:
+def _wait_for_order(receives: int, tells: int, signals: Iterable[int], prepare: Preparation) -> NoReturn:
     """The life of a copy: nothing of it goes back to who called `_fork`."""
     code, has_left = EXIT_BENCH_FAULT, False
     try:
         os.setsid()  # Ctrl-C at the terminal is the bench's to handle
         gc.freeze()  # what was there before stays: whatever it would do at its end is the other process' to do
-        _leave_files(receives)
+        _leave_files(receives, tells)
         has_left = True
         _leave_handlers()
         signal.pthread_sigmask(signal.SIG_SETMASK, signals)
         with suppress(Exception):
-            prepare()
+            _prepare(prepare, tells)
         order = _read_order()
         code = 0 if order is None else _become(*json.loads(order))
     except KeyboardInterrupt:
@@ -159,12 +175,29 @@ def _wait_for_order(receives: int, signals: Iterable[int], prepare: Callable[[],
         os._exit(code)
 
 
-def _leave_files(receives: int) -> None:
-    """Keep `receives`, as standard input. The numbers of all others lead nowhere, but stay taken: an object of before
-    that closes its own does not close one of ours."""
+def _prepare(prepare: Preparation, tells: int) -> None:
+    goes_on = None
+    try:
+        goes_on = prepare()
+    finally:
+        os.write(tells, _NO if goes_on is None else _YES)
+        _lead_nowhere(tells)
+    if goes_on is not None:
+        goes_on()
+
+
+def _lead_nowhere(descriptor: int) -> None:
+    nowhere = os.open(os.devnull, os.O_RDWR | os.O_CLOEXEC)
+    os.dup2(nowhere, descriptor, inheritable=False)
+    os.close(nowhere)
+
+
+def _leave_files(receives: int, tells: int) -> None:
+    """Keep `receives`, as standard input, and `tells`. The numbers of all others lead nowhere, but stay taken: an
+    object of before that closes its own does not close one of ours."""
     nowhere = os.open(os.devnull, os.O_RDWR | os.O_CLOEXEC)
     for descriptor in map(int, os.listdir("/proc/self/fd")):
-        if descriptor not in (nowhere, receives):
+        if descriptor not in (nowhere, receives, tells):
             with suppress(OSError):  # that of the listing is closed already
                 os.fstat(descriptor)
                 os.dup2(nowhere, descriptor, inheritable=descriptor <= 2)

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.estimation.plausibility import Problem
-from hilbench.estimation.web_line.torque_shift import TORQUE_SHIFT
+from hilbench.estimation.problems import TORQUE_SHIFT, Problem
 from hilbench.exchange.emergencies import Emergency
 from hilbench.exchange.nodes import Nodes
 from hilbench.results.recording import Recording, read_recording

@@ -15,8 +15,8 @@ from tests.plant.models import DEMONSTRATOR, model
 
 from hilbench.diagnosis.synchronization import NEEDED, compare_methods, compare_runs
 from hilbench.errors import UnusableInputError
+from hilbench.estimation.web_line.config import METHODS
 from hilbench.estimation.web_line.offline import Track
-from hilbench.estimation.web_line.synchronizers.create import METHODS
 from hilbench.report.sync_page import rows
 from hilbench.results.recording import Recording
 

@@ -21,6 +21,7 @@ from tests.tiers import slow
 
 from hilbench.estimation.web_line.bound import least_deviation_Pa
 from hilbench.estimation.web_line.config import (
+    METHODS,
     AlsoEstimated,
     ChangepointConfig,
     EkfConfig,
@@ -31,7 +32,6 @@ from hilbench.estimation.web_line.config import (
     SynchronizerConfig,
 )
 from hilbench.estimation.web_line.offline import Track, run_offline
-from hilbench.estimation.web_line.synchronizers.create import METHODS
 from hilbench.estimation.web_line.synthetic import simulated_measurements
 from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.plant.motor_port import MotorPort

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from tests.estimation.runs import CYCLE_S, NEW_PA, OLD_PA, Array, measured, stepped, tracked
 from tests.plant.models import effect, model
 
-from hilbench.estimation.plausibility import Plausibility, Problem
+from hilbench.estimation.plausibility import Plausibility
+from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.config import (
     ChangepointConfig,
     EkfConfig,

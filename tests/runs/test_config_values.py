@@ -20,7 +20,7 @@ from hilbench.bench.check import check_bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.block import LARGEST, LEAST
 from hilbench.errors import BenchFaultError, UnusableInputError
-from hilbench.estimation.web_line.synchronizers.create import METHODS
+from hilbench.estimation.web_line.config import METHODS
 from hilbench.runs.config import ExperimentConfig, load
 from hilbench.scripts.bench import Bench
 

@@ -13,7 +13,7 @@ from tests.tiers import slow
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort

@@ -9,7 +9,7 @@ from tests.twin.beside_stations import BesideStations, beside, dancer_line, wind
 from tests.twin.independent_dancer import IndependentDancer
 from tests.twin.independent_winding import IndependentWinding
 
-from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.problems import Problem
 
 #: Until a break is to be told: two blocks of 20 ms, and what of a third has begun before.
 WITHIN_S = 0.08

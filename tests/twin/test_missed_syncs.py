@@ -14,7 +14,7 @@ from hilbench.can.frame import Frame
 from hilbench.canopen.clock import MonotonicClock
 from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds
-from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.balance import MeasuredBalance
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.motor_port import MotorMode

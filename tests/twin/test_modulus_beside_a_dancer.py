@@ -12,7 +12,7 @@ from tests.tiers import slow
 from tests.twin.beside_stations import Array, BesideStations, dancer_line
 from tests.twin.independent_dancer import IndependentDancer
 
-from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.problems import Problem
 
 _MODULUS_PA = 8.7e9
 _BEFORE_S = 2.0

@@ -12,7 +12,7 @@ from tests.bench.whole_runs import config, run_folders, run_here
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.estimation.web_line.synchronizers.create import METHODS
+from hilbench.estimation.web_line.config import METHODS
 from hilbench.results.recording import Recording, read_recording
 from hilbench.runs.config import load_with_overrides
 from hilbench.twin.axis_listener import AxisListener

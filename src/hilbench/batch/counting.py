@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.chain import GOES_ON, Function
-from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, number_of_sources
+from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, number_of_sources, viewed
 from hilbench.exchange import measured
 from hilbench.exchange.measured import BITS, CYCLES, TWIN_STATUS, TWIN_SYNC
 from hilbench.plain import layout as lay
@@ -61,7 +61,7 @@ def _entry_points(sources: int) -> tuple[Function, Function, Function]:
             counted[TWIN_SYNC], counted[TWIN_STATUS] = whole[status[_FIRST]], whole[status[_FIRST] + 2]
             totals[REPORTED] = totals[RUN]
         if left[_O_TIMED] != 0:
-            frames = integers(table, _FRAMES, (1,)).view(_FRAME)
+            frames = viewed(integers(table, _FRAMES, (1,)), _FRAME)
             for k in range(len(frames)):
                 if frames[k].timing == _BY_TIME and left[_O_SIZE + k] != 0:
                     heard[k] = totals[RUN]

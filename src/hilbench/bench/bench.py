@@ -33,7 +33,7 @@ from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.bench.tasks.watches import ControllerWatch, EmergencyWatch, LatenessWatch, SupervisorWatch
 from hilbench.copies import Copy
 from hilbench.errors import BenchFaultError, NoAnswerError, UnusableValueError
-from hilbench.estimation.web_line.synchronizers.create import METHODS
+from hilbench.estimation.web_line.config import METHODS
 from hilbench.exchange import measured
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap

@@ -17,7 +17,9 @@ from hilbench.can import forwarding_kernel as wire
 from hilbench.can import protocol
 from hilbench.can.compiled_wire import bits_on_wire
 from hilbench.can.forwarding_kernel import Octets, Row, Table, Words
-from hilbench.compiled import COUNT, INDICES, TABLE, compiled, entry_point, number_of_sources
+from hilbench.compiled import COUNT, INDICES, TABLE, compiled, entry_point, number_of_sources, viewed
+
+_OCTET, _WORD = np.dtype(np.uint8), np.dtype(np.uint32)
 
 #: Frames that a station's queue has room for; while there is none for one more packet the queue is for the hub.
 ROOM: Final = 512
@@ -164,7 +166,7 @@ def _entry_point(sources: int) -> Forward:
         queued: Table,
         out: Row,
     ) -> None:
-        octets, words = received.view(np.uint8), received.view(np.uint32)
+        octets, words = viewed(received, _OCTET), viewed(received, _WORD)
         state[wire.PACKETS_LEFT] = state[wire.FRAMES_LEFT] = 0
         prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)  # else the kernel may wake it 50 µs late to save energy
         while sources >= 0:

@@ -19,7 +19,9 @@ from hilbench import c_library
 from hilbench.c_library import MSG_DONTWAIT, MSG_NOSIGNAL, epoll_wait, recv, send
 from hilbench.can import compiled_wire, protocol, wire
 from hilbench.can.compiled_wire import bits_on_wire
-from hilbench.compiled import COUNT, INDICES, TABLE, compiled, entry_point, number_of_sources
+from hilbench.compiled import COUNT, INDICES, TABLE, compiled, entry_point, number_of_sources, viewed
+
+_OCTET, _WORD = np.dtype(np.uint8), np.dtype(np.uint32)
 
 #: More stations that have sent at once are for the hub.
 MAX_READY: Final = 16
@@ -226,7 +228,7 @@ def _entry_point(sources: int) -> Forward:
         carried: Table,
         out: Row,
     ) -> None:
-        octets, words = received.view(np.uint8), received.view(np.uint32)
+        octets, words = viewed(received, _OCTET), viewed(received, _WORD)
         state[PACKETS_LEFT] = state[FRAMES_LEFT] = 0
         while sources >= 0:
             count = ready(epoll, of_descriptors, events, -1)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hilbench.c_library import MSG_DONTWAIT, MSG_NOSIGNAL, pthread_mutex_trylock, pthread_mutex_unlock, send
 from hilbench.can import forwarding_kernel as wire
 from hilbench.can import protocol
-from hilbench.compiled import compiled, integers
+from hilbench.compiled import compiled, integers, viewed
 
 #: What has become of the wire while it was waited: nothing came within the time; it is the hub's.
 NOTHING: Final = 0
@@ -83,7 +83,7 @@ def _pass_on(table: Table, count: int, heard: Row) -> int:
     received, packets = integers(table, _RECEIVED, (1, 2)), integers(table, _PACKETS, (1, 2))
     carried, mask = integers(table, _CARRIED, (1, 2)), 1 << own[STATION]
     rows = integers(table, _ROWS, (1, 2))
-    over = wire.carry(state, known, packets, count, rows, received, received.view(_OCTET), carried)
+    over = wire.carry(state, known, packets, count, rows, received, viewed(received, _OCTET), carried)
     at = _HEADER_WORDS
     for k in range(over):
         frame = carried[k]
@@ -111,7 +111,7 @@ def put(table: Table, packet: Octets, size: int, heard: Row) -> bool:
         return False
     own, packets = integers(table, _OWN, (1,)), integers(table, _PACKETS, (1, 2))
     received, known = integers(table, _RECEIVED, (1, 2)), integers(table, _KNOWN, (1, 2))
-    octets, words, rows = received.view(_OCTET), received.view(_WORD), integers(table, _ROWS, (1, 2))
+    octets, words, rows = viewed(received, _OCTET), viewed(received, _WORD), integers(table, _ROWS, (1, 2))
     for k in range(size):
         octets[0, k] = packet[k]
     first = packets[0]
@@ -129,9 +129,9 @@ def receive(table: Table, heard: Row, timeout_ms: int) -> int:
     """Wait until the station hears something, and pass on what is sent meanwhile; how long the packet is that it hears,
     put into `heard`; NOTHING, GONE."""
     own, of_descriptors = integers(table, _OWN, (1,)), integers(table, _OF_DESCRIPTORS, (1,))
-    events, received = integers(table, _EVENTS, (1,)).view(_WORD), integers(table, _RECEIVED, (1, 2))
+    events, received = viewed(integers(table, _EVENTS, (1,)), _WORD), integers(table, _RECEIVED, (1, 2))
     known, packets = integers(table, _KNOWN, (1, 2)), integers(table, _PACKETS, (1, 2))
-    octets, words, rows = received.view(_OCTET), received.view(_WORD), integers(table, _ROWS, (1, 2))
+    octets, words, rows = viewed(received, _OCTET), viewed(received, _WORD), integers(table, _ROWS, (1, 2))
     state, stations = integers(table, _STATE, (1,)), integers(table, _STATIONS, (1, 2))
     for _ in range(_MOST_TURNS):
         count = wire.ready(own[EPOLL], of_descriptors, events, timeout_ms)

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.bound import least_deviation_Pa, torque_noise_Nm
-from hilbench.estimation.web_line.config import EstimationConfig, PidConfig, SynchronizerConfig, TransferConfig
+from hilbench.estimation.web_line.config import METHODS, EstimationConfig, PidConfig, SynchronizerConfig, TransferConfig
 from hilbench.estimation.web_line.measurements import Measurements
 from hilbench.estimation.web_line.offline import Track, run_offline
-from hilbench.estimation.web_line.synchronizers.create import METHODS
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 from hilbench.runs import figures

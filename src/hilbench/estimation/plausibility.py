@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from enum import IntEnum
 from math import isfinite
 
 import numpy as np
 
 from hilbench.compiled import REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
 from hilbench.estimation.bank import Array
+from hilbench.estimation.problems import PROBLEMS, Problem
 
 #: Cycles with exactly the same torque after which a noisy measurement counts as frozen.
 _FROZEN_CYCLES = 20
@@ -22,21 +22,6 @@ _SLACK = 0.02
 #: not have: below which it goes to and fro, and the friction with it.
 _STANDSTILL_M_S, _TO_AND_FRO_M_S = 1e-3, 0.02
 
-
-class Problem(IntEnum):
-    """Why a measurement is not used. The value is the EMCY error code (CiA 301: FFxxh, device specific)."""
-
-    INVALID = 0xFF10  #: not a number
-    FROZEN = 0xFF11  #: the torque does not change any more
-    SATURATED = 0xFF12  #: the drive is at its torque limit
-    SLACK = 0xFF13  #: the web carries no tension
-    STANDSTILL = 0xFF14  #: the roller stands under dry friction
-    WEB_BREAK = 0xFF15  #: the web does not pull any more although it should be strained
-    SLIP = 0xFF16  #: roller 2 slips: the encoders do not show the web's strain
-
-
-#: Problems by their numbers; 0: none.
-PROBLEMS: dict[int, Problem | None] = {0: None} | {int(problem): problem for problem in Problem}
 
 # State. Limits of the torque, in N·m; cycles until it counts as free; below which speed the roller stands; pull_per_Pa
 # up to which the web is slack.

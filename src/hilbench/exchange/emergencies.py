@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from struct import unpack_from
 
 from hilbench.canopen.bus_cycle import OTHER_CYCLE
-from hilbench.estimation.plausibility import Problem
-from hilbench.estimation.web_line.torque_shift import TORQUE_SHIFT, UNDECIDED
+from hilbench.estimation.problems import TORQUE_SHIFT, UNDECIDED, Problem
 
 #: Error codes and their classes (CiA 301, table 26), by the first digits that decide.
 _CLASSES = {

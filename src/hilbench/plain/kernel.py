@@ -22,6 +22,7 @@ from hilbench.compiled import (
     integers,
     number_of_sources,
     table_of,
+    viewed,
 )
 from hilbench.exchange import measured
 from hilbench.exchange.measured import take_twin
@@ -305,20 +306,22 @@ def _entry_points(sources: int) -> tuple[Function, Function]:
     def exchange(bitrate: int, table: Table) -> int:
         if sources < 0 or len(table) == 0:
             return GOES_ON
-        targets, frames = integers(table, _TARGETS, (1,)).view(_TARGET), integers(table, _FRAMES, (1,)).view(_FRAME)
-        sent, received = integers(table, _SENT, (1,)).view(_FIELD), integers(table, _RECEIVED, (1,)).view(_FIELD)
-        drives, seen = integers(table, _DRIVES, (1,)).view(_DRIVE), integers(table, _SEEN, (1,)).view(_SEEN_BY)
+        targets, frames = (
+            viewed(integers(table, _TARGETS, (1,)), _TARGET),
+            viewed(integers(table, _FRAMES, (1,)), _FRAME),
+        )
+        sent, received = viewed(integers(table, _SENT, (1,)), _FIELD), viewed(integers(table, _RECEIVED, (1,)), _FIELD)
+        drives, seen = viewed(integers(table, _DRIVES, (1,)), _DRIVE), viewed(integers(table, _SEEN, (1,)), _SEEN_BY)
         whole, real, set_points = (
             integers(table, _WHOLE, (1,)),
             floats(table, _REAL, (1,)),
             floats(table, _ASKING, (1,)),
         )
         given, left = integers(table, _GIVEN, (1,)), integers(table, _LEFT, (1,))
-        all_data, heads = integers(table, _DATA, (1,)).view(_OCTET), integers(table, _HEADS, (1,)).view(_OCTET)
-        text, scratch = integers(table, _TEXT, (1,)).view(_OCTET), integers(table, _SCRATCH, (1,)).view(_OCTET)
-        single, double = scratch[:4].view(_SINGLE), floats(table, _SCRATCH, (1,))
+        data, heads = viewed(integers(table, _DATA, (1,)), _OCTET), viewed(integers(table, _HEADS, (1,)), _OCTET)
+        text, scratch = viewed(integers(table, _TEXT, (1,)), _OCTET), viewed(integers(table, _SCRATCH, (1,)), _OCTET)
+        single, double = viewed(scratch, _SINGLE), floats(table, _SCRATCH, (1,))
         feedback, asked = floats(table, _FEEDBACK, (1,)), floats(table, _ASKED, (1,))
-        data = all_data.reshape((len(frames), 8))
         if not _encode(targets, sent, set_points, whole, real, single):
             return DOES_NOT_FIT
         bits_of = left[_O_SIZE:]
@@ -328,13 +331,14 @@ def _entry_points(sources: int) -> tuple[Function, Function]:
             frame = frames[k]
             if not _is_due(frame, given[_I_CLOCKS + frame.clock]):
                 continue
+            octets = data[8 * k : 8 * k + 8]
             for at in range(frame.first, frame.last):
-                _put(sent[at], whole, real, scratch, single, double, data[k])
+                _put(sent[at], whole, real, scratch, single, double, octets)
             while taken < len(received) and received[taken].frame <= k:
                 if received[taken].frame == k:
-                    _get(received[taken], whole, real, scratch, single, double, data[k])
+                    _get(received[taken], whole, real, scratch, single, double, octets)
                 taken += 1
-            bits = bits_on_wire(frame.crc, frame.stuffing, frame.bits, data[k], frame.size)
+            bits = bits_on_wire(frame.crc, frame.stuffing, frame.bits, octets, frame.size)
             bits_of[k] = bits
             left[_O_FRAMES] += 1
             left[_O_BITS] += bits
@@ -350,15 +354,16 @@ def _entry_points(sources: int) -> tuple[Function, Function]:
             floats(table, _SAID, (1,)),
             integers(table, _CAME, (1,)),
         )
-        of_drives[:] = feedback[: len(of_drives)]
-        _hear(integers(table, _SAID_ROWS, (1,)).view(_SAID_BY), bits_of, real, came, said)
+        for k in range(len(of_drives)):  # with slices numba would have a text ready for two of unequal length
+            of_drives[k] = feedback[k]
+        _hear(viewed(integers(table, _SAID_ROWS, (1,)), _SAID_BY), bits_of, real, came, said)
         take_twin(came, integers(table, _TORQUES, (1,)), floats(table, _BEFORE_NM, (1,)), of_drives, said)
         _set_times(frames, bits_of, given[_I_START_NS], 1e9 / bitrate)
         if len(text) > 0:
             at = given[_I_TEXT]
             for k in range(len(frames)):
                 if bits_of[k]:
-                    at = _line(frames[k], heads, data[k], text, at)
+                    at = _line(frames[k], heads, data[8 * k : 8 * k + 8], text, at)
             left[_O_TEXT] = at
         return GOES_ON
 
@@ -366,7 +371,7 @@ def _entry_points(sources: int) -> tuple[Function, Function]:
     def publish(_: int, table: Table) -> int:
         if sources < 0 or len(table) == 0:
             return GOES_ON
-        drives = integers(table, _DRIVES, (1,)).view(_DRIVE)
+        drives = viewed(integers(table, _DRIVES, (1,)), _DRIVE)
         ports, whole = floats(table, _SHOWN, (1,)), integers(table, _WHOLE, (1,))
         for k in range(len(drives)):
             drive, port = drives[k], ports[k * _PORT_SIZE : (k + 1) * _PORT_SIZE]

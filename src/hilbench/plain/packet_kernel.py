@@ -27,6 +27,7 @@ from hilbench.compiled import (
     integers,
     number_of_sources,
     table_of,
+    viewed,
 )
 from hilbench.plain import kernel
 from hilbench.plain import layout as lay
@@ -284,7 +285,7 @@ def _append(port: Table) -> int:
     if end > 0:
         words[0], words[at // 8] = words[at // 8], last
     numbers[LENGTH] = at + length
-    octets = words.view(_OCTET)
+    octets = viewed(words, _OCTET)
     fits = octets[0] == _KIND and _number(octets, _DROPPED_AT, 4) == numbers[DROPPED]
     return int((length - _HEADER) // _RECEIVED) if fits else -1
 
@@ -293,8 +294,8 @@ def _append(port: Table) -> int:
 def _sort_in(port: Table) -> int:
     """Data of the records that were not looked at yet, up to SYNC, to where those of their frames are: SYNCED, where
     that is there; NOTHING: more is to come; OTHER: something else is among them."""
-    numbers, packet = integers(port, _NUMBERS, (1,)), integers(port, _IN, (1,)).view(_OCTET)
-    expected, data = integers(port, _EXPECTED, (1, 2)), integers(port, _DATA, (1,)).view(_OCTET)
+    numbers, packet = integers(port, _NUMBERS, (1,)), viewed(integers(port, _IN, (1,)), _OCTET)
+    expected, data = integers(port, _EXPECTED, (1, 2)), viewed(integers(port, _DATA, (1,)), _OCTET)
     last = len(expected) - 1
     while max(numbers[LOOKED_AT], _HEADER) < numbers[LENGTH]:
         at = max(numbers[LOOKED_AT], _HEADER)
@@ -319,8 +320,8 @@ def _sort_in(port: Table) -> int:
 def _nothing_stands_against(port: Table) -> bool:
     """Whether a SYNC that is there can be answered: all that waits is in the buffer, no further SYNC is, and what has
     to be as it was is so."""
-    numbers, packet = integers(port, _NUMBERS, (1,)), integers(port, _IN, (1,)).view(_OCTET)
-    expected, data = integers(port, _EXPECTED, (1, 2)), integers(port, _DATA, (1,)).view(_OCTET)
+    numbers, packet = integers(port, _NUMBERS, (1,)), viewed(integers(port, _IN, (1,)), _OCTET)
+    expected, data = integers(port, _EXPECTED, (1, 2)), viewed(integers(port, _DATA, (1,)), _OCTET)
     count = 1
     while count > 0:
         count = _append(port)
@@ -356,9 +357,9 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, Ask, Gather, TakeApa
     def answer(table: Table, port: Table, stage: int) -> int:
         if sources < 0 or len(port) == 0:
             return NOTHING
-        numbers, packet = integers(port, _NUMBERS, (1,)), integers(port, _IN, (1,)).view(_OCTET)
+        numbers, packet = integers(port, _NUMBERS, (1,)), viewed(integers(port, _IN, (1,)), _OCTET)
         expected, checks = integers(port, _EXPECTED, (1, 2)), integers(port, _CHECKS, (1, 2))
-        data, left = integers(port, _DATA, (1,)).view(_OCTET), integers(port, _LEFT, (1,))
+        data, left = viewed(integers(port, _DATA, (1,)), _OCTET), integers(port, _LEFT, (1,))
         if stage == RECEIVE:
             length = recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, 0)
             if length <= 0:
@@ -386,7 +387,7 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, Ask, Gather, TakeApa
         answers = integers(port, _ANSWERS, (1, 2))
         if len(answers) == 0:
             return ANSWERED
-        out = integers(port, _OUT, (1,)).view(_OCTET)
+        out = viewed(integers(port, _OUT, (1,)), _OCTET)
         numbers[OUT_LENGTH] = pack(answers, len(expected), left[_O_SIZE:], data, out)
         sent = send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], MSG_DONTWAIT | MSG_NOSIGNAL)
         return ANSWERED if sent == numbers[OUT_LENGTH] else UNSENT
@@ -425,7 +426,7 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, Ask, Gather, TakeApa
         numbers[LENGTH] = max(length, 0)
         if length >= 0 or kernel.exchange(bitrate, table) != GOES_ON:
             return OTHER
-        data, out = integers(port, _DATA, (1,)).view(_OCTET), integers(port, _OUT, (1,)).view(_OCTET)
+        data, out = viewed(integers(port, _DATA, (1,)), _OCTET), viewed(integers(port, _OUT, (1,)), _OCTET)
         numbers[OUT_LENGTH] = pack(integers(port, _ANSWERS, (1, 2)), 0, left[_O_SIZE:], data, out)
         if loan_kernel.put(wire, out, numbers[OUT_LENGTH], integers(gathered, _G_PACKETS, (1,))):
             return ANSWERED
@@ -438,9 +439,9 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, Ask, Gather, TakeApa
             return NOTHING
         numbers, lengths = integers(gathered, _G_NUMBERS, (1,)), integers(gathered, _G_LENGTHS, (1,))
         cob_ids, sizes = integers(gathered, _G_COB_IDS, (1,)), integers(gathered, _G_SIZES, (1,))
-        data = integers(gathered, _G_DATA, (1,)).view(_OCTET)
+        data = viewed(integers(gathered, _G_DATA, (1,)), _OCTET)
         words = integers(gathered, _G_PACKETS, (1,))
-        packets = words.view(_OCTET)
+        packets = viewed(words, _OCTET)
         while numbers[ANSWERS_CAME] < answers:
             end, count = numbers[IN_END], numbers[PACKETS_CAME]
             if end + _PACKET_BYTES > len(packets) or count == len(lengths):
@@ -467,8 +468,8 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, Ask, Gather, TakeApa
         if sources < 0 or len(order) == 0:
             return False
         expected, checks = integers(order, _EXPECTED, (1, 2)), integers(order, _CHECKS, (1, 2))
-        sizes, data = integers(gathered, _G_SIZES, (1,)), integers(order, _DATA, (1,)).view(_OCTET)
-        came = integers(gathered, _G_DATA, (1,)).view(_OCTET)
+        sizes, data = integers(gathered, _G_SIZES, (1,)), viewed(integers(order, _DATA, (1,)), _OCTET)
+        came = viewed(integers(gathered, _G_DATA, (1,)), _OCTET)
         for row in range(len(expected)):
             if sizes[row] != expected[row, SIZE]:
                 return False

@@ -6,7 +6,8 @@ import hashlib
 import os
 import platform
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -84,31 +85,48 @@ def _value(data: Any, location: Iterable[str | int]) -> Any:
 
 def commit_of(path: Path) -> Commit | None:
     """The commit that is checked out at a file; None outside of a checkout, or without git."""
-    commit = _git(path, "rev-parse", "--verify", "HEAD")
+    commit, status, tracked = _git(
+        path,
+        ("rev-parse", "--verify", "HEAD"),
+        ("status", "--porcelain", "--untracked-files=no"),
+        ("ls-files", "--error-unmatch", "--", path.resolve().name),
+    )
     if commit is None:
         return None
-    status = _git(path, "status", "--porcelain", "--untracked-files=no")
-    tracked = _git(path, "ls-files", "--error-unmatch", "--", path.resolve().name) is not None
-    return Commit(commit=commit.strip(), changed=status is None or bool(status.strip()) or not tracked)
+    return Commit(commit=commit.strip(), changed=status is None or bool(status.strip()) or tracked is None)
 
 
-def _git(path: Path, *words: str) -> str | None:
-    """What git says in the folder of a file; it writes nothing there, and runs nothing that the checkout names."""
-    command = ["git", "-c", "core.fsmonitor=false", "-C", str(path.resolve().parent), *words]
+def _git(path: Path, *questions: Sequence[str]) -> list[str | None]:
+    """What git says in the folder of a file, to all of them at once: a run waits for it. It writes nothing there, and
+    runs nothing that the checkout names."""
+    command = ["git", "-c", "core.fsmonitor=false", "-C", str(path.resolve().parent)]
     environment = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}
-    try:
-        done = subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=_GIT_TIMEOUT_S,
-            env=environment,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return done.stdout if done.returncode == 0 else None
+    asked: list[subprocess.Popen[str]] = []
+    with suppress(OSError):  # there is no git
+        for words in questions:
+            asked.append(
+                subprocess.Popen(
+                    [*command, *words],
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.DEVNULL,
+                    text=True,
+                    errors="replace",
+                    env=environment,
+                )
+            )
+    said = [_answer(each) for each in asked]
+    return said if len(said) == len(questions) else [None for _ in questions]
+
+
+def _answer(asked: subprocess.Popen[str]) -> str | None:
+    with asked:
+        try:
+            text, _ = asked.communicate(timeout=_GIT_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            asked.kill()
+            return None
+    return text if asked.returncode == 0 else None
 
 
 def _eds_files(config: BenchConfig) -> Iterable[EdsFile]:

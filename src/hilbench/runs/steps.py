@@ -21,7 +21,7 @@ from pydantic import (
 from hilbench.bench.bench import Bench
 from hilbench.block import Block
 from hilbench.errors import BenchFaultError
-from hilbench.estimation.web_line.synchronizers.create import METHODS
+from hilbench.estimation.web_line.config import METHODS
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.python_file import load_experiment, run_experiment_function
 from hilbench.runs.scenario import read_scenario

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.problems import Problem
 
 #: How long a condition has to stay away for its alarm to end.
 _QUIET_S = 0.5

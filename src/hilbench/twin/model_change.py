@@ -12,7 +12,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
-from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.problems import Problem
 from hilbench.plant.interface import Plant
 from hilbench.plant.motor_port import MotorPort
 from hilbench.topology.blocks import MachineParameters

@@ -19,7 +19,7 @@ from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.identifiers import NmtState
 from hilbench.chain import Chained
 from hilbench.cia402.simulated import SimulatedDrive
-from hilbench.estimation.web_line.torque_shift import TORQUE_SHIFT, UNDECIDED
+from hilbench.estimation.problems import TORQUE_SHIFT, UNDECIDED
 from hilbench.plant.interface import Steps
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.pairing import cycles_gone, play

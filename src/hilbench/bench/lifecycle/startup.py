@@ -26,7 +26,7 @@ from hilbench.canopen.mastery import mastery
 from hilbench.canopen.object_store import ObjectStore
 from hilbench.canopen.sdo_client import SentFrames
 from hilbench.compiled import all_compiled
-from hilbench.copies import Copy
+from hilbench.copies import Copy, Preparation
 from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap, LineTap
@@ -235,46 +235,42 @@ def _in_process(config: BenchConfig) -> InProcess:
     return InProcess(config)
 
 
-def processes_beside(config: BenchConfig, participants: Participants) -> dict[str, Callable[[], None]]:
+def processes_beside(config: BenchConfig, participants: Participants) -> dict[str, Preparation]:
     """What `bring_up` starts, by name, and what a copy of this process does meanwhile to become it sooner."""
-    beside: dict[str, Callable[[], None]] = {}
+    beside: dict[str, Preparation] = {}
     if participants is Participants.STARTED:
         if config.simulated_drives:
             beside[_HARDWARE] = partial(_load_hardware, config)
-        maker(config.machine)
-        all_compiled()  # what is found here the copies do not look for again
         beside[TWIN] = partial(_load_twin, config)
     if participants is not Participants.IN_PROCESS and config.master.heartbeat_ms:
         beside[_SUPERVISOR] = lambda: None
     return beside
 
 
-def _load_hardware(config: BenchConfig) -> None:
+def _load_hardware(config: BenchConfig) -> Callable[[], object] | None:
     from hilbench.hardware.simulation import load  # the bench itself need not load it
 
     remember(config)
-    if all_compiled():  # else it would compile what the others do
-        load(config)
+    return partial(load, config) if all_compiled() else None  # else it would compile what the others do
 
 
-def _load_twin(config: BenchConfig) -> None:
+def _load_twin(config: BenchConfig) -> Callable[[], object] | None:
     from hilbench.twin.run import load
 
     remember(config)
-    if all_compiled():
-        load(config)
+    maker(config.machine)
+    return partial(load, config) if all_compiled() else None
 
 
 def start_children(config: BenchConfig, folder: Path, copies: dict[str, Copy] | None = None) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
-    maker(config.machine)  # `all_compiled` looks at what is imported
-    if not all_compiled():
+    waiting = {} if copies is None else copies
+    if not (all_compiled() and _twin_is_compiled(config, waiting.get(TWIN))):
         # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
         warm_up(config.machine, config.twin, config.shape, config.cycle_time_s)
     path = folder / "config.yaml"
     write_resolved(config, path)
     arguments = [str(path), "--pace", config.pace]
-    waiting = {} if copies is None else copies
     children = []
     if config.simulated_drives:
         hardware = ["hilbench.hardware", *arguments]
@@ -283,6 +279,14 @@ def start_children(config: BenchConfig, folder: Path, copies: dict[str, Copy] | 
     twin = ["hilbench.twin", *arguments]
     children.append(ChildProcess(TWIN, twin, folder / "twin.log", copy=waiting.pop(TWIN, None)))
     return children
+
+
+def _twin_is_compiled(config: BenchConfig, copy: Copy | None) -> bool:
+    """What it runs on, of which this process itself need not load anything where a copy does."""
+    if copy is not None and copy.can:
+        return True
+    maker(config.machine)  # `all_compiled` looks at what is imported
+    return all_compiled()
 
 
 def _start_supervisor(config: BenchConfig, folder: Path, copies: dict[str, Copy]) -> ChildProcess | None:

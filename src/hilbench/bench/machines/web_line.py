@@ -38,7 +38,7 @@ from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.chain import Chained, Function, never
 from hilbench.compiled import table_of
 from hilbench.errors import BenchFaultError
-from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.problems import Problem
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.measured_motion import HasFollowed
 from hilbench.plant.web_line.sections import section_model

@@ -19,7 +19,7 @@ import numpy as np
 from hilbench.compiled import compiled, inlined
 from hilbench.estimation import ring
 from hilbench.estimation.bank import Array
-from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line import blocks
 
 #: Ratio below which the web is broken, and above which it is whole again.

@@ -161,6 +161,16 @@ SynchronizerConfig = Annotated[
     PidConfig | RlsConfig | EkfConfig | LmConfig | GlobalConfig | ChangepointConfig | InputConfig,
     Field(discriminator="method"),
 ]
+#: Methods by their names in configs and on the command line.
+METHODS: dict[str, type[SynchronizerConfig]] = {
+    "pid": PidConfig,
+    "lm": LmConfig,
+    "global": GlobalConfig,
+    "rls": RlsConfig,
+    "ekf": EkfConfig,
+    "changepoint": ChangepointConfig,
+    "input": InputConfig,
+}
 
 
 class TransferConfig(Block):

@@ -17,7 +17,7 @@ import numpy as np
 from hilbench.compiled import COUNT, VECTOR, entry_point, number_of_sources
 from hilbench.estimation import ring
 from hilbench.estimation.bank import Array
-from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line import anomalies, blocks
 
 #: Way of a block, as a share of the section's length: that of a block of 20 ms on a span of 1 m at 3 m/s.

@@ -24,10 +24,6 @@ from hilbench.estimation import ring
 from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line.balance import BalanceSample
 
-#: EMCY error codes (CiA 301: FFxxh, device specific): a shift, its N·m as REAL32 in the manufacturer's field; a change
-#: that is one or the other.
-TORQUE_SHIFT, UNDECIDED = 0xFF17, 0xFF18
-
 #: Blocks that say what was before, and how many are enough.
 _BEFORE, _ENOUGH = 60, 24
 #: Blocks after that of the change that are left out: a shaft that was hit is on no line, nor is a load motor that

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import table_of
 from hilbench.estimation.nuisance import Nuisance
-from hilbench.estimation.plausibility import PROBLEMS, Plausibility, Problem
+from hilbench.estimation.plausibility import Plausibility
+from hilbench.estimation.problems import PROBLEMS, Problem
 from hilbench.estimation.web_line import anomalies, delay
 from hilbench.estimation.web_line import tracking_cycle as cycle
 from hilbench.estimation.web_line.balance import BalanceSample, MeasuredBalance

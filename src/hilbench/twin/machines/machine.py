@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.chain import Chained
-from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.problems import Problem
 from hilbench.plant.interface import Plant
 from hilbench.plant.motor_port import MotorPort
 from hilbench.twin.found import FoundBeside

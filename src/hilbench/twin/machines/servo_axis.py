@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from math import inf, isnan, nan
 
-from hilbench.estimation.plausibility import Plausibility, Problem
+from hilbench.estimation.plausibility import Plausibility
+from hilbench.estimation.problems import Problem
 from hilbench.estimation.servo_axis.balance import ShaftSample
 from hilbench.estimation.servo_axis.inertia import COULOMB_SD, VISCOUS_SD, InertiaEstimator, Known, ShaftEstimate
 from hilbench.plant.fmu.axis import FmuAxisParameters

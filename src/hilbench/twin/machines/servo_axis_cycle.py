@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from hilbench.chain import Chained
 from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers, table_of
 from hilbench.estimation import plausibility
-from hilbench.estimation.plausibility import PROBLEMS, Plausibility, Problem, find_problem
+from hilbench.estimation.plausibility import Plausibility, find_problem
+from hilbench.estimation.problems import PROBLEMS, Problem
 from hilbench.estimation.servo_axis import balance, inertia
 from hilbench.estimation.servo_axis.balance import ShaftSample
 from hilbench.estimation.servo_axis.inertia import InertiaEstimator, take_next

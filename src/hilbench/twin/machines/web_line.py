@@ -6,15 +6,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, sqrt
 
-from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.config import (
+    METHODS,
     ChangepointConfig,
     EstimationConfig,
     InputConfig,
     SynchronizerConfig,
 )
 from hilbench.estimation.web_line.rollers import Rollers
-from hilbench.estimation.web_line.synchronizers.create import METHODS
 from hilbench.estimation.web_line.tracking import (
     MOVES_M_S,
     PASSED_SPANS,

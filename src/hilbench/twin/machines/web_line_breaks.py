@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.anomalies import BROKEN, LEAST_SHARE, WHOLE
 from hilbench.estimation.web_line.blocks import BLOCK_S
 from hilbench.estimation.web_line.carriage_slip import CarriageSlip

@@ -15,7 +15,7 @@ from math import isfinite
 
 import numpy as np
 
-from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.pairing import OwnWays, Pairing

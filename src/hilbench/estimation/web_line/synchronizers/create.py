@@ -22,17 +22,6 @@ from hilbench.estimation.web_line.synchronizers.pid import PidSynchronizer
 from hilbench.estimation.web_line.synchronizers.plant import Plant
 from hilbench.estimation.web_line.synchronizers.rls import RlsSynchronizer
 
-#: Methods by their names in configs and on the command line.
-METHODS: dict[str, type[SynchronizerConfig]] = {
-    "pid": PidConfig,
-    "lm": LmConfig,
-    "global": GlobalConfig,
-    "rls": RlsConfig,
-    "ekf": EkfConfig,
-    "changepoint": ChangepointConfig,
-    "input": InputConfig,
-}
-
 
 def new_synchronizer(config: SynchronizerConfig, plant: Plant) -> Synchronizer:
     """A fresh synchronizer for this plant, with the plant's E as its first guess."""
