@@ -6,7 +6,8 @@ Each run is drawn from its seed: a speed, the true E of the web (the twin starts
 step of E, of the tension set-point, or a faster or slower ramp), what is hidden from the model (dry friction, a torque
 scale, or nothing), and a warning level around what the experiment will reach (standard deviation 5 % of a tension, 0.3
 N·m of a torque). Of a servo axis: the inertia, dry and viscous friction of the imitated shaft (the twin starts from the
-model's), a ramp of the speed, one behind a step of the inertia, or one that reverses, and a level of the torque. The
+model's), a ramp of the speed, one behind a step of the inertia, or one that reverses, and a level of the torque. Of a
+line of two spans: as of one, in either span (a ramp: of the last roller's torque), with another E in each. The
 forecast is the last one a second before the experiment moves; the run says whether the level was
 crossed within the horizon. Printed are the Brier score (Brier, Monthly Weather Review 78(1), 1950), that of a forecast
 that always says the share of crossings, and what came of the forecasts of each probability. Deterministic: lockstep,
@@ -33,6 +34,7 @@ from hilbench.topology.sample import CycleSample
 
 CONFIGS = Path(__file__).resolve().parents[1] / "bench_configs"
 CONFIG, SERVO = CONFIGS / "predicted_limit.yaml", CONFIGS / "servo_predicted_limit.yaml"
+SPANS = CONFIGS / "line_two_spans.yaml"
 HORIZON_S = 2.5
 #: When the experiment moves, s; the forecast is made `LEAD_S` before.
 MOVES_S, LEAD_S = 3.5, 1.0
@@ -145,8 +147,54 @@ def drawn_shaft(seed: int) -> Drawn:
     return load_with_overrides(SERVO, changes=given).config, experiment, hidden, "tau1_Nm"
 
 
+def drawn_spans(seed: int) -> Drawn:
+    """The same of a line of two spans."""
+    random = np.random.default_rng((seed, 20))
+    speed_m_s, moduli_Pa = random.uniform(1.0, 2.5), 8.7e9 * random.uniform(0.97, 1.03, 2)
+    near, span = random.normal(), int(random.integers(2))
+    experiment = str(random.choice(["modulus", "set-point", "ramp"]))
+    hidden = str(random.choice(["nothing", "friction", "torque scale"], p=[0.5, 0.25, 0.25]))
+    axis, tension_N = int(random.integers(2, 4)), (80.0, 90.0)[span]
+    law: dict[str, Any] = {"effect": "coulomb_friction", "parameters": {"force_N": random.uniform(0.0, 2.0)}}
+    if hidden == "torque scale":
+        law = {"effect": "torque_scale", "parameters": {"relative_change": random.uniform(-0.02, 0.02)}}
+    move: dict[str, Any]
+    quantity, signal = "tension_N", f"F{span + 1}_true_N"
+    if experiment == "modulus":
+        factor = random.uniform(1.1, 1.25)
+        path, to = f"load.web.span{span + 1}.youngs_modulus_Pa", moduli_Pa[span] * factor
+        move, level = {"step": {"path": path, "to": to}}, tension_N * factor * (1.0 + 0.05 * near)
+    elif experiment == "set-point":
+        to = tension_N * random.uniform(1.1, 1.25)
+        move = {"step": {"path": f"tension_control.span{span + 1}.set_point_N", "to": to}}
+        level = to * (1.005 + 0.05 * near)
+    else:
+        rate = random.uniform(2.0, 4.0)
+        move = {"ramp": {"path": "line_speed_m_s", "to": speed_m_s + rate * 1.0, "duration_s": 1.0}}
+        reached = rate * _TORQUE_PER_ACCELERATION + 20.0 * _TORQUE_PER_TENSION
+        quantity, signal, level = "torque_Nm", "tau3_Nm", 1.15 * reached + 0.17 + 0.3 * near
+    others = ("tension_N", "torque_Nm", "speed_m_s", "position_difference_m", "estimate_ratio")
+    limits: dict[str, Any] = {name: {} for name in others}
+    changes = {
+        "seed": seed,
+        "load.web.youngs_modulus_Pa": moduli_Pa.tolist(),
+        "hardware.effects": [] if hidden == "nothing" else [law | {"axis": axis}],
+        "safety.limits": limits | {quantity: {"warning": float(level)}},
+        "twin.prediction": {"horizon_s": HORIZON_S, "announce_above": 0.5},
+        "steps": [
+            {"ramp": {"path": "line_speed_m_s", "to": speed_m_s, "duration_s": 1.0}},
+            {"hold": {"until_s": MOVES_S}},
+            move,
+            {"hold": {"duration_s": HORIZON_S - LEAD_S}},
+        ],
+        "criteria": [],
+    }
+    given = [f"{key}={json.dumps(value)}" for key, value in changes.items()]
+    return load_with_overrides(SPANS, changes=given).config, experiment, hidden, signal
+
+
 #: Of each kind of machine.
-DRAWN: dict[str, Callable[[int], Drawn]] = {"web_line": drawn, "servo_axis": drawn_shaft}
+DRAWN: dict[str, Callable[[int], Drawn]] = {"web_line": drawn, "servo_axis": drawn_shaft, "two_spans": drawn_spans}
 
 
 class Largest:
@@ -230,7 +278,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=200, help="how many seeds")
     parser.add_argument("--first", type=int, default=1, help="the first one")
-    parser.add_argument("--machine", choices=DRAWN, default="web_line", help="which kind of bench")
+    parser.add_argument("--machine", choices=DRAWN, default="web_line", help="which bench")
     parser.add_argument("--out", type=Path, help="JSON lines, one a run")
     options = parser.parse_args()
     cases = []

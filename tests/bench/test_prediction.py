@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.prediction.hindsight import Hindsight
 from hilbench.bench.prediction.task import Prediction
@@ -26,6 +27,7 @@ from hilbench.results.recording import read_recording
 from hilbench.results.result import Result
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import load_with_overrides
+from hilbench.runs.foresight import Foresight
 from hilbench.topology.sample import CycleSample, sample_type
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
@@ -169,6 +171,39 @@ def test_on_a_line_of_two_spans_each_tension_is_foreseen_by_its_name(tmp_path: P
     assert made.t_s < 2.5
     assert made.crossed_s == pytest.approx(made.expected_s, abs=0.1)
     assert outcome.result.metrics["limits_not_predicted"] == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("span", [1, 2])
+def test_a_change_of_the_modulus_is_foreseen_as_the_twin_will_find_it(span: int) -> None:
+    """The loops go by what the twin tells, which follows a step by and by: so does the tension."""
+    changes = (
+        "twin.prediction={horizon_s: 2.0, futures: 16}",
+        "safety.limits.tension_N={warning: 100.0}",
+        f"""steps=[{{ramp: {{path: line_speed_m_s, to: 1.5, duration_s: 1.0}}}}, {{hold: {{until_s: 3.0}}}},
+          {{step: {{path: load.web.span{span}.youngs_modulus_Pa, to: 9.57e9}}}}, {{hold: {{duration_s: 0.5}}}}]""",
+        "criteria=[]",
+    )
+    config = load_with_overrides(CONFIGS / "line_two_spans.yaml", changes=changes).config
+    tensions: list[float] = []
+    seen = SimpleNamespace(sample=lambda sample: tensions.append(getattr(sample, f"F{span}_true_N")))
+    foresight = Foresight(config)
+    with Bench(config, observers=[seen], participants=Participants.IN_PROCESS) as bench:
+        bench.foresee(foresight.plan(0, 0.0))
+        config.steps[0].run(bench, [])
+        bench.foresee(foresight.plan(1, bench.time_s))
+        bench.run(2.5 - bench.time_s)
+        assert bench.prediction is not None
+        outlook = bench.prediction.outlook
+        assert outlook is not None
+        bench.run(3.0 - bench.time_s)
+        for step in config.steps[2:]:
+            step.run(bench, [])
+    came_s, place = (1 + np.arange(len(tensions))) * config.cycle_time_s, outlook.place(f"F{span}_true_N")
+    after = (outlook.times_s > 3.05) & (outlook.times_s < 3.45)
+    came_N = np.interp(outlook.times_s[after], came_s, tensions)
+    assert np.median(outlook.rows[after][:, :, place], axis=1) == pytest.approx(came_N, abs=1.6)
+    assert np.median(outlook.largest[:, place]) == pytest.approx(max(tensions), abs=0.4)
 
 
 class StillRunning:

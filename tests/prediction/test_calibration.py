@@ -33,3 +33,11 @@ def test_over_seeded_runs_of_a_servo_axis_too() -> None:
     assert brier(cases) <= 0.05, cases
     assert {case.experiment for case in cases} == {"ramp", "inertia", "reversal"}
     assert {case.crossed for case in cases} == {True, False}
+
+
+@pytest.mark.slow
+def test_over_seeded_runs_of_two_spans_too() -> None:
+    cases = [run(seed, "two_spans") for seed in range(18, 26)]
+    assert brier(cases) <= 0.05, cases
+    assert {case.experiment for case in cases} == {"modulus", "set-point", "ramp"}
+    assert {case.crossed for case in cases} == {True, False}

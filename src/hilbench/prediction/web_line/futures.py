@@ -30,8 +30,16 @@ Gains = Callable[[float], Array]
 #: Longest step, s: the drives' loops act once in it, and with more the torques where a ramp begins are off by more than
 #: 2 % of what is steered.
 _LONGEST_STEP_S: Final = 0.007
-#: How long the twin takes to find another E: so long after a step of E the controllers still go by the old one.
-_FOUND_AFTER_S: Final = 0.1
+#: How the twin finds another E, which the controllers go by: cycles of the bus in which it shows nothing of it; the
+#: share of the change that follows soon, with a time constant in cycles times the root of how many rollers' torques
+#: tell it together; and that of the rest, s. (Of its default method, as runs of one and two spans with steps by 10 and
+#: 20 % have it, at 1 to 3 m/s.)
+_UNSEEN_CYCLES: Final = 4
+_SOON_SHARE: Final = 0.8
+_SOON_CYCLES: Final = 15
+_LATER_S: Final = 0.15
+#: Gains are told apart by E in so many steps of it.
+_GAINS_PER_MODULUS: Final = 50
 #: E of a future is at least this share of the estimate.
 _LEAST_MODULUS_SHARE: Final = 0.05
 
@@ -124,6 +132,7 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         self._sections_m2 = rows[:, lay.SP_SECTION_M2].copy()
         self._load_axes = np.array([axis - 1 for axis in load_axes], np.int64)
         self._samples = self.step_s / cycle_s
+        self._found = _found_after(self.step_s, self.steps, cycle_s, model)
         self._leads = np.zeros((model.axis_count, kernel.LEAD_SIZE)) if leads is None else leads(self.step_s)
         self._work, self._state = self._layout.new_work(), np.zeros(self._layout.state_size)
         self._inputs = self._layout.new_inputs()
@@ -142,10 +151,11 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         scale = np.maximum(1.0 + present.modulus_sd_Pa / present.modulus_Pa * z[:, 0], _LEAST_MODULUS_SHARE)
         start = self._start(present, z[:, 1 : 1 + n])
         moduli = present.modulus_Pa * self._moduli
-        factor = self._delayed(courses.modulus_factor)
+        factor = self._as_found(courses.modulus_factor)
         known = np.ascontiguousarray(moduli * self._sections_m2 * factor)
         # All controllers go by the one E that the twin tells.
-        seen, row_of = np.unique(present.modulus_Pa * factor[:, self._span - 1], return_inverse=True)
+        near = np.round(_GAINS_PER_MODULUS * factor[:, self._span - 1]) / _GAINS_PER_MODULUS
+        seen, row_of = np.unique(present.modulus_Pa * near, return_inverse=True)
         gains = np.concatenate([self._gains(float(modulus)) for modulus in seen])
         controllers = self._controllers(present, gains[row_of[0] * k : (row_of[0] + 1) * k])
         tally = Tally.of(self.watched, offsets, z[:, 1 + n :], self.step_s, self.steps)
@@ -230,6 +240,20 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         """Of the spans (K,), which the twin takes over from the axes."""
         return np.asarray(present.tensions_N / (present.modulus_Pa * self._moduli * self._sections_m2), np.float64)
 
-    def _delayed(self, factor: Array) -> Array:
-        late = min(round(_FOUND_AFTER_S / self.step_s), len(factor))
-        return np.concatenate((np.ones((late, factor.shape[1])), factor[: len(factor) - late]))
+    def _as_found(self, factor: Array) -> Array:
+        """What the twin tells of E over the present one (T, K), where `factor` is what there is."""
+        told = factor.copy()
+        for span in np.flatnonzero((factor != 1.0).any(axis=0)):
+            changes = np.diff(factor[:, span], prepend=1.0)
+            told[:, span] = 1.0 + np.convolve(changes, self._found[span])[: len(factor)]
+        return told
+
+
+def _found_after(step_s: float, steps: int, cycle_s: float, model: ModelParameters) -> Array:
+    """Share of a change of E in span k that the twin has found so many steps after it, (K, T)."""
+    rollers = model.axis_count - np.arange(1, model.span_count + 1)
+    unseen = round(_UNSEEN_CYCLES * cycle_s / step_s)
+    passed_s = step_s * np.maximum(np.arange(1, steps + 1) - unseen, 0)
+    soon_s = cycle_s * _SOON_CYCLES * np.sqrt(rollers)
+    left = _SOON_SHARE * np.exp(-passed_s / soon_s[:, np.newaxis]) + (1.0 - _SOON_SHARE) * np.exp(-passed_s / _LATER_S)
+    return np.asarray(1.0 - left, np.float64)
