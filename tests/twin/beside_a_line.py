@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from tests.plant.models import DEMONSTRATOR
+from tests.twin.independent_spans import IndependentSpans
 
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.motor_port import MotorMode
@@ -30,16 +31,24 @@ def line_model(*lengths_m: float, **changes: Any) -> ModelParameters:
 
 
 class BesideALine:
-    """The line and its twin, cycle by cycle; all rollers are told the same speed. What the twin tells is kept."""
+    """The line and its twin, cycle by cycle; all rollers are told the same speed. What the twin tells is kept. `line`:
+    the plant of `model` where it is None."""
 
-    def __init__(self, model: ModelParameters, config: EstimationConfig | None = None, seed: int = 1) -> None:
+    def __init__(
+        self,
+        model: ModelParameters,
+        config: EstimationConfig | None = None,
+        seed: int = 1,
+        line: IndependentSpans | None = None,
+        torque_noise_Nm: float = _TORQUE_NOISE_NM,
+    ) -> None:
         around = boundary(model)
         self.model = model
         self.twin = WebLineTwin(model, config or EstimationConfig(), CYCLE_S, around.__getitem__)
-        self.line = Line(model, [type(port)() for port in self.twin.ports])
+        self.line: Any = line or Line(model, [type(port)() for port in self.twin.ports])
         self.speed_m_s = 0.0
         self.time_s = 0.0
-        self._rng = np.random.default_rng(seed)
+        self._rng, self._noise = np.random.default_rng(seed), (_POSITION_NOISE_RAD, torque_noise_Nm)
         self._rows: list[tuple[float, ...]] = []
         self._before: list[tuple[float, float]] | None = None
         self._joined = False
@@ -48,7 +57,7 @@ class BesideALine:
 
     def measured(self) -> list[tuple[float, float]]:
         """Position in rad and torque in N·m of each axis."""
-        noise = self._rng.normal(size=(len(self.line.ports), 2)) * (_POSITION_NOISE_RAD, _TORQUE_NOISE_NM)
+        noise = self._rng.normal(size=(len(self.line.ports), 2)) * self._noise
         return [
             (port.position_rad + float(x), port.torque_Nm + float(tau))
             for port, (x, tau) in zip(self.line.ports, noise, strict=True)

@@ -92,17 +92,18 @@ def weigh(
     F_next_N: float,
     behind_N: float,
     strain_next: float,
+    crept_prev: float,
     duration_s: float,
 ) -> None:
     """The balance at this SYNC into the state, `duration_s` after the last; see `MeasuredBalance.update`.
 
     `behind_N`, `strain_next`: tension and strain of the web behind roller 2; of several rollers as one the tension is
-    not `F_next_N`, which is behind the last of them."""
+    not `F_next_N`, which is behind the last of them. `crept_prev`: as in `put_boundary`."""
     s, velocity_m_s = balance.s, 0.0
     if s[STARTED] == _FOLLOWS:
         follow_to(balance.web, x1_m, x2_m, duration_s)
         velocity_m_s = (x2_m - s[_BEFORE_M]) / duration_s
-    put_boundary(balance.web, strain_prev, behind_N, strain_next)
+    put_boundary(balance.web, strain_prev, behind_N, strain_next, crept_prev)
     s[STARTED] = _FOLLOWS
     s[_BEFORE_M] = x2_m
     s[X2_M] = x2_m
@@ -139,7 +140,7 @@ def _entry_point(sources: int) -> Weigh:
         if sources >= 0:
             web = SpanVectors(web_p, web_s, web_w, web_v, boundary, tension)
             balance, strain_next = BalanceVectors(p, web, s), laws.downstream_strain(p, F_next_N)
-            weigh(balance, x1_m, x2_m, torque_Nm, strain_prev, F_next_N, F_next_N, strain_next, duration_s)
+            weigh(balance, x1_m, x2_m, torque_Nm, strain_prev, F_next_N, F_next_N, strain_next, 0.0, duration_s)
 
     return weigh_once
 

@@ -65,7 +65,7 @@ _AT_SPEED = 0.1
 #: Deviation of E, in %, with which a known change of the tension tells it, and its share of what was stated before.
 _KNOWN_PCT, _SAYS_MORE = 0.3, 0.9
 
-_NOTHING_MEASURED = (nan,) * 8
+_NOTHING_MEASURED = (nan,) * 9
 
 
 class TrackedLine(Protocol):
@@ -435,8 +435,12 @@ class Tracking:
     @property
     def handed_on_strain(self) -> float:
         """With which the next span gets it; see `tracking_cycle.handed_on_strain`."""
-        crept = self._t.item(cycle.CREPT)
-        return self.leaving_strain if crept == 0.0 else (1.0 + self.leaving_strain) / (1.0 - crept) - 1.0
+        return as_if_stretched(self.leaving_strain, self.crept)
+
+    @property
+    def crept(self) -> float:
+        """Share by which less web leaves the span than the roller behind it turns, as it creeps."""
+        return self._t.item(cycle.CREPT)
 
     @property
     def handed_back_strain(self) -> float:
@@ -519,15 +523,16 @@ class Tracking:
         F_next_N: float,
         centre_m: float | None = None,
         strain_next: float | None = None,
+        crept_prev: float = 0.0,
     ) -> None:
         """Take what was measured at the instant that the line has been simulated to; updates the line.
 
         `centre_m`: of the centre of mass, where roller 2 stands for several; `strain_next`: of the web behind the span,
-        without it as the model has it at F_next.
+        without it as the model has it at F_next; `crept_prev`: `crept` of the span before.
         """
         self._balance.begin(x1_m, x2_m, strain_prev)
         others = (nan if centre_m is None else centre_m, nan if strain_next is None else strain_next)
-        values = (x1_m, x2_m, torque_Nm, self._axis2.torque_Nm, strain_prev, F_next_N, *others)
+        values = (x1_m, x2_m, torque_Nm, self._axis2.torque_Nm, strain_prev, F_next_N, *others, crept_prev)
         stage = cycle.run_vectors(cycle.COMPARE, tuple(map(float, values)), self._table)
         if stage == cycle.DONE:
             self.has_gone_on()
@@ -681,12 +686,23 @@ class Tracking:
 def unknown_webs(model: ModelParameters) -> UnknownWebs:
     """Those of a line, E as the model has it."""
     spans = range(1, model.span_count + 1)
-    creeps = {e.section or 1: e.parameters.get("creep_per_N", 0.0) for e in model.effects if e.effect == "web_slip"}
     return UnknownWebs(
         [model.span_length_m(span) for span in spans],
-        [creeps.get(span, 0.0) for span in spans],
+        creeps_per_N(model),
         [model.stiffness_N(span) for span in spans],
     )
+
+
+def creeps_per_N(model: ModelParameters) -> list[float]:
+    """Creep over the roller behind each span, by the model."""
+    creeps = {e.section: e.parameters.get("creep_per_N", 0.0) for e in model.effects if e.effect == "web_slip"}
+    return [creeps.get(span, creeps.get(None, 0.0)) for span in range(1, model.span_count + 1)]
+
+
+def as_if_stretched(strain: float, crept: float) -> float:
+    """Strain of web of which, unstretched, as little comes as of this one by creep over a roller: less, by the share
+    `crept`, than that turns."""
+    return strain if crept == 0.0 else (1.0 + strain) / (1.0 - crept) - 1.0
 
 
 def _known_change(

@@ -150,12 +150,14 @@ def compare(
     F_next_N: float,
     centre_m: float,
     strain_next: float,
+    crept_prev: float,
 ) -> int:
     """Take what was measured at the instant that the line has been simulated to; the stage that is next: HOLD,
     FOUND_WEB or UPDATE.
 
     `torque_Nm`, `torque_sim_Nm`: measured and simulated; `centre_m`: of the centre of mass, where roller 2 stands for
-    several, else NaN; `strain_next`: of the web behind the span, NaN where that is the end of the line.
+    several, else NaN; `strain_next`: of the web behind the span, NaN where that is the end of the line; `crept_prev`:
+    share by which the web is pulled back over roller 1 (`CREPT` of the span before).
     """
     t, now = v.t, v.balance.s
     torque_Nm -= t[SHIFT_NM]
@@ -166,7 +168,8 @@ def compare(
     if isnan(strain_next):
         strain_next = laws.downstream_strain(v.balance.p, F_next_N)
     duration_s = t[CYCLE_S] + t[MISSED_S]
-    balance.weigh(v.balance, x1_m, x2_m, torque_Nm, strain_prev, F_next_N, behind_N, strain_next, duration_s)
+    around = strain_prev, F_next_N, behind_N, strain_next, crept_prev
+    balance.weigh(v.balance, x1_m, x2_m, torque_Nm, *around, duration_s)
     t[CREPT] = creep_per_N * (v.balance.web.tension[0] - behind_N) if creep_per_N != 0.0 else 0.0
     if not isnan(centre_m):
         now[balance.X2_M] = centre_m
@@ -384,11 +387,13 @@ def run(
     F_next_N: float,
     centre_m: float,
     strain_next: float,
+    crept_prev: float,
 ) -> int:
     """A cycle from `stage` on; arguments as of `compare`, which are read there alone. The stage at which Python has
     to do something (HOLD, FOUND_WEB, UPDATE of another method than the bank, SHIFT), or DONE."""
     if stage == COMPARE:
-        stage = compare(v, x1_m, x2_m, torque_Nm, torque_sim_Nm, strain_prev, F_next_N, centre_m, strain_next)
+        around = strain_prev, F_next_N, centre_m, strain_next, crept_prev
+        stage = compare(v, x1_m, x2_m, torque_Nm, torque_sim_Nm, *around)
         if stage == UPDATE and v.t[BANK] != 0.0:
             update(v)
             stage = LOOK_FOR_SHIFT
@@ -444,9 +449,9 @@ def _entry_points(
 ) -> tuple[Callable[..., int], Callable[..., None], Callable[..., None], Callable[[Vector, float], bool]]:
     """Compiled functions that are called from Python; `sources` as in the kernel."""
 
-    @entry_point(COUNT, reals(8), TABLE)
+    @entry_point(COUNT, reals(9), TABLE)
     def run_vectors(
-        stage: int, values: tuple[float, float, float, float, float, float, float, float], table: Places
+        stage: int, values: tuple[float, float, float, float, float, float, float, float, float], table: Places
     ) -> int:
         """`run` with the vectors of a `table_of` what `flat` gives."""
         if sources < 0:
@@ -515,7 +520,7 @@ def _entry_points(
             line,
             floats(table, 51, (1,)),
         )
-        return run(v, stage, values[0], values[1], values[2], values[3], values[4], values[5], values[6], values[7])
+        return run(v, stage, *values)
 
     @entry_point(COUNT, VECTOR, VECTOR, VECTOR, VECTOR)
     def forget(what: int, block: Vector, of_anomalies: Vector, shift: Vector, delay_line: Vector) -> None:

@@ -71,7 +71,7 @@ class SpanFollower:
         self._loads, self._torques, self._speeds = np.zeros((0, 3)), np.zeros(0), np.zeros(n)
         self._shown = np.zeros(2 * n + 3 * k)
         behind_N = parameters.boundary.downstream_tension_N
-        self._boundary = np.array([parameters.upstream_strain, behind_N, _downstream_strain(self._p, behind_N)])
+        self._boundary = np.array([parameters.upstream_strain, behind_N, _downstream_strain(self._p, behind_N), 0.0])
         self._tension = np.zeros(k)
         self._stale = False  # tensions are not those of state, boundary and parameters
         self._broken = False

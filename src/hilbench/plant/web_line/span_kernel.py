@@ -266,7 +266,7 @@ class SpanVectors(NamedTuple):
     s: Vector  #: state, as of `roll_on`
     w: Vector  #: scratch space
     v: Vector  #: speeds of the rollers over the last cycle (N,), m/s
-    boundary: Vector  #: strain of the web before the line; tension, N, and strain behind it
+    boundary: Vector  #: strain of the web before the line; tension, N, and strain behind it; see `put_boundary`
     tension: Vector  #: of each span (K,), N
 
 
@@ -275,20 +275,31 @@ def follow_to(web: SpanVectors, x1_m: float, x2_m: float, duration_s: float) -> 
     """The web of two rollers, which are now at these positions, `duration_s` after the last call."""
     web.v[0] = (x1_m - web.s[POSITIONS]) / duration_s
     web.v[1] = (x2_m - web.s[POSITIONS + 1]) / duration_s
-    strain_prev, f_next_N, strain_next = web.boundary[0], web.boundary[1], web.boundary[2]
-    roll_on(web.p, web.s, web.w, web.v, strain_prev, f_next_N, strain_next, duration_s, LONGEST_STEP_S, web.tension)
+    _roll_between(web, duration_s)
     web.s[POSITIONS] = x1_m  # exactly: no drift from adding up
     web.s[POSITIONS + 1] = x2_m
 
 
 @compiled
-def put_boundary(web: SpanVectors, strain_prev: float, f_next_N: float, strain_next: float) -> None:
-    """What the neighbouring sections do from now on; tensions are those that come with it."""
-    web.boundary[2] = strain_next
+def put_boundary(web: SpanVectors, strain_prev: float, f_next_N: float, strain_next: float, crept_prev: float) -> None:
+    """What the neighbouring sections do from now on; tensions are those that come with it. `crept_prev`: share by which
+    the web before the line pulls what passes the first roller back over it. What enters has that in its strain; in
+    reverse so much more leaves than the roller turns."""
+    web.boundary[2], web.boundary[3] = strain_next, crept_prev
     if web.boundary[0] != strain_prev or web.boundary[1] != f_next_N:
         web.boundary[0] = strain_prev
         web.boundary[1] = f_next_N
-        roll_on(web.p, web.s, web.w, web.v, strain_prev, f_next_N, strain_next, 0.0, LONGEST_STEP_S, web.tension)
+        _roll_between(web, 0.0)
+
+
+@compiled
+def _roll_between(web: SpanVectors, duration_s: float) -> None:
+    """`roll_on` between these neighbours, with the speed that the web has over the first roller."""
+    turns_m_s, (strain_prev, f_next_N) = web.v[0], (web.boundary[0], web.boundary[1])
+    if turns_m_s < 0.0:
+        web.v[0] = turns_m_s * (1.0 + web.boundary[3])
+    roll_on(web.p, web.s, web.w, web.v, strain_prev, f_next_N, web.boundary[2], duration_s, LONGEST_STEP_S, web.tension)
+    web.v[0] = turns_m_s
 
 
 @inlined

@@ -22,6 +22,8 @@ from hilbench.estimation.web_line.tracking import (
     UNKNOWN_STRAIN,
     Known,
     Tracking,
+    as_if_stretched,
+    creeps_per_N,
     unknown_webs,
 )
 from hilbench.estimation.web_line.tracking_cycle import ASTRAY_S, LARGEST_STRAIN
@@ -257,7 +259,7 @@ class WebLineTwin:
             others.follow(positions_m, strain_prev, F_next_N, self._cycle_s)
         for each in self._all:
             less_Nm = each.tracking.torque_shift_Nm, self.ports[each.span].torque_Nm
-            self._compare(each, time_s, positions_m, torques_Nm, self._strain_before(each.span, strain_prev), F_next_N)
+            self._compare(each, time_s, positions_m, torques_Nm, strain_prev, F_next_N)
             each.residual_Nm = measured_Nm[each.span] - less_Nm[0] - less_Nm[1]
         if self._passage is not None:
             self._passage.update(positions_m[self._all[0].span - 1 :])
@@ -294,7 +296,17 @@ class WebLineTwin:
         if before is not None:
             return before.tracking.handed_on_strain
         assert self._others is not None, "a span is estimated, or among the others"
-        return self._others.strain(span - 1)
+        return as_if_stretched(self._others.strain(span - 1), self._others.crept(span - 1))
+
+    def _crept_before(self, span: int) -> float:
+        """Share by which less web comes over the roller before a span than that turns, in reverse more."""
+        if span == 1:
+            return 0.0
+        before = self._estimated.get(span - 1)
+        if before is not None:
+            return before.tracking.crept
+        assert self._others is not None, "a span is estimated, or among the others"
+        return self._others.crept(span - 1)
 
     def _strain_behind(self, span: int) -> float | None:
         """Strain of the web behind a span, which enters it in reverse, as last measured; None behind the line."""
@@ -309,14 +321,15 @@ class WebLineTwin:
         time_s: float,
         positions_m: Sequence[float],
         torques_Nm: Sequence[float],
-        strain_before: float,
+        strain_prev: float,
         F_next_N: float,
     ) -> None:
         span, tracking = each.span, each.tracking
         torque_Nm, centre_m = torques_Nm[span], None
         if self._several:
             torque_Nm, centre_m = each.section.measured_torque_Nm(torques_Nm), each.section.centre_m
-        around = strain_before, F_next_N, centre_m, self._strain_behind(span)
+        strain_before, crept = self._strain_before(span, strain_prev), self._crept_before(span)
+        around = strain_before, F_next_N, centre_m, self._strain_behind(span), crept
         tracking.compare(time_s, positions_m[span - 1], positions_m[span], torque_Nm, *around)
         rad_per_m = 1.0 / self._metres_per_rad[span]
         tracking.look_for_known_change(self.ports[span].setpoint / rad_per_m)
@@ -429,6 +442,7 @@ class _OtherSpans:
 
     def __init__(self, model: ModelParameters, spans: Sequence[int], strain_limit: float) -> None:
         self._web = SpanFollower(model)
+        self._creeps_per_N, self._behind_N = creeps_per_N(model), model.boundary.downstream_tension_N
         self._spans = tuple(spans)
         self._limit = strain_limit
         self._passed_m = PASSED_SPANS * max(model.span_length_m(span) for span in range(1, model.span_count + 1))
@@ -448,6 +462,7 @@ class _OtherSpans:
         web = self._web
         web.set_input("strain_prev", strain_prev)
         web.set_input("F_next_N", F_next_N)
+        self._behind_N = F_next_N
         if self._running:
             web.follow(positions_m, cycle_s)
         else:
@@ -471,9 +486,16 @@ class _OtherSpans:
         """Of the web in one of these spans, as measured."""
         return float(self._web.strain[span - 1])
 
+    def crept(self, span: int) -> float:
+        """Share by which less web leaves one of these spans than the roller behind it turns, as it creeps."""
+        tensions, behind_N = self._web.tension_N, self._behind_N
+        if span < len(tensions):
+            behind_N = float(tensions[span])
+        return self._creeps_per_N[span - 1] * (float(tensions[span - 1]) - behind_N)
+
     @property
     def strains(self) -> dict[int, float]:
-        """The same of all of them, by span."""
+        """The strains of all of them, by span."""
         return {span: self.strain(span) for span in self._spans}
 
     def transfer(self, line: Line) -> None:

@@ -141,12 +141,12 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
     measured, torques_Nm = floats(table, _MEASURED, (1,)), floats(table, _TORQUES, (1,))
     masses_kg, of_rollers = floats(table, _MASSES, (1,)), floats(table, _OF_ROLLERS, (1,))
     for k in range(first, len(spans)):
-        of_span, strain_before = table[_OWN + k * cycle.ROWS :], strain_prev
+        of_span, strain_before, crept = table[_OWN + k * cycle.ROWS :], strain_prev, 0.0
         t, at = floats(of_span, cycle.STATE_ROW, (1,)), rig_cycle.SHOWN * (k + 1) + _TORQUE
         if k > 0:
             before = table[_OWN + (k - 1) * cycle.ROWS :]
             t_before = floats(before, cycle.STATE_ROW, (1,))
-            strain_before = cycle.handed_on_strain(t_before, _strain(before))
+            strain_before, crept = cycle.handed_on_strain(t_before, _strain(before)), t_before[cycle.CREPT]
             if t_before[cycle.MOVED] != 0.0:
                 _show(table)
         torque_Nm, centre_m = measured[_MEASURED_SIZE * (k + 1) + _TORQUE], nan
@@ -159,7 +159,8 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
         if k + 1 < len(spans):
             behind = table[_OWN + (k + 1) * cycle.ROWS :]
             strain_behind = cycle.handed_back_strain(floats(behind, cycle.STATE_ROW, (1,)), _strain(behind))
-        compared = x_m[k], x_m[k + 1], torque_Nm, torque_sim_Nm, strain_before, F_next_N, centre_m, strain_behind
+        around = strain_before, F_next_N, centre_m, strain_behind, crept
+        compared = x_m[k], x_m[k + 1], torque_Nm, torque_sim_Nm, *around
         stage = run_vectors(cycle.COMPARE, compared, of_span)
         if stage != cycle.DONE:
             floats(table, _SAID, (1,))[_AT_SPAN], spans[k, _STRAIN_BEFORE] = k, strain_before
