@@ -108,14 +108,15 @@ class VariedLine:
         return arms
 
     def reset(self, positions_m: Sequence[float], speed_m_s: float) -> None:
-        """Start again at these positions, as the model is, with nothing corrected; idlers turn with the
-        web, which has this speed."""
+        """Start again at these positions, as the model is, with nothing corrected; rollers turn with the web, which has
+        this speed."""
         turning = {f"v_{name}_m_s": speed_m_s for name in self._idlers}
         self._errors[:] = 0.0
         for unknown, follower in zip((None, *self.unknowns), (self.line, *self._copies), strict=True):
             self._put_moduli(follower, unknown)
             follower.reset([x + more for x, more in zip(positions_m, self._offsets_m(unknown), strict=True)])
-            follower.set_state(turning)
+            driven = {f"v{axis}_m_s": speed_m_s / follower.radius_ratio(axis) for axis in range(1, len(self._rows) + 1)}
+            follower.set_state(turning | driven)
             if unknown is not None and unknown.kind is Kind.CARRIAGE:
                 name = f"x_{self._model.carriages[unknown.number - 1].station.name}_m"
                 at_m = self.carriage_m(unknown.number)
