@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from math import pi, sin
-
 import numpy as np
 
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_cycle import LEADS_BY, SPEEDS
 from hilbench.bench.tasks.tension_task import Leader
-from hilbench.bench.tasks.web_winding_control import DancerPosition
+from hilbench.bench.tasks.web_winding_control import DancerPosition, eased
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.web_line.stations import LineCarriage
@@ -92,7 +90,7 @@ class PositionTask(CyclicTask):
         """Of its speed, at which the axis feeds now: from one end to the other with a bounded jerk."""
         step = self._cycle_s / self._ramp_s
         self._ramped += min(max(self._values[self._feed] - self._ramped, -step), step)
-        return self._ramped - sin(2.0 * pi * self._ramped) / (2.0 * pi) if 0.0 < self._ramped < 1.0 else self._ramped
+        return eased(self._ramped)[0]
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Record the set-point."""

@@ -11,13 +11,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import copysign, pi
+from typing import Final
 
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import Accumulator, Dancer, LineCarriage, Reel
 
+#: Share of a ramp over which its acceleration comes, and goes: the peak is 8/7 of the least by which it can be done.
+ROUNDED: Final = 1.0 / 8.0
 #: Speed of a carriage below which its dry friction is not made up for, m/s: it may stick either way.
 _STANDS_M_S = 1e-3
+
+
+def eased(time: float, rounded: float = ROUNDED) -> tuple[float, float]:
+    """Of a ramp from 0 to 1 over the time 1, with a bounded jerk: how far it is, and how fast. `rounded`: over which
+    the acceleration comes, and goes, up to 1/2."""
+    time = min(max(time, 0.0), 1.0)
+    left, fastest = min(time, 1.0 - time), 1.0 / (1.0 - rounded)
+    if left < rounded:
+        way, speed = 0.5 * fastest * left**2 / rounded, fastest * left / rounded
+    else:
+        way, speed = fastest * (left - 0.5 * rounded), fastest
+    return (way if time <= 0.5 else 1.0 - way), speed
 
 
 @dataclass(frozen=True)
@@ -153,16 +168,25 @@ class DancerPosition:
 
 
 class CarriageForce:
-    """Force on the carriage of an accumulator or dancer that keeps the tension behind it, with what its parts need.
+    """Force on the carriage of an accumulator or dancer that keeps the tension beside it, with what its parts need.
 
     The rollers between the strands turn at speeds that go evenly from that before to that behind; roller j of n - 1 has
     the inertia m and friction R, so that strand j pulls by the sum of m·a + R of the rollers behind it less than the
     web behind the carriage; the carriage has the sum of the strands, its mass and its friction.
 
-    `mass_error`, `friction_error`: shares by which what it goes by is off.
+    What the tensions at its ends come to differ by no force on it can change, but which of them that is: `behind_takes`
+    is the share of the change, against an even speed, that the tension behind has, 0 where it is to stay, 1 where that
+    before is. `mass_error`, `friction_error`: shares by which what it goes by is off.
     """
 
-    def __init__(self, carriage: LineCarriage, mass_error: float = 0.0, friction_error: float = 0.0) -> None:
+    def __init__(
+        self,
+        carriage: LineCarriage,
+        mass_error: float = 0.0,
+        friction_error: float = 0.0,
+        behind_takes: float = 0.0,
+    ) -> None:
+        self._behind_takes = behind_takes
         self._station = carriage.station
         self._moved = 1.0 + mass_error
         self._held = 1.0 + friction_error
@@ -177,14 +201,20 @@ class CarriageForce:
         behind_m_s2: float,
         position_m: float = 0.0,
     ) -> float:
-        """From the speeds of the web at the ends and their planned accelerations."""
+        """From the speeds of the web at the ends and their planned accelerations; `tension_N` is wanted behind at an
+        even speed."""
         station, strands = self._station, self._station.strand_count
-        total_N, strand_N = tension_N, tension_N
+        needs_N, more_N = [], 0.0
         for roller in range(strands - 1, 0, -1):
             share = roller / strands
             speed_m_s = before_m_s + share * (behind_m_s - before_m_s)
             acceleration_m_s2 = before_m_s2 + share * (behind_m_s2 - before_m_s2)
-            strand_N -= self._mass_kg * acceleration_m_s2 + self._friction_N(speed_m_s)
+            needs_N.append(self._mass_kg * acceleration_m_s2 + self._friction_N(speed_m_s))
+            more_N += needs_N[-1] - self._friction_N(behind_m_s)
+        strand_N = tension_N + self._behind_takes * more_N
+        total_N = strand_N
+        for need_N in needs_N:
+            strand_N -= need_N
             total_N += strand_N
         carriage_m_s = (before_m_s - behind_m_s) / strands
         moving_N = self._moved * station.mass_kg * (before_m_s2 - behind_m_s2) / strands
