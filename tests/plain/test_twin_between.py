@@ -43,8 +43,8 @@ def frames_of(packet: bytes, record: struct.Struct) -> Packet:
     return [Frame(fields[0], fields[3][: fields[1]], 0) for fields in record.iter_unpack(body)]
 
 
-def heard_by_a_twin(folder: Path) -> list[Packet]:
-    """All that the twin of a bench receives in 220 cycles."""
+def heard_by_a_twin(folder: Path, name: str = "web_section_step", path: str = "line_speed_m_s") -> list[Packet]:
+    """All that the twin of a bench receives in 220 cycles, at something that is set."""
     heard = dict[str, list[Packet]]()
     receive = embedded.receive_packet
 
@@ -56,10 +56,11 @@ def heard_by_a_twin(folder: Path) -> list[Packet]:
         return packet
 
     changes = [f"bus.address=embedded:b{uuid.uuid4().hex[:10]}"]
-    loaded = load_with_overrides(CONFIGS / "web_section_step.yaml", changes=changes)
+    loaded = load_with_overrides(CONFIGS / f"{name}.yaml", changes=changes)
     with patch.object(embedded, "receive_packet", kept):
-        run(folder, loaded, [(10, sets("line_speed_m_s", 0.4))], 220, How.INTERPRETED, lent=False)
-    return next(each for each in heard.values() if any(f.can_id == 0x220 for packet in each for f in packet))
+        run(folder, loaded, [(10, sets(path, 0.4))], 220, How.INTERPRETED, lent=False)
+    ids = {name: {frame.can_id for packet in each for frame in packet} for name, each in heard.items()}
+    return next(each for name, each in heard.items() if {SYNC, AXES[0]} <= ids[name])
 
 
 @contextmanager

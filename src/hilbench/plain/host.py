@@ -56,7 +56,7 @@ class PlainHost:
     """Serves the devices of a host, by packets where its cycles are plain.
 
     `begin` makes a run, which expects such frames with each SYNC, itself the last; raises NotPlainError. `by_clock`:
-    frames come one by one, and a run begins behind a SYNC.
+    frames come one by one, and a run begins behind a SYNC, or the last answer to it that the application waits for.
     """
 
     def __init__(
@@ -71,6 +71,7 @@ class PlainHost:
         warm_up_packets()
         self._host, self._link = host, link
         self._application, self._new_run, self._by_clock = application, begin, by_clock
+        self._begin_behind = application.listens_to or {SYNC}  # once the application has done its part of a cycle
         self._run: PacketRun | None = None
         self._expected: Sequence[Frame] = ()  # what came with the last SYNC
         self._wait = 0  # times served until it is looked again
@@ -87,7 +88,7 @@ class PlainHost:
             frames = self._link.frames_from(self._link.receive_packet(timeout_s))
         self._host.handle(frames)
         self._note(frames)
-        if self._by_clock and not (frames and frames[-1].can_id == SYNC):
+        if self._by_clock and not (frames and frames[-1].can_id in self._begin_behind):
             return
         if self._wait:
             self._wait -= 1

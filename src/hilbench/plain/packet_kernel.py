@@ -36,16 +36,16 @@ from hilbench.plain.layout import Bytes, Whole
 
 #: What has become of a packet: none has come; another than expected; it is that of a bench that says that it is alive,
 #: which is to be heard before it is answered; answered; the same, but the bus did not take the answers; SYNC is there,
-#: and all that came before it.
-NOTHING, OTHER, ALIVE, ANSWERED, UNSENT, SYNCED = range(6)
+#: and all that came before it; it is there, and is to be looked at.
+NOTHING, OTHER, ALIVE, ANSWERED, UNSENT, SYNCED, MORE = range(7)
 #: Where to begin: with the next packet; with that in the buffer; behind its heartbeat, which was heard; behind SYNC,
 #: for which `await_sync` has waited.
 RECEIVE, TAKEN, HEARD, BEHIND_SYNC = range(4)
 #: Places among the numbers. Of Python: the socket, addresses of both buffers and of room for a timespec, frames that
 #: the bus has dropped, until when a packet is taken (ns of the monotonic clock), how long that in the buffer is. Of the
 #: kernel: the same, when it was there, whose heartbeat (COB-ID) is in it, how long what is sent is; what was gathered:
-#: frames, those that are no heartbeats, packets, where the last one ends; until where `await_sync` has looked at what
-#: is in the buffer.
+#: frames, those that are no heartbeats, packets, where the last one ends; until where `await_sync` and `await_others`
+#: have looked at what is in the buffer; of whom the latter waits for, who has answered, a bit each.
 (
     DESCRIPTOR,
     IN_AT,
@@ -62,8 +62,9 @@ RECEIVE, TAKEN, HEARD, BEHIND_SYNC = range(4)
     PACKETS_CAME,
     IN_END,
     LOOKED_AT,
+    ANSWERED_BY,
     PLACES,
-) = range(16)
+) = range(17)
 #: Bus time is the hub's: what the kernel makes of it here nobody asks for.
 BITRATE = 1_000_000
 #: Columns of what is expected, and of what is looked at in it: a value of these octets of a record, under a mask.
@@ -88,6 +89,8 @@ _POLLED, _OF_TIME = 2, 3
 _G_NUMBERS, _G_LENGTHS, _G_COB_IDS, _G_SIZES, _G_DATA, _G_PACKETS = range(6)  # as `Gathered` has them
 #: Most frames and packets that are gathered in a cycle.
 _MOST_FRAMES, _MOST_PACKETS = 512, 64
+#: Most others who are waited for.
+MOST_OTHERS: Final = 62
 #: So long it is waited for a packet before the interpreter is asked again, where the wire is lent.
 _PATIENCE_MS: Final = 100
 
@@ -291,6 +294,29 @@ def _append(port: Table) -> int:
 
 
 @compiled
+def _is_alive(packet: Bytes, at: int) -> bool:
+    """Whether the record there is a heartbeat of a node that is operational."""
+    cob_id = _number(packet, at, 4)
+    return _NO_NODE < cob_id <= _LAST_NODE and packet[at + _SIZE_AT] == 1 and packet[at + _DATA_AT] == _OPERATIONAL
+
+
+@compiled
+def _row_of(packet: Bytes, at: int, expected: Pairs) -> int:
+    """That of the record there; one behind the last: none."""
+    cob_id, size, row = _number(packet, at, 4), packet[at + _SIZE_AT], 0
+    while row < len(expected) and (expected[row, COB_ID] != cob_id or expected[row, SIZE] != size):
+        row += 1
+    return row
+
+
+@compiled
+def _put(packet: Bytes, at: int, data: Bytes, row: int) -> None:
+    """Data of the record there to where those of its frame are."""
+    for octet in range(8):
+        data[8 * row + octet] = packet[at + _DATA_AT + octet]
+
+
+@compiled
 def _sort_in(port: Table) -> int:
     """Data of the records that were not looked at yet, up to SYNC, to where those of their frames are: SYNCED, where
     that is there; NOTHING: more is to come; OTHER: something else is among them."""
@@ -299,21 +325,62 @@ def _sort_in(port: Table) -> int:
     last = len(expected) - 1
     while max(numbers[LOOKED_AT], _HEADER) < numbers[LENGTH]:
         at = max(numbers[LOOKED_AT], _HEADER)
-        cob_id, size = _number(packet, at, 4), packet[at + _SIZE_AT]
-        if _NO_NODE < cob_id <= _LAST_NODE and size == 1 and packet[at + _DATA_AT] == _OPERATIONAL:
-            numbers[HEARTBEAT_OF], numbers[LOOKED_AT] = cob_id, at + _RECEIVED
+        if _is_alive(packet, at):
+            numbers[HEARTBEAT_OF], numbers[LOOKED_AT] = _number(packet, at, 4), at + _RECEIVED
             continue
-        row = 0
-        while row <= last and (expected[row, COB_ID] != cob_id or expected[row, SIZE] != size):
-            row += 1
+        row = _row_of(packet, at, expected)
         if row > last:
             return OTHER
         numbers[LOOKED_AT] = at + _RECEIVED
         if row == last:
             return SYNCED
-        for octet in range(8):
-            data[8 * row + octet] = packet[at + _DATA_AT + octet]
+        _put(packet, at, data, row)
     return NOTHING
+
+
+@compiled
+def _sort_in_others(port: Table, others: Table) -> int:
+    """The same of what comes behind SYNC: answers of others, each once, to where those of `others` are, and what is of
+    the next SYNC: ANSWERED, where all of the former are there."""
+    numbers, packet = integers(port, _NUMBERS, (1,)), integers(port, _IN, (1,)).view(_OCTET)
+    expected, data = integers(port, _EXPECTED, (1, 2)), integers(port, _DATA, (1,)).view(_OCTET)
+    awaited, theirs = integers(others, _EXPECTED, (1, 2)), integers(others, _DATA, (1,)).view(_OCTET)
+    count = len(awaited)
+    while max(numbers[LOOKED_AT], _HEADER) < numbers[LENGTH]:
+        at = max(numbers[LOOKED_AT], _HEADER)
+        if _is_alive(packet, at):
+            numbers[HEARTBEAT_OF], numbers[LOOKED_AT] = _number(packet, at, 4), at + _RECEIVED
+            continue
+        row = _row_of(packet, at, awaited)
+        if row < count:
+            if numbers[ANSWERED_BY] >> row & 1:
+                return OTHER
+            _put(packet, at, theirs, row)
+            numbers[ANSWERED_BY] |= 1 << row
+            numbers[LOOKED_AT] = at + _RECEIVED
+            if numbers[ANSWERED_BY] == (1 << count) - 1:
+                return ANSWERED
+            continue
+        row = _row_of(packet, at, expected)
+        if row >= len(expected) - 1:
+            return OTHER
+        _put(packet, at, data, row)
+        numbers[LOOKED_AT] = at + _RECEIVED
+    return NOTHING
+
+
+@compiled
+def _await_more(port: Table, timeout_ns: int) -> int:
+    """Wait for another packet, and append it: MORE; NOTHING has come within the time; OTHER: as of `_append`."""
+    numbers, time = integers(port, _NUMBERS, (1,)), integers(port, _TIME, (1,))
+    count = _append(port)
+    if count == 0:
+        time[0], time[1] = timeout_ns // _SECOND_NS, timeout_ns % _SECOND_NS
+        time[_POLLED] = numbers[DESCRIPTOR] | POLLIN << 32
+        if ppoll(numbers[TIME_AT] + 8 * _POLLED, 1, numbers[TIME_AT], 0) <= 0:
+            return NOTHING
+        count = _append(port)
+    return MORE if count > 0 else OTHER
 
 
 @compiled
@@ -345,12 +412,13 @@ def _keep_rest(port: Table) -> None:
 
 Answer = Callable[[Table, Table, int], int]
 AwaitSync = Callable[[Table, int], int]
+AwaitOthers = Callable[[Table, Table, Table, int], int]
 Ask = Callable[[Table, Table, Table, Table, int], int]
 Gather = Callable[[Table, Table, int, int], int]
 TakeApart = Callable[[Table, Table, Table, int], bool]
 
 
-def _entry_points(sources: int) -> tuple[Answer, AwaitSync, Ask, Gather, TakeApart]:
+def _entry_points(sources: int) -> tuple[Answer, AwaitSync, AwaitOthers, Ask, Gather, TakeApart]:
     """The compiled functions that Python calls; `sources` as in `compiled.number_of_sources`."""
 
     @entry_point(TABLE, TABLE, COUNT)
@@ -396,20 +464,27 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, Ask, Gather, TakeApa
     def await_sync(port: Table, timeout_ns: int) -> int:
         if sources < 0 or len(port) == 0:
             return NOTHING
-        numbers, time = integers(port, _NUMBERS, (1,)), integers(port, _TIME, (1,))
         while True:
             outcome = _sort_in(port)
-            if outcome != NOTHING:
-                return SYNCED if outcome == SYNCED and _nothing_stands_against(port) else OTHER
-            count = _append(port)
-            if count == 0:
-                time[0], time[1] = timeout_ns // _SECOND_NS, timeout_ns % _SECOND_NS
-                time[_POLLED] = numbers[DESCRIPTOR] | POLLIN << 32
-                if ppoll(time[_POLLED:].ctypes.data, 1, time.ctypes.data, 0) <= 0:
-                    return NOTHING
-                count = _append(port)
-            if count <= 0:
-                return OTHER
+            if outcome == SYNCED:
+                return SYNCED if _nothing_stands_against(port) else OTHER
+            if outcome == NOTHING:
+                outcome = _await_more(port, timeout_ns)
+            if outcome != MORE:
+                return outcome
+
+    @entry_point(TABLE, TABLE, TABLE, COUNT)
+    def await_others(table: Table, port: Table, others: Table, timeout_ns: int) -> int:
+        if sources < 0 or len(port) == 0:
+            return NOTHING
+        while True:
+            outcome = _sort_in_others(port, others)
+            if outcome == ANSWERED:
+                return ANSWERED if kernel.exchange(BITRATE, table) == GOES_ON else OTHER
+            if outcome == NOTHING:
+                outcome = _await_more(port, timeout_ns)
+            if outcome != MORE:
+                return outcome
 
     @entry_point(TABLE, TABLE, TABLE, TABLE, COUNT)
     def ask(table: Table, port: Table, wire: Table, gathered: Table, bitrate: int) -> int:
@@ -479,13 +554,16 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, Ask, Gather, TakeApa
             data[k] = came[k]
         return kernel.exchange(bitrate, table) == GOES_ON
 
-    return answer, await_sync, ask, gather, take_apart
+    return answer, await_sync, await_others, ask, gather, take_apart
 
 
 #: answer(table of `kernel.Vectors`, table of `Port`, where to begin): receive a packet, do with it what `exchange`
 #: does, and send what is to be answered; what has become of it.
 #: await_sync(table of `Port`, longest time without a packet): receive packets until SYNC is there, before it only what
 #: is expected, and behind it no further SYNC; NOTHING: not yet; OTHER: all that came is in the buffer.
+#: await_others(table of `kernel.Vectors`, table of `Port`, that of the others', longest time without a packet): behind
+#: SYNC, receive packets until each of the others has answered it, beside that only what is expected with the next, and
+#: do with their answers what `exchange` does: ANSWERED; NOTHING: not yet; OTHER: all that came is in the buffer.
 #: ask(table of `kernel.Vectors`, table of `Port`, table of `can.loan.Loan`, table of `Gathered`, bitrate): send what is
 #: in the frames; OTHER, and nothing done, where a value does not fit, or a packet has come before, which is in the
 #: buffer then.
@@ -493,7 +571,7 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, Ask, Gather, TakeApa
 #: that are no heartbeats have come: ANSWERED; OTHER: a packet is of another kind, or says that frames were lost.
 #: take_apart(table of `kernel.Vectors`, table of `Port`, table of `Gathered`, bitrate): what `exchange` does with what
 #: was gathered; False, and nothing done, where that is not what is expected.
-answer, await_sync, ask, gather, take_apart = _entry_points(
+answer, await_sync, await_others, ask, gather, take_apart = _entry_points(
     number_of_sources(__file__, *loan_kernel.SOURCES, *kernel.SOURCES)
 )
 
@@ -503,6 +581,7 @@ def warm_up() -> None:
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     answer(nothing, nothing, RECEIVE)
     await_sync(nothing, 0)
+    await_others(nothing, nothing, nothing, 0)
     warm_up_gathering()
 
 

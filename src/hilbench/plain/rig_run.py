@@ -120,6 +120,7 @@ class ClockedRigRun(_AnswersAndMotors):
     def serve(self, timeout_s: float) -> bool:
         """See `host.PacketRun`."""
         if self._motors.over:
+            self._answers.leave()
             return False
         outcome = self._answers.await_sync(timeout_s)
         if outcome != SYNCED:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 
@@ -211,6 +213,14 @@ class SyncAnswers(_Answers):
         self._give(self._clock.next_ns - 2 * self._cycle_ns)
 
 
+class Others(Protocol):
+    """Who answers SYNC beside the devices: their frames, and where these leave what is in them."""
+
+    cob_ids: frozenset[int]
+    table: kernel.Table  #: of a `kernel.Vectors`
+    port_table: kernel.Table  #: of a `packet_kernel.Port`
+
+
 class ClockedAnswers(_Answers):
     """The same where frames come one by one as the wire brings them, and the devices go by the wall clock.
 
@@ -229,34 +239,56 @@ class ClockedAnswers(_Answers):
         """Raises NotPlainError where cycles are not plain."""
         super().__init__(link, devices, drives, _all_received(devices), cycle_ns, alive_last=True)
         self._clock = clock
+        self._taken, self._taken_until = frozenset[int](), 0
 
     def await_sync(self, timeout_s: float) -> int:
         """SYNCED: it is to be answered; NOTHING: it has not come yet; OTHER: what has come, or is due, is not plain, or
-        SYNC has stopped: `came` has all since the last one."""
+        SYNC has stopped: `came` has all since the last one that is for the host."""
+        outcome = self._await(partial(packet_kernel.await_sync, self._port_table), timeout_s)
+        if outcome == packet_kernel.SYNCED:
+            self._clock.tick()
+        return outcome
+
+    def await_others(self, others: Others, timeout_s: float) -> int:
+        """The same, once SYNC is answered, of others who answer it: ANSWERED, by all of them."""
+        waits = partial(packet_kernel.await_others, others.table, self._port_table, others.port_table)
+        outcome = self._await(waits, timeout_s)
+        if outcome == ANSWERED:
+            self._taken, self._taken_until = others.cob_ids, self._numbers[packet_kernel.LOOKED_AT]
+        return outcome
+
+    def _await(self, waits: Callable[[int], int], timeout_s: float) -> int:
         numbers, outcome = self._numbers, OTHER
         if not self._is_due_at(self._clock.now_ns()):
-            outcome = packet_kernel.await_sync(self._port_table, round(1e9 * timeout_s))
+            outcome = waits(round(1e9 * timeout_s))
         if numbers[packet_kernel.HEARTBEAT_OF]:
             self._hear(numbers[packet_kernel.HEARTBEAT_OF])
             numbers[packet_kernel.HEARTBEAT_OF] = 0
-        if outcome == packet_kernel.SYNCED:
-            self._clock.tick()
-        if outcome == NOTHING and self._clock.stalled_ns() > 0:
+        if outcome == NOTHING and (self._clock.stalled_ns() > 0 or self._is_silent()):
             outcome = OTHER
         if outcome == OTHER:
             self.leave()
         return outcome
 
+    def _is_silent(self) -> bool:
+        """Whether a device should have said that it is alive a cycle ago: SYNC stays away."""
+        now_ns = self._clock.now_ns()
+        return any(now_ns > int(self._rows[row]["next_ns"]) + self._cycle_ns for _, row in self.host.heartbeats)
+
     def leave(self) -> None:
-        """What has come since the last SYNC is for the host."""
-        length = self._numbers[packet_kernel.LENGTH]
-        self.came = (self.received[:length].tobytes(),) if length else ()
+        """What has come since the last SYNC is for the host, but for answers of others that were taken."""
+        length, taken_until = self._numbers[packet_kernel.LENGTH], self._taken_until
+        packet = self.received[:length].tobytes()
+        if taken_until:
+            packet = _without(packet, self._taken, taken_until)
+        self.came = (packet,) if length else ()
 
     def answer(self) -> None:
         """Once there is SYNC, and the arrays show what its time is."""
         self._given_at[lay.I_CLOCKS] = self._clock.now_ns()
         if packet_kernel.answer(self.table, self._port_table, packet_kernel.BEHIND_SYNC) == packet_kernel.UNSENT:
             self._send_again()
+        self._numbers[packet_kernel.ANSWERED_BY] = self._taken_until = 0
         self._cycles += 1
 
     def give(self) -> None:
@@ -274,3 +306,11 @@ def _all_received(devices: Sequence[Device]) -> list[Frame]:
                 raise NotPlainError
             frames.append(Frame(cob_id, rpdo.map.pack([cell.value for cell in rpdo.cells])))
     return [*frames, Frame(SYNC, b"")]
+
+
+def _without(packet: bytes, cob_ids: frozenset[int], until: int) -> bytes:
+    """A received packet, up to a place without the frames of these identifiers."""
+    begin, size = protocol.HEADER.size, protocol.STAMPED_CAN_RECORD.size
+    records = [packet[at : at + size] for at in range(begin, until, size)]
+    kept = [record for record in records if protocol.STAMPED_CAN_RECORD.unpack(record)[0] not in cob_ids]
+    return packet[:begin] + b"".join(kept) + packet[until:]

@@ -143,6 +143,10 @@ class TwinInArrays:
         """A virtual axis can't go on as it did."""
         self._motors.publish_by_objects()
 
+    def leave(self) -> None:
+        """No SYNC was answered: the objects have all that the arrays have."""
+        self._application.forget_vectors()
+
     def give(self, *, awaits: bool = False) -> None:
         """The objects get what the arrays have; `awaits`: the axes have not answered the last SYNC yet."""
         self._motors.give()

@@ -5,7 +5,7 @@ It knows the bench only from the bus: it hears the real axes' TPDOs beside the c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from struct import pack
 
@@ -59,6 +59,8 @@ _RUNNING, _SYNCHRONIZED, _HOLDING, _LATE = (
     int(bit) for bit in (TwinStatus.RUNNING, TwinStatus.SYNCHRONIZED, TwinStatus.HOLDING, TwinStatus.LATE)
 )
 _TRANSFER_REFUSED, _NOT_SEPARABLE = int(TwinStatus.TRANSFER_REFUSED), int(TwinStatus.NOT_SEPARABLE)
+#: What the clock says of a SYNC that is one cycle after the last.
+_NEXT = 1, None
 _MODEL_CHANGING, _MODEL_CHANGED = int(TwinStatus.MODEL_CHANGING), int(TwinStatus.MODEL_CHANGED)
 
 
@@ -129,6 +131,7 @@ class TwinApplication:
         in_lockstep = isinstance(setup.clock, SyncClock)
         self._config_ns = round(setup.cycle_s * 1e9)
         self._bus_cycle = None if in_lockstep else BusCycle(self._config_ns, setup.clock.now_ns)
+        self._by_clock: tuple[int, int | None] | None = None  # of the SYNC that is next, where it was asked already
         self._apart = False  # SYNC comes by another cycle
         self._skipped = 0  # cycles that by the clock the axes have gone, less the SYNCs that came
         self._ways = _Ways(setup.model, setup.cycle_s)
@@ -182,12 +185,12 @@ class TwinApplication:
         is, who sends SYNC says."""
         if self._bus_cycle is None:
             return
-        skipped = self._bus_cycle.heard(behind) - 1
+        (cycles, other_ns), self._by_clock = self._by_clock or self._ask_the_clock(self._bus_cycle, behind), None
+        skipped = cycles - 1
         if skipped and not self._apart:
             self._measured_before = None
         self._skipped = self._skipped + skipped if self._released else 0
-        other_ns, were_apart = self._bus_cycle.pop_other(), self._apart
-        self._apart = not self._bus_cycle.in_step
+        were_apart, self._apart = self._apart, not self._bus_cycle.in_step
         if self._apart is not were_apart:
             self._machine.doubt(doubted=self._apart)
         if other_ns is not None:
@@ -195,7 +198,17 @@ class TwinApplication:
             self._tell_cycle(other_ns)
         elif were_apart and not self._apart:
             self._go_by(self._cycle_s)
-        elif not self._apart and self._time_s - self._kept_s >= _KEPT_S:
+        elif not self._apart:
+            self._keep()
+
+    @staticmethod
+    def _ask_the_clock(bus_cycle: BusCycle, behind: int) -> tuple[int, int | None]:
+        """Cycles since the last SYNC; and how long one is from now on (ns), where that is another one than before."""
+        return bus_cycle.heard(behind), bus_cycle.pop_other()
+
+    def _keep(self) -> None:
+        """Now and then what is known, to come back to."""
+        if self._time_s - self._kept_s >= _KEPT_S:
             self._kept_s = self._time_s
             self._machine.keep()
 
@@ -267,7 +280,26 @@ class TwinApplication:
     def is_plain(self) -> bool:
         """Whether the machine goes on with every SYNC, by what the axes measure at it."""
         powered = all(port.mode is not MotorMode.OFF for port in self._ports) and max(self._owed) < _MOST_OWED
-        return powered and self._bus_cycle is None and self._released and not self._pending and self._time_s > 0.0
+        in_step = not (self._behind or self._skipped or self._apart)
+        return powered and in_step and self._released and not self._pending and self._time_s > 0.0
+
+    def is_next_by_clock(self) -> bool:
+        """Of a SYNC behind which none waits: whether the clock, too, says that it is one cycle after the last. Where
+        not it is for `before_sync`, which does not ask again."""
+        bus_cycle = self._bus_cycle
+        if bus_cycle is None:
+            return True
+        found = self._ask_the_clock(bus_cycle, 0)
+        if found != _NEXT or not bus_cycle.in_step:
+            self._by_clock = found
+            return False
+        self._keep()
+        return True
+
+    def went_by(self, positions_rad: Iterable[Sequence[float]]) -> None:
+        """Where the axes were at the last SYNCs, one cycle after the other: as of `_catch_up`."""
+        for now in positions_rad:
+            self._ways.update(now, 1)
 
     @property
     def listeners(self) -> Sequence[AxisListener]:
@@ -378,6 +410,10 @@ class TwinApplication:
         self._sync_number += syncs
         for _ in range(syncs):
             self._time_s += self._cycle_s
+
+    def forget_vectors(self) -> None:
+        """The machine was in them for no cycle."""
+        self._in_vectors = None
 
     def end_in_vectors(self) -> None:
         """The machine is in its objects again."""

@@ -8,15 +8,15 @@ from functools import partial
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
-from hilbench.canopen.clock import SyncClock
+from hilbench.canopen.clock import MonotonicClock, SyncClock
 from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.canopen.mastery import nodes_of_ours
-from hilbench.plain.host import PlainHost, run_devices, warm_up_packets
-from hilbench.plain.sync_answers import SyncAnswers
+from hilbench.plain.host import PacketRun, PlainHost, run_devices, warm_up_packets
+from hilbench.plain.sync_answers import ClockedAnswers, SyncAnswers
 from hilbench.processes import log, started_by_bench, stop_request
 from hilbench.topology.config import BenchConfig
 from hilbench.twin.machines.kinds import warm_up, warm_up_in_vectors
-from hilbench.twin.plain_run import TwinRun
+from hilbench.twin.plain_run import ClockedTwinRun, TwinRun
 from hilbench.twin.process import TwinApplication, TwinSetup, twin
 from hilbench.twin.setup import twin_setup
 
@@ -37,8 +37,7 @@ def load(config: BenchConfig) -> None:
     of_machine = config.machine, config.twin, config.shape, config.cycle_time_s
     warm_up(*of_machine)
     warm_up_packets()
-    if config.pace == "lockstep":
-        warm_up_in_vectors(*of_machine)
+    warm_up_in_vectors(*of_machine)
 
 
 def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], None]) -> int | None:
@@ -51,16 +50,19 @@ def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], No
 
 
 def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, setup: TwinSetup) -> PlainHost | None:
-    """Who serves the twin's devices where SYNC is all the time that there is."""
-    if not (isinstance(link, EmbeddedLink) and isinstance(hosted.clock, SyncClock)):
+    """Who serves the twin's devices on the embedded bus."""
+    if not isinstance(link, EmbeddedLink):
         return None
     devices, clock, application = hosted.devices, hosted.clock, hosted.application
     assert isinstance(application, TwinApplication), "as `twin` makes it"
+    drives = application.drives
     warm_up_in_vectors(setup.model, setup.twin, setup.shape, setup.cycle_s)
 
-    def begin(expected: Sequence[Frame]) -> TwinRun:
-        cycle_ns = round(setup.cycle_s * 1e9)
-        answers = SyncAnswers(link, devices, application.drives, clock, expected, cycle_ns)
-        return TwinRun(link, answers, application)
+    def begin(expected: Sequence[Frame]) -> PacketRun:
+        cycle_ns = round(application.cycle_s * 1e9)
+        if isinstance(clock, SyncClock):
+            return TwinRun(link, SyncAnswers(link, devices, drives, clock, expected, cycle_ns), application)
+        assert isinstance(clock, MonotonicClock), "as of `device_clock`"
+        return ClockedTwinRun(ClockedAnswers(link, devices, drives, clock, cycle_ns), application)
 
-    return PlainHost(host, link, application, begin)
+    return PlainHost(host, link, application, begin, by_clock=isinstance(clock, MonotonicClock))

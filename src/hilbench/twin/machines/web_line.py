@@ -364,7 +364,7 @@ class WebLineTwin:
     def goes_in_vectors(self) -> bool:
         """Whether `in_vectors` does all that is done in a cycle: where E of every span is found, and no effects on E
         are in the model."""
-        if self._others is not None or self.plant.changes_elasticity:
+        if self._others is not None or self.plant.changes_elasticity or self._must_come_back:
             return False
         # While it refuses what is measured, the simulation may have to be brought back.
         return all(each.tracking.in_vectors and not each.tracking.refused for each in self._all)
