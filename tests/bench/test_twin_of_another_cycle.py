@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.bench.whole_runs import config, run_folders, run_here
+from tests.bench.whole_runs import config, run, run_folders, run_here
 
 from hilbench.bench.lifecycle import in_process
 from hilbench.canopen.bus_cycle import BusCycle
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Result
 from hilbench.twin.process import TwinApplication, TwinSetup
+from hilbench.twin.virtual_io import TwinStatus
 
 CYCLE_S = 0.004
 STEPS: list[dict[str, object]] = [
@@ -26,7 +30,12 @@ STEPS: list[dict[str, object]] = [
     {"step": {"path": "load.web.youngs_modulus_Pa", "to": 10.5e9}},
     {"hold": {"duration_s": 1.5}},
 ]
-SAID = "EMCY FF19h: SYNC comes by another cycle than the twin's config has: 4 ms"
+SAID = "EMCY FF19h: SYNC comes by another cycle than the twin's config has"
+#: Of processes: the cycle of the bench, and as the config of the twin has it.
+BY_THE_CLOCK_S, OF_TWIN_S = 0.02, 0.008
+#: Before other processes, where that is permitted: what a twin makes of a SYNC that flutters is not asked here.
+FIRST = ("--set", "realtime.priority=20")
+SERVO = Path(__file__).resolve().parents[2] / "bench_configs" / "servo_axis.yaml"
 
 
 @contextmanager
@@ -79,4 +88,36 @@ def test_the_loop_works_on_it_as_on_a_twin_whose_config_has_the_cycle_of_the_ben
     # At cycles of 4 ms load motors imitate a web that is up to 1 % another one while the line speeds up.
     assert np.array(largest[1]) == pytest.approx(largest[0], abs=0.5, rel=0.5)
     assert largest[1][1] < 0.015
-    assert texts(result) == [SAID]
+    assert texts(result) == [f"{SAID}: 4 ms"]
+
+
+@contextmanager
+def started_by_hand(folder: Path, bus: str) -> Iterator[Path]:
+    """Simulated hardware and twin by the clock, each with a cycle of its own; what the twin says."""
+    with ExitStack() as ends:
+        for command, cycle_s in (("simulate-hardware", BY_THE_CLOCK_S), ("twin", OF_TWIN_S)):
+            words = [sys.executable, "-m", "hilbench.cli", command, str(SERVO), "--bus", bus, "--pace", "realtime"]
+            log = ends.enter_context((folder / f"{command}.log").open("w"))
+            process = subprocess.Popen([*words, *FIRST, "--set", f"cycle_time_s={cycle_s}"], stdout=log, stderr=log)
+            ends.callback(process.wait)
+            ends.callback(process.terminate)
+        yield folder / "twin.log"
+
+
+@pytest.mark.slow
+def test_a_twin_by_the_clock_says_once_that_it_goes_by_the_sync_of_its_bench_and_runs_on(tmp_path: Path) -> None:
+    bus, speeds = f"embedded:t{uuid.uuid4().hex[:10]}", (30.0, 5.0, 30.0, 0.0)
+    steps = ", ".join(f"{{ramp: {{path: speed_rad_s, to: {to}, duration_s: 2.0}}}}" for to in speeds)
+    values = f"cycle_time_s={BY_THE_CLOCK_S}", f"steps=[{steps}]", "criteria=[]"
+    given = [word for value in values for word in ("--set", value)]
+    with started_by_hand(tmp_path, bus) as log:
+        options = ["--bus", bus, "--pace", "realtime", "--no-start", "--no-report", "--out", str(tmp_path / "runs")]
+        code, out, err = run(SERVO, *options, *FIRST, *given)
+    assert code == 0, out + err
+    (made,) = (tmp_path / "runs").iterdir()
+    assert log.read_text().count("SYNC comes every 20 ms, cycle_time_s is 8 ms: the twin goes by SYNC") == 1
+    of_twin = [each for each in Result.read(made / "result.json").warnings or () if "FF19h" in each.text]
+    assert [(each.text, each.count) for each in of_twin] == [(f"{SAID}: 20 ms", 1)]
+    found = read_recording(made / "recording.mf4")
+    status = np.asarray(found["twin_status"]).astype(int)[found.time_s > (of_twin[0].time_s or 0.0)]
+    assert np.all(status & TwinStatus.RUNNING > 0)

@@ -134,7 +134,8 @@ class _Run:
             raise NotPlainError
         self._step_s = step_s
         drives = (*here.rig.drives, *here.machine.drives)
-        if not all(drive.follows(_ENABLED) for drive in drives) or not here.machine.is_plain:
+        goes_by_sync = here.machine.is_plain and not here.machine.goes_by_clock
+        if not all(drive.follows(_ENABLED) for drive in drives) or not goes_by_sync:
             raise NotPlainError
         self._wiring = wiring = Wiring(here, nodes, sync)
         self._frames, self._slots = wiring.frames, wiring.slots

@@ -174,6 +174,8 @@ class TwinRun(_TwinRun):
 
     def __init__(self, link: EmbeddedLink, answers: SyncAnswers, application: TwinApplication) -> None:
         """Raises NotPlainError where cycles are not plain."""
+        if application.goes_by_clock:
+            raise NotPlainError
         self._answers, self._axes = answers, HeardAxes(link, application.listeners, answers)
         super().__init__(answers, self._axes, application)
 

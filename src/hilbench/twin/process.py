@@ -283,6 +283,11 @@ class TwinApplication:
         in_step = not (self._behind or self._skipped or self._apart)
         return powered and in_step and self._released and not self._pending and self._time_s > 0.0
 
+    @property
+    def goes_by_clock(self) -> bool:
+        """Whether a SYNC is one cycle after the last only where the clock says so, too."""
+        return self._bus_cycle is not None
+
     def is_next_by_clock(self) -> bool:
         """Of a SYNC behind which none waits: whether the clock, too, says that it is one cycle after the last. Where
         not it is for `before_sync`, which does not ask again."""
