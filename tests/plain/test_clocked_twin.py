@@ -365,3 +365,9 @@ def test_sync_stays_away_for_a_while(heard: Heard, silent_ns: int) -> None:
     polls: list[Comes] = [(begin_ns + at_ns, []) for at_ns in range(0, silent_ns, heard.cycle_ns)]
     found = [(at_ns if at_ns < begin_ns else at_ns + silent_ns, frames) for at_ns, frames in played(heard, {})]
     check(heard, sorted([*found, *polls], key=lambda each: each[0]), 30)
+
+
+def test_where_every_cycle_is_interrupted_it_is_tried_ever_more_seldom(heard: Heard) -> None:
+    interrupted = dict.fromkeys(range(CHANGED, len(heard.cycles)), CHANGES["an SDO between"])
+    found = check(heard, played(heard, interrupted), 0)
+    assert 0 < found.interrupted["answers"] <= 4  # 7 where it were tried every 50 SYNCs

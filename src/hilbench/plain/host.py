@@ -22,8 +22,9 @@ from hilbench.plain.tables import NotPlainError
 from hilbench.real_time import ProcessSettings, kept_ready
 
 #: Times that it is served after which it is looked anew whether cycles are plain, when they were not; the same by the
-#: clock, of SYNCs, where to look takes time that a cycle does not have.
-_LOOK_AGAIN, _LOOK_AGAIN_BY_CLOCK = 8, 50
+#: clock, of SYNCs, where to look takes time that a cycle does not have: twice as many each time when a run was shorter
+#: than so many SYNCs, up to the most.
+_LOOK_AGAIN, _LOOK_AGAIN_BY_CLOCK, _SHORT, _MOST_BY_CLOCK = 8, 50, 8, 800
 
 
 class PacketRun(Protocol):
@@ -32,6 +33,10 @@ class PacketRun(Protocol):
     @property
     def came(self) -> Sequence[bytes]:
         """The packets that are for the host, once `serve` says so."""
+
+    @property
+    def cycles(self) -> int:
+        """SYNCs that were answered."""
 
     def serve(self, timeout_s: float) -> bool:
         """Do what the next packet asks for, where one comes within the time; False where that, or what is due, is not
@@ -75,6 +80,7 @@ class PlainHost:
         self._run: PacketRun | None = None
         self._expected: Sequence[Frame] = ()  # what came with the last SYNC
         self._wait = 0  # times served until it is looked again
+        self._look_again = _LOOK_AGAIN_BY_CLOCK if by_clock else _LOOK_AGAIN
 
     def serve(self, timeout_s: float) -> None:
         """As `DeviceHost.serve`."""
@@ -94,7 +100,7 @@ class PlainHost:
             self._wait -= 1
         elif frames and self._expected and self._host.is_plain and self._application.is_plain:
             self._begin()
-            self._wait = _LOOK_AGAIN_BY_CLOCK if self._by_clock else _LOOK_AGAIN
+            self._wait = self._look_again
 
     def settle(self) -> None:
         """Give the objects what the arrays have."""
@@ -102,6 +108,10 @@ class PlainHost:
         if run is not None:
             run.end()
             self._host.served_until(time.monotonic())
+            if self._by_clock:
+                longer = min(2 * self._look_again, _MOST_BY_CLOCK)
+                self._look_again = longer if run.cycles < _SHORT else _LOOK_AGAIN_BY_CLOCK
+                self._wait = self._look_again
 
     def _note(self, frames: Sequence[Frame]) -> None:
         """What comes with a SYNC; nothing where there are two."""

@@ -73,13 +73,18 @@ class _AnswersAndMotors:
         """See `host.PacketRun`."""
         return self._of_sync.came
 
+    @property
+    def cycles(self) -> int:
+        """See `host.PacketRun`."""
+        return self._of_sync.cycles
+
     def _publish(self) -> None:
         if kernel.publish(0, self._of_sync.table) != GOES_ON:
             self._motors.publish_by_objects()
 
     def end(self) -> None:
         """See `host.PacketRun`."""
-        if self._of_sync.has_answered:
+        if self._of_sync.cycles:
             self._motors.give()
             self._of_sync.give()
 

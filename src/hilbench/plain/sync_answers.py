@@ -128,9 +128,9 @@ class _Answers:
         return time_ns > self._until_ns or any(device.outbox for device in self._devices)
 
     @property
-    def has_answered(self) -> bool:
-        """Whether it has at all."""
-        return self._cycles > 0
+    def cycles(self) -> int:
+        """SYNCs that were answered."""
+        return self._cycles
 
     def _give(self, received_ns: int) -> None:
         """The devices get what the arrays have of their PDOs and heartbeats; the last RPDOs came then."""

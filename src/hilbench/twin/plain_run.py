@@ -151,6 +151,11 @@ class _TwinRun:
         self._machine.join(answers.drives, answers.whole, answers.real, answers.asked, answers.shown, axes.measured)
         self._machine.before_sync()
 
+    @property
+    def cycles(self) -> int:
+        """See `plain.host.PacketRun`."""
+        return self._of_sync.cycles
+
     def _go_on(self) -> None:
         """With what the axes have said."""
         self._machine.go_on()
@@ -161,7 +166,7 @@ class _TwinRun:
 
     def end(self) -> None:
         """See `plain.host.PacketRun`."""
-        if not self._of_sync.has_answered:
+        if not self._of_sync.cycles:
             self._machine.leave()
             return
         self._machine.give(awaits=self._awaits)
