@@ -370,4 +370,4 @@ def test_sync_stays_away_for_a_while(heard: Heard, silent_ns: int) -> None:
 def test_where_every_cycle_is_interrupted_it_is_tried_ever_more_seldom(heard: Heard) -> None:
     interrupted = dict.fromkeys(range(CHANGED, len(heard.cycles)), CHANGES["an SDO between"])
     found = check(heard, played(heard, interrupted), 0)
-    assert 0 < found.interrupted["answers"] <= 4  # 7 where it were tried every 50 SYNCs
+    assert 0 < found.interrupted["answers"] <= 6  # 14 where the wait for the next is always the same

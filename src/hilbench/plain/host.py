@@ -22,9 +22,9 @@ from hilbench.plain.tables import NotPlainError
 from hilbench.real_time import ProcessSettings, kept_ready
 
 #: Times that it is served after which it is looked anew whether cycles are plain, when they were not; the same by the
-#: clock, of SYNCs, where to look takes time that a cycle does not have: twice as many each time when a run was shorter
-#: than so many SYNCs, up to the most.
-_LOOK_AGAIN, _LOOK_AGAIN_BY_CLOCK, _SHORT, _MOST_BY_CLOCK = 8, 50, 8, 800
+#: clock, of SYNCs, or answers to them that are waited for, where to look takes time that a cycle does not have: twice
+#: as many each time when a run was shorter than so many SYNCs, up to the most.
+_LOOK_AGAIN, _LOOK_AGAIN_BY_CLOCK, _SHORT, _MOST_BY_CLOCK = 8, 50, 8, 200
 
 
 class PacketRun(Protocol):
