@@ -11,9 +11,11 @@ import pytest
 from tests.bench.whole_runs import SHIPPED, config, run_folders, run_here
 from tests.cli.in_process import hilbench
 from tests.tiers import slow
+from tests.twin.beside_stations import dancer_line, guided_line, winding_line
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.tasks.web_rest_movement import Positions, RestMovement, pulls_m
+from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.journal import read_journal
 from hilbench.results.recording import Recording, read_recording
@@ -21,6 +23,7 @@ from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.quantities import TENSION_PROBE
 from hilbench.topology.sample import sample_type
+from hilbench.topology.web_line_config import rest_misfit
 
 CYCLE_S, WAY_M = 0.002, 1e-3
 RESTARTED_S, RUNS_S = 3.0, 13.0
@@ -273,7 +276,17 @@ def test_webs_that_nothing_tells_are_refused_in_one_line(key: str) -> None:
     done = hilbench("check", LINES[0], "--set", key, "--set", "twin.estimate=[{method: changepoint, span: 1}]")
     assert done.returncode == 2
     assert "not without span 2" in done.stdout + done.stderr
+
+
+def test_on_a_line_with_stations_nothing_is_asked_at_rest_and_told_where_carriages_and_reels_have_sensors() -> None:
     stations = SHIPPED.with_name("line_with_dancer.yaml")
-    done = hilbench("check", stations, "--set", key.replace("infeed_tension", "outfeed_tension"))
+    done = hilbench("check", stations, "--set", "controllers.outfeed_tension.probing={at_rest_mm: 1.0}")
     assert done.returncode == 2
     assert "on a line with 'stations:'" in done.stdout + done.stderr
+    unknown = EstimationConfig(web_at_rest="unknown")
+    expected = "'load: {measured: [dancer]}' with 'web_at_rest: unknown', not without dancer"
+    assert rest_misfit(unknown, dancer_line(), [], []) == expected
+    assert rest_misfit(unknown, dancer_line(), [], ["dancer"]) is None
+    both = "'load: {measured: [unwinder, rewinder]}' with 'web_at_rest: unknown', not without rewinder"
+    assert rest_misfit(unknown, winding_line(), [], ["unwinder"]) == both
+    assert rest_misfit(unknown, guided_line(), [], []) is None

@@ -38,11 +38,13 @@ class IndependentDancer(SpeedDriven):
     kp: float = 1.5
     ki: float = 30.0
     slip: Array = field(default_factory=lambda: np.zeros(_ROLLERS))
+    strains: Array | None = None  #: of the spans at the start (4,); as of the web that enters where it is None
     ports: list[MotorPort] = field(default_factory=lambda: [MotorPort() for _ in range(3)])
     STEPS = 4
 
     def __post_init__(self) -> None:
-        unstretched = np.array(self.lengths_m) / (1.0 + self.entering)
+        strains = np.full(_SPANS, self.entering) if self.strains is None else self.strains
+        unstretched = np.array(self.lengths_m) / (1.0 + strains)
         # Ways and speeds of the rollers' surfaces, the carriage's place and speed, unstretched lengths.
         self._begin(np.concatenate([np.zeros(2 * _ROLLERS + 2), unstretched]))
         self._per_m = self.gear / self.radius_m

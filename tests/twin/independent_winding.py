@@ -19,7 +19,8 @@ Array = np.ndarray
 @dataclass
 class IndependentWinding(SpeedDriven):
     """`radii_m` (3,): at the start; `inertia_kg_m2` (3,) of the empty rollers; `held`: the drives hold the web from the
-    start, and do not give way to it at first; `slip` (3,): share by which the web is slower than what it runs over."""
+    start, and do not give way to it at first; `strained` (2,): as many times as the wound web at the start; `slip`
+    (3,): share by which the web is slower than what it runs over."""
 
     radii_m: tuple[float, float, float]
     inertia_kg_m2: tuple[float, float, float] = (0.6, 0.7, 0.6)
@@ -35,12 +36,13 @@ class IndependentWinding(SpeedDriven):
     kp: float = 1.5
     ki: float = 30.0
     held: bool = False
+    strained: tuple[float, float] = (1.0, 1.0)
     slip: Array = field(default_factory=lambda: np.zeros(3))
     ports: list[MotorPort] = field(default_factory=lambda: [MotorPort() for _ in range(3)])
     STEPS = 2
 
     def __post_init__(self) -> None:
-        unstretched = np.array(self.lengths_m) / (1.0 + self.wound_strain)
+        unstretched = np.array(self.lengths_m) / (1.0 + self.wound_strain * np.array(self.strained))
         self._begin(np.concatenate([np.zeros(6), unstretched]))  # angles, speeds, unstretched lengths
         if self.held:
             pulls = np.concatenate([[0.0], self._tensions(unstretched), [0.0]])

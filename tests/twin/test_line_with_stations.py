@@ -186,6 +186,57 @@ def test_a_web_at_rest_between_idlers_that_nobody_knows_is_told_with_E_once_it_h
 
 
 @pytest.mark.parametrize(
+    ("factor", "strained"), [(1.1, (1.5, 0.6)), *slow((0.85, (0.6, 1.4)), (1.2, (0.6, 1.5)), (1.0, (1.0, 1.0)))]
+)
+def test_a_web_at_rest_between_measured_reels_that_nobody_knows_is_told_as_one_between_idlers(
+    factor: float, strained: tuple[float, float]
+) -> None:
+    true = IndependentWinding((0.25, 0.15, 0.12), modulus_Pa=factor * 2e8, held=True, strained=strained)
+    reels = ("unwinder", "rewinder")
+    unknown = EstimationConfig(web_at_rest="unknown")
+    line = BesideStations(true, winding_line(), winding_line(), measured=reels, config=unknown)
+    speeds = [share * 3.0 for share in (1.0, 1.0003, 1.0006)]
+    line.go(0.5, 0.0, 0.0, 0.0, with_twin=False)
+    line.go(1.5, 0.0, 0.0, 0.0)
+    rests = len(line.table()["t_s"])
+    line.go(3.5, *speeds, ramp_s=2.0)
+    line.go(6.5, *speeds)
+    found = line.table()
+    error, deviation = found["E2_sim_Pa"] / (factor * 2e8) - 1.0, found["E2_sd_Pa"] / (factor * 2e8)
+    told = np.isfinite(deviation)
+    assert not told[:rests].any()
+    assert np.count_nonzero(told) > 0.9 / CYCLE_S
+    assert np.all(np.abs(error[told]) <= 1.96 * deviation[told])
+    assert np.max(np.abs(error[told])) < 0.03
+    for name in ("F1", "F2"):
+        apart_N = found[f"{name}_sim_N"] - found[f"{name}_true_N"]
+        assert np.max(np.abs(apart_N[rests // 2 : rests])) < 2.0
+        assert np.max(np.abs(apart_N)[told]) < 0.04 * 80.0
+
+
+@pytest.mark.parametrize(("factor", "strained"), [(1.1, 1.3), *slow((0.85, 0.7))])
+def test_of_a_web_at_rest_beside_a_measured_dancer_that_nobody_knows_the_tension_is_told_and_E_is_not(
+    factor: float, strained: float
+) -> None:
+    """The carriage keeps the tension of its web, whatever E is; the web behind is strained as that, and its draw."""
+    behind = np.full(2, strained * 2.829e-4)
+    held = np.full(2, 80.0 / (factor * 8.7e9 * 0.5 * 65e-6))
+    true = IndependentDancer(modulus_Pa=np.full(4, factor * 8.7e9), strains=np.concatenate([held, behind]))
+    unknown, believed = EstimationConfig(web_at_rest="unknown"), dancer_line()
+    line = BesideStations(true, believed, believed, measured=("dancer",), config=unknown)  # type: ignore[arg-type]
+    line.go(0.5, 0.0, 0.0, 0.0, with_twin=False)
+    line.go(1.5, 0.0, 0.0, 0.0)
+    line.go(3.5, 2.0, 2.0002, 2.0004, ramp_s=2.0)
+    line.go(7.0, 2.0, 2.0002, 2.0004)
+    found = line.table()
+    assert np.all(np.isinf(found["E4_sd_Pa"]))
+    for name in ("F1", "F4"):
+        apart_N = found[f"{name}_sim_N"] - found[f"{name}_true_N"]
+        assert np.max(np.abs(apart_N[found["t_s"] > 1.0])) < 1.0
+    assert np.max(np.abs(found["x_dancer_sim_m"] - found["x_dancer_true_m"])) < 5e-4
+
+
+@pytest.mark.parametrize(
     ("factor", "speed_m_s", "seed"), [(1.2, 3.0, 1), *slow((0.8, 1.0, 2), (1.2, 0.5, 2), (0.9, 2.0, 3), (1.0, 2.0, 4))]
 )
 def test_E_between_measured_reels_that_are_joined_under_way_is_told_once_other_web_has_come(

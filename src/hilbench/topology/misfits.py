@@ -81,8 +81,7 @@ def whole_misfits(
         ahead = [key for key in ("prediction", "live_diagnosis", "splices") if getattr(twin, key)]
         names = {*drives, *load_motors}
         yield from line_misfits(machine, controllers, load.measured, "".join(ahead[:1]), names)
-        if machine.stations is None:
-            yield from filter(None, [rest_misfit(twin, machine, controllers)])
+        yield from filter(None, [rest_misfit(twin, machine, controllers, load.measured)])
     elif machine.drives is None:
         yield "a machine with 'drives:'"
     elif load.measured:

@@ -223,11 +223,9 @@ def estimate_misfits(twin: EstimationConfig, machine: ModelParameters) -> Iterat
     if len(twin.estimate) > len(given) and len(twin.estimate) > 1:
         yield "'estimate' with a span in every entry, or one entry without a span for all of them"
     yield from _each_once(given, machine.span_count, "E of a span is found in one way")
-    unknown = "'web_at_rest: unknown'" if twin.web_at_rest == "unknown" else ""
     if machine.stations is not None:
-        if unknown and (machine.carriages or reel_axes(machine)):
-            yield f"no {unknown} on a line with 'stations:' but rollers and idlers"
         return
+    unknown = "'web_at_rest: unknown'" if twin.web_at_rest == "unknown" else ""
     methods = twin.by_span(machine.span_count)
     yield from filter(None, [_untold_misfit(unknown, methods, machine.span_count)])
     corrects_input = any(isinstance(estimate, InputConfig) for estimate in methods.values())
@@ -247,9 +245,20 @@ def estimate_misfits(twin: EstimationConfig, machine: ModelParameters) -> Iterat
 
 
 def rest_misfit(
-    twin: EstimationConfig, machine: ModelParameters, controllers: Iterable[ControllerConfig]
+    twin: EstimationConfig,
+    machine: ModelParameters,
+    controllers: Iterable[ControllerConfig],
+    measured: Collection[str],
 ) -> str | None:
-    """Why a line of driven rollers can't be asked at rest, in one line, or None."""
+    """Why a line can't be told, or asked, at rest, in one line, or None; `measured`: what stations have a sensor."""
+    if machine.stations is not None:
+        of_sections = [*(carriage.station.name for carriage in machine.carriages), *reel_axes(machine)]
+        unseen = [name for name in of_sections if name not in measured]
+        if twin.web_at_rest == "unknown" and unseen:
+            return (
+                f"'load: {{measured: [{', '.join(of_sections)}]}}' with 'web_at_rest: unknown', not without {unseen[0]}"
+            )
+        return None
     asked = any(control.probes.at_rest_mm for control in tension_loops(controllers))
     return _untold_misfit("'at_rest_mm'" if asked else "", twin.by_span(machine.span_count), machine.span_count)
 

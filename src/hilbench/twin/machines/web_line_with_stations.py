@@ -54,8 +54,9 @@ class LineWithStationsTwin:
         self._model = model
         self._shape = shape
         self._told = told
-        #: Whether a web that is found at rest may be strained by anything: with idlers alone that shows as it leaves.
-        self._shows_at_rest = not model.carriages and not shape.reels
+        #: Whether a web that is found at rest may be strained by anything: that shows as it leaves, where carriages and
+        #: reels tell where they are and how much is on them.
+        self._shows_at_rest = {*shape.carriages, *shape.reels} <= {*shape.measured}
         self._known_at_rest = config.web_at_rest == "as_upstream"
         self._per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in axes]
         self._web_m = sum(model.span_length_m(span) for span in range(1, model.span_count + 1))
