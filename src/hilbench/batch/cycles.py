@@ -161,7 +161,7 @@ class _Run:
         for slots.side, of_side in enumerate((here.rig.drives, here.machine.drives)):
             drives += [drive_row(drive, slots) for drive in of_side]
         self._drives = table(drives, lay.DRIVE)
-        self._seen_rows = table([*self._wiring.seen.rows, *self._wiring.heard], lay.SEEN)
+        self._seen_rows = table([*self._wiring.seen.rows(), *self._wiring.heard], lay.SEEN)
         slots.side = 1
         self._machine = TwinInArrays(here.machine, self._wiring.hosts[1], slots)
         self._whole, self._real = np.array(slots.whole, np.int64), np.array(slots.real, np.float64)
@@ -491,7 +491,7 @@ class _Run:
         for cob_id, answer in self._nodes.answers.items():
             count, data = last[cob_id]
             answer.answered_until(cycles, data, count)
-        of_drives = len(self._wiring.seen.rows)
+        of_drives = len(self._wiring.seen.raw)
         give_counters(here.machine.listeners, self._seen_rows[of_drives:])
         self._wiring.seen.give(self._seen_rows[:of_drives], self._whole)
         for (drive, _, _), (at, _, _) in zip(self._nodes.set_points, self._names, strict=True):

@@ -119,7 +119,7 @@ class Wiring:
             if row < self._behind_sync or frames.rows[row][4] != 1:
                 raise NotPlainError
             frames.take(row, listener.pdo, taken)
-            self.heard_axes.append(4 * (len(self.seen.rows) + len(self.heard)))
+            self.heard_axes.append(4 * (len(self.seen.raw) + len(self.heard)))
             self.heard.append(heard_row(listener, taken[listener.position], taken[listener.torque]))
 
     def _hear_of(self, pdo: PdoMap, *, is_float: bool) -> tuple[int, int, int]:

@@ -58,19 +58,32 @@ class Tpdo:
     @property
     def is_plain(self) -> bool:
         """Whether one answer to each SYNC that asks for it is all that is to be expected."""
-        return self.supervised and not self._owed and not self.age_cycles
+        return self.is_regular and not self._owed
+
+    @property
+    def is_regular(self) -> bool:
+        """The same, but for answers to each SYNC that were owed, and have not come behind the last one: they come no
+        more, as a rule."""
+        return self.supervised and not self.age_cycles and (self.every == 1 or not self._owed)
 
     def answered_until(self, cycles: int, data: bytes | None, since: int) -> None:
         """Somebody else has taken the answers of some cycles: what was used last (None: nothing since), and how many
         cycles ago."""
         self.begin()
-        self._steady = 0
+        self._pass_steadily(cycles)
         if data is not None:
             self._used = data
         if self.every == 1:
             self._since += cycles
         else:
             self._since = since if data is not None else self._since + cycles
+
+    def _pass_steadily(self, cycles: int) -> None:
+        """So many cycles of one answer each."""
+        while self._owed and self._steady + cycles >= _LOST_CYCLES:
+            cycles -= _LOST_CYCLES - self._steady
+            self._owed, self._steady = self._owed - 1, 0
+        self._steady = self._steady + cycles if self._owed else 0
 
     @property
     def since(self) -> int:

@@ -421,7 +421,7 @@ class Nodes:
     @property
     def is_plain(self) -> bool:
         """Whether all drives are enabled and follow their set points, and all answers come as they are asked for."""
-        return all(drive.is_plain for drive in self.drives) and all(tpdo.is_plain for tpdo in self._tpdos.values())
+        return all(drive.is_plain for drive in self.drives) and all(tpdo.is_regular for tpdo in self._tpdos.values())
 
     @property
     def set_points(self) -> Sequence[tuple[Drive, str, float]]:

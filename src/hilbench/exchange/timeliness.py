@@ -45,14 +45,14 @@ class Timeliness:
             if age or lateness.lately:
                 lateness.lately += self._weight * ((age > 0) - lateness.lately)
 
-    @property
-    def nobody_late(self) -> bool:
-        """Nobody was in this run."""
-        return not self._late_lately
-
     def pass_on_time(self, cycles: int) -> None:
-        """So many cycles in which, as before, nobody was late."""
+        """So many cycles in which nobody was late."""
         self.cycles += cycles
+        if not self._late_lately:
+            return
+        for lateness in self.of.values():
+            for _ in range(cycles if lateness.lately else 0):
+                lateness.lately += self._weight * (0 - lateness.lately)
 
     def trouble(self) -> str:
         """Who is late so often that it may be why something else goes wrong; "" for nobody."""

@@ -68,7 +68,8 @@ class Orders:
         self._status = status.cob_id
         taken = told_slots(status, slots, is_float=False)
         self.status = slice(taken[0], taken[-1] + 1)  #: where the values of the twin's status are
-        self._taken[status.cob_id] = status, taken
+        if status.cob_id in nodes.answers:
+            self._taken[status.cob_id] = status, taken
         self._said: list[tuple[int, int, int, int]] = []
         for pdo, part in zip(nodes.io.sent, nodes.measured.parts, strict=True):
             told = told_slots(pdo, slots, is_float=True)

@@ -16,19 +16,21 @@ from hilbench.plain.tables import Frames, NotPlainError, Slots, new_slots, seen_
 class BenchFrames:
     """Set points, the bench's heartbeat and SYNC, in their order; behind them nothing is the bench's.
 
-    `targets`: rows of `layout.TARGET`; `told`: slots of what the twin is told; `own_heartbeat`: its row, -1: there is
-    none.
+    `targets`: rows of `layout.TARGET`; `controlwords`: the slot of each drive's; `told`: slots of what the twin is
+    told; `own_heartbeat`: its row, -1: there is none.
     """
 
     def __init__(self, nodes: Nodes, sync: SyncCycle, frames: Frames, slots: Slots) -> None:
         """Raises NotPlainError where cycles are not plain."""
         self.targets: list[tuple[float, int, int, int, float]] = []
+        self.controlwords: list[tuple[int, Drive]] = []
         self.told: list[int] = []
         self.own_heartbeat = -1
         for drive, _, _ in nodes.set_points:
             rpdo = drive.pdos.rpdo
             controlword, target = new_slots(slots, rpdo)
             slots.whole[controlword] = drive.controlword
+            self.controlwords.append((controlword, drive))
             frames.add(rpdo.cob_id, lay.BEFORE_SYNC, rpdo, (controlword, target))
             self.targets.append((drive.set_point_unit, drive.most_raw, target, -1, 1.0))
             for copy in drive.settings.copies:
@@ -50,12 +52,11 @@ class BenchFrames:
 
 
 class SeenDrives:
-    """What the bench takes from the answers of the drives: their rows of `layout.SEEN`, the slots of what comes by the
-    index of the object, and each PDO with its slots."""
+    """What the bench takes from the answers of the drives: the slots of what comes by the index of the object, and each
+    PDO with its slots."""
 
     def __init__(self, nodes: Nodes, slots: Slots) -> None:
         """Raises NotPlainError where one does not answer each SYNC in whole numbers."""
-        self.rows: list[tuple[Any, ...]] = []
         self.raw: list[tuple[Drive, dict[int, int]]] = []
         self.taken: list[tuple[PdoMap, list[int]]] = []
         for drive in nodes.drives:
@@ -66,8 +67,11 @@ class SeenDrives:
                 taken = new_slots(slots, pdo)
                 self.taken.append((pdo, taken))
                 raw.update(zip(indices, taken, strict=True))
-            self.rows.append(seen_row(drive, raw))
             self.raw.append((drive, raw))
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Those of `layout.SEEN`, as the drives are now. Raises NotPlainError where one is not known enough."""
+        return [seen_row(drive, raw) for drive, raw in self.raw]
 
     def give(self, seen: lay.Rows, whole: lay.Whole) -> None:
         """The drives know what has come."""

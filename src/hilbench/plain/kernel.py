@@ -180,7 +180,7 @@ def _get(field: Row, whole: Whole, real: Real, scratch: Bytes, single: Single, d
 
 
 @compiled
-def _line(frame: Row, heads: Bytes, data: Bytes, text: Bytes, at: int) -> int:
+def trace_line(frame: Row, heads: Bytes, data: Bytes, text: Bytes, at: int) -> int:
     """`results.trace.TraceWriter.write` of one frame at `at`; returns where the next one begins."""
     seconds, rest_ns = frame.time_ns // _SECOND_NS, frame.time_ns % _SECOND_NS
     text[at] = 0x28
@@ -363,7 +363,7 @@ def _entry_points(sources: int) -> tuple[Function, Function]:
             at = given[_I_TEXT]
             for k in range(len(frames)):
                 if bits_of[k]:
-                    at = _line(frames[k], heads, data[8 * k : 8 * k + 8], text, at)
+                    at = trace_line(frames[k], heads, data[8 * k : 8 * k + 8], text, at)
             left[_O_TEXT] = at
         return GOES_ON
 

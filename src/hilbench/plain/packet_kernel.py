@@ -86,7 +86,7 @@ _NUMBERS, _EXPECTED, _CHECKS, _ANSWERS, _LEFT, _DATA, _IN, _OUT, _TIME = range(9
 # Room for a timespec, then for a struct pollfd.
 _POLLED, _OF_TIME = 2, 3
 
-_G_NUMBERS, _G_LENGTHS, _G_COB_IDS, _G_SIZES, _G_DATA, _G_PACKETS = range(6)  # as `Gathered` has them
+_G_NUMBERS, _G_LENGTHS, _G_COB_IDS, G_SIZES, G_DATA, _G_PACKETS = range(6)  # as `Gathered` has them
 #: Most frames and packets that are gathered in a cycle.
 _MOST_FRAMES, _MOST_PACKETS = 512, 64
 #: Most others who are waited for.
@@ -185,7 +185,7 @@ class Gathered:
 
 
 @compiled
-def _number(octets: Bytes, at: int, width: int) -> int:
+def number(octets: Bytes, at: int, width: int) -> int:
     """Little-endian."""
     value = np.int64(0)
     for k in range(width):
@@ -201,12 +201,12 @@ def _heartbeat_in(packet: Bytes, length: int, dropped: int, expected: Pairs) -> 
     extra = records - count
     if _HEADER + records * _RECEIVED != length or extra < 0 or extra > 1 or packet[0] != _KIND:
         return -1
-    if _number(packet, _DROPPED_AT, 4) != dropped:
+    if number(packet, _DROPPED_AT, 4) != dropped:
         return -1
     found = 0
     for k in range(records):
         at = _HEADER + _RECEIVED * k
-        cob_id, size = _number(packet, at, 4), packet[at + _SIZE_AT]
+        cob_id, size = number(packet, at, 4), packet[at + _SIZE_AT]
         if extra == 1 and k == records - 2:
             if not _NO_NODE < cob_id <= _LAST_NODE or size != 1 or packet[at + _DATA_AT] != _OPERATIONAL:
                 return -1
@@ -224,7 +224,7 @@ def _passes(octets: Bytes, first: int, each: int, checks: Pairs) -> bool:
     misfits = 0
     for k in range(len(checks)):
         at = first + each * checks[k, RECORD_OF] + checks[k, OFFSET]
-        misfits += _number(octets, at, checks[k, WIDTH]) & checks[k, MASK] != checks[k, VALUE]
+        misfits += number(octets, at, checks[k, WIDTH]) & checks[k, MASK] != checks[k, VALUE]
     return misfits == 0
 
 
@@ -260,11 +260,11 @@ def _gather(packet: Bytes, length: int, numbers: Whole, cob_ids: Whole, sizes: W
     records = (length - _HEADER) // _RECEIVED
     if _HEADER + records * _RECEIVED != length or packet[0] != _KIND:
         return False
-    if _number(packet, _DROPPED_AT, 4) != numbers[DROPPED] or numbers[CAME] + records > len(cob_ids):
+    if number(packet, _DROPPED_AT, 4) != numbers[DROPPED] or numbers[CAME] + records > len(cob_ids):
         return False
     for k in range(records):
         at, row = _HEADER + _RECEIVED * k, numbers[CAME]
-        cob_ids[row], sizes[row] = _number(packet, at, 4), packet[at + _SIZE_AT]
+        cob_ids[row], sizes[row] = number(packet, at, 4), packet[at + _SIZE_AT]
         for octet in range(8):
             data[8 * row + octet] = packet[at + _DATA_AT + octet]
         numbers[CAME] += 1
@@ -273,7 +273,7 @@ def _gather(packet: Bytes, length: int, numbers: Whole, cob_ids: Whole, sizes: W
 
 
 @compiled
-def _append(port: Table) -> int:
+def append(port: Table) -> int:
     """Records of the next packet behind those in the buffer, and its header before them; how many. 0: none has come;
     -1: frames were lost, there is no room, or nothing more will come."""
     numbers, words = integers(port, _NUMBERS, (1,)), integers(port, _IN, (1,))
@@ -289,21 +289,21 @@ def _append(port: Table) -> int:
         words[0], words[at // 8] = words[at // 8], last
     numbers[LENGTH] = at + length
     octets = viewed(words, _OCTET)
-    fits = octets[0] == _KIND and _number(octets, _DROPPED_AT, 4) == numbers[DROPPED]
+    fits = octets[0] == _KIND and number(octets, _DROPPED_AT, 4) == numbers[DROPPED]
     return int((length - _HEADER) // _RECEIVED) if fits else -1
 
 
 @compiled
 def _is_alive(packet: Bytes, at: int) -> bool:
     """Whether the record there is a heartbeat of a node that is operational."""
-    cob_id = _number(packet, at, 4)
+    cob_id = number(packet, at, 4)
     return _NO_NODE < cob_id <= _LAST_NODE and packet[at + _SIZE_AT] == 1 and packet[at + _DATA_AT] == _OPERATIONAL
 
 
 @compiled
 def _row_of(packet: Bytes, at: int, expected: Pairs) -> int:
     """That of the record there; one behind the last: none."""
-    cob_id, size, row = _number(packet, at, 4), packet[at + _SIZE_AT], 0
+    cob_id, size, row = number(packet, at, 4), packet[at + _SIZE_AT], 0
     while row < len(expected) and (expected[row, COB_ID] != cob_id or expected[row, SIZE] != size):
         row += 1
     return row
@@ -326,7 +326,7 @@ def _sort_in(port: Table) -> int:
     while max(numbers[LOOKED_AT], _HEADER) < numbers[LENGTH]:
         at = max(numbers[LOOKED_AT], _HEADER)
         if _is_alive(packet, at):
-            numbers[HEARTBEAT_OF], numbers[LOOKED_AT] = _number(packet, at, 4), at + _RECEIVED
+            numbers[HEARTBEAT_OF], numbers[LOOKED_AT] = number(packet, at, 4), at + _RECEIVED
             continue
         row = _row_of(packet, at, expected)
         if row > last:
@@ -342,14 +342,14 @@ def _sort_in(port: Table) -> int:
 def _sort_in_others(port: Table, others: Table) -> int:
     """The same of what comes behind SYNC: answers of others, each once, to where those of `others` are, and what is of
     the next SYNC: ANSWERED, where all of the former are there."""
-    numbers, packet = integers(port, _NUMBERS, (1,)), integers(port, _IN, (1,)).view(_OCTET)
-    expected, data = integers(port, _EXPECTED, (1, 2)), integers(port, _DATA, (1,)).view(_OCTET)
-    awaited, theirs = integers(others, _EXPECTED, (1, 2)), integers(others, _DATA, (1,)).view(_OCTET)
+    numbers, packet = integers(port, _NUMBERS, (1,)), viewed(integers(port, _IN, (1,)), _OCTET)
+    expected, data = integers(port, _EXPECTED, (1, 2)), viewed(integers(port, _DATA, (1,)), _OCTET)
+    awaited, theirs = integers(others, _EXPECTED, (1, 2)), viewed(integers(others, _DATA, (1,)), _OCTET)
     count = len(awaited)
     while max(numbers[LOOKED_AT], _HEADER) < numbers[LENGTH]:
         at = max(numbers[LOOKED_AT], _HEADER)
         if _is_alive(packet, at):
-            numbers[HEARTBEAT_OF], numbers[LOOKED_AT] = _number(packet, at, 4), at + _RECEIVED
+            numbers[HEARTBEAT_OF], numbers[LOOKED_AT] = number(packet, at, 4), at + _RECEIVED
             continue
         row = _row_of(packet, at, awaited)
         if row < count:
@@ -373,13 +373,13 @@ def _sort_in_others(port: Table, others: Table) -> int:
 def _await_more(port: Table, timeout_ns: int) -> int:
     """Wait for another packet, and append it: MORE; NOTHING has come within the time; OTHER: as of `_append`."""
     numbers, time = integers(port, _NUMBERS, (1,)), integers(port, _TIME, (1,))
-    count = _append(port)
+    count = append(port)
     if count == 0:
         time[0], time[1] = timeout_ns // _SECOND_NS, timeout_ns % _SECOND_NS
         time[_POLLED] = numbers[DESCRIPTOR] | POLLIN << 32
         if ppoll(numbers[TIME_AT] + 8 * _POLLED, 1, numbers[TIME_AT], 0) <= 0:
             return NOTHING
-        count = _append(port)
+        count = append(port)
     return MORE if count > 0 else OTHER
 
 
@@ -391,11 +391,11 @@ def _nothing_stands_against(port: Table) -> bool:
     expected, data = integers(port, _EXPECTED, (1, 2)), viewed(integers(port, _DATA, (1,)), _OCTET)
     count = 1
     while count > 0:
-        count = _append(port)
+        count = append(port)
     if count < 0:
         return False
     for at in range(numbers[LOOKED_AT], numbers[LENGTH], _RECEIVED):
-        if _number(packet, at, 4) == expected[len(expected) - 1, COB_ID]:
+        if number(packet, at, 4) == expected[len(expected) - 1, COB_ID]:
             return False
     return _passes(data, 0, 8, integers(port, _CHECKS, (1, 2)))
 
@@ -513,8 +513,8 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, AwaitOthers, Ask, Ga
         if sources < 0 or len(gathered) == 0:
             return NOTHING
         numbers, lengths = integers(gathered, _G_NUMBERS, (1,)), integers(gathered, _G_LENGTHS, (1,))
-        cob_ids, sizes = integers(gathered, _G_COB_IDS, (1,)), integers(gathered, _G_SIZES, (1,))
-        data = viewed(integers(gathered, _G_DATA, (1,)), _OCTET)
+        cob_ids, sizes = integers(gathered, _G_COB_IDS, (1,)), integers(gathered, G_SIZES, (1,))
+        data = viewed(integers(gathered, G_DATA, (1,)), _OCTET)
         words = integers(gathered, _G_PACKETS, (1,))
         packets = viewed(words, _OCTET)
         while numbers[ANSWERS_CAME] < answers:
@@ -543,8 +543,8 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, AwaitOthers, Ask, Ga
         if sources < 0 or len(order) == 0:
             return False
         expected, checks = integers(order, _EXPECTED, (1, 2)), integers(order, _CHECKS, (1, 2))
-        sizes, data = integers(gathered, _G_SIZES, (1,)), viewed(integers(order, _DATA, (1,)), _OCTET)
-        came = viewed(integers(gathered, _G_DATA, (1,)), _OCTET)
+        sizes, data = integers(gathered, G_SIZES, (1,)), viewed(integers(order, _DATA, (1,)), _OCTET)
+        came = viewed(integers(gathered, G_DATA, (1,)), _OCTET)
         for row in range(len(expected)):
             if sizes[row] != expected[row, SIZE]:
                 return False

@@ -34,6 +34,7 @@ from hilbench.exchange.node_data import FILE, ask_all, stand_data
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_producer import SyncProducer
 from hilbench.plain import kernel
+from hilbench.plain.clocked_exchange import ClockedExchange
 from hilbench.plain.exchange import PlainExchange
 from hilbench.processes import ChildProcess
 from hilbench.real_time import comes_first, kept_ready
@@ -153,8 +154,8 @@ def bring_up(
         exchange = Exchange(nodes, link, objects, tap=tap, in_process=here is not None, producer=producer)
         if here and inside:
             exchange.use(here.plain_cycles(inside, nodes, tap))
-        elif exchange.in_step and isinstance(link, EmbeddedLink) and (tap is None or isinstance(tap, LineTap)):
-            exchange.use(partial(PlainExchange, link, nodes, tap=tap))
+        elif isinstance(link, EmbeddedLink) and (tap is None or isinstance(tap, LineTap)):
+            exchange.use(partial(PlainExchange if exchange.in_step else ClockedExchange, link, nodes, tap=tap))
         resources.callback(_release_nodes, master, exchange)
         if producer is not None:
             resources.callback(producer.close)

@@ -92,7 +92,7 @@ class LatenessWatch(CyclicTask):
 
         def cycles() -> int:
             on_time = self._twin.away or sample.twin_age_cycles == 0
-            return MANY if on_time and self._timeliness.nobody_late else 0
+            return MANY if on_time and not self._timeliness.trouble() else 0
 
         return Pieces(cycles=cycles, went=self._timeliness.pass_on_time)
 
