@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,21 +19,25 @@ from lockstep_profile import cpu_s, pids_of
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.startup import sync_producer, wire_first
+from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.load import CyclicFrame, cycle_load
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.identifiers import SYNC, NmtCommand
 from hilbench.canopen.master import Master
+from hilbench.canopen.object_store import ObjectStore
 from hilbench.cia402.configuration import TPDO_COMMUNICATION
 from hilbench.cia402.drive import DriveGoal
 from hilbench.errors import BenchFaultError
+from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.pacing import Pacing
-from hilbench.exchange.sync_cycle import SyncCycle
+from hilbench.plain.clocked_exchange import ClockedExchange
 from hilbench.processes import ChildProcess
 from hilbench.real_time import ProcessSettings, kept_ready
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import write_resolved
+from performance.drives_alone import DrivesAlone
 from performance.table import Section
 
 _PATIENCE_CYCLES = 10_000
@@ -118,13 +123,11 @@ def _priority_of(config: BenchConfig) -> str:
 def _three_drives(config: BenchConfig, seconds: float, *, velocity: bool) -> Section:
     """The bench's own cyclic path and the simulated drives, without the twin: its PDOs don't fit into 1 ms as well."""
     config = config.model_copy(update={"cycle_time_s": _FAST_S})
-    nodes = Nodes(config)
-    first = {drive.pdos.tpdos[0][1].cob_id for drive in nodes.drives}
-    theirs = {pdo.cob_id for drive in nodes.drives for _, pdo, _ in drive.pdos.tpdos}
-    expected = [pdo for pdo in nodes.expected_pdos() if pdo.cob_id in (theirs if velocity else first)]
+    nodes = DrivesAlone(config, velocity=velocity)
+    expected, drives = nodes.expected_pdos(), len(nodes.drives)
     section = Section(
-        f"Real time at {1e3 * _FAST_S:g} ms{_priority_of(config)}, {len(expected)} TPDOs of {len(first)} drives",
-        f"The same for {seconds:g} s of the cyclic path with {len(first)} simulated drives, enabled, "
+        f"Real time at {1e3 * _FAST_S:g} ms{_priority_of(config)}, {len(expected)} TPDOs of {drives} drives",
+        f"The same for {seconds:g} s of the cyclic path with {drives} simulated drives, enabled, "
         + ("each with the PDOs of the demo" if velocity else "each with one RPDO and one TPDO")
         + f", on {config.bus_address}; the twin's PDOs would need the rest of the wire.",
     )
@@ -141,22 +144,13 @@ def _three_drives(config: BenchConfig, seconds: float, *, velocity: bool) -> Sec
         said_before_s = time.monotonic() + _SAID_BEFORE_S
         while time.monotonic() < said_before_s:
             link.receive(0.02)
-        exchange = SyncCycle(
-            link,
-            cycle_ns=config.cycle_ns,
-            bitrate=config.bus.bitrate,
-            lockstep=False,
-            expected=expected,
-            timeout_s=config.safety.cycle_timeout_s,
-            missing_limit=_PATIENCE_CYCLES,
-            heartbeat=(config.master.node_id, config.master.heartbeat_ms),
-            producer=producer,
-        )
+        exchange = Exchange(nodes, link, ObjectStore(nodes.dictionary(config.parts[0].name)), producer=producer)
+        if isinstance(link, EmbeddedLink):
+            exchange.use(partial(ClockedExchange, link, nodes, tap=None))
 
         def run(duration_s: float = seconds) -> None:
             for _ in range(round(duration_s / _FAST_S)):
-                setpoints = [frame for drive in nodes.drives for frame in drive.encode()]
-                nodes.decode(exchange.exchange(setpoints), exchange.before_sync, exchange.gone_by)
+                exchange.cycle({})
 
         run(0.3)
         for drive in nodes.drives:
