@@ -35,6 +35,9 @@ from hilbench.plain.tables import Frames, NotPlainError, octets
 
 #: An operator, and other users of the bus, wait for cycles in pieces for so long.
 _CHAINED_S = 0.02
+#: Behind a strange frame before which so few cycles were plain that it did not pay it is waited for so many until it is
+#: looked again, at most; for twice as many each time.
+_PAYS, _LONGEST_PAUSE = 8, 512
 _HEADER, _RECEIVED = protocol.HEADER.size, protocol.STAMPED_CAN_RECORD.size
 _SYNC = Frame(SYNC, b"")
 
@@ -45,6 +48,7 @@ class ClockedExchange(PlainExchange):
     def _prepare(self) -> None:
         kernel.warm_up()
         clocked_kernel.warm_up()
+        self._pause = 1
         self._tables: _ClockedRun | None = None
         with suppress(NotPlainError):  # to make them takes too long between two cycles
             self._tables = _ClockedRun(self._link, self._nodes, self._sync, self._tap)
@@ -56,7 +60,12 @@ class ClockedExchange(PlainExchange):
 
     def _rest(self, done: int | None) -> None:
         """The tables are there: to look in each cycle takes less than one interpreted, and a bench that is late comes
-        back into its time only by cycles that take less."""
+        back into its time only by cycles that take less. Where strange frames are a rule each begins in vain."""
+        if done is None or self._tables is None or not self._tables.foreign:
+            return
+        pays = done >= _PAYS
+        self._wait = 0 if pays else self._pause
+        self._pause = 1 if pays else min(2 * self._pause, _LONGEST_PAUSE)
 
 
 class _ClockedRun(BenchRun):
@@ -78,6 +87,7 @@ class _ClockedRun(BenchRun):
             row = self._sent_by.frames[own]
             row["timing"], row["period_ns"], row["next_ns"] = lay.BY_TIME, 1, 1
         self._status_bytes = self._nodes.io.status.kinds[0].width or 0
+        self.foreign = False  #: whether something that is no part of a plain cycle has ended them
         self._awaited = Awaited(0, False)
         self._is_out = False  # SYNC of the cycle that is no plain one
         self._text_end = self._traced = 0
@@ -88,6 +98,7 @@ class _ClockedRun(BenchRun):
         if sync.due_always.keys() != set(self._in_each) or {pdo.cob_id for pdo in sync.due_at_times} != self._at_times:
             raise NotPlainError
         super().begin()
+        self.foreign = False
         self._numbers[packet_kernel.DROPPED] = self._link.dropped & 0xFFFFFFFF
 
     def _listen(self, answers: list[int], in_each: int) -> None:
@@ -159,12 +170,11 @@ class _ClockedRun(BenchRun):
         for cob_id, row in self._rare_at.items():
             self._due_rows[row] = cob_id in due
         until_ns = self._sync.answers_until_ns
-        if (
-            clocked_kernel.await_answers(
-                self._port_table, self._heard_table, self._gathered.table, self._bitrate, until_ns
-            )
-            != ANSWERED
-        ):
+        outcome = clocked_kernel.await_answers(
+            self._port_table, self._heard_table, self._gathered.table, self._bitrate, until_ns
+        )
+        if outcome != ANSWERED:
+            self.foreign = outcome == OTHER
             return False
         order, status_at = self._orders_of.get(due) or self._order_of(due)
         if not self._is_counted_on(status_at) or not packet_kernel.take_apart(
@@ -206,13 +216,14 @@ class _ClockedRun(BenchRun):
             if outcome == UNSENT:
                 self._link.send([_SYNC])
             pacing.advance(sync.pacing, self._numbers[NOW_NS])
-            self._is_out = True
+            self._is_out, self.foreign = True, outcome == OTHER
             return outcome == SYNCED
         self._awaited = marks.expect()
         if not marks.is_next(self._awaited):
             return False
         self._write_lines()
         outcome = clocked_kernel.await_sync(self._port_table, self._heard_table, marks.late_ns())
+        self.foreign = outcome == OTHER
         self._is_out = outcome == SYNCED and marks.came()
         return self._is_out
 
