@@ -35,6 +35,10 @@ def test_e_is_right_or_as_uncertain_as_is_said_when_the_model_lacks_something(ca
         pytest.param(89, id="by 3 N, faster"),
         pytest.param(48, id="a step of 9 % beside an unbalance and a friction that is not known well"),
         pytest.param(9, id="a step beside creep"),
+        pytest.param(121, id="by 3 N, twice as fast, beside a friction"),
+        pytest.param(149, id="a torque ripple once a turn, little beside what the encoder's noise is as a force"),
+        pytest.param(113, id="a step beside a scale and a creep, which its tension shows as a slope"),
+        pytest.param(158, id="friction that is larger at the onset than at speed"),
     ],
 )
 def test_what_is_drawn_is_no_more_wrong_than_is_said(seed: int) -> None:

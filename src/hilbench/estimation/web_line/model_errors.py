@@ -33,7 +33,7 @@ from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line import model_errors_filter as filters
-from hilbench.estimation.web_line import ripples
+from hilbench.estimation.web_line import ripples, swings
 from hilbench.estimation.web_line.balance import BalanceSample, MeasuredBalance
 from hilbench.estimation.web_line.config import ModelErrorsConfig
 from hilbench.plant.parameters import per_item
@@ -44,6 +44,7 @@ from hilbench.plant.web_line.parameters import ModelParameters
 _BLOCK_S = 0.02
 #: Probability that a group of errors is there, before anything is measured.
 _LACKING = 0.1
+_LACKS_ANYTHING = 1.0 - (1.0 - _LACKING) ** len(filters.GROUPS)
 #: Deviation of E at the start: anything that pulls alike is E until the data tell.
 _INITIAL_E = 0.5
 #: Time in which what the model lacks may wander through its prior: a working day.
@@ -164,8 +165,14 @@ def interrupt(e: ErrorVectors) -> None:
 
 @inlined
 def likely_deviation_N(e: ErrorVectors) -> float:
-    """What the correction may be wrong by (standard deviation), by what is likely: mostly the model lacks nothing."""
-    return float(e.s[filters.SPREAD_N] * sqrt(e.s[filters.LACKING]))
+    """What the correction may be wrong by (standard deviation), by what is likely: mostly the model lacks nothing.
+
+    As far as more speaks for something that is lacking than before anything was measured: what that would be of a web
+    that pulls no more, as a change of the tension shows.
+    """
+    lacking = e.s[filters.LACKING]
+    shows = min(max(e.s[filters.APPLIED], (lacking - _LACKS_ANYTHING) / (1.0 - _LACKS_ANYTHING)), 1.0)
+    return float(shows * e.s[filters.INTERCEPT_N] + (1.0 - shows) * e.s[filters.SPREAD_N] * sqrt(lacking))
 
 
 @compiled
@@ -210,7 +217,8 @@ def _look_at_unrest(e: ErrorVectors, told_Pa: float, web_per_Pa: float) -> None:
     if not ring.is_full(k, _TOLD):
         return
     jumped_N = abs(told_Pa - ring.value(k, _TOLD, int(k[_TOLD_SIZE]) - _JUMP_BLOCKS)) * web_per_Pa
-    by_itself = 0.0 < e.s[filters.APPLIED] < 1.0 or not filters.keeps_speed(e.u, e.s)
+    steadily = filters.keeps_speed(e.u, e.s) or filters.keeps_acceleration(e.s)
+    by_itself = 0.0 < e.s[filters.APPLIED] < 1.0 or not steadily
     jumps = not by_itself and jumped_N > max(_JUMPS * sqrt(k[_REST_N2]), _LEAST_JUMP * told_Pa * web_per_Pa)
     e.u[filters.TOLD_JUMPED] = 1.0 if jumps and e.s[filters.JUMPED_S] > _APART_S else 0.0
     apart_N = _REST_SHARE * (told_Pa - ring.value(k, _TOLD, 0)) * web_per_Pa
@@ -302,7 +310,9 @@ def _compiled_entry(sources: int) -> Callable[..., None]:
 
 
 _act = _compiled_entry(
-    number_of_sources(noise_level.__file__, ring.__file__, ripples.__file__, filters.__file__, __file__)
+    number_of_sources(
+        noise_level.__file__, ring.__file__, ripples.__file__, swings.__file__, filters.__file__, __file__
+    )
 )
 
 
@@ -367,7 +377,7 @@ class ModelErrors:
         self._places = np.full((len(subsets), size), -1, np.int64)
         self._weights = np.zeros(len(subsets))
         for k, chosen in enumerate(subsets):
-            places = [f.E, f.REST, f.SWAY]
+            places = [f.E, f.REST, f.SWAY, f.QUICK]
             for there, group in zip(chosen, f.GROUPS, strict=True):
                 places += [place for place in group if there and place < size]
                 self._weights[k] += log(_LACKING if there else 1.0 - _LACKING)
@@ -378,6 +388,7 @@ class ModelErrors:
             self._p[k, f.E, f.E] = _INITIAL_E**2
             self._p[k, f.REST, f.REST] = self._u[f.REST_N] ** 2
             self._p[k, f.SWAY, f.SWAY] = f.SWAY_SHARE**2
+            self._p[k, f.QUICK, f.QUICK] = f.QUICK_SHARE**2
         self._first = self._z.copy(), self._p.copy(), self._weights.copy()
         self._theta = np.zeros(size)
         self._work = np.zeros((4, size + 1))

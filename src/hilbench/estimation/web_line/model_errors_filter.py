@@ -26,14 +26,14 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import CUBE, MATRIX, TABLE, VECTOR, compiled, entry_point, inlined, number_of_sources
 from hilbench.estimation.bank import Array
-from hilbench.estimation.web_line import ripples
+from hilbench.estimation.web_line import ripples, swings
 
 Places = NDArray[np.int64]
 
 # State of a filter. The last two only where the rollers' radii differ: else they can't be told from the two before.
-E, REST, SWAY, OFFSET, DRY, STUCK, VISCOUS, SCALE, MASS, UNBALANCE_COS, UNBALANCE_SIN, CREEP = range(12)
-COS2, SIN2, COS1, SIN1 = range(12, 16)
-LARGEST, SIZE_OF_EQUALS = 16, 14
+E, REST, SWAY, QUICK, OFFSET, DRY, STUCK, VISCOUS, SCALE, MASS, UNBALANCE_COS, UNBALANCE_SIN, CREEP = range(13)
+COS2, SIN2, COS1, SIN1 = range(13, 17)
+LARGEST, SIZE_OF_EQUALS = 17, 15
 #: From here on: times E.
 _OF_STRAIN = CREEP
 #: Groups of which the model may lack all or none.
@@ -103,8 +103,11 @@ INPUTS = 23
     SLOW_WEB_N,  # mean of the tension at the reference E over some seconds of steady speed
     SLOW_BLOCKS,  # blocks since that mean has begun
     USUAL_M_S,  # speed, smoothed over longer
-) = range(29)
-KEPT = 29
+    SWINGS,  # the strain goes to and fro
+    INTERCEPT_N,  # deviation of what would be taken out of the force of a web that pulls no more
+) = range(31)
+_SWING = 31  # what `swings` keeps
+KEPT = _SWING + swings.SIZE
 #: Smoothing of the speed that dry friction goes by, and of that which the error of the mass goes by, s.
 _DIRECTION_S, _ACCELERATION_S = 0.02, 0.1
 #: Memory of the force that comes and goes, s.
@@ -126,6 +129,13 @@ _USUAL_SPEED_S, _SAME_SPEED_M_S = 0.5, 0.01
 _SLOW_S, _SWAY_MEMORY_S = 5.0, 30.0
 #: Deviation of that share.
 SWAY_SHARE = 0.6
+#: Memory of the share of what it sways by quickly, s, and the deviation of that.
+_QUICK_MEMORY_S, QUICK_SHARE = 60.0, 1.0
+#: How far the strain swings at least, as a share of the tension.
+_LEAST_SWING = 3e-3
+#: Share of the dry friction that is found which may be gone at speed (standard deviation), and the speed by which most
+#: of that is: friction that is larger at the onset than later (Stribeck).
+_ONSET_SHARE, _ONSET_M_S = 0.4, 0.5
 #: Innovations beyond so many deviations are no noise; and a mean of them (over so many blocks) beyond so many.
 _SURPRISE, _LEANS, _LEANING_BLOCKS = 4.0, 5.0, 25.0
 #: By how much E may have changed then, relative.
@@ -142,9 +152,10 @@ _SURE, _UNSURE, _APPLIED_PER_S, _FITS_NONE = 0.99, 0.5, 2.0, 2.0
 @compiled
 def _predict(z: Array, p: Array, k: int, places: Places, process: Array, dt: float) -> None:
     """Filter `k` over a block of `dt`; process (N,): variances that it adds."""
-    keep, keep_sway = 1.0 - dt / _REST_MEMORY_S, 1.0 - dt / _SWAY_MEMORY_S
+    keep, keep_sway, keep_quick = 1.0 - dt / _REST_MEMORY_S, 1.0 - dt / _SWAY_MEMORY_S, 1.0 - dt / _QUICK_MEMORY_S
     z[k, REST] *= keep
     z[k, SWAY] *= keep_sway
+    z[k, QUICK] *= keep_quick
     for m in range(places.shape[1]):
         i = places[k, m]
         if i < 0:
@@ -153,6 +164,8 @@ def _predict(z: Array, p: Array, k: int, places: Places, process: Array, dt: flo
         p[k, i, REST] *= keep
         p[k, SWAY, i] *= keep_sway
         p[k, i, SWAY] *= keep_sway
+        p[k, QUICK, i] *= keep_quick
+        p[k, i, QUICK] *= keep_quick
         p[k, i, i] += process[i]
 
 
@@ -190,6 +203,12 @@ def _innovation(z: Array, p: Array, k: int, places: Places, a: Array, y: float, 
 
 
 @compiled
+def _less_quick(p: Array, k: int, a: Array, row: Array) -> float:
+    """The variance in row (N + 1,) without what is not known of QUICK: that would explain a kick of any size."""
+    return max(float(row[p.shape[1]] - 2.0 * a[QUICK] * row[QUICK] + a[QUICK] * a[QUICK] * p[k, QUICK, QUICK]), 0.0)
+
+
+@compiled
 def _take(z: Array, p: Array, k: int, places: Places, row: Array, innovation: float, spread: float) -> None:
     for m in range(places.shape[1]):
         i = places[k, m]
@@ -219,6 +238,7 @@ def _regressors(u: Array, s: Array, a: Array, size: int, found: float) -> None:
     a[SWAY] = 0.0
     if abs(s[USUAL_M_S]) > u[STANDSTILL_M_S]:  # at rest no web comes in
         a[SWAY] = min(max(s[USUAL_WEB_N] - s[SLOW_WEB_N], -u[MOST_SWAY_N]), u[MOST_SWAY_N])
+    a[QUICK] = u[WEB_N] - s[USUAL_WEB_N] if s[SWINGS] != 0.0 else 0.0
     a[OFFSET] = 1.0
     a[DRY] = direction
     a[STUCK] = 1.0 - abs(direction)
@@ -250,6 +270,13 @@ def keeps_speed(u: Array, s: Array) -> bool:
     return bool(abs(s[SMOOTHED_M_S] - s[USUAL_M_S]) < _SAME_SPEED_M_S and abs(s[USUAL_M_S]) > u[STANDSTILL_M_S])
 
 
+@inlined
+def keeps_acceleration(s: Array) -> bool:
+    """Whether the roller's speed changes as fast as some tenths of a second before, or keeps."""
+    apart_s = _USUAL_SPEED_S - _ACCELERATION_S
+    return bool(abs(apart_s * s[ACCELERATION] - (s[SMOOTHED_M_S] - s[USUAL_M_S])) < _SAME_SPEED_M_S)
+
+
 @compiled
 def _swings(i: int) -> bool:
     return i >= COS2 or UNBALANCE_COS <= i <= UNBALANCE_SIN
@@ -275,6 +302,15 @@ def _stop(z: Array, p: Array, k: int, deviation: float) -> None:
         p[k, STUCK, j] = 0.0
         p[k, j, STUCK] = 0.0
     p[k, STUCK, STUCK] = deviation * deviation
+
+
+@compiled
+def _leave_onset(z: Array, p: Array, speed: float, change: float) -> None:
+    """Dry friction may be another one after a change of a low speed: the more there is of it, the more."""
+    share = _ONSET_SHARE * _ONSET_SHARE * exp(-abs(speed) / _ONSET_M_S) * abs(change) / _ONSET_M_S
+    for k in range(z.shape[0]):
+        if p[k, DRY, DRY] > 0.0:
+            p[k, DRY, DRY] += share * z[k, DRY] * z[k, DRY]
 
 
 @compiled
@@ -334,6 +370,16 @@ def _spread_N(z: Array, p: Array, a: Array, theta: Array, told: float, lacking: 
 
 
 @compiled
+def _of_no_tension(u: Array, s: Array, a: Array, found: float, b: Array) -> None:
+    """What each error adds to the force of a web that pulls no more, as regressors b (N,) like a (N,); what comes and
+    goes, sways and swings: nothing."""
+    for i in range(len(b)):
+        b[i] = 0.0 if i < OFFSET or _swings(i) else a[i]
+    b[SCALE] -= found
+    b[CREEP] = u[STIFFNESS_N] * (found - s[BUILT_UP_N])
+
+
+@compiled
 def _believed_of_nothing_N2(a: Array, priors: Array, told: float) -> float:
     """Variance of the force where nothing has been measured."""
     variance = 0.0
@@ -365,7 +411,7 @@ def _block(
     for k in range(z.shape[0]):
         _predict(z, p, k, places, process, dt)
     innovation = _innovation(z, p, all_of_them, places, mean, y, row)
-    size_of_it = innovation / sqrt(row[size] + variance)
+    size_of_it = innovation / sqrt(_less_quick(p, all_of_them, mean, row) + variance)
     s[JUMPED_S] += dt
     s[EXCESS] += dt / _EXCESS_S * (min(size_of_it * size_of_it, _MOST_EXCESS) - s[EXCESS])
     if abs(size_of_it) > _SURPRISE:
@@ -449,6 +495,8 @@ def _compiled_cycle(sources: int) -> Callable[..., bool]:
             s[WEB_BEFORE_N] = sums[E]
             steady = abs(slope) < _STEADY_M_S2 and abs(sums[E] - s[USUAL_WEB_N]) < _STEADY_WEB * abs(sums[E])
             s[USUAL_WEB_N] += n * dt / _STEADY_S * (sums[E] - s[USUAL_WEB_N])
+            swung_N, least_N = sums[E] - s[USUAL_WEB_N], _LEAST_SWING * abs(s[USUAL_WEB_N])
+            s[SWINGS] = 1.0 if swings.look(s, _SWING, swung_N, least_N, u[ANGLE_2], n * dt) else 0.0
             if not keeps_speed(u, s) or u[TOLD_JUMPED] != 0.0:
                 s[SLOW_BLOCKS] = 0.0
             s[SLOW_BLOCKS] += 1.0
@@ -463,9 +511,11 @@ def _compiled_cycle(sources: int) -> Callable[..., bool]:
             if steady:
                 process[E] = u[STEADY_E2] * n * dt
             process[REST] = 2.0 * n * dt / _REST_MEMORY_S * u[REST_N] * u[REST_N]
+            process[QUICK] = 2.0 * n * dt / _QUICK_MEMORY_S * QUICK_SHARE**2
             process[SWAY] = 2.0 * n * dt / _SWAY_MEMORY_S * SWAY_SHARE**2
             if process[DRY] > 0.0:
                 process[DRY] += u[CURVE_N2] * abs(speed - s[BEGAN_M_S])
+                _leave_onset(z, p, speed, speed - s[BEGAN_M_S])
             _block(u, s, z, p, places, weights, process, sums, y, variance, quick, n * dt, work[3])
             s[COUNT] = 0.0
         modulus = z[z.shape[0] - 1, E]
@@ -492,6 +542,8 @@ def _compiled_cycle(sources: int) -> Callable[..., bool]:
             _believe(s, z, weights, theta, n * dt)
             s[REBASED_N] = _of_terms(a, theta, u[TOLD], False) - before
             s[SPREAD_N] = _spread_N(z, p, a, theta, u[TOLD], s[LACKING])
+            _of_no_tension(u, s, a, found, row)
+            s[INTERCEPT_N] = _spread_N(z, p, row, theta, u[TOLD], 1.0)
             s[PRIOR_N2] = _believed_of_nothing_N2(a, priors, u[TOLD])
         s[CORRECTION_N] = _of_terms(a, theta, u[TOLD], True) + s[RIPPLE_N]
         return bool(ended)
@@ -499,4 +551,4 @@ def _compiled_cycle(sources: int) -> Callable[..., bool]:
     return cycle
 
 
-cycle = _compiled_cycle(number_of_sources(ripples.__file__, __file__))
+cycle = _compiled_cycle(number_of_sources(ripples.__file__, swings.__file__, __file__))

@@ -7,6 +7,9 @@ one that was there before, F = E·h + d, and the two are weighed by their square
 fit, the change stays open: the next change of tension decides. What the balance may have been off by all the time (c)
 is in both: F = E'·h + c, and F = (E - c/h)·h + c + d.
 
+What swings slowly before the change, as a tension upstream does, is no noise of which each block is a new draw: it
+counts so many times as the blocks before are alike.
+
 Both are looked for in the means of blocks (`blocks`). A shift is not looked for while the speed changes (an error of
 the inertia looks like one). When neither line fits it was something else.
 """
@@ -35,6 +38,11 @@ _SAME_SPEED = 0.02
 _CHANGED_NOISES, _CHANGED = 6.0, 0.02
 #: Least noise of a block that is believed, relative to the tension: what is left of the model's own errors.
 _NOISE_FLOOR = 1e-3
+#: Change of tension from block to block that counts as noise, times this: torque and motion are of one instant to some
+#: milliseconds only.
+_LATE = 0.15
+#: Likeness of the noise of two blocks that follow each other, at most: what swings slowly is no sum of chances.
+_MOST_ALIKE = 0.98
 #: Squared residuals over the noise: one explanation is better than the other from here on, and itself good enough.
 _DECIDED, _ACCEPTED = 16.0, 9.0
 #: The same, of E over a shift, when the change has been open for long: nothing is said any more, it is not told as
@@ -60,8 +68,10 @@ class TorqueShift(NamedTuple):
     _TOLD_PA,
     _WEB_PER_PA,
     _VARIANCE_N2,
+    _SLOWNESS,  # how many times as much the noise before counts in a sum as if it were white
     _HITS,
     _LEANS_TO_MODULUS,
+    _WEB_LAST_PER_PA,  # of the block before
     _COUNT,
     _F,
     _H,
@@ -74,8 +84,8 @@ class TorqueShift(NamedTuple):
     _WEBS,
     _SPEEDS,
     _TOLD,
-) = range(19)
-_SIZE = 19
+) = range(21)
+_SIZE = 21
 
 
 @compiled
@@ -126,13 +136,19 @@ def _is_noticed(s: Array, block_N: float, block_per_Pa: float) -> bool:
         web_per_Pa += ring.value(s, webs, i)
     modulus_Pa = force_N / web_per_Pa
     tension_N = abs(modulus_Pa * block_per_Pa)
+    before_N, products = 0.0, 0.0
     for i in range(count):
-        squares += (ring.value(s, forces, i) - modulus_Pa * ring.value(s, webs, i)) ** 2
+        residual_N = ring.value(s, forces, i) - modulus_Pa * ring.value(s, webs, i)
+        squares += residual_N * residual_N
+        products += residual_N * before_N
+        before_N = residual_N
+    alike = min(max(products / squares, 0.0), _MOST_ALIKE) if squares > 0.0 else 0.0
     variance_N2 = max(squares / (count - 1), (_NOISE_FLOOR * tension_N) ** 2)
     difference_N = abs(block_N - modulus_Pa * block_per_Pa)
     if difference_N < max(_CHANGED_NOISES * sqrt(variance_N2), _CHANGED * tension_N):
         return False
     s[_OPEN], s[_MODULUS_PA], s[_WEB_PER_PA], s[_VARIANCE_N2] = 1.0, modulus_Pa, web_per_Pa / count, variance_N2
+    s[_SLOWNESS] = (1.0 + alike) / (1.0 - alike)
     s[_TOLD_PA] = ring.value(s, int(s[_TOLD]), count - 1)
     s[_HITS], s[_LEANS_TO_MODULUS] = _HIT, 0.0
     for place in (_COUNT, _F, _H, _FF, _FH, _HH):
@@ -144,19 +160,23 @@ def _is_noticed(s: Array, block_N: float, block_per_Pa: float) -> bool:
 def _explain(s: Array, f: float, h: float, may_decide: bool, deviation_N: float) -> bool:
     if s[_HITS] > 0.0:
         s[_HITS] -= 1.0
+        s[_WEB_LAST_PER_PA] = h
         return False
-    s[_COUNT] += 1.0
-    s[_F] += f
-    s[_H] += h
-    s[_FF] += f * f
-    s[_FH] += f * h
-    s[_HH] += h * h
+    late_N = _LATE * s[_MODULUS_PA] * (h - s[_WEB_LAST_PER_PA])
+    weight = s[_VARIANCE_N2] / (s[_VARIANCE_N2] + late_N * late_N)
+    s[_WEB_LAST_PER_PA] = h
+    s[_COUNT] += weight
+    s[_F] += weight * f
+    s[_H] += weight * h
+    s[_FF] += weight * f * f
+    s[_FH] += weight * f * h
+    s[_HH] += weight * h * h
     count = s[_COUNT]
     if count < _LEAST or not may_decide:
         return False
     free = _free(s)
     # What a shaft that was hit swings through goes on neither line: it counts as noise.
-    variance = max(s[_VARIANCE_N2], free / (count - 2.0))
+    variance = s[_SLOWNESS] * max(s[_VARIANCE_N2], free / (count - 2.0))
     precision = variance / (deviation_N * deviation_N) if deviation_N != 0.0 else inf
     shift_N, of_shift = _of_shift(s, precision)
     of_shift, of_modulus = (of_shift - free) / variance, (_of_modulus(s, precision) - free) / variance

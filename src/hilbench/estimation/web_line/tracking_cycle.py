@@ -22,6 +22,7 @@ from hilbench.estimation.web_line import (
     model_errors,
     model_errors_filter,
     ripples,
+    swings,
     torque_shift,
 )
 from hilbench.estimation.web_line.balance import BalanceVectors
@@ -572,6 +573,7 @@ SOURCES = (
             ring,
             ripples,
             span_kernel,
+            swings,
             torque_shift,
         )
     ),
