@@ -8,7 +8,9 @@ unbalance u and w at the roller's angle φ, creep κ (q: difference of the tensi
 the span: q' = v/L·(F − F_next − q)), and eccentricity over the radius, as it builds up by the rollers' angles:
 c_j' = v/L·(cos φ_j − c_j), and s_j. A force that comes and goes (REST) is in all of them, and a share of what the
 strain sways by about its mean at steady speed (SWAY): web that comes in may sway while a loop keeps its tension. Taken
-for tension, that would make E seem the smaller the longer it lasts.
+for tension, that would make E seem the smaller the longer it lasts. Where it swings (`swings`), a share of what the
+strain does more quickly than its mean over some tenths of a second is another (QUICK): with SWAY, which lags behind it,
+it is whatever a swing of one frequency does.
 
 There is a filter for every subset of the groups of such errors, all on the same blocks, weighed by their evidence
 (Bayesian model averaging). E jumps in all of them when the filter of all groups is surprised, so that a change of E
