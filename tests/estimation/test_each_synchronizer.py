@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from hilbench.estimation.web_line.balance import BalanceSample
-from hilbench.estimation.web_line.config import METHODS, new_synchronizer
+from hilbench.estimation.web_line.config import METHODS
 from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchronizer, SyncSample
+from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
 from hilbench.estimation.web_line.synchronizers.plant import Plant
 
 CYCLE_S, SPEED_M_S = 0.002, 3.0
