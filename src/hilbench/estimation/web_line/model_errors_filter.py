@@ -137,7 +137,7 @@ _QUICK_MEMORY_S, QUICK_SHARE = 60.0, 1.0
 _LEAST_SWING = 3e-3
 #: Share of the dry friction that is found which may be gone at speed (standard deviation), and the speed by which most
 #: of that is: friction that is larger at the onset than later (Stribeck).
-_ONSET_SHARE, _ONSET_M_S = 0.4, 0.5
+_ONSET_SHARE, _ONSET_M_S = 0.25, 0.5
 #: Innovations beyond so many deviations are no noise; and a mean of them (over so many blocks) beyond so many.
 _SURPRISE, _LEANS, _LEANING_BLOCKS = 4.0, 5.0, 25.0
 #: By how much E may have changed then, relative.
