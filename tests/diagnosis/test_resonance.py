@@ -50,6 +50,7 @@ KNOWN = {"coulomb_friction", "viscous_friction", "torque_offset", "torque_ripple
 @pytest.mark.parametrize(
     ("share", "frequency_Hz", "damping"), [(0.4, 20.0, 0.05), *slow((0.25, 12.0, 0.1), (0.6, 20.0, 0.03))]
 )
+@pytest.mark.slow
 def test_a_torsional_shaft_is_named_with_its_share_and_frequency(
     share: float, frequency_Hz: float, damping: float
 ) -> None:
@@ -100,6 +101,7 @@ def test_one_steady_sine_names_no_resonance_with_an_interval_that_does_not_hold(
 
 
 @pytest.mark.parametrize(("swing_Hz", "swing_rad_s"), [(3.0, 20.0), *slow((2.0, 30.0), (5.0, 10.0))])
+@pytest.mark.slow
 def test_gaps_make_no_more_lines_of_one_steady_sine(swing_Hz: float, swing_rad_s: float) -> None:
     """Behind a gap the sine goes on with another phase; and each gap is a beginning whose swing fades at the cost of
     rows, of which most have to stay."""
@@ -143,6 +145,7 @@ def test_from_which_frequency_on_smooth_motion_could_not_show_a_resonance_is_sai
     assert f"{blind.frequency_Hz:g} Hz" in blind.experiment
 
 
+@pytest.mark.slow
 def test_steps_of_the_speed_could_have_shown_a_resonance_at_every_frequency() -> None:
     (recording,) = STIFF.recordings(1, seed=3)
     assert unseen(examined(recording)) == []

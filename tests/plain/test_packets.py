@@ -228,6 +228,7 @@ LINE = [
 ]
 
 
+@pytest.mark.slow
 def test_a_line_runs_alike_with_set_points_an_effect_and_a_fault(tmp_path: Path) -> None:
     changes = [(10, LINE[0]), (30, LINE[2]), (50, LINE[3]), (120, LINE[10]), (200, LINE[7])]
     left = check(tmp_path, [], changes, cycles=240, least=50)

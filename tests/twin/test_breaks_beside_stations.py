@@ -103,6 +103,7 @@ def assert_taken_back(line: BesideStations, slips_s: float, told_s: float, *span
         assert abs(np.mean(off_N)) < 1.0
 
 
+@pytest.mark.slow
 def test_a_web_that_slips_behind_a_guide_roller_is_told_in_its_section() -> None:
     line = beside(dancer_line(), dancer_line())
     line.go(1.0, 2.0, 2.0, 2.0, ramp_s=0.8)
@@ -192,6 +193,7 @@ def test_another_web_beside_a_measured_dancer_loses_nothing(factor: float) -> No
     assert first_told(line, 5.0, 0.99, 1.0, 1.0) == (np.inf, {})
 
 
+@pytest.mark.slow
 def test_encoders_that_promise_a_slack_web_where_it_pulls_tell_a_slip() -> None:
     true = IndependentDancer()
     line = BesideStations(true, dancer_line(), dancer_line())  # type: ignore[arg-type]

@@ -215,6 +215,7 @@ def test_a_web_at_rest_between_measured_reels_that_nobody_knows_is_told_as_one_b
 
 
 @pytest.mark.parametrize(("factor", "strained"), [(1.1, 1.3), *slow((0.85, 0.7))])
+@pytest.mark.slow
 def test_of_a_web_at_rest_beside_a_measured_dancer_that_nobody_knows_the_tension_is_told_and_E_is_not(
     factor: float, strained: float
 ) -> None:

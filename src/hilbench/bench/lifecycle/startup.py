@@ -34,8 +34,6 @@ from hilbench.exchange.node_data import FILE, ask_all, stand_data
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_producer import SyncProducer
 from hilbench.plain import kernel
-from hilbench.plain.clocked_exchange import ClockedExchange
-from hilbench.plain.exchange import PlainExchange
 from hilbench.processes import ChildProcess
 from hilbench.real_time import comes_first, kept_ready
 from hilbench.topology.config import BenchConfig
@@ -45,6 +43,8 @@ from hilbench.twin.machines.kinds import maker, warm_up
 
 if TYPE_CHECKING:
     from hilbench.bench.lifecycle.in_process import InProcess
+    from hilbench.plain.clocked_exchange import ClockedExchange
+    from hilbench.plain.exchange import PlainExchange
 
 #: Of a node that does not wait for SYNC one comes for certain.
 _HEARTBEATS_TO_WAIT = 1.5
@@ -155,11 +155,22 @@ def bring_up(
         if here and inside:
             exchange.use(here.plain_cycles(inside, nodes, tap))
         elif isinstance(link, EmbeddedLink) and (tap is None or isinstance(tap, LineTap)):
-            exchange.use(partial(PlainExchange if exchange.in_step else ClockedExchange, link, nodes, tap=tap))
+            exchange.use(partial(_plain_exchange(config), link, nodes, tap=tap))
         resources.callback(_release_nodes, master, exchange)
         if producer is not None:
             resources.callback(producer.close)
         yield StartedBench(nodes, exchange, children, supervisor, warnings)
+
+
+def _plain_exchange(config: BenchConfig) -> type[PlainExchange | ClockedExchange]:
+    """Who runs its plain cycles on the embedded bus; the other one is not loaded."""
+    if config.pace == "lockstep":
+        from hilbench.plain.exchange import PlainExchange
+
+        return PlainExchange
+    from hilbench.plain.clocked_exchange import ClockedExchange
+
+    return ClockedExchange
 
 
 def wire_first(config: BenchConfig) -> list[str]:
