@@ -11,9 +11,12 @@ from unittest.mock import patch
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.chained import ChainedBench
+from hilbench.bench.tasks.task import Pieces
 from hilbench.can.frame import Frame
 from hilbench.canopen.host import HostedDevices
+from hilbench.chain import by_python
 from hilbench.errors import HilbenchError
+from hilbench.topology.sample import CycleSample
 
 CONFIGS = Path(__file__).resolve().parents[1] / "bench_configs"
 NMT, SDO = 0x000, 0x600
@@ -27,6 +30,23 @@ class How(Enum):
     INTERPRETED = 0
     ONE_BY_ONE = 1  #: compiled
     CHAINED = 2
+
+
+class Samples:
+    """Keeps the bits of every sample of a bench."""
+
+    def __init__(self) -> None:
+        self.kept: list[bytes] = []
+
+    def sample(self, sample: CycleSample) -> None:
+        self.kept.append(sample.reals.tobytes() + sample.wholes.tobytes())
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        def keep() -> bool:
+            self.sample(sample)
+            return True
+
+        return Pieces(after=[by_python(keep)])
 
 
 @contextmanager

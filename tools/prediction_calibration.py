@@ -86,31 +86,40 @@ def drawn(seed: int) -> Drawn:
         move = {"ramp": {"path": "line_speed_m_s", "to": speed_m_s + rate * 1.0, "duration_s": 1.0}}
         reached = rate * _TORQUE_PER_ACCELERATION + 10.0 * _TORQUE_PER_TENSION
         quantity, signal, level = "torque_Nm", "tau2_Nm", 1.15 * reached + 0.17 + 0.3 * near
-    steps = [
-        {"ramp": {"path": "line_speed_m_s", "to": speed_m_s, "duration_s": 1.0}},
-        {"hold": {"until_s": MOVES_S}},
-        move,
-        {"hold": {"duration_s": HORIZON_S - LEAD_S}},
-    ]
-    limits: dict[str, Any] = {
-        "tension_N": {},
-        "torque_Nm": {},
-        "speed_m_s": {},
-        "position_difference_m": {},
-        "estimate_ratio": {},
-    }
-    changes = {
+    of_web = _of_web(seed, modulus_Pa, effects, {quantity: {"warning": float(level)}}, speed_m_s, move)
+    return _config(CONFIG, of_web), experiment, hidden, signal
+
+
+def _of_web(
+    seed: int,
+    modulus_Pa: float | list[float],
+    effects: list[dict[str, Any]],
+    limits: dict[str, Any],
+    speed_m_s: float,
+    move: dict[str, Any],
+) -> dict[str, Any]:
+    """What is changed in the config of a web line: no other limits, a ramp to the speed, then what is drawn."""
+    others = ("tension_N", "torque_Nm", "speed_m_s", "position_difference_m", "estimate_ratio")
+    return {
         "seed": seed,
-        "bus.address": "embedded",
         "load.web.youngs_modulus_Pa": modulus_Pa,
         "hardware.effects": effects,
-        "safety.limits": limits | {quantity: {"warning": float(level)}},
-        "twin.prediction": {"horizon_s": HORIZON_S, "announce_above": 0.5},
-        "steps": steps,
-        "criteria": [],
+        "safety.limits": {name: {} for name in others} | limits,
+        "steps": [
+            {"ramp": {"path": "line_speed_m_s", "to": speed_m_s, "duration_s": 1.0}},
+            {"hold": {"until_s": MOVES_S}},
+            move,
+            {"hold": {"duration_s": HORIZON_S - LEAD_S}},
+        ],
     }
-    given = [f"{key}={json.dumps(value)}" for key, value in changes.items()]
-    return load_with_overrides(CONFIG, changes=given).config, experiment, hidden, signal
+
+
+def _config(path: Path, changes: dict[str, Any]) -> ExperimentConfig:
+    """With these changes, a bench that looks ahead, on the embedded bus, without criteria."""
+    ahead = {"horizon_s": HORIZON_S, "announce_above": 0.5}
+    of_all = {"bus.address": "embedded", "twin.prediction": ahead, "criteria": []}
+    given = [f"{key}={json.dumps(value)}" for key, value in (changes | of_all).items()]
+    return load_with_overrides(path, changes=given).config
 
 
 def drawn_shaft(seed: int) -> Drawn:
@@ -136,15 +145,11 @@ def drawn_shaft(seed: int) -> Drawn:
     shaft = {"inertia_kg_m2": inertia, "coulomb_friction_Nm": dry, "viscous_friction_Nm_s_per_rad": viscous}
     changes = {
         "seed": seed,
-        "bus.address": "embedded",
         "load.shaft": shaft,
         "safety.limits": {"torque_Nm": {"warning": float(max(level, 0.1))}, "speed_rad_s": {}, "estimate_ratio": {}},
-        "twin.prediction": {"horizon_s": HORIZON_S, "announce_above": 0.5},
         "steps": [*ramps, {"hold": {"until_s": MOVES_S}}, *moves],
-        "criteria": [],
     }
-    given = [f"{key}={json.dumps(value)}" for key, value in changes.items()]
-    return load_with_overrides(SERVO, changes=given).config, experiment, hidden, "tau1_Nm"
+    return _config(SERVO, changes), experiment, hidden, "tau1_Nm"
 
 
 def drawn_spans(seed: int) -> Drawn:
@@ -173,24 +178,10 @@ def drawn_spans(seed: int) -> Drawn:
         move = {"ramp": {"path": "line_speed_m_s", "to": speed_m_s + rate * 1.0, "duration_s": 1.0}}
         reached = rate * _TORQUE_PER_ACCELERATION + 20.0 * _TORQUE_PER_TENSION
         quantity, signal, level = "torque_Nm", "tau3_Nm", 1.15 * reached + 0.17 + 0.3 * near
-    others = ("tension_N", "torque_Nm", "speed_m_s", "position_difference_m", "estimate_ratio")
-    limits: dict[str, Any] = {name: {} for name in others}
-    changes = {
-        "seed": seed,
-        "load.web.youngs_modulus_Pa": moduli_Pa.tolist(),
-        "hardware.effects": [] if hidden == "nothing" else [law | {"axis": axis}],
-        "safety.limits": limits | {quantity: {"warning": float(level)}},
-        "twin.prediction": {"horizon_s": HORIZON_S, "announce_above": 0.5},
-        "steps": [
-            {"ramp": {"path": "line_speed_m_s", "to": speed_m_s, "duration_s": 1.0}},
-            {"hold": {"until_s": MOVES_S}},
-            move,
-            {"hold": {"duration_s": HORIZON_S - LEAD_S}},
-        ],
-        "criteria": [],
-    }
-    given = [f"{key}={json.dumps(value)}" for key, value in changes.items()]
-    return load_with_overrides(SPANS, changes=given).config, experiment, hidden, signal
+    effects = [] if hidden == "nothing" else [law | {"axis": axis}]
+    limits = {quantity: {"warning": float(level)}}
+    of_web = _of_web(seed, moduli_Pa.tolist(), effects, limits, speed_m_s, move)
+    return _config(SPANS, of_web), experiment, hidden, signal
 
 
 #: Of each kind of machine.

@@ -19,7 +19,7 @@ from unittest.mock import patch
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.plain_runs import CONFIGS
+from tests.plain_runs import CONFIGS, Samples
 
 from hilbench.bench.cycle import BenchCycle
 from hilbench.bench.state import BenchState
@@ -246,23 +246,6 @@ class Says(CyclicTask):
 
     def in_pieces(self, sample: CycleSample) -> Pieces:
         return Pieces(before=[by_python(lambda: self._say(sample))], shown=self.shown)
-
-
-class Samples:
-    """Keeps the bits of each."""
-
-    def __init__(self) -> None:
-        self.kept: list[bytes] = []
-
-    def sample(self, sample: CycleSample) -> None:
-        self.kept.append(sample.reals.tobytes() + sample.wholes.tobytes())
-
-    def in_pieces(self, sample: CycleSample) -> Pieces:
-        def keep() -> bool:
-            self.sample(sample)
-            return True
-
-        return Pieces(after=[by_python(keep)])
 
 
 @dataclass

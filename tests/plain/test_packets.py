@@ -18,17 +18,27 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.bench.whole_runs import frames_by_cycle
-from tests.plain_runs import CONFIGS, NMT, Change, How, chained_as, download, ending_of, notices_of, objects_of, sets
+from tests.plain_runs import (
+    CONFIGS,
+    NMT,
+    Change,
+    How,
+    Samples,
+    chained_as,
+    download,
+    ending_of,
+    notices_of,
+    objects_of,
+    sets,
+)
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.tasks.task import Pieces
 from hilbench.can import hub_client
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.host import DeviceHost, HostedDevices
-from hilbench.chain import by_python
 from hilbench.hardware.simulation import hardware, plain_host
 from hilbench.plain.exchange import PlainExchange
 from hilbench.plain.exchange import _Run as PlainRun
@@ -36,7 +46,6 @@ from hilbench.plain.host import PlainHost
 from hilbench.plain.rig_run import RigRun
 from hilbench.results.trace import TraceWriter
 from hilbench.runs.config import load_with_overrides
-from hilbench.topology.sample import CycleSample
 from hilbench.twin.plain_run import TwinRun
 from hilbench.twin.process import twin
 from hilbench.twin.run import plain_host as twins_plain_host
@@ -59,23 +68,6 @@ class Left:
     trace: list[Counter[str]] = field(default_factory=list)
     objects: list[object] = field(default_factory=list)
     ending: str = ""
-
-
-class Samples:
-    """Keeps the bits of every sample of a bench."""
-
-    def __init__(self) -> None:
-        self.kept: list[bytes] = []
-
-    def sample(self, sample: CycleSample) -> None:
-        self.kept.append(sample.reals.tobytes() + sample.wholes.tobytes())
-
-    def in_pieces(self, sample: CycleSample) -> Pieces:
-        def keep() -> bool:
-            self.sample(sample)
-            return True
-
-        return Pieces(after=[by_python(keep)])
 
 
 @contextmanager

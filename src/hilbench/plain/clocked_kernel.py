@@ -17,11 +17,9 @@ from hilbench.c_library import (
     CLOCK_MONOTONIC,
     MSG_DONTWAIT,
     MSG_NOSIGNAL,
-    POLLIN,
     TIMER_ABSTIME,
     clock_gettime,
     clock_nanosleep,
-    ppoll,
     send,
 )
 from hilbench.can import loan_kernel, protocol
@@ -58,9 +56,11 @@ from hilbench.plain.packet_kernel import (
     SYNCED,
     UNSENT,
     Pairs,
-    append,
+    append_all,
     number,
     pack,
+    put,
+    wait,
 )
 
 #: Places in `Heard.places`: where in the buffer what came behind SYNC begins (0: SYNC is not out yet); whether SYNC is
@@ -75,9 +75,8 @@ _SECOND_NS = 1_000_000_000
 _O_SIZE, _O_BITS = lay.O_SIZE, lay.O_BITS
 _FRAME = lay.FRAME
 _OCTET = np.dtype(np.uint8)
-# Rows of `packet_kernel.Port`, and room in its timespec for a struct pollfd.
+# Rows of `packet_kernel.Port`.
 _NUMBERS, _EXPECTED, _, _SENT_WIRE, _LEFT, _SENT_DATA, _IN, _OUT, _TIME = range(9)
-_POLLED = 2
 # Rows of the table: as `Heard` has them.
 _PLACES, _CAME, _DUE, _DATA, _KNOWN, _SENT, _HEADS, _TEXT = range(8)
 
@@ -120,27 +119,6 @@ def _sleep(time: Whole, until_ns: int) -> int:
 
 
 @compiled
-def _take_all(port: Table) -> int:
-    """All packets that wait behind those in the buffer; how many, -1: they are for Python, or nothing more will
-    come."""
-    packets, count = 0, 1
-    while count > 0:
-        count = append(port)
-        packets += count > 0
-    return packets if count == 0 else -1
-
-
-@compiled
-def _wait(port: Table, until_ns: int, now_ns: int) -> bool:
-    """For a packet; False: none has come."""
-    numbers, time = integers(port, _NUMBERS, (1,)), integers(port, _TIME, (1,))
-    left_ns = max(0, until_ns - now_ns)
-    time[0], time[1] = left_ns // _SECOND_NS, left_ns % _SECOND_NS
-    time[_POLLED] = numbers[DESCRIPTOR] | POLLIN << 32
-    return bool(ppoll(time[_POLLED:].ctypes.data, 1, time.ctypes.data, 0) > 0)
-
-
-@compiled
 def _place_of(expected: Pairs, cob_id: int, likely: int) -> int:
     """The row of an identifier, -1: none."""
     for further in range(len(expected)):
@@ -172,8 +150,7 @@ def _sort(port: Table, heard: Table) -> bool:
         elif packet[at + _DATA_AT] != _OPERATIONAL:
             return False
         came[row], numbers[LOOKED_AT] = 1, at + _RECEIVED
-        for octet in range(8):
-            data[8 * row + octet] = packet[at + _DATA_AT + octet]
+        put(packet, at, data, row)
     return True
 
 
@@ -271,13 +248,13 @@ def _entry_points(sources: int) -> tuple[Tell, AwaitSync, SendSync, AwaitAnswers
         time, places = integers(port, _TIME, (1,)), integers(heard, _PLACES, (1,))
         waited = False
         while True:
-            count = _take_all(port)
+            count = append_all(port)
             if count < 0 or (waited and count == 0) or not _sort(port, heard):
                 return OTHER
             if places[BEHIND_AT] != 0:
                 return SYNCED
             now_ns = _now_ns(time)
-            if now_ns >= until_ns or not _wait(port, until_ns, now_ns):
+            if now_ns >= until_ns or not wait(port, until_ns - now_ns):
                 return NOTHING
             waited = True
 
@@ -290,7 +267,7 @@ def _entry_points(sources: int) -> tuple[Tell, AwaitSync, SendSync, AwaitAnswers
         while _sleep(time, deadline_ns) != 0:
             pass  # a signal
         numbers[NOW_NS] = _now_ns(time)
-        is_plain = _take_all(port) >= 0 and _sort(port, heard) and places[BEHIND_AT] == 0
+        is_plain = append_all(port) >= 0 and _sort(port, heard) and places[BEHIND_AT] == 0
         places[BEHIND_AT] = max(numbers[LENGTH], _HEADER)
         sync = integers(packet, 0, (1,))
         if send(numbers[DESCRIPTOR], sync.ctypes.data, length, MSG_DONTWAIT | MSG_NOSIGNAL) != length:
@@ -309,7 +286,7 @@ def _entry_points(sources: int) -> tuple[Tell, AwaitSync, SendSync, AwaitAnswers
         # What has come with SYNC was looked at then.
         has_come, waited = True, False
         while True:
-            count = _take_all(port)
+            count = append_all(port)
             if count < 0 or (waited and count == 0) or not _sort(port, heard):
                 return OTHER
             has_come, waited = has_come or count > 0, False
@@ -322,7 +299,7 @@ def _entry_points(sources: int) -> tuple[Tell, AwaitSync, SendSync, AwaitAnswers
             if has_come and missing_ns > 0:  # nobody is woken for all that the wire can't be through with
                 has_come = False
                 _sleep(time, min(now_ns + missing_ns, until_ns))
-            elif _wait(port, until_ns, now_ns):
+            elif wait(port, until_ns - now_ns):
                 waited = True
         if missing_ns < -1:
             return OTHER

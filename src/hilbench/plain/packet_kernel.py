@@ -229,13 +229,18 @@ def _passes(octets: Bytes, first: int, each: int, checks: Pairs) -> bool:
 
 
 @compiled
+def put(packet: Bytes, at: int, data: Bytes, row: int) -> None:
+    """Data of the record there to where those of its frame are."""
+    for octet in range(8):
+        data[8 * row + octet] = packet[at + _DATA_AT + octet]
+
+
+@compiled
 def _take(packet: Bytes, length: int, expected: Pairs, data: Bytes) -> None:
     """Data of the frames that are expected."""
     count, records = len(expected), (length - _HEADER) // _RECEIVED
     for row in range(count):
-        at = _HEADER + _RECEIVED * (row if row < count - 1 else records - 1) + _DATA_AT
-        for k in range(8):
-            data[8 * row + k] = packet[at + k]
+        put(packet, _HEADER + _RECEIVED * (row if row < count - 1 else records - 1), data, row)
 
 
 @compiled
@@ -265,8 +270,7 @@ def _gather(packet: Bytes, length: int, numbers: Whole, cob_ids: Whole, sizes: W
     for k in range(records):
         at, row = _HEADER + _RECEIVED * k, numbers[CAME]
         cob_ids[row], sizes[row] = number(packet, at, 4), packet[at + _SIZE_AT]
-        for octet in range(8):
-            data[8 * row + octet] = packet[at + _DATA_AT + octet]
+        put(packet, at, data, row)
         numbers[CAME] += 1
         numbers[ANSWERS_CAME] += not _NO_NODE < cob_ids[row] <= _LAST_NODE
     return True
@@ -294,10 +298,32 @@ def append(port: Table) -> int:
 
 
 @compiled
-def _is_alive(packet: Bytes, at: int) -> bool:
-    """Whether the record there is a heartbeat of a node that is operational."""
+def append_all(port: Table) -> int:
+    """All packets that wait, see `append`; how many. -1: they are for Python, or nothing more will come."""
+    packets, count = 0, 1
+    while count > 0:
+        count = append(port)
+        packets += count > 0
+    return packets if count == 0 else -1
+
+
+@compiled
+def wait(port: Table, timeout_ns: int) -> bool:
+    """For a packet; False: none has come."""
+    numbers, time = integers(port, _NUMBERS, (1,)), integers(port, _TIME, (1,))
+    time[0], time[1] = timeout_ns // _SECOND_NS, timeout_ns % _SECOND_NS
+    time[_POLLED] = numbers[DESCRIPTOR] | POLLIN << 32
+    return bool(ppoll(numbers[TIME_AT] + 8 * _POLLED, 1, numbers[TIME_AT], 0) > 0)
+
+
+@compiled
+def _takes_heartbeat(numbers: Whole, packet: Bytes, at: int) -> bool:
+    """Whether the record there is a heartbeat of a node that is operational; it is noted then, and was looked at."""
     cob_id = number(packet, at, 4)
-    return _NO_NODE < cob_id <= _LAST_NODE and packet[at + _SIZE_AT] == 1 and packet[at + _DATA_AT] == _OPERATIONAL
+    if not _NO_NODE < cob_id <= _LAST_NODE or packet[at + _SIZE_AT] != 1 or packet[at + _DATA_AT] != _OPERATIONAL:
+        return False
+    numbers[HEARTBEAT_OF], numbers[LOOKED_AT] = cob_id, at + _RECEIVED
+    return True
 
 
 @compiled
@@ -310,13 +336,6 @@ def _row_of(packet: Bytes, at: int, expected: Pairs) -> int:
 
 
 @compiled
-def _put(packet: Bytes, at: int, data: Bytes, row: int) -> None:
-    """Data of the record there to where those of its frame are."""
-    for octet in range(8):
-        data[8 * row + octet] = packet[at + _DATA_AT + octet]
-
-
-@compiled
 def _sort_in(port: Table) -> int:
     """Data of the records that were not looked at yet, up to SYNC, to where those of their frames are: SYNCED, where
     that is there; NOTHING: more is to come; OTHER: something else is among them."""
@@ -325,8 +344,7 @@ def _sort_in(port: Table) -> int:
     last = len(expected) - 1
     while max(numbers[LOOKED_AT], _HEADER) < numbers[LENGTH]:
         at = max(numbers[LOOKED_AT], _HEADER)
-        if _is_alive(packet, at):
-            numbers[HEARTBEAT_OF], numbers[LOOKED_AT] = number(packet, at, 4), at + _RECEIVED
+        if _takes_heartbeat(numbers, packet, at):
             continue
         row = _row_of(packet, at, expected)
         if row > last:
@@ -334,7 +352,7 @@ def _sort_in(port: Table) -> int:
         numbers[LOOKED_AT] = at + _RECEIVED
         if row == last:
             return SYNCED
-        _put(packet, at, data, row)
+        put(packet, at, data, row)
     return NOTHING
 
 
@@ -348,14 +366,13 @@ def _sort_in_others(port: Table, others: Table) -> int:
     count = len(awaited)
     while max(numbers[LOOKED_AT], _HEADER) < numbers[LENGTH]:
         at = max(numbers[LOOKED_AT], _HEADER)
-        if _is_alive(packet, at):
-            numbers[HEARTBEAT_OF], numbers[LOOKED_AT] = number(packet, at, 4), at + _RECEIVED
+        if _takes_heartbeat(numbers, packet, at):
             continue
         row = _row_of(packet, at, awaited)
         if row < count:
             if numbers[ANSWERED_BY] >> row & 1:
                 return OTHER
-            _put(packet, at, theirs, row)
+            put(packet, at, theirs, row)
             numbers[ANSWERED_BY] |= 1 << row
             numbers[LOOKED_AT] = at + _RECEIVED
             if numbers[ANSWERED_BY] == (1 << count) - 1:
@@ -364,20 +381,17 @@ def _sort_in_others(port: Table, others: Table) -> int:
         row = _row_of(packet, at, expected)
         if row >= len(expected) - 1:
             return OTHER
-        _put(packet, at, data, row)
+        put(packet, at, data, row)
         numbers[LOOKED_AT] = at + _RECEIVED
     return NOTHING
 
 
 @compiled
 def _await_more(port: Table, timeout_ns: int) -> int:
-    """Wait for another packet, and append it: MORE; NOTHING has come within the time; OTHER: as of `_append`."""
-    numbers, time = integers(port, _NUMBERS, (1,)), integers(port, _TIME, (1,))
+    """Wait for another packet, and append it: MORE; NOTHING has come within the time; OTHER: as of `append`."""
     count = append(port)
     if count == 0:
-        time[0], time[1] = timeout_ns // _SECOND_NS, timeout_ns % _SECOND_NS
-        time[_POLLED] = numbers[DESCRIPTOR] | POLLIN << 32
-        if ppoll(numbers[TIME_AT] + 8 * _POLLED, 1, numbers[TIME_AT], 0) <= 0:
+        if not wait(port, timeout_ns):
             return NOTHING
         count = append(port)
     return MORE if count > 0 else OTHER
@@ -389,10 +403,7 @@ def _nothing_stands_against(port: Table) -> bool:
     to be as it was is so."""
     numbers, packet = integers(port, _NUMBERS, (1,)), viewed(integers(port, _IN, (1,)), _OCTET)
     expected, data = integers(port, _EXPECTED, (1, 2)), viewed(integers(port, _DATA, (1,)), _OCTET)
-    count = 1
-    while count > 0:
-        count = append(port)
-    if count < 0:
+    if append_all(port) < 0:
         return False
     for at in range(numbers[LOOKED_AT], numbers[LENGTH], _RECEIVED):
         if number(packet, at, 4) == expected[len(expected) - 1, COB_ID]:

@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import table_of
+from hilbench.compiled import interpreted, table_of
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.plausibility import Plausibility
 from hilbench.estimation.problems import PROBLEMS, Problem
@@ -66,6 +66,7 @@ _AT_SPEED = 0.1
 _KNOWN_PCT, _SAYS_MORE = 0.3, 0.9
 
 _NOTHING_MEASURED = (nan,) * 9
+_as_if_stretched = interpreted(cycle.as_if_stretched)
 
 
 class TrackedLine(Protocol):
@@ -435,7 +436,7 @@ class Tracking:
     @property
     def handed_on_strain(self) -> float:
         """With which the next span gets it; see `tracking_cycle.handed_on_strain`."""
-        return as_if_stretched(self.leaving_strain, self.crept)
+        return _as_if_stretched(self.leaving_strain, self.crept)
 
     @property
     def crept(self) -> float:
@@ -697,12 +698,6 @@ def creeps_per_N(model: ModelParameters) -> list[float]:
     """Creep over the roller behind each span, by the model."""
     creeps = {e.section: e.parameters.get("creep_per_N", 0.0) for e in model.effects if e.effect == "web_slip"}
     return [creeps.get(span, creeps.get(None, 0.0)) for span in range(1, model.span_count + 1)]
-
-
-def as_if_stretched(strain: float, crept: float) -> float:
-    """Strain of web of which, unstretched, as little comes as of this one by creep over a roller: less, by the share
-    `crept`, than that turns."""
-    return strain if crept == 0.0 else (1.0 + strain) / (1.0 - crept) - 1.0
 
 
 def _known_change(

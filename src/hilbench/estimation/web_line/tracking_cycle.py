@@ -410,8 +410,14 @@ def run(
 def handed_on_strain(t: Vector, strain: float) -> float:
     """With which the next span gets the web of one of which `strain` is measured: all of it pulls alike, and each piece
     has its strain. By creep less web comes than the roller's turning tells, as if it were stretched more."""
-    leaving = strain * t[SERIES_FACTOR] / t[END_FACTOR]
-    return float(leaving if t[CREPT] == 0.0 else (1.0 + leaving) / (1.0 - t[CREPT]) - 1.0)
+    return float(as_if_stretched(strain * t[SERIES_FACTOR] / t[END_FACTOR], t[CREPT]))
+
+
+@inlined
+def as_if_stretched(strain: float, crept: float) -> float:
+    """Strain of web of which, unstretched, as little comes as of this one by creep over a roller: less, by the share
+    `crept`, than that turns."""
+    return strain if crept == 0.0 else (1.0 + strain) / (1.0 - crept) - 1.0
 
 
 @inlined

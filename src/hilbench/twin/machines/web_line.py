@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, sqrt
 
+from hilbench.compiled import interpreted
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.config import (
     METHODS,
@@ -22,11 +23,10 @@ from hilbench.estimation.web_line.tracking import (
     UNKNOWN_STRAIN,
     Known,
     Tracking,
-    as_if_stretched,
     creeps_per_N,
     unknown_webs,
 )
-from hilbench.estimation.web_line.tracking_cycle import ASTRAY_S, LARGEST_STRAIN
+from hilbench.estimation.web_line.tracking_cycle import ASTRAY_S, LARGEST_STRAIN, as_if_stretched
 from hilbench.estimation.web_line.unknown_webs import UnknownWebs
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.pairing import Pairing, SteadyWay
@@ -296,7 +296,7 @@ class WebLineTwin:
         if before is not None:
             return before.tracking.handed_on_strain
         assert self._others is not None, "a span is estimated, or among the others"
-        return as_if_stretched(self._others.strain(span - 1), self._others.crept(span - 1))
+        return interpreted(as_if_stretched)(self._others.strain(span - 1), self._others.crept(span - 1))
 
     def _crept_before(self, span: int) -> float:
         """Share by which less web comes over the roller before a span than that turns, in reverse more."""
