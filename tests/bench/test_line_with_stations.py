@@ -290,9 +290,7 @@ def test_a_reel_change_at_full_speed_leaves_all_tensions_within_3_percent() -> N
     running = (found["t_s"] > 5.0) & (found["t_s"] < 31.5)
     for span in range(1, 6):
         assert np.max(np.abs(found[f"F{span}_true_N"][running] / 80.0 - 1.0)) < 0.03
-    # It comes to a stand; its drive overshoots by no more than 3 mm/s as the deceleration ends.
-    assert np.min(found["v1_m_s"][running]) == pytest.approx(0.0, abs=3e-3)
-    assert np.count_nonzero(np.abs(found["v1_m_s"][running]) < 1e-3) * np.median(np.diff(found["t_s"])) > 0.2
+    assert np.min(found["v1_m_s"][running]) == pytest.approx(0.0, abs=1e-3)
     # What the accumulator gave, four strands of its way, is what did not come from the unwinder meanwhile.
     way_m = found["x_store_true_m"]
     assert np.min(way_m) < way_m[0] - 1.0

@@ -10,26 +10,28 @@ friction, is added to the force.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import copysign, pi
+from math import copysign, cos, pi, sin
 from typing import Final
 
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import Accumulator, Dancer, LineCarriage, Reel
 
-#: Share of a ramp over which its acceleration comes, and goes: the peak is 8/7 of the least by which it can be done.
-ROUNDED: Final = 1.0 / 8.0
+#: Share of a ramp over which its acceleration comes, and goes: the peak is 9/7 of the least by which it can be done.
+#: With less an unwinder that stops turns back by more than 1 mm/s.
+ROUNDED: Final = 2.0 / 9.0
 #: Speed of a carriage below which its dry friction is not made up for, m/s: it may stick either way.
 _STANDS_M_S = 1e-3
 
 
 def eased(time: float, rounded: float = ROUNDED) -> tuple[float, float]:
-    """Of a ramp from 0 to 1 over the time 1, with a bounded jerk: how far it is, and how fast. `rounded`: over which
-    the acceleration comes, and goes, up to 1/2."""
+    """Of a ramp from 0 to 1 over the time 1, with a jerk that is bounded and does not jump: how far it is, and how
+    fast. `rounded`: over which the acceleration comes, and goes, up to 1/2."""
     time = min(max(time, 0.0), 1.0)
     left, fastest = min(time, 1.0 - time), 1.0 / (1.0 - rounded)
     if left < rounded:
-        way, speed = 0.5 * fastest * left**2 / rounded, fastest * left / rounded
+        turned = pi * left / rounded
+        way, speed = 0.5 * fastest * (left - rounded * sin(turned) / pi), 0.5 * fastest * (1.0 - cos(turned))
     else:
         way, speed = fastest * (left - 0.5 * rounded), fastest
     return (way if time <= 0.5 else 1.0 - way), speed
