@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -13,14 +12,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numba
 import numpy as np
-from llvmlite import binding
 from numba import types
 from numba.core import cgutils
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, InTreeCacheLocator
 from numba.core.registry import CPUDispatcher
-from numba.core.runtime.nrt import rtsys
 from numba.extending import intrinsic
 from numpy.typing import NDArray
+
+from hilbench.kept_code import KeptCode
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -34,109 +32,6 @@ INDICES, TABLE = (types.Array(types.int64, dimensions, "C") for dimensions in (1
 def reals(count: int) -> Any:
     """Type of a tuple of so many floats."""
     return types.UniTuple(types.float64, count)
-
-
-class _Installed(InTreeCacheLocator):
-    """The package's own folder, where it can't be written."""
-
-    def ensure_cache_path(self) -> None:
-        pass
-
-
-def _tried_once(kind: type[Any]) -> type[Any]:
-    """numba tries for each function whether its folder can be written, with a file; once a folder is enough."""
-    tried: dict[str, OSError | None] = {}
-
-    def ensure_cache_path(locator: Any) -> None:
-        folder = locator.get_cache_path()
-        if folder not in tried:
-            tried[folder] = None
-            try:
-                kind.ensure_cache_path(locator)
-            except OSError as error:
-                tried[folder] = error
-        problem = tried[folder]
-        if problem is not None:
-            raise problem
-
-    return type(kind.__name__, (kind,), {"ensure_cache_path": ensure_cache_path})
-
-
-class _Places(CompileResultCacheImpl):
-    """As numba's; where neither the package's folder nor the user's can be written, hilbench can still be used."""
-
-    _locator_classes = [*map(_tried_once, CompileResultCacheImpl._locator_classes), _Installed]  # noqa: RUF012  # as numba has it
-
-    def rebuild(self, target: Any, payload: Any) -> Any:
-        """As numba's, but what is compiled with the function in it reads the intermediate code when it is: to read that
-        takes nine tenths of the time to load a function."""
-        (name, kind, (machine_code, intermediate)), description, *rest = payload
-        engine = target.codegen()._engine
-        engine._defined_symbols |= {description.llvm_func_name, description.llvm_cpython_wrapper_name}
-        found = super().rebuild(target, ((name, kind, (machine_code, _no_code())), description, *rest))
-        library = found.library
-
-        def module_for_linking() -> Any:
-            del library._get_module_for_linking
-            library._shared_module = binding.parse_bitcode(intermediate)
-            engine._load_defined_symbols(library._shared_module)
-            return library._shared_module
-
-        library._get_module_for_linking = module_for_linking
-        return found
-
-
-@cache
-def _no_code() -> bytes:
-    nothing: bytes = binding.parse_assembly("").as_bitcode()
-    return nothing
-
-
-class KeptCode(FunctionCache):
-    """Machine code on disk as numba keeps it, and beside that what was compiled when hilbench was installed.
-
-    numba has one place, the first that can be written: the package's own folder, else the user's cache. Who may only
-    read the package would compile all of it anew.
-    """
-
-    _impl_class = _Places
-
-    def __init__(self, function: Callable[..., object]) -> None:
-        super().__init__(function)
-        folder = str(Path(function.__code__.co_filename).parent / "__pycache__")
-        stamp = self._impl.locator.get_source_stamp()
-        self._installed = IndexDataCacheFile(folder, self._impl.filename_base, stamp)
-        self._is_all = folder == self.cache_path or bool(os.environ.get("NUMBA_CACHE_DIR"))
-
-        self._kept: set[Any] = set()  # types of arguments for which it has been found
-
-    def load_overload(self, signature: Any, target: Any) -> Any:
-        """The machine code, None where it is not on disk. What numba knows of all that can be compiled it loads when
-        something is compiled: before any function is loaded, as numba does it, that takes longer than the function."""
-        rtsys.initialize(target)
-        return self._load_overload(signature, target)
-
-    def _load_overload(self, signature: Any, target: Any) -> Any:
-        found = super()._load_overload(signature, target)
-        if found is None and not self._is_all:
-            data = self._installed.load(self._index_key(signature, target.codegen()))
-            found = None if data is None else self._impl.rebuild(target, data)
-        return found
-
-    def holds(self, signature: Any, target: Any) -> bool:
-        """Whether the machine code for these arguments is on disk."""
-        if signature not in self._kept:
-            key = self._index_key(signature, target.codegen())
-            files = [self._cache_file] if self._is_all else [self._cache_file, self._installed]
-            if not any(key in each._load_index() for each in files):
-                return False
-            self._kept.add(signature)
-        return True
-
-    def _save_overload(self, signature: Any, data: Any) -> None:
-        if not isinstance(self._impl.locator, _Installed):
-            Path(self.cache_path).mkdir(parents=True, exist_ok=True)
-            super()._save_overload(signature, data)
 
 
 if TYPE_CHECKING:

@@ -1,7 +1,8 @@
-"""A bench in lockstep beside simulated hardware that somebody else has started."""
+"""How a bench starts: beside simulated hardware that somebody else has started, and with several nodes at once."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,12 +11,14 @@ import pytest
 from tests.bench.whole_runs import config
 from tests.cia402.stand_in import served
 
+from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.startup import check_that_they_wait
 from hilbench.can.memory import MemoryBus
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.identifiers import NmtCommand
 from hilbench.canopen.master import Master
-from hilbench.errors import UnusableInputError
+from hilbench.canopen.pdo import PdoMap
+from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.hardware.simulation import hardware
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.config import BenchConfig
@@ -53,3 +56,33 @@ def test_hardware_that_goes_by_the_clock_is_refused_by_name(tmp_path: Path) -> N
 def test_hardware_that_waits_for_sync_is_taken(tmp_path: Path) -> None:
     with started(config(tmp_path), "lockstep") as (bench, master):
         check_that_they_wait(bench, master)
+
+
+@pytest.mark.parametrize("of_twin", [False, True], ids=["drives", "twin"])
+def test_nodes_are_configured_beside_each_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, of_twin: bool) -> None:
+    """Each is held up until the others are being configured as well: one after the other they would never be done."""
+    path = config(tmp_path)
+    bench = load_with_overrides(path).config
+    virtual = bench.virtual_nodes
+    ids = {part.node.node_id for part in bench.parts if (part.node.node_id in virtual) is of_twin}
+    met, write, begun = threading.Barrier(len(ids)), Master.write_rpdo, set[int]()
+
+    def write_once_all_are_there(master: Master, node_id: int, number: int, pdo: PdoMap) -> None:
+        if node_id in ids - begun:
+            begun.add(node_id)
+            met.wait(10.0)
+        write(master, node_id, number, pdo)
+
+    monkeypatch.setattr(Master, "write_rpdo", write_once_all_are_there)
+    with Bench(bench) as running:
+        running.run(0.1)
+    assert begun == ids
+
+
+def test_the_first_node_that_fails_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(master: Master, node_id: int, number: int, pdo: PdoMap) -> None:
+        raise BenchFaultError(f"node {node_id} refuses")
+
+    monkeypatch.setattr(Master, "write_rpdo", refuse)
+    with pytest.raises(BenchFaultError, match="node 1 refuses"), Bench(load_with_overrides(config(tmp_path)).config):
+        pass

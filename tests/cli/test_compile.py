@@ -17,7 +17,8 @@ import pytest
 from tests.tiers import slow
 
 from hilbench.cli.compile import modules_by_room
-from hilbench.compiled import KeptCode, entry_points
+from hilbench.compiled import entry_points
+from hilbench.kept_code import KeptCode
 from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.offline import simulate, start_state
@@ -89,15 +90,34 @@ def test_intermediate_code_is_read_when_something_is_compiled_with_a_function_an
         for k in range(8):
             noise_level._take(one, 0.5 * k * k)
         assert not noise_level._take.stats.cache_misses
-        assert max(read) < 2000, read
+        assert max(read) < 5000, read  # that of the runtime
         @compiled
         def through(s, value):
             noise_level._take(s, value)
         for k in range(8):
             through(other, 0.5 * k * k)
-        assert max(read) > 2000, read
+        assert max(read) > 5000, read
         assert one.any() and one.tobytes() == other.tobytes()
     """
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_a_process_neither_compiles_numbas_runtime_nor_loads_masked_arrays() -> None:
+    program = """if True:
+        import sys
+        from numba.core.runtime import nrtdynmod
+        import numpy as np
+        from hilbench.estimation import noise_level
+        def made(target):
+            raise AssertionError("compiled, not loaded")
+        nrtdynmod.create_nrt_module = made
+        noise_level._take(np.zeros(8), 1.0)
+        assert not noise_level._take.stats.cache_misses
+        assert "numpy.ma" not in sys.modules
+    """
+    run = [sys.executable, "-c", "from hilbench.estimation import noise_level as n; n._take.compile(n._take.arguments)"]
+    subprocess.run(run, timeout=300, check=True)
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
     assert ended.returncode == 0, ended.stderr
 

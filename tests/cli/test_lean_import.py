@@ -45,12 +45,13 @@ def test_the_check_before_a_run_imports_no_scipy_and_nothing_that_only_others_ne
         import hilbench.cli.run
         from hilbench.bench.bench import Bench
         from hilbench.bench.lifecycle.participants import Participants
-        from hilbench.bench.lifecycle.startup import processes_beside
+        from hilbench.bench.lifecycle.startup import copies_beside
         from hilbench.runs.check import check_experiment
         from hilbench.runs.config import load_with_overrides
         loaded = load_with_overrides(Path({str(_CONFIGS)!r}) / "{name}.yaml")
         check_experiment(loaded)
-        assert processes_beside(loaded.config, Participants.STARTED)
+        with copies_beside(loaded.config, Participants.STARTED) as beside:
+            assert beside
         Bench(loaded.config)
         assert "scipy.linalg" not in sys.modules
         of_others = "twin.machines.{other}", "bench.machines.{other}", "prediction.{other}"

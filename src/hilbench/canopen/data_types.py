@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import cache
 
 Value = int | float | bytes | str
+
+#: What stands for the node id in the values of an EDS file (CiA 306).
+NODE_ID = "$NODEID"
 
 BOOLEAN, INTEGER8, INTEGER16, INTEGER32, UNSIGNED8, UNSIGNED16, UNSIGNED32, REAL32 = range(0x01, 0x09)
 VISIBLE_STRING, OCTET_STRING, UNICODE_STRING, TIME_OF_DAY, TIME_DIFFERENCE = range(0x09, 0x0E)
@@ -120,7 +124,7 @@ class DataType:
 
     def _parse_integer(self, text: str, node_id: int) -> int:
         terms = text.replace(" ", "").upper().split("+")
-        number = sum(node_id if term == "$NODEID" else int(term, 0) for term in terms)
+        number = sum(node_id if term == NODE_ID else int(term, 0) for term in terms)
         bits = 8 * (self.width or 1)
         if self.is_signed and terms[0].startswith("0X") and 1 << (bits - 1) <= number < 1 << bits:
             number -= 1 << bits  # hexadecimal stands for the bit pattern
@@ -128,6 +132,7 @@ class DataType:
         return number
 
 
+@cache
 def data_type(code: int) -> DataType:
     """The basic data type of an EDS type code; unknown (complex, manufacturer) types are DOMAIN: plain bytes."""
     if code == BOOLEAN:

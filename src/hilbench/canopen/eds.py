@@ -14,7 +14,7 @@ from pathlib import Path
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
 import canopen
-from hilbench.canopen.data_types import Value, data_type
+from hilbench.canopen.data_types import NODE_ID, Value, data_type
 from hilbench.errors import UnusableInputError
 
 #: Below it stand data types; 0001h to 0007h may be mapped as placeholders.
@@ -44,6 +44,10 @@ class _Section:
     lines: dict[str, int] = field(default_factory=dict)
 
 
+#: Sections by index and sub-index; None: of the object itself.
+_Objects = dict[tuple[int, int | None], _Section]
+
+
 def load_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
     """Object dictionary of an EDS or DCF file for the device with this node id (``$NODEID`` is resolved).
 
@@ -51,8 +55,12 @@ def load_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
     no name, type or access type, a default or a limit that is no value of its type, a sub-index without its object.
     """
     path = Path(path)
-    own: canopen.ObjectDictionary = pickle.loads(_load(path, node_id, _as_of(path)))
-    return own
+    return _of_node(path, node_id, _as_of(path))
+
+
+@lru_cache(64)
+def _shared(path: Path, node_id: int, as_of: tuple[int, int]) -> canopen.ObjectDictionary:
+    return _of_node(path, node_id, as_of)
 
 
 def shared_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
@@ -63,19 +71,32 @@ def shared_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
     return _shared(path, node_id, _as_of(path))
 
 
-@lru_cache(64)
-def _shared(path: Path, node_id: int, as_of: tuple[int, int]) -> canopen.ObjectDictionary:
-    own: canopen.ObjectDictionary = pickle.loads(_load(path, node_id, as_of))
+def _of_node(path: Path, node_id: int, as_of: tuple[int, int]) -> canopen.ObjectDictionary:
+    template, of_nodes = _of_any_node(path, as_of)
+    own: canopen.ObjectDictionary = pickle.loads(template)
+    own.node_id = node_id
+    for (index, sub), section in of_nodes.items():
+        _take_values(path, section, variable(own, index, sub or 0), node_id)
     return own
 
 
-@lru_cache(64)  # to unpickle takes a fifth of the time to copy
-def _load(path: Path, node_id: int, as_of: tuple[int, int]) -> bytes:
-    """The dictionary, pickled."""
-    return pickle.dumps(_read(path, node_id, _sections(path, as_of)))
+@lru_cache(16)  # nodes of one kind share their file; to unpickle takes a fifth of the time to copy
+def _of_any_node(path: Path, as_of: tuple[int, int]) -> tuple[bytes, _Objects]:
+    """The dictionary, pickled, and what in it depends on the node id."""
+    sections = _sections(path, as_of)
+    objects = _object_sections(path, sections)
+    _check_hierarchy(path, objects)
+    of_nodes = {key: section for key, section in objects.items() if _depends_on_node(path, section)}
+    return pickle.dumps(_read(path, sections, objects)), of_nodes
 
 
-@lru_cache(16)  # nodes of one kind share their file
+def _depends_on_node(path: Path, section: _Section) -> bool:
+    """Whether it is a variable whose values do."""
+    is_variable = _integer(path, section, "ObjectType", _VAR) not in _ARRAY_TYPES
+    return is_variable and any(NODE_ID in section.options.get(key, "").upper() for key in _VALUES)
+
+
+@lru_cache(16)
 def _sections(path: Path, _as_of: tuple[int, int]) -> dict[str, _Section]:
     return _read_sections(path)
 
@@ -99,22 +120,20 @@ def object_flags(path: Path) -> dict[tuple[int, int], int]:
     return {(index, sub or 0): value for (index, sub), value in flags.items() if value}
 
 
-def _read(path: Path, node_id: int, sections: dict[str, _Section]) -> canopen.ObjectDictionary:
-    objects = _object_sections(path, sections)
-    _check_hierarchy(path, objects)
+def _read(path: Path, sections: dict[str, _Section], objects: _Objects) -> canopen.ObjectDictionary:
+    """The dictionary of a node without an id; of `objects` the hierarchy has been checked."""
     od = canopen.ObjectDictionary()
-    od.node_id = node_id
     _fill_device_information(path, sections, od)
     for (index, sub), section in objects.items():
         kind = _integer(path, section, "ObjectType", _VAR)
         if sub is None and kind in _ARRAY_TYPES:
             od.add_object((ODArray if kind == _ARRAY else ODRecord)(section.options["ParameterName"], index))
         elif sub is None:
-            od.add_object(_variable_of(path, section, index, 0, node_id))
+            od.add_object(_variable_of(path, section, index, 0))
         else:
             parent = od[index]
             assert not isinstance(parent, ODVariable), "its hierarchy has been checked"
-            parent.add_member(_variable_of(path, section, index, sub, node_id))
+            parent.add_member(_variable_of(path, section, index, sub))
     return od
 
 
@@ -221,8 +240,8 @@ def _add_option(path: Path, section: _Section, line: str, number: int) -> None:
         section.lines[key] = number
 
 
-def _object_sections(path: Path, sections: dict[str, _Section]) -> dict[tuple[int, int | None], _Section]:
-    objects: dict[tuple[int, int | None], _Section] = {}
+def _object_sections(path: Path, sections: dict[str, _Section]) -> _Objects:
+    objects: _Objects = {}
     for section in sections.values():
         match = _OBJECT.match(section.name)
         if match:
@@ -241,13 +260,11 @@ def _object_sections(path: Path, sections: dict[str, _Section]) -> dict[tuple[in
     return dict(sorted(objects.items(), key=lambda item: (item[0][0], -1 if item[0][1] is None else item[0][1])))
 
 
-def _expand_compact(
-    path: Path, index: int, section: _Section, sections: dict[str, _Section]
-) -> dict[tuple[int, int | None], _Section]:
+def _expand_compact(path: Path, index: int, section: _Section, sections: dict[str, _Section]) -> _Objects:
     """The sub-indices that CompactSubObj stands for (CiA 306, 4.6.3.3), named and valued by their own sections."""
     count = _integer(path, section, "CompactSubObj", 0)
     names, values = (sections.get(f"{section.name}{what}".lower()) for what in ("Name", "Value"))
-    members: dict[tuple[int, int | None], _Section] = {}
+    members: _Objects = {}
     head = {"ParameterName": "Number of entries", "DataType": "0x5", "AccessType": "ro", "DefaultValue": str(count)}
     members[(index, 0)] = _Section(f"{section.name}sub0", section.line, head)
     shared = {key: section.options[key] for key in section.options if key not in ("CompactSubObj", "ObjectType")}
@@ -264,7 +281,7 @@ def _expand_compact(
     return members
 
 
-def _dummies(usage: _Section | None) -> dict[tuple[int, int | None], _Section]:
+def _dummies(usage: _Section | None) -> _Objects:
     """Data types that may be mapped as placeholders, as objects 0001h to 0007h."""
     if usage is None:
         return {}
@@ -279,7 +296,7 @@ def _dummies(usage: _Section | None) -> dict[tuple[int, int | None], _Section]:
     }
 
 
-def _check_hierarchy(path: Path, objects: dict[tuple[int, int | None], _Section]) -> None:
+def _check_hierarchy(path: Path, objects: _Objects) -> None:
     for (index, sub), section in objects.items():
         place = f"{path}:{section.line}"
         if sub is not None:
@@ -326,13 +343,14 @@ def _fill_device_information(path: Path, sections: dict[str, _Section], od: cano
     od.device_information.product_name = section.options.get("ProductName")
 
 
-def _variable_of(path: Path, section: _Section, index: int, sub: int, node_id: int) -> ODVariable:
+def _variable_of(path: Path, section: _Section, index: int, sub: int) -> ODVariable:
     """The variable of a section that `_check_hierarchy` has found in order; unknown data types are plain bytes."""
     found = ODVariable(section.options["ParameterName"], index, sub)
     found.data_type = data_type(_integer(path, section, "DataType", 0)).code
     found.access_type = section.options["AccessType"].lower()
     found.pdo_mappable = bool(_integer(path, section, "PDOMapping", 0))
-    _take_values(path, section, found, node_id)
+    if not _depends_on_node(path, section):
+        _take_values(path, section, found, 0)
     return found
 
 

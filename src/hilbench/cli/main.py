@@ -138,17 +138,27 @@ def run(
 
     Example: hilbench run bench_configs/web_section_step.yaml --stream run.mcap --stream plotjuggler
     """
-    with for_good():
-        from hilbench.bench.lifecycle.participants import Participants
-        from hilbench.cli.run import run_command
-
-        loaded = _load(config, bus=bus, pace=pace, seed=seed, changes=changes or ())
     if in_process and not start:
         raise typer.BadParameter("--in-process and --no-start exclude each other")
+    with for_good():
+        from hilbench.bench.lifecycle.participants import Participants
+        from hilbench.bench.lifecycle.startup import copies_beside
+
+        loaded = _load(config, bus=bus, pace=pace, seed=seed, changes=changes or ())
     participants = Participants.IN_PROCESS if in_process else Participants.STARTED if start else Participants.PRESENT
-    code = run_command(
-        loaded, out, participants=participants, with_report=report, as_json=json, force=force, stream=stream or ()
-    )
+    with copies_beside(loaded.config, participants) as beside:
+        with for_good():  # while they load what they need
+            from hilbench.cli.run import run_command
+        code = run_command(
+            loaded,
+            out,
+            participants=participants,
+            with_report=report,
+            as_json=json,
+            beside=beside,
+            force=force,
+            stream=stream or (),
+        )
     raise typer.Exit(code)
 
 
@@ -504,4 +514,6 @@ _NEW_OBJECTS_BEFORE_COLLECTION = 10_000
 def main() -> None:
     """Entry point: errors meant for a person become one line on standard error and the exit code of their kind."""
     gc.set_threshold(_NEW_OBJECTS_BEFORE_COLLECTION)
+    # To look for plugins of pydantic in all that is installed takes 28 ms; a command needs none.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     sys.exit(ended(lambda: _command(next(iter(sys.argv[1:]), ""))()))

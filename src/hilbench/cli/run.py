@@ -17,6 +17,7 @@ from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.tasks.task import MANY, Pieces
 from hilbench.cli.shown import servo_axis, web_line
 from hilbench.cli.shown.machine import Shown
+from hilbench.copies import Copy
 from hilbench.errors import UnusableInputError
 from hilbench.results.result import Result, StepRecord, Timing
 from hilbench.results.run import RunOutcome, Streamed, run_experiment
@@ -39,10 +40,12 @@ def run_command(
     participants: Participants,
     with_report: bool,
     as_json: bool,
+    beside: dict[str, Copy],
     force: bool = False,
     stream: Sequence[str] = (),
 ) -> int:
-    """Run the experiment, show it, and return the exit code; `stream`: where its samples go while it runs."""
+    """Run the experiment, show it, and return the exit code; `stream`: where its samples go while it runs; `beside`:
+    copies of this process for those that run beside the bench."""
     with _streams(stream, loaded.config) as streams:
         return _run(
             loaded,
@@ -50,6 +53,7 @@ def run_command(
             participants=participants,
             with_report=with_report,
             as_json=as_json,
+            beside=beside,
             force=force,
             streams=streams,
         )
@@ -75,11 +79,12 @@ def _run(
     participants: Participants,
     with_report: bool,
     as_json: bool,
+    beside: dict[str, Copy],
     force: bool,
     streams: Sequence[Streamed],
 ) -> int:
     if as_json:
-        outcome = run_experiment(loaded, out, streams=streams, participants=participants, force=force)
+        outcome = run_experiment(loaded, out, streams=streams, participants=participants, force=force, beside=beside)
         if outcome.recorded and with_report:
             _write_report(outcome)
         _remember(outcome)
@@ -96,6 +101,7 @@ def _run(
             participants=participants,
             announce=progress.announce,
             force=force,
+            beside=beside,
         )
         if outcome.recorded and with_report:
             progress.announce("write report")

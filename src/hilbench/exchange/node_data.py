@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Final
 
@@ -22,6 +23,7 @@ from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.sdo_client import Refusal, SdoClient
 from hilbench.cia402 import configuration, objects
 from hilbench.exchange.addressing import drive_settings
+from hilbench.exchange.to_each import ToEach
 from hilbench.json_file import JsonFile
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
@@ -91,12 +93,14 @@ def drives_of(config: BenchConfig) -> tuple[Part, ...]:
     return (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))
 
 
-def ask_all(reader: SdoClient, config: BenchConfig) -> dict[str, dict[Key, bytes | None]]:
+def ask_all(reader: SdoClient, config: BenchConfig, to_each: ToEach = map) -> dict[str, dict[Key, bytes | None]]:
     """What each drive of a bench says, by part: bytes by object, None where it refuses; nothing of one that is silent.
 
     Raises BusError when the bus is lost.
     """
-    return {part.name: ask(reader, config, part) for part in drives_of(config)}
+    parts = drives_of(config)
+    said = to_each(partial(ask, reader, config), parts)
+    return {part.name: of_part for part, of_part in zip(parts, said, strict=True)}
 
 
 def ask(reader: SdoClient, config: BenchConfig, part: Part) -> dict[Key, bytes | None]:

@@ -33,6 +33,7 @@ from hilbench.exchange.measured import (
     twin_age_cycles,
 )
 from hilbench.exchange.sync_cycle import ExpectedPdo
+from hilbench.exchange.to_each import ToEach
 from hilbench.exchange.unexpected_senders import Owned, Unexpected, UnexpectedSenders
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
@@ -189,18 +190,18 @@ class Nodes:
         dictionaries = {part.node.node_id: self._ods[part.name] for part in self.config.parts}
         return Owned(self.config.master.node_id, self._known, dictionaries, rpdos)
 
-    def configure_drives(self, master: Master) -> None:
+    def configure_drives(self, master: Master, to_each: ToEach = map) -> None:
         """Configure axes and load motors by SDO. Raises BenchFaultError naming node, object and reason."""
-        for drive in self.drives:
-            drive.configure(master)
+        for _ in to_each(lambda drive: drive.configure(master), self.drives):
+            pass
         for part, drive in zip(self.config.parts_of(Role.AXIS), self.axes, strict=True):
             self._check_units(part, drive)
 
-    def configure_twin(self, master: Master) -> None:
+    def configure_twin(self, master: Master, to_each: ToEach = map) -> None:
         """The same for the virtual axes and the virtual I/O."""
-        for drive in self.virtual_axes:
-            drive.configure(master)
-        self._configure_io(master)
+        of_axes = (drive.configure for drive in self.virtual_axes)
+        for _ in to_each(lambda configure: configure(master), (*of_axes, self._configure_io)):
+            pass
 
     def _check_units(self, part: Part, drive: Drive) -> None:
         """The twin and the mirrored set points go by the EDS file: the device must have the same units."""

@@ -7,6 +7,7 @@ import os
 import platform
 import subprocess
 from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
@@ -46,13 +47,13 @@ class EdsFile(Strict):
 
 class Provenance(Strict):
     """Where a run comes from. `participants`: who brought the simulated hardware and the twin; `git` is None where the
-    config is in no checkout."""
+    config is in no checkout, or not asked for yet."""
 
     config: str
     host: str
     participants: str
     overridden: list[Override]
-    git: Commit | None
+    git: Commit | None = None
     eds: list[EdsFile]
 
     @classmethod
@@ -63,7 +64,6 @@ class Provenance(Strict):
             host=platform.node(),
             participants=participants.value,
             overridden=overridden(document),
-            git=commit_of(document.path),
             eds=list(_eds_files(config)),
         )
 
@@ -83,6 +83,19 @@ def _value(data: Any, location: Iterable[str | int]) -> Any:
     return data
 
 
+class AskedCommit:
+    """`commit_of` a file, asked while other things are done: a run starts sooner."""
+
+    def __init__(self, path: Path) -> None:
+        self._threads = ThreadPoolExecutor(1, "git")
+        self._said = self._threads.submit(commit_of, path)
+
+    def answer(self) -> Commit | None:
+        """Waits for it."""
+        self._threads.shutdown()
+        return self._said.result()
+
+
 def commit_of(path: Path) -> Commit | None:
     """The commit that is checked out at a file; None outside of a checkout, or without git."""
     commit, status, tracked = _git(
@@ -97,7 +110,7 @@ def commit_of(path: Path) -> Commit | None:
 
 
 def _git(path: Path, *questions: Sequence[str]) -> list[str | None]:
-    """What git says in the folder of a file, to all of them at once: a run waits for it. It writes nothing there, and
+    """What git says in the folder of a file, to all of them at once. It writes nothing there, and
     runs nothing that the checkout names."""
     command = ["git", "-c", "core.fsmonitor=false", "-C", str(path.resolve().parent)]
     environment = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}

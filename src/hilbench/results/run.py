@@ -6,7 +6,7 @@ import json
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,11 +17,11 @@ import numpy as np
 
 from hilbench.bench.bench import Bench, CycleObserver, InterruptedByOperatorError
 from hilbench.bench.lifecycle.participants import Participants, check_in_process
-from hilbench.bench.lifecycle.startup import held_bus, processes_beside
+from hilbench.bench.lifecycle.startup import copies_beside, held_bus
 from hilbench.bench.reports.change import Change
 from hilbench.bench.reports.notice import Notice
 from hilbench.bench.tasks.task import Pieces
-from hilbench.copies import copies
+from hilbench.copies import Copy
 from hilbench.errors import (
     EXIT_BENCH_FAULT,
     EXIT_CRITERION_FAILED,
@@ -37,7 +37,7 @@ from hilbench.processes import end_signals, leave_terminal
 from hilbench.results.journal import JournalWriter
 from hilbench.results.junit import write_junit
 from hilbench.results.keeping import Keeping
-from hilbench.results.provenance import Provenance
+from hilbench.results.provenance import AskedCommit, Provenance
 from hilbench.results.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
 from hilbench.results.result import (
     Environment,
@@ -146,13 +146,15 @@ def run_experiment(
     participants: Participants = Participants.STARTED,
     announce: Callable[[str], None] = lambda text: None,
     force: bool = False,
+    beside: dict[str, Copy] | None = None,
 ) -> RunOutcome:
     """Run all steps of a config, evaluate its criteria, write the run folder (the report is made from it).
 
     A bench fault, an interruption, or an exception that nobody foresaw ends the run in the safe state; what was
     recorded until then is written, and the fault is in the result (the traceback in the run folder). Raises
     UnusableInputError before anything is started or written, for a bus that has another master, too (`force`: unless it
-    was only heard), BenchFaultError when the result can't be written.
+    was only heard), BenchFaultError when the result can't be written. `beside`: copies of this process that were made
+    before (`startup.copies_beside`).
     """
     config = loaded.config
     check_experiment(loaded)
@@ -160,7 +162,8 @@ def run_experiment(
         check_in_process(config)
     if participants is not Participants.IN_PROCESS:
         announce(f"look who is on {config.bus_address}")
-    with copies(processes_beside(config, participants)) as waiting, held_bus(config, participants, force=force):
+    made = copies_beside(config, participants) if beside is None else nullcontext(beside)
+    with made as waiting, held_bus(config, participants, force=force):
         record = RunRecord(loaded, out, participants, announce=announce)
         bench = Bench(
             config,
@@ -206,6 +209,7 @@ class RunRecord:
         self.verdicts: list[CriterionResult] = []  #: what the experiment tests itself
         self.recorder = recorder or Recorder(loaded.config.signals)
         self._announce = announce
+        self._commit = AskedCommit(loaded.document.path)
         self._provenance = Provenance.of(loaded.config, loaded.document, participants)
         self._happened = happened or EventLog(loaded.config.cycle_time_s)
         self._started = datetime.now(UTC)
@@ -255,7 +259,7 @@ class RunRecord:
             environment,
             warnings,
             judged,
-            self._provenance,
+            self._provenance.model_copy(update={"git": self._commit.answer()}),
             None if prediction is None else prediction.announcements.made,
             found,
             history,

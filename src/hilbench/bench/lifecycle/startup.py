@@ -7,6 +7,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -19,6 +20,7 @@ from hilbench.can import hub_client
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.link import Link, PacketLink
 from hilbench.can.open import open_link, open_python_can, starting
+from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.canopen.identifiers import NmtCommand
 from hilbench.canopen.master import Master
@@ -26,13 +28,14 @@ from hilbench.canopen.mastery import mastery
 from hilbench.canopen.object_store import ObjectStore
 from hilbench.canopen.sdo_client import SentFrames
 from hilbench.compiled import all_compiled
-from hilbench.copies import Copy, Preparation
+from hilbench.copies import Copy, Preparation, copies
 from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap, LineTap
 from hilbench.exchange.node_data import FILE, ask_all, stand_data
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_producer import SyncProducer
+from hilbench.exchange.to_each import ToEach
 from hilbench.plain import kernel
 from hilbench.processes import ChildProcess
 from hilbench.real_time import comes_first, kept_ready
@@ -247,7 +250,18 @@ def _in_process(config: BenchConfig) -> InProcess:
     return InProcess(config)
 
 
-def processes_beside(config: BenchConfig, participants: Participants) -> dict[str, Preparation]:
+@contextmanager
+def copies_beside(config: BenchConfig, participants: Participants) -> Iterator[dict[str, Copy]]:
+    """Copies of this process for what `bring_up` starts, by name: the sooner they are made, the more of what they load
+    they have loaded by then. One that is not taken ends on leaving."""
+    with suppress(UnusableInputError):  # the bench says so
+        for part in config.parts:  # once, here, and not in each of them
+            shared_eds(part.node.eds, part.node.node_id)
+    with copies(_processes_beside(config, participants)) as waiting:
+        yield waiting
+
+
+def _processes_beside(config: BenchConfig, participants: Participants) -> dict[str, Preparation]:
     """What `bring_up` starts, by name, and what a copy of this process does meanwhile to become it sooner."""
     beside: dict[str, Preparation] = {}
     if participants is Participants.STARTED:
@@ -328,11 +342,22 @@ def _configure(
     timeout_s, twin = config.master.boot_timeout_s, list(config.virtual_nodes)
     drives = [part.node.node_id for part in config.parts if part.node.node_id not in twin]
     master.wait_for_boot(drives, timeout_s, check, beside=twin)
-    found = ask_all(master, config)
-    nodes.configure_drives(master)
-    master.wait_for_boot(twin, timeout_s, check)
-    nodes.configure_twin(master)
+    with _beside_each_other(len(config.parts), participants) as to_each:
+        found = ask_all(master, config, to_each)
+        nodes.configure_drives(master, to_each)
+        master.wait_for_boot(twin, timeout_s, check)
+        nodes.configure_twin(master, to_each)
     return found
+
+
+@contextmanager
+def _beside_each_other(most: int, participants: Participants) -> Iterator[ToEach]:
+    """Who asks one node need not wait for the answers of the others; in one process an answer is there at once."""
+    if participants is Participants.IN_PROCESS:
+        yield map
+        return
+    with ThreadPoolExecutor(most, "configuration") as threads:
+        yield threads.map
 
 
 def _is_started(part: Part) -> bool:
