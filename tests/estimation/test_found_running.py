@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.estimation.runs import CYCLE_S, NEW_PA, OLD_PA, times, tracked
 from tests.plant.models import model
+from tests.tiers import slow
 
 from hilbench.bench.tasks.web_rest_movement import RestMovement, pulls_m
 from hilbench.estimation.web_line.config import (
@@ -48,7 +49,7 @@ def joined(data: Measurements, at_s: float, believed_Pa: float, method: Synchron
 
 
 @pytest.mark.parametrize("method", [ChangepointConfig(), EkfConfig(), RlsConfig(), LmConfig()])
-@pytest.mark.parametrize("share", [0.6, 1.0, 1.4])
+@pytest.mark.parametrize("share", [0.6, *slow(1.0), 1.4])
 @pytest.mark.parametrize("believed", [0.6, 1.5])
 def test_E_is_known_in_time_whatever_was_believed(method: SynchronizerConfig, share: float, believed: float) -> None:
     track = joined(running(share), 2.0, believed * OLD_PA, method)
@@ -123,7 +124,7 @@ def row_at(t_s: float) -> int:
 
 
 @pytest.mark.parametrize("method", [ChangepointConfig(), EkfConfig()])
-@pytest.mark.parametrize(("share", "believed"), [(0.4, 0.5), (0.7, 1.8), (1.5, 0.6), (1.0, 1.0)])
+@pytest.mark.parametrize(("share", "believed"), [(0.4, 0.5), (1.5, 0.6), *slow((0.7, 1.8), (1.0, 1.0))])
 def test_a_web_at_rest_is_unknown_until_it_runs_and_known_in_time_then(
     method: SynchronizerConfig, share: float, believed: float
 ) -> None:

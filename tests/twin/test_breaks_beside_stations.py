@@ -179,7 +179,7 @@ def test_a_roller_beside_a_measured_dancer_that_loses_web_is_told_in_the_dancers
     assert np.max(np.abs(rows["F4_sim_N"] - rows["F4_true_N"])[settled]) < lies_N(slip)
 
 
-@pytest.mark.parametrize("factor", [1.5, *slow(0.65, 1.2)])
+@pytest.mark.parametrize("factor", slow(0.65, 1.2, 1.5))
 def test_another_web_beside_a_measured_dancer_loses_nothing(factor: float) -> None:
     true = IndependentDancer()
     line = BesideStations(true, dancer_line(), dancer_line(), measured=("dancer",))  # type: ignore[arg-type]
