@@ -32,6 +32,7 @@ class Answers:
     def __init__(self, channel: str) -> None:
         self.link = EmbeddedLink(channel, 1_000_000, "real")
         self.heard: list[str] = []
+        self.silent_at: set[int] = set()  #: SYNCs that it does not answer
         self.syncs_ns: list[int] = []
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run)
@@ -43,7 +44,8 @@ class Answers:
                 if frame.can_id == SYNC:
                     self.heard.append("SYNC")
                     self.syncs_ns.append(frame.time_ns)
-                    self.link.send([Frame(TPDO, len(self.syncs_ns).to_bytes(4, "little"))])
+                    if len(self.syncs_ns) not in self.silent_at:
+                        self.link.send([Frame(TPDO, len(self.syncs_ns).to_bytes(4, "little"))])
                 elif frame.can_id == RPDO:
                     self.heard.append("set points")
 
@@ -175,6 +177,24 @@ def test_set_points_that_come_behind_their_sync_are_counted_and_its_answers_take
         assert pacing.late_set_points == 1
     kinds = ["SYNC" if frame.can_id == SYNC else "set points" for frame in bench.trace.frames if frame.can_id != TPDO]
     assert kinds == ["set points", "SYNC"] * 3 + ["SYNC", "set points"] + ["set points", "SYNC"]
+
+
+@pytest.mark.parametrize("follow", [True, False], ids=["set points", "commands"])
+def test_set_points_that_would_hold_up_the_next_answers_are_left_out_once(follow: bool) -> None:
+    """Behind a missing answer, for which it was waited until 0.7 of the cycle, 400 frames have no time any more."""
+    with running(5 * PERIOD_NS) as bench:
+        told = [Frame(RPDO, bytes(8))] * 400
+        bench.drive.silent_at = {3}
+        for _ in range(6):
+            bench.cycle.exchange(told, may_be_left_out=follow)
+        pacing, timing = bench.cycle.pacing, bench.cycle.timing
+        assert timing.missing_pdos == 1
+        left_out = [*[400] * 3, 0, 400, 400] if follow else [400] * 6
+        marks = [at for at, frame in enumerate(bench.trace.frames) if frame.can_id == SYNC]
+        kinds = [frame.can_id for frame in bench.trace.frames]
+        sent = [kinds[before:at].count(RPDO) for before, at in zip([0, *marks[:-1]], marks, strict=True)]
+        assert sent == left_out
+        assert pacing.late_set_points == follow
 
 
 def test_a_bench_that_does_not_come_any_more_gets_no_more_sync_until_it_comes_again() -> None:

@@ -127,7 +127,8 @@ class Exchange:
         if self._plain is not None and self._plain.cycle(outputs):
             self._count()
             return nodes
-        received = sync.exchange([*nodes.encode(outputs), *own.answers()])
+        set_points, answers = nodes.encode(outputs), own.answers()
+        received = sync.exchange([*set_points, *answers], may_be_left_out=nodes.follow and not answers)
         own.handle(received)
         nodes.decode(received, sync.before_sync, sync.gone_by)
         self._count()

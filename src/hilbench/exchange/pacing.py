@@ -24,7 +24,7 @@ class Pacing:
     period_ns: int
     deadline_ns: int = 0  #: when the next SYNC is due; 0 before the first
     missed: int = 0  #: cycles that were not run: their SYNC went out, or was due, while something else was done
-    late_set_points: int = 0  #: cycles whose set points were sent behind their SYNC: they acted with the next one
+    late_set_points: int = 0  #: cycles whose set points came behind their SYNC, or were left out
     lateness_ns: array[int] = field(default_factory=partial(array, "q"))  #: of every SYNC that was sent, 8 bytes each
 
 

@@ -38,6 +38,9 @@ _A_MOMENT_S = 0.001
 _NOT_VITAL_S = 2.0
 
 
+#: So many cycles in a row set points may be left out, for a bench that is late to come back into its time: one that is
+#: interpreted, and one more.
+_MOST_LEFT_OUT = 2
 #: NMT state in the bench's own heartbeat: OPERATIONAL, and PRE-OPERATIONAL after an emergency stop.
 _OPERATIONAL, _PRE_OPERATIONAL = NmtState.OPERATIONAL.heartbeat, NmtState.PRE_OPERATIONAL.heartbeat
 
@@ -108,6 +111,7 @@ class SyncCycle:
         self._timeout_s = timeout_s
         self._missing_limit = missing_limit
         self._missed_in_row: dict[int, int] = {}
+        self._left_out = 0  # cycles in a row whose set points were
         self.expect(expected)
         self.last_bits = 0  #: bits on the bus in the last cycle
         self.before_sync = 0  #: so many of the frames that the last cycle returned came before its SYNC
@@ -136,14 +140,33 @@ class SyncCycle:
             pacing.start(self.pacing, time.monotonic_ns())
         pacing.advance_in_step(self.pacing, pacing.sleep_until(self.pacing.deadline_ns))
 
-    def exchange(self, outgoing: Sequence[Frame]) -> list[Frame]:
+    def exchange(self, outgoing: Sequence[Frame], *, may_be_left_out: bool = False) -> list[Frame]:
         """Run one cycle: `outgoing` and SYNC onto the bus, then the frames that came until all have answered.
 
-        `outgoing` is sent before the SYNC that makes it act.
+        `outgoing` is sent before the SYNC that makes it act; it `may_be_left_out` where it is nothing but the next set
+        points of drives that follow them (`leaves_out`).
         """
         with self.lock:
             self.before_use()
+            if may_be_left_out and self.leaves_out(sum(map(frame_bits, outgoing))):
+                outgoing = []
             return self._exchange(outgoing)
+
+    def leaves_out(self, bits: int) -> bool:
+        """Whether set points of so many bits are not to be sent in this cycle, and count as late.
+
+        Where an answer has stayed away the bench has waited for it to the end. What it sends then is on the wire when
+        SYNC is due, acts with the next one, and keeps the wire from the answers to this one, of which the last comes
+        too late as well: so it would go on. Set points of the next cycle act at the same time.
+        """
+        marks = self.marks
+        behind = marks is not None and (self._missed_in_row or self._left_out) and self._left_out < _MOST_LEFT_OUT
+        if not behind or marks is None or time.monotonic_ns() + bits * self._bit_ns <= marks.next_ns:
+            self._left_out = 0
+            return False
+        self._left_out += 1
+        self.pacing.late_set_points += 1
+        return True
 
     def finish(
         self,

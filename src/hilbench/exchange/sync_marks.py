@@ -68,6 +68,11 @@ class SyncMarks:
         """Whether nothing stands from SYNCs that are out."""
         return self._producer.is_running and not self._kept and not self._lost and self._come == self._run
 
+    @property
+    def next_ns(self) -> int:
+        """When the next SYNC is due, monotonic clock."""
+        return self._producer.next_ns
+
     def meet(self) -> Met:
         """Wait for the next SYNC; it goes out whether we come or not. Set points have been sent already.
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from hilbench.can.frame import Frame
 from hilbench.chain import Chained, LeftError, by_python
-from hilbench.cia402.state_machine import Command
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.frame_tap import LineTap
 from hilbench.exchange.nodes import Nodes
@@ -22,8 +21,6 @@ from hilbench.plain.bench import BenchFrames, SeenDrives
 from hilbench.plain.kernel import Table
 from hilbench.plain.tables import Frames, NotPlainError, Slots, octets, reals, table
 from hilbench.topology.sample import CycleSample
-
-_ENABLED: Final = Command.ENABLE_OPERATION.value
 
 
 class BenchRun(ABC):
@@ -178,10 +175,7 @@ class BenchRun(ABC):
     def _is_steady(self) -> bool:
         """Whether the drives go on following, and the same answers are due."""
         nodes, sync = self._nodes, self._sync
-        for drive in nodes.drives:
-            if drive.controlword != _ENABLED or not drive.reached:
-                return False
-        return sync.due_always is self._due and nodes.supervised == self._supervised
+        return nodes.follow and sync.due_always is self._due and nodes.supervised == self._supervised
 
     def _take(self, outputs: Mapping[str, float]) -> None:
         """Outputs into the arrays."""

@@ -15,6 +15,7 @@ import numpy as np
 from hilbench.can import protocol
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import ERROR_FLAG, Frame
+from hilbench.can.wire import frame_bits
 from hilbench.canopen.identifiers import HEARTBEAT, SYNC, NmtState
 from hilbench.compiled import table_of
 from hilbench.errors import BenchFaultError
@@ -30,7 +31,17 @@ from hilbench.plain.answers import Order
 from hilbench.plain.bench_run import BenchRun
 from hilbench.plain.clocked_kernel import BEHIND_AT, BITS, SYNC_CAME, TEXT_END, Heard
 from hilbench.plain.exchange import PlainExchange
-from hilbench.plain.packet_kernel import ANSWERED, LENGTH, NOW_NS, OTHER, OUT_LENGTH, SYNCED, UNSENT, Gathered
+from hilbench.plain.packet_kernel import (
+    ANSWERED,
+    LENGTH,
+    LOOKED_AT,
+    NOW_NS,
+    OTHER,
+    OUT_LENGTH,
+    SYNCED,
+    UNSENT,
+    Gathered,
+)
 from hilbench.plain.tables import Frames, NotPlainError, octets
 
 #: An operator, and other users of the bus, wait for cycles in pieces for so long.
@@ -143,6 +154,8 @@ class _ClockedRun(BenchRun):
         self._port_table, self._numbers = self._port.table(), self._port.numbers.data
         self._gathered = Gathered(self._link.fileno(), self._link.dropped)
         self._answered, self._counted = self._gathered.data.data, self._nodes.measured.counted.data
+        self._set_point_bits = int(self._heard.sent["bits"][:-1].sum())
+        self._sync_bits = frame_bits(_SYNC)
         packet = self._link.packet(_SYNC)
         self._sync_packet = octets(len(packet))
         self._sync_packet[: len(packet)] = np.frombuffer(packet, np.uint8)
@@ -193,6 +206,9 @@ class _ClockedRun(BenchRun):
     def _tell(self, outputs: Mapping[str, float]) -> bool:
         """Set points ahead of SYNC; False, and nothing done, where a value does not fit."""
         self._take(outputs)
+        if self._sync.leaves_out(self._set_point_bits):
+            self._tell_nothing()
+            return True
         alive = self._sync.is_heartbeat_due
         self._given_at[lay.I_CLOCKS] += alive
         outcome = clocked_kernel.tell(self._table, self._port_table, self._heard_table, self._bitrate)
@@ -204,6 +220,16 @@ class _ClockedRun(BenchRun):
         if alive:
             self._sync.heartbeat_is_said()
         return True
+
+    def _tell_nothing(self) -> None:
+        """The same where no set points are sent."""
+        left, numbers, places = self._left_at, self._numbers, self._places
+        self._left[:] = 0
+        left[lay.O_FRAMES] = 1
+        left[lay.O_BITS] = left[-1] = self._sync_bits
+        numbers[LENGTH] = numbers[LOOKED_AT] = places[BEHIND_AT] = places[SYNC_CAME] = 0
+        self._heard.came[:] = 0
+        self.sent, self._is_out = True, False
 
     def _meet(self) -> bool:
         """SYNC, and the lines of the last cycle until it is due; False where something else has come, too."""

@@ -99,7 +99,7 @@ class Timing(_WithOptions):
     `first_loss_s` is when the first was noticed, in experiment time; `lost_frames_of` has the same count of the
     processes that the bench started. `late` has who answered late in any cycle (None: nobody looked).
     By the clock SYNC goes out without the bench: `missed` cycles were not run, and in `late_set_points` cycles set
-    points were sent behind their SYNC and acted with the next.
+    points were sent behind their SYNC and acted with the next, or were left out, as they would have been.
     """
 
     pace: Literal["realtime", "lockstep"]
