@@ -108,15 +108,22 @@ def test_a_diagnosis_calculates_with_one_thread_a_product_unless_told_otherwise(
         import os, sys
         import hilbench.cli.main
         assert "numpy" not in sys.modules
-        os.environ.pop("OPENBLAS_NUM_THREADS", None)
+        sys.argv = ["hilbench", "diagnose", "nowhere.csv"]
         try:
-            hilbench.cli.main.diagnose("nowhere.csv", None)
-        except BaseException:
-            pass
-        assert os.environ["OPENBLAS_NUM_THREADS"] == "1"
+            hilbench.cli.main.main()
+        except SystemExit as end:
+            assert end.code == 2
+        assert "numpy" in sys.modules
+        print(os.environ["OPENBLAS_NUM_THREADS"])
     """
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
-    assert ended.returncode == 0, ended.stderr
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    for told, used in (({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")):
+        command = [sys.executable, "-c", program]
+        ended = subprocess.run(
+            command, env=environment | told, capture_output=True, text=True, timeout=300, check=False
+        )
+        assert ended.returncode == 0, ended.stderr
+        assert ended.stdout.strip() == used
 
 
 def test_what_make_starts_keeps_the_bytecode_of_what_it_imports() -> None:

@@ -453,8 +453,6 @@ def diagnose(
 
     Example: hilbench diagnose after.csv --against before.csv --out changed
     """
-    # Its matrices are many and small: threads of one product wait for each other for longer than they work.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hilbench.cli.diagnose import diagnose_command
 
     diagnose_command(
@@ -509,11 +507,14 @@ def _name_of(command: CommandInfo) -> str:
 
 #: What a command imports stays: to look through it for garbage as often as Python does takes a sixth of its start.
 _NEW_OBJECTS_BEFORE_COLLECTION = 10_000
+#: Matrices are many and small: threads of one product wait for each other for longer than they work. To look for
+#: plugins of pydantic in all that is installed takes 28 ms; a command needs none.
+_ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "PYDANTIC_DISABLE_PLUGINS": "__all__"}
 
 
 def main() -> None:
     """Entry point: errors meant for a person become one line on standard error and the exit code of their kind."""
     gc.set_threshold(_NEW_OBJECTS_BEFORE_COLLECTION)
-    # To look for plugins of pydantic in all that is installed takes 28 ms; a command needs none.
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    for name, value in _ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
     sys.exit(ended(lambda: _command(next(iter(sys.argv[1:]), ""))()))
