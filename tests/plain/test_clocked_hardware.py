@@ -167,7 +167,7 @@ def _stand(config: BenchConfig) -> Iterator[_Stand]:
     with ExitStack() as resources:
         link = open_link(config.bus_address)
         resources.callback(link.close)
-        master = Master(open_python_can(config.bus_address), config.master.sdo_timeout_s)
+        master = Master(open_python_can(config.bus_address), sdo_timeout_s=30.0)
         resources.callback(master.close)
         nodes.introduce(master)
         for drive in nodes.drives:
