@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,7 @@ from tests.cia402.stand_in import served
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.startup import check_that_they_wait
 from hilbench.can.memory import MemoryBus
+from hilbench.can.open import open_link, starting
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.identifiers import NmtCommand
 from hilbench.canopen.master import Master
@@ -90,3 +93,13 @@ def test_the_first_node_that_fails_is_named(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(Master, "write_rpdo", refuse)
     with pytest.raises(BenchFaultError, match="node 1 refuses"), Bench(load_with_overrides(config(tmp_path)).config):
         pass
+
+
+def test_a_bus_that_nobody_has_joined_yet_goes_as_the_first_one_says(tmp_path: Path) -> None:
+    """A bench lets the hub start before it joins: drives that are not there are missing, not at another pace."""
+    bus = load_with_overrides(config(tmp_path), bus=f"embedded:alone{os.getpid()}").config.bus_address
+    assert bus.timing == "virtual"
+    with starting(bus):
+        assert bus.as_it_runs() == bus
+        with closing(open_link(replace(bus, timing="real"))):
+            assert bus.as_it_runs().timing == "real"

@@ -90,6 +90,8 @@ class BusAddress:
         if not found:
             return named
         running = hub_client.statistics(found)
+        if not running.stations:  # who joins first says how it runs
+            return replace(named, channel=found)
         return BusAddress(self.interface, found, running.bitrate, running.timing)
 
     def __str__(self) -> str:
