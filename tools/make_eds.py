@@ -296,7 +296,7 @@ DRIVE_OBJECTS = (
 
 #: Spans of the longest line whose twin the virtual I/O has objects for.
 MOST_SPANS = 16
-#: Dancers, accumulators and reels, each with a sensor.
+#: Dancers, accumulators and reels, each with a sensor, carriages each with a force that is told ahead.
 MOST_STATIONS = 6
 
 
@@ -339,7 +339,7 @@ def virtual_io(kind: MachineKind) -> DeviceDescription:
         for signal in process_data(kind, Shape(MOST_SPANS + 1, (), MOST_SPANS, spans, spans)).published:
             signals.setdefault(signal.sub, signal)
         names = tuple(f"{number}" for number in range(1, MOST_STATIONS + 1))
-        with_stations = process_data(kind, Shape(2, (), 1, (), (), carriages=names, measured=names))
+        with_stations = process_data(kind, Shape(2, (), 1, (), (), carriages=names, measured=names, pushed=names))
         signals |= {
             signal.sub: replace(signal, text=signal.text.replace("position", "position or radius"))
             for signal in with_stations.published

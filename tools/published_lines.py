@@ -307,7 +307,7 @@ def reel_change(
     """
     model = load_model(FOLDER / "kuhm_2012.yaml")
     stand, (carriage,) = Stand(model, STORE_M_S, STORE_CYCLE_S), model.carriages
-    station, told = carriage.station, CarriageForce(carriage, mass_error, friction_error, behind_takes)
+    station, told = carriage.station, CarriageForce(model, carriage, mass_error, friction_error, behind_takes)
     stop, start = Ramp(2.0, ramp_s, STORE_M_S, 0.0), Ramp(2.0 + ramp_s + stands_s, ramp_s, 0.0, STORE_M_S)
     incoming_m_s = STORE_M_S
     for cycle in range(round((start.start_s + ramp_s + 4.0) / STORE_CYCLE_S)):

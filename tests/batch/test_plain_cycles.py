@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -224,6 +225,12 @@ CHAINED = {"web_section_step", "line_two_spans", "line_three_spans", "servo_axis
 def test_every_kind_of_bench_runs_alike(tmp_path: Path, name: str, path: str) -> None:
     changes = [(10, sets(path, 0.05)), (80, sets(path, 0.1))]
     check(tmp_path, load_with_overrides(CONFIGS / f"{name}.yaml"), changes, chains=name in CHAINED)
+
+
+def test_a_force_that_is_told_ahead_runs_alike(tmp_path: Path) -> None:
+    ahead = load_with_overrides(CONFIGS / "line_with_dancer.yaml", changes=["controllers.dancer_position.force={}"])
+    left = check(tmp_path, ahead, [(10, sets("line_speed_m_s", 0.05)), (80, sets("line_speed_m_s", 0.1))], chains=False)
+    assert np.ptp(np.frombuffer(left.samples["f_dancer_cmd_N"])) > 0.1
 
 
 def ramps(path: str, to: float, duration_s: float) -> Change:

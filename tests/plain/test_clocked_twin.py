@@ -213,6 +213,7 @@ def check(heard: Heard, all_that_comes: Sequence[Comes], least: int, options: Se
             ("web_section_step", "line_speed_m_s", ["twin.transfer.axes=true"]),
             ("line_three_spans", "line_speed_m_s", []),
             ("line_with_dancer", "line_speed_m_s", []),
+            ("line_with_dancer", "line_speed_m_s", ["controllers.dancer_position.force={}"]),
             ("servo_axis", "speed_rad_s", []),
         ),
     ],

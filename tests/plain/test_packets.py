@@ -262,14 +262,15 @@ def test_a_line_runs_alike_whatever_comes_between(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "path"),
+    ("name", "path", "options"),
     [
-        ("line_three_spans", "line_speed_m_s"),
-        ("line_with_dancer", "line_speed_m_s"),
-        ("web_section_step_pid", "line_speed_m_s"),
-        ("servo_axis", "speed_rad_s"),
+        ("line_three_spans", "line_speed_m_s", []),
+        ("line_with_dancer", "line_speed_m_s", []),
+        ("line_with_dancer", "line_speed_m_s", ["controllers.dancer_position.force={}"]),
+        ("web_section_step_pid", "line_speed_m_s", []),
+        ("servo_axis", "speed_rad_s", []),
     ],
 )
-def test_every_kind_of_bench_runs_alike(tmp_path: Path, name: str, path: str) -> None:
+def test_every_kind_of_bench_runs_alike(tmp_path: Path, name: str, path: str, options: list[str]) -> None:
     changes = [(10, sets(path, 0.05)), (80, sets(path, 0.1))]
-    check(tmp_path, [], changes, name=name, chains=name != "line_with_dancer")  # its position loop is Python's
+    check(tmp_path, options, changes, name=name, chains=name != "line_with_dancer")  # its position loop is Python's

@@ -174,6 +174,17 @@ def test_a_step_of_the_force_on_a_dancer_swings_as_the_damped_oscillator_that_it
     )  # the roller is 1 kg at the web
 
 
+def test_a_force_that_is_told_leaves_what_an_effect_adds_to_it() -> None:
+    """A cylinder that pushes with 6 N too little does so whatever it is told."""
+    off = {"effect": "carriage_force", "station": "dancer", "parameters": {"force_N": -6.0}}
+    model = held_dancer(viscous_friction_N_s_per_m=2000.0).model_dump() | {"effects": [off]}
+    machine = Line(ModelParameters.model_validate(model))
+    for told_N in (160.0, 200.0):
+        machine.set_input("force_dancer_N", told_N)
+        machine.step(2.0)
+        assert machine.outputs()["F1_N"] == pytest.approx((told_N - 6.0) / 2.0, abs=0.01)
+
+
 def test_dry_friction_takes_twice_its_force_off_each_swing_of_a_dancer_until_it_sticks() -> None:
     friction_N, step_N = 2.0, 12.0
     machine = Line(held_dancer(coulomb_friction_N=friction_N), substeps=8)

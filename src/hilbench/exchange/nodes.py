@@ -316,7 +316,7 @@ class Nodes:
                 frames += [CyclicFrame(f"{name} RPDO", cob_id, pdos.rpdo.size) for cob_id in drive.rpdo_cob_ids]
             frames += [CyclicFrame(f"{name} TPDO", pdo.cob_id, pdo.size, 1 / pdo.period) for _, pdo, _ in pdos.tpdos]
         named = [(f"TPDO{number}", pdo) for number, pdo in self.io.tpdos]
-        named += zip(("boundary", "sensors", "further sensors", "last sensors"), self.io.boundary, strict=False)
+        named += zip(("boundary", "stations", "further stations", "last stations"), self.io.boundary, strict=False)
         for name, pdo in named:
             frames.append(CyclicFrame(f"virtual io {name}", pdo.cob_id, pdo.size, 1 / pdo.period))
         periods_ms = [self.config.master.heartbeat_ms, *[self.config.master.node_heartbeat_ms] * len(self._known)]

@@ -9,8 +9,8 @@ spans a set-point has the number of its span: `tension_control.span2.set_point_N
 those of all spans, or with its number of one: `load.web.span2.youngs_modulus_Pa`,
 `load.effects.elasticity_drift.span2.rate_per_s`. A dancer or accumulator with a loop of its position has
 `position_control.NAME.set_point_m` and `position_control.NAME.feed` (1: the axis before it feeds the line, 0: it
-stands). Of a servo axis: `speed_rad_s`, `load.shaft.inertia_kg_m2`, `load.shaft.coulomb_friction_Nm`,
-`load.shaft.viscous_friction_Nm_s_per_rad`.
+stands), with a force that is told ahead `position_control.NAME.force.set_point_N`. Of a servo axis: `speed_rad_s`,
+`load.shaft.inertia_kg_m2`, `load.shaft.coulomb_friction_Nm`, `load.shaft.viscous_friction_Nm_s_per_rad`.
 
 The ranges here are those of values with a meaning, whatever the config. What an operator may ask for of a running
 bench is less (`hilbench.bench.operator.operator_objects`), and `safety: limits` end a run before that.
@@ -33,7 +33,7 @@ from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS
 from hilbench.suggest import closest, did_you_mean
 from hilbench.topology import web_line_quantities as numbered
 from hilbench.topology.signals import Shape
-from hilbench.topology.web_line_positions import FEED, SET_POINT, position_quantity, positions
+from hilbench.topology.web_line_positions import FEED, FORCE_SET_POINT, SET_POINT, position_quantity, positions
 
 LINE_SPEED = "line_speed_m_s"
 TENSION_SET_POINT = "tension_control.set_point_N"
@@ -107,6 +107,7 @@ _NUMBERED_SET_POINT = re.compile(r"tension_control\.span([1-9]\d{0,3})\.set_poin
 _OF_POSITIONS = {
     SET_POINT: Permitted(-100.0, 100.0, "m"),
     FEED: Permitted(0.0, 1.0, "1", only_ends=True),
+    FORCE_SET_POINT: Permitted(0.0, 1e5, "N"),
 }
 #: So many quantities are told that are like a misspelt one.
 _MOST_NEAR = 3
@@ -197,7 +198,7 @@ def _parsed(text: str, kind: MachineKind) -> EffectPath:
 def _expected(text: str) -> str:
     """What is expected in the place of a text that is no path: what is nearest to it, else all that there is."""
     station = text.split(".")[1] if re.fullmatch(r"position_control\.[A-Za-z]\w*(\..*)?", text) else "NAME"
-    further = positions((station,))
+    further = positions((station,), (station,))
     near = closest(text, [*PLAIN_PATHS, *further, *all_paths()], _MOST_NEAR)
     if near:
         return f"one of {', '.join(near)}, …, did you mean '{near[0]}'?"
@@ -212,7 +213,7 @@ def plain_paths(kind: MachineKind, shape: Shape) -> tuple[str, ...]:
         numbered.YOUNGS_MODULUS: [numbered.YOUNGS_MODULUS, *numbered.moduli(shape)],
     }
     plain = [path for known in _PLAIN_OF[kind] for path in several.get(known, [known])]
-    return (*plain, *positions(shape.positioned))
+    return (*plain, *positions(shape.positioned, shape.pushed))
 
 
 def path_problem(path: str, kind: MachineKind, shape: Shape, loaded: Collection[int]) -> str | None:

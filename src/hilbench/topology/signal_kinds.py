@@ -22,6 +22,7 @@ class Per(StrEnum):
     MEASURED_CARRIAGE = "measured_carriage"  #: one with a sensor of its position
     MEASURED_REEL = "measured_reel"  #: one with a sensor of its radius
     POSITIONED_CARRIAGE = "positioned_carriage"  #: one with a loop of its position
+    PUSHED_CARRIAGE = "pushed_carriage"  #: one whose force is told ahead
     TORQUED_AXIS = "torqued_axis"  #: a reel in torque mode
     CELL = "cell"  #: an idler that is a load cell
     WINDER = "winder"  #: a reel as the last axis of a line
@@ -31,7 +32,8 @@ class Per(StrEnum):
         """What stands in the name of a declaration for the number or name of the part."""
         if self.is_of_span:
             return "span"
-        return self.removeprefix("measured_").removeprefix("positioned_").removeprefix("torqued_")
+        of_all = self.removeprefix("measured_").removeprefix("positioned_").removeprefix("pushed_")
+        return of_all.removeprefix("torqued_")
 
     @property
     def is_of_span(self) -> bool:

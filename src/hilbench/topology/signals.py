@@ -67,8 +67,8 @@ class Shape:
 
     Of a line with more than driven rollers: the number of the driven axis before each span, the spans whose tension the
     twin tells, dancers, accumulators and reels by name, which of these have a sensor of their position or radius, which
-    carriages have a loop of their position, which axes are reels in torque mode, the idlers that are load cells, and
-    whether the last axis is a reel, whose speed is not that of the line.
+    carriages have a loop of their position, which of these a force that is told ahead, which axes are reels in torque
+    mode, the idlers that are load cells, and whether the last axis is a reel, whose speed is not that of the line.
     """
 
     axes: int
@@ -82,6 +82,7 @@ class Shape:
     reels: tuple[str, ...] = ()
     measured: tuple[str, ...] = ()
     positioned: tuple[str, ...] = ()
+    pushed: tuple[str, ...] = ()
     torqued: tuple[int, ...] = ()
     cells: tuple[str, ...] = ()
     winds: bool = False
@@ -105,6 +106,11 @@ class Shape:
             if name in self.measured
         )
         return (*placed, *((cell, f"F_{cell}_meas_N") for cell in self.cells))
+
+    @property
+    def forces(self) -> tuple[tuple[str, str], ...]:
+        """Each carriage whose force is told ahead, and the signal of that."""
+        return tuple((name, f"f_{name}_cmd_N") for name in self.pushed)
 
     def axis_before(self, number: int) -> int:
         """Number of the driven axis before the span of that number; the one behind it is the next."""
@@ -132,6 +138,7 @@ class Shape:
             Per.MEASURED_CARRIAGE: [name for name in self.carriages if name in self.measured],
             Per.MEASURED_REEL: [name for name in self.reels if name in self.measured],
             Per.POSITIONED_CARRIAGE: self.positioned,
+            Per.PUSHED_CARRIAGE: self.pushed,
             Per.CELL: self.cells,
             Per.WINDER: [""] if self.winds else [],
         }
@@ -246,6 +253,7 @@ def shape_of(names: Iterable[str]) -> Shape:
         axes_before=tuple(axes.get(number, 0) for number in range(1, count + 1)) if beyond else (),
         carriages=tuple(named[Per.CARRIAGE]),
         reels=tuple(named[Per.REEL]),
+        pushed=tuple(named[Per.PUSHED_CARRIAGE]),
         torqued=tuple(sorted(found[Per.TORQUED_AXIS])),
         cells=tuple(named[Per.CELL]),
         winds=LINE_SPEED_SIGNAL in given,

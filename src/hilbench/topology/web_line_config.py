@@ -13,7 +13,15 @@ from hilbench.block import Block
 from hilbench.estimation.web_line.config import EstimationConfig, InputConfig
 from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
 from hilbench.plant.web_line.sections import axes_before_spans
-from hilbench.plant.web_line.stations import ONLY_DRIVEN, Idler, Reel, StationName, reel_name
+from hilbench.plant.web_line.stations import (
+    ONLY_DRIVEN,
+    Accumulator,
+    Dancer,
+    Idler,
+    Reel,
+    StationName,
+    reel_name,
+)
 
 #: What is expected where an axis has two things to keep.
 ONE_CONTROLLER = "one controller between two driven rollers: one axis can keep one tension, or one position"
@@ -99,6 +107,26 @@ class TensionControlConfig(Block):
         return ProbingConfig(mode=self.probing) if isinstance(self.probing, str) else self.probing
 
 
+class CarriageForceConfig(Block):
+    """The force on the carriage of a dancer or accumulator, told ahead to a valve that sets the pressure: what keeps
+    the tension, with what carriage and rollers need to speed up, and their friction, by the machine's model."""
+
+    set_point_N: PositiveFloat | None = Field(
+        default=None,
+        description="of the tension behind the carriage at an even speed; what the machine's force keeps unless given",
+    )
+    behind_takes: float = Field(
+        default=0.5,
+        ge=0,
+        le=1,
+        description="share of what the tensions at both ends come to differ by, as rollers between speed up, that the "
+        "one behind has: 0 where it is to stay, 1 where that before is",
+    )
+    limit_N: PositiveFloat | None = Field(
+        default=None, description="most force of the cylinder, which never pulls; null: none"
+    )
+
+
 class PositionControlConfig(Block):
     """The position loop of a dancer or accumulator: how the driven roller or reel before it keeps its carriage."""
 
@@ -118,6 +146,9 @@ class PositionControlConfig(Block):
         le=600.0,
         description="time in which the axis before it comes to a stand, or to speed again, with a bounded jerk, when "
         "its feed is switched off or on (position_control.NAME.feed: a reel change)",
+    )
+    force: CarriageForceConfig | None = Field(
+        default=None, description="told ahead to what pushes the carriage; null: the machine's force stays"
     )
 
 
@@ -163,6 +194,11 @@ def tension_loops(controllers: Iterable[ControllerConfig]) -> list[TensionContro
 def position_loops(controllers: Iterable[ControllerConfig]) -> list[PositionControlConfig]:
     """Those of them that keep positions."""
     return [each for each in controllers if isinstance(each, PositionControlConfig)]
+
+
+def forces_ahead(controllers: Iterable[ControllerConfig]) -> dict[str, CarriageForceConfig]:
+    """The forces on carriages that are told ahead, by the name of the station."""
+    return {each.station: each.force for each in position_loops(controllers) if each.force is not None}
 
 
 def reel_loops(controllers: Iterable[ControllerConfig]) -> list[ReelControlConfig]:
@@ -310,6 +346,8 @@ def _loops_misfit(
         if control.set_point_m is not None and not lowest_m < control.set_point_m < highest_m:
             ends = f"{lowest_m:g} to {highest_m:g} m"
             return f"a set-point between the stops of '{control.station}', {ends}, not {control.set_point_m:g} m"
+        if (misfit := _force_misfit(station, control.force)) is not None:
+            return misfit
         sections.append(before[carriage.first_span - 1])
     axes = reel_axes(machine)
     for torqued in reel_loops(given):
@@ -330,6 +368,25 @@ def _loops_misfit(
             name = reel_name(roller.station)
             if name not in measured:
                 return f"'load: {{measured: [{name}]}}' for the loop of the tension beside it: its radius changes"
+    return None
+
+
+def _force_misfit(station: Dancer | Accumulator, force: CarriageForceConfig | None) -> str | None:
+    """Why a force can't be told ahead to a carriage, in one line, or None."""
+    if force is None:
+        return None
+    tension_N = station.kept_tension_N if force.set_point_N is None else force.set_point_N
+    if not tension_N > 0.0:
+        return (
+            f"'set_point_N' in the 'force' of '{station.name}', or a 'force_N' of the machine that keeps a tension, "
+            f"not {station.force_N:g} N"
+        )
+    held_N = station.held_by_N(tension_N, station.position_m)
+    if held_N < 0.0 or (force.limit_N is not None and held_N > force.limit_N):
+        most = "" if force.limit_N is None else f" to {force.limit_N:g}"
+        return (
+            f"a 'force' of '{station.name}' from 0{most} N for a tension of {tension_N:g} N, which takes {held_N:g} N"
+        )
     return None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -11,6 +12,7 @@ from hilbench.plant.web_line.stations import Idler, Reel, reel_name
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_config import (
     ControllerConfig,
+    forces_ahead,
     load_cells,
     position_loops,
     reel_axes,
@@ -36,7 +38,8 @@ def web_line_shape(
     positioned = tuple(each.station for each in position_loops(given))
     torqued = tuple(sorted(reel_axes(machine).get(each.reel, 1) for each in reel_loops(given)))
     controlled = tuple(sorted({*controlled, *(span_beside_reel(machine, axis) for axis in torqued)}))
-    return _with_stations(machine, load_motors, controlled, positioned, torqued, measured)
+    shape = _with_stations(machine, load_motors, controlled, torqued, measured)
+    return replace(shape, positioned=positioned, pushed=tuple(forces_ahead(given)))
 
 
 def sensors_at_start(machine: ModelParameters, shape: Shape) -> dict[str, float]:
@@ -52,11 +55,16 @@ def sensors_at_start(machine: ModelParameters, shape: Shape) -> dict[str, float]
     return {signal: found[name] for name, signal in shape.sensors}
 
 
+def forces_at_start(machine: ModelParameters, shape: Shape) -> dict[str, float]:
+    """What pushes the carriages whose force is told ahead while nobody has told it, N, by signal."""
+    found = {carriage.station.name: carriage.station.force_N for carriage in machine.carriages}
+    return {signal: found[name] for name, signal in shape.forces}
+
+
 def _with_stations(
     machine: ModelParameters,
     load_motors: tuple[str, ...],
     controlled: tuple[int, ...],
-    positioned: tuple[str, ...],
     torqued: tuple[int, ...],
     measured: Sequence[str],
 ) -> Shape:
@@ -76,7 +84,6 @@ def _with_stations(
         carriages=tuple(carriage.station.name for carriage in machine.carriages),
         reels=tuple(reel_name(roller.station) for roller in rollers if isinstance(roller.station, Reel)),
         measured=tuple(measured),
-        positioned=positioned,
         torqued=torqued,
         cells=tuple(name for name in load_cells(machine) if name in measured),
         winds=isinstance(rollers[-1].station, Reel),

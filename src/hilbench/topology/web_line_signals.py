@@ -34,6 +34,13 @@ WEB_LINE: Final = (
     SignalKind(
         "x_{carriage}_ref_m", "m", "set-point of the position of {carriage}", "command", Per.POSITIONED_CARRIAGE
     ),
+    SignalKind(
+        "f_{carriage}_cmd_N",
+        "N",
+        "force on the carriage of {carriage} that its cylinder is told",
+        "command",
+        Per.PUSHED_CARRIAGE,
+    ),
     *load_motor_signals("m", "encoder times nominal radius"),
     SignalKind("F{span}_sim_N", "N", "web tension simulated by the twin (virtual sensor)", "twin", Per.SIMULATED),
     SignalKind("E{span}_sim_Pa", "Pa", "Young's modulus estimated by the twin", "twin", Per.ESTIMATED),

@@ -28,6 +28,7 @@ from hilbench.bench.tasks.tension_probing import Probing
 from hilbench.bench.tasks.tension_task import FeedForward, Leader, LoopNames, TensionTask
 from hilbench.bench.tasks.tension_trust import TwinTrust
 from hilbench.bench.tasks.watches import QuietWatch
+from hilbench.bench.tasks.web_carriage_force import CarriageForceTask
 from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.bench.tasks.web_positions import CarriageStops, PositionTask
 from hilbench.bench.tasks.web_reel_torque import LoadCells, ReelTorqueTask
@@ -42,7 +43,7 @@ from hilbench.estimation.problems import Problem
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.measured_motion import HasFollowed
 from hilbench.plant.web_line.sections import section_model
-from hilbench.plant.web_line.stations import LineCarriage, Reel, reel_name
+from hilbench.plant.web_line.stations import LineCarriage, Reel, force_input, reel_name
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample, sample_type
@@ -84,6 +85,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     ]
     axes: list[LeadingAxis | FollowingAxis | TensionTask | PositionTask] = [leading]
     trusts: list[TwinTrust] = []
+    forces: list[CarriageForceTask] = []
     for axis in range(leads - 1, 0, -1):
         if axis in torqued:
             continue
@@ -91,6 +93,9 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         carriage = positioned.get(axis)
         if carriage is not None:
             axes.append(_position_task(config, axis, carriage, axes[-1]))
+            force = config.position_controls[carriage.station.name].force
+            if force is not None:
+                forces.append(CarriageForceTask(force, model, carriage, axis, axes[-1], axes[-2], state))
             continue
         if control is None:
             axes.append(FollowingAxis(drives[axis - 1], axis, axes[-1], plan))
@@ -115,12 +120,13 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
             line_speed,
             *loops.values(),
             *reels,
+            *forces,
             *(axis for axis in axes if isinstance(axis, PositionTask)),
             load,
             *probing,
         ),
         control=(
-            *(boundary, *probing, *([plan] if plan else []), *axes, *reels, *_reel_speeds(config, leading)),
+            *(boundary, *probing, *([plan] if plan else []), *axes, *reels, *_reel_speeds(config, leading), *forces),
             *(load, *([LoadCells(model, config.shape)] if config.shape.cells else [])),
         ),
         watches=(
@@ -414,6 +420,7 @@ class WebLoadTask(LoadTask):
         names = [quantity.name for quantity in self.model.machine.describe().outputs]
         #: Of the signals among what the model's machine is.
         self._places = [(signal, names.index(output)) for signal, output in truth]
+        self._forces = [(signal, force_input(name)) for name, signal in shape.forces]
         kind = sample_type(config.signals)
         followed = kind.places([*positions, *speeds, *(f"tau_{name}_cmd_Nm" for name in config.load_motors)])
         shown = [each for signal, place in self._places for each in (kind.place(signal), place)]
@@ -428,6 +435,8 @@ class WebLoadTask(LoadTask):
         if followed is None:
             self.follow(sample, self._positions(sample), self._speeds(sample), late=late)
         self._show(sample)
+        for signal, name in self._forces:
+            self.model.tell(name, getattr(sample, signal))
 
     def _show(self, sample: CycleSample) -> None:
         true = self.model.outputs()

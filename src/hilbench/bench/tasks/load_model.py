@@ -101,6 +101,10 @@ class LoadModel:
         self._torques_Nm = self.machine.load_torques_Nm(self._load_axes, speeds, self._ahead_s)
         return self._torques_Nm
 
+    def tell(self, name: str, value: float) -> None:
+        """What acts on the machine from where it has followed to. Raises ValueError for what it does not know."""
+        self.machine.set_input(name, value)
+
     def follow_in(self, values: Vector, places: Places, *, late: bool) -> HasFollowed | None:
         """The same in a vector, in one call, with what else is asked for: `hilbench.plant.measured_motion.InStep`. None
         where this machine does not follow so as it is now: nothing was done."""

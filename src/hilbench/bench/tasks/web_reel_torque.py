@@ -5,44 +5,15 @@ from __future__ import annotations
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_task import Leader
+from hilbench.bench.tasks.web_roller_motion import RollerMotion
 from hilbench.bench.tasks.web_winding_control import ReelMechanics, ReelTension
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.parameters import per_item
-from hilbench.plant.sampling import samples_per
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.quantities import tension_set_point
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_config import ReelControlConfig, span_beside_reel
-
-
-class RollerMotion:
-    """How a driven roller follows its velocity command: m·v' = kp·(u - v) + ki·∫(u - v), sampled as its drive does; the
-    web pulls at both sides alike."""
-
-    def __init__(self, model: ModelParameters, axis: int, cycle_s: float) -> None:
-        loops, ratio = model.drives, model.motor_rad_per_m(axis)
-        assert loops is not None, "a bench's model has drives"
-        self._mass_kg = model.mass_kg(axis)
-        self._kp_N_s_per_m = per_item(loops.velocity_kp_Nm_s_per_rad, axis) * ratio**2
-        self._ki_N_per_m = per_item(loops.velocity_ki_Nm_per_rad, axis) * ratio**2
-        self._samples = samples_per(cycle_s, loops.sample_time_s)
-        self._sample_s = loops.sample_time_s
-        self.reset()
-
-    def reset(self) -> None:
-        """At rest."""
-        self._speed_m_s = self._integral_N = 0.0
-
-    def acceleration_m_s2(self, command_m_s: float) -> float:
-        """The mean of the next cycle, with this command."""
-        before_m_s = self._speed_m_s
-        for _ in range(self._samples):
-            error_m_s = command_m_s - self._speed_m_s
-            self._integral_N += self._ki_N_per_m * error_m_s * self._sample_s
-            force_N = self._kp_N_s_per_m * error_m_s + self._integral_N
-            self._speed_m_s += force_N / self._mass_kg * self._sample_s
-        return (self._speed_m_s - before_m_s) / (self._samples * self._sample_s)
 
 
 class ReelTorqueTask(CyclicTask):

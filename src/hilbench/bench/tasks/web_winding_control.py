@@ -14,14 +14,17 @@ from math import copysign, cos, pi, sin
 from typing import Final
 
 from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import Accumulator, Dancer, LineCarriage, Reel
 
 #: Share of a ramp over which its acceleration comes, and goes: the peak is 9/7 of the least by which it can be done.
 #: With less an unwinder that stops turns back by more than 1 mm/s.
 ROUNDED: Final = 2.0 / 9.0
-#: Speed of a carriage below which its dry friction is not made up for, m/s: it may stick either way.
-_STANDS_M_S = 1e-3
+#: Speed below which dry friction is made up for in proportion to it, m/s: what stands may stick either way.
+_STANDS_M_S = 2e-4
+_DRY_N = lay.place("coulomb_friction", "force_N")
+_VISCOUS_N_S_PER_M = lay.place("viscous_friction", "coefficient_N_s_per_m")
 
 
 def eased(time: float, rounded: float = ROUNDED) -> tuple[float, float]:
@@ -174,25 +177,34 @@ class CarriageForce:
 
     The rollers between the strands turn at speeds that go evenly from that before to that behind; roller j of n - 1 has
     the inertia m and friction R, so that strand j pulls by the sum of m·a + R of the rollers behind it less than the
-    web behind the carriage; the carriage has the sum of the strands, its mass and its friction.
+    web behind the carriage; the carriage has the sum of the strands, its mass and its friction. All of that is as the
+    model has it, with its effects.
 
     What the tensions at its ends come to differ by no force on it can change, but which of them that is: `behind_takes`
     is the share of the change, against an even speed, that the tension behind has, 0 where it is to stay, 1 where that
-    before is. `mass_error`, `friction_error`: shares by which what it goes by is off.
+    before is. `mass_error`, `friction_error`: shares by which what it goes by is off, of masses, and of friction other
+    than the carriage's viscous one.
     """
 
     def __init__(
         self,
+        model: ModelParameters,
         carriage: LineCarriage,
         mass_error: float = 0.0,
         friction_error: float = 0.0,
         behind_takes: float = 0.0,
     ) -> None:
+        rows = lay.Layout.of(p := lay.pack(model)).axis_rows(p)
+        own = rows[len(model.line_rollers) + model.carriages.index(carriage)]
+        moved, held = 1.0 + mass_error, 1.0 + friction_error
         self._behind_takes = behind_takes
-        self._station = carriage.station
-        self._moved = 1.0 + mass_error
-        self._held = 1.0 + friction_error
-        self._mass_kg = self._moved * carriage.station.inertia_kg_m2 / carriage.station.radius_m**2
+        self._station, self._strands = carriage.station, carriage.station.strand_count
+        between = rows[carriage.first_span : carriage.last_span]
+        self._rollers = [Resisting.of_row(row, moved, held, held) for row in between]
+        self._carriage = Resisting.of_row(own, moved, held, 1.0)
+        self._spring_N_per_m: float = own.item(lay.A_SPRING_N_PER_M)
+        self._rest_m = carriage.station.spring_rest_m
+        self._more_N: float = own.item(lay.A_FORCE_N) - carriage.station.force_N  # an effect of the model
 
     def force_N(
         self,
@@ -205,29 +217,43 @@ class CarriageForce:
     ) -> float:
         """From the speeds of the web at the ends and their planned accelerations; `tension_N` is wanted behind at an
         even speed."""
-        station, strands = self._station, self._station.strand_count
+        strands, gain = self._strands, self._station.strand_gain(position_m)
         needs_N, more_N = [], 0.0
-        for roller in range(strands - 1, 0, -1):
-            share = roller / strands
+        for number in range(strands - 1, 0, -1):
+            roller, share = self._rollers[number - 1], number / strands
             speed_m_s = before_m_s + share * (behind_m_s - before_m_s)
             acceleration_m_s2 = before_m_s2 + share * (behind_m_s2 - before_m_s2)
-            needs_N.append(self._mass_kg * acceleration_m_s2 + self._friction_N(speed_m_s))
-            more_N += needs_N[-1] - self._friction_N(behind_m_s)
+            needs_N.append(roller.mass_kg * acceleration_m_s2 + roller.friction_N(speed_m_s))
+            more_N += needs_N[-1] - roller.friction_N(behind_m_s)
         strand_N = tension_N + self._behind_takes * more_N
         total_N = strand_N
         for need_N in needs_N:
             strand_N -= need_N
             total_N += strand_N
-        carriage_m_s = (before_m_s - behind_m_s) / strands
-        moving_N = self._moved * station.mass_kg * (before_m_s2 - behind_m_s2) / strands
-        moving_N += station.viscous_friction_N_s_per_m * carriage_m_s + station.spring_N_per_m * (
-            position_m - station.spring_rest_m
+        carriage_m_s, carriage_m_s2 = (
+            (before - behind) / (strands * gain)
+            for before, behind in ((before_m_s, behind_m_s), (before_m_s2, behind_m_s2))
         )
-        if abs(carriage_m_s) > _STANDS_M_S:
-            moving_N += copysign(self._held * station.coulomb_friction_N, carriage_m_s)
-        return total_N + moving_N
+        moving_N = self._carriage.mass_kg * carriage_m_s2 + self._carriage.friction_N(carriage_m_s)
+        spring_N = self._spring_N_per_m * (position_m - self._rest_m)
+        return gain * total_N + moving_N + spring_N - self._more_N
 
-    def _friction_N(self, speed_m_s: float) -> float:
-        station = self._station
-        dry_N = copysign(station.roller_coulomb_friction_N, speed_m_s) if abs(speed_m_s) > _STANDS_M_S else 0.0
-        return self._held * (dry_N + station.roller_viscous_friction_N_s_per_m * speed_m_s)
+
+@dataclass(frozen=True, slots=True)
+class Resisting:
+    """A roller, or carriage, with its friction at the web, or along its way."""
+
+    mass_kg: float
+    dry_N: float
+    viscous_N_s_per_m: float
+
+    @classmethod
+    def of_row(cls, row: lay.Vector, moved: float, dry: float, viscous: float) -> Resisting:
+        """By the row of an axis (`hilbench.plant.web_line.layout`), times these."""
+        mass_kg, dry_N, viscous_N_s_per_m = row[[lay.A_ROLLER_MASS_KG, _DRY_N, _VISCOUS_N_S_PER_M]].tolist()
+        return cls(moved * mass_kg, dry * dry_N, viscous * viscous_N_s_per_m)
+
+    def friction_N(self, speed_m_s: float) -> float:
+        """Against its motion."""
+        direction = min(max(speed_m_s / _STANDS_M_S, -1.0), 1.0)
+        return direction * self.dry_N + self.viscous_N_s_per_m * speed_m_s

@@ -24,6 +24,7 @@ from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.simulated import (
     KIND,
+    CarriagePush,
     FurtherState,
     SimulatedLine,
     checked_positive,
@@ -31,7 +32,7 @@ from hilbench.plant.web_line.simulated import (
     modulus_names,
 )
 from hilbench.plant.web_line.splices import has_pieces, spliced_spans
-from hilbench.plant.web_line.stations import Reel, reel_name
+from hilbench.plant.web_line.stations import Reel, force_input, reel_name
 
 
 class LineStep(NamedTuple):
@@ -233,13 +234,15 @@ def _radius_m(reel: Vector, place: int, y: Vector) -> float:
     return float(reel[lay.A_RADIUS_M] * reels.radius_ratio(reel, 0, y[place]))
 
 
-def _forces(parameters: ModelParameters) -> dict[Quantity, int]:
-    """What pushes each carriage, with the row of its axis."""
-    rollers = len(parameters.line_rollers)
-    return {
-        Quantity(f"force_{carriage.station.name}_N", "N", f"that pushes the carriage: {carriage.station.name}"): row
-        for row, carriage in enumerate(parameters.carriages, rollers)
-    }
+def _forces(parameters: ModelParameters) -> dict[Quantity, CarriagePush]:
+    """What pushes each carriage: told as an input, beside what an effect adds to it."""
+    found, rollers = {}, len(parameters.line_rollers)
+    rows = lay.Layout.of(p := lay.pack(parameters)).axis_rows(p)
+    for row, carriage in enumerate(parameters.carriages, rollers):
+        station = carriage.station
+        quantity = Quantity(force_input(station.name), "N", f"that pushes the carriage: {station.name}")
+        found[quantity] = CarriagePush(row, rows.item(row, lay.A_FORCE_N) - station.force_N)
+    return found
 
 
 def _acts_on_elasticity(effect_id: str) -> bool:

@@ -49,6 +49,14 @@ class FurtherState:
     place: int
 
 
+@dataclass(frozen=True, slots=True)
+class CarriagePush:
+    """An input that pushes a carriage: the row of its axis, from 0, and what an effect adds to it, N."""
+
+    row: int
+    more_N: float
+
+
 def axis_names(axes: int, unit: Literal["m", "rad"]) -> tuple[Quantity, ...]:
     """Position and speed of each driven axis, as states and outputs have them."""
     place = "at the web: angle × nominal radius / gear ratio" if unit == "m" else "of the motor's shaft"
@@ -150,7 +158,7 @@ class SimulatedLine:
 
     `p` (P,): parameter vector, which the machine makes its own; `state` (S,): where it starts; `unit`: of positions.
     `effects`: ids of those that it can be given. `further`: motion of parts without a motor; `derived`: outputs that
-    follow from what is integrated (`Layout.y`); `forces`: inputs that push carriages, each with its axis' row from 0.
+    follow from what is integrated (`Layout.y`); `forces`: inputs that push carriages.
     Without ports every motor is off.
     """
 
@@ -164,7 +172,7 @@ class SimulatedLine:
         parameters: Mapping[Quantity, float],
         further: Sequence[FurtherState] = (),
         derived: Mapping[Quantity, Callable[[Vector], float]] = MappingProxyType({}),
-        forces: Mapping[Quantity, int] = MappingProxyType({}),
+        forces: Mapping[Quantity, CarriagePush] = MappingProxyType({}),
     ) -> None:
         self._p, self._state = p, state
         self._sample_time_s = p.item(lay.W_SAMPLE_TIME_S)
@@ -214,7 +222,7 @@ class SimulatedLine:
         )
         self._further = tuple(further)
         self._derived = tuple(derived.values())
-        self._forces = {quantity.name: row for quantity, row in forces.items()}
+        self._forces = {quantity.name: push for quantity, push in forces.items()}
         #: Where the outputs stand in what the kernel reports, and what they are multiplied with.
         columns = [(row, scale) for row, scale in zip(self._driven, self._per_m, strict=True)]
         columns += [(m + row, scale) for row, scale in columns[:n]]
@@ -372,7 +380,8 @@ class SimulatedLine:
         elif name == "F_next_N":
             self._inputs[lay.U_F_NEXT_N] = value
         elif name in self._forces:
-            self._layout.axis_rows(self._p)[self._forces[name], lay.A_FORCE_N] = value
+            push = self._forces[name]
+            self._layout.axis_rows(self._p)[push.row, lay.A_FORCE_N] = value + push.more_N
         else:
             span = [quantity.name for quantity in self._description.inputs].index(name) - 2
             self._layout.length_rates(self._inputs)[span] = value

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import cos
 from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, FiniteFloat, model_validator
@@ -90,6 +91,21 @@ class CarriageStation(IdlerRollers):
     def arm_length_m(self) -> float:
         """Of a carriage on an arm; 0 on a guide."""
         return 0.0
+
+    def strand_gain(self, position_m: float) -> float:
+        """How much a strand grows with the position there."""
+        return cos(position_m / self.arm_length_m) if self.arm_length_m else 1.0
+
+    def held_by_N(self, tension_N: float, position_m: float) -> float:
+        """Force that holds it there against its spring, and strands of this tension."""
+        spring_N = self.spring_N_per_m * (position_m - self.spring_rest_m)
+        return self.strand_count * self.strand_gain(position_m) * tension_N + spring_N
+
+    @property
+    def kept_tension_N(self) -> float:
+        """Tension of its strands that its force and spring keep where it stands at the start."""
+        spring_N, per_N = self.held_by_N(0.0, self.position_m), self.held_by_N(1.0, self.position_m)
+        return (self.force_N - spring_N) / (per_N - spring_N)
 
 
 class Dancer(CarriageStation):
@@ -190,6 +206,11 @@ def stations_problem(stations: Sequence[Station]) -> str | None:
     if not any(isinstance(station, DrivenRoller | Reel) for station in stations):
         return "at least one driven roller"
     return None
+
+
+def force_input(name: str) -> str:
+    """The input of a plant that is the force on the carriage of a station."""
+    return f"force_{name}_N"
 
 
 def reel_name(reel: Reel) -> str:

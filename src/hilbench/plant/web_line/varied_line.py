@@ -130,6 +130,11 @@ class VariedLine:
         for follower in (self.line, *self._copies):
             follower.set_boundary(strain_prev, F_next_N)
 
+    def set_input(self, name: str, value: float) -> None:
+        """One of the inputs of a line from now on. Raises ValueError for an unknown name."""
+        for follower in (self.line, *self._copies):
+            follower.set_input(name, value)
+
     def follow(self, positions_m: Sequence[float], duration_s: float) -> None:
         """The driven rollers are now there, `duration_s` after the last call."""
         for unknown, follower in zip((None, *self.unknowns), (self.line, *self._copies), strict=True):

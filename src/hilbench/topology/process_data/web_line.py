@@ -2,7 +2,8 @@
 
 Sub-indices are given once and for all: span k, of a line with more than driven rollers the section behind driven
 roller k, has the five of 6403h from 5·(k - 1) + 1 on, of dancers, accumulators and
-reels station k the two from 81 + 2·(k - 1) on; sensors of these, and load cells, have those of 6413h from 3 on.
+reels station k the two from 81 + 2·(k - 1) on; sensors of these, and load cells, have those of 6413h from 3 on, forces
+on carriages that are told ahead those from 9 on.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ _PER_SPAN: Final = 5
 #: The first of stations in 6403h, and in 6413h.
 _FIRST_OF_STATIONS: Final = 81
 _FIRST_OF_SENSORS: Final = 3
+_FIRST_OF_FORCES: Final = 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +84,12 @@ def process_data(shape: Shape) -> ProcessData:
         IoSignal(signal, OUTPUTS, sub, _of_sensor(sub - _FIRST_OF_SENSORS + 1))
         for sub, (_, signal) in enumerate(shape.sensors, _FIRST_OF_SENSORS)
     )
+    forces = (
+        IoSignal(
+            signal, OUTPUTS, _FIRST_OF_FORCES + at, f"Force {at + 1}: on the carriage of a dancer or accumulator [N]"
+        )
+        for at, (_, signal) in enumerate(shape.forces)
+    )
     spans = {number: _span(shape, number) for number in shape.simulated}
     estimated = [spans[number] for number in shape.estimated]
     others = [span.tension for number, span in spans.items() if number not in shape.estimated]
@@ -108,6 +116,7 @@ def process_data(shape: Shape) -> ProcessData:
             IoSignal("strain_prev", OUTPUTS, 1, "Upstream strain [1]"),
             IoSignal("F_next_N", OUTPUTS, 2, "Downstream tension [N]"),
             *sensors,
+            *forces,
         ),
         sent=tuple(IoPdo(number, signals, every) for number, (signals, every) in zip(numbers, contents, strict=False)),
         torques=tuple(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.topology.blocks import MachineParameters, TwinConfig
 from hilbench.topology.signals import Shape
-from hilbench.topology.web_line_shape import sensors_at_start
+from hilbench.topology.web_line_shape import forces_at_start, sensors_at_start
 from hilbench.twin.machines.machine import Told, TwinMachine, VectorMachine
 
 _WARM_UP_CYCLES = 100
@@ -39,7 +39,7 @@ def boundary(model: MachineParameters, shape: Shape) -> Mapping[str, float]:
         return {}
     from hilbench.twin.machines import web_line
 
-    return web_line.boundary(model) | sensors_at_start(model, shape)
+    return web_line.boundary(model) | sensors_at_start(model, shape) | forces_at_start(model, shape)
 
 
 def warm_up(model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s: float) -> None:

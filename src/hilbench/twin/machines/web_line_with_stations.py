@@ -23,7 +23,7 @@ from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.sizes import least_way_m
-from hilbench.plant.web_line.stations import Reel
+from hilbench.plant.web_line.stations import Reel, force_input
 from hilbench.topology.signals import Shape
 from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines.machine import Measured, Told
@@ -221,6 +221,13 @@ class LineWithStationsTwin:
         """Take over what is around the web now."""
         self.plant.set_input("strain_prev", self._told("strain_prev"))
         self.plant.set_input("F_next_N", self._told("F_next_N"))
+        for name, force_N in self._forces():
+            self.plant.set_input(name, force_N)
+            self._unknowns.varied.set_input(name, force_N)
+
+    def _forces(self) -> list[tuple[str, float]]:
+        """What pushes the carriages whose force the bench tells, from the last SYNC on."""
+        return [(force_input(name), self._told(signal)) for name, signal in self._shape.forces]
 
     def found(self) -> Sequence[FoundBeside]:
         """What is found is told as signals of its own."""

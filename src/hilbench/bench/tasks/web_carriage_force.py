@@ -1,0 +1,88 @@
+"""The force on the carriage of a dancer or accumulator, told ahead to the valve that sets its pressure."""
+
+from __future__ import annotations
+
+from math import inf
+from typing import Final
+
+from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.tension_task import Leader
+from hilbench.bench.tasks.web_roller_motion import RollerMotion
+from hilbench.bench.tasks.web_winding_control import CarriageForce
+from hilbench.exchange.exchange import Inputs
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.stations import LineCarriage
+from hilbench.topology.sample import CycleSample
+from hilbench.topology.web_line_config import CarriageForceConfig
+from hilbench.topology.web_line_positions import FORCE_SET_POINT, position_path
+
+
+class CarriageForceTask(CyclicTask):
+    """Force on a carriage that keeps the tension behind it, and has what carriage and rollers need as the driven
+    rollers before and behind change their speeds, by the model; a cylinder pushes, and never pulls.
+
+    The set-point, N of tension, is settable. `before`, `behind`: the driven axes on both sides of the carriage, as
+    their drives follow what they are told; `axis`: number of the one before.
+    """
+
+    def __init__(
+        self,
+        control: CarriageForceConfig,
+        model: ModelParameters,
+        carriage: LineCarriage,
+        axis: int,
+        before: Leader,
+        behind: Leader,
+        state: BenchState,
+    ) -> None:
+        station = carriage.station
+        self._state = state
+        self._force = CarriageForce(model, carriage, behind_takes=control.behind_takes)
+        self._limit_N = inf if control.limit_N is None else control.limit_N
+        self._ends: Final = (before, behind)
+        self._motions: Final = [RollerMotion(model, number, state.cycle_s) for number in (axis, axis + 1)]
+        self._path = position_path(station.name, FORCE_SET_POINT)
+        self._set_point_N = station.kept_tension_N if control.set_point_N is None else control.set_point_N
+        self._signal, self._measured = f"f_{station.name}_cmd_N", f"x_{station.name}_meas_m"
+        self._starts_m = station.position_m
+        self._moved = False  # until then the sensor has told nothing
+
+    def owns(self, path: str) -> bool:
+        """Whether it is the set-point of the tension."""
+        return path == self._path
+
+    def value(self, path: str) -> float:
+        """That, N."""
+        return self._set_point_N
+
+    def set(self, path: str, value: float) -> None:
+        """Another one, N."""
+        self._set_point_N = value
+
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+        """Force, N, from this SYNC on."""
+        share, motions = self._state.speed_share, self._motions
+        before_m_s2, behind_m_s2 = (
+            motion.acceleration_m_s2(share * end.speed_m_s) for motion, end in zip(motions, self._ends, strict=True)
+        )
+        before_m_s, behind_m_s = (motion.speed_m_s for motion in motions)
+        position_m = getattr(sample, self._measured) if self._moved else self._starts_m
+        moving = before_m_s, behind_m_s, before_m_s2, behind_m_s2, position_m
+        self._tell(sample, outputs, self._force.force_N(self._set_point_N, *moving))
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """The sensor has said something."""
+        self._moved = True
+
+    def rest(self, sample: CycleSample, outputs: Outputs) -> None:
+        """What holds the carriage where it stands, as at the start when the drives are enabled again."""
+        self._moved = False
+        for motion in self._motions:
+            motion.reset()
+        standing = 0.0, 0.0, 0.0, 0.0, self._starts_m
+        self._tell(sample, outputs, self._force.force_N(self._set_point_N, *standing))
+
+    def _tell(self, sample: CycleSample, outputs: Outputs, force_N: float) -> None:
+        outputs[self._signal] = told_N = min(max(force_N, 0.0), self._limit_N)
+        setattr(sample, self._signal, told_N)
