@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from math import cos
 from pathlib import Path
@@ -21,6 +22,7 @@ from hilbench.bench.tasks.web_carriage_force import CarriageForceTask
 from hilbench.bench.tasks.web_winding_control import ROUNDED, CarriageForce
 from hilbench.errors import UnusableInputError
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.report.machines.web_line import pictures_of
 from hilbench.results.recording import read_recording
 from hilbench.results.recover import recover_run
 from hilbench.results.run import RunOutcome, run_experiment
@@ -28,6 +30,7 @@ from hilbench.runs.check import check_experiment
 from hilbench.runs.config import LoadedConfig, load_with_overrides
 from hilbench.topology.process_data.web_line import process_data
 from hilbench.topology.sample import sample_type
+from hilbench.topology.signals import shape_of
 from hilbench.topology.web_line_config import forces_ahead
 
 Channels = dict[str, np.ndarray]
@@ -311,3 +314,28 @@ def test_a_force_that_can_not_be_told_is_refused_in_one_line(
     with pytest.raises(UnusableInputError, match=said) as refused:
         check_experiment(line(tmp_path, *changes))
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        # The carriage falls with 1/4 m/s against 400 N·s/m, which holds 100 N of 80 N.
+        (("controllers.store_position.force={set_point_N: 20.0}",), r"asks for -2\d\.\d+ N .* never pulls"),
+        (
+            (
+                "controllers.store_position.force={limit_N: 325.0, behind_takes: 0.0}",
+                "steps.2={ramp: {path: line_speed_m_s, to: 0.0, duration_s: 0.5}}",
+            ),
+            r"asks for 368 N .* has 325 N",  # 4 kg by 2 m/s² of one, two and three strands, beside 320 N
+        ),
+    ],
+)
+def test_the_check_tells_what_a_cylinder_does_not_have(tmp_path: Path, changes: tuple[str, ...], said: str) -> None:
+    (warning,) = check_experiment(line(tmp_path, *changes)).warnings
+    assert re.search(said, warning)
+    assert check_experiment(line(tmp_path)).warnings == []
+
+
+def test_the_report_shows_the_force() -> None:
+    pictures = pictures_of(shape_of(change_of_reels())).pictures
+    assert [picture.title for picture in pictures][-1] == "Forces on the carriages"

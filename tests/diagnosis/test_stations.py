@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -11,6 +12,8 @@ import pytest
 from tests.cli.in_process import hilbench
 from tests.tiers import slow
 
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.diagnosis.imitated import imitation_of
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.predictor import choice, predictor_for
 from hilbench.diagnosis.proposals import Proposer
@@ -26,8 +29,9 @@ from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.line_imitation import simulate_imitated_line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor
-from hilbench.results.recording import Recording
-from hilbench.runs.config import load
+from hilbench.results.recording import Recording, read_recording
+from hilbench.results.run import run_experiment
+from hilbench.runs.config import load, load_with_overrides
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 DANCER, WINDING = CONFIGS / "line_with_dancer.yaml", CONFIGS / "winding_line.yaml"
@@ -102,6 +106,27 @@ def test_a_right_model_leaves_the_noise_and_another_more(config: Path) -> None:
     )
     assert left == pytest.approx(TORQUE_NM, rel=0.05)
     assert more.max() > 1.5 * TORQUE_NM
+
+
+def test_a_force_that_a_bench_has_told_a_carriage_is_no_effect(tmp_path: Path) -> None:
+    steps = (
+        "steps=[{ramp: {path: line_speed_m_s, to: 1.0, duration_s: 1.0}}, {hold: {until_s: 2.0}}, {ramp: {path: "
+        "position_control.dancer.force.set_point_N, to: 90.0, duration_s: 1.0}}, {hold: {until_s: 5.1}}]"
+    )
+    changes = ("controllers.dancer_position.force={}", "hardware.sensors.torque_noise_Nm=0.05", "criteria=[]", steps)
+    given = load_with_overrides(DANCER, bus=f"embedded:{tmp_path.name}", changes=changes)
+    outcome = run_experiment(given, tmp_path / "run", participants=Participants.IN_PROCESS)
+    model = machine(DANCER)
+    data = measured_from(read_recording(outcome.folder.recording), model, "the bench")
+    assert np.ptp(data.forces_N["dancer"]) > 20.0
+
+    def left_Nm(data: Measured) -> float:
+        predictor = predictor_for(model, data, imitation_of(given.config))
+        rest = predictor.measured - predictor.predict(lay.pack(model)[None])[0]
+        return float(rest[predictor.names.index("tau2_Nm"), predictor.rows].std())
+
+    assert left_Nm(data) == pytest.approx(TORQUE_NM, rel=0.06)
+    assert left_Nm(replace(data, forces_N={})) > 2.0 * TORQUE_NM
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -24,9 +25,10 @@ def cycle_by_cycle(
     *,
     effects: Sequence[EffectEntry] = (),
     sensors: Sequence[str] = (),
+    inputs: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> np.ndarray:
     """Positions, torques, tensions, then outputs `sensors` of the imitated `web`, a row for each row (N,) of commands,
-    m/s: the torque of what was measured goes out with the next SYNC.
+    m/s: the torque of what was measured goes out with the next SYNC. `inputs` (n,): told to it in each row.
 
     effects: of the mechanics of the rig.
     """
@@ -49,4 +51,6 @@ def cycle_by_cycle(
             port.setpoint = torque
         rig.step(cycle_s)
         torques = web.load_torques_Nm(load_axes, [0.0] * n, lead_s(parameters, cycle_s))
+        for name, values in inputs.items():
+            web.set_input(name, values[number])
     return np.array(rows)

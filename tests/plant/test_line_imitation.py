@@ -19,7 +19,7 @@ from hilbench.runs.config import load
 from .cycles import cycle_by_cycle
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
-CYCLE_S = 0.003
+CYCLE_S, ROWS = 0.003, 300
 
 
 def of_a_bench(name: str, *effects: EffectEntry) -> ModelParameters:
@@ -38,40 +38,58 @@ def speeds(rows: int, axes: int) -> np.ndarray:
     return np.column_stack([line * (1.0 + 2e-3 * (axes - k) * np.sin(4.0 * t + k)) for k in range(axes)])
 
 
-@pytest.mark.parametrize(
-    ("name", "load_axes", "sensors", "effects"),
-    [
+OF_LINES = [
+    (
+        "line_with_dancer.yaml",
+        (2, 3),
+        {"dancer": "x_dancer_m"},
         (
-            "line_with_dancer.yaml",
-            (2, 3),
-            {"dancer": "x_dancer_m"},
-            (
-                of_station("carriage_coulomb_friction", "dancer", force_N=6.0),
-                EffectEntry(effect="coulomb_friction", axis=2, parameters={"force_N": 4.0}),
-            ),
+            of_station("carriage_coulomb_friction", "dancer", force_N=6.0),
+            EffectEntry(effect="coulomb_friction", axis=2, parameters={"force_N": 4.0}),
         ),
-        (
-            "winding_line.yaml",
-            (1, 2, 3),
-            {"store": "x_store_m", "unwinder": "r_unwinder_m"},
-            (of_station("reel_radius", "unwinder", relative_change=0.01),),
-        ),
-    ],
-)
+        {},
+    ),
+    (
+        "line_with_dancer.yaml",
+        (2, 3),
+        {"dancer": "x_dancer_m"},
+        (of_station("carriage_force", "dancer", force_N=-8.0),),
+        {"dancer": 160.0 + 20.0 * np.sin(0.03 * np.arange(ROWS))},
+    ),
+    (
+        "winding_line.yaml",
+        (1, 2, 3),
+        {"store": "x_store_m", "unwinder": "r_unwinder_m"},
+        (of_station("reel_radius", "unwinder", relative_change=0.01),),
+        {},
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "load_axes", "sensors", "effects", "forces_N"), OF_LINES)
 def test_recording_in_one_call_is_what_the_bench_does_cycle_by_cycle(
-    name: str, load_axes: tuple[int, ...], sensors: dict[str, str], effects: tuple[EffectEntry, ...]
+    name: str,
+    load_axes: tuple[int, ...],
+    sensors: dict[str, str],
+    effects: tuple[EffectEntry, ...],
+    forces_N: dict[str, np.ndarray],
 ) -> None:
-    parameters, rows = of_a_bench(name, *effects), 300
+    parameters = of_a_bench(name, *effects)
     n, k = parameters.axis_count, parameters.span_count
-    commands = speeds(rows, n)
-    boundary = np.tile([parameters.upstream_strain, parameters.boundary.downstream_tension_N], (rows, 1))
+    commands = speeds(ROWS, n)
+    boundary = np.tile([parameters.upstream_strain, parameters.boundary.downstream_tension_N], (ROWS, 1))
     imitation = Imitation(CYCLE_S, tuple(CoupledMotor(axis=axis) for axis in load_axes))
-    found = simulate_imitated_line(imitation, parameters, lay.pack(parameters), commands, boundary, list(sensors))
+    given = imitation, parameters, lay.pack(parameters), commands, boundary, list(sensors), forces_N
+    found = simulate_imitated_line(*given)
     of_axes = [entry for entry in parameters.effects if entry.axis is not None]
     of_line = [entry for entry in parameters.effects if entry.axis is None]
     line = LineFollower(parameters.model_copy(update={"effects": tuple(of_line)}))
-    seen = tuple(sensors.values())
-    expected = cycle_by_cycle(line, parameters, load_axes, commands, CYCLE_S, effects=of_axes, sensors=seen)
+    beside = {
+        "effects": of_axes,
+        "sensors": tuple(sensors.values()),
+        "inputs": {f"force_{station}_N": told_N for station, told_N in forces_N.items()},
+    }
+    expected = cycle_by_cycle(line, parameters, load_axes, commands, CYCLE_S, **beside)
     assert found.sensors_m is not None
     np.testing.assert_allclose(found.x_m, expected[:, :n], rtol=0, atol=1e-8)
     np.testing.assert_allclose(found.tau_Nm, expected[:, n : 2 * n], rtol=0, atol=1e-3)

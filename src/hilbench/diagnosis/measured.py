@@ -17,7 +17,7 @@ from hilbench.diagnosis import machines
 from hilbench.diagnosis import web_torque_checks as torque_checks
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.repairs import Repair, mended
-from hilbench.diagnosis.web_tensions import StationSensor, station_sensors, tension_channels
+from hilbench.diagnosis.web_tensions import StationSensor, carriage_forces, station_sensors, tension_channels
 from hilbench.errors import UnusableInputError
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
@@ -107,6 +107,7 @@ class Measured:
     integrated: bool = False  #: the position is that of a lone axis' speed, added up
     #: Of carriages and reels with a sensor what it said, by the station's name.
     sensors_m: dict[str, StationSensor] = field(default_factory=dict)
+    forces_N: dict[str, Array] = field(default_factory=dict)  #: what carriages were told that are, by station (n,)
     #: What was before the first row; None: nobody knows.
     before: Before | None = None
     #: Way by which commands that drives may have taken too late have put off the motion of all axes, at most.
@@ -212,6 +213,7 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         F_N=channels(tensions),
         integrated=integrated,
         sensors_m=station_sensors(recording, model),
+        forces_N=carriage_forces(recording, model),
         other_rad=np.asarray(recording[other], np.float64) if other else None,
     )
     if machines.has_stations(model) and abs(float(measured.commands_m_s[0, -1])) > STANDSTILL_M_S:

@@ -44,6 +44,15 @@ def station_sensors(recording: Recording, model: Machine) -> dict[str, StationSe
     }
 
 
+def carriage_forces(recording: Recording, model: Machine) -> dict[str, NDArray[np.float64]]:
+    """What carriages were told that were told a force, N, by the station's name."""
+    carriages = model.carriages if isinstance(model, ModelParameters) else ()
+    channels = {each.station.name: f"f_{each.station.name}_cmd_N" for each in carriages}
+    return {
+        name: np.asarray(recording[channel], np.float64) for name, channel in channels.items() if channel in recording
+    }
+
+
 def tension_channels(recording: Recording, spans: int) -> dict[int, str]:
     """Channels of measured tensions by span; that of the first is without its number where there is one span."""
     found: dict[int, str] = {}

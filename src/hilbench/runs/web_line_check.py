@@ -11,6 +11,7 @@ from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.prospect import Move, State, start_of
+from hilbench.runs.web_force_check import beyond_cylinders
 from hilbench.strict_yaml import Location
 from hilbench.topology.safety import Limit
 from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span
@@ -131,6 +132,7 @@ def step_warnings(loaded: LoadedConfig, asked: list[Move]) -> Iterator[str]:
         if after.line_speed_m_s != before.line_speed_m_s:
             yield from beyond(at, "line speed", abs(after.line_speed_m_s), limits.speed_m_s, "m/s")
             yield from _too_fast(loaded.config, at, move)
+        yield from beyond_cylinders(loaded.config, at, move)
         yield from _of_a_change_of_E(loaded.config, at, move)
 
 

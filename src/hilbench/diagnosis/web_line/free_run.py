@@ -78,7 +78,7 @@ class FreeRun:
         self._loops = loops
         self.imitation = imitation
         self._cycle_s = _FINE_S if imitation is None else imitation.cycle_s
-        self._boundary = data.boundary
+        self._boundary, self._forces_N = data.boundary, data.forces_N
         self._period_s = data.period_s
         self._commands = [data.commands_m_s if imitation is None else imitation.as_taken(data.commands_m_s)]
         rows: list[Array] = []
@@ -352,7 +352,9 @@ class FreeRun:
             start = self._starts(parameters)
             run = simulate_imitated(self.imitation, self._model, parameters, start, commands, boundary)
         else:
-            run = simulate_imitated_line(self.imitation, self._model, parameters, commands, boundary, self._sensors)
+            forces_N = {name: np.repeat(told_N, whole) for name, told_N in self._forces_N.items()}
+            given = self.imitation, self._model, parameters, commands, boundary, self._sensors, forces_N
+            run = simulate_imitated_line(*given)
         if whole == 1:
             return run
         rows = {name: getattr(run, name)[..., ::whole, :] for name in ("x_m", "v_m_s", "tau_Nm", "F_N", "strain")}

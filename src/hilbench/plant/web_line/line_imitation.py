@@ -6,7 +6,8 @@ the rig shows at each SYNC, what has no motor moves by itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,13 +105,15 @@ def _pull(
 def _run(
     p: Vector, s: Vector, u: Vector, w: Vector, web: Vector, line: Vector, line_u: Vector, line_w: Vector, rows: Rows,
     sensors: Rows, pulls: Vector, guess: Vector, room: Vector, seen: Vector, commands: Vector, boundary: Vector,
-    samples: int, cycle_s: float, lead_s: float, step_s: float, out: Vector, at: int,
+    samples: int, cycle_s: float, lead_s: float, step_s: float, pushed: Rows, forces: Vector, more: Vector, out: Vector,
+    at: int,
 ) -> None:  # fmt: skip
     """Row by row observe the rig, follow the line on it, and advance; as `imitation._rows`.
 
     The rig of N axes: `p`, `s`, `u`, `w`; the line: parameters `web`, state `line`, `line_u`, `line_w`, its driven
     rollers at `rows` (N,). Room for a `guess` of its state, for mean speeds, speeds, accelerations and loads (4, N),
-    and for what is `seen` of it.
+    and for what is `seen` of it. Carriages `pushed`, rows of the line, are told `forces` (n, C), each of which acts to
+    the next row; `more` (C,): what effects add to them.
     """
     n, m, k, axes = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(web[lay.W_SPANS]), int(web[lay.W_AXES])
     columns, load = 3 * m + 2 * k + len(sensors), lay.U_MOTORS + n * lay.UM_SIZE + lay.UM_SETPOINT
@@ -124,6 +127,8 @@ def _run(
         kernel.report(p, s, u, w, out, place)
         line_u[lay.U_STRAIN_PREV], line_u[lay.U_F_NEXT_N] = boundary[row, 0], boundary[row, 1]
         if row > 0:
+            for j in range(len(pushed)):
+                web[places.axis(pushed[j]) + lay.A_FORCE_N] = forces[row - 1, j] + more[j]
             for i in range(n):
                 gone = (out[place + i] - line[lay.S_Y + rows[i]]) / cycle_s
                 if row > 1:
@@ -159,22 +164,24 @@ def _entry_point(sources: int) -> Callable[..., None]:
 
     @entry_point(
         MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, VECTOR, INDICES, INDICES, VECTOR, MATRIX, MATRIX, COUNT,
-        REAL, REAL, REAL, CUBE,
+        REAL, REAL, REAL, INDICES, MATRIX, VECTOR, CUBE,
     )  # fmt: skip
     def runs(
         p: Vector, s: Vector, u: Vector, w: Vector, web: Vector, line: Vector, line_u: Vector, line_w: Vector,
         rows: Rows, sensors: Rows, pulls: Vector, commands: Vector, boundary: Vector, samples: int, cycle_s: float,
-        lead_s: float, step_s: float, out: Vector,
+        lead_s: float, step_s: float, pushed: Rows, forces: Vector, bases: Vector, out: Vector,
     ) -> None:  # fmt: skip
         flat, size = out.reshape(-1), out.shape[1] * out.shape[2]
         guess, room = np.zeros(line.shape[1]), np.zeros((4, len(rows)))
         seen = np.zeros(3 * int(web[0, lay.W_MOTORS]) + 2 * int(web[0, lay.W_SPANS]))
-        first = u.copy()
+        first, more = u.copy(), np.zeros(len(pushed))
         for b in range(p.shape[0] if sources >= 0 else 0):
             u[:] = first
+            for j in range(len(pushed)):
+                more[j] = web[b, places.axis(pushed[j]) + lay.A_FORCE_N] - bases[j]
             _run(
                 p[b], s[b], u, w, web[b], line[b], line_u, line_w, rows, sensors, pulls, guess, room, seen, commands,
-                boundary, samples, cycle_s, lead_s, step_s, flat, b * size,
+                boundary, samples, cycle_s, lead_s, step_s, pushed, forces, more, flat, b * size,
             )  # fmt: skip
 
     return runs
@@ -190,12 +197,14 @@ def simulate_imitated_line(
     commands: NDArray[np.float64],
     boundary: NDArray[np.float64],
     sensors: Sequence[str] = (),
+    forces_N: Mapping[str, NDArray[np.float64]] = MappingProxyType({}),
 ) -> Simulation:
     """Simulate recorded velocity commands, from rest, on the rig of a model with stations that load motors imitate.
 
     parameters: (P,) or (B, P) of the model from `layout.pack`, with effects: those of the axes are in the mechanics,
     others in what is imitated. commands (n, N) m/s at the web, boundary (n, 2) upstream strain and downstream tension
-    (N), a row each cycle; `sensors`: stations by name. Motion and torques of the result are those of the axes.
+    (N), a row each cycle; `sensors`: stations by name; `forces_N`: by station (n,), on carriages that are told a force.
+    Motion and torques of the result are those of the axes.
     Raises ValueError for a cycle that is no multiple of the drives' sample time.
     """
     many = np.array(np.atleast_2d(parameters))
@@ -218,11 +227,15 @@ def simulate_imitated_line(
     at_motors, limits = np.ascontiguousarray(commands * per_m), np.ascontiguousarray(boundary, dtype=np.float64)
     lead, longest_s = lead_s(model, imitation.cycle_s), line_follower.step_s(model)
 
+    stations = {each.station.name: each.station for each in model.carriages}
+    pushed, bases = np.array(_rows_of(model, [*forces_N]), np.int64), np.array([stations[k].force_N for k in forces_N])
+    forces = np.column_stack([*forces_N.values()]) if forces_N else np.empty((len(commands), 0))
+
     def run(share: slice) -> None:
         _simulate(
             stands[share], starts[share], inputs.copy(), layout.new_work(), many[share], lines[share],
             of_line.new_inputs(), of_line.new_work(), rows, told, pulls, at_motors, limits, samples, imitation.cycle_s,
-            lead, longest_s, out[share],
+            lead, longest_s, pushed, forces, bases, out[share],
         )  # fmt: skip
 
     on_all_cores(run, len(many))

@@ -222,6 +222,10 @@ def _stations(shape: Shape) -> list[RunPicture]:
         )
         if names:
             found.append(RunPicture(key, title, text, (lines(label, *true, *simulated, *wanted, least=0.01),)))
+    told = [Line(f"f_{name}_cmd_N", name, colour) for name, colour in zip(shape.pushed, cycle(_COLOURS), strict=False)]
+    if told:
+        title = "Forces on the carriages"
+        found.append(RunPicture("forces", title, f"{title}, as they are told ahead.", (lines("force in N", *told),)))
     return found
 
 
