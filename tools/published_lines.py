@@ -381,6 +381,8 @@ def bench_rows() -> list[tuple[str, str, str, float]]:
     alone = [f"controllers.{name}_tension.feed_forward=none" for name in ("unwinder", "winder")]
     ahead, pi = on_bench_pct("koc_2002", KOC_N), on_bench_pct("koc_2002", KOC_N, *alone)
     film_pct, store_pct = on_bench_pct("giannoccaro_2016", FILM_N), on_bench_pct("kuhm_2012", 100.0)
+    in_4_s, stays = "controllers.store_position.feed_ramp_s=4.0", "controllers.store_position.force=null"
+    faster_pct, alone_pct = on_bench_pct("kuhm_2012", 100.0, in_4_s), on_bench_pct("kuhm_2012", 100.0, in_4_s, stays)
     torqued, torqued_ahead = torque_mode_pct(feed_forward=False), torque_mode_pct(feed_forward=True)
     return [
         ("Koç 2002 on a bench, reels in torque mode", "winder's load cell, PID", "75", torqued[1]),
@@ -392,8 +394,11 @@ def bench_rows() -> list[tuple[str, str, str, float]]:
         ("", "before the winder, PI around speeds", "75 (PID, torques)", pi[1]),
         ("", "behind the unwinder, PI around speeds", "50 to 70 (PID, torques)", pi[0]),
         ("Giannoccaro 2016 on a bench", "all spans, in 1 s", "17 (1 to 1.5 m/s in 1 s)", max(film_pct)),
-        ("Kuhm 2012 on a bench", "behind, force of the tension alone", "30", store_pct[0]),
-        ("", "behind the next roller", "–", store_pct[1]),
+        ("Kuhm 2012 on a bench", "behind, force that stays, in 4 s", "30", alone_pct[1]),
+        ("", "first strand, force that stays, in 4 s", "–", alone_pct[0]),
+        ("", "before and behind, shared, in 4 s, standing 4 s", "–", max(faster_pct[:2])),
+        ("", "before and behind, shared, in 6.5 s, standing 1.5 s", "–", max(store_pct[:2])),
+        ("", "behind the next roller", "–", store_pct[2]),
     ]
 
 
