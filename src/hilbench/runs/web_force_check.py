@@ -63,8 +63,8 @@ def _motions(config: ExperimentConfig, name: str, move: Move) -> Iterator[Ends]:
 def _force_N(config: ExperimentConfig, carriage: LineCarriage, move: Move, ends: Ends) -> float:
     station, control = carriage.station, config.position_controls[carriage.station.name]
     assert control.force is not None, "asked before"
-    known_N = station.kept_tension_N if control.force.set_point_N is None else control.force.set_point_N
-    tension_N = move.after.values.get(position_path(station.name, FORCE_SET_POINT), known_N)
+    path = position_path(station.name, FORCE_SET_POINT)
+    tension_N = move.after.values.get(path, control.force.tension_N(station))
     before_m_s, before_m_s2, behind_m_s, behind_m_s2 = ends
     ahead = CarriageForce(config.web_line, carriage, behind_takes=control.force.behind_takes)
     return ahead.force_N(tension_N, before_m_s, behind_m_s, before_m_s2, behind_m_s2, station.position_m)

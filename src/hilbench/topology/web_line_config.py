@@ -13,15 +13,7 @@ from hilbench.block import Block
 from hilbench.estimation.web_line.config import EstimationConfig, InputConfig
 from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
 from hilbench.plant.web_line.sections import axes_before_spans
-from hilbench.plant.web_line.stations import (
-    ONLY_DRIVEN,
-    Accumulator,
-    Dancer,
-    Idler,
-    Reel,
-    StationName,
-    reel_name,
-)
+from hilbench.plant.web_line.stations import ONLY_DRIVEN, Accumulator, Dancer, Idler, Reel, StationName, reel_name
 
 #: What is expected where an axis has two things to keep.
 ONE_CONTROLLER = "one controller between two driven rollers: one axis can keep one tension, or one position"
@@ -125,6 +117,10 @@ class CarriageForceConfig(Block):
     limit_N: PositiveFloat | None = Field(
         default=None, description="most force of the cylinder, which never pulls; null: none"
     )
+
+    def tension_N(self, station: Dancer | Accumulator) -> float:
+        """The set-point, of this carriage."""
+        return station.kept_tension_N if self.set_point_N is None else self.set_point_N
 
 
 class PositionControlConfig(Block):
@@ -375,7 +371,7 @@ def _force_misfit(station: Dancer | Accumulator, force: CarriageForceConfig | No
     """Why a force can't be told ahead to a carriage, in one line, or None."""
     if force is None:
         return None
-    tension_N = station.kept_tension_N if force.set_point_N is None else force.set_point_N
+    tension_N = force.tension_N(station)
     if not tension_N > 0.0:
         return (
             f"'set_point_N' in the 'force' of '{station.name}', or a 'force_N' of the machine that keeps a tension, "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from math import inf
-from typing import Final
 
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.task import CyclicTask, Outputs
@@ -40,10 +39,10 @@ class CarriageForceTask(CyclicTask):
         self._state = state
         self._force = CarriageForce(model, carriage, behind_takes=control.behind_takes)
         self._limit_N = inf if control.limit_N is None else control.limit_N
-        self._ends: Final = (before, behind)
-        self._motions: Final = [RollerMotion(model, number, state.cycle_s) for number in (axis, axis + 1)]
+        self._ends = before, behind
+        self._motions = [RollerMotion(model, number, state.cycle_s) for number in (axis, axis + 1)]
         self._path = position_path(station.name, FORCE_SET_POINT)
-        self._set_point_N = station.kept_tension_N if control.set_point_N is None else control.set_point_N
+        self._set_point_N = control.tension_N(station)
         self._signal, self._measured = f"f_{station.name}_cmd_N", f"x_{station.name}_meas_m"
         self._starts_m = station.position_m
         self._moved = False  # until then the sensor has told nothing
