@@ -36,7 +36,7 @@ from hilbench.topology.web_line_config import forces_ahead
 Channels = dict[str, np.ndarray]
 CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "line_with_dancer.yaml"
 STRANDS, ROLLER_KG, CARRIAGE_KG, TENSION_N = 4, 4.0, 20.0, 80.0
-SPEED_M_S, RAMP_S, STOPS_AT_S = 1.0, 1.5, 3.0
+SPEED_M_S, RAMP_S, STOPS_AT_S = 1.0, 1.5, 2.0
 STORE = (
     "{type: accumulator, name: store, strands: 4, radius_m: 0.05, inertia_kg_m2: 0.01, mass_kg: 20.0, force_N: 320.0, "
     "viscous_friction_N_s_per_m: 400.0, lower_stop_m: -1.0, upper_stop_m: 1.0}"
@@ -44,7 +44,7 @@ STORE = (
 STEPS = (
     f"steps=[{{ramp: {{path: line_speed_m_s, to: {SPEED_M_S}, duration_s: 1.0}}}}, "
     f"{{hold: {{until_s: {STOPS_AT_S}}}}}, "
-    "{step: {path: position_control.store.feed, to: 0.0}}, {hold: {duration_s: 2.0}}]"
+    "{step: {path: position_control.store.feed, to: 0.0}}, {hold: {duration_s: 1.1}}]"
 )
 ACCUMULATOR = (
     "machine.web.span_length_m=[1.5, 1.5, 1.5, 2.5, 2.0, 3.0]",
