@@ -275,6 +275,16 @@ def test_while_the_line_is_brought_to_rest_the_force_has_what_that_takes(
 
 
 @pytest.mark.slow
+def test_a_reel_change_of_a_winding_line_leaves_its_tensions_within_1_percent(tmp_path: Path) -> None:
+    """An unwinder before the accumulator; 2.2 % behind it where the force stays."""
+    ahead = ("controllers.store_position.force={}",)
+    given = load_with_overrides(CONFIG.with_name("winding_line.yaml"), bus=f"embedded:{tmp_path.name}", changes=ahead)
+    result = run(given, tmp_path).result
+    assert result.faults == []
+    assert max(row.value or 100.0 for row in result.criteria) < 1.0
+
+
+@pytest.mark.slow
 def test_processes_record_the_bits_of_one_process_and_frames_recover_them(tmp_path: Path) -> None:
     given = line(tmp_path, *SHORTER)
     folder = run(given, tmp_path, Participants.STARTED).folder
