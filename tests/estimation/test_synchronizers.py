@@ -192,3 +192,14 @@ def test_friction_of_the_model_is_no_bias_and_missing_friction_is() -> None:
     assert np.mean(known.E_Pa[after]) == pytest.approx(NEW_PA, rel=1e-3)
     # 4.2 N of 80 N·10.5/8.7 (shared anchors: the order of 5 % of E); resistance looks like tension.
     assert np.mean(missing.E_Pa[after]) == pytest.approx(NEW_PA * (1.0 + 4.2 / 80.0 * OLD_PA / NEW_PA), rel=0.02)
+
+
+def test_what_is_held_beside_e_is_in_its_deviation_however_long_it_is_held() -> None:
+    """At constant tension an offset of 1.7 deviations makes E wrong for good: E says so after 16 s as after 2."""
+    data = measured(np.full(8000, OLD_PA), torque_offset_Nm=-0.085)
+    method = ChangepointConfig(also=AlsoEstimated(torque_offset_Nm=0.05))
+    track = tracked(data, method, unmodelled_torque_Nm=0.0)
+    later = slice(1000, None)
+    inside = np.abs(track.E_Pa - OLD_PA)[later] <= 1.96 * track.E_sd_Pa[later]
+    assert track.E_Pa[-1] / OLD_PA - 1.0 < -0.02
+    assert np.all(inside)

@@ -88,8 +88,9 @@ def tell(b: BankVectors, of_what_is_held: float) -> None:
 
 @compiled
 def told(b: BankVectors) -> tuple[float, float]:
-    """E and its deviation, Pa."""
-    apart, deviation = b.s[_FOUND] - b.s[_TOLD], b.out[1, kalman.E]
+    """E and its deviation, Pa: that of the mixture, and what is told is from its mean. Where parameters count as their
+    prior it is so far from it as it has of them."""
+    apart, deviation = b.out[0, kalman.E] - b.s[_TOLD], b.out[1, kalman.E]
     reference_Pa = b.s[_REFERENCE_PA]
     return b.s[_TOLD] * reference_Pa, hypot(deviation, apart) * reference_Pa
 
