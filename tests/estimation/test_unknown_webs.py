@@ -7,8 +7,7 @@ import pytest
 from tests.twin.beside_a_line import BesideALine, line_model
 
 from hilbench.estimation.web_line.config import EstimationConfig
-from hilbench.estimation.web_line.tracking import unknown_webs
-from hilbench.estimation.web_line.unknown_webs import UnknownWebs
+from hilbench.estimation.web_line.unknown_webs import UnknownWebs, unknown_webs
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.span import SpanFollower
 

@@ -22,6 +22,9 @@ from math import hypot, isfinite, sqrt
 import numpy as np
 
 from hilbench.estimation.web_line.balance import BalanceSample
+from hilbench.estimation.web_line.config import EstimationConfig
+from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line.parameters import ModelParameters
 
 #: Noise of the encoder must be small in the mean of a block; a probe has many of them.
 _BLOCK_S = 0.05
@@ -37,6 +40,8 @@ _LEAST_BLOCKS, _LONGEST_S = 20, 60.0
 _CHANGED = 0.03
 #: Deviations that two slopes of the same changes may be apart.
 _AGREE = 3.0
+#: Deviation of E, in %, with which a known change of the tension tells it, and its share of what was stated before.
+_KNOWN_PCT, _SAYS_MORE = 0.3, 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +75,11 @@ class KnownTension:
     youngs_modulus_Pa: float
     deviation_Pa: float
     force_N: float
+
+    def says_more_than(self, youngs_modulus_Pa: float, deviation_Pa: float) -> bool:
+        """Whether it tells E, and better than it is known already, with this deviation."""
+        limit_Pa = min(0.01 * _KNOWN_PCT * youngs_modulus_Pa, _SAYS_MORE * deviation_Pa)
+        return 0.0 < self.deviation_Pa <= limit_Pa and self.youngs_modulus_Pa > 0.0
 
 
 #: Of a cycle or a block: h in N/Pa, the force, and what the loop says that the force is more, N.
@@ -193,3 +203,23 @@ class _Slope:
         slope = float(both[:, 0] @ both[:, 1]) / size
         left = both[:, 1] - slope * both[:, 0]
         return cls(slope, sqrt(float(left @ left) / (count - 3) / size))
+
+
+def new_known_change(
+    model: ModelParameters, config: EstimationConfig, mass_kg: float, cycle_s: float
+) -> KnownChange | None:
+    """What looks at known changes of the tension; None where that is not wanted."""
+    wanted = config.known_change
+    if wanted is None:
+        return None
+    loop = None
+    if wanted.loop_gain_deviation_pct is not None and model.drives is not None:
+        squared = model.motor_rad_per_m(2) ** 2
+        loop = DriveLoop(
+            per_item(model.drives.velocity_kp_Nm_s_per_rad, 2) * squared,
+            per_item(model.drives.velocity_ki_Nm_per_rad, 2) * squared,
+            per_item(model.drives.current_loop_time_constant_s, 2),
+            model.drives.sample_time_s,
+            0.01 * wanted.loop_gain_deviation_pct,
+        )
+    return KnownChange(mass_kg, loop, cycle_s)

@@ -5,16 +5,15 @@ The same for the twin on the bus and for a recording.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
 from math import hypot, inf, nan
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import interpreted, table_of
+from hilbench.compiled import table_of
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.plausibility import Plausibility
 from hilbench.estimation.problems import PROBLEMS, Problem
@@ -30,21 +29,22 @@ from hilbench.estimation.web_line.config import (
     SynchronizerConfig,
 )
 from hilbench.estimation.web_line.delay import DelayFinder
-from hilbench.estimation.web_line.found_running import FoundRunning, FoundWeb
-from hilbench.estimation.web_line.known_change import DriveLoop, KnownChange
+from hilbench.estimation.web_line.found_running import FoundWeb
+from hilbench.estimation.web_line.known_change import new_known_change
+from hilbench.estimation.web_line.measured_span import MeasuredSpan
 from hilbench.estimation.web_line.model_errors import ModelErrors
 from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchronizer, SyncSample
 from hilbench.estimation.web_line.synchronizers.changepoint import ChangepointSynchronizer
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
 from hilbench.estimation.web_line.synchronizers.plant import Plant
 from hilbench.estimation.web_line.torque_shift import TorqueShiftFinder
-from hilbench.estimation.web_line.unknown_webs import UnknownWebs
+from hilbench.estimation.web_line.tracked import SimulatedMotor, TrackedLine
+from hilbench.estimation.web_line.unknown_webs import UnknownWebs, unknown_webs
+from hilbench.estimation.web_line.web_search import WebSearch
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.layout import Vector
-from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
-from hilbench.plant.web_line.splices import Piece
 
 #: Above this speed of an axis the plant runs already when the twin joins.
 MOVES_M_S = 1e-3
@@ -57,53 +57,10 @@ PASSED_SPANS = 5.0
 _LEAST_PRIOR_PCT = 0.1
 #: What is left of a shift of the torque that has gone again, as a share of it.
 _GONE = 0.1
-#: Deviation of E and of the strain, in %, with which a web that was found is known: while it passes, which makes
-#: a better one of it soon, and at rest, where it takes a movement for so long.
-_FOUND_PCT, _FOUND_AT_REST_PCT = 0.3, 0.33
 #: By what share dry friction of a roller that creeps may be another one than where the line runs (deviation).
 _AT_SPEED = 0.1
-#: Deviation of E, in %, with which a known change of the tension tells it, and its share of what was stated before.
-_KNOWN_PCT, _SAYS_MORE = 0.3, 0.9
 
 _NOTHING_MEASURED = (nan,) * 9
-_as_if_stretched = interpreted(cycle.as_if_stretched)
-
-
-class TrackedLine(Protocol):
-    """The simulation of two rollers with a span between them: a `Line`, or two rollers of one that has more."""
-
-    @property
-    def vectors(self) -> LineVectors:
-        """What the line consists of."""
-
-    @property
-    def first_axis(self) -> int:
-        """The first of the two rollers, from 0."""
-
-    @property
-    def moduli(self) -> Vector:
-        """(2, S): where E of the span, and of those that go with it, stands in the parameters, and its ratio."""
-
-    @property
-    def strain(self) -> Vector:
-        """Of the span (1,)."""
-
-    def parameter(self, name: str) -> float:
-        """Present value of a parameter."""
-
-    def set_parameter(self, name: str, value: float) -> None:
-        """Give a parameter a value from now on."""
-
-    def show(self) -> None:
-        """Bring what the motors show up to a state that was changed in the vectors."""
-
-
-class SimulatedMotor(Protocol):
-    """What shows a simulated torque: a `MotorPort`, or several motors as one."""
-
-    @property
-    def torque_Nm(self) -> float:
-        """Motor side."""
 
 
 class Known(NamedTuple):
@@ -147,9 +104,10 @@ class Tracking:
         self._blocks = Blocks(balance.mass_kg, cycle_s)
         self._shift_finder = TorqueShiftFinder()
         self._delay_line = delay.new_line(cycle_s)
-        self._known_change = _known_change(model, config, balance.mass_kg, cycle_s)
+        self._known_change = new_known_change(model, config, balance.mass_kg, cycle_s)
         self._model = model
         self._t = self._new_state()
+        self.span = MeasuredSpan(balance, self._t)  #: with the web in it
         self._errors: ModelErrors | None = None
         self._synchronizer: Synchronizer
         self._nuisances: tuple[Nuisance, ...] | None = ()  # None: those that the bank has found
@@ -264,14 +222,14 @@ class Tracking:
         self._cycle_s = self._t[cycle.CYCLE_S] = cycle_s
         self._blocks = Blocks(self._balance.mass_kg, cycle_s)
         self._delay_line = delay.new_line(cycle_s)
-        self._known_change = _known_change(self._model, self.config, self._balance.mass_kg, cycle_s)
+        self._known_change = new_known_change(self._model, self.config, self._balance.mass_kg, cycle_s)
         self._look_anew()
         self._go_back(known)
         if self._errors is not None:
             self._errors.go_by(cycle_s)
         self.use(self._method)
         self._forget(cycle.SUSPEND)
-        if self._found is not None:  # the web that is looked for was looked at with another cycle
+        if self._search.is_on:  # what has been seen of the web was seen with another cycle
             self._find_web()
 
     def release(self, strain_uncertainty: float = 0.0, webs: UnknownWebs | None = None, place: int = 0) -> None:
@@ -285,9 +243,8 @@ class Tracking:
             self._known_change.reset()
         if self._errors is not None:
             self._errors.release()
-        t[c.STRAIN_UNCERTAINTY] = self._unknown = strain_uncertainty
-        self._webs, self._place = webs or unknown_webs(self._model), place
-        self._found: FoundRunning | None = None
+        t[c.STRAIN_UNCERTAINTY] = strain_uncertainty
+        self._search = WebSearch(webs or unknown_webs(self._model), place, strain_uncertainty)
         if strain_uncertainty > 0.0 and not isinstance(self._method, PidConfig | InputConfig):
             self._find_web()
 
@@ -295,8 +252,8 @@ class Tracking:
         """E and strain of a web that nobody knows are found first."""
         plant = Plant.of(self._balance, self.estimate.youngs_modulus_Pa)
         friction_share = 0.01 * self.config.model_errors.friction_pct
-        self._found = FoundRunning(plant, self._webs, self._place, self._strain_prev, friction_share)
-        self._state_found(self._found)
+        self._search.begin(plant, self._strain_prev, friction_share)
+        self._state_looked_for()
         self._t[cycle.BANK] = 0.0  # until it has started from what is found
 
     def _forget(self, what: int) -> None:
@@ -418,58 +375,6 @@ class Tracking:
         """Whether the web in the span is the one that was measured, none that was found under way."""
         return self._t.item(cycle.STRAIN_UNCERTAINTY) == 0.0
 
-    @property
-    def measured_strain(self) -> float:
-        """Of the web in the span, as the encoders show it."""
-        return self._balance.web.first_strain
-
-    @property
-    def series_factor(self) -> float:
-        """What pieces of other web make of E of the span, as springs in series."""
-        return self._t.item(cycle.SERIES_FACTOR)
-
-    @property
-    def leaving_strain(self) -> float:
-        """Of the web that leaves the span, as measured: all of it pulls alike, and each piece has its strain."""
-        return self.measured_strain * self.series_factor / self._t.item(cycle.END_FACTOR)
-
-    @property
-    def handed_on_strain(self) -> float:
-        """With which the next span gets it; see `tracking_cycle.handed_on_strain`."""
-        return _as_if_stretched(self.leaving_strain, self.crept)
-
-    @property
-    def crept(self) -> float:
-        """Share by which less web leaves the span than the roller behind it turns, as it creeps."""
-        return self._t.item(cycle.CREPT)
-
-    @property
-    def handed_back_strain(self) -> float:
-        """With which the span before gets it in reverse; see `tracking_cycle.handed_back_strain`."""
-        return self.measured_strain * self.series_factor
-
-    @property
-    def unstretched_m(self) -> float:
-        """Web in the span."""
-        return self._balance.span_length_m / (1.0 + self.measured_strain)
-
-    @property
-    def span_length_m(self) -> float:
-        """Of the span."""
-        return self._balance.span_length_m
-
-    @property
-    def mass_kg(self) -> float:
-        """At the web, of what is behind the span."""
-        return self._balance.mass_kg
-
-    def put_pieces(self, pieces: Sequence[Piece]) -> None:
-        """Let these be the pieces of other web in the span, by the way of the roller before it."""
-        t, web = self._t, self._balance.web
-        web.put_pieces(pieces)
-        t[cycle.SPLICED] = bool(pieces)
-        t[cycle.SERIES_FACTOR], t[cycle.END_FACTOR] = web.spliced_spans[0]
-
     def become(self, relative_change: float) -> None:
         """The web in the span is all of what a piece of it was: what is known of E is known of that."""
         self._t[cycle.MODULUS_PA] *= 1.0 + relative_change
@@ -552,8 +457,8 @@ class Tracking:
                 self._look_at_found_web(time_s, strain_prev)
                 t[c.USED] = 0.0
             self.skip()
-            if self._found is not None:
-                self._state_found(self._found)
+            if self._search.is_on:
+                self._state_looked_for()
         elif t[c.BANK]:
             self._nuisances = None
         if stage != c.SHIFT:
@@ -579,9 +484,9 @@ class Tracking:
 
     def _update(self, time_s: float, strain_prev: float) -> None:
         """Let another method than the bank, or one that begins, take this cycle."""
-        if self._found is not None:  # the web that could not be known has gone
-            self._believe_found(self._found.found)
-        self._webs.know(self._place)
+        if self._search.is_on:  # the web that could not be known has gone
+            self._believe_found(self._search.end())
+        self._search.know()
         t, c, method = self._t, cycle, self._synchronizer
         if t[c.REBASED_PA]:
             method.rebase(t.item(c.REBASED_PA))
@@ -589,43 +494,35 @@ class Tracking:
         self._state(method.update(self._sample(time_s, strain_prev, t.item(c.CORRECTED_N))))
         t[c.BANK] = isinstance(method, ChangepointSynchronizer) and method.is_compiled
 
-    def _state_found(self, found: FoundRunning) -> None:
+    def _state_looked_for(self) -> None:
         """E is told as it was believed until the web is known, with what it may be off by."""
-        modulus_Pa, deviation_Pa = self._t.item(cycle.MODULUS_PA), self._own_deviation_Pa
-        self._state(replace(self.estimate, deviation_Pa=max(deviation_Pa, found.deviation_Pa(modulus_Pa))))
+        looked_for_Pa = self._search.deviation_Pa(self._t.item(cycle.MODULUS_PA))
+        self._state(replace(self.estimate, deviation_Pa=max(self._own_deviation_Pa, looked_for_Pa)))
 
     def _look_at_found_web(self, time_s: float, strain_prev: float) -> None:
         """The web was found under way: the method begins as soon as its E and strain, and the strain of the web that
         enters, are known."""
-        t, c, webs, place = self._t, cycle, self._webs, self._place
-        webs.move(place, self._balance.sample.velocity_m_s, self._cycle_s)
-        t[c.STRAIN_UNCERTAINTY] = max(t.item(c.STRAIN_UNCERTAINTY), self._unknown * webs.entering(place))
-        if self._found is not None and self._is_found(self._found, time_s, strain_prev):
-            webs.know(place)
-
-    def _is_found(self, finding: FoundRunning, time_s: float, strain_prev: float) -> bool:
-        """Whether E and strain of the web have become known in this cycle, and the method goes on from there."""
-        t, c = self._t, cycle
-        if not t[c.USED]:
-            finding.skip(self._cycle_s)
-            return False
-        found = finding.update(self._sample(time_s, strain_prev, t.item(c.USED_N)))
-        if found is None or not self._webs.enters_known(self._place):
-            return False
-        strain = float(self._balance.web.strain[0]) + found.strain_error
-        share = 0.01 * (_FOUND_PCT if finding.passes else _FOUND_AT_REST_PCT)
-        if found.deviation_Pa > share * found.youngs_modulus_Pa or found.strain_deviation > share * strain:
-            return False
-        self._balance.web.set_state({"strain1": strain})
+        t, c, search = self._t, cycle, self._search
+        enters = search.move(self._balance.sample.velocity_m_s, self._cycle_s)
+        t[c.STRAIN_UNCERTAINTY] = max(t.item(c.STRAIN_UNCERTAINTY), enters)
+        if not search.is_on:
+            return
+        sample = self._sample(time_s, strain_prev, t.item(c.USED_N)) if t[c.USED] else None
+        strain = float(self._balance.web.strain[0])
+        found = search.look(sample, self._cycle_s, strain)
+        if found is None:
+            return
+        passes = search.passes
+        self._balance.web.set_state({"strain1": strain + found.strain_error})
         t[c.STRAIN_UNCERTAINTY], t[c.FOUND] = 0.0, 1.0
+        search.end()
         self._believe_found(found)
-        if not finding.passes:
+        if not passes:
             self._know_at_rest(found)
-        return True
+        search.know()
 
     def _believe_found(self, found: FoundWeb | None) -> None:
         """The method goes on from what has been found, if anything."""
-        self._found = None
         if found is None or found.youngs_modulus_Pa <= 0.0:
             return
         self._state(Estimate(found.youngs_modulus_Pa, found.deviation_Pa))
@@ -656,8 +553,7 @@ class Tracking:
         shift_N = self.torque_shift_Nm * ratio
         measured = replace(now, force_N=now.force_N + shift_N)
         known = change.update(measured, set_point_m_s, torque_Nm * ratio + shift_N, estimate.youngs_modulus_Pa)
-        limit_Pa = min(0.01 * _KNOWN_PCT * estimate.youngs_modulus_Pa, _SAYS_MORE * estimate.deviation_Pa)
-        if known is None or not 0.0 < known.deviation_Pa <= limit_Pa or known.youngs_modulus_Pa <= 0.0:
+        if known is None or not known.says_more_than(estimate.youngs_modulus_Pa, estimate.deviation_Pa):
             return
         t[c.SHIFT_NM], t[c.MODULUS_PA] = known.force_N / ratio, known.youngs_modulus_Pa
         # An experiment tells it once and for all: nothing else is looked for from here on.
@@ -682,39 +578,3 @@ class Tracking:
             t[cycle.SHIFT_NM] = 0.0
         t[cycle.MODULUS_PA] = shift.youngs_modulus_Pa
         self.use(self._method)
-
-
-def unknown_webs(model: ModelParameters) -> UnknownWebs:
-    """Those of a line, E as the model has it."""
-    spans = range(1, model.span_count + 1)
-    return UnknownWebs(
-        [model.span_length_m(span) for span in spans],
-        creeps_per_N(model),
-        [model.stiffness_N(span) for span in spans],
-    )
-
-
-def creeps_per_N(model: ModelParameters) -> list[float]:
-    """Creep over the roller behind each span, by the model."""
-    creeps = {e.section: e.parameters.get("creep_per_N", 0.0) for e in model.effects if e.effect == "web_slip"}
-    return [creeps.get(span, creeps.get(None, 0.0)) for span in range(1, model.span_count + 1)]
-
-
-def _known_change(
-    model: ModelParameters, config: EstimationConfig, mass_kg: float, cycle_s: float
-) -> KnownChange | None:
-    """What looks at known changes of the tension; None where that is not wanted."""
-    wanted = config.known_change
-    if wanted is None:
-        return None
-    loop = None
-    if wanted.loop_gain_deviation_pct is not None and model.drives is not None:
-        squared = model.motor_rad_per_m(2) ** 2
-        loop = DriveLoop(
-            per_item(model.drives.velocity_kp_Nm_s_per_rad, 2) * squared,
-            per_item(model.drives.velocity_ki_Nm_per_rad, 2) * squared,
-            per_item(model.drives.current_loop_time_constant_s, 2),
-            model.drives.sample_time_s,
-            0.01 * wanted.loop_gain_deviation_pct,
-        )
-    return KnownChange(mass_kg, loop, cycle_s)

@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.plant.web_line.parameters import ModelParameters
+
 Array = NDArray[np.floating[Any]]
 
 #: What is believed of a δ beforehand, over the strain upstream: next to nothing (standard deviation).
@@ -116,3 +118,19 @@ class UnknownWebs:
     def know(self, span: int) -> None:
         """The strain of a span is not off any more."""
         self.shares[span] = 0.0
+
+
+def unknown_webs(model: ModelParameters) -> UnknownWebs:
+    """Those of a line, E as the model has it."""
+    spans = range(1, model.span_count + 1)
+    return UnknownWebs(
+        [model.span_length_m(span) for span in spans],
+        creeps_per_N(model),
+        [model.stiffness_N(span) for span in spans],
+    )
+
+
+def creeps_per_N(model: ModelParameters) -> list[float]:
+    """Creep over the roller behind each span, by the model."""
+    creeps = {e.section: e.parameters.get("creep_per_N", 0.0) for e in model.effects if e.effect == "web_slip"}
+    return [creeps.get(span, creeps.get(None, 0.0)) for span in range(1, model.span_count + 1)]

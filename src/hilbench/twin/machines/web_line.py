@@ -23,11 +23,9 @@ from hilbench.estimation.web_line.tracking import (
     UNKNOWN_STRAIN,
     Known,
     Tracking,
-    creeps_per_N,
-    unknown_webs,
 )
 from hilbench.estimation.web_line.tracking_cycle import ASTRAY_S, LARGEST_STRAIN, as_if_stretched
-from hilbench.estimation.web_line.unknown_webs import UnknownWebs
+from hilbench.estimation.web_line.unknown_webs import UnknownWebs, creeps_per_N, unknown_webs
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.pairing import Pairing, SteadyWay
 from hilbench.plant.web_line.line import Line
@@ -124,7 +122,7 @@ class WebLineTwin:
         self.plant.lock_to(cycle_s)
         self._set_cycle(cycle_s)
         for each, known in zip(self._all, self._kept[0], strict=True):
-            each.tracking.put_pieces(())
+            each.tracking.span.put_pieces(())
             each.tracking.go_by(cycle_s, known)
         self._last_at, self._must_come_back = None, True  # where the wrong cycles have led it
 
@@ -282,7 +280,7 @@ class WebLineTwin:
         self._must_come_back = False
         speeds = [(x - then) / (time_s - last[0]) for x, then in zip(positions_m, last[1], strict=True)]
         states = _states(self._told("strain_prev"), positions_m, speeds, torques_Nm)
-        strains = {each.span: each.tracking.measured_strain for each in self._all}
+        strains = {each.span: each.tracking.span.strain for each in self._all}
         if others is not None:
             strains |= others.strains
         believed = {span: strain for span, strain in strains.items() if abs(strain) <= LARGEST_STRAIN}
@@ -294,7 +292,7 @@ class WebLineTwin:
             return strain_prev
         before = self._estimated.get(span - 1)
         if before is not None:
-            return before.tracking.handed_on_strain
+            return before.tracking.span.handed_on_strain
         assert self._others is not None, "a span is estimated, or among the others"
         return interpreted(as_if_stretched)(self._others.strain(span - 1), self._others.crept(span - 1))
 
@@ -304,7 +302,7 @@ class WebLineTwin:
             return 0.0
         before = self._estimated.get(span - 1)
         if before is not None:
-            return before.tracking.crept
+            return before.tracking.span.crept
         assert self._others is not None, "a span is estimated, or among the others"
         return self._others.crept(span - 1)
 
@@ -312,7 +310,7 @@ class WebLineTwin:
         """Strain of the web behind a span, which enters it in reverse, as last measured; None behind the line."""
         behind = self._estimated.get(span + 1)
         if behind is not None:
-            return behind.tracking.handed_back_strain
+            return behind.tracking.span.handed_back_strain
         return None if self._others is None or span == len(self.ports) - 1 else self._others.strain(span + 1)
 
     def _compare(
@@ -411,7 +409,7 @@ class WebLineTwin:
             if each is not None:
                 modulus_Pa, deviation_Pa = each.tracking.modulus_and_deviation_Pa
                 # The E that acts is told, as of a web that is measured.
-                factor = line.elasticity_factor(span) * each.tracking.series_factor
+                factor = line.elasticity_factor(span) * each.tracking.span.series_factor
                 values += (factor * modulus_Pa, factor * deviation_Pa, self.ports[span].torque_Nm, each.residual_Nm)
         return tuple(values)
 

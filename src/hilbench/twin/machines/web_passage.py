@@ -68,7 +68,7 @@ class _Span:
 
     def put(self) -> None:
         """Let these joints be those of the web that is followed."""
-        self.tracking.put_pieces(
+        self.tracking.span.put_pieces(
             [
                 Piece(inside.joint.front_m, min(inside.joint.length_m, _ENDLESS_M), inside.joint.relative_change)
                 for inside in self.joints
@@ -82,7 +82,7 @@ class Passage:
     def __init__(self, trackings: Sequence[Tracking], cycle_s: float) -> None:
         self._spans = [_Span(tracking) for tracking in trackings]
         first = trackings[0]
-        self._finder = SpliceFinder(first.span_length_m, first.mass_kg, cycle_s)
+        self._finder = SpliceFinder(first.span.length_m, first.span.mass_kg, cycle_s)
         self._cycle_s = cycle_s
         self._state = np.zeros(_STRAIN + 1)
         self._state[_EVERY] = max(1, round(_REMEMBERED_S / cycle_s))
@@ -116,7 +116,7 @@ class Passage:
         self._remember(first, positions_m[0])
         self._follow_seeming(first)
         tracking = first.tracking
-        entered = self._finder.update(tracking.used, positions_m[0], self._seeming / tracking.series_factor)
+        entered = self._finder.update(tracking.used, positions_m[0], self._seeming / tracking.span.series_factor)
         tracking.other_web_suspected = self._finder.suspects
         if entered is not None:
             self._enter(first, entered)
@@ -127,7 +127,7 @@ class Passage:
         if entered is None and self._seeming != 1.0 and not first.joints:
             self._look_anew()
         self._state[_JOINTS] = any(span.joints for span in self._spans)
-        self._state[_STRAIN] = first.tracking.measured_strain
+        self._state[_STRAIN] = first.tracking.span.strain
 
     @property
     def _seeming(self) -> float:
@@ -138,7 +138,7 @@ class Passage:
         tracking = first.tracking
         before = self._known_before(entered.joint)
         known = before._replace(youngs_modulus_Pa=before.youngs_modulus_Pa * (1.0 + entered.relative_change))
-        tracking.believe(known, tracking.measured_strain * self._seeming * entered.strain_ratio)
+        tracking.believe(known, tracking.span.strain * self._seeming * entered.strain_ratio)
         first.joints = [] if entered.joint is None else [_Inside(entered.joint)]
         first.put()
         self._state[_SEEMING] = 1.0 / entered.strain_ratio
@@ -159,16 +159,16 @@ class Passage:
     def _follow_seeming(self, first: _Span) -> None:
         """The strain as it would be seen without a joint: as if all web in the span were alike."""
         tracking, before = first.tracking, self._state.item(_STRAIN)
-        strain, now = tracking.measured_strain, tracking.used
+        strain, now = tracking.span.strain, tracking.used
         if not first.joints or now is None or not strain > 0.0:
             return
-        share = abs(now.velocity_m_s) * self._cycle_s / tracking.span_length_m
+        share = abs(now.velocity_m_s) * self._cycle_s / tracking.span.length_m
         seems = self._seeming * before
-        self._state[_SEEMING] = (seems + strain - before + share * (tracking.leaving_strain - seems)) / strain
+        self._state[_SEEMING] = (seems + strain - before + share * (tracking.span.leaving_strain - seems)) / strain
 
     def _hand_on(self, span: _Span, behind: _Span | None, before_m: float, behind_m: float) -> None:
         """What has come through a span is in the next one; a span that is full of it consists of it."""
-        stretch, unstretched_m = 1.0 + span.tracking.measured_strain, span.tracking.unstretched_m
+        stretch, unstretched_m = 1.0 + span.tracking.span.strain, span.tracking.span.unstretched_m
         gone = []
         for inside in span.joints:
             joint = inside.joint
