@@ -15,6 +15,7 @@ import pytest
 
 from hilbench.exchange.sync_cycle import SyncCycle
 from hilbench.hardware.plant_time import BySync
+from hilbench.twin.bus_clock import Heard
 from hilbench.twin.process import TwinApplication
 
 
@@ -22,13 +23,11 @@ class _Counted:
     """The twin's clock, which has seen so many cycles since the last SYNC as there were."""
 
     missed = 0
-    in_step = True
+    apart = False
 
-    def heard(self, behind: int) -> int:
-        return 1 + self.missed
-
-    def pop_other(self) -> None:
+    def hear(self, behind: int) -> Heard:
         """A cycle is as long as the config says."""
+        return Heard(self.missed, None, were_apart=False, apart=False)
 
 
 @contextmanager
@@ -52,7 +51,7 @@ def missed(share: float, from_cycle: int, longest: int = 5, seed: int = 3) -> It
 
     def make(self: TwinApplication, *of: Any) -> None:
         made(self, *of)
-        self._bus_cycle = counted  # type: ignore[assignment]
+        self._clock = counted  # type: ignore[assignment]
 
     with pytest.MonkeyPatch.context() as patch:
         # A cycle before which some were missed is none of the plain ones that run compiled.

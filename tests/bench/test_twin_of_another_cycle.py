@@ -16,9 +16,10 @@ import pytest
 from tests.bench.whole_runs import config, run, run_folders, run_here
 
 from hilbench.bench.lifecycle import in_process
-from hilbench.canopen.bus_cycle import BusCycle
+from hilbench.processes import log
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Result
+from hilbench.twin.bus_clock import BusClock
 from hilbench.twin.process import TwinApplication, TwinSetup
 from hilbench.twin.virtual_io import TwinStatus
 
@@ -47,7 +48,7 @@ def twin_of(cycle_s: float) -> Iterator[None]:
 
     def make(self: TwinApplication, setup: TwinSetup, *others: Any) -> None:
         made(self, setup, *others)
-        self._bus_cycle = BusCycle(round(1e9 * setup.cycle_s), lambda: seen["ns"])
+        self._clock = BusClock(setup.cycle_s, lambda: seen["ns"], self.device, log)
 
     def synced(self: TwinApplication, behind: int) -> None:
         seen["ns"] += round(1e9 * CYCLE_S)

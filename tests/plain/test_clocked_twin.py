@@ -143,8 +143,9 @@ class Twin:
     def _look_at(self, hosted: HostedDevices) -> None:
         application, now_ns = hosted.application, {"_now_ns": None}
         assert isinstance(application, TwinApplication)
-        bus_cycle = application._bus_cycle
-        assert bus_cycle is not None
+        clock = application._clock
+        assert clock is not None
+        bus_cycle = clock._cycle
         self.left = {
             "objects": objects_of([hosted]),
             "counted": (application.missed, application.surplus, application.malformed),

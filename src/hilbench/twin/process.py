@@ -7,11 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from struct import pack
 
 from hilbench.can.frame import Frame
 from hilbench.can.open import BusAddress
-from hilbench.canopen.bus_cycle import OTHER_CYCLE, BusCycle
 from hilbench.canopen.clock import Clock, SyncClock
 from hilbench.canopen.device import Device, SdoAbort
 from hilbench.canopen.eds import shared_eds
@@ -19,17 +17,16 @@ from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.identifiers import NmtState
 from hilbench.chain import Chained
 from hilbench.cia402.simulated import SimulatedDrive
-from hilbench.estimation.problems import TORQUE_SHIFT, UNDECIDED
 from hilbench.plant.interface import Steps
 from hilbench.plant.motor_port import MotorMode
-from hilbench.plant.pairing import cycles_gone, play
 from hilbench.processes import log
 from hilbench.real_time import ProcessSettings, right_behind
 from hilbench.topology.blocks import MachineParameters, TwinConfig
 from hilbench.topology.process_data.of_kind import process_data
 from hilbench.topology.signals import Shape
-from hilbench.twin.alarms import Alarms
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
+from hilbench.twin.axis_ways import AxisWays
+from hilbench.twin.bus_clock import BusClock
 from hilbench.twin.found import as_text
 from hilbench.twin.machines.kinds import boundary, new_machine, warm_up
 from hilbench.twin.machines.machine import (
@@ -41,10 +38,9 @@ from hilbench.twin.machines.machine import (
     VectorMachine,
 )
 from hilbench.twin.model_change import ChangeableMachine, Coming, Make, with_effects
+from hilbench.twin.reports import Reports
 from hilbench.twin.virtual_io import TwinStatus, VirtualIo
 
-#: Error register (1001h): generic and device profile.
-_PROFILE_SPECIFIC = 0x21
 _VALUE_TOO_HIGH, _INVALID_VALUE, _PRESENT_STATE = 0x06090031, 0x06090030, 0x08000022
 #: SYNCs that an axis may leave unanswered and answer later.
 _MOST_OWED = 100
@@ -59,8 +55,6 @@ _RUNNING, _SYNCHRONIZED, _HOLDING, _LATE = (
     int(bit) for bit in (TwinStatus.RUNNING, TwinStatus.SYNCHRONIZED, TwinStatus.HOLDING, TwinStatus.LATE)
 )
 _TRANSFER_REFUSED, _NOT_SEPARABLE = int(TwinStatus.TRANSFER_REFUSED), int(TwinStatus.NOT_SEPARABLE)
-#: What the clock says of a SYNC that is one cycle after the last.
-_NEXT = 1, None
 _MODEL_CHANGING, _MODEL_CHANGED = int(TwinStatus.MODEL_CHANGING), int(TwinStatus.MODEL_CHANGED)
 
 
@@ -106,7 +100,6 @@ class TwinApplication:
         self.surplus = 0  #: TPDOs of an axis beyond the one that answers SYNC
         self._cycle_s = setup.cycle_s
         self._model = setup.model
-        self._say = say
         self._hold_when_behind = setup.twin.behind == "hold"
         self._machine = machine
         self._ports = machine.ports
@@ -121,20 +114,15 @@ class TwinApplication:
         self._measured_before: list[Measured] | None = None  # while the machine waits to be released
         self._waited_s = 0.0  # for set points of axes that move
         self._was_held = False  # the machine, with a drive disabled, since the start
-        self._alarms = {part: Alarms(setup.cycle_s) for part in machine.problems}
-        self._quiet = True  # no alarm is on
-        self._reported_shift_Nm, self._reported_undecided = 0.0, False
+        self._reports = Reports(device, machine, setup.cycle_s)
         self._pending = self._released = False
         self._sync_number = self._behind = 0
         self._time_s = self._kept_s = 0.0
         # In lockstep one SYNC is one cycle, however long it took.
         in_lockstep = isinstance(setup.clock, SyncClock)
-        self._config_ns = round(setup.cycle_s * 1e9)
-        self._bus_cycle = None if in_lockstep else BusCycle(self._config_ns, setup.clock.now_ns)
-        self._by_clock: tuple[int, int | None] | None = None  # of the SYNC that is next, where it was asked already
-        self._apart = False  # SYNC comes by another cycle
+        self._clock = None if in_lockstep else BusClock(setup.cycle_s, setup.clock.now_ns, device, say)
         self._skipped = 0  # cycles that by the clock the axes have gone, less the SYNCs that came
-        self._ways = _Ways(setup.model, setup.cycle_s)
+        self._ways = AxisWays(setup.model, setup.cycle_s)
         self._said = (0, 0, 0)  # with the last SYNC of a plain cycle
         self._in_vectors: InVectors | None = None
         self.leaves_vectors = False  #: what is in vectors has to go on in objects
@@ -154,10 +142,7 @@ class TwinApplication:
         self._measured = list(self._nothing)
         self._owed = [0] * len(self._owed)
         self._measured_before = None
-        for alarms in self._alarms.values():
-            alarms.reset()
-        self._quiet = True
-        self._reported_shift_Nm, self._reported_undecided = 0.0, False
+        self._reports.reset()
         self._pending = self._released = False
         self._ways.reset()
         self._time_s = 0.0
@@ -183,28 +168,26 @@ class TwinApplication:
     def _look_at_the_clock(self, behind: int) -> None:
         """In real time the axes have gone on through the cycles whose SYNC the bench has missed; and how long a cycle
         is, who sends SYNC says."""
-        if self._bus_cycle is None:
+        if self._clock is None:
             return
-        (cycles, other_ns), self._by_clock = self._by_clock or self._ask_the_clock(self._bus_cycle, behind), None
-        skipped = cycles - 1
-        if skipped and not self._apart:
+        heard = self._clock.hear(behind)
+        if heard.skipped and not heard.were_apart:
             self._measured_before = None
-        self._skipped = self._skipped + skipped if self._released else 0
-        were_apart, self._apart = self._apart, not self._bus_cycle.in_step
-        if self._apart is not were_apart:
-            self._machine.doubt(doubted=self._apart)
-        if other_ns is not None:
-            self._go_by(other_ns * 1e-9)
-            self._tell_cycle(other_ns)
-        elif were_apart and not self._apart:
+        self._skipped = self._skipped + heard.skipped if self._released else 0
+        if heard.apart is not heard.were_apart:
+            self._machine.doubt(doubted=heard.apart)
+        if heard.cycle_ns is not None:
+            self._go_by(heard.cycle_ns * 1e-9)
+            self._clock.tell(heard.cycle_ns)
+        elif heard.were_apart and not heard.apart:
             self._go_by(self._cycle_s)
-        elif not self._apart:
+        elif not heard.apart:
             self._keep()
 
-    @staticmethod
-    def _ask_the_clock(bus_cycle: BusCycle, behind: int) -> tuple[int, int | None]:
-        """Cycles since the last SYNC; and how long one is from now on (ns), where that is another one than before."""
-        return bus_cycle.heard(behind), bus_cycle.pop_other()
+    @property
+    def _apart(self) -> bool:
+        """Whether SYNC comes by another cycle than is gone by."""
+        return self._clock is not None and self._clock.apart
 
     def _keep(self) -> None:
         """Now and then what is known, to come back to."""
@@ -216,19 +199,9 @@ class TwinApplication:
         """From here on that is a cycle, by which SYNC comes; for a while it did not."""
         self._cycle_s = cycle_s
         self._machine.go_by(cycle_s)
-        for alarms in self._alarms.values():
-            alarms.go_by(cycle_s)
-        self._ways = _Ways(self._model, cycle_s)
+        self._reports.go_by(cycle_s)
+        self._ways = AxisWays(self._model, cycle_s)
         self._measured_before, self._skipped = None, 0
-
-    def _tell_cycle(self, cycle_ns: int) -> None:
-        self._device.clear_emergency(OTHER_CYCLE)
-        said, of_config = f"SYNC comes every {cycle_ns * 1e-6:.4g} ms", f"{self._config_ns * 1e-6:.4g} ms"
-        if cycle_ns != self._config_ns:
-            self._device.emergency(OTHER_CYCLE, _PROFILE_SPECIFIC, pack("<fx", self._cycle_s))
-            self._say(f"{said}, cycle_time_s is {of_config}: the twin goes by SYNC")
-        else:
-            self._say(f"{said} again, as cycle_time_s says")
 
     def _catch_up(self) -> bool:
         """Through the cycles without SYNC that lie before this one; whether this one is a new one.
@@ -286,17 +259,14 @@ class TwinApplication:
     @property
     def goes_by_clock(self) -> bool:
         """Whether a SYNC is one cycle after the last only where the clock says so, too."""
-        return self._bus_cycle is not None
+        return self._clock is not None
 
     def is_next_by_clock(self) -> bool:
         """Of a SYNC behind which none waits: whether the clock, too, says that it is one cycle after the last. Where
         not it is for `before_sync`, which does not ask again."""
-        bus_cycle = self._bus_cycle
-        if bus_cycle is None:
+        if self._clock is None:
             return True
-        found = self._ask_the_clock(bus_cycle, 0)
-        if found != _NEXT or not bus_cycle.in_step:
-            self._by_clock = found
+        if not self._clock.is_next():
             return False
         self._keep()
         return True
@@ -378,14 +348,14 @@ class TwinApplication:
     def in_vectors(self) -> Chained | None:
         """`begin_plain` and `go_on` as a piece of a cycle, which may be another one after Python's part of it; None
         while each cycle has one."""
-        return self._in_vectors.piece if self._in_vectors is not None and self._quiet else None
+        return self._in_vectors.piece if self._in_vectors is not None and self._reports.quiet else None
 
     def go_on_in_vectors(self) -> None:
         """The same of one cycle."""
         assert self._in_vectors is not None, "begun"
         piece = self._in_vectors.piece
         code = piece.function(piece.argument, piece.table)
-        if code != piece.goes_on or not self._quiet:
+        if code != piece.goes_on or not self._reports.quiet:
             self._go_on_from(code)
 
     def _go_on_from(self, code: int) -> bool:
@@ -396,13 +366,12 @@ class TwinApplication:
         self._sync_number += 1
         piece = machine.piece
         went = machine.go_on_from(code, self._time_s)
-        if went == LOOK or (went != MISSED and not self._quiet):
-            self._report_problem()
-            self._report_shift()
+        if went == LOOK or (went != MISSED and not self._reports.quiet):
+            self._reports.update()
             self.leaves_vectors = self._machine.refused
         self._time_s += self._cycle_s
         # What was reported goes out before the next SYNC.
-        return went != LOOK and self._quiet and not self.leaves_vectors and piece is machine.piece
+        return went != LOOK and self._reports.quiet and not self.leaves_vectors and piece is machine.piece
 
     def count_syncs(self) -> None:
         """Of the cycles in vectors, now and then: their number is one of 16 bits."""
@@ -443,7 +412,7 @@ class TwinApplication:
             self._measured_before = None
         elif all(port.mode is not MotorMode.OFF for port in self._ports):
             if self._released or self._release():
-                new = self._bus_cycle is None or self._catch_up()
+                new = self._clock is None or self._catch_up()
                 if new:  # else the axes stand where they were measured before, and no time has passed since
                     self._compare(self._complete())
                 self._machine.listen()
@@ -492,37 +461,7 @@ class TwinApplication:
         if measured is None:
             self._machine.miss()
         elif self._machine.compare(self._time_s, measured):
-            self._report_problem()
-            self._report_shift()
-
-    def _report_problem(self) -> None:
-        """Say by EMCY why a measurement can't be used, and when it can be again."""
-        if self._quiet and self._machine.in_use.problem is None:
-            return
-        for part, found in self._machine.problems.items():
-            begun, ended = self._alarms[part].update(found)
-            for problem in ended:
-                self._device.clear_emergency(problem, part)
-            for problem in begun:
-                self._device.emergency(problem, _PROFILE_SPECIFIC, _at(part), part)
-        self._quiet = all(alarms.idle for alarms in self._alarms.values())
-
-    def _report_shift(self) -> None:
-        """Say by EMCY what the torque is corrected for, and whether something is open."""
-        machine = self._machine.in_use
-        shift_Nm, undecided = machine.torque_shift_Nm, machine.torque_undecided
-        if shift_Nm != self._reported_shift_Nm:
-            self._device.clear_emergency(TORQUE_SHIFT)
-            if shift_Nm != 0.0:
-                info = pack("<f", shift_Nm) + _at(self._machine.shift_span)[-1:]
-                self._device.emergency(TORQUE_SHIFT, _PROFILE_SPECIFIC, info)
-            self._reported_shift_Nm = shift_Nm
-        if undecided is not self._reported_undecided:
-            if undecided:
-                self._device.emergency(UNDECIDED, _PROFILE_SPECIFIC, _at(self._machine.shift_span))
-            else:
-                self._device.clear_emergency(UNDECIDED)
-            self._reported_undecided = undecided
+            self._reports.update()
 
     def _use_method(self, number: int) -> None:
         """Go on with another method, from the present estimate (2101h)."""
@@ -563,43 +502,6 @@ class TwinApplication:
 
     def _publish(self) -> None:
         self._io.publish(self._machine.published())
-
-
-class _Ways:
-    """How far the axes go in a cycle, of which their ways between two measurements tell how many there were."""
-
-    def __init__(self, model: MachineParameters, cycle_s: float) -> None:
-        of_a_cycle = play(model.position_unit, cycle_s)
-        self._plays = [of_a_cycle * model.motor_rad_per_unit(axis) for axis in range(1, model.axis_count + 1)]
-        self.reset()
-
-    def reset(self) -> None:
-        """The axes are somewhere else."""
-        self._last: Sequence[float] | None = None
-        self._usual: Sequence[float] | None = None
-        self._cycles = 0  # since the last
-
-    def gone(self, positions_rad: Sequence[float], told: int) -> int:
-        """How many cycles up to these, where a clock says `told`."""
-        if self._last is None or self._usual is None:
-            return told
-        ways = [now - last for now, last in zip(positions_rad, self._last, strict=True)]
-        found = cycles_gone(ways, self._usual, self._plays, self._cycles + told)
-        return told if found is None else found - self._cycles
-
-    def update(self, positions_rad: Sequence[float] | None, cycles: int) -> None:
-        """Positions of all axes (N,), so many cycles after those before; None: they are not known."""
-        self._cycles += cycles
-        if positions_rad is None:
-            return
-        if self._last is not None and self._cycles > 0:
-            self._usual = [(now - last) / self._cycles for now, last in zip(positions_rad, self._last, strict=True)]
-        self._last, self._cycles = positions_rad, 0
-
-
-def _at(part: int) -> bytes:
-    """The manufacturer's five bytes of an EMCY message: the number of the span in the last; 0: there is one."""
-    return bytes((0, 0, 0, 0, part))
 
 
 def _beside(process: ProcessSettings) -> Callable[[Make], Coming]:

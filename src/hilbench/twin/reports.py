@@ -1,0 +1,77 @@
+"""What the twin says of its measurements by EMCY: which can't be used, and what the torque is corrected for."""
+
+from __future__ import annotations
+
+from struct import pack
+from typing import Final
+
+from hilbench.canopen.device import Device
+from hilbench.estimation.problems import TORQUE_SHIFT, UNDECIDED
+from hilbench.twin.alarms import Alarms
+from hilbench.twin.model_change import ChangeableMachine
+
+#: Error register (1001h): generic and device profile.
+PROFILE_SPECIFIC: Final = 0x21
+
+
+class Reports:
+    """Of `machine`, by the virtual I/O `device`; nothing is on at the start."""
+
+    def __init__(self, device: Device, machine: ChangeableMachine, cycle_s: float) -> None:
+        self._device, self._machine = device, machine
+        self._alarms = {part: Alarms(cycle_s) for part in machine.problems}
+        self._forget()
+
+    def _forget(self) -> None:
+        self.quiet = True  #: no alarm is on
+        self._reported_shift_Nm, self._reported_undecided = 0.0, False
+
+    def reset(self) -> None:
+        """Start anew: nothing is on, and nothing has been said."""
+        for alarms in self._alarms.values():
+            alarms.reset()
+        self._forget()
+
+    def go_by(self, cycle_s: float) -> None:
+        """A cycle is so long from now on."""
+        for alarms in self._alarms.values():
+            alarms.go_by(cycle_s)
+
+    def update(self) -> None:
+        """Behind each comparison: say what has begun or ended with it."""
+        self._report_problem()
+        self._report_shift()
+
+    def _report_problem(self) -> None:
+        """Say by EMCY why a measurement can't be used, and when it can be again."""
+        if self.quiet and self._machine.in_use.problem is None:
+            return
+        for part, found in self._machine.problems.items():
+            begun, ended = self._alarms[part].update(found)
+            for problem in ended:
+                self._device.clear_emergency(problem, part)
+            for problem in begun:
+                self._device.emergency(problem, PROFILE_SPECIFIC, _at(part), part)
+        self.quiet = all(alarms.idle for alarms in self._alarms.values())
+
+    def _report_shift(self) -> None:
+        """Say by EMCY what the torque is corrected for, and whether something is open."""
+        machine = self._machine.in_use
+        shift_Nm, undecided = machine.torque_shift_Nm, machine.torque_undecided
+        if shift_Nm != self._reported_shift_Nm:
+            self._device.clear_emergency(TORQUE_SHIFT)
+            if shift_Nm != 0.0:
+                info = pack("<f", shift_Nm) + _at(self._machine.shift_span)[-1:]
+                self._device.emergency(TORQUE_SHIFT, PROFILE_SPECIFIC, info)
+            self._reported_shift_Nm = shift_Nm
+        if undecided is not self._reported_undecided:
+            if undecided:
+                self._device.emergency(UNDECIDED, PROFILE_SPECIFIC, _at(self._machine.shift_span))
+            else:
+                self._device.clear_emergency(UNDECIDED)
+            self._reported_undecided = undecided
+
+
+def _at(part: int) -> bytes:
+    """The manufacturer's five bytes of an EMCY message: the number of the span in the last; 0: there is one."""
+    return bytes((0, 0, 0, 0, part))
