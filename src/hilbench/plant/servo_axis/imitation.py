@@ -15,13 +15,12 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import Chained, Function
+from hilbench.chain import Function
 from hilbench.compiled import (
     COUNT,
     MATRIX,
     REAL,
     TABLE,
-    TABLE_WIDTH,
     compiled,
     entry_point,
     floats,
@@ -30,6 +29,7 @@ from hilbench.compiled import (
     table_of,
 )
 from hilbench.plant import measured_motion, pairing
+from hilbench.plant.in_step import CompiledInStep
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion, ahead_s, gone_s
 from hilbench.plant.parameters import per_item
@@ -283,24 +283,17 @@ class ImitatedShaft:
             raise ValueError(problem)
 
 
-class ShaftInStep:
+class ShaftInStep(CompiledInStep):
     """An `ImitatedShaft` on measured motion, in one call a cycle; see `hilbench.plant.measured_motion.InStep`. Of what
     it is now it shows nothing: all that is asked of it are parameters."""
 
     def __init__(self, shaft: ImitatedShaft, motion: MeasuredMotion, motors: int) -> None:
-        self._shaft, self._motion, self._torques = shaft, motion, np.zeros(motors)
+        self._shaft, self._motion, torques_Nm = shaft, motion, np.zeros(motors)
         shaft._own[_CYCLE_S], shaft._own[_LEAD_S] = shaft._cycle_s, motion.ahead_s
         forward, gain = transition(shaft._cycle_s), gains(shaft._cycle_s, shaft._filter.filter_s)
         of_motion = motion.state, motion.ways, motion.positions, motion.speeds
-        self._kept = *shaft._kept, *of_motion, forward, gain, transition(motion.ahead_s), self._torques
-        self._of: tuple[Vector, NDArray[np.int64]] | None = None
-        self._table = np.zeros((0, TABLE_WIDTH), np.int64)
-
-    @property
-    def torques_Nm(self) -> list[float]:
-        """See there."""
-        torques_Nm: list[float] = self._torques.tolist()
-        return torques_Nm
+        kept = *shaft._kept, *of_motion, forward, gain, transition(motion.ahead_s), torques_Nm
+        super().__init__(_follow, FOLLOWED, torques_Nm, kept)
 
     @property
     def usable(self) -> bool:
@@ -312,15 +305,6 @@ class ShaftInStep:
         """See there."""
         return not self._shaft._stale
 
-    def follow(self, values: Vector, places: NDArray[np.int64], *, late: bool) -> HasFollowed:
-        """See there."""
-        return self.has_followed(_follow(int(late), self._on(values, places)))
-
-    def piece(self, values: Vector, places: NDArray[np.int64], otherwise: Callable[[int], bool]) -> Chained:
-        """See there."""
-        table, kept = self._on(values, places), (self._kept, values, places)
-        return Chained(_follow, 0, table, goes_on=FOLLOWED, otherwise=otherwise, keeps=kept)
-
     def has_followed(self, code: int) -> HasFollowed:
         """See there."""
         if code == NOTHING:
@@ -331,13 +315,8 @@ class ShaftInStep:
         return HasFollowed.ALL
 
     def _follow_for(self, duration_s: float) -> None:
-        assert self._of is not None, "followed before"
-        (values, places), shaft, motion = self._of, self._shaft, self._motion
+        assert self._on is not None, "followed before"
+        (values, places), shaft, motion = self._on, self._shaft, self._motion
         shaft.follow(motion.positions.tolist(), duration_s)
         self._torques[:] = shaft.load_torques_Nm([1] * len(self._torques), motion.speeds.tolist(), motion.ahead_s)
         values[places[2:]] = self._torques
-
-    def _on(self, values: Vector, places: NDArray[np.int64]) -> Table:
-        if self._of is None or self._of[0] is not values or self._of[1] is not places:
-            self._of, self._table = (values, places), table_of((*self._kept, values, places))
-        return self._table

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hilbench.chain import Chained
-from hilbench.compiled import TABLE_WIDTH, interpreted, table_of
+from hilbench.compiled import interpreted
 from hilbench.plant.effect import EffectPlace
 from hilbench.plant.effects import effects_of
+from hilbench.plant.in_step import CompiledInStep
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion
 from hilbench.plant.web_line import follower_cycle, laws, span_kernel
@@ -356,22 +356,15 @@ class SpanFollower:
         self.set_effect(effect_id, axis, section=section, slot=slot, **known_effect(effect_id).filled({}))
 
 
-class SpansInStep:
+class SpansInStep(CompiledInStep):
     """A `SpanFollower` on measured motion, in one call a cycle; see `hilbench.plant.measured_motion.InStep`."""
 
     def __init__(self, web: SpanFollower, motion: MeasuredMotion, axes: Sequence[int]) -> None:
-        self._web, self._torques = web, np.zeros(len(axes))
+        self._web, torques_Nm = web, np.zeros(len(axes))
         of_web = web._p, web._state, web._ahead, web._work, web._v, web._boundary, web._tension, web._tension_ahead
         of_motion = motion.state, motion.ways, motion.positions, motion.speeds
-        self._kept = *of_web, web._pulled_by(axes), self._torques, web._shown, *of_motion
-        self._of: tuple[Vector, NDArray[np.int64]] | None = None
-        self._table = np.zeros((0, TABLE_WIDTH), np.int64)
-
-    @property
-    def torques_Nm(self) -> list[float]:
-        """See there."""
-        torques_Nm: list[float] = self._torques.tolist()
-        return torques_Nm
+        kept = *of_web, web._pulled_by(axes), torques_Nm, web._shown, *of_motion
+        super().__init__(follower_cycle.follow, follower_cycle.FOLLOWED, torques_Nm, kept)
 
     @property
     def usable(self) -> bool:
@@ -383,28 +376,12 @@ class SpansInStep:
         """Whether nothing was changed since it has followed."""
         return not self._web._stale
 
-    def follow(self, values: Vector, places: NDArray[np.int64], *, late: bool) -> HasFollowed:
-        """See there."""
-        return self.has_followed(follower_cycle.follow(int(late), self._on(values, places)))
-
-    def piece(self, values: Vector, places: NDArray[np.int64], otherwise: Callable[[int], bool]) -> Chained:
-        """See there."""
-        table, kept = self._on(values, places), (self._kept, values, places)
-        return Chained(
-            follower_cycle.follow, 0, table, goes_on=follower_cycle.FOLLOWED, otherwise=otherwise, keeps=kept
-        )
-
     def has_followed(self, code: int) -> HasFollowed:
         """See there."""
         if code == follower_cycle.NOTHING:
             return HasFollowed.NOT
         self._web._stale = False
         return HasFollowed.TORQUES if code == follower_cycle.WITH_PIECES else HasFollowed.ALL
-
-    def _on(self, values: Vector, places: NDArray[np.int64]) -> NDArray[np.int64]:
-        if self._of is None or self._of[0] is not values or self._of[1] is not places:
-            self._of, self._table = (values, places), table_of((*self._kept, values, places))
-        return self._table
 
 
 def _description(parameters: ModelParameters) -> PlantDescription:

@@ -1,0 +1,51 @@
+"""What followers that go on in step with measured motion, in one compiled call a cycle, have in common."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.chain import Chained, Function
+from hilbench.compiled import TABLE_WIDTH, table_of
+from hilbench.plant.measured_motion import HasFollowed
+from hilbench.plant.pairing import Vector
+
+
+class CompiledInStep(ABC):
+    """An `InStep` by `function`, whose table has the vectors of `kept`, then values and places; it returns `followed`
+    where nothing is left to do. `torques_Nm`: one of the kept, into which it puts torques of the load motors (M,)."""
+
+    def __init__(
+        self, function: Function, followed: int, torques_Nm: Vector, kept: tuple[NDArray[np.generic], ...]
+    ) -> None:
+        self._function, self._followed = function, followed
+        self._torques, self._kept = torques_Nm, kept
+        self._on: tuple[Vector, NDArray[np.int64]] | None = None  #: the values and places that the table has
+        self._table = np.zeros((0, TABLE_WIDTH), np.int64)
+
+    @property
+    def torques_Nm(self) -> list[float]:
+        """See `InStep`, here and below."""
+        torques_Nm: list[float] = self._torques.tolist()
+        return torques_Nm
+
+    def follow(self, values: Vector, places: NDArray[np.int64], *, late: bool) -> HasFollowed:
+        """See there."""
+        return self.has_followed(self._function(int(late), self._table_on(values, places)))
+
+    def piece(self, values: Vector, places: NDArray[np.int64], otherwise: Callable[[int], bool]) -> Chained:
+        """See there."""
+        table, kept = self._table_on(values, places), (self._kept, values, places)
+        return Chained(self._function, 0, table, goes_on=self._followed, otherwise=otherwise, keeps=kept)
+
+    @abstractmethod
+    def has_followed(self, code: int) -> HasFollowed:
+        """See there."""
+
+    def _table_on(self, values: Vector, places: NDArray[np.int64]) -> NDArray[np.int64]:
+        if self._on is None or self._on[0] is not values or self._on[1] is not places:
+            self._on, self._table = (values, places), table_of((*self._kept, values, places))
+        return self._table
