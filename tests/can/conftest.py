@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from tests.can.embedded_links import Start
+
+from hilbench.can.open import BusAddress
 
 
 class Runtime:
@@ -55,3 +60,23 @@ def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Runtime]:
         assert not list(there.folder.glob("*.log"))
     finally:
         shutil.rmtree(base)
+
+
+@pytest.fixture
+def start(runtime: Runtime) -> Iterator[Start]:
+    """Run a program in a process of its own; ended with the test."""
+    children: list[subprocess.Popen[bytes]] = []
+
+    def start(code: str, *arguments: str) -> subprocess.Popen[bytes]:
+        children.append(subprocess.Popen([sys.executable, "-c", code, *arguments]))
+        return children[-1]
+
+    yield start
+    for child in children:
+        child.kill()
+        child.wait()
+
+
+@pytest.fixture(params=["virtual", "real"])
+def address(request: pytest.FixtureRequest) -> BusAddress:
+    return BusAddress(timing=request.param)
