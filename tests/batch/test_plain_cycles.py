@@ -268,6 +268,17 @@ def test_what_the_twin_reports_under_way_is_on_the_bus_before_the_next_sync(tmp_
     assert [text for _, _, text, _ in left.notices if "FF17h" in text] != []
 
 
+def test_what_the_twin_reports_while_nothing_else_changes_is_on_the_bus_before_the_next_sync(tmp_path: Path) -> None:
+    """Nothing tells what a small shift of the torque is while the strain stays: the twin says so by EMCY, and goes on
+    in the same vectors."""
+    changes = [
+        (5, ramps("line_speed_m_s", 3.0, 2.0)),
+        (1005, sets("hardware.effects.torque_offset.axis2.offset_Nm", 0.19)),
+    ]
+    left = check(tmp_path, load_with_overrides(CONFIGS / "web_section_step.yaml"), changes, cycles=3000, least=2800)
+    assert [text for _, _, text, _ in left.notices if "FF18h" in text] != []
+
+
 def test_drives_at_their_limit_are_told_in_the_same_cycles(tmp_path: Path) -> None:
     loaded = load_with_overrides(CONFIGS / "web_section_step.yaml")
     left = check(tmp_path, loaded, [(10, sets("line_speed_m_s", 1.0))], cycles=700, least=500)
