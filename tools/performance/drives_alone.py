@@ -3,16 +3,17 @@ both."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
+import canopen
+from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.pdo import PdoMap
-from hilbench.cia402.drive import Drive
-from hilbench.exchange.addressing import IoMaps
-from hilbench.exchange.measured import Measured
+from hilbench.cia402.configuration import DriveSettings
+from hilbench.exchange.addressing import IoMaps, drive_settings
 from hilbench.exchange.nodes import Nodes
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.sample import sample_type
+from hilbench.topology.parts import Part, Role
+from hilbench.topology.process_data.table import ProcessData
 
 
 class _Nothing(IoMaps):
@@ -24,25 +25,14 @@ class _Nothing(IoMaps):
         return []
 
 
-class DrivesAlone(Nodes):
-    """Each with the TPDOs that a bench maps, or, without `velocity`, with the first."""
-
-    def __init__(self, config: BenchConfig, *, velocity: bool) -> None:
-        super().__init__(config)
-        if not velocity:
-            self.axes, self.load_motors = map(_without_velocity, (self.axes, self.load_motors))
-            self._drives = *self.axes, *self.load_motors
-            self._set_points = [
-                (drive, name, unit) for drive, (_, name, unit) in zip(self._drives, self._set_points, strict=True)
-            ]
-        self.io = _Nothing(self.io.data, (), self.io.status, ())
-        self._boundary_names, self._told, self._said, self._twin_tpdos = (), [], [], []
-        theirs = {pdo.cob_id for drive in self._drives for _, pdo, _ in drive.pdos.tpdos}
-        self._tpdos = {cob_id: tpdo for cob_id, tpdo in self._tpdos.items() if cob_id in theirs}
-        self._tpdos_of = [[self._tpdos[pdo.cob_id] for _, pdo, _ in drive.pdos.tpdos] for drive in self._drives]
-        self.measured = Measured(sample_type(config.signals), self._shown_by, [], [])
-        self._counted = self.measured.counted.data
+def drives_alone(config: BenchConfig, *, velocity: bool) -> Nodes:
+    """Each drive with the TPDOs that a bench maps, or, without `velocity`, with the first."""
+    node = config.twin.node
+    status = IoMaps.of(config, shared_eds(node.eds, node.node_id)).status
+    nothing = _Nothing(ProcessData((), (), (), ()), (), status, ())
+    return Nodes(config, io=nothing, settings_of=drive_settings if velocity else _without_velocity)
 
 
-def _without_velocity(drives: Sequence[Drive]) -> tuple[Drive, ...]:
-    return tuple(Drive(replace(drive.settings, has_velocity=False), drive.od) for drive in drives)
+def _without_velocity(config: BenchConfig, part: Part, od: canopen.ObjectDictionary) -> DriveSettings:
+    settings = drive_settings(config, part, od)
+    return settings if part.role is Role.VIRTUAL_AXIS else replace(settings, has_velocity=False)

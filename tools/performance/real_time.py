@@ -37,7 +37,7 @@ from hilbench.real_time import ProcessSettings, kept_ready
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import write_resolved
-from performance.drives_alone import DrivesAlone
+from performance.drives_alone import drives_alone
 from performance.table import Section
 
 _PATIENCE_CYCLES = 10_000
@@ -123,7 +123,7 @@ def _priority_of(config: BenchConfig) -> str:
 def _three_drives(config: BenchConfig, seconds: float, *, velocity: bool) -> Section:
     """The bench's own cyclic path and the simulated drives, without the twin: its PDOs don't fit into 1 ms as well."""
     config = config.model_copy(update={"cycle_time_s": _FAST_S})
-    nodes = DrivesAlone(config, velocity=velocity)
+    nodes = drives_alone(config, velocity=velocity)
     expected, drives = nodes.expected_pdos(), len(nodes.drives)
     section = Section(
         f"Real time at {1e3 * _FAST_S:g} ms{_priority_of(config)}, {len(expected)} TPDOs of {drives} drives",

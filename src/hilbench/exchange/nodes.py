@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from math import isclose
 from typing import Any, Final
@@ -15,6 +15,7 @@ from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, LAST_NODE, SYNC, 
 from hilbench.canopen.master import Master
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402 import objects
+from hilbench.cia402.configuration import DriveSettings
 from hilbench.cia402.drive import Drive
 from hilbench.cia402.state_machine import Command, State, decode_statusword
 from hilbench.compiled import interpreted
@@ -56,21 +57,31 @@ _ENABLE = (0x06, 0x07, 0x0F)
 _FOLLOWS: Final = Command.ENABLE_OPERATION.value
 
 
-class Nodes:
-    """The drives and the virtual I/O of one bench."""
+#: How a part of a bench, by its EDS file, is configured.
+SettingsOf = Callable[[BenchConfig, Part, canopen.ObjectDictionary], DriveSettings]
 
-    def __init__(self, config: BenchConfig) -> None:
+
+class Nodes:
+    """The drives and the virtual I/O of one bench.
+
+    `io`: what goes between bench and twin; None: all that the twin of this machine has. `settings_of`: how each drive
+    is configured, and so which PDOs it has.
+    """
+
+    def __init__(
+        self, config: BenchConfig, *, io: IoMaps | None = None, settings_of: SettingsOf = drive_settings
+    ) -> None:
         self.config = config
         #: Who the virtual I/O is, in messages and in `expected_pdos`.
         self.twin_name = f"virtual io (node {config.twin.node.node_id})"
         parts = config.parts
         self._ods = {part.name: shared_eds(part.node.eds, part.node.node_id) for part in parts}
         self.axes, self.load_motors, self.virtual_axes = (
-            tuple(Drive(drive_settings(config, part, self._ods[part.name]), self._ods[part.name]) for part in group)
+            tuple(Drive(settings_of(config, part, self._ods[part.name]), self._ods[part.name]) for part in group)
             for group in map(config.parts_of, (Role.AXIS, Role.LOAD_MOTOR, Role.VIRTUAL_AXIS))
         )
         self._drives = (*self.axes, *self.load_motors)
-        self.io = IoMaps.of(config, self._ods["virtual_io"])
+        self.io = io or IoMaps.of(config, self._ods["virtual_io"])
         self._boundary_names = tuple(signal.name for signal in self.io.data.told)
         self._told = [
             (pdo, tuple(signal.name for signal in content.signals))
