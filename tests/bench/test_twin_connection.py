@@ -67,10 +67,10 @@ def test_a_twin_that_never_comes_back_holds_up_no_cycle(tmp_path: Path, monkeypa
     before = [time.monotonic()]
     cycle = SyncCycle.exchange
 
-    def watched(self: SyncCycle, outgoing: Sequence[Frame]) -> list[Frame]:
+    def watched(self: SyncCycle, outgoing: Sequence[Frame], *, may_be_left_out: bool = False) -> list[Frame]:
         began = time.monotonic()
         stops.append(began - before[0])
-        frames = cycle(self, outgoing)
+        frames = cycle(self, outgoing, may_be_left_out=may_be_left_out)
         before[0] = time.monotonic()
         return frames
 
