@@ -184,8 +184,8 @@ def test_set_points_that_would_hold_up_the_next_answers_are_left_out_once(follow
     """Behind a missing answer, for which it was waited until 0.7 of the cycle, 400 frames have no time any more."""
     for _ in range(5):  # until the machine lets each cycle have its SYNC
         with running(5 * PERIOD_NS) as bench:
-            bench.drive.silent_at = {3}
-            for _ in range(6):
+            bench.drive.silent_at = {3, 6}
+            for _ in range(8):
                 bench.cycle.exchange([Frame(RPDO, bytes(8))] * 400, may_be_left_out=follow)
             pacing = bench.cycle.pacing
         if not pacing.missed:
@@ -193,8 +193,8 @@ def test_set_points_that_would_hold_up_the_next_answers_are_left_out_once(follow
     marks = [at for at, frame in enumerate(bench.trace.frames) if frame.can_id == SYNC]
     kinds = [frame.can_id for frame in bench.trace.frames]
     sent = [kinds[before:at].count(RPDO) for before, at in zip([0, *marks[:-1]], marks, strict=True)]
-    assert sent == ([400, 400, 400, 0, 400, 400] if follow else [400] * 6)
-    assert pacing.late_set_points == follow
+    assert sent == ([400, 400, 400, 0, 400, 400, 400, 400] if follow else [400] * 8), "and not again so soon"
+    assert pacing.late_set_points >= follow
 
 
 def test_a_bench_that_does_not_come_any_more_gets_no_more_sync_until_it_comes_again() -> None:

@@ -39,8 +39,8 @@ _NOT_VITAL_S = 2.0
 
 
 #: So many cycles in a row set points may be left out, for a bench that is late to come back into its time: one that is
-#: interpreted, and one more.
-_MOST_LEFT_OUT = 2
+#: interpreted, and one more. Where all this does not fit into a cycle that helps for no longer: not again for so many.
+_MOST_LEFT_OUT, _NOT_AGAIN = 2, 64
 #: NMT state in the bench's own heartbeat: OPERATIONAL, and PRE-OPERATIONAL after an emergency stop.
 _OPERATIONAL, _PRE_OPERATIONAL = NmtState.OPERATIONAL.heartbeat, NmtState.PRE_OPERATIONAL.heartbeat
 
@@ -112,6 +112,7 @@ class SyncCycle:
         self._missing_limit = missing_limit
         self._missed_in_row: dict[int, int] = {}
         self._left_out = 0  # cycles in a row whose set points were
+        self._leaves_out_from = 0  # cycles before which none are
         self.expect(expected)
         self.last_bits = 0  #: bits on the bus in the last cycle
         self.before_sync = 0  #: so many of the frames that the last cycle returned came before its SYNC
@@ -159,12 +160,15 @@ class SyncCycle:
         SYNC is due, acts with the next one, and keeps the wire from the answers to this one, of which the last comes
         too late as well: so it would go on. Set points of the next cycle act at the same time.
         """
-        marks = self.marks
-        behind = marks is not None and (self._missed_in_row or self._left_out) and self._left_out < _MOST_LEFT_OUT
-        if not behind or marks is None or time.monotonic_ns() + bits * self._bit_ns <= marks.next_ns:
+        marks, left_out, cycles = self.marks, self._left_out, self.timing.cycles
+        may = 0 < left_out < _MOST_LEFT_OUT or (
+            self._missed_in_row and not left_out and cycles >= self._leaves_out_from
+        )
+        if marks is None or not may or time.monotonic_ns() + bits * self._bit_ns <= marks.next_ns:
             self._left_out = 0
             return False
-        self._left_out += 1
+        self._left_out = left_out + 1
+        self._leaves_out_from = cycles + _NOT_AGAIN
         self.pacing.late_set_points += 1
         return True
 
