@@ -161,10 +161,9 @@ class SyncCycle:
         too late as well: so it would go on. Set points of the next cycle act at the same time.
         """
         marks, left_out, cycles = self.marks, self._left_out, self.timing.cycles
-        may = 0 < left_out < _MOST_LEFT_OUT or (
-            self._missed_in_row and not left_out and cycles >= self._leaves_out_from
-        )
-        if marks is None or not may or time.monotonic_ns() + bits * self._bit_ns <= marks.next_ns:
+        begins = not left_out and self._missed_in_row and cycles >= self._leaves_out_from
+        behind = begins or 0 < left_out < _MOST_LEFT_OUT
+        if marks is None or not behind or time.monotonic_ns() + bits * self._bit_ns <= marks.next_ns:
             self._left_out = 0
             return False
         self._left_out = left_out + 1
