@@ -217,9 +217,9 @@ CHAINED = {"web_section_step", "line_two_spans", "line_three_spans", "servo_axis
         ("web_section_step", "line_speed_m_s"),
         ("line_two_spans", "line_speed_m_s"),
         ("line_three_spans", "line_speed_m_s"),
-        ("line_with_dancer", "line_speed_m_s"),
         ("web_section_step_pid", "line_speed_m_s"),
         ("servo_axis", "speed_rad_s"),
+        *slow(("line_with_dancer", "line_speed_m_s")),
     ],
 )
 def test_every_kind_of_bench_runs_alike(tmp_path: Path, name: str, path: str) -> None:

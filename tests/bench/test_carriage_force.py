@@ -169,6 +169,7 @@ class Turns:
 # -- on a bench ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_both_ends_of_an_accumulator_share_what_its_rollers_need() -> None:
     found, stays = change_of_reels(), change_of_reels(STAYS)
     for each in (found, stays):
