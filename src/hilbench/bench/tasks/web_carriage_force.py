@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import inf
 
 from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.set_point import OneSetPoint
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_task import Leader
 from hilbench.bench.tasks.web_roller_motion import RollerMotion
@@ -17,7 +18,7 @@ from hilbench.topology.web_line_config import CarriageForceConfig
 from hilbench.topology.web_line_positions import FORCE_SET_POINT, position_path
 
 
-class CarriageForceTask(CyclicTask):
+class CarriageForceTask(OneSetPoint, CyclicTask):
     """Force on a carriage that keeps the tension behind it, and has what carriage and rollers need as the driven
     rollers before and behind change their speeds, by the model; a cylinder pushes, and never pulls.
 
@@ -41,23 +42,10 @@ class CarriageForceTask(CyclicTask):
         self._limit_N = inf if control.limit_N is None else control.limit_N
         self._ends = before, behind
         self._motions = [RollerMotion(model, number, state.cycle_s) for number in (axis, axis + 1)]
-        self._path = position_path(station.name, FORCE_SET_POINT)
-        self._set_point_N = control.tension_N(station)
+        super().__init__(position_path(station.name, FORCE_SET_POINT), control.tension_N(station))
         self._signal, self._measured = f"f_{station.name}_cmd_N", f"x_{station.name}_meas_m"
         self._starts_m = station.position_m
         self._moved = False  # until then the sensor has told nothing
-
-    def owns(self, path: str) -> bool:
-        """Whether it is the set-point of the tension."""
-        return path == self._path
-
-    def value(self, path: str) -> float:
-        """That, N."""
-        return self._set_point_N
-
-    def set(self, path: str, value: float) -> None:
-        """Another one, N."""
-        self._set_point_N = value
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Force, N, from this SYNC on."""
@@ -68,7 +56,7 @@ class CarriageForceTask(CyclicTask):
         before_m_s, behind_m_s = (motion.speed_m_s for motion in motions)
         position_m = getattr(sample, self._measured) if self._moved else self._starts_m
         moving = before_m_s, behind_m_s, before_m_s2, behind_m_s2, position_m
-        self._tell(sample, outputs, self._force.force_N(self._set_point_N, *moving))
+        self._tell(sample, outputs, self._force.force_N(self._set_point, *moving))
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """The sensor has said something."""
@@ -80,7 +68,7 @@ class CarriageForceTask(CyclicTask):
         for motion in self._motions:
             motion.reset()
         standing = 0.0, 0.0, 0.0, 0.0, self._starts_m
-        self._tell(sample, outputs, self._force.force_N(self._set_point_N, *standing))
+        self._tell(sample, outputs, self._force.force_N(self._set_point, *standing))
 
     def _tell(self, sample: CycleSample, outputs: Outputs, force_N: float) -> None:
         outputs[self._signal] = told_N = min(max(force_N, 0.0), self._limit_N)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.set_point import OneSetPoint
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_task import Leader
 from hilbench.bench.tasks.web_roller_motion import RollerMotion
@@ -16,7 +17,7 @@ from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_config import ReelControlConfig, span_beside_reel
 
 
-class ReelTorqueTask(CyclicTask):
+class ReelTorqueTask(OneSetPoint, CyclicTask):
     """Torque of the drive of a reel from what the load cell beside it tells.
 
     The set-point, N, is settable. With the twin's feed-forward the pull acts at the radius that the twin has, and the
@@ -43,25 +44,13 @@ class ReelTorqueTask(CyclicTask):
         self._loop = ReelTension(self._reel, control.gain, control.rate_per_s, limit_Nm, control.derivative_s)
         self._ahead = RollerMotion(model, leading, state.cycle_s) if control.feed_forward == "twin" else None
         self._counted_m = model.radius_m(axis)
-        self._path, self._set_point_N = tension_set_point(number), control.set_point_N
+        super().__init__(tension_set_point(number), control.set_point_N)
         self._cell, self._shown = f"F_{control.load_cell}_meas_N", f"F{number}_ref_N"
         self._closed = f"loop{number}_closed"
         self._radius, self._torque = f"r_{control.reel}_sim_m", f"tau{axis}_cmd_Nm"
         self._position, self._speed = f"x{axis}_m", f"v{axis}_cmd_m_s"
         self._at_m: float | None = None
         self._told = False  # what the load cell says
-
-    def owns(self, path: str) -> bool:
-        """Whether it is the set-point."""
-        return path == self._path
-
-    def value(self, path: str) -> float:
-        """The set-point, N."""
-        return self._set_point_N
-
-    def set(self, path: str, value: float) -> None:
-        """Another set-point, N."""
-        self._set_point_N = value
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Torque, N·m at the motor, from the last sample. Nobody commands its speed: what is recorded in the place of
@@ -71,8 +60,8 @@ class ReelTorqueTask(CyclicTask):
         if self._ahead is not None:
             radius_m = self._radius_m(sample)
             acceleration_m_s2 = self._ahead.acceleration_m_s2(speed_m_s)
-        tension_N = getattr(sample, self._cell) if self._told else self._set_point_N
-        now = self._set_point_N, tension_N, acceleration_m_s2, radius_m, self._state.cycle_s, self._counted_m
+        tension_N = getattr(sample, self._cell) if self._told else self._set_point
+        now = self._set_point, tension_N, acceleration_m_s2, radius_m, self._state.cycle_s, self._counted_m
         outputs[self._drive] = torque_Nm = self._loop.torque_Nm(*now)
         setattr(sample, self._torque, torque_Nm)
         position_m: float = getattr(sample, self._position)
@@ -89,7 +78,7 @@ class ReelTorqueTask(CyclicTask):
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Record the set-point."""
         self._told = True
-        setattr(sample, self._shown, self._set_point_N)
+        setattr(sample, self._shown, self._set_point)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """No torque, and nothing is known of the line."""
@@ -98,7 +87,7 @@ class ReelTorqueTask(CyclicTask):
         self._loop.reset()
         if self._ahead is not None:
             self._ahead.reset()
-        setattr(sample, self._shown, self._set_point_N)
+        setattr(sample, self._shown, self._set_point)
 
 
 class LoadCells(CyclicTask):

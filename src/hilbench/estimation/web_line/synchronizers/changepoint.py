@@ -38,10 +38,10 @@ class BankVectors(NamedTuple):
     #: (3, SIZE): means and standard deviations of the mixture, and, of E, the deviation that comes from noise alone.
     out: Array
     covariance: Array  #: (SIZE, SIZE) of the mixture, if E has something beside it that the data may not tell from it
-    s: Array  #: what is told, what was found, both over the reference E; reference E, Pa; deviation to be cautious at
+    s: Array  #: what is told, over the reference E; reference E, Pa; deviation to be cautious at
 
 
-_TOLD, _FOUND, _REFERENCE_PA, _CAUTIOUS, _BESIDE = range(5)
+_TOLD, _REFERENCE_PA, _CAUTIOUS, _BESIDE = range(4)
 
 
 @compiled
@@ -80,10 +80,10 @@ def follow(
 def tell(b: BankVectors, of_what_is_held: float) -> None:
     """What E is told as after a cycle; `of_what_is_held`: what it has of parameters that count as 0."""
     s, out = b.s, b.out
-    s[_FOUND] = out[0, kalman.E] - of_what_is_held
+    found = out[0, kalman.E] - of_what_is_held
     # A few samples after a jump the mixture still has the noise of a few samples.
     share = min(1.0, (s[_CAUTIOUS] / out[2, kalman.E]) ** 2)
-    s[_TOLD] += share * (s[_FOUND] - s[_TOLD])
+    s[_TOLD] += share * (found - s[_TOLD])
 
 
 @compiled
@@ -102,7 +102,6 @@ def rebase(b: BankVectors, change_Pa: float) -> None:
     for i in range(b.z.shape[1]):
         b.z[kalman.E, i] += change
     b.out[0, kalman.E] += change
-    b.s[_FOUND] += change
     b.s[_TOLD] += change
 
 
@@ -187,7 +186,7 @@ class ChangepointSynchronizer:
         self._out[0, kalman.E], self._out[1, kalman.E] = 1.0, 0.01 * config.initial_deviation_pct
         self._covariance = np.zeros((kalman.SIZE, kalman.SIZE))
         self._beside = bool(self._inputs.priors[:-1].any())
-        self._s = np.array([1.0, 1.0, of.youngs_modulus_Pa, 0.01 * config.cautious_pct, float(self._beside)])
+        self._s = np.array([1.0, of.youngs_modulus_Pa, 0.01 * config.cautious_pct, float(self._beside)])
         self._started = False
 
     @property
@@ -244,7 +243,6 @@ class ChangepointSynchronizer:
         self._records[0, bank.ALIVE] = 1.0
         self._out[0] = self._z[:, 0]
         self._out[1] = np.sqrt(np.diag(self._p[:, :, 0]))
-        self._s[_FOUND] = self._out.item(0, kalman.E)
         self._started = True
 
     def rebase(self, change_Pa: float) -> None:
