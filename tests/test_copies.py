@@ -256,3 +256,24 @@ def test_the_processes_of_a_run_are_copies_of_it(tmp_path: Path) -> None:
         assert outcome.result.timing.lost_frames == 0  # each has said so at its end
     """,
     )
+
+
+def test_while_it_prepares_itself_it_leaves_a_core_to_who_has_made_it(tmp_path: Path) -> None:
+    done(
+        tmp_path,
+        """if True:
+        (folder / "told.py").write_text("import os; print(sorted(os.sched_getaffinity(0)))")
+        cores = os.sched_getaffinity(0)
+        def prepare():
+            (folder / "meanwhile").write_text(str(sorted(os.sched_getaffinity(0))))
+        with copies({"one": prepare}) as waiting:
+            copy = waiting.pop("one")
+            copy.become(["told"], folder / "log", {})
+            copy.stdin.close()
+            assert copy.wait(30.0) == 0
+        meanwhile = eval((folder / "meanwhile").read_text())
+        assert set(meanwhile) == (cores - {min(cores)} or cores)
+        assert eval((folder / "log").read_text()) == sorted(cores)
+        assert os.sched_getaffinity(0) == cores
+        """,
+    )

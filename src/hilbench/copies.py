@@ -161,7 +161,7 @@ def _wait_for_order(receives: int, tells: int, signals: Iterable[int], prepare: 
         has_left = True
         _leave_handlers()
         signal.pthread_sigmask(signal.SIG_SETMASK, signals)
-        with suppress(Exception):
+        with suppress(Exception), _beside_its_maker():
             _prepare(prepare, tells)
         order = _read_order()
         code = 0 if order is None else _become(*json.loads(order))
@@ -173,6 +173,18 @@ def _wait_for_order(receives: int, tells: int, signals: Iterable[int], prepare: 
                 print(f"hilbench: {error!r}", file=sys.stderr, flush=True)
     finally:
         os._exit(code)
+
+
+@contextmanager
+def _beside_its_maker() -> Iterator[None]:
+    """Where there are several cores, one of them is left to who has made it and goes on: that is waited for."""
+    cores = os.sched_getaffinity(0)
+    if len(cores) > 1:
+        os.sched_setaffinity(0, cores - {min(cores)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
 
 
 def _prepare(prepare: Preparation, tells: int) -> None:

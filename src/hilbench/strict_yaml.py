@@ -83,6 +83,15 @@ else:
     _QuickLoader = _Loader  # type: ignore[assignment,misc]
 
 
+#: libyaml's where it is there: the same text in a quarter of the time.
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+def text_of(data: Any, **style: Any) -> str:
+    """Plain data as YAML, keys in their order; `style`: what else `yaml.dump` takes."""
+    return str(yaml.dump(data, Dumper=_DUMPER, sort_keys=False, allow_unicode=True, **style))
+
+
 @dataclass(frozen=True)
 class Document:
     """Parsed YAML: its data, and where each value was given: ``file:line``, or the option of a command line."""

@@ -15,9 +15,7 @@ from hilbench.errors import UnusableInputError
 from hilbench.exchange.addressing import declared_units, drive_settings
 from hilbench.exchange.nodes import Nodes
 from hilbench.plant.effect import MachineKind
-from hilbench.plant.servo_axis.stability import imitable_inertia_kg_m2
-from hilbench.plant.servo_axis.stability import sampled_shaft as shaft_on_bus
-from hilbench.strict_yaml import Document, Location
+from hilbench.strict_yaml import Document
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
 
@@ -79,31 +77,13 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
             f"late in real time, expected a cycle of {least_s * 1e3:g} ms or more"
         )
     if config.machine_kind is MachineKind.SERVO_AXIS:
-        place: Location = (
-            ("load", "shaft", "inertia_kg_m2") if config.load.shaft.inertia_kg_m2 else ("machine", "shaft")
-        )
-        check_imitated_inertia(config, document, config.imitated_shaft().inertia_kg_m2, place)
+        from hilbench.bench.servo_axis_check import check_servo_axis  # machine code that no web line needs
+
+        check_servo_axis(config, document)
     else:
         notes += check_web_line(config, document, nodes)
     slots = schedule(frames, config.cycle_time_s, config.bus.bitrate)
     return CheckedBench(load, sum(frame.per_cycle for frame in frames), notes, options, fmu_findings(config), slots)
-
-
-def imitable_inertias_kg_m2(config: BenchConfig) -> tuple[float, float]:
-    """The least and the largest inertia that the load motor of a servo axis imitates stably."""
-    return imitable_inertia_kg_m2(shaft_on_bus(config.servo_rig_parameters(), config.cycle_time_s))
-
-
-def check_imitated_inertia(config: BenchConfig, document: Document, inertia_kg_m2: float, where: Location) -> None:
-    """Raise UnusableInputError at `where` when the loop of imitated inertia, shaft and bus is unstable with it."""
-    least, largest = imitable_inertias_kg_m2(config)
-    if not least < inertia_kg_m2 < largest:
-        raise UnusableInputError(
-            document.place(where),
-            f"the load motor can't imitate an inertia of {inertia_kg_m2:.4g} kg·m² over a cycle of "
-            f"{config.cycle_time_s * 1e3:g} ms: the loop of shaft and bus is stable from {least:.4g} to "
-            f"{largest:.4g} kg·m², expected a shorter cycle or a heavier shaft on the stand",
-        )
 
 
 def _check_drives(config: BenchConfig, document: Document, nodes: Nodes) -> None:

@@ -59,24 +59,35 @@ def _crc_bits(crc: int, bits: int, count: int) -> int:
     return crc
 
 
+def _stuff_table(count: int) -> list[list[tuple[int, int]]]:
+    """`_stuff_bits` of all groups of `count` bits, by state: of one bit less with one more behind it."""
+    table = [[(state, 0)] for state in range(_STATES)]
+    for _ in range(count):
+        table = [[(after, stuffed + more) for state, stuffed in row for after, more in _STEPS[state]] for row in table]
+    return table
+
+
+_STEPS = [[_stuff_step(state, bit) for bit in (0, 1)] for state in range(_STATES)]
 # STUFF[state << 8 | byte] = stuff bits << 11 | next state << 8, so that the next look-up needs one "or".
-STUFF = tuple(
-    stuffed << 11 | following << 8
-    for following, stuffed in (_stuff_bits(state, byte, 8) for state in range(_STATES) for byte in range(256))
-)
-STUFF_LAST_7 = tuple(_stuff_bits(state, bits, 7)[1] for state in range(_STATES) for bits in range(128))
+STUFF = tuple(stuffed << 11 | following << 8 for row in _stuff_table(8) for following, stuffed in row)
+STUFF_LAST_7 = tuple(stuffed for row in _stuff_table(7) for _, stuffed in row)
 _CRC = tuple(_crc_bits(0, byte, 8) for byte in range(256))
 
 
-def _crc_after_zeros(crc: int, count: int) -> int:
-    """The CRC register `count` bytes of zeros later."""
-    for _ in range(count):
-        crc = (crc << 8 & 0x7FFF) ^ _CRC[crc >> 7]
-    return crc
+def _crc_after_zero(crc: int) -> int:
+    """The CRC register a byte of zeros later."""
+    return (crc << 8 & 0x7FFF) ^ _CRC[crc >> 7]
 
 
-# The CRC is linear: what each of eight data bytes adds to it at the end, by the byte's place.
-CRC_OF_PLACES = tuple(tuple(_crc_after_zeros(crc, 7 - place) for crc in _CRC) for place in range(8))
+def _crc_of_places() -> tuple[tuple[int, ...], ...]:
+    """The CRC is linear: what each of eight data bytes adds to it at the end, by the byte's place."""
+    places = [_CRC]
+    for _ in range(7):
+        places.insert(0, tuple(map(_crc_after_zero, places[0])))
+    return tuple(places)
+
+
+CRC_OF_PLACES = _crc_of_places()
 _CRC_0, _CRC_1, _CRC_2, _CRC_3, _CRC_4, _CRC_5, _CRC_6, _CRC_7 = CRC_OF_PLACES
 
 _headers: dict[tuple[int, int], tuple[int, int, int]] = {}
@@ -98,7 +109,9 @@ def header(can_id: int, length: int) -> tuple[int, int, int]:
         count, fixed = 18, STUFFED_BITS_BASE + TRAILER_BITS
     state, stuffed = _stuff_bits(_AFTER_SOF, bits, count)
     # SOF is a 0 and the CRC register begins at 0: it changes nothing.
-    crc = _crc_after_zeros(_crc_bits(0, bits, count), 0 if remote else length)
+    crc = _crc_bits(0, bits, count)
+    for _ in range(0 if remote else length):
+        crc = _crc_after_zero(crc)
     found = (crc, state << 8, fixed + stuffed + (0 if remote else 8 * length))
     if len(_headers) >= _HEADER_CACHE_LIMIT:
         _headers.clear()

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from hilbench import strict_yaml
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect
 from hilbench.diagnosis.terms import Place
@@ -229,7 +229,7 @@ def write_steps(path: Path, proposed: NextExperiment, config: Path | None) -> Pa
     if config is not None:
         above = Path(os.path.relpath(config.resolve(), path.resolve().parent)).as_posix()
         head = {"include": above, "name": f"{config.stem}_next"}
-    text = yaml.safe_dump({**head, "steps": proposed.steps, "criteria": []}, sort_keys=False, default_flow_style=None)
+    text = strict_yaml.text_of({**head, "steps": proposed.steps, "criteria": []}, default_flow_style=None)
     with writing(path):
         path.write_text("\n".join([*lines, text]), encoding="utf-8")
     return path

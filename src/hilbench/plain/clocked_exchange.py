@@ -56,9 +56,14 @@ _SYNC = Frame(SYNC, b"")
 class ClockedExchange(PlainExchange):
     """Runs the cycles of a bench that are plain; see `exchange.exchange.PlainCycles`."""
 
-    def _prepare(self) -> None:
+    @staticmethod
+    def warm_up() -> None:
+        """See `PlainExchange`."""
         kernel.warm_up()
         clocked_kernel.warm_up()
+
+    def _prepare(self) -> None:
+        self.warm_up()
         self._pause = 1
         self._tables: _ClockedRun | None = None
         with suppress(NotPlainError):  # to make them takes too long between two cycles

@@ -52,10 +52,15 @@ class PlainExchange:
         self._prepare()
         sync.before_use = self.settle
 
-    def _prepare(self) -> None:
-        """Before there is a cycle."""
+    @staticmethod
+    def warm_up() -> None:
+        """Compile, or load from the cache, what it calls: in good time, where one is to be made later."""
         kernel.warm_up()
         packet_kernel.warm_up_bench()
+
+    def _prepare(self) -> None:
+        """Before there is a cycle."""
+        self.warm_up()
         self._wire = BorrowedWire(self._link)
         self._pause = _LOOK_AGAIN  # cycles to wait when they are plain no more
 

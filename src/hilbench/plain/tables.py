@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,10 +13,12 @@ from hilbench.canopen.object_store import Cell
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402 import objects
 from hilbench.cia402.drive import Drive
-from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.cia402.units import RPM
 from hilbench.plain import layout as lay
 from hilbench.plant.motor_port import MotorMode
+
+if TYPE_CHECKING:
+    from hilbench.cia402.simulated import SimulatedDrive  # a bench without devices does not load them
 
 NO_SLOT = -1
 

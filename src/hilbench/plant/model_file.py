@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from hilbench import strict_yaml
 from hilbench.errors import UnusableInputError
 from hilbench.files import writing
@@ -45,6 +43,6 @@ def write_model(path: str | Path, parameters: Machine) -> None:
     if isinstance(parameters, ServoAxisParameters):  # a file without `kind` is a web line's
         data = {"kind": parameters.kind, **data}
     data["effects"] = [entry.model_dump(mode="json", exclude_none=True) for entry in parameters.effects]
-    text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+    text = strict_yaml.text_of(data)
     with writing(path):
         Path(path).write_text(text, encoding="utf-8")

@@ -6,20 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf, isfinite
 
-from hilbench.bench.check import CheckedBench, check_bench, check_imitated_inertia, imitable_inertias_kg_m2
+from hilbench.bench.check import CheckedBench, check_bench
 from hilbench.bench.prediction.create import foreseeable
 from hilbench.bench.tasks.tension_loop import Margins, OperatingPoint, TensionLoop
 from hilbench.bench.web_line_check import check_stability, operating_point_text, stiffness_reserves
 from hilbench.errors import UnusableInputError
 from hilbench.plant.effect import MachineKind
-from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.found import find_metric as find_found_metric
 from hilbench.runs.metrics import OF_RUNS, metrics_of
-from hilbench.runs.prospect import Move, moves, start_of
-from hilbench.runs.web_line_check import beyond, operating_points, step_warnings, stiffness_of
+from hilbench.runs.prospect import Move, moves
+from hilbench.runs.web_line_check import operating_points, step_warnings, stiffness_of
 from hilbench.suggest import did_you_mean
-from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SPEED
 
 #: Margins below which a loop is noted.
 _LEAST_GAIN, _LEAST_PHASE_DEG = 2.0, 30.0
@@ -69,7 +67,10 @@ def check_experiment(loaded: LoadedConfig, *, with_margins: bool = False) -> Che
     _check_methods(loaded)
     _check_predictions(loaded)
     if config.machine_kind is MachineKind.SERVO_AXIS:
-        found = _check_shaft(loaded, bench, asked)
+        from hilbench.runs.servo_axis_check import check_shaft  # machine code that no web line needs
+
+        warnings, reserve = check_shaft(loaded, asked)
+        found = CheckedExperiment(bench, None, None, warnings, list(bench.notes), inertia_reserve=reserve)
     else:
         found = _check_web(loaded, bench, asked, with_margins=with_margins)
     for number, step in enumerate(config.steps):
@@ -140,32 +141,6 @@ def _check_criteria(loaded: LoadedConfig) -> None:
                 loaded.document.place(("criteria", number, "metric")),
                 f"metric '{criterion.metric}' is none of this machine, expected one of {', '.join(known)}{meant}",
             )
-
-
-def _check_shaft(loaded: LoadedConfig, bench: CheckedBench, asked: list[Move]) -> CheckedExperiment:
-    """The load motor can imitate every inertia that is asked for; speeds and torques are within limits."""
-    config, document = loaded.config, loaded.document
-    limits, inertias = config.safety.limits, [start_of(config).values[SHAFT_INERTIA]]
-    warnings: list[str] = []
-    most_Nm = per_item(config.drive_parameters.torque_limit_Nm, 1)
-    for move in asked:
-        before, after, at = move.before.values, move.after.values, document.place(move.after.place)
-        inertia = after[SHAFT_INERTIA]
-        if inertia != before[SHAFT_INERTIA]:
-            check_imitated_inertia(config, document, inertia, move.after.place)
-            inertias.append(inertia)
-        way_rad_s = abs(after[SPEED] - before[SPEED])
-        if way_rad_s:
-            warnings += beyond(at, "speed", abs(after[SPEED]), limits.speed_rad_s, "rad/s")
-        if move.duration_s > 0.0:
-            needed_Nm = inertia * way_rad_s / move.duration_s + after[SHAFT_COULOMB_FRICTION]
-            if way_rad_s and needed_Nm > most_Nm:
-                warnings.append(
-                    f"{at}: {way_rad_s:g} rad/s within {move.duration_s:g} s ask for {needed_Nm:.3g} N·m of axis 1, "
-                    f"which has {most_Nm:g} N·m, expected a longer ramp"
-                )
-    reserve = imitable_inertias_kg_m2(config)[1] / max(inertias)
-    return CheckedExperiment(bench, None, None, warnings, list(bench.notes), inertia_reserve=reserve)
 
 
 def _check_web(

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import Field
 
 from hilbench import strict_yaml
@@ -139,7 +138,7 @@ def dump(config: BenchConfig, path: Path) -> None:
                     source, name = Path(action["file"]), f"step{number}_{Path(action['file']).name}"
                     shutil.copyfile(source, path.parent / name)
                     action["file"] = name
-        path.write_text(yaml.safe_dump(data, sort_keys=False, allow_unicode=True), encoding="utf-8")
+        path.write_text(strict_yaml.text_of(data), encoding="utf-8")
 
 
 def write_config_over(path: Path, files: Sequence[Path]) -> None:
@@ -150,7 +149,7 @@ def write_config_over(path: Path, files: Sequence[Path]) -> None:
     folder = path.resolve().parent
     names = [Path(os.path.relpath(file.resolve(), folder)).as_posix() for file in files]
     name = read_document(files[0]).data.get("name", files[0].stem)
-    text = yaml.safe_dump({"include": names, "name": f"{name}_extended"}, sort_keys=False, allow_unicode=True)
+    text = strict_yaml.text_of({"include": names, "name": f"{name}_extended"})
     with writing(path):
         path.write_text(text, encoding="utf-8")
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
-import yaml
 from pydantic import BaseModel
 
+from hilbench import strict_yaml
 from hilbench.runs.config import ExperimentConfig
 
 _COMMENT_COLUMN = 34
@@ -101,5 +101,5 @@ def _tag(block: BaseModel) -> dict[str, Any]:
 
 
 def _flow(value: Any) -> str:
-    text = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, allow_unicode=True, width=10_000)
+    text = strict_yaml.text_of(value, default_flow_style=True, width=10_000)
     return text.removesuffix("\n").removesuffix("\n...")

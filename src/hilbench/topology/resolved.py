@@ -6,8 +6,6 @@ from argparse import ArgumentParser
 from pathlib import Path
 from typing import get_args
 
-import yaml
-
 from hilbench import strict_yaml
 from hilbench.topology.blocks import Pace
 from hilbench.topology.config import BenchConfig
@@ -25,7 +23,8 @@ def remember(config: BenchConfig) -> None:
 def write_resolved(config: BenchConfig, path: Path) -> None:
     """Write the config for `read_resolved`; a file that is there already is that of this bench."""
     if not path.exists():
-        path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))
+        text = strict_yaml.text_of(config.model_dump(mode="json", exclude_none=True))
+        path.write_text(text, encoding="utf-8")
 
 
 def read_resolved(path: Path) -> BenchConfig:

@@ -6,7 +6,7 @@ import os
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -18,6 +18,7 @@ from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.supervisor import Watch
 from hilbench.can import hub_client
 from hilbench.can.embedded import EmbeddedLink
+from hilbench.can.frame import Frame
 from hilbench.can.link import Link, PacketLink
 from hilbench.can.open import open_link, open_python_can, starting
 from hilbench.canopen.eds import shared_eds
@@ -36,7 +37,6 @@ from hilbench.exchange.node_data import FILE, ask_all, stand_data
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_producer import SyncProducer
 from hilbench.exchange.to_each import ToEach
-from hilbench.plain import kernel
 from hilbench.processes import ChildProcess
 from hilbench.real_time import comes_first, kept_ready
 from hilbench.topology.config import BenchConfig
@@ -46,13 +46,15 @@ from hilbench.twin.machines.kinds import maker, warm_up
 
 if TYPE_CHECKING:
     from hilbench.bench.lifecycle.in_process import InProcess
-    from hilbench.plain.clocked_exchange import ClockedExchange
+    from hilbench.exchange.own_node import OwnNode
+    from hilbench.exchange.sync_cycle import SyncCycle
     from hilbench.plain.exchange import PlainExchange
 
 #: Of a node that does not wait for SYNC one comes for certain.
 _HEARTBEATS_TO_WAIT = 1.5
-#: While the nodes are configured who reads the bus beside that sees so soon that it is done.
-_LOOKS_S = 0.005
+#: While the nodes are configured who reads the bus beside that looks so often: woken by each frame it would take from
+#: the transfers as much time of the interpreter as they need.
+_LOOKS_S = 0.001
 #: For a reset to be taken: a heartbeat of before that is still on its way is no boot-up.
 _RESET_S = 0.05
 #: For the last command to come back from the bus: it belongs in the trace.
@@ -130,8 +132,6 @@ def bring_up(
             elif participants is Participants.STARTED:
                 announce("start simulated hardware and twin")
                 children = start_children(config, folder, copies)
-                if config.pace == "lockstep":
-                    kernel.warm_up()  # while they start
             else:
                 announce("look for simulated hardware and twin")
             for child in children:
@@ -140,6 +140,7 @@ def bring_up(
                 supervisor = _start_supervisor(config, folder, copies)
             if supervisor is not None:
                 resources.callback(supervisor.end)
+            plain = None if here else _plain_cycles(config, link, nodes, tap)  # loaded while they start
             announce("configure nodes")
             found = _configure(config, nodes, master, children, participants)
             brought = {} if participants is Participants.PRESENT else config.simulated_drives
@@ -157,23 +158,31 @@ def bring_up(
         exchange = Exchange(nodes, link, objects, tap=tap, in_process=here is not None, producer=producer)
         if here and inside:
             exchange.use(here.plain_cycles(inside, nodes, tap))
-        elif isinstance(link, EmbeddedLink) and (tap is None or isinstance(tap, LineTap)):
-            exchange.use(partial(_plain_exchange(config), link, nodes, tap=tap))
+        elif plain is not None:
+            exchange.use(plain)
         resources.callback(_release_nodes, master, exchange)
         if producer is not None:
             resources.callback(producer.close)
         yield StartedBench(nodes, exchange, children, supervisor, warnings)
 
 
-def _plain_exchange(config: BenchConfig) -> type[PlainExchange | ClockedExchange]:
-    """Who runs its plain cycles on the embedded bus; the other one is not loaded."""
-    if config.pace == "lockstep":
+def _plain_cycles(
+    config: BenchConfig, link: Link, nodes: Nodes, tap: FrameTap | None
+) -> Callable[[SyncCycle, OwnNode], PlainExchange] | None:
+    """How who runs the plain cycles on the embedded bus is made; what it calls is loaded. None: nobody does, on other
+    buses or for a tap that takes no text."""
+    if not isinstance(link, EmbeddedLink) or not (tap is None or isinstance(tap, LineTap)):
+        return None
+    if config.pace == "lockstep":  # the other one is not loaded
         from hilbench.plain.exchange import PlainExchange
 
-        return PlainExchange
-    from hilbench.plain.clocked_exchange import ClockedExchange
+        made = PlainExchange
+    else:
+        from hilbench.plain.clocked_exchange import ClockedExchange
 
-    return ClockedExchange
+        made = ClockedExchange
+    made.warm_up()
+    return partial(made, link, nodes, tap=tap)
 
 
 def wire_first(config: BenchConfig) -> list[str]:
@@ -291,7 +300,7 @@ def _load_twin(config: BenchConfig) -> Callable[[], object] | None:
 def start_children(config: BenchConfig, folder: Path, copies: dict[str, Copy] | None = None) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
     waiting = {} if copies is None else copies
-    if not (all_compiled() and _twin_is_compiled(config, waiting.get(TWIN))):
+    if not _are_compiled(config, waiting):
         # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
         warm_up(config.machine, config.twin, config.shape, config.cycle_time_s)
     path = folder / "config.yaml"
@@ -307,9 +316,10 @@ def start_children(config: BenchConfig, folder: Path, copies: dict[str, Copy] | 
     return children
 
 
-def _twin_is_compiled(config: BenchConfig, copy: Copy | None) -> bool:
-    """What it runs on, of which this process itself need not load anything where a copy does."""
-    if copy is not None and copy.can:
+def _are_compiled(config: BenchConfig, waiting: Mapping[str, Copy]) -> bool:
+    """Whether what they run on is on disk: copies have looked, and this process need not load anything of it."""
+    names = [TWIN, *([_HARDWARE] if config.simulated_drives else [])]
+    if all(name in waiting and waiting[name].can for name in names):
         return True
     maker(config.machine)  # `all_compiled` looks at what is imported
     return all_compiled()
@@ -381,18 +391,21 @@ def _watched(link: Link, tap: FrameTap | None, sent: SentFrames) -> Iterator[Non
     done = threading.Event()
     failures: list[BaseException] = []
 
+    def take(frames: list[Frame]) -> None:
+        if any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in frames):
+            failures.append(EmergencyStopError("emergency stop (COB-ID 001h) on the bus during the start"))
+        for frame in frames:
+            sent.take(frame.can_id, frame.data)
+        if frames and tap is not None:
+            now_ns = time.time_ns()
+            tap.write([frame._replace(time_ns=now_ns) for frame in frames])
+            tap.end_cycle()
+
     def drain() -> None:
         try:
-            while not done.is_set():
-                frames = link.receive(_LOOKS_S)
-                if any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in frames):
-                    failures.append(EmergencyStopError("emergency stop (COB-ID 001h) on the bus during the start"))
-                for frame in frames:
-                    sent.take(frame.can_id, frame.data)
-                if frames and tap is not None:
-                    now_ns = time.time_ns()
-                    tap.write([frame._replace(time_ns=now_ns) for frame in frames])
-                    tap.end_cycle()
+            while not done.wait(_LOOKS_S):
+                take(link.receive(0.0))
+            take(link.receive(0.0))
         except BaseException as error:  # handed to the thread that waits for us
             failures.append(error)
 

@@ -1,0 +1,36 @@
+"""What the steps of an experiment ask of a servo axis: inertias that can be imitated, speeds and torques in limits."""
+
+from __future__ import annotations
+
+from hilbench.bench.servo_axis_check import check_imitated_inertia, imitable_inertias_kg_m2
+from hilbench.plant.parameters import per_item
+from hilbench.runs.config import LoadedConfig
+from hilbench.runs.prospect import Move, start_of
+from hilbench.runs.web_line_check import beyond
+from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SPEED
+
+
+def check_shaft(loaded: LoadedConfig, asked: list[Move]) -> tuple[list[str], float]:
+    """What an operator should know of the steps' speeds and torques, and the largest inertia that the load motor can
+    imitate, over the largest that is asked for. Raises UnusableInputError at the step that asks for one it cannot."""
+    config, document = loaded.config, loaded.document
+    limits, inertias = config.safety.limits, [start_of(config).values[SHAFT_INERTIA]]
+    warnings: list[str] = []
+    most_Nm = per_item(config.drive_parameters.torque_limit_Nm, 1)
+    for move in asked:
+        before, after, at = move.before.values, move.after.values, document.place(move.after.place)
+        inertia = after[SHAFT_INERTIA]
+        if inertia != before[SHAFT_INERTIA]:
+            check_imitated_inertia(config, document, inertia, move.after.place)
+            inertias.append(inertia)
+        way_rad_s = abs(after[SPEED] - before[SPEED])
+        if way_rad_s:
+            warnings += beyond(at, "speed", abs(after[SPEED]), limits.speed_rad_s, "rad/s")
+        if move.duration_s > 0.0:
+            needed_Nm = inertia * way_rad_s / move.duration_s + after[SHAFT_COULOMB_FRICTION]
+            if way_rad_s and needed_Nm > most_Nm:
+                warnings.append(
+                    f"{at}: {way_rad_s:g} rad/s within {move.duration_s:g} s ask for {needed_Nm:.3g} N·m of axis 1, "
+                    f"which has {most_Nm:g} N·m, expected a longer ramp"
+                )
+    return warnings, imitable_inertias_kg_m2(config)[1] / max(inertias)
