@@ -8,6 +8,7 @@ nobody else knows.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,10 @@ class Unknowns:
         """Standard deviations of the unknowns (n,)."""
         found: Vector = np.sqrt(np.diag(self.covariance)[: self._count])
         return found
+
+    def deviation(self, unknown: int) -> float:
+        """Of one of them, from 0."""
+        return sqrt(self.covariance.item(unknown, unknown))
 
     @property
     def belief(self) -> Belief:

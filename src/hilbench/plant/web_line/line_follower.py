@@ -8,19 +8,18 @@ so heavy that nothing moves it, and no web loads it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from math import ceil
-from typing import Final
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from hilbench.compiled import COUNT, REAL, VECTOR, entry_point
+from hilbench.compiled import table_of
 from hilbench.plant.effect import EffectPlace
 from hilbench.plant.effects import effects_of
 from hilbench.plant.interface import PlantDescription, Quantity, checked_name
-from hilbench.plant.web_line import kernel, laws, reels
 from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line import line_kernel
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.modes import needed_substeps
@@ -28,8 +27,6 @@ from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.simulated import KIND
 from hilbench.plant.web_line.span import BROKEN, SpanFollower
-from hilbench.plant.web_line.span_kernel import resistance_N
-from hilbench.plant.web_line.stations import Reel
 
 #: Of a driven roller: a pull of 1 kN makes it 1e-9 m/s faster in a second.
 _HELD_KG: Final = 1e12
@@ -37,27 +34,6 @@ _HELD_KG: Final = 1e12
 _TORN: Final = 1e-12
 #: Longest integration step where no roller asks for a shorter one, as of a web on driven rollers alone.
 LONGEST_STEP_S: Final = 0.001
-#: Over which the acceleration of driven rollers is averaged: positions are counted, and load motors must not chase
-#: their own swings with it. Less acceleration is none, m/s².
-ACCELERATION_S: Final = 0.05
-LEAST_M_S2: Final = 0.02
-
-RadiusRatio = Callable[[Vector, int, float], float]
-
-
-def _entry_point(sources: int) -> RadiusRatio:
-    """Compiled, and called from Python; `sources` as in the kernel."""
-
-    @entry_point(VECTOR, COUNT, REAL)
-    def radius_ratio(p: Vector, row: int, x_m: float) -> float:
-        axis = lay.W_SIZE + row * lay.A_SIZE
-        ratio: float = reels.radius_ratio(p, axis, x_m) if sources >= 0 and reels.is_reel(p, axis) else 1.0
-        return ratio
-
-    return radius_ratio
-
-
-_radius_ratio = _entry_point(kernel.source_number(__file__))
 
 
 def follower_of(parameters: ModelParameters) -> SpanFollower | LineFollower:
@@ -82,6 +58,50 @@ def step_s(parameters: ModelParameters) -> float:
     return min(sample_s / needed_substeps(parameters), LONGEST_STEP_S)
 
 
+class LinesTogether:
+    """Followers (F,) of one line, on the same measured motion but for how much further each is taken to be: all of them
+    in one call. What they show may be changed; `put` brings them to it."""
+
+    def __init__(self, lines: Sequence[LineFollower]) -> None:
+        first = lines[0].vectors
+        n, k = int(first.p[lay.W_AXES]), int(first.p[lay.W_SPANS])
+        rows = lines[0].driven_rows
+        self._x = np.zeros(len(rows))
+        #: How much further the driven rollers are taken to be (F, N), m.
+        self.offsets_m = np.zeros((len(lines), len(rows)))
+        self.tensions_N = np.zeros((len(lines), k))  #: as shown last, (F, K)
+        self.motions = np.zeros((len(lines), 4 * n + 2 * k))  #: what is integrated (F, Y), see `Layout.y`
+        #: Radii of the driven rollers (N,) of the first over those at the start; 1 of one that is no reel.
+        self.ratios = np.ones(len(rows))
+        shared = (self._x, rows, self.offsets_m, self.tensions_N, self.motions, self.ratios)
+        self._kept = (*shared, *(vector for line in lines for vector in line.vectors_in_order))
+        self._table = table_of(self._kept)
+
+    def follow(self, positions: Sequence[float] | Vector, duration_s: float) -> None:
+        """The driven rollers are now at `positions` (N,), m, `duration_s` after the last call."""
+        self._x[:] = positions
+        line_kernel.follow(duration_s, self._table)
+
+    def show(self) -> Self:
+        """Bring what is shown up to what was changed in the lines."""
+        line_kernel.show(0.0, self._table)
+        return self
+
+    def put(self) -> None:
+        """Let the lines go on from `motions`."""
+        line_kernel.put(0.0, self._table)
+
+
+class _Pull(NamedTuple):
+    """What load motors pull by; see `line_kernel`."""
+
+    table: NDArray[np.int64]
+    speeds: Vector
+    ahead: Vector
+    torques_Nm: Vector
+    kept: tuple[NDArray[Any], ...]
+
+
 class LineFollower(Line):
     """All that the web of a model runs over, on measured positions (N,) of its driven rollers, at the web.
 
@@ -93,25 +113,25 @@ class LineFollower(Line):
         self.parameters = parameters.model_copy(update={"web": parameters.required_web})
         self._torn_Pa: Vector | None = None
         super().__init__(self.parameters)
-        self._sample_s = float(self._p[lay.W_SAMPLE_TIME_S])
-        self._step_s = step_s(self.parameters)
         hold(self._p)
-        n, rows = self._layout.axes, np.array(self._driven)
-        #: Where the driven rollers (N,) stand in what is integrated: positions and speeds, of roller and motor.
-        self._at, self._at_motor = rows, 2 * n + rows
-        self._speed, self._speed_of_motor = n + rows, 3 * n + rows
-        self._carries = [parameters.carries_web_load(axis) for axis in range(1, parameters.axis_count + 1)]
-        self._rad_per_m = [parameters.motor_rad_per_m(axis) for axis in range(1, parameters.axis_count + 1)]
+        count, carries = len(self._driven), parameters.carries_web_load
+        self._rows = np.array(self._driven, np.int64)
+        #: What is known of the motion of the driven rollers; see `line_kernel`.
+        self.memory = np.zeros(line_kernel.FIRST + 3 * count)
+        sample_s = float(self._p[lay.W_SAMPLE_TIME_S])
+        self.memory[[line_kernel.SAMPLE_S, line_kernel.STEP_S]] = sample_s, step_s(self.parameters)
+        loads = [(axis, parameters.motor_rad_per_m(axis + 1), carries(axis + 1)) for axis in range(count)]
+        self._all_loads = np.array(loads, float).reshape(count, 3)
+        self._alone = LinesTogether([self])
+        self._pulls: dict[tuple[int, ...], _Pull] = {}
         self._described = _description(self._description)
-        self._guess = self._state.copy()
         self._forget_motion()
         self._observe()
 
     def _forget_motion(self) -> None:
         """Nothing is known of what the driven rollers did."""
-        self._mean_m_s: Vector | None = None  # speeds in the last cycle (N,), and its duration
-        self._duration_s = 0.0
-        self._m_s2 = np.zeros(len(self._driven))
+        self.memory[[line_kernel.KNOWN, line_kernel.DURATION_S]] = 0.0
+        self.memory[line_kernel.FIRST :] = 0.0
 
     def describe(self) -> PlantDescription:
         """What it is; see `hilbench.plant.interface.Machine`."""
@@ -136,35 +156,7 @@ class LineFollower(Line):
         """
         if not duration_s > 0.0:
             raise ValueError(f"duration {duration_s!r} s, expected more than 0")
-        y, now_m = self._layout.y(self._state), np.asarray(positions, dtype=float)
-        mean_m_s = (now_m - y[self._at]) / duration_s
-        self._see_acceleration(mean_m_s, duration_s)
-        gained_m_s = self._gained_m_s(duration_s)
-        self._turn(self._state, mean_m_s - 0.5 * gained_m_s, gained_m_s, duration_s)
-        y[self._at] = y[self._at_motor] = now_m  # exactly: no drift from adding up
-        self._observe()
-
-    def _see_acceleration(self, mean_m_s: Vector, duration_s: float) -> None:
-        """Take the mean speeds of the driven rollers (N,) over the time since the last call."""
-        if self._mean_m_s is not None:
-            apart_s = 0.5 * (duration_s + self._duration_s)
-            share = duration_s / (duration_s + ACCELERATION_S)
-            self._m_s2 += share * ((mean_m_s - self._mean_m_s) / apart_s - self._m_s2)
-        self._mean_m_s, self._duration_s = mean_m_s, duration_s
-
-    def _gained_m_s(self, duration_s: float) -> Vector:
-        """What the driven rollers (N,) gain of speed in that time, as they go on."""
-        return np.where(np.abs(self._m_s2) < LEAST_M_S2, 0.0, self._m_s2) * duration_s
-
-    def _turn(self, state: Vector, speeds_m_s: Vector, gained_m_s: Vector, duration_s: float) -> None:
-        """Let the line run with driven rollers that begin with these speeds (N,) and gain so much, by as many steps as
-        their drives have samples; they have the speeds of the end then."""
-        y = self._layout.y(state)
-        steps = max(round(duration_s / self._sample_s), 1) if gained_m_s.any() else 1
-        for step in range(steps):
-            y[self._speed] = y[self._speed_of_motor] = speeds_m_s + (step + 0.5) / steps * gained_m_s
-            self._go_on(state, duration_s / steps)
-        y[self._speed] = y[self._speed_of_motor] = speeds_m_s + gained_m_s
+        self._alone.follow(positions, duration_s)
 
     @property
     def motion(self) -> Vector:
@@ -177,69 +169,54 @@ class LineFollower(Line):
 
     def radius_ratio(self, axis: int) -> float:
         """Radius of a reel, of a driven axis from 1, over that at the start; 1 of another roller."""
-        row = self._driven[axis - 1]
-        return float(_radius_ratio(self._p, row, self._layout.y(self._state).item(row)))
+        return self._alone.show().ratios.item(axis - 1)
 
     def predicted_tension_N(self, lead_s: float) -> Vector:
         """The tensions (K,) `lead_s` later if the driven rollers go on as until now; changes nothing."""
         if not lead_s > 0.0:
             return self.tension_N
-        self._guess[:] = self._state
-        speeds_m_s = self._layout.y(self._guess)[self._speed]
-        self._turn(self._guess, speeds_m_s, self._gained_m_s(lead_s), lead_s)
-        out = np.empty_like(self._out)
-        kernel.observe(self._p, self._guess, self._inputs, self._work, out)
-        tension: Vector = out[self._layout.columns["F_N"]]
+        pull = self._pull_of(())
+        line_kernel.pull(lead_s, pull.table)
+        tension: Vector = pull.ahead[self._layout.columns["F_N"]].copy()
         return tension
-
-    def _go_on(self, state: Vector, duration_s: float) -> None:
-        """Let the line run by any time: the samples of drives, which are off, are cut to fit it."""
-        p = self._p
-        time_s, samples = state.item(lay.S_COUNT) * self._sample_s, max(round(duration_s / self._sample_s), 1)
-        sample_s = duration_s / samples
-        p[lay.W_SAMPLE_TIME_S] = sample_s
-        p[lay.W_SUBSTEPS] = ceil(sample_s / self._step_s - 1e-9)
-        state[lay.S_COUNT] = time_s / sample_s
-        self._refresh_directions(state)
-        kernel.advance(p, state, self._inputs, self._work, samples)
-        p[lay.W_SAMPLE_TIME_S] = self._sample_s
-        state[lay.S_COUNT] = (time_s + duration_s) / self._sample_s
-
-    def _refresh_directions(self, state: Vector) -> None:
-        """Dry friction of the driven rollers goes by their measured motion."""
-        n = self._layout.axes
-        modes = lay.S_Y + self._layout.y_size + lay.SA_DIRECTION
-        for row in self._driven:
-            speed = state.item(lay.S_Y + n + row)
-            state[modes + row * lay.SA_SIZE] = 1.0 if speed > 0.0 else -1.0 if speed < 0.0 else 0.0
 
     def load_torques_Nm(self, axes: Sequence[int], speeds: Sequence[float], lead_s: float) -> list[float]:
         """Torques at the shafts of load motors on `axes`, of the line `lead_s` ahead; `speeds` (N,) of the driven
-        rollers, m/s. A load motor turns as fast as the axis' motor."""
-        tension = self.predicted_tension_N(lead_s)
-        return [self.web_torque_Nm(axis, speeds[axis - 1], tension_N=tension) for axis in axes]
+        rollers, m/s. A load motor turns as fast as the axis' motor.
 
-    def web_torque_Nm(self, axis: int, v_m_s: float, *, tension_N: ArrayLike | None = None) -> float:
-        """Torque at the motor of `axis` that imitates the web and the roller's resistance: (r/i)·(F_next - F - R(v)).
-
-        F is the tension of the span before the roller, F_next that of the span behind it; of a reel one of them, with
-        its present radius in the place of the nominal. `tension_N` (K,): tensions to use, default the present ones.
+        They imitate the web and the roller's resistance: (r/i)·(F_next - F - R(v)). F is the tension of the span before
+        the roller, F_next that of the span behind it; of a reel one of them, with its present radius in the place of
+        the nominal.
         """
-        tensions = self.tension_N if tension_N is None else np.asarray(tension_N, dtype=float)
-        row, force = self._driven[axis - 1], 0.0
-        x_m = self._layout.y(self._state).item(row)
-        if self._carries[axis - 1]:
-            station = self.parameters.line_rollers[row].station
-            wound = station.type if isinstance(station, Reel) else None
-            before = tensions[row - 1] if row else 0.0 if wound else self._upstream_tension_N()
-            behind = tensions[row] if row < len(tensions) else 0.0 if wound else self._inputs[lay.U_F_NEXT_N]
-            force = float(behind - before) * _radius_ratio(self._p, row, x_m)
-        force -= resistance_N(self._p, row, x_m, float(v_m_s), laws.FRICTION_WIDTH_M_S)
-        return float(force / self._rad_per_m[axis - 1])
+        pull = self._pull_of(tuple(axes))
+        pull.speeds[:] = speeds
+        line_kernel.pull(max(lead_s, 0.0), pull.table)
+        found: list[float] = pull.torques_Nm.tolist()
+        return found
 
-    def _upstream_tension_N(self) -> float:
-        strain = float(laws.upstream_strain(self._p, self._inputs[lay.U_STRAIN_PREV], self.time_s))
-        return strain * float(self._p[lay.W_UPSTREAM_STIFFNESS_N])
+    def web_torque_Nm(self, axis: int, v_m_s: float) -> float:
+        """The same of one axis at the present tensions."""
+        return self.load_torques_Nm([axis], [v_m_s] * len(self._driven), 0.0)[0]
+
+    def _pull_of(self, axes: tuple[int, ...]) -> _Pull:
+        """What `line_kernel.pull` works on, for load motors on these axes."""
+        if axes not in self._pulls:
+            loads = self._all_loads[np.array(axes, int) - 1]
+            own, room = (*self.vectors_in_order, self._rows), (np.zeros_like(self._state), np.zeros_like(self._out))
+            speeds, torques_Nm = np.zeros(len(self._driven)), np.zeros(len(axes))
+            kept = (*own, loads, speeds, *room, torques_Nm)
+            self._pulls[axes] = _Pull(table_of(kept), speeds, room[1], torques_Nm, kept)
+        return self._pulls[axes]
+
+    @property
+    def vectors_in_order(self) -> tuple[Vector, ...]:
+        """What it consists of, in the order of `line_kernel`."""
+        return (*self.vectors, self.memory)
+
+    @property
+    def driven_rows(self) -> NDArray[np.int64]:
+        """Of its driven rollers, (N,)."""
+        return self._rows
 
     @property
     def tension_N(self) -> Vector:
@@ -271,6 +248,10 @@ class LineFollower(Line):
         value = super().parameter(name)
         self._tear(torn)
         return value
+
+    def put_modulus(self, span: int, modulus_Pa: float) -> None:
+        """E of a span, from 1, of a web that is whole; what is shown follows with the next call."""
+        self._p[self._layout.first_span + (span - 1) * lay.SP_SIZE + lay.SP_MODULUS_PA] = modulus_Pa
 
     def set_parameter(self, name: str, value: float) -> None:
         """Give a parameter a value from now on. Raises ValueError for an unknown name or an impossible value."""

@@ -14,59 +14,16 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, CUBE, INDICES, MATRIX, REAL, VECTOR, compiled, entry_point, inlined
 from hilbench.plant.sampling import on_all_cores, samples_per
-from hilbench.plant.web_line import kernel, laws, line_follower, places, reels
+from hilbench.plant.web_line import kernel, laws, line_follower, line_kernel, places, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.imitation import Imitation, lead_s, of_axes, rig_inputs, stands_of
 from hilbench.plant.web_line.layout import Layout, Vector
-from hilbench.plant.web_line.line_follower import ACCELERATION_S, LEAST_M_S2
+from hilbench.plant.web_line.line_kernel import ACCELERATION_S, gained_m_s, turn
 from hilbench.plant.web_line.offline import Simulation, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import station_name
 
 Rows = NDArray[np.int64]
-
-
-@inlined
-def _gained_m_s(a_m_s2: float, duration_s: float) -> float:
-    """What a driven roller gains of speed; see `LineFollower`."""
-    return 0.0 if abs(a_m_s2) < LEAST_M_S2 else a_m_s2 * duration_s
-
-
-@compiled
-def _turn(
-    p: Vector, s: Vector, u: Vector, w: Vector, rows: Rows, v: Vector, a: Vector, duration_s: float, sample_s: float,
-    step_s: float,
-) -> None:  # fmt: skip
-    """Let the line `p`, `s`, `u`, `w` run: its driven rollers, at `rows` (N,), begin with speeds `v` (N,) m/s and
-    accelerate by `a` (N,) m/s². `sample_s`: in which its time is counted; `step_s`: longest of a step of integration.
-    """
-    n, _, k = places.counts(p)
-    gains = False
-    for i in range(len(rows)):
-        gains |= _gained_m_s(a[i], duration_s) != 0.0
-    steps = max(round(duration_s / sample_s), 1) if gains else 1
-    part_s = duration_s / steps
-    samples = max(round(part_s / sample_s), 1)
-    time_s = s[lay.S_COUNT] * sample_s
-    p[lay.W_SAMPLE_TIME_S] = part_s / samples
-    p[lay.W_SUBSTEPS] = np.ceil(part_s / samples / step_s - 1e-9)
-    s[lay.S_COUNT] = time_s / p[lay.W_SAMPLE_TIME_S]
-    for step in range(steps):
-        for i in range(len(rows)):
-            speed = v[i] + (step + 0.5) / steps * _gained_m_s(a[i], duration_s)
-            s[lay.S_Y + n + rows[i]] = speed
-            s[lay.S_Y + 3 * n + rows[i]] = speed
-            direction = 1.0 if speed > 0.0 else -1.0 if speed < 0.0 else 0.0
-            s[places.axis_state(n, k, rows[i]) + lay.SA_DIRECTION] = direction
-        kernel.enter(p, s, u, w)
-        kernel.go_on(p, s, u, w, samples)
-        kernel.leave(s, w, places.block(n, k, 1))
-    s[lay.S_COUNT] = (time_s + duration_s) / sample_s
-    p[lay.W_SAMPLE_TIME_S] = sample_s
-    for i in range(len(rows)):
-        speed = v[i] + _gained_m_s(a[i], duration_s)
-        s[lay.S_Y + n + rows[i]] = speed
-        s[lay.S_Y + 3 * n + rows[i]] = speed
 
 
 @inlined
@@ -134,8 +91,8 @@ def _run(
                 if row > 1:
                     a[i] += cycle_s / (cycle_s + ACCELERATION_S) * ((gone - mean[i]) / cycle_s - a[i])
                 mean[i] = gone
-                v[i] = gone - 0.5 * _gained_m_s(a[i], cycle_s)
-            _turn(web, line, line_u, line_w, rows, v, a, cycle_s, sample_s, step_s)
+                v[i] = gone - 0.5 * gained_m_s(a[i], cycle_s)
+            turn(web, line, line_u, line_w, rows, v, a, cycle_s, sample_s, step_s)
             for i in range(n):
                 line[lay.S_Y + rows[i]] = out[place + i]
                 line[lay.S_Y + 2 * axes + rows[i]] = out[place + i]
@@ -148,7 +105,7 @@ def _run(
             guess[j] = line[j]
         for i in range(n):
             v[i] = line[lay.S_Y + axes + rows[i]]
-        _turn(web, guess, line_u, line_w, rows, v, a, lead_s, sample_s, step_s)
+        turn(web, guess, line_u, line_w, rows, v, a, lead_s, sample_s, step_s)
         kernel.enter(web, guess, line_u, line_w)
         kernel.report(web, guess, line_u, line_w, seen, 0)
         for j in range(n):
@@ -187,7 +144,7 @@ def _entry_point(sources: int) -> Callable[..., None]:
     return runs
 
 
-_simulate = _entry_point(kernel.source_number(line_follower.__file__, __file__))
+_simulate = _entry_point(kernel.source_number(str(line_kernel.__file__), __file__))
 
 
 def simulate_imitated_line(

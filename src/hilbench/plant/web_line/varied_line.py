@@ -7,16 +7,15 @@ An unknown is corrected by moving the line along those differences, as if it had
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from math import pi
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.layout import Vector
-from hilbench.plant.web_line.line_follower import LineFollower
+from hilbench.plant.web_line.line_follower import LineFollower, LinesTogether
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.stations import Idler, Reel, reel_name
@@ -42,8 +41,7 @@ class Kind(StrEnum):
 _STEPS: Final = {Kind.CARRIAGE: 1e-4, Kind.RADIUS: 1e-5, Kind.MODULUS: 1e-3, Kind.STRAIN: 1e-7}
 
 
-@dataclass(frozen=True, slots=True)
-class Unknown:
+class Unknown(NamedTuple):
     """What is unknown, and where: number of the carriage, of the axis of a reel, or of the axis before a section."""
 
     kind: Kind
@@ -78,14 +76,25 @@ class VariedLine:
 
     def __init__(self, model: ModelParameters, measured: Collection[str] = ()) -> None:
         self.unknowns = unknowns_of(model, measured)
+        self.places = {unknown: place for place, unknown in enumerate(self.unknowns)}
         self.line = damped_follower(model)
         self._model = model
-        self._copies = [damped_follower(model) for _ in self.unknowns]
-        self._rows = [row for row, roller in enumerate(model.line_rollers) if roller.axis is not None]
+        self._followers = [self.line, *(damped_follower(model) for _ in self.unknowns)]
+        #: All of them beside each other, the line itself in the first row.
+        self._all = LinesTogether(self._followers)
+        self._steps = np.array([unknown.step for unknown in self.unknowns])
+        self._axes = model.axis_count
         self._idlers = [roller.name for roller in model.line_rollers if roller.axis is None]
         self._idler_rows = [row for row, each in enumerate(model.line_rollers) if isinstance(each.station, Idler)]
-        self._rollers = len(model.line_rollers)
-        before = axes_before_spans(model)
+        self._rollers, carriages = len(model.line_rollers), model.carriages
+        before, self._span_count = axes_before_spans(model), model.span_count
+        #: Where the lengths of material and of spans begin among what is integrated.
+        self._material = 4 * (self._rollers + len(carriages))
+        self._lengths = self._material + self._span_count
+        self._stops = [
+            (self._rollers + at, each.station.name, each.station.lower_stop_m, each.station.upper_stop_m)
+            for at, each in enumerate(carriages)
+        ]
         self._spans = {axis: [k for k, of in enumerate(before) if of == axis] for axis in range(model.axis_count + 1)}
         self._slopes = {each.number: _slope_per_m(model, each.number) for each in self._of(Kind.RADIUS)}
         self._moduli = np.array([model.youngs_modulus_Pa(span) for span in range(1, model.span_count + 1)])
@@ -97,8 +106,9 @@ class VariedLine:
 
     def _lever_arms(self) -> Vector:
         """Load at each motor (N,) by the tensions (K,), N·m/N, with the reels as at the start."""
-        arms = np.zeros((len(self._rows), self._model.span_count))
-        for axis, row in enumerate(self._rows, 1):
+        rows = [row for row, roller in enumerate(self._model.line_rollers) if roller.axis is not None]
+        arms = np.zeros((len(rows), self._span_count))
+        for axis, row in enumerate(rows, 1):
             if self._model.carries_web_load(axis):
                 per_N = 1.0 / self._model.motor_rad_per_m(axis)
                 if row < arms.shape[1]:
@@ -112,60 +122,64 @@ class VariedLine:
         this speed."""
         turning = {f"v_{name}_m_s": speed_m_s for name in self._idlers}
         self._errors[:] = 0.0
-        for unknown, follower in zip((None, *self.unknowns), (self.line, *self._copies), strict=True):
-            self._put_moduli(follower, unknown)
-            follower.reset([x + more for x, more in zip(positions_m, self._offsets_m(unknown), strict=True)])
-            driven = {f"v{axis}_m_s": speed_m_s / follower.radius_ratio(axis) for axis in range(1, len(self._rows) + 1)}
+        self._put_errors()
+        for unknown, follower, offsets_m in zip(
+            (None, *self.unknowns), self._followers, self._all.offsets_m, strict=True
+        ):
+            follower.reset(np.asarray(positions_m) + offsets_m)
+            driven = {f"v{axis}_m_s": speed_m_s / follower.radius_ratio(axis) for axis in range(1, self._axes + 1)}
             follower.set_state(turning | driven)
             if unknown is not None and unknown.kind is Kind.CARRIAGE:
-                name = f"x_{self._model.carriages[unknown.number - 1].station.name}_m"
-                at_m = self.carriage_m(unknown.number)
-                follower.set_state({name: at_m + unknown.step})
+                name = self._stops[unknown.number - 1][1]
+                at_m = self.line.motion.item(self._rollers + unknown.number - 1)
+                follower.set_state({f"x_{name}_m": at_m + unknown.step})
             elif unknown is not None and unknown.kind is Kind.STRAIN:
                 strain = self.line.strain
                 follower.set_state({f"strain{k + 1}": strain[k] + unknown.step for k in self._spans[unknown.number]})
+        self._all.show()
 
     def set_boundary(self, strain_prev: float, F_next_N: float) -> None:
         """What the neighbouring sections do from now on."""
-        for follower in (self.line, *self._copies):
+        for follower in self._followers:
             follower.set_boundary(strain_prev, F_next_N)
 
     def set_input(self, name: str, value: float) -> None:
         """One of the inputs of a line from now on. Raises ValueError for an unknown name."""
-        for follower in (self.line, *self._copies):
+        for follower in self._followers:
             follower.set_input(name, value)
 
     def follow(self, positions_m: Sequence[float], duration_s: float) -> None:
         """The driven rollers are now there, `duration_s` after the last call."""
-        for unknown, follower in zip((None, *self.unknowns), (self.line, *self._copies), strict=True):
-            offsets_m = self._offsets_m(unknown)
-            follower.follow([x + more for x, more in zip(positions_m, offsets_m, strict=True)], duration_s)
+        self._all.follow(positions_m, duration_s)
 
-    def _offsets_m(self, unknown: Unknown | None) -> list[float]:
-        """How much further the rollers are taken to be: a reel of another radius has turned on by what it takes."""
-        offsets = [0.0] * len(self._rows)
-        for each, error in zip(self.unknowns, self._errors, strict=True):
-            if each.kind is Kind.RADIUS:
-                error += each.step if each is unknown else 0.0
-                offsets[each.number - 1] = error / self._slopes[each.number]
-        return offsets
+    def _put_errors(self) -> None:
+        """Let all go by E and radii as corrected, and as each is varied: a reel of another radius has turned on by what
+        it takes."""
+        for i, unknown in enumerate(self.unknowns):
+            if unknown.kind is Kind.RADIUS:
+                of_each = self._error_of_each(i)
+                self._all.offsets_m[:, unknown.number - 1] = of_each / self._slopes[unknown.number]
+            elif unknown.kind is Kind.MODULUS:
+                of_each = self._error_of_each(i)
+                for follower, error in zip(self._followers, of_each.tolist(), strict=True):
+                    for k in self._spans[unknown.number]:
+                        follower.put_modulus(k + 1, self._moduli.item(k) * (1.0 + error))
 
-    def _put_moduli(self, follower: LineFollower, unknown: Unknown | None) -> None:
-        for each, error in zip(self.unknowns, self._errors, strict=True):
-            if each.kind is Kind.MODULUS:
-                error += each.step if each is unknown else 0.0
-                for k in self._spans[each.number]:
-                    follower.set_parameter(_modulus_name(k + 1, len(self._moduli)), self._moduli[k] * (1.0 + error))
+    def _error_of_each(self, place: int) -> Vector:
+        """By which the line and the copies (F,) have an unknown other than the model."""
+        errors = np.full(1 + len(self.unknowns), self._errors[place])
+        errors[1 + place] += self._steps[place]
+        return errors
 
     # -- what follows ------------------------------------------------------------------------------------
 
     def carriage_m(self, number: int) -> float:
         """Position of a carriage, from 1."""
-        return float(self.line.motion[self._rollers + number - 1])
+        return self._all.motions.item(0, self._rollers + number - 1)
 
     def ratio(self, axis: int) -> float:
         """Radius of a reel over that at the start."""
-        return self.line.radius_ratio(axis)
+        return self._all.ratios.item(axis - 1)
 
     def slope_per_m(self, axis: int) -> float:
         """Change of a reel's radius over that at the start, per m of its motion."""
@@ -173,125 +187,114 @@ class VariedLine:
 
     def modulus_factor(self, axis: int) -> float:
         """What E of the section behind an axis is multiplied with."""
-        known = [e for each, e in zip(self.unknowns, self._errors, strict=True) if each == Unknown(Kind.MODULUS, axis)]
-        return 1.0 + (known[0] if known else 0.0)
+        place = self.places.get(Unknown(Kind.MODULUS, axis))
+        return 1.0 + (0.0 if place is None else self._errors.item(place))
+
+    @property
+    def tensions_N(self) -> Vector:
+        """Of the spans (K,), as of the last call."""
+        own: Vector = self._all.tensions_N[0]
+        return own
 
     def loads_Nm(self) -> Vector:
         """What the web pulls at each motor (N,), forward; reels with their present radius."""
-        return self._ratios() * (self._pulls @ self.line.tension_N)
+        return self._all.ratios * (self._pulls @ self.tensions_N)
 
     def loads_without_turn_Nm(self) -> Vector:
         """The same with reels of the radius that the model has at their measured position."""
-        loads: Vector = self._pulls @ self.line.tension_N
-        for each, error in zip(self.unknowns, self._errors, strict=True):
+        loads: Vector = self._pulls @ self.tensions_N
+        for each, place in self.places.items():
             if each.kind is Kind.RADIUS:
-                loads[each.number - 1] *= self.ratio(each.number) - error
+                loads[each.number - 1] *= self.ratio(each.number) - self._errors[place]
         return loads
-
-    def _ratios(self) -> Vector:
-        ratios = np.ones(len(self._rows))
-        for axis in self._slopes:
-            ratios[axis - 1] = self.ratio(axis)
-        return ratios
 
     def load_slopes(self) -> Vector:
         """How the loads (N,) change with each unknown, (N, n)."""
-        own, ratios = self.line.tension_N, self._ratios()
-        slopes = np.zeros((len(self._rows), len(self.unknowns)))
-        for i, (unknown, copy) in enumerate(zip(self.unknowns, self._copies, strict=True)):
-            slopes[:, i] = ratios * (self._pulls @ (copy.tension_N - own)) / unknown.step
-            if unknown.kind is Kind.RADIUS:
-                slopes[unknown.number - 1, i] += self._pulls[unknown.number - 1] @ own
+        own = self.tensions_N
+        slopes: Vector = self._pulls @ (self._all.tensions_N[1:] - own).T / self._steps
+        slopes *= self._all.ratios[:, None]
+        for each, place in self.places.items():
+            if each.kind is Kind.RADIUS:
+                slopes[each.number - 1, place] += self._pulls[each.number - 1] @ own
         return slopes
 
     def carriage_slopes(self, number: int) -> Vector:
         """How the position of a carriage (from 1) depends on each unknown (n,)."""
-        row, own = self._rollers + number - 1, self.carriage_m(number)
-        return np.array(
-            [(copy.motion[row] - own) / unknown.step for unknown, copy in zip(self.unknowns, self._copies, strict=True)]
-        )
+        return self._over_steps(self._all.motions[:, self._rollers + number - 1])
+
+    def _over_steps(self, seen: Vector) -> Vector:
+        """How something that the line and the copies show (F,) depends on each unknown (n,)."""
+        slopes: Vector = (seen[1:] - seen[0]) / self._steps
+        return slopes
 
     def length_m(self, axis: int) -> float:
         """Of the section behind an axis, with what its carriages have made longer."""
-        first = 4 * (self._rollers + len(self._model.carriages)) + len(self._moduli)
-        return float(sum(self.line.motion[first + k] for k in self._spans[axis]))
+        return float(sum(self._all.motions[0, self._lengths + k] for k in self._spans[axis]))
 
     def strain(self, axis: int) -> float:
         """Of the section behind an axis, times relative E."""
-        return self._seen(Unknown(Kind.STRAIN, axis), self.line)
+        return self._seen(Unknown(Kind.STRAIN, axis)).item(0)
 
     def cell_N(self, idler: int) -> float:
         """What the load cell of an idler (from 1) tells: the mean of the tensions on both sides."""
-        return self._beside(self.line, idler)
+        return self._at_cell_N(idler).item(0)
 
     def cell_slopes(self, idler: int) -> Vector:
         """How that depends on each unknown (n,)."""
-        own = self.cell_N(idler)
-        return np.array(
-            [
-                (self._beside(copy, idler) - own) / unknown.step
-                for unknown, copy in zip(self.unknowns, self._copies, strict=True)
-            ]
-        )
+        return self._over_steps(self._at_cell_N(idler))
 
-    def _beside(self, follower: LineFollower, idler: int) -> float:
+    def _at_cell_N(self, idler: int) -> Vector:
         row = self._idler_rows[idler - 1]
-        return 0.5 * float(follower.tension_N[row - 1] + follower.tension_N[row])
+        tensions: Vector = 0.5 * (self._all.tensions_N[:, row - 1] + self._all.tensions_N[:, row])
+        return tensions
 
     # -- corrections -------------------------------------------------------------------------------------
 
     def correct(self, changes: Vector) -> None:
         """Go on as if the unknowns (n,) had been so much larger from the start."""
-        differences = [copy.motion - self.line.motion for copy in self._copies]
+        motions = self._all.motions
+        differences = motions[1:] - motions[0]
         strains = {c: self._slopes_seen(each) for c, each in enumerate(self.unknowns) if each.kind is Kind.STRAIN}
-        wanted = {c: self._seen(self.unknowns[c], self.line) + slopes @ changes for c, slopes in strains.items()}
+        wanted = {c: self._seen(self.unknowns[c])[0] + slopes @ changes for c, slopes in strains.items()}
         for i, unknown in enumerate(self.unknowns):
             if unknown.kind in (Kind.RADIUS, Kind.MODULUS):
                 self._errors[i] += changes[i]
-            self.line.motion = self.line.motion + changes[i] / unknown.step * differences[i]
+        motions[0] += (changes / self._steps) @ differences
         # Of another E the differences are no more those that they were: the tensions are to be right all the same.
-        self._put_moduli(self.line, None)
         for c, slopes in strains.items():
-            left = wanted[c] - self._seen(self.unknowns[c], self.line)
+            left = wanted[c] - self._seen(self.unknowns[c])[0]
             if slopes[c] > _LEAST_LEFT:
-                self.line.motion = self.line.motion + left / (slopes[c] * self.unknowns[c].step) * differences[c]
-        for copy, difference in zip(self._copies, differences, strict=True):
-            copy.motion = self.line.motion + difference
-        for varied, follower in zip((None, *self.unknowns), (self.line, *self._copies), strict=True):
-            self._put_moduli(follower, varied)
-            follower.set_state(self._within_stops(follower))
+                motions[0] += left / (slopes[c] * self._steps[c]) * differences[c]
+        motions[1:] = motions[0] + differences
+        self._put_errors()
+        self._all.put()
+        self._keep_within_stops()
 
     def rebook(self, changes: Vector) -> None:
         """E of sections is other by so much (n,), and has been all the time; their tensions are as they are."""
-        before = self._errors.copy()
+        before = [self._error_of_each(i) for i in range(len(self.unknowns))]
         for i, unknown in enumerate(self.unknowns):
-            if unknown.kind is Kind.MODULUS:
-                self._errors[i] += changes[i]
-        first, count = 4 * (self._rollers + len(self._model.carriages)), len(self._moduli)
-        for varied, follower in zip((None, *self.unknowns), (self.line, *self._copies), strict=True):
-            motion = follower.motion.copy()
-            for i, unknown in enumerate(self.unknowns):
-                if unknown.kind is not Kind.MODULUS or not changes[i]:
-                    continue
-                step = unknown.step if unknown is varied else 0.0
-                ratio = (1.0 + before[i] + step) / (1.0 + self._errors[i] + step)
-                material = first + np.array(self._spans[unknown.number])
-                length_m = motion[material + count]
-                motion[material] = length_m / (1.0 + ratio * (length_m / motion[material] - 1.0))
-            follower.motion = motion
-            self._put_moduli(follower, varied)
-            follower.set_state({})
+            if unknown.kind is not Kind.MODULUS or not changes[i]:
+                continue
+            self._errors[i] += changes[i]
+            ratio = (1.0 + before[i]) / (1.0 + self._error_of_each(i))
+            for k in self._spans[unknown.number]:
+                material, lengths = self._all.motions[:, self._material + k], self._all.motions[:, self._lengths + k]
+                material[:] = lengths / (1.0 + ratio * (lengths / material - 1.0))
+        self._put_errors()
+        self._all.put()
 
-    def _within_stops(self, follower: LineFollower) -> dict[str, float]:
-        """Carriages that are beyond a stop, back at it."""
-        back: dict[str, float] = {}
-        for row, carriage in enumerate(self._model.carriages, self._rollers):
-            station, at_m = carriage.station, float(follower.motion[row])
-            lowest_m = -np.inf if station.lower_stop_m is None else station.lower_stop_m
-            highest_m = np.inf if station.upper_stop_m is None else station.upper_stop_m
-            if not lowest_m <= at_m <= highest_m:
-                back |= {f"x_{station.name}_m": min(max(at_m, lowest_m), highest_m), f"v_{station.name}_m_s": 0.0}
-        return back
+    def _keep_within_stops(self) -> None:
+        """Let carriages that are beyond a stop be at it."""
+        beyond = False
+        for row, name, lower_m, upper_m in self._stops:
+            lowest_m, highest_m = -np.inf if lower_m is None else lower_m, np.inf if upper_m is None else upper_m
+            at_m = self._all.motions[:, row]
+            for line in np.flatnonzero((at_m < lowest_m) | (at_m > highest_m)).tolist():
+                back_m, beyond = min(max(at_m.item(line), lowest_m), highest_m), True
+                self._followers[line].set_state({f"x_{name}_m": back_m, f"v_{name}_m_s": 0.0})
+        if beyond:
+            self._all.show()
 
     def renew(self) -> Vector:
         """Let carriages and strains be unknowns of now, and no more of the start: what other unknowns have made of them
@@ -299,23 +302,20 @@ class VariedLine:
 
         Returns what the unknowns are in those of before, (n, n): new = matrix @ old.
         """
-        turned = np.eye(len(self.unknowns))
+        turned, motions = np.eye(len(self.unknowns)), self._all.motions
         for c, unknown in enumerate(self.unknowns):
             if unknown.kind not in (Kind.CARRIAGE, Kind.STRAIN):
                 continue
             slopes = self._slopes_seen(unknown)
             if not slopes[c] > _LEAST_LEFT:  # a slack web, or a carriage at its stop
                 continue
-            own = (self._copies[c].motion - self.line.motion) / (slopes[c] * unknown.step)
-            for i, (each, copy) in enumerate(zip(self.unknowns, self._copies, strict=True)):
-                if i == c:
-                    copy.motion = self.line.motion + own * unknown.step
-                else:
-                    copy.motion = copy.motion - slopes[i] * each.step * own
-                copy.set_state({})
+            own = (motions[1 + c] - motions[0]) / (slopes[c] * self._steps[c])
+            motions[1:] -= np.outer(slopes * self._steps, own)
+            motions[1 + c] = motions[0] + own * self._steps[c]
             step = np.eye(len(self.unknowns))
             step[c] = slopes
             turned = step @ turned
+        self._all.put()
         return turned
 
     def web_changed(self) -> Vector:
@@ -323,35 +323,31 @@ class VariedLine:
         tension is another one at once."""
         turned = np.eye(len(self.unknowns))
         for c, unknown in enumerate(self.unknowns):
-            modulus = Unknown(Kind.MODULUS, unknown.number)
-            if unknown.kind is Kind.STRAIN and modulus in self.unknowns:
-                strain = self._seen(unknown, self.line) / self.modulus_factor(unknown.number)
-                slopes, i = self._slopes_seen(unknown), self.unknowns.index(modulus)
+            i = self.places.get(Unknown(Kind.MODULUS, unknown.number))
+            if unknown.kind is Kind.STRAIN and i is not None:
+                strain = self._seen(unknown)[0] / self.modulus_factor(unknown.number)
+                slopes = self._slopes_seen(unknown)
                 # Of the strain that has come since the last `renew` the modulus makes another tension by itself.
                 turned[c, i] = (strain - slopes[i]) / slopes[c] if slopes[c] > _LEAST_LEFT else 0.0
         return turned
 
     def _slopes_seen(self, unknown: Unknown) -> Vector:
         """How a carriage or strain depends on each unknown (n,)."""
-        seen = self._seen(unknown, self.line)
-        return np.array(
-            [
-                (self._seen(unknown, copy) - seen) / each.step
-                for each, copy in zip(self.unknowns, self._copies, strict=True)
-            ]
-        )
+        return self._over_steps(self._seen(unknown))
 
-    def _seen(self, unknown: Unknown, follower: LineFollower) -> float:
-        """Position of a carriage, or strain times relative E of a section, which is its tension. The strain is that of
-        how much web there is, which never swings."""
+    def _seen(self, unknown: Unknown) -> Vector:
+        """Of the line and the copies (F,): position of a carriage, or strain times relative E of a section, which is
+        its tension. The strain is that of how much web there is, which never swings."""
+        motions = self._all.motions
         if unknown.kind is Kind.CARRIAGE:
-            return follower.motion.item(self._rollers + unknown.number - 1)
-        spans, count = self._spans[unknown.number], len(self._moduli)
-        first, motion = 4 * (self._rollers + len(self._model.carriages)), follower.motion
-        material_m = sum(motion.item(first + k) for k in spans)
-        length_m = sum(motion.item(first + count + k) for k in spans)
-        factor: float = follower.parameter(_modulus_name(spans[0] + 1, count)) / self._moduli.item(spans[0])
-        return factor * (length_m / material_m - 1.0)
+            return motions[:, self._rollers + unknown.number - 1]
+        spans = self._spans[unknown.number]
+        material_m = motions[:, [self._material + k for k in spans]].sum(axis=1)
+        length_m = motions[:, [self._lengths + k for k in spans]].sum(axis=1)
+        place = self.places.get(Unknown(Kind.MODULUS, unknown.number))
+        factors = 1.0 if place is None else 1.0 + self._error_of_each(place)
+        seen: Vector = factors * (length_m / material_m - 1.0)
+        return seen
 
 
 def damped_follower(model: ModelParameters) -> LineFollower:
@@ -367,7 +363,3 @@ def _slope_per_m(model: ModelParameters, axis: int) -> float:
     """Change of a reel's radius over that at the start, per m of its motion."""
     span, winds = (1, -1.0) if axis == 1 else (model.span_count, 1.0)
     return winds * per_item(model.required_web.thickness_m, span) / (2.0 * pi * model.radius_m(axis) ** 2)
-
-
-def _modulus_name(span: int, spans: int) -> str:
-    return f"span{span}.youngs_modulus_Pa" if spans > 1 else "youngs_modulus_Pa"

@@ -63,7 +63,7 @@ class SectionWatch:
         self._model, self._cycle_s = model, cycle_s
         self._cycles = max(round(BLOCK_S / cycle_s), 2 * _ENDS)
         self._spans = {axis: [k for k, of in enumerate(before) if of == axis] for axis in told}
-        axes = range(1, model.axis_count + 1)
+        self._axes = axes = range(1, model.axis_count + 1)
         carried = [model.carries_web_load(axis) for axis in axes]
         #: Sections behind which every roller is loaded: of the others no torque tells the tension.
         self._seen = [axis for axis in told if all(carried[axis:])]
@@ -162,18 +162,15 @@ class SectionWatch:
     ) -> None:
         """One cycle: of the driven rollers positions (N,) at the web and torques, beside the line that follows them;
         `inertia_kg_m2` (N,): at the motors."""
-        line = followed.line
+        line, tensions_N = followed.line, followed.tensions_N
         self._time_s += self._cycle_s
         self._now_N = self._by_model_N(followed)
         for axis, now_N in self._now_N.items():
             self._followed_N[axis] += now_N
-        tensions_N = line.tension_N
         self._promised_N += [tensions_N[spans[-1]] for spans in self._spans.values()]
         self._tightest_N = np.maximum(self._tightest_N, [np.min(tensions_N[spans]) for spans in self._spans.values()])
         self._way_m.append(np.array(positions_m))
-        speeds = line.v_m_s
-        for axis, torque_Nm in enumerate(torques_Nm, 1):
-            self._differences_Nm[axis - 1] -= torque_Nm + line.web_torque_Nm(axis, speeds.item(axis - 1))
+        self._differences_Nm -= np.asarray(torques_Nm) + line.load_torques_Nm(self._axes, line.v_m_s.tolist(), 0.0)
         self._collected += 1
         if self._collected > self._cycles:
             self._judge(time_s, line, inertia_kg_m2)
@@ -188,7 +185,7 @@ class SectionWatch:
 
     def _by_model_N(self, followed: VariedLine) -> dict[int, float]:
         """Tension of the sections that may slip, by the axis before, with the model's E."""
-        tensions_N = followed.line.tension_N
+        tensions_N = followed.tensions_N
         return {axis: tensions_N.item(self._spans[axis][-1]) / followed.modulus_factor(axis) for axis in self._slips}
 
     def _judge(self, time_s: float, line: LineFollower, inertia_kg_m2: Vector) -> None:

@@ -70,7 +70,7 @@ class StationSensors:
             if unknown.kind is Kind.CARRIAGE:
                 found[at] = self._varied.carriage_slopes(unknown.number)
             else:
-                found[at, self._varied.unknowns.index(unknown)] = 1.0
+                found[at, self._varied.places[unknown]] = 1.0
         for at, (_, number) in enumerate(self._cells, len(self._direct)):
             found[at] = self._varied.cell_slopes(number)
         return found

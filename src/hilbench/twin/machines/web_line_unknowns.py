@@ -387,9 +387,9 @@ class LineUnknowns:
         it had."""
         axis = self.varied.unknowns[place].number + 1
         behind = Unknown(Kind.MODULUS, axis)
-        if behind not in self.varied.unknowns:
+        if behind not in self.varied.places:
             return 0.0, 1.0
-        at = self.varied.unknowns.index(behind)
+        at = self.varied.places[behind]
         before = 1.0 + float(kept.corrected[at])
         deviation = sqrt(float(kept.belief.covariance[at, at])) / before
         return self.varied.modulus_factor(axis) / before - 1.0, deviation
@@ -437,12 +437,12 @@ class LineUnknowns:
         """Web that has left the section since the kick has another strain than the line that is followed has handed
         on: what that is of the strain in the next section."""
         behind = Unknown(Kind.STRAIN, axis + 1)
-        if behind in self.varied.unknowns:
+        if behind in self.varied.places:
             line, spans = self.varied.line, _sections(self._model)
             way_m = abs(line.v_m_s.item(axis)) * since_s
             gone = 1.0 - exp(-way_m / sum(self._model.span_length_m(k + 1) for k in spans[axis]))
             more = -kick.share / (1.0 + kick.share) * line.strain.item(spans[axis - 1][-1])
-            changes[self.varied.unknowns.index(behind)] = self.varied.modulus_factor(axis + 1) * more * gone
+            changes[self.varied.places[behind]] = self.varied.modulus_factor(axis + 1) * more * gone
 
     def _forget_kicks(self) -> None:
         for _, watch in self._kicks:
@@ -467,9 +467,9 @@ class LineUnknowns:
         changes = np.zeros(len(self.varied.unknowns))
         for axis, tension_N in tensions_N.items():
             strain = Unknown(Kind.STRAIN, axis)
-            if strain in self.varied.unknowns:
+            if strain in self.varied.places:
                 stiffness_N = self._model.stiffness_N(_sections(self._model)[axis - 1][0] + 1)
-                changes[self.varied.unknowns.index(strain)] = tension_N / stiffness_N - self.varied.strain(axis)
+                changes[self.varied.places[strain]] = tension_N / stiffness_N - self.varied.strain(axis)
         self._apply(changes)
 
     def _keep(self, time_s: float) -> None:
@@ -576,7 +576,7 @@ class LineUnknowns:
         return axis in numbers or axis - 1 in numbers
 
     def _deviation(self, unknown: Unknown) -> float:
-        return float(self._filter.deviations[self.varied.unknowns.index(unknown)])
+        return self._filter.deviation(self.varied.places[unknown])
 
 
 def _sections(model: ModelParameters) -> list[list[int]]:

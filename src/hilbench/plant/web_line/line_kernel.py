@@ -1,0 +1,239 @@
+"""Lines on the measured motion of their driven rollers, compiled: one of them, or several beside each other.
+
+See `line_follower`. Arguments as in the kernel, of a line that is held to its driven rollers; `rows` (N,): where these
+stand among its axes, in order. `memory` (`FIRST` + 3 N,): what is known of their motion: whether they have been
+followed at all, over which time s, in which its time is counted s, and the longest step of integration s; then, of each
+driven roller, its mean speed in that time m/s, its acceleration m/s², and room for a speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import REAL, TABLE, compiled, entry_point, floats, inlined, integers
+from hilbench.plant.motor_laws import measured_direction
+from hilbench.plant.web_line import kernel, laws, line_vectors, places, reels
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.line_vectors import LineVectors
+
+Rows = NDArray[np.int64]
+Table = NDArray[np.int64]
+
+#: Over which the acceleration of driven rollers is averaged: positions are counted, and load motors must not chase
+#: their own swings with it. Less acceleration is none, m/s².
+ACCELERATION_S: Final = 0.05
+LEAST_M_S2: Final = 0.02
+
+# Of the memory.
+KNOWN, DURATION_S, SAMPLE_S, STEP_S, FIRST = range(5)
+# Of the table of lines that are followed together. Shared by all: positions (N,) m, rows (N,) of the driven rollers; of
+# each of F lines how much further they are taken to be (F, N) m, its tensions (F, K) N and what is integrated (F, Y);
+# radii of the driven rollers (N,) over those at the start, of the first line. Then of each line:
+X, ROWS, OFFSETS, TENSIONS, MOTIONS, RATIOS, SHARED = range(7)
+P, STATE, INPUTS, WORK, OUT, MEMORY, EACH = range(7)
+# Of the table of load motors, behind a line's own six rows: rows of the driven rollers; of each load motor that driven
+# roller, from 0, rad per m at its shaft, whether it carries the web (L, 3); speeds of the driven rollers (N,) m/s; room
+# for a state, and for what it shows; torques (L,) N·m.
+LINE_ROWS, LOADS, SPEEDS, GUESS, AHEAD, TORQUES = range(EACH, EACH + 6)
+
+
+@inlined
+def gained_m_s(a_m_s2: float, duration_s: float) -> float:
+    """What a driven roller gains of speed, as it goes on."""
+    return 0.0 if abs(a_m_s2) < LEAST_M_S2 else a_m_s2 * duration_s
+
+
+@compiled
+def turn(
+    p: Vector, s: Vector, u: Vector, w: Vector, rows: Rows, v: Vector, a: Vector, duration_s: float, sample_s: float,
+    step_s: float,
+) -> None:  # fmt: skip
+    """Let a line run: its driven rollers begin with speeds `v` (N,) m/s and accelerate by `a` (N,) m/s², in as many
+    steps as their drives have samples; they have the speeds of the end then. Dry friction goes by their motion.
+
+    `sample_s`: in which its time is counted; those of drives, which are off, are cut to fit any duration. `step_s`:
+    longest of a step of integration.
+    """
+    n, _, k = places.counts(p)
+    gains = False
+    for i in range(len(rows)):
+        gains |= gained_m_s(a[i], duration_s) != 0.0
+    steps = max(round(duration_s / sample_s), 1) if gains else 1
+    part_s = duration_s / steps
+    samples = max(round(part_s / sample_s), 1)
+    time_s = s[lay.S_COUNT] * sample_s
+    p[lay.W_SAMPLE_TIME_S] = part_s / samples
+    p[lay.W_SUBSTEPS] = np.ceil(part_s / samples / step_s - 1e-9)
+    s[lay.S_COUNT] = time_s / p[lay.W_SAMPLE_TIME_S]
+    for step in range(steps):
+        for i in range(len(rows)):
+            speed = v[i] + (step + 0.5) / steps * gained_m_s(a[i], duration_s)
+            s[lay.S_Y + n + rows[i]] = speed
+            s[lay.S_Y + 3 * n + rows[i]] = speed
+            direction = 1.0 if speed > 0.0 else -1.0 if speed < 0.0 else 0.0
+            s[places.axis_state(n, k, rows[i]) + lay.SA_DIRECTION] = direction
+        kernel.enter(p, s, u, w)
+        kernel.go_on(p, s, u, w, samples)
+        kernel.leave(s, w, places.block(n, k, 1))
+    s[lay.S_COUNT] = (time_s + duration_s) / sample_s
+    p[lay.W_SAMPLE_TIME_S] = sample_s
+    for i in range(len(rows)):
+        speed = v[i] + gained_m_s(a[i], duration_s)
+        s[lay.S_Y + n + rows[i]] = speed
+        s[lay.S_Y + 3 * n + rows[i]] = speed
+
+
+@compiled
+def _follow(
+    p: Vector, s: Vector, u: Vector, w: Vector, memory: Vector, rows: Rows, x: Vector, further: Vector,
+    duration_s: float,
+) -> None:  # fmt: skip
+    """The driven rollers are now at `x` and `further` (N,), m, `duration_s` after the last call."""
+    n, count = int(p[lay.W_AXES]), len(rows)
+    mean, a, v = memory[FIRST : FIRST + count], memory[FIRST + count : FIRST + 2 * count], memory[FIRST + 2 * count :]
+    apart_s, share = 0.5 * (duration_s + memory[DURATION_S]), duration_s / (duration_s + ACCELERATION_S)
+    for i in range(count):
+        gone = (x[i] + further[i] - s[lay.S_Y + rows[i]]) / duration_s
+        if memory[KNOWN] != 0.0:
+            a[i] += share * ((gone - mean[i]) / apart_s - a[i])
+        mean[i] = gone
+        v[i] = gone - 0.5 * gained_m_s(a[i], duration_s)
+    memory[KNOWN], memory[DURATION_S] = 1.0, duration_s
+    turn(p, s, u, w, rows, v, a, duration_s, memory[SAMPLE_S], memory[STEP_S])
+    for i in range(count):  # exactly: no drift from adding up
+        s[lay.S_Y + rows[i]] = x[i] + further[i]
+        s[lay.S_Y + 2 * n + rows[i]] = x[i] + further[i]
+
+
+@inlined
+def _ratio(p: Vector, s: Vector, row: int) -> float:
+    """Radius of a reel over that at the start; 1 of another roller."""
+    axis = places.axis(row)
+    return float(reels.radius_ratio(p, axis, s[lay.S_Y + row]) if reels.is_reel(p, axis) else 1.0)
+
+
+@compiled
+def _web_torque_Nm(p: Vector, s: Vector, u: Vector, seen: Vector, row: int, load: Vector, v: float) -> float:
+    """See `LineFollower.web_torque_Nm`, of the tensions that are `seen`; `load`: as in the table."""
+    _, m, k = places.counts(p)
+    axis, x, force = places.axis(row), s[lay.S_Y + row], 0.0
+    if load[2] != 0.0:
+        reel, before, behind = reels.is_reel(p, axis), 0.0, 0.0
+        if row > 0:
+            before = seen[3 * m + row - 1]
+        elif not reel:
+            upstream = laws.upstream_strain(p, u[lay.U_STRAIN_PREV], s[lay.S_COUNT] * p[lay.W_SAMPLE_TIME_S])
+            before = upstream * p[lay.W_UPSTREAM_STIFFNESS_N]
+        if row < k:
+            behind = seen[3 * m + row]
+        elif not reel:
+            behind = u[lay.U_F_NEXT_N]
+        force = (behind - before) * _ratio(p, s, row)
+    force -= laws.measured_resistance_N(p, axis, x, v, measured_direction(v, laws.FRICTION_WIDTH_M_S))
+    return float(force / load[1])
+
+
+@inlined
+def _observe(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector) -> None:
+    kernel.enter(p, s, u, w)
+    kernel.report(p, s, u, w, out, 0)
+
+
+@compiled
+def _gather(table: Table, line: int) -> None:
+    """What a line shows, and what is integrated of it, to the others'."""
+    first = SHARED + line * EACH
+    p, s = floats(table, first + P, (1,)), floats(table, first + STATE, (1,))
+    out, tensions = floats(table, first + OUT, (1,)), floats(table, TENSIONS, (1, 2))
+    motions, m = floats(table, MOTIONS, (1, 2)), int(p[lay.W_MOTORS])
+    for j in range(tensions.shape[1]):
+        tensions[line, j] = out[3 * m + j]
+    for j in range(motions.shape[1]):
+        motions[line, j] = s[lay.S_Y + j]
+    if line == 0:
+        rows, ratios = integers(table, ROWS, (1,)), floats(table, RATIOS, (1,))
+        for i in range(len(rows)):
+            ratios[i] = _ratio(p, s, rows[i])
+
+
+Together = Callable[[float, Table], int]
+
+
+def _entry_points(sources: int) -> tuple[Together, Together, Together, Together]:
+    """For Python; `sources` as in the kernel."""
+
+    @entry_point(REAL, TABLE)
+    def follow(duration_s: float, table: Table) -> int:
+        x, rows, offsets = floats(table, X, (1,)), integers(table, ROWS, (1,)), floats(table, OFFSETS, (1, 2))
+        for line in range(offsets.shape[0] if sources >= 0 else 0):
+            first = SHARED + line * EACH
+            p, s, u = (
+                floats(table, first + P, (1,)),
+                floats(table, first + STATE, (1,)),
+                floats(table, first + INPUTS, (1,)),
+            )
+            w, memory = floats(table, first + WORK, (1,)), floats(table, first + MEMORY, (1,))
+            _follow(p, s, u, w, memory, rows, x, offsets[line], duration_s)
+            _observe(p, s, u, w, floats(table, first + OUT, (1,)))
+            _gather(table, line)
+        return 0
+
+    @entry_point(REAL, TABLE)
+    def show(unused: float, table: Table) -> int:
+        for line in range(floats(table, OFFSETS, (1, 2)).shape[0] if sources >= 0 else 0):
+            _gather(table, line)
+        return 0
+
+    @entry_point(REAL, TABLE)
+    def put(unused: float, table: Table) -> int:
+        motions = floats(table, MOTIONS, (1, 2))
+        for line in range(motions.shape[0] if sources >= 0 else 0):
+            first = SHARED + line * EACH
+            p, s, u = (
+                floats(table, first + P, (1,)),
+                floats(table, first + STATE, (1,)),
+                floats(table, first + INPUTS, (1,)),
+            )
+            for j in range(motions.shape[1]):
+                s[lay.S_Y + j] = motions[line, j]
+            w, out = floats(table, first + WORK, (1,)), floats(table, first + OUT, (1,))
+            line_vectors.show(LineVectors(p, s, u, w, out))
+            _gather(table, line)
+        return 0
+
+    @entry_point(REAL, TABLE)
+    def pull(lead_s: float, table: Table) -> int:
+        p, s, u = floats(table, P, (1,)), floats(table, STATE, (1,)), floats(table, INPUTS, (1,))
+        w, memory, ahead = floats(table, WORK, (1,)), floats(table, MEMORY, (1,)), floats(table, AHEAD, (1,))
+        rows, loads, speeds = (
+            integers(table, LINE_ROWS, (1,)),
+            floats(table, LOADS, (1, 2)),
+            floats(table, SPEEDS, (1,)),
+        )
+        guess, torques = floats(table, GUESS, (1,)), floats(table, TORQUES, (1,))
+        n, count = int(p[lay.W_AXES]), len(rows) if sources >= 0 else 0
+        for j in range(len(s)):
+            guess[j] = s[j]
+        if lead_s > 0.0:
+            a, v = memory[FIRST + count : FIRST + 2 * count], memory[FIRST + 2 * count :]
+            for i in range(count):
+                v[i] = s[lay.S_Y + n + rows[i]]
+            turn(p, guess, u, w, rows, v, a, lead_s, memory[SAMPLE_S], memory[STEP_S])
+        _observe(p, guess, u, w, ahead)
+        for j in range(len(torques)):
+            axis = int(loads[j, 0])
+            torques[j] = _web_torque_Nm(p, s, u, ahead, rows[axis], loads[j], speeds[axis])
+        return 0
+
+    return follow, show, put, pull
+
+
+#: follow(duration in s, table): all lines of a table of lines go on to the positions in it.
+#: show(0, table): what was changed in them is gathered. put(0, table): they go on from what is integrated there.
+#: pull(lead in s, table of load motors): torques of the line so much later, if its driven rollers go on as until now.
+follow, show, put, pull = _entry_points(kernel.source_number(str(line_vectors.__file__), __file__))
