@@ -7,7 +7,7 @@ from math import isfinite, sqrt
 
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
+from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
 from hilbench.estimation.bank import Array
 
 #: Sum of the squares of the binomials 1 4 6 4 1: variance of a fourth difference of white noise.
@@ -64,18 +64,24 @@ def interrupt(s: Array) -> None:
     s[_APART] = _DIFFERENCES
 
 
-def _compiled_take(sources: int) -> Callable[[Array, float], None]:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
+def _entry_points(sources: int) -> tuple[Callable[[Array, float], None], Callable[[Array, Array, Array], None]]:
+    """The functions that are called from Python; `sources` as in `number_of_sources`."""
 
     @entry_point(VECTOR, REAL)
     def take_one(s: Array, value: float) -> None:
         if sources >= 0:
             take(s, value)
 
-    return take_one
+    @entry_point(MATRIX, VECTOR, VECTOR)
+    def take_all(states: Array, values: Array, variances: Array) -> None:
+        for i in range(len(states) if sources >= 0 else 0):
+            take(states[i], values[i])
+            variances[i] = variance(states[i])
+
+    return take_one, take_all
 
 
-_take = _compiled_take(number_of_sources(__file__))
+_take, _take_all = _entry_points(number_of_sources(__file__))
 
 
 class NoiseLevel:
@@ -112,3 +118,21 @@ class NoiseLevel:
     def deviation(self) -> float:
         """Standard deviation of the noise, unit of the signal."""
         return sqrt(self.variance)
+
+
+class NoiseLevels:
+    """Those of several signals that are sampled together, as `NoiseLevel`; vectors (m,)."""
+
+    def __init__(self, expected: Array, floors: Array) -> None:
+        levels = [NoiseLevel(*each) for each in zip(expected.tolist(), floors.tolist(), strict=True)]
+        self._states = np.array([level.state for level in levels]).reshape(-1, _SIZE)
+        #: Of the noise, unit of the signal squared.
+        self.variances = np.array([level.variance for level in levels])
+
+    def interrupt(self) -> None:
+        """The next samples are not one cycle after the last."""
+        self._states[:, _APART] = _DIFFERENCES
+
+    def update(self, values: Array) -> None:
+        """Take a sample of each."""
+        _take_all(self._states, values, self.variances)

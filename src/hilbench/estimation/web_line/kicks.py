@@ -8,13 +8,15 @@ web swings faster, beside all that begins at the same instant otherwise: at each
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import hypot, sqrt
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from hilbench.compiled import MATRIX, VECTOR, entry_point, number_of_sources
 
 Vector = NDArray[np.float64]
 
@@ -42,6 +44,40 @@ class Kick:
     sure: bool
 
 
+Take = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, Vector], None]
+
+
+def _entry_point(sources: int) -> Take:
+    """For Python; `sources` as in `number_of_sources`."""
+
+    @entry_point(MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, VECTOR)
+    def take(
+        values: Vector, torques: Vector, variances: Vector, kicks: Vector, energies: Vector, products: Vector,
+        sizes: Vector,
+    ) -> None:  # fmt: skip
+        """Another sample (m,) behind `values` (cycles, m), without the first; each of the kicks (n, m·cycles), in which
+        are `energies` (n, m), with that: `products` (n,) and `sizes` (n,), weighted by the variances (m,)."""
+        cycles, m = values.shape
+        for c in range(cycles - 1 if sources >= 0 else 0):
+            for j in range(m):
+                values[c, j] = values[c + 1, j]
+        for j in range(m):
+            values[cycles - 1, j] = torques[j]
+        for i in range(len(products)):
+            products[i] = sizes[i] = 0.0
+            for j in range(m):
+                product = 0.0
+                for c in range(cycles):
+                    product += kicks[i, j * cycles + c] * values[c, j]
+                products[i] += product / variances[j]
+                sizes[i] += energies[i, j] / variances[j]
+
+    return take
+
+
+_take = _entry_point(number_of_sources(__file__))
+
+
 class KickWatch:
     """`kicks` (n, M, m): what each of m torques does in M cycles from a step of E on, over its size; `shares` (n,):
     these sizes; `loads` (M, m): what it does from a step of the load at its own roller on."""
@@ -53,8 +89,12 @@ class KickWatch:
         whole = np.concatenate([np.zeros((count, BEFORE, torques)), kicks], axis=1)
         stepped = np.concatenate([np.zeros((BEFORE, torques)), loads])
         self._bases = [np.linalg.qr(np.stack([np.ones(self._cycles), each], axis=1))[0] for each in stepped.T]
-        #: What of each kick nothing else does, (m, n, cycles).
-        self._kicks = np.stack([self._left(whole[:, :, at], at) for at in range(torques)])
+        # What of each kick nothing else does, (m, n, cycles).
+        of_torques = np.stack([self._left(whole[:, :, at], at) for at in range(torques)])
+        #: The same one behind the other, (n, m·cycles), and what they are in all (n, m).
+        self._kicks = np.ascontiguousarray(of_torques.transpose(1, 0, 2)).reshape(count, -1)
+        self._energies = np.ascontiguousarray(np.sum(of_torques**2, axis=2).T)
+        self._products, self._sizes = np.zeros(count), np.zeros(count)
         self.reset()
 
     def _left(self, values: Vector, torque: int) -> Vector:
@@ -72,14 +112,11 @@ class KickWatch:
     def take(self, torques_Nm: Vector, variances: Vector) -> Kick | None:
         """Torques (m,) beside those of the line that is followed, with the variances of their noise; a kick once it is
         decided."""
-        self._values[:-1] = self._values[1:]
-        self._values[-1] = torques_Nm
         self._filled += 1
+        _take(self._values, torques_Nm, variances, self._kicks, self._energies, self._products, self._sizes)
         if self._filled < self._cycles:
             return None
-        weights = 1.0 / variances
-        products = np.matmul(self._kicks, self._values.T[:, :, None])[:, :, 0].T @ weights
-        sizes = np.sum(self._kicks**2, axis=2).T @ weights
+        products, sizes, weights = self._products, self._sizes, 1.0 / variances
         gains = products**2 / sizes
         at = int(np.argmax(gains))
         self._since += 1

@@ -2,11 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from hilbench.compiled import CUBE, FLAG, MATRIX, entry_point, number_of_sources
 from hilbench.plant.web_line.layout import Vector
+
+Answer = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, bool], None]
+
+
+def _entry_point(sources: int) -> Answer:
+    """For Python; `sources` as in `number_of_sources`."""
+
+    @entry_point(CUBE, CUBE, MATRIX, MATRIX, MATRIX, MATRIX, FLAG)
+    def answer(
+        states: Vector, transition: Vector, inputs: Vector, gains: Vector, loads: Vector, torques: Vector, goes_on: bool
+    ) -> None:
+        """The torques (N, L); `goes_on`: after a cycle with these loads (N, L)."""
+        for i in range(states.shape[0] if sources >= 0 else 0):
+            for j in range(states.shape[2]):
+                speed, integral = states[i, 0, j], states[i, 1, j]
+                if goes_on:
+                    load = loads[i, j]
+                    states[i, 0, j] = transition[i, 0, 0] * speed + transition[i, 0, 1] * integral + inputs[i, 0] * load
+                    states[i, 1, j] = transition[i, 1, 0] * speed + transition[i, 1, 1] * integral + inputs[i, 1] * load
+                torques[i, j] = -(gains[i, 0] * states[i, 0, j] + gains[i, 1] * states[i, 1, j])
+
+    return answer
+
+
+_answer = _entry_point(number_of_sources(__file__))
 
 
 class DriveResponse:
@@ -16,29 +42,57 @@ class DriveResponse:
     """
 
     def __init__(self, kp: Sequence[float], ki: Sequence[float], loads: int, cycle_s: float) -> None:
-        self._kp, self._ki = np.array(kp), np.array(ki)
+        self._gains = np.array([kp, ki]).T.copy()
         self._cycle_s = cycle_s
-        self.states = np.zeros((len(kp), 2, loads))  #: speed, and its integral, of each drive by each load
+        self._states = np.zeros((len(kp), 2, loads))  # speed, and its integral, of each drive by each load
         self._transition, self._input = np.zeros((len(kp), 2, 2)), np.zeros((len(kp), 2))
+        self._none = np.zeros((len(kp), loads))
+        #: Of each drive by each load (N, loads).
+        self.torques_Nm = np.zeros((len(kp), loads))
 
     def reset(self) -> None:
         """At rest without load."""
-        self.states[:] = 0.0
+        self._states[:] = self.torques_Nm[:] = 0.0
+
+    def go_on_from(self, other: DriveResponse) -> None:
+        """As another one of the same drives and loads is now."""
+        self._states[:] = other._states
+        self._show()
 
     def set_inertia(self, inertia_kg_m2: Sequence[float]) -> None:
         """Of each drive with what it turns, at the motor. By the trapezoidal rule, that is stable for every loop."""
-        for axis, inertia in enumerate(inertia_kg_m2):
-            rates = np.array([[-self._kp[axis] / inertia, -self._ki[axis] / inertia], [1.0, 0.0]])
-            half = 0.5 * self._cycle_s * rates
-            back = np.linalg.inv(np.eye(2) - half)
-            self._transition[axis] = back @ (np.eye(2) + half)
-            self._input[axis] = back @ np.array([self._cycle_s / inertia, 0.0])
+        inertias = np.array(inertia_kg_m2)
+        half = np.zeros_like(self._transition)
+        half[:, 0] = -0.5 * self._cycle_s * self._gains / inertias[:, None]
+        half[:, 1, 0] = 0.5 * self._cycle_s
+        back = np.linalg.inv(np.eye(2) - half)
+        self._transition[:] = back @ (np.eye(2) + half)
+        self._input[:] = back[:, :, 0] * (self._cycle_s / inertias)[:, None]
 
     def step(self, loads_Nm: Vector) -> None:
         """A cycle with these loads (N, loads), forward."""
-        self.states = self._transition @ self.states + self._input[:, :, None] * loads_Nm[:, None, :]
+        _answer(self._states, self._transition, self._input, self._gains, loads_Nm, self.torques_Nm, True)
 
-    @property
-    def torques_Nm(self) -> Vector:
-        """Of each drive by each load (N, loads)."""
-        return -(self._kp[:, None] * self.states[:, 0] + self._ki[:, None] * self.states[:, 1])
+    def add(self, load: int, shares: Vector) -> None:
+        """To what one of the loads has made so much of each that stands before it."""
+        self._states[:, :, load] += self._states[:, :, :load] @ shares
+        self._show()
+
+    def turn(self, matrix: Vector) -> None:
+        """The first loads (n,) are others now: `matrix` (n, n), from the right."""
+        count = len(matrix)
+        self._states[:, :, :count] = self._states[:, :, :count] @ matrix
+        self._show()
+
+    def answer_from(self, cycles: int, loads: Sequence[int], loads_Nm: Vector) -> None:
+        """Some of the loads (by number) came so many cycles ago, and were nothing until then."""
+        before = self._states.copy()
+        self._states[:, :, loads] = 0.0
+        for _ in range(cycles):
+            self.step(loads_Nm)
+        before[:, :, loads] = self._states[:, :, loads]
+        self._states[:] = before
+        self._show()
+
+    def _show(self) -> None:
+        _answer(self._states, self._transition, self._input, self._gains, self._none, self.torques_Nm, False)

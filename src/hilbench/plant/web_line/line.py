@@ -99,6 +99,12 @@ class Line(SimulatedLine):
         places = layout.first_span + lay.SP_SIZE * np.arange(layout.spans) + lay.SP_MODULUS_PA
         return np.array([places, np.ones(layout.spans)])
 
+    @property
+    def further_places(self) -> list[int]:
+        """Where positions and speeds of what no motor drives stand among what is integrated, of those that are
+        states."""
+        return [each.place for each in self._further]
+
     def set_boundary(self, strain_prev: float, F_next_N: float) -> None:
         """What the neighbouring sections do from now on: the inputs of these names."""
         self._inputs[lay.U_STRAIN_PREV], self._inputs[lay.U_F_NEXT_N] = strain_prev, F_next_N

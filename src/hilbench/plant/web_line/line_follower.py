@@ -92,6 +92,25 @@ class LinesTogether:
         line_kernel.put(0.0, self._table)
 
 
+class Handover:
+    """Lets a closed line go on with the web, and with all that no motor drives, as the follower of an equal one has
+    them; so also driven rollers on `axes`, from 1."""
+
+    def __init__(self, follower: LineFollower, line: Line, axes: Sequence[int] = ()) -> None:
+        n, k = int(follower.vectors.p[lay.W_AXES]), int(follower.vectors.p[lay.W_SPANS])
+        rows = follower.driven_rows[np.array(axes, int) - 1].tolist()
+        places = [*follower.further_places, *rows, *(n + row for row in rows)]
+        # Roller and motor turn together.
+        at = np.array([*places, *(2 * n + place for place in places), *range(4 * n, 4 * n + 2 * k)], np.int64)
+        self._line, self._kept = line, (follower.vectors.s, at, *line.vectors)
+        self._table = table_of(self._kept)
+
+    def __call__(self) -> None:
+        """As it is now."""
+        line_kernel.hand_on(0.0, self._table)
+        self._line.show()
+
+
 class _Pull(NamedTuple):
     """What load motors pull by; see `line_kernel`."""
 
@@ -228,7 +247,7 @@ class LineFollower(Line):
         """E as it acts now in each span (K,), with the effects on it."""
         spans = range(1, self._layout.spans + 1)
         moduli = self._layout.span_rows(self._p)[:, lay.SP_MODULUS_PA] if self._torn_Pa is None else self._torn_Pa
-        return np.array([self.elasticity_factor(span) for span in spans]) * moduli
+        return np.array([self.elasticity_factor(span) for span in spans]) * moduli if self._elastic else moduli.copy()
 
     def outputs(self) -> dict[str, float]:
         """Those of the closed line, and E as it acts; a web that has torn has neither tension nor strain."""

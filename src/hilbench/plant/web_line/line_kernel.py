@@ -41,6 +41,10 @@ P, STATE, INPUTS, WORK, OUT, MEMORY, EACH = range(7)
 # for a state, and for what it shows; torques (L,) N·m.
 LINE_ROWS, LOADS, SPEEDS, GUESS, AHEAD, TORQUES = range(EACH, EACH + 6)
 
+# Of the table of a closed line that goes on with what another one has: state of that, places among what is integrated,
+# and the line's own five.
+FROM, PLACES, TO = range(3)
+
 
 @inlined
 def gained_m_s(a_m_s2: float, duration_s: float) -> float:
@@ -164,7 +168,7 @@ def _gather(table: Table, line: int) -> None:
 Together = Callable[[float, Table], int]
 
 
-def _entry_points(sources: int) -> tuple[Together, Together, Together, Together]:
+def _entry_points(sources: int) -> tuple[Together, Together, Together, Together, Together]:
     """For Python; `sources` as in the kernel."""
 
     @entry_point(REAL, TABLE)
@@ -230,10 +234,20 @@ def _entry_points(sources: int) -> tuple[Together, Together, Together, Together]
             torques[j] = _web_torque_Nm(p, s, u, ahead, rows[axis], loads[j], speeds[axis])
         return 0
 
-    return follow, show, put, pull
+    @entry_point(REAL, TABLE)
+    def hand_on(unused: float, table: Table) -> int:
+        has, at = floats(table, FROM, (1,)), integers(table, PLACES, (1,))
+        p, s, u = floats(table, TO + P, (1,)), floats(table, TO + STATE, (1,)), floats(table, TO + INPUTS, (1,))
+        for j in range(len(at) if sources >= 0 else 0):
+            s[lay.S_Y + at[j]] = has[lay.S_Y + at[j]]
+        line_vectors.show(LineVectors(p, s, u, floats(table, TO + WORK, (1,)), floats(table, TO + OUT, (1,))))
+        return 0
+
+    return follow, show, put, pull, hand_on
 
 
 #: follow(duration in s, table): all lines of a table of lines go on to the positions in it.
 #: show(0, table): what was changed in them is gathered. put(0, table): they go on from what is integrated there.
+#: hand_on(0, table of a closed line): it goes on with what another one has at some places.
 #: pull(lead in s, table of load motors): torques of the line so much later, if its driven rollers go on as until now.
-follow, show, put, pull = _entry_points(kernel.source_number(str(line_vectors.__file__), __file__))
+follow, show, put, pull, hand_on = _entry_points(kernel.source_number(str(line_vectors.__file__), __file__))

@@ -220,6 +220,7 @@ class SimulatedLine:
             parameters=tuple(parameters),
             effects=tuple(effects),
         )
+        self._output_names = [quantity.name for quantity in self._description.outputs]
         self._further = tuple(further)
         self._derived = tuple(derived.values())
         self._forces = {quantity.name: push for quantity, push in forces.items()}
@@ -290,9 +291,9 @@ class SimulatedLine:
         self._refresh()
         values, y = self._out.tolist(), self._layout.y(self._state)
         result = [values[place] * scale for place, scale in self._columns]
-        result += [float(y[each.place]) for each in self._further]
+        result += [y.item(each.place) for each in self._further]
         result += [of(y) for of in self._derived]
-        return dict(zip((quantity.name for quantity in self._description.outputs), result, strict=True))
+        return dict(zip(self._output_names, result, strict=True))
 
     def get_state(self) -> PlantState:
         """The state now; an equal machine goes on from it bit for bit."""

@@ -12,7 +12,10 @@ from math import pi
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hilbench.chain import Function
+from hilbench.compiled import COUNT, TABLE, entry_point, floats, integers, number_of_sources, table_of
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_follower import LineFollower, LinesTogether
@@ -26,6 +29,37 @@ _LEAST_LEFT: Final = 0.05
 
 #: Of the web, by which idlers and carriages that swing against it come to rest.
 _DAMPING_S: Final = 1e-3
+
+
+def _entry_point(sources: int) -> Function:
+    """For Python; `sources` as in `number_of_sources`."""
+
+    @entry_point(COUNT, TABLE)
+    def put_load_slopes(unused: int, table: NDArray[np.int64]) -> int:
+        """Table: tensions (F, K), radii over those at the start (N,), pulls per tension (N, K), steps (n,), errors
+        (n,), the axis, from 0, and the unknown of each reel, and the slopes (N, n + 1)."""
+        tensions, ratios, pulls = floats(table, 0, (1, 2)), floats(table, 1, (1,)), floats(table, 2, (1, 2))
+        steps, errors = floats(table, 3, (1,)), floats(table, 4, (1,))
+        reels, slopes = integers(table, 5, (1, 2)), floats(table, 6, (1, 2))
+        for i in range(pulls.shape[0] if sources >= 0 else 0):
+            for c in range(len(steps)):
+                pull = 0.0
+                for j in range(pulls.shape[1]):
+                    pull += pulls[i, j] * (tensions[1 + c, j] - tensions[0, j])
+                slopes[i, c] = ratios[i] * pull / steps[c]
+            slopes[i, len(steps)] = 0.0
+        for r in range(reels.shape[0]):
+            i, c, own = reels[r, 0], reels[r, 1], 0.0
+            for j in range(pulls.shape[1]):
+                own += pulls[i, j] * tensions[0, j]
+            slopes[i, c] += own
+            slopes[i, len(steps)] = own * errors[c]
+        return 0
+
+    return put_load_slopes
+
+
+_put_load_slopes = _entry_point(number_of_sources(__file__))
 
 
 class Kind(StrEnum):
@@ -100,6 +134,16 @@ class VariedLine:
         self._moduli = np.array([model.youngs_modulus_Pa(span) for span in range(1, model.span_count + 1)])
         self._pulls = self._lever_arms()
         self._errors = np.zeros(len(self.unknowns))  # of E and radii, as corrected so far
+        #: What the web pulls at each motor, forward, N·m: how that changes with each unknown, and in the last column by
+        #: how much it is more than with reels of the radius that the model has at their measured position (N, n + 1).
+        self.load_slopes = np.zeros((self._axes, len(self.unknowns) + 1))
+        radii = [(each.number - 1, place) for each, place in self.places.items() if each.kind is Kind.RADIUS]
+        reels = np.array(radii, np.int64).reshape(-1, 2)
+        lines = self._all
+        self._kept = (
+            lines.tensions_N, lines.ratios, self._pulls, self._steps, self._errors, reels, self.load_slopes,
+        )  # fmt: skip
+        self._slopes_table = table_of(self._kept)
 
     def _of(self, kind: Kind) -> list[Unknown]:
         return [each for each in self.unknowns if each.kind is kind]
@@ -196,27 +240,9 @@ class VariedLine:
         own: Vector = self._all.tensions_N[0]
         return own
 
-    def loads_Nm(self) -> Vector:
-        """What the web pulls at each motor (N,), forward; reels with their present radius."""
-        return self._all.ratios * (self._pulls @ self.tensions_N)
-
-    def loads_without_turn_Nm(self) -> Vector:
-        """The same with reels of the radius that the model has at their measured position."""
-        loads: Vector = self._pulls @ self.tensions_N
-        for each, place in self.places.items():
-            if each.kind is Kind.RADIUS:
-                loads[each.number - 1] *= self.ratio(each.number) - self._errors[place]
-        return loads
-
-    def load_slopes(self) -> Vector:
-        """How the loads (N,) change with each unknown, (N, n)."""
-        own = self.tensions_N
-        slopes: Vector = self._pulls @ (self._all.tensions_N[1:] - own).T / self._steps
-        slopes *= self._all.ratios[:, None]
-        for each, place in self.places.items():
-            if each.kind is Kind.RADIUS:
-                slopes[each.number - 1, place] += self._pulls[each.number - 1] @ own
-        return slopes
+    def refresh_load_slopes(self) -> None:
+        """Bring `load_slopes` up to what is followed."""
+        _put_load_slopes(0, self._slopes_table)
 
     def carriage_slopes(self, number: int) -> Vector:
         """How the position of a carriage (from 1) depends on each unknown (n,)."""

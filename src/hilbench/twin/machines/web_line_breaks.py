@@ -110,9 +110,9 @@ class SectionWatch:
         """A cycle is missing: a new block begins."""
         self._collected = 0
         self._differences_Nm = np.zeros(len(self._per_m))
-        self._promised_N = np.zeros(len(self._spans))
+        self._promised_N = [0.0] * len(self._spans)
         self._followed_N = dict.fromkeys(self._slips, 0.0)
-        self._tightest_N = np.zeros(len(self._spans))
+        self._tightest_N = [0.0] * len(self._spans)
         self._way_m: list[Vector] = []
 
     @property
@@ -167,8 +167,10 @@ class SectionWatch:
         self._now_N = self._by_model_N(followed)
         for axis, now_N in self._now_N.items():
             self._followed_N[axis] += now_N
-        self._promised_N += [tensions_N[spans[-1]] for spans in self._spans.values()]
-        self._tightest_N = np.maximum(self._tightest_N, [np.min(tensions_N[spans]) for spans in self._spans.values()])
+        of_spans_N = tensions_N.tolist()
+        for at, spans in enumerate(self._spans.values()):
+            self._promised_N[at] += of_spans_N[spans[-1]]
+            self._tightest_N[at] = max(self._tightest_N[at], min(of_spans_N[spans[0] : spans[-1] + 1]))
         self._way_m.append(np.array(positions_m))
         self._differences_Nm -= np.asarray(torques_Nm) + line.load_torques_Nm(self._axes, line.v_m_s.tolist(), 0.0)
         self._collected += 1
@@ -190,15 +192,15 @@ class SectionWatch:
 
     def _judge(self, time_s: float, line: LineFollower, inertia_kg_m2: Vector) -> None:
         """A block is complete."""
-        lows = zip(self._spans, self._tightest_N.tolist(), self._usual_N, strict=True)
+        lows = zip(self._spans, self._tightest_N, self._usual_N, strict=True)
         self._slack = {axis: tightest_N <= _SLACK * usual_N for axis, tightest_N, usual_N in lows}
         speeds = np.diff(np.array(self._way_m), axis=0) / self._cycle_s
-        gained_m_s = np.median(speeds[-_ENDS:], axis=0) - np.median(speeds[:_ENDS], axis=0)
+        gained_m_s = _middle(speeds[-_ENDS:]) - _middle(speeds[:_ENDS])
         gained_m_s2 = gained_m_s / ((len(speeds) - _ENDS) * self._cycle_s)
         ratios = np.array([line.radius_ratio(axis) for axis in range(1, len(gained_m_s2) + 1)])
         accelerates_N = inertia_kg_m2 * self._per_m * gained_m_s2 * self._per_m / ratios
         more_N = self._differences_Nm / self._collected * self._per_m / ratios + accelerates_N
-        promises_N = (self._promised_N / self._collected).tolist()
+        promises_N = [total_N / self._collected for total_N in self._promised_N]
         for axis, usual_N, promised_N in zip(self._spans, self._usual_N, promises_N, strict=True):
             if axis in self._seen:
                 is_N = promised_N - float(np.sum(more_N[axis:]))
@@ -249,6 +251,12 @@ class SectionWatch:
         self._torn[axis] = low and (self._low[axis] or self._torn[axis])
         self._low[axis] = low
         self._doubt_s[axis] = self._doubt_s[axis] + BLOCK_S if share < _DOUBTFUL else 0.0
+
+
+def _middle(values: Vector) -> Vector:
+    """Median of an odd number of rows (n, N)."""
+    found: Vector = np.sort(values, axis=0)[len(values) // 2]
+    return found
 
 
 def _carriage_slips(

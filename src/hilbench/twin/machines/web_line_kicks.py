@@ -12,7 +12,7 @@ from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.drive_response import DriveResponse
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
-from hilbench.plant.web_line.line_follower import LineFollower
+from hilbench.plant.web_line.line_follower import Handover, LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.varied_line import damped_follower
@@ -67,9 +67,7 @@ class _Pair:
         self._cycle_s = cycle_s
         for line in (self.line, self._closed):
             line.lock_to(cycle_s)
-        self._of_axes = {
-            f"{name}{axis}_{unit}" for axis in axes for name, unit in (("x", "m"), ("v", "m_s"), ("tau", "Nm"))
-        }
+        self._transfer = Handover(self._followed, self._closed)
         self._followed.reset(self._positions_m)
         self._transfer()
 
@@ -81,10 +79,6 @@ class _Pair:
     def torques_Nm(self) -> Vector:
         """Of the line, less those of its twin (N,)."""
         return np.array([a.torque_Nm - b.torque_Nm for a, b in zip(self._ports, self._twins, strict=True)])
-
-    def _transfer(self) -> None:
-        states = self._followed.get_state().values
-        self._closed.set_state({name: value for name, value in states.items() if name not in self._of_axes})
 
     def step(self) -> None:
         """A cycle."""

@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from hilbench.estimation.noise_level import NoiseLevel
+from hilbench.estimation.noise_level import NoiseLevels
 from hilbench.estimation.web_line.kicks import Kick
 from hilbench.estimation.web_line.unknowns import Belief, Unknowns
 from hilbench.plant.parameters import per_item
@@ -123,6 +123,7 @@ class LineUnknowns:
         assert loops is not None, "a twin's model has drives"
         self._limits_Nm = [per_item(loops.torque_limit_Nm, axis) for axis in self._axes]
         limits_Nm, of_sensors = np.array(self._limits_Nm), self._sensors.offsets
+        self._least_variances = (_KICK_NOISE_SHARE * limits_Nm) ** 2  # of torques in which kicks are looked for
         self._offsets = np.concatenate([_OFFSET_SHARE * limits_Nm, of_sensors])
         self._shows = np.array([self._shows_in_torques(each) for each in self.varied.unknowns], float)
         growth = (_OFFSET_SHARE_PER_SQRT_S * limits_Nm) ** 2
@@ -130,7 +131,7 @@ class LineUnknowns:
         self._gains = [per_item(loops.velocity_kp_Nm_s_per_rad, axis) for axis in axes]
         self._rates = [per_item(loops.velocity_ki_Nm_per_rad, axis) for axis in axes]
         self._set_cycle(cycle_s)
-        self._loads = np.zeros((model.axis_count, len(self.varied.unknowns) + 1))
+        self._loads = self.varied.load_slopes  # as it is brought up to date
         kinds = np.array([each.kind for each in self.varied.unknowns])
         self._is_strain, self._is_modulus = kinds == Kind.STRAIN, kinds == Kind.MODULUS
         sensed = np.array([each in self._sensors.sensed for each in self.varied.unknowns], bool)
@@ -172,9 +173,9 @@ class LineUnknowns:
         """Each cycle is so long from the next on; what is known stays."""
         if cycle_s == self._cycle_s:
             return
-        states = self._response.states
+        before = self._response
         self._set_cycle(cycle_s)
-        self._response.states = states
+        self._response.go_on_from(before)
         self._set_inertia()
         self._set_kicks()
         self._may_be.clear()
@@ -203,7 +204,8 @@ class LineUnknowns:
         told_by_tension = np.concatenate([np.ones(len(self._axes), bool), self._sensors.tensions_N > 0.0])
         swings = np.where(told_by_tension, _CHANGE_SWING_SHARE, 0.0)
         self._filter = Unknowns(believed + moduli, self._offsets, swings, swings_on)
-        self._noise = [NoiseLevel(0.01 * limit_Nm, 1e-4 * limit_Nm) for limit_Nm in self._limits_Nm]
+        limits_Nm = np.array(self._limits_Nm)
+        self._noise = NoiseLevels(0.01 * limits_Nm, 1e-4 * limits_Nm)
         self._positions_m, self._way_m, self._window_way_m = list(positions_m), 0.0, 0.0
         self._time_s = 0.0
         self._speeds_m_s: Vector | None = None
@@ -298,8 +300,7 @@ class LineUnknowns:
             return True
         answered = self._response.torques_Nm
         left = (residuals_Nm - answered[:, -1])[self._rows]
-        for noise, value in zip(self._noise, left.tolist(), strict=True):
-            noise.update(value)
+        self._noise.update(left)
         if not limited and self._look_for_kicks(time_s, left):
             self._response.step(self._loads)
             self._begin_window()
@@ -307,8 +308,7 @@ class LineUnknowns:
         self._sum[: len(left)] += left
         self._slopes[: len(left)] += answered[self._rows, :-1] * self._shows
         self._cycles += 1
-        self._loads[:, :-1] = self.varied.load_slopes()
-        self._loads[:, -1] = self.varied.loads_Nm() - self.varied.loads_without_turn_Nm()
+        self.varied.refresh_load_slopes()
         corrected = False
         if self._cycles >= self._window:
             corrected = not limited and self._correct(time_s)
@@ -322,8 +322,7 @@ class LineUnknowns:
     def miss(self) -> None:
         """A cycle without measurement."""
         self._response.step(self._loads)
-        for noise in self._noise:
-            noise.interrupt()
+        self._noise.interrupt()
         self._forget_kicks()
         self._begin_window()
 
@@ -352,8 +351,7 @@ class LineUnknowns:
         if not self._tells_moduli or self._slips or self._time_s < _KICKS_FROM_S:
             self._forget_kicks()
             return False
-        least = (_KICK_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
-        variances = least + np.array([noise.variance for noise in self._noise])
+        variances = self._least_variances + self._noise.variances
         found = [(place, watch.take(left_Nm, variances)) for place, watch in self._kicks]
         for place, kick in found:
             if kick is not None:
@@ -453,12 +451,11 @@ class LineUnknowns:
         """Correct the line by these of its unknowns (n,), and let them be those of now."""
         self._corrected = self._corrected + changes
         self.varied.correct(changes)
-        self._response.states[:, :, -1] += self._response.states[:, :, :-1] @ changes
+        self._response.add(len(changes), changes)
         turned = self.varied.renew()
         self._filter.turn(turned)
-        self._response.states[:, :, :-1] = self._response.states[:, :, :-1] @ np.linalg.inv(turned)
-        self._loads[:, :-1] = self.varied.load_slopes()
-        self._loads[:, -1] = self.varied.loads_Nm() - self.varied.loads_without_turn_Nm()
+        self._response.turn(np.asarray(np.linalg.inv(turned), np.float64))
+        self.varied.refresh_load_slopes()
         self._set_inertia()
 
     def put_tensions(self, tensions_N: Mapping[int, float]) -> None:
@@ -497,12 +494,7 @@ class LineUnknowns:
     def _answer_from_now(self, cycles: int) -> None:
         """What has changed in the web changed so many cycles ago: until then no drive had to answer to it."""
         web = [i for i, each in enumerate(self.varied.unknowns) if each.kind in (Kind.MODULUS, Kind.STRAIN)]
-        response, before = self._response, self._response.states.copy()
-        response.states[:, :, web] = 0.0
-        for _ in range(cycles):
-            response.step(self._loads)
-        before[:, :, web] = response.states[:, :, web]
-        response.states = before
+        self._response.answer_from(cycles, web, self._loads)
 
     def _bounded(self, unknown: Unknown, change: float) -> float:
         if unknown.kind is Kind.MODULUS:
@@ -533,8 +525,7 @@ class LineUnknowns:
         rates = np.abs(speeds_m_s - (speeds_m_s if before is None else before)) / (count * self._cycle_s)
         per_m = np.array([self._model.motor_rad_per_m(axis) for axis in self._axes])
         accelerating_Nm = self._inertia_kg_m2[self._rows] * per_m * rates
-        noise = np.array([noise.variance / count for noise in self._noise])
-        noise += (_LEAST_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
+        noise = self._noise.variances / count + (_LEAST_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
         swing = exp(-self._time_s / _SWING_S)
         noise += (_SWING_SHARE * np.array(self._limits_Nm) * swing) ** 2
         sensors = self._sensors.variances + (_SWING_SHARE * self._sensors.tensions_N * swing) ** 2

@@ -20,6 +20,7 @@ from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.pairing import OwnWays, Pairing
 from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.line_follower import Handover
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.sizes import least_way_m
@@ -29,8 +30,6 @@ from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines.machine import Measured, Told
 from hilbench.twin.machines.web_line_breaks import SectionWatch
 from hilbench.twin.machines.web_line_unknowns import Found, LineUnknowns
-
-_OF_AN_AXIS = (("x", "m"), ("v", "m_s"), ("tau", "Nm"))
 
 
 class LineWithStationsTwin:
@@ -68,10 +67,8 @@ class LineWithStationsTwin:
         self._residuals_Nm = [0.0] * model.axis_count
         self._positions_m: list[float] | None = None
         self._reels = [roller.axis for roller in model.line_rollers if isinstance(roller.station, Reel) and roller.axis]
-        #: States that the closed line keeps; how a reel goes that is told torques is as it was measured.
-        driven = [axis for axis in axes if axis not in shape.torqued]
-        self._of_axes = {f"{name}{axis}_{unit}" for axis in driven for name, unit in _OF_AN_AXIS}
-        self._of_axes |= {f"tau{axis}_Nm" for axis in shape.torqued}
+        #: A reel that is told torques goes as it was measured, all other driven rollers as their drives let them.
+        self._transfer = Handover(self._unknowns.varied.line, self.plant, shape.torqued)
 
     def _set_cycle(self, cycle_s: float) -> None:
         model, shape, least_m = self._model, self._shape, least_way_m(self._model)
@@ -193,11 +190,6 @@ class LineWithStationsTwin:
     def separable(self) -> bool:
         """Whether E is told apart wherever the twin tells it."""
         return all(self._unknowns.separable(self._before[span - 1]) for span in self._shape.estimated)
-
-    def _transfer(self) -> None:
-        """Let the closed line go on with the web, and all that no motor drives, as they were followed."""
-        found = self._unknowns.varied.line.get_state().values
-        self.plant.set_state({name: value for name, value in found.items() if name not in self._of_axes})
 
     def _at_web(self, measured: Sequence[Measured]) -> list[float]:
         return [position * metres for (position, _), metres in zip(measured, self._per_rad, strict=True)]
