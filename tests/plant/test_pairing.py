@@ -6,7 +6,7 @@ from math import nan
 
 import pytest
 
-from hilbench.plant.pairing import OwnWays, Pairing
+from hilbench.plant.pairing import OwnWays, Pairing, play
 
 WAY_M = 0.006  #: of a cycle, 2 ms at 3 m/s
 
@@ -60,7 +60,7 @@ OWN_M = (0.006, 0.0, 0.0035)
 
 def under_way() -> OwnWays:
     """Two cycles on, with these ways."""
-    axes = OwnWays("m", CYCLE_S)
+    axes = OwnWays(3, play("m", CYCLE_S))
     for cycles in range(3):
         assert axes.update(*(cycles * way for way in OWN_M))
     return axes

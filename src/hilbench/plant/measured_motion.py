@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hilbench.chain import Chained
 from hilbench.compiled import FLAG, VECTOR, compiled, entry_point, number_of_sources
 from hilbench.plant import pairing
-from hilbench.plant.pairing import Pairing, Vector, paired
+from hilbench.plant.pairing import Pairing, Vector, own_ways, paired
 
 #: So many cycles that a sample is late by are made good by prediction; an older one has too little in it.
 MOST_PREDICTED_CYCLES = 3.0
@@ -24,14 +24,27 @@ MOST_PREDICTED_CYCLES = 3.0
 _PARTS = 1000.0
 #: What `gone_s` goes by: which way tells cycles, in the unit of the positions; a cycle, s; the axis that is counted by,
 #: from 0; cycles since the instant of the positions that the machine is at; that axis' position and speed there; how
-#: much later torques act, s.
-_LEAST_WAY, _CYCLE_S, _AXIS, _BEHIND, _POSITION, _SPEED, _LEAD_S, _SIZE = range(8)
+#: much later torques act, s; whether the axes go ways of their own, which say it all.
+_LEAST_WAY, _CYCLE_S, _AXIS, _BEHIND, _POSITION, _SPEED, _LEAD_S, _OWN, _SIZE = range(9)
+
+
+@compiled
+def _own_gone_s(m: Vector, ways: Vector, positions: Vector, late: bool) -> float:
+    gone = 0.0
+    if late:
+        pairing.miss_own(ways)
+    elif own_ways(ways, positions):
+        gone = ways[pairing.OWN_GONE]
+    m[_BEHIND] = ways[pairing.OWN_BEHIND]
+    return float(gone * m[_CYCLE_S])
 
 
 @compiled
 def gone_s(m: Vector, ways: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
     """A cycle on, with these positions and speeds (N,): the time in s by which the machine has to follow; 0 where they
-    are not of one instant (`ways`: of `paired`), `late`, or of the instant at which it is already."""
+    are not of one instant (`ways`: of `paired`, or `own_ways`), `late`, or of the instant at which it is already."""
+    if m[_OWN] != 0.0:
+        return _own_gone_s(m, ways, positions, late)
     m[_BEHIND] += 1.0
     if late:
         pairing.miss(ways)
@@ -86,21 +99,31 @@ class MeasuredMotion:
     """The motion of N axes, from cycle to cycle.
 
     `counted`: the axis, from 0, whose way counts cycles; `lead_s`: how much later than it was measured what follows
-    from it acts; `least_way`, in the unit of the positions: what is measured well enough to count cycles by it.
+    from it acts; `least_way`, in the unit of the positions: what is measured well enough to count cycles by it;
+    `own_play`: of axes that go ways of their own, by how much that of a cycle may differ from the one before.
     """
 
-    def __init__(self, axes: int, counted: int, cycle_s: float, lead_s: float, least_way: float) -> None:
+    def __init__(
+        self, axes: int, counted: int, cycle_s: float, lead_s: float, least_way: float, own_play: float | None = None
+    ) -> None:
         self.state = np.zeros(_SIZE)  #: of `gone_s`
         self.state[[_LEAST_WAY, _CYCLE_S, _AXIS, _LEAD_S]] = least_way, cycle_s, counted, lead_s
+        self.state[_OWN] = own_play is not None
         self._pairing = Pairing(least_way)
         self.ways, self.positions = self._pairing.vectors(axes)
+        if own_play is not None:
+            self.ways = pairing.own_ways_state(axes, own_play)
         self.speeds = np.zeros(axes)
         self._format = f"={axes}d"
 
     def begin(self, positions: Sequence[float], speeds: Sequence[float]) -> None:
         """The machine is at these positions."""
-        self._pairing.reset()
-        self._pairing.update(*positions)
+        if self.state[_OWN]:
+            pairing.forget_own_ways(self.ways)
+            self.gone_s(positions, speeds, late=False)
+        else:
+            self._pairing.reset()
+            self._pairing.update(*positions)
         axis = int(self.state[_AXIS])
         self.state[[_BEHIND, _POSITION, _SPEED]] = 0.0, positions[axis], speeds[axis]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from struct import pack_into
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +94,113 @@ def miss(state: Vector) -> None:
     state[_CYCLES] += 1.0
 
 
-def _entry_points(sources: int) -> tuple[Callable[[Vector, Vector, float], bool], Callable[[Vector, float], bool]]:
+@compiled
+def _fits(ways: Vector, usual: Vector, plays: Vector, gone: float) -> bool:
+    """Whether these are ways of so many cycles, at any acceleration of a machine."""
+    fits = True
+    for k in range(len(ways)):
+        fits &= abs(ways[k] - gone * usual[k]) <= _ALIKE * abs(usual[k]) + gone * gone * plays[k]
+    return fits
+
+
+@compiled
+def _agree(ways: Vector, usual: Vector, plays: Vector, gone: float, fastest: int) -> bool:
+    """Whether all axes have gone as far as the fastest, which tells how all were accelerated: after many cycles one
+    that is a cycle further would else pass for one that was accelerated more."""
+    if usual[fastest] == 0.0:
+        return True
+    cycles, spare = ways[fastest] / usual[fastest], max(_APART * gone, 1.0)
+    agree = True
+    for k in range(len(ways)):
+        agree &= abs(ways[k] - cycles * usual[k]) <= _ALIKE * abs(usual[k]) + spare * plays[k]
+    return agree
+
+
+@compiled
+def whole_cycles(ways: Vector, usual: Vector, plays: Vector, told: float) -> float:
+    """See `cycles_gone`; -1 where they disagree."""
+    fastest = 0
+    for k in range(1, len(usual)):
+        if abs(usual[k]) > abs(usual[fastest]):
+            fastest = k
+    by_way = told
+    if usual[fastest] != 0.0:
+        by_way = max(np.rint(ways[fastest] / usual[fastest]), 0.0)
+    tells = _ALIKE * abs(usual[fastest]) > plays[fastest]
+    if not tells and _fits(ways, usual, plays, told) and _agree(ways, usual, plays, told, fastest):
+        return told
+    agree = _fits(ways, usual, plays, by_way) and _agree(ways, usual, plays, by_way, fastest)
+    return by_way if agree else -1.0
+
+
+#: What `own_ways` remembers: cycles since positions were taken, and how many were refused since; cycles between the
+#: last two that were taken, and those since for which there are none yet; whether there are any, and whether the way of
+#: a cycle is known. Then, of each axis, its last position, the way of a cycle, room for a way, and by how much that may
+#: differ.
+_SINCE, _REFUSED, OWN_GONE, OWN_BEHIND, _HAS_POSITIONS, _HAS_USUAL, _OF_AXES = range(7)
+
+
+def own_ways_state(axes: int, play: float) -> Vector:
+    """What `own_ways` remembers of so many axes: nothing yet."""
+    state: Vector = np.zeros(_OF_AXES + 4 * axes)
+    state[_OF_AXES + 3 * axes :] = play
+    return state
+
+
+@compiled
+def miss_own(state: Vector) -> None:
+    """A cycle without positions of its own."""
+    state[_SINCE] += 1.0
+    state[OWN_BEHIND] += 1.0
+
+
+@compiled
+def own_ways(state: Vector, positions: Vector) -> bool:
+    """Whether positions (N,) are of one instant; see `OwnWays`."""
+    miss_own(state)
+    n = len(positions)
+    last, usual = state[_OF_AXES : _OF_AXES + n], state[_OF_AXES + n : _OF_AXES + 2 * n]
+    ways, plays = state[_OF_AXES + 2 * n : _OF_AXES + 3 * n], state[_OF_AXES + 3 * n :]
+    if state[_HAS_POSITIONS] == 0.0:
+        state[OWN_BEHIND] = 0.0
+    else:
+        for k in range(n):
+            ways[k] = positions[k] - last[k]
+        gone = state[_SINCE]
+        if state[_HAS_USUAL] != 0.0:
+            gone = whole_cycles(ways, usual, plays, state[_SINCE])
+        if gone < 0.0 and state[_REFUSED] < _MOST_REFUSED:
+            state[_REFUSED] += 1.0
+            return False
+        gone = state[_SINCE] if gone < 0.0 else gone
+        # One cycle ahead of what is counted there may be: a SYNC that was sent late, and the next one on time.
+        state[OWN_BEHIND] = max(state[OWN_BEHIND] - gone, 0.0 if gone == 1.0 else -1.0)
+        state[OWN_GONE] = gone
+        if gone > 0.0:
+            for k in range(n):
+                usual[k] = ways[k] / gone
+            state[_HAS_USUAL] = 1.0
+    for k in range(n):
+        last[k] = positions[k]
+    state[_HAS_POSITIONS], state[_SINCE], state[_REFUSED] = 1.0, 0.0, 0.0
+    return True
+
+
+def forget_own_ways(state: Vector) -> None:
+    """The next positions are taken as they are."""
+    state[:_OF_AXES] = 0.0
+
+
+class _Compiled(NamedTuple):
+    """What Python calls."""
+
+    paired: Callable[[Vector, Vector, float], bool]
+    comes_steadily: Callable[[Vector, float], bool]
+    own_ways: Callable[[Vector, Vector], bool]
+    whole_cycles: Callable[[Vector, Vector, Vector, float], float]
+
+
+def _entry_points(sources: int) -> _Compiled:
     """For Python; `sources` as in `compiled.number_of_sources`."""
 
     @entry_point(VECTOR, VECTOR, REAL)
@@ -104,10 +211,18 @@ def _entry_points(sources: int) -> tuple[Callable[[Vector, Vector, float], bool]
     def comes_once(state: Vector, x_m: float) -> bool:
         return comes_steadily(state, x_m) if sources >= 0 else False
 
-    return paired_once, comes_once
+    @entry_point(VECTOR, VECTOR)
+    def own_once(state: Vector, positions: Vector) -> bool:
+        return own_ways(state, positions) if sources >= 0 else False
+
+    @entry_point(VECTOR, VECTOR, VECTOR, REAL)
+    def whole(ways: Vector, usual: Vector, plays: Vector, told: float) -> float:
+        return whole_cycles(ways, usual, plays, told) if sources >= 0 else -1.0
+
+    return _Compiled(paired_once, comes_once, own_once, whole)
 
 
-_paired, _comes_steadily = _entry_points(number_of_sources(__file__))
+_paired, _comes_steadily, _own_ways, _whole_cycles = _entry_points(number_of_sources(__file__))
 
 
 class Pairing:
@@ -180,43 +295,32 @@ class OwnWays:
     What does not for long is taken all the same: a machine may do what none was thought to do.
     """
 
-    def __init__(self, position_unit: str, cycle_s: float) -> None:
-        self._play = play(position_unit, cycle_s)
-        self.reset()
+    def __init__(self, axes: int, of_a_cycle: float) -> None:
+        """`of_a_cycle`: by how much a way may differ, see `play`."""
+        self._state, self._positions = own_ways_state(axes, of_a_cycle), np.zeros(axes)
 
     def reset(self) -> None:
         """The next positions are taken as they are."""
-        self._last: list[float] | None = None
-        self._usual: list[float] | None = None
-        self._cycles, self._refused = 0, 0
-        #: Cycles between the last two positions that were taken, and those since for which there are none yet.
-        self.gone, self.behind = 0, 0
+        forget_own_ways(self._state)
+
+    @property
+    def gone(self) -> int:
+        """Cycles between the last two positions that were taken."""
+        return int(self._state[OWN_GONE])
+
+    @property
+    def behind(self) -> int:
+        """Cycles since then for which there are none yet."""
+        return int(self._state[OWN_BEHIND])
 
     def miss(self) -> None:
         """A cycle without positions of its own."""
-        self._cycles += 1
-        self.behind += 1
+        miss_own(self._state)
 
     def update(self, *positions: float) -> bool:
         """Whether this cycle's positions of all axes, in the machine's unit, are of one instant."""
-        self.miss()
-        if self._last is not None:
-            ways = [now - last for now, last in zip(positions, self._last, strict=True)]
-            gone: int | None = self._cycles
-            if self._usual is not None:
-                gone = cycles_gone(ways, self._usual, [self._play] * len(ways), self._cycles)
-            if gone is None and self._refused < _MOST_REFUSED:
-                self._refused += 1
-                return False
-            self.gone = self._cycles if gone is None else gone
-            # One cycle ahead of what is counted there may be: a SYNC that was sent late, and the next one on time.
-            self.behind = max(self.behind - self.gone, 0 if self.gone == 1 else -1)
-            if self.gone:
-                self._usual = [way / self.gone for way in ways]
-        else:
-            self.behind = 0
-        self._last, self._cycles, self._refused = list(positions), 0, 0
-        return True
+        self._positions[:] = positions
+        return _own_ways(self._state, self._positions)
 
 
 def play(position_unit: str, cycle_s: float) -> float:
@@ -232,26 +336,5 @@ def cycles_gone(ways: Sequence[float], usual: Sequence[float], plays: Sequence[f
     many cycles by some clock. Axes that are too slow to say it have gone as many as the clock says, unless they can't
     have come so far in that time. None where they disagree, or have gone a way that is none of whole cycles.
     """
-    fastest = max(range(len(usual)), key=lambda axis: abs(usual[axis]))
-    by_way = max(round(ways[fastest] / usual[fastest]), 0) if usual[fastest] else told
-    tells = _ALIKE * abs(usual[fastest]) > plays[fastest]
-    for gone in (by_way,) if tells else (told, by_way):
-        if _fit(ways, usual, plays, gone) and _agree(ways, usual, plays, gone, fastest):
-            return gone
-    return None
-
-
-def _fit(ways: Sequence[float], usual: Sequence[float], plays: Sequence[float], gone: int) -> bool:
-    """Whether these are ways of so many cycles, at any acceleration of a machine."""
-    each = zip(ways, usual, plays, strict=True)
-    return all(abs(way - gone * one) <= _ALIKE * abs(one) + gone**2 * play_of for way, one, play_of in each)
-
-
-def _agree(ways: Sequence[float], usual: Sequence[float], plays: Sequence[float], gone: int, fastest: int) -> bool:
-    """Whether all axes have gone as far as the fastest, which tells how all were accelerated: after many cycles one
-    that is a cycle further would else pass for one that was accelerated more."""
-    if not usual[fastest]:
-        return True
-    cycles, spare = ways[fastest] / usual[fastest], _APART * gone
-    each = zip(ways, usual, plays, strict=True)
-    return all(abs(way - cycles * one) <= _ALIKE * abs(one) + max(spare, 1.0) * play_of for way, one, play_of in each)
+    found = _whole_cycles(np.array(ways), np.array(usual), np.array(plays), float(told))
+    return None if found < 0.0 else int(found)

@@ -430,11 +430,10 @@ class WebLoadTask(LoadTask):
         """Let the web follow the measured motion; the truth of the run is recorded."""
         late = inputs.axes_late
         followed = self.model.follow_in(sample.reals, self._at, late=late)
-        if followed is HasFollowed.ALL:
-            return
         if followed is None:
             self.follow(sample, self._positions(sample), self._speeds(sample), late=late)
-        self._show(sample)
+        if followed is not HasFollowed.ALL:
+            self._show(sample)
         for signal, name in self._forces:
             self.model.tell(name, getattr(sample, signal))
 
@@ -451,7 +450,7 @@ class WebLoadTask(LoadTask):
             return True
 
         piece = self.model.piece(sample.reals, self._at, otherwise)
-        if piece is None:
+        if piece is None or self._forces:  # these are told anew in each cycle
             return None
         return Pieces(after=[piece], cycles=lambda: MANY if self.model.goes_on else 0, shown=dict(self._commands))
 

@@ -8,7 +8,7 @@ from math import isfinite
 from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.plant.fmu.follower import FmuFollower
 from hilbench.plant.interface import Follower
-from hilbench.plant.pairing import OwnWays
+from hilbench.plant.pairing import play
 from hilbench.plant.web_line.imitation import lead_s
 from hilbench.plant.web_line.line_follower import follower_of
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -41,6 +41,6 @@ def web_load_model(config: BenchConfig, report: Callable[[str], None] = print) -
         kind, unit = config.machine_kind, model.position_unit
         machine = FmuFollower(config.load.fmu, kind, unit, model.axis_count, cycle_s, truths, report)
     least_m = least_way_m(model)
-    own_ways = None if isfinite(least_m) else OwnWays(model.position_unit, cycle_s)
+    own_play = None if isfinite(least_m) else play(model.position_unit, cycle_s)
     lead = lead_s(model, cycle_s)
-    return LoadModel(machine, load_axes, cycle_s, lead, least_m, config.load.effects, own_ways)
+    return LoadModel(machine, load_axes, cycle_s, lead, least_m, config.load.effects, own_play)

@@ -16,8 +16,7 @@ from hilbench.chain import Chained
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
 from hilbench.plant.interface import Follower
-from hilbench.plant.measured_motion import MOST_PREDICTED_CYCLES, FollowsInStep, HasFollowed, MeasuredMotion
-from hilbench.plant.pairing import OwnWays
+from hilbench.plant.measured_motion import FollowsInStep, HasFollowed, MeasuredMotion
 from hilbench.plant.parameters import EffectEntry
 from hilbench.topology.quantities import EffectPath, is_plain, parse_effect_path
 
@@ -38,7 +37,7 @@ class LoadModel:
 
     `load_axes`: on which axis' shaft each load motor is, counted from 1; `least_way`, in the machine's unit of
     position: what is measured well enough to count cycles by it; `effects`: those the machine has at the start;
-    `own_ways`: of a machine whose axes turn at speeds of their own.
+    `own_play`: as `MeasuredMotion`, of a machine whose axes turn at speeds of their own.
     """
 
     def __init__(
@@ -49,7 +48,7 @@ class LoadModel:
         lead_s: float,
         least_way: float,
         effects: Iterable[EffectEntry] = (),
-        own_ways: OwnWays | None = None,
+        own_play: float | None = None,
     ) -> None:
         self.machine = machine
         description = machine.describe()
@@ -58,8 +57,7 @@ class LoadModel:
         self._load_axes = tuple(load_axes)
         self._running = False
         counted = self._load_axes[0] - 1 if self._load_axes else 0
-        self._motion = MeasuredMotion(description.axes, counted, cycle_s, lead_s, least_way)
-        self._own_ways, self._cycle_s, self._lead_s = own_ways, cycle_s, lead_s
+        self._motion = MeasuredMotion(description.axes, counted, cycle_s, lead_s, least_way, own_play)
         self._in_step = machine.in_step(self._motion, self._load_axes) if isinstance(machine, FollowsInStep) else None
         self._torques_Nm = [0.0] * len(self._load_axes)
         self._is_ahead = False  # `_in_step`, of these torques
@@ -87,18 +85,15 @@ class LoadModel:
         if not self._running:
             self.machine.reset(positions)
             self._motion.begin(positions, speeds)
-            if self._own_ways is not None:
-                self._own_ways.reset()
-                self._own_ways.update(*positions)
             self._running = True
         else:
             if self._is_ahead and self._in_step is not None:
                 self._torques_Nm, self._is_ahead = self._in_step.torques_Nm, False
-            duration_s = self._gone_s(positions, speeds, late=late)
+            duration_s = self._motion.gone_s(positions, speeds, late=late)
             if not duration_s > 0.0:
                 return self._torques_Nm
             self.machine.follow(positions, duration_s)
-        self._torques_Nm = self.machine.load_torques_Nm(self._load_axes, speeds, self._ahead_s)
+        self._torques_Nm = self.machine.load_torques_Nm(self._load_axes, speeds, self._motion.ahead_s)
         return self._torques_Nm
 
     def tell(self, name: str, value: float) -> None:
@@ -126,22 +121,6 @@ class LoadModel:
         """Whether the machine follows in one call, and nothing was changed since it did so last."""
         in_step = self._in_step
         return self._running and self._is_ahead and in_step is not None and in_step.usable and in_step.is_shown
-
-    def _gone_s(self, positions: Sequence[float], speeds: Sequence[float], *, late: bool) -> float:
-        """By how much the machine has to follow; 0 where nothing new is known that is of one instant."""
-        if self._own_ways is None:
-            return self._motion.gone_s(positions, speeds, late=late)
-        if late:
-            self._own_ways.miss()
-            return 0.0
-        return self._own_ways.gone * self._cycle_s if self._own_ways.update(*positions) else 0.0
-
-    @property
-    def _ahead_s(self) -> float:
-        """By how much it is to be predicted: until torques act, and over what the sample is late by."""
-        if self._own_ways is None:
-            return self._motion.ahead_s
-        return self._lead_s + min(max(self._own_ways.behind, 0), MOST_PREDICTED_CYCLES) * self._cycle_s
 
     def outputs(self) -> Sequence[float]:
         """The truth after a cycle, in the order of the machine's description."""

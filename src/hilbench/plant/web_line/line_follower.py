@@ -17,9 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from hilbench.compiled import table_of
 from hilbench.plant.effect import EffectPlace
 from hilbench.plant.effects import effects_of
+from hilbench.plant.in_step import CompiledInStep
 from hilbench.plant.interface import PlantDescription, Quantity, checked_name
+from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line import line_kernel
+from hilbench.plant.web_line import line_cycle, line_kernel
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.modes import needed_substeps
@@ -27,6 +29,7 @@ from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.simulated import KIND
 from hilbench.plant.web_line.span import BROKEN, SpanFollower
+from hilbench.plant.web_line.stations import Reel
 
 #: Of a driven roller: a pull of 1 kN makes it 1e-9 m/s faster in a second.
 _HELD_KG: Final = 1e12
@@ -213,6 +216,27 @@ class LineFollower(Line):
         found: list[float] = pull.torques_Nm.tolist()
         return found
 
+    def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> LineInStep:
+        """With measured motion, and load motors on `axes`; see `hilbench.plant.measured_motion.FollowsInStep`."""
+        return LineInStep(self, motion, axes)
+
+    def pulled_by(self, axes: Sequence[int]) -> tuple[NDArray[Any], ...]:
+        """What `line_kernel.pull` works on, for load motors on these axes."""
+        return self._pull_of(tuple(axes)).kept
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether its web is whole, and E of each span the parameter."""
+        return self._torn_Pa is None and not self._elastic
+
+    @property
+    def places_of_outputs(self) -> tuple[NDArray[np.int64], ...]:
+        """Of its description: those that the kernel reports, among that; those that are integrated, among these; rows
+        of the reels, whose radii come behind them, and then E of the spans."""
+        reels = [row for row, roller in enumerate(self.parameters.line_rollers) if isinstance(roller.station, Reel)]
+        columns = [place for place, _ in self._columns]  # at the web: as they are
+        return np.array(columns, np.int64), np.array(self.further_places, np.int64), np.array(reels, np.int64)
+
     def web_torque_Nm(self, axis: int, v_m_s: float) -> float:
         """The same of one axis at the present tensions."""
         return self.load_torques_Nm([axis], [v_m_s] * len(self._driven), 0.0)[0]
@@ -295,6 +319,33 @@ class LineFollower(Line):
         elif not torn and self._torn_Pa is not None:
             moduli[:] = self._torn_Pa
             self._torn_Pa = None
+
+
+class LineInStep(CompiledInStep):
+    """A `LineFollower` on measured motion, in one call a cycle; see `hilbench.plant.measured_motion.InStep`."""
+
+    def __init__(self, line: LineFollower, motion: MeasuredMotion, axes: Sequence[int]) -> None:
+        self._line = line
+        pulled = line.pulled_by(axes)
+        further = np.zeros(len(motion.positions))
+        outputs = line.places_of_outputs
+        shown = np.zeros(len(line.describe().outputs))
+        kept = *pulled, motion.state, motion.ways, motion.positions, further, *outputs, shown
+        super().__init__(line_cycle.follow, line_cycle.FOLLOWED, pulled[-1], kept)
+
+    @property
+    def usable(self) -> bool:
+        """Whether the web is whole, and E what it is told to be."""
+        return self._line.is_plain
+
+    @property
+    def is_shown(self) -> bool:
+        """A change acts as it follows next."""
+        return True
+
+    def has_followed(self, code: int) -> HasFollowed:
+        """See there."""
+        return HasFollowed.NOT if code == line_cycle.NOTHING else HasFollowed.ALL
 
 
 def _description(line: PlantDescription) -> PlantDescription:

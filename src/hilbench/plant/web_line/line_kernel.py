@@ -115,7 +115,7 @@ def _follow(
 
 
 @inlined
-def _ratio(p: Vector, s: Vector, row: int) -> float:
+def ratio(p: Vector, s: Vector, row: int) -> float:
     """Radius of a reel over that at the start; 1 of another roller."""
     axis = places.axis(row)
     return float(reels.radius_ratio(p, axis, s[lay.S_Y + row]) if reels.is_reel(p, axis) else 1.0)
@@ -137,7 +137,7 @@ def _web_torque_Nm(p: Vector, s: Vector, u: Vector, seen: Vector, row: int, load
             behind = seen[3 * m + row]
         elif not reel:
             behind = u[lay.U_F_NEXT_N]
-        force = (behind - before) * _ratio(p, s, row)
+        force = (behind - before) * ratio(p, s, row)
     force -= laws.measured_resistance_N(p, axis, x, v, measured_direction(v, laws.FRICTION_WIDTH_M_S))
     return float(force / load[1])
 
@@ -162,7 +162,37 @@ def _gather(table: Table, line: int) -> None:
     if line == 0:
         rows, ratios = integers(table, ROWS, (1,)), floats(table, RATIOS, (1,))
         for i in range(len(rows)):
-            ratios[i] = _ratio(p, s, rows[i])
+            ratios[i] = ratio(p, s, rows[i])
+
+
+@compiled
+def follow_alone(table: Table, x: Vector, further: Vector, duration_s: float) -> None:
+    """The line of a table of load motors goes on to where its driven rollers are now, and shows itself."""
+    p, s, u = floats(table, P, (1,)), floats(table, STATE, (1,)), floats(table, INPUTS, (1,))
+    w, memory, rows = floats(table, WORK, (1,)), floats(table, MEMORY, (1,)), integers(table, LINE_ROWS, (1,))
+    _follow(p, s, u, w, memory, rows, x, further, duration_s)
+    _observe(p, s, u, w, floats(table, OUT, (1,)))
+
+
+@compiled
+def pull_alone(table: Table, lead_s: float) -> None:
+    """Torques of a table of load motors, of the line so much later, if its driven rollers go on as until now."""
+    p, s, u = floats(table, P, (1,)), floats(table, STATE, (1,)), floats(table, INPUTS, (1,))
+    w, memory, ahead = floats(table, WORK, (1,)), floats(table, MEMORY, (1,)), floats(table, AHEAD, (1,))
+    rows, loads = integers(table, LINE_ROWS, (1,)), floats(table, LOADS, (1, 2))
+    speeds, guess, torques = floats(table, SPEEDS, (1,)), floats(table, GUESS, (1,)), floats(table, TORQUES, (1,))
+    n, count = int(p[lay.W_AXES]), len(rows)
+    for j in range(len(s)):
+        guess[j] = s[j]
+    if lead_s > 0.0:
+        a, v = memory[FIRST + count : FIRST + 2 * count], memory[FIRST + 2 * count :]
+        for i in range(count):
+            v[i] = s[lay.S_Y + n + rows[i]]
+        turn(p, guess, u, w, rows, v, a, lead_s, memory[SAMPLE_S], memory[STEP_S])
+    _observe(p, guess, u, w, ahead)
+    for j in range(len(torques)):
+        axis = int(loads[j, 0])
+        torques[j] = _web_torque_Nm(p, s, u, ahead, rows[axis], loads[j], speeds[axis])
 
 
 Together = Callable[[float, Table], int]
@@ -212,26 +242,8 @@ def _entry_points(sources: int) -> tuple[Together, Together, Together, Together,
 
     @entry_point(REAL, TABLE)
     def pull(lead_s: float, table: Table) -> int:
-        p, s, u = floats(table, P, (1,)), floats(table, STATE, (1,)), floats(table, INPUTS, (1,))
-        w, memory, ahead = floats(table, WORK, (1,)), floats(table, MEMORY, (1,)), floats(table, AHEAD, (1,))
-        rows, loads, speeds = (
-            integers(table, LINE_ROWS, (1,)),
-            floats(table, LOADS, (1, 2)),
-            floats(table, SPEEDS, (1,)),
-        )
-        guess, torques = floats(table, GUESS, (1,)), floats(table, TORQUES, (1,))
-        n, count = int(p[lay.W_AXES]), len(rows) if sources >= 0 else 0
-        for j in range(len(s)):
-            guess[j] = s[j]
-        if lead_s > 0.0:
-            a, v = memory[FIRST + count : FIRST + 2 * count], memory[FIRST + 2 * count :]
-            for i in range(count):
-                v[i] = s[lay.S_Y + n + rows[i]]
-            turn(p, guess, u, w, rows, v, a, lead_s, memory[SAMPLE_S], memory[STEP_S])
-        _observe(p, guess, u, w, ahead)
-        for j in range(len(torques)):
-            axis = int(loads[j, 0])
-            torques[j] = _web_torque_Nm(p, s, u, ahead, rows[axis], loads[j], speeds[axis])
+        if sources >= 0:
+            pull_alone(table, lead_s)
         return 0
 
     @entry_point(REAL, TABLE)

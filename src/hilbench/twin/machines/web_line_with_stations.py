@@ -18,7 +18,7 @@ import numpy as np
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.motor_port import MotorPort
-from hilbench.plant.pairing import OwnWays, Pairing
+from hilbench.plant.pairing import OwnWays, Pairing, play
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_follower import Handover
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -73,7 +73,8 @@ class LineWithStationsTwin:
     def _set_cycle(self, cycle_s: float) -> None:
         model, shape, least_m = self._model, self._shape, least_way_m(self._model)
         self._cycle_s = cycle_s
-        self._pairing = Pairing(least_m) if isfinite(least_m) else OwnWays(model.position_unit, cycle_s)
+        of_a_cycle = play(model.position_unit, cycle_s)
+        self._pairing = Pairing(least_m) if isfinite(least_m) else OwnWays(model.axis_count, of_a_cycle)
         told_by = {self._before[span - 1]: span for span in shape.simulated}
         self._watch = SectionWatch(model, cycle_s, told_by, self._unknowns.varied.unknowns, shape.measured)
 

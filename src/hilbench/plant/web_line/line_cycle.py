@@ -1,0 +1,90 @@
+"""A cycle of a line with stations that load motors imitate, compiled: how far it has to follow, the line there, the
+torques of the line ahead, and what is true. As `follower_cycle`, of a `LineFollower`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.chain import Function
+from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers
+from hilbench.plant import measured_motion, pairing
+from hilbench.plant.measured_motion import ahead_s, gone_s
+from hilbench.plant.web_line import kernel, line_kernel, line_vectors, places
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.layout import Vector
+
+Table = NDArray[np.int64]
+Places = NDArray[np.int64]
+
+# Rows of the table: those of `line_kernel.pull`, those of the measured motion, what no further way is told by (N,),
+# places of the outputs among what the kernel reports, among what is integrated, and rows of the reels; room for all
+# outputs; then where motion is measured and what follows is shown.
+_MOTION, _WAYS, _POSITIONS, _FURTHER, _COLUMNS, _STATES, _REELS, _SHOWN, _VALUES, _AT = range(
+    line_kernel.TORQUES + 1, line_kernel.TORQUES + 11
+)
+
+#: What `follow` has done.
+NOTHING, FOLLOWED = range(2)
+
+
+@compiled
+def _show(p: Vector, s: Vector, out: Vector, columns: Places, states: Places, rows: Places, shown: Vector) -> None:
+    """The outputs in the order of the follower's description."""
+    n, m, k = places.counts(p)
+    at = 0
+    for j in range(len(columns)):
+        shown[at] = out[columns[j]]
+        at += 1
+    for j in range(len(states)):
+        shown[at] = s[lay.S_Y + states[j]]
+        at += 1
+    for j in range(len(rows)):
+        shown[at] = p[places.axis(rows[j]) + lay.A_RADIUS_M] * line_kernel.ratio(p, s, rows[j])
+        at += 1
+    for j in range(k):
+        shown[at] = p[places.first_span(n, m) + j * lay.SP_SIZE + lay.SP_MODULUS_PA]
+        at += 1
+
+
+def _entry_point(sources: int) -> Function:
+    """For Python; `sources` as in the kernel."""
+
+    @entry_point(COUNT, TABLE)
+    def follow(late: int, table: Table) -> int:
+        if sources < 0 or len(table) == 0:
+            return NOTHING
+        values, at = floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
+        motion, ways, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
+        speeds, axes = floats(table, line_kernel.SPEEDS, (1,)), len(x)
+        for k in range(axes):
+            x[k], speeds[k] = values[at[k]], values[at[axes + k]]
+        duration_s = gone_s(motion, ways, x, speeds, late != 0)
+        if not duration_s > 0.0:
+            return NOTHING
+        line_kernel.follow_alone(table, x, floats(table, _FURTHER, (1,)), duration_s)
+        p, s = floats(table, line_kernel.P, (1,)), floats(table, line_kernel.STATE, (1,))
+        shown = floats(table, _SHOWN, (1,))
+        _show(
+            p, s, floats(table, line_kernel.OUT, (1,)), integers(table, _COLUMNS, (1,)),
+            integers(table, _STATES, (1,)), integers(table, _REELS, (1,)), shown,
+        )  # fmt: skip
+        line_kernel.pull_alone(table, ahead_s(motion))
+        torques = floats(table, line_kernel.TORQUES, (1,))
+        first = 2 * axes
+        for k in range(len(torques)):
+            values[at[first + k]] = torques[k]
+        for k in range(first + len(torques), len(at), 2):
+            values[at[k]] = shown[at[k + 1]]
+        return FOLLOWED
+
+    return follow
+
+
+#: follow(whether a sample is late, table of the vectors in the order of these rows, the last are values and places in
+#: these): as of `measured_motion.InStep`.
+follow = _entry_point(
+    kernel.source_number(
+        *(str(module.__file__) for module in (measured_motion, pairing, line_kernel, line_vectors)), __file__
+    )
+)
