@@ -59,15 +59,15 @@ class DriveResponse:
         self._states[:] = other._states
         self._show()
 
-    def set_inertia(self, inertia_kg_m2: Sequence[float]) -> None:
-        """Of each drive with what it turns, at the motor. By the trapezoidal rule, that is stable for every loop."""
-        inertias = np.array(inertia_kg_m2)
+    def set_inertia(self, inertia_kg_m2: Vector) -> None:
+        """Of each drive with what it turns, at the motor (N,). By the trapezoidal rule, that is stable for every
+        loop."""
         half = np.zeros_like(self._transition)
-        half[:, 0] = -0.5 * self._cycle_s * self._gains / inertias[:, None]
+        half[:, 0] = -0.5 * self._cycle_s * self._gains / inertia_kg_m2[:, None]
         half[:, 1, 0] = 0.5 * self._cycle_s
         back = np.linalg.inv(np.eye(2) - half)
         self._transition[:] = back @ (np.eye(2) + half)
-        self._input[:] = back[:, :, 0] * (self._cycle_s / inertias)[:, None]
+        self._input[:] = back[:, :, 0] * (self._cycle_s / inertia_kg_m2)[:, None]
 
     def step(self, loads_Nm: Vector) -> None:
         """A cycle with these loads (N, loads), forward."""

@@ -225,6 +225,11 @@ class VariedLine:
         """Radius of a reel over that at the start."""
         return self._all.ratios.item(axis - 1)
 
+    @property
+    def ratios(self) -> Vector:
+        """Of all driven rollers (N,); 1 of those that are no reels."""
+        return self._all.ratios
+
     def slope_per_m(self, axis: int) -> float:
         """Change of a reel's radius over that at the start, per m of its motion."""
         return self._slopes[axis]

@@ -130,6 +130,12 @@ class LineUnknowns:
         self._offset_growth = np.concatenate([growth, np.zeros_like(of_sensors)])
         self._gains = [per_item(loops.velocity_kp_Nm_s_per_rad, axis) for axis in axes]
         self._rates = [per_item(loops.velocity_ki_Nm_per_rad, axis) for axis in axes]
+        own_kg = [model.roller_mass_kg(axis) + model.motor_mass_kg(axis) for axis in axes]
+        per_m = np.array([model.motor_rad_per_m(axis) for axis in axes])
+        wound_kg_m2 = [model.wound_inertia_kg_m2(axis) / model.gear_ratio(axis) ** 2 for axis in axes]
+        #: Of each driven roller (N,), at the motor: its own, and what is wound on it at the start.
+        self._own_kg_m2, self._wound_kg_m2 = np.array(own_kg) / per_m**2, np.array(wound_kg_m2)
+        self._rad_per_m = per_m[self._rows]
         self._set_cycle(cycle_s)
         self._loads = self.varied.load_slopes  # as it is brought up to date
         kinds = np.array([each.kind for each in self.varied.unknowns])
@@ -161,7 +167,7 @@ class LineUnknowns:
             Unknown(Kind.MODULUS, axes_before_spans(model)[carriage.first_span - 1]) for carriage in model.carriages
         }
         answer = DriveResponse(self._gains, self._rates, 1, self._cycle_s)
-        answer.set_inertia(self._inertia_kg_m2.tolist())
+        answer.set_inertia(self._inertia_kg_m2)
         #: Of each section whose tension a carriage keeps: place of its E, and what looks for kicks of it.
         self._kicks = [
             (place, kick_watch(model, unknown.number, self._rows.tolist(), answer, self._cycle_s))
@@ -247,19 +253,14 @@ class LineUnknowns:
 
     def _set_inertia(self) -> None:
         """Reels by what is on them now."""
-        found = []
-        for axis in range(1, self._model.axis_count + 1):
-            wound_kg_m2 = self._model.wound_inertia_kg_m2(axis) * self.varied.ratio(axis) ** 4
-            own_kg = self._model.roller_mass_kg(axis) + self._model.motor_mass_kg(axis)
-            per_m, ratio = self._model.motor_rad_per_m(axis), self._model.gear_ratio(axis)
-            found.append(own_kg / per_m**2 + wound_kg_m2 / ratio**2)
-        self._inertia_kg_m2 = np.array(found)
-        self._response.set_inertia(found)
+        self._inertia_kg_m2 = self._own_kg_m2 + self._wound_kg_m2 * self.varied.ratios**4
+        self._response.set_inertia(self._inertia_kg_m2)
 
     @property
     def inertia_kg_m2(self) -> Vector:
         """Of each driven roller (N,) with what is on it now, at the motor."""
-        return self._inertia_kg_m2
+        inertia_kg_m2: Vector = self._inertia_kg_m2
+        return inertia_kg_m2
 
     def _begin_window(self) -> None:
         self._cycles = 0
@@ -523,8 +524,7 @@ class LineUnknowns:
         speeds_m_s = self.varied.line.v_m_s[self._rows]
         before, self._speeds_m_s = self._speeds_m_s, speeds_m_s
         rates = np.abs(speeds_m_s - (speeds_m_s if before is None else before)) / (count * self._cycle_s)
-        per_m = np.array([self._model.motor_rad_per_m(axis) for axis in self._axes])
-        accelerating_Nm = self._inertia_kg_m2[self._rows] * per_m * rates
+        accelerating_Nm = self._inertia_kg_m2[self._rows] * self._rad_per_m * rates
         noise = self._noise.variances / count + (_LEAST_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
         swing = exp(-self._time_s / _SWING_S)
         noise += (_SWING_SHARE * np.array(self._limits_Nm) * swing) ** 2
