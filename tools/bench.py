@@ -22,7 +22,17 @@ from performance.table import Section, machine, markdown
 from hilbench.runs.config import load_with_overrides
 
 CONFIG = Path(__file__).parents[1] / "bench_configs" / "web_section_step.yaml"
-PARTS = "kernel, pdo, streams, twin, lockstep, jitter, fast, sync, diagnose, start"
+PARTS = "kernel, pdo, streams, twin, lockstep, machines, jitter, fast, sync, diagnose, start"
+MACHINES = [
+    "web_section_step",
+    "line_two_spans",
+    "line_three_spans",
+    "line_with_dancer",
+    "winding_line",
+    "koc_2002",
+    "kuhm_2012",
+    "servo_axis",
+]
 LENGTHS_S = [12.0, 24.0, 48.0]
 
 
@@ -35,6 +45,7 @@ def parts(config_path: Path, seconds: float) -> dict[str, Callable[[], list[Sect
         "streams": lambda: [streams.measure(config)],
         "twin": lambda: [twin.measure(config.web_line)],
         "lockstep": lambda: [running.lockstep(config_path, seconds)],
+        "machines": lambda: [running.machines([CONFIG.with_stem(name) for name in MACHINES])],
         "jitter": lambda: real_time.measure(config_path, seconds),
         "fast": lambda: real_time.measure_fast(config_path, seconds),
         "sync": lambda: [recordings.synchronizers(config.web_line, LENGTHS_S)],

@@ -9,11 +9,14 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import lockstep_profile
 
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.results.run import run_experiment
+from hilbench.runs.config import load_with_overrides
 from performance.table import Section, best_s
 
 _HILBENCH = str(Path(sys.executable).with_name("hilbench"))
@@ -40,6 +43,29 @@ def lockstep(config_path: Path, seconds: float) -> Section:
     wall = figures["wall time"]
     for name, value in figures.items():
         section.add(name, value, "µs per cycle", value / wall, "wall time")
+    return section
+
+
+def machines(configs: Sequence[Path]) -> Section:
+    """How the cost of a cycle grows with rollers, spans and nodes, and with what no motor drives."""
+    section = Section(
+        "Other machines, in one process",
+        "Whole runs of configs of `bench_configs/` as their steps have them, from the first SYNC to the last, trace, "
+        "recording and criteria included: bus time over wall time, and wall time of a cycle beside that of the first. "
+        "In parentheses spans of web, axes and load motors.",
+    )
+    first = None
+    with tempfile.TemporaryDirectory() as folder:
+        for path in configs:
+            loaded = load_with_overrides(path, seed=1)
+            config = loaded.config
+            timing = run_experiment(loaded, Path(folder), participants=Participants.IN_PROCESS).result.timing
+            assert timing.realtime_factor is not None
+            cycle_us = config.cycle_time_s * 1e6 / timing.realtime_factor
+            first = first or cycle_us
+            shape = config.shape
+            name = f"{path.stem} ({shape.spans}, {shape.axes}, {len(shape.load_motors)})"
+            section.add(name, timing.realtime_factor, "× real time", cycle_us / first, "a cycle of the first")
     return section
 
 
