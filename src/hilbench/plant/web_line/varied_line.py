@@ -111,6 +111,7 @@ class VariedLine:
     def __init__(self, model: ModelParameters, measured: Collection[str] = ()) -> None:
         self.unknowns = unknowns_of(model, measured)
         self.places = {unknown: place for place, unknown in enumerate(self.unknowns)}
+        self._place_of_modulus = {each.number: at for each, at in self.places.items() if each.kind is Kind.MODULUS}
         self.line = damped_follower(model)
         self._model = model
         self._followers = [self.line, *(damped_follower(model) for _ in self.unknowns)]
@@ -236,7 +237,7 @@ class VariedLine:
 
     def modulus_factor(self, axis: int) -> float:
         """What E of the section behind an axis is multiplied with."""
-        place = self.places.get(Unknown(Kind.MODULUS, axis))
+        place = self._place_of_modulus.get(axis)
         return 1.0 + (0.0 if place is None else self._errors.item(place))
 
     @property
@@ -354,7 +355,7 @@ class VariedLine:
         tension is another one at once."""
         turned = np.eye(len(self.unknowns))
         for c, unknown in enumerate(self.unknowns):
-            i = self.places.get(Unknown(Kind.MODULUS, unknown.number))
+            i = self._place_of_modulus.get(unknown.number)
             if unknown.kind is Kind.STRAIN and i is not None:
                 strain = self._seen(unknown)[0] / self.modulus_factor(unknown.number)
                 slopes = self._slopes_seen(unknown)
@@ -375,7 +376,7 @@ class VariedLine:
         spans = self._spans[unknown.number]
         material_m = motions[:, [self._material + k for k in spans]].sum(axis=1)
         length_m = motions[:, [self._lengths + k for k in spans]].sum(axis=1)
-        place = self.places.get(Unknown(Kind.MODULUS, unknown.number))
+        place = self._place_of_modulus.get(unknown.number)
         factors = 1.0 if place is None else 1.0 + self._error_of_each(place)
         seen: Vector = factors * (length_m / material_m - 1.0)
         return seen

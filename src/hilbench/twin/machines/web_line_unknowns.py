@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import copysign, exp, hypot, inf, sqrt
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -90,8 +90,7 @@ class _Kept:
     corrected: Vector
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
+class Found(NamedTuple):
     """A value and its standard deviation."""
 
     value: float
@@ -563,6 +562,8 @@ class LineUnknowns:
         nobody knows is still there."""
         if self._way_m < self._known_from_m:
             return True
+        if not self._undecided:
+            return False
         numbers = [self.varied.unknowns[place].number for place in self._undecided]
         return axis in numbers or axis - 1 in numbers
 

@@ -66,6 +66,7 @@ class LineWithStationsTwin:
         self._missed = 0
         self._residuals_Nm = [0.0] * model.axis_count
         self._positions_m: list[float] | None = None
+        self._carriages = range(1, len(model.carriages) + 1)
         self._reels = [roller.axis for roller in model.line_rollers if isinstance(roller.station, Reel) and roller.axis]
         #: A reel that is told torques goes as it was measured, all other driven rollers as their drives let them.
         self._transfer = Handover(self._unknowns.varied.line, self.plant, shape.torqued)
@@ -247,6 +248,6 @@ class LineWithStationsTwin:
                 modulus = self._modulus(span, self._before[span - 1])
                 torque_Nm = self.ports[axis].torque_Nm + missing.item(axis)
                 values += [modulus.value, modulus.deviation, torque_Nm, self._residuals_Nm[axis]]
-        stations = [self._unknowns.carriage(number) for number in range(1, len(self._model.carriages) + 1)]
+        stations = [self._unknowns.carriage(number) for number in self._carriages]
         stations += [self._unknowns.radius(axis) for axis in self._reels]
         return (*values, *(number for found in stations for number in (found.value, found.deviation)))
