@@ -2,8 +2,8 @@
 
     bench.py [CONFIG] [--only PART,...] [--seconds S] [--json FILE] [--page FILE]
 
-Prints tables, writes them as JSON, and with --page into its place on a page. What counts are the ratios:
-both sides of each were measured in the same run on the same machine.
+Prints tables, writes them as JSON, and with --page into its place on a page; with --only the other tables there stay.
+What counts are the ratios: both sides of each were measured in the same run on the same machine.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 
 import docs_page
 from performance import cyclic_path, model_kernel, real_time, recordings, running, streams, twin
-from performance.table import Section, machine, markdown
+from performance.table import Section, machine, markdown, renewed
 
 from hilbench.runs.config import load_with_overrides
 
@@ -61,7 +61,7 @@ def main() -> None:
     parser.add_argument("--only", help=f"parts, by commas: {PARTS}")
     parser.add_argument("--seconds", type=float, default=60.0, help="of lockstep, jitter and fast")
     parser.add_argument("--json", type=Path, default=Path("performance.json"), help="where the figures go")
-    parser.add_argument("--page", type=Path, help="page whose tables are written anew")
+    parser.add_argument("--page", type=Path, help="page whose tables are written anew: all, or those of --only")
     options = parser.parse_args()
     known = parts(options.config, options.seconds)
     chosen = options.only.split(",") if options.only else list(known)
@@ -79,7 +79,8 @@ def main() -> None:
     figures = {"machine": on, "sections": [asdict(section) for section in sections]}
     options.json.write_text(json.dumps(figures, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     if options.page:
-        docs_page.put(options.page, "figures", f"\n{text}\n")
+        text = renewed(docs_page.between(options.page, "figures"), text) if options.only else text
+        docs_page.put(options.page, "figures", f"\n{text.rstrip()}\n")
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 
+_HEAD = "### "
 LIBRARIES = ("numba", "numpy", "scipy", "canopen", "python-can")
 
 
@@ -64,19 +65,48 @@ def machine() -> dict[str, str]:
         "python": f"{platform.python_implementation()} {platform.python_version()}",
         "libraries": versions,
         "load average before and after": f"{os.getloadavg()[0]:.1f}",
-        "date": time.strftime("%Y-%m-%d", time.gmtime()),
     }
 
 
 def markdown(sections: list[Section], on: dict[str, str]) -> str:
-    """Tables and machine, for the page of the docs."""
+    """Tables and machine, for the page of the docs; each table says when it was made."""
     lines = ["| machine | |", "|---|---|", *(f"| {name} | {value} |" for name, value in on.items())]
+    today = time.strftime("%Y-%m-%d", time.gmtime())
     for section in sections:
-        lines += ["", f"### {section.title}", "", section.how, "", "| what | | ratio |", "|---|--:|---|"]
+        lines += [
+            "",
+            f"{_HEAD}{section.title}",
+            "",
+            f"{section.how} ({today})",
+            "",
+            "| what | | ratio |",
+            "|---|--:|---|",
+        ]
         for row in section.rows:
             ratio = "" if row.ratio is None else f"{_number(row.ratio)} × {row.against}"
             lines.append(f"| {row.what} | {_number(row.value)} {row.unit} | {ratio} |")
     return "\n".join(lines)
+
+
+def renewed(there: str, now: str) -> str:
+    """Tables as they stand on a page with those that were measured now in their places; one that is new comes behind
+    the one before it. The machine is that of now."""
+    (_, old), (head, new) = _by_title(there), _by_title(now)
+    titles, last = list(old), -1
+    for title in new:
+        if title in titles:
+            last = titles.index(title)
+        else:
+            last += 1
+            titles.insert(last, title)
+    tables = [f"{_HEAD}{title}\n{(old | new)[title]}" for title in titles]
+    return "\n".join([head, *tables])
+
+
+def _by_title(text: str) -> tuple[str, dict[str, str]]:
+    head, *tables = text.strip("\n").split(f"\n{_HEAD}")
+    parts = [table.partition("\n") for table in tables]
+    return head.rstrip("\n") + "\n", {title: body.rstrip("\n") + "\n" for title, _, body in parts}
 
 
 def _number(value: float) -> str:
