@@ -227,6 +227,7 @@ def test_a_line_runs_alike_with_set_points_an_effect_and_a_fault(tmp_path: Path)
     assert "axis2 (node 2): is in FAULT" in left.ending
 
 
+@pytest.mark.slow
 def test_a_line_runs_alike_with_the_wire_lent(tmp_path: Path) -> None:
     changes = [(10, LINE[0]), (60, LINE[3]), (90, LINE[-2]), (200, LINE[7])]
     check(tmp_path, [], changes, cycles=260, least=60, lent=True)

@@ -86,7 +86,8 @@ def test_a_bench_whose_sync_comes_before_its_drives_are_enabled_is_started_with_
     assert np.max(np.abs(off_N)) < 1e-3
 
 
-@pytest.mark.parametrize("period_s", [0.0021, *slow(0.004, 0.001)])
+@pytest.mark.slow
+@pytest.mark.parametrize("period_s", [0.0021, 0.004, 0.001])
 def test_a_period_that_changes_under_way_leaves_what_is_known_as_it_is(
     period_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

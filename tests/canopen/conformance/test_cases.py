@@ -25,6 +25,7 @@ def test_each_test_names_a_case_of_the_list() -> None:
     assert set(cases_under_test()) <= {case.name for case in listed_cases()}
 
 
+@pytest.mark.slow
 def test_the_documentation_shows_what_the_examination_of_our_drive_finds() -> None:
     page = (ROOT / "docs" / "conformance.md").read_text(encoding="utf-8")
     assert page == with_table(page, table(examined())), "run tools/conformance_table.py --write docs/conformance.md"
