@@ -76,6 +76,23 @@ def ahead_s(m: Vector) -> float:
     return float(m[_LEAD_S] + min(max(m[_BEHIND], 0.0), MOST_PREDICTED_CYCLES) * m[_CYCLE_S])
 
 
+@compiled
+def take(values: Vector, at: NDArray[np.int64], positions: Vector, speeds: Vector) -> None:
+    """What `InStep.follow` is given, from `values`: positions (N,), then speeds (N,), at the first places."""
+    count = len(positions)
+    for k in range(count):
+        positions[k], speeds[k] = values[at[k]], values[at[count + k]]
+
+
+@compiled
+def tell(values: Vector, at: NDArray[np.int64], torques: Vector, shown: Vector) -> None:
+    """What it puts behind them, into `values`: torques (M,), then pairs of a place there and one of those shown."""
+    for k in range(len(torques)):
+        values[at[k]] = torques[k]
+    for k in range(len(torques), len(at), 2):
+        values[at[k]] = shown[at[k + 1]]
+
+
 def _entry_points(
     sources: int,
 ) -> tuple[Callable[[Vector, Vector, Vector, Vector, bool], float], Callable[[Vector], float]]:

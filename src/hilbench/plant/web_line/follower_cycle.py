@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.chain import Function
-from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers
+from hilbench.compiled import COUNT, TABLE, entry_point, floats, integers
 from hilbench.plant import measured_motion, pairing
-from hilbench.plant.measured_motion import ahead_s, gone_s
+from hilbench.plant.measured_motion import ahead_s, gone_s, take, tell
 from hilbench.plant.web_line import kernel, span_kernel
 from hilbench.plant.web_line import layout as lay
 
@@ -44,15 +44,6 @@ Vector = NDArray[np.float64]
 NOTHING, FOLLOWED, WITH_PIECES = range(3)
 
 
-@compiled
-def _show(at: Places, torques: Vector, shown: Vector, values: Vector) -> None:
-    """What is asked for into `values`: torques (M,), then pairs of a place there and one of those shown."""
-    for k in range(len(torques)):
-        values[at[k]] = torques[k]
-    for k in range(len(torques), len(at), 2):
-        values[at[k]] = shown[at[k + 1]]
-
-
 def _entry_point(sources: int) -> Function:
     """For Python; `sources` as in the kernel."""
 
@@ -63,9 +54,7 @@ def _entry_point(sources: int) -> Function:
         values, at = floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
         motion, ways, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
         speeds = floats(table, _MEASURED_SPEEDS, (1,))
-        axes = len(x)
-        for k in range(axes):
-            x[k], speeds[k] = values[at[k]], values[at[axes + k]]
+        take(values, at, x, speeds)
         duration_s = gone_s(motion, ways, x, speeds, late != 0)
         if not duration_s > 0.0:
             return NOTHING
@@ -81,7 +70,7 @@ def _entry_point(sources: int) -> Function:
         span_kernel.pull(p, s, ahead, w, v, boundary, ahead_s(motion), tension_ahead, loads, speeds, torques)
         shown = floats(table, _SHOWN, (1,))
         span_kernel.show(p, s, v, tension, shown)
-        _show(at[2 * axes :], torques, shown, values)
+        tell(values, at[2 * len(x) :], torques, shown)
         return WITH_PIECES if s[len(s) - lay.PIECES_SIZE + lay.PIECES_COUNT] > 0.0 else FOLLOWED
 
     return follow

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from hilbench.chain import Function
 from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers
 from hilbench.plant import measured_motion, pairing
-from hilbench.plant.measured_motion import ahead_s, gone_s
+from hilbench.plant.measured_motion import ahead_s, gone_s, take, tell
 from hilbench.plant.web_line import kernel, line_kernel, line_vectors, places
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
@@ -56,9 +56,8 @@ def _entry_point(sources: int) -> Function:
             return NOTHING
         values, at = floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
         motion, ways, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
-        speeds, axes = floats(table, line_kernel.SPEEDS, (1,)), len(x)
-        for k in range(axes):
-            x[k], speeds[k] = values[at[k]], values[at[axes + k]]
+        speeds = floats(table, line_kernel.SPEEDS, (1,))
+        take(values, at, x, speeds)
         duration_s = gone_s(motion, ways, x, speeds, late != 0)
         if not duration_s > 0.0:
             return NOTHING
@@ -70,12 +69,7 @@ def _entry_point(sources: int) -> Function:
             integers(table, _STATES, (1,)), integers(table, _REELS, (1,)), shown,
         )  # fmt: skip
         line_kernel.pull_alone(table, ahead_s(motion))
-        torques = floats(table, line_kernel.TORQUES, (1,))
-        first = 2 * axes
-        for k in range(len(torques)):
-            values[at[first + k]] = torques[k]
-        for k in range(first + len(torques), len(at), 2):
-            values[at[k]] = shown[at[k + 1]]
+        tell(values, at[2 * len(x) :], floats(table, line_kernel.TORQUES, (1,)), shown)
         return FOLLOWED
 
     return follow
