@@ -202,7 +202,10 @@ def _write_span(axes: Any, model: ModelParameters, notes: LineNotes, before: Dra
         x, side = (before.x + 0.1, "right") if leftmost else (behind.x - 0.1, "left")
         number = span if leftmost else behind.span - 1
         text = f"span {number}" + "".join(f"\n{notes.tensions_N[n]:.1f} N" for n in (number,) if n in notes.tensions_N)
-        axes.text(x, -0.75 * _HANGS, text, ha=side, va="center", fontsize=8, color=VERMILLION)
+        beside = before if leftmost else behind
+        # A reel reaches so far down that its name stands there.
+        y = beside.y - beside.r - 0.62 if _is_reel(beside) else -0.75 * _HANGS
+        axes.text(x, y, text, ha=side, va="center", fontsize=8, color=VERMILLION)
 
 
 def _draw_carriage(axes: Any, hanging: Sequence[DrawnRoller]) -> None:
