@@ -19,7 +19,7 @@ _LIMIT = 9.0
 _SETTLE = 30
 # State: the last samples, the newest first (4 places); samples whose differences reach over a gap.
 _PAST, _VARIANCE, _COUNT, _APART, _SHARE, _FLOOR, _EXPECTED = 0, 4, 5, 6, 7, 8, 9
-_SIZE = 10
+SIZE = 10  #: of a state
 
 
 @compiled
@@ -92,7 +92,7 @@ class NoiseLevel:
     """
 
     def __init__(self, expected: float, floor: float, memory: int = 500) -> None:
-        self.state = np.zeros(_SIZE)
+        self.state = np.zeros(SIZE)
         self.state[_VARIANCE] = self.state[_EXPECTED] = expected**2
         self.state[_SHARE], self.state[_FLOOR] = 1.0 / memory, floor
 
@@ -125,7 +125,7 @@ class NoiseLevels:
 
     def __init__(self, expected: Array, floors: Array) -> None:
         levels = [NoiseLevel(*each) for each in zip(expected.tolist(), floors.tolist(), strict=True)]
-        self._states = np.array([level.state for level in levels]).reshape(-1, _SIZE)
+        self._states = np.array([level.state for level in levels]).reshape(-1, SIZE)
         #: Of the noise, unit of the signal squared.
         self.variances = np.array([level.variance for level in levels])
 

@@ -38,7 +38,7 @@ _LEAST_VARIANCE = 1e-8
 #: Least E over what it was believed to be, for what is known of other spans.
 _LEAST_SHARE = 0.01
 #: Speeds (m/s, behind the filter) up to which a roller stands, and from which on all of its dry friction goes with its
-#: direction. That counts as unknown below `SLOW_M_S`: where the line runs, it is for `model_errors`.
+#: direction. That counts as unknown below `SLOW_M_S`: where the line runs, it is for `unmodelled_effects`.
 _STANDS_M_S, _MOVES_M_S = 1e-4, FRICTION_WIDTH_M_S
 #: Change of the strain, relative, from which on a web pulls otherwise than when its roller came to rest.
 _PULLED = 0.02

@@ -32,7 +32,6 @@ from hilbench.estimation.web_line.delay import DelayFinder
 from hilbench.estimation.web_line.found_running import FoundWeb
 from hilbench.estimation.web_line.known_change import new_known_change
 from hilbench.estimation.web_line.measured_span import MeasuredSpan
-from hilbench.estimation.web_line.model_errors import ModelErrors
 from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchronizer, SyncSample
 from hilbench.estimation.web_line.synchronizers.changepoint import ChangepointSynchronizer
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
@@ -40,6 +39,7 @@ from hilbench.estimation.web_line.synchronizers.plant import Plant
 from hilbench.estimation.web_line.torque_shift import TorqueShiftFinder
 from hilbench.estimation.web_line.tracked import SimulatedMotor, TrackedLine
 from hilbench.estimation.web_line.unknown_webs import UnknownWebs, unknown_webs
+from hilbench.estimation.web_line.unmodelled_effects import UnmodelledEffects
 from hilbench.estimation.web_line.web_search import WebSearch
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.layout import Vector
@@ -68,7 +68,7 @@ class Known(NamedTuple):
 
     youngs_modulus_Pa: float
     torque_shift_Nm: float
-    errors: ModelErrors | None
+    errors: UnmodelledEffects | None
 
 
 class Tracking:
@@ -108,7 +108,7 @@ class Tracking:
         self._model = model
         self._t = self._new_state()
         self.span = MeasuredSpan(balance, self._t)  #: with the web in it
-        self._errors: ModelErrors | None = None
+        self._errors: UnmodelledEffects | None = None
         self._synchronizer: Synchronizer
         self._nuisances: tuple[Nuisance, ...] | None = ()  # None: those that the bank has found
         self._input_strain: float | None = None
@@ -133,8 +133,11 @@ class Tracking:
         t[c.VELOCITY_LIMIT_M_S] = transfer.velocity_limit_m_s
         return t
 
-    def _new_errors(self) -> ModelErrors:
-        return ModelErrors(self.config.model_errors, self._model, self._balance, self._initial_Pa, self._cycle_s)
+    def _new_errors(self) -> UnmodelledEffects:
+        config, axis = self.config, self._line.first_axis + 2
+        priors = tuple(prior for prior in config.priors if prior.axis == axis)
+        balance = self._balance
+        return UnmodelledEffects(config.model_errors, self._model, balance, self._initial_Pa, self._cycle_s, priors)
 
     def _new_bank(self, config: ChangepointConfig) -> ChangepointSynchronizer:
         return ChangepointSynchronizer(config, Plant.of(self._balance, self._initial_Pa))
@@ -154,7 +157,7 @@ class Tracking:
             self._delay_finder.state,
             self._line.moduli,
             self._balance.vectors,
-            errors.vectors,
+            errors.state,
             bank.vectors,
             self._line.vectors,
             self._blocks.state,
@@ -286,7 +289,7 @@ class Tracking:
         """Take what the method says of E, with what the data can't tell from it."""
         self._nuisances, self._input_strain = estimate.nuisances, estimate.upstream_strain
         self._t[cycle.BLACK_BOX] = estimate.upstream_strain is not None
-        cycle.state(self._t, self._vectors.errors.s, estimate.youngs_modulus_Pa, estimate.deviation_Pa)
+        cycle.state(self._t, self._vectors.errors, estimate.youngs_modulus_Pa, estimate.deviation_Pa)
 
     @property
     def estimate(self) -> Estimate:

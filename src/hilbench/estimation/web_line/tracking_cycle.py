@@ -19,14 +19,13 @@ from hilbench.estimation.web_line import (
     balance,
     blocks,
     delay,
-    model_errors,
-    model_errors_filter,
     ripples,
-    swings,
     torque_shift,
+    unmodelled_effects,
+    unmodelled_evidence,
+    unmodelled_filter,
 )
 from hilbench.estimation.web_line.balance import BalanceVectors
-from hilbench.estimation.web_line.model_errors import ErrorVectors
 from hilbench.estimation.web_line.synchronizers import changepoint, kalman, plant
 from hilbench.estimation.web_line.synchronizers.changepoint import BankVectors
 from hilbench.estimation.web_line.synchronizers.plant import InputVectors
@@ -118,7 +117,7 @@ class TrackingVectors(NamedTuple):
     delay_finder: Vector
     moduli: Vector  #: (2, S): where E of the spans that go with it stands in the line's parameters, and its ratio
     balance: BalanceVectors
-    errors: ErrorVectors
+    errors: Vector  #: of the unmodelled effects
     bank: BankVectors
     line: LineVectors
     blocks: Vector
@@ -133,7 +132,7 @@ def state_modulus(t: Vector, errors: Vector, modulus_Pa: float, deviation_Pa: fl
         t[MODULUS_PA] = modulus_Pa
     else:  # torque of somebody else's web, say: no material has such an E
         t[OWN_DEVIATION_PA] = inf
-    force_N = t[UNMODELLED_N] if t[HAS_ERRORS] == 0.0 else errors[model_errors_filter.SPREAD_N]
+    force_N = t[UNMODELLED_N] if t[HAS_ERRORS] == 0.0 else unmodelled_effects.record(errors).spread_N
     unmodelled_Pa = 0.0
     if force_N != 0.0:  # a web without strain says nothing of E
         unmodelled_Pa = force_N / t[WEB_PER_PA] if t[WEB_PER_PA] != 0.0 else inf
@@ -247,7 +246,7 @@ def _without_errors(v: TrackingVectors, force_N: float) -> float:
     """The force without what is known to be no tension."""
     if v.t[HAS_ERRORS] == 0.0:
         return force_N
-    return float(force_N - v.errors.s[model_errors_filter.CORRECTION_N])
+    return float(force_N - unmodelled_effects.correction_N(v.errors))
 
 
 @inlined
@@ -271,15 +270,15 @@ def _transport_out(t: Array, velocity_m_s: float) -> None:
 @compiled
 def _look_for_errors(v: TrackingVectors, F_next_N: float) -> None:
     """What is known to be no tension from now on; when that is more than before, the past means another E."""
-    t, errors = v.t, v.errors
+    t, errors = v.t, unmodelled_effects.record(v.errors)
     if t[HAS_ERRORS] == 0.0:
         return
     # How much of other web is in the span, and what else it is, says nothing of the model.
     if t[SPLICED] != 0.0 or t[OTHER_WEB] != 0.0:
-        model_errors.interrupt(errors)
+        unmodelled_filter.interrupt(errors)
         return
     web_per_Pa = t[USED_PER_PA]
-    model_errors.take(
+    unmodelled_filter.take(
         errors,
         t[POSITION_1_M],
         t[USED_M],
@@ -290,7 +289,7 @@ def _look_for_errors(v: TrackingVectors, F_next_N: float) -> None:
         F_next_N,
         t[MODULUS_PA],
     )
-    rebased_N = errors.s[model_errors_filter.REBASED_N]
+    rebased_N = errors.rebased_N
     if rebased_N != 0.0 and web_per_Pa > 0.0:
         t[REBASED_PA] = -rebased_N / web_per_Pa
         # What has become known all at once is nothing that has happened to the web.
@@ -310,7 +309,7 @@ def update(v: TrackingVectors) -> None:
     if changepoint.follow(v.bank, t[CYCLE_S], t[TORQUE_NM], used[0], used[1], used[2], used[3]):
         changepoint.tell(v.bank, 0.0)
     modulus_Pa, deviation_Pa = changepoint.told(v.bank)
-    state_modulus(t, v.errors.s, modulus_Pa, deviation_Pa)
+    state_modulus(t, v.errors, modulus_Pa, deviation_Pa)
 
 
 @compiled
@@ -331,7 +330,7 @@ def look_for_shift(v: TrackingVectors) -> int:
         block[blocks.VELOCITY_M_S],
         t[MODULUS_PA],
         not anomalies.is_judging(v.anomalies),
-        model_errors.likely_deviation_N(v.errors) if t[HAS_ERRORS] != 0.0 else 0.0,
+        unmodelled_filter.likely_deviation_N(unmodelled_effects.record(v.errors)) if t[HAS_ERRORS] != 0.0 else 0.0,
     )
     return SHIFT if found else TRANSFER
 
@@ -437,14 +436,14 @@ def is_synchronized(t: Vector, most_pct: float) -> bool:
 #: Rows in the table of `flat`: the state; that of what looks for shifts of the torque; parameters and state of the web
 #: that is followed; parameters, state, inputs, scratch space and outputs of the line, one behind the other; how many
 #: there are. Inputs, places and mixture of the bank.
-STATE_ROW, SHIFT_ROW, WEB_ROW, LINE_ROW, ROWS = 0, 3, 8, 46, 52
-BANK_INPUTS_ROW, BANK_PLACES_ROW, BANK_OUT_ROW = 33, 41, 43
+STATE_ROW, SHIFT_ROW, WEB_ROW, LINE_ROW, ROWS = 0, 3, 8, 29, 35
+BANK_INPUTS_ROW, BANK_PLACES_ROW, BANK_OUT_ROW = 16, 24, 26
 
 
 def flat(v: TrackingVectors) -> tuple[Array | Places, ...]:
     """The vectors one behind the other, as `run_vectors` takes them in a table."""
     balance_p, web, balance_s = v.balance
-    return (*v[:7], balance_p, *web, balance_s, *v.errors, *v.bank[0], *v.bank[1:], *v.line, v.blocks)
+    return (*v[:7], balance_p, *web, balance_s, v.errors, *v.bank[0], *v.bank[1:], *v.line, v.blocks)
 
 
 # What the past means no more: a cycle is missing; the web is the same, but more is known of it; it is another one.
@@ -471,47 +470,27 @@ def _entry_points(
             floats(table, 12, (1,)),
             floats(table, 13, (1,)),
         )
-        errors = ErrorVectors(
-            floats(table, 15, (1,)),
-            floats(table, 16, (1,)),
-            floats(table, 17, (1, 2)),
-            floats(table, 18, (1, 2, 3)),
-            integers(table, 19, (1, 2)),
-            floats(table, 20, (1,)),
-            floats(table, 21, (1,)),
-            floats(table, 22, (1, 2)),
-            floats(table, 23, (1,)),
-            floats(table, 24, (1,)),
-            floats(table, 25, (1, 2)),
-            floats(table, 26, (1,)),
-            floats(table, 27, (1,)),
-            floats(table, 28, (1,)),
-            floats(table, 29, (1,)),
-            floats(table, 30, (1, 2)),
-            floats(table, 31, (1, 2, 3)),
-            floats(table, 32, (1,)),
-        )
         inputs = InputVectors(
-            floats(table, 33, (1,)), floats(table, 34, (1,)), floats(table, 35, (1,)), floats(table, 36, (1,))
+            floats(table, 16, (1,)), floats(table, 17, (1,)), floats(table, 18, (1,)), floats(table, 19, (1,))
         )
         hypotheses = BankVectors(
             inputs,
-            floats(table, 37, (1, 2)),
-            floats(table, 38, (1, 2, 3)),
-            floats(table, 39, (1, 2)),
-            floats(table, 40, (1,)),
-            integers(table, 41, (1,)),
-            floats(table, 42, (1, 2)),
-            floats(table, 43, (1, 2)),
-            floats(table, 44, (1, 2)),
-            floats(table, 45, (1,)),
+            floats(table, 20, (1, 2)),
+            floats(table, 21, (1, 2, 3)),
+            floats(table, 22, (1, 2)),
+            floats(table, 23, (1,)),
+            integers(table, 24, (1,)),
+            floats(table, 25, (1, 2)),
+            floats(table, 26, (1, 2)),
+            floats(table, 27, (1, 2)),
+            floats(table, 28, (1,)),
         )
         line = LineVectors(
-            floats(table, 46, (1,)),
-            floats(table, 47, (1,)),
-            floats(table, 48, (1,)),
-            floats(table, 49, (1,)),
-            floats(table, 50, (1,)),
+            floats(table, 29, (1,)),
+            floats(table, 30, (1,)),
+            floats(table, 31, (1,)),
+            floats(table, 32, (1,)),
+            floats(table, 33, (1,)),
         )
         v = TrackingVectors(
             floats(table, 0, (1,)),
@@ -522,10 +501,10 @@ def _entry_points(
             floats(table, 5, (1,)),
             floats(table, 6, (1, 2)),
             BalanceVectors(floats(table, 7, (1,)), web, floats(table, 14, (1,))),
-            errors,
+            floats(table, 15, (1,)),
             hypotheses,
             line,
-            floats(table, 51, (1,)),
+            floats(table, 34, (1,)),
         )
         return run(v, stage, *values)
 
@@ -571,16 +550,16 @@ SOURCES = (
             delay,
             kalman,
             line_vectors,
-            model_errors,
-            model_errors_filter,
             noise_level,
             plant,
             plausibility,
             ring,
             ripples,
             span_kernel,
-            swings,
             torque_shift,
+            unmodelled_effects,
+            unmodelled_evidence,
+            unmodelled_filter,
         )
     ),
     __file__,

@@ -1,0 +1,288 @@
+"""Unmodelled effects: what the model of a driven roller lacks, estimated beside E from its momentum balance.
+
+The synchronizer of a span is given the force without what has been accepted as no tension. Until the evidence for an
+effect is overwhelming nothing but what was commissioned is taken out, and E is what the model makes of the torque; the
+stated deviation of E has what all effects together may be off by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import hypot, sqrt
+from typing import Final
+
+import numpy as np
+
+from hilbench.compiled import COUNT, REAL, VECTOR, compiled, entry_point, inlined, number_of_sources, viewed
+from hilbench.estimation import noise_level
+from hilbench.estimation.bank import Array
+from hilbench.estimation.noise_level import NoiseLevel
+from hilbench.estimation.nuisance import Nuisance
+from hilbench.estimation.web_line import ripples, unmodelled_evidence
+from hilbench.estimation.web_line import unmodelled_filter as filters
+from hilbench.estimation.web_line.balance import BalanceSample, MeasuredBalance
+from hilbench.estimation.web_line.config import ModelErrorsConfig, Prior
+from hilbench.estimation.web_line.unmodelled_filter import FILTER, Record
+from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
+from hilbench.plant.web_line.parameters import ModelParameters
+
+#: A block: short against the span's transport and the drives' loops, long enough for motion to be differentiated, s.
+_BLOCK_S: Final = 0.02
+#: Deviation of E at the start: anything that pulls alike is E until the data tell.
+_INITIAL_E: Final = 0.5
+#: Random walk of E without measurements, relative per √s.
+_HOLD_WALK: Final = 0.02
+#: Force that keeps a roller at rest, and friction at the onset, over the dry friction of one that turns: anything
+#: between both signs.
+_STUCK: Final = 0.6
+#: What changes by itself, as a share of the usual deviation, and in which time (s): friction with the temperature of
+#: bearings and seals, an offset with that of a drive over a shift, the rest with what a model simplifies.
+_WARMING: Final = (0.15, 1200.0)
+_SHIFT: Final = (0.15, 28800.0)
+_SIMPLIFIED: Final = (0.1, 3600.0)
+#: A parameter counts as identified when the data have shrunk its prior deviation to this share.
+_IDENTIFIED: Final = 0.7
+#: The deviation of what accelerates counts so many times: the blocks of a ramp err alike.
+_ALIKE_IN_A_RAMP: Final = 1.5
+_TORQUE_NOISE_NM, _TORQUE_FLOOR_NM = 0.05, 1e-4
+_POSITION_NOISE_M, _POSITION_FLOOR_M = 2e-7, 2e-8
+#: States by the name of what is found, and of a prior.
+_STATES: Final = {
+    "torque_offset_Nm": filters.OFFSET,
+    "dry_friction_N": filters.DRY,
+    "viscous_friction_N_s_per_m": filters.VISCOUS,
+    "torque_scale": filters.SCALE,
+    "inertia_share": filters.MASS,
+    "creep_per_N": filters.CREEP,
+}
+_NAMED: Final = ("torque_offset_Nm", "dry_friction_N", "viscous_friction_N_s_per_m", "creep_per_N")
+_TURNING: Final = (
+    filters.UNBALANCE_COS,
+    filters.UNBALANCE_SIN,
+    filters.COS2,
+    filters.SIN2,
+    filters.COS1,
+    filters.SIN1,
+)
+
+
+def prior_deviations(config: ModelErrorsConfig, model: ModelParameters, force_per_torque_per_m: float) -> Array:
+    """Standard deviations of the filter's states (STATES,), from sizes of the machine; of E and a disturbance 0."""
+    boundary, f = model.boundary, filters
+    tension_N = max(boundary.upstream_tension_N, boundary.downstream_tension_N)
+    strain = tension_N / model.stiffness_N(1)
+    if model.drives is not None:
+        limit_Nm = per_item(model.drives.torque_limit_Nm, 2)
+    else:
+        limit_Nm = 5.0 * tension_N / force_per_torque_per_m
+    friction_N = 0.01 * config.friction_pct * tension_N
+    priors = np.zeros(f.STATES)
+    priors[f.OFFSET] = hypot(
+        0.01 * config.torque_offset_pct * limit_Nm * force_per_torque_per_m,
+        0.01 * config.strain_pct * tension_N,
+    )
+    priors[f.DRY] = friction_N
+    priors[f.STRIBECK] = priors[f.STUCK] = _STUCK * friction_N
+    priors[f.VISCOUS] = friction_N / config.at_speed_m_s
+    priors[f.SCALE] = 0.01 * config.torque_scale_pct
+    priors[f.MASS] = 0.01 * config.inertia_pct
+    priors[f.UNBALANCE_COS] = priors[f.UNBALANCE_SIN] = 0.01 * config.unbalance_pct * tension_N
+    priors[f.CREEP] = 0.01 * config.creep_pct * strain / tension_N
+    for axis, cosine in ((2, f.COS2), (1, f.COS1)):
+        priors[cosine] = priors[cosine + 1] = 1e-6 * config.eccentricity_um / model.radius_m(axis) / sqrt(2.0)
+    return priors
+
+
+def _wander(f: Record) -> None:
+    """What changes by itself, into the filter."""
+    for states, (share, time_s) in (
+        ((filters.OFFSET,), _SHIFT),
+        ((filters.DRY, filters.STRIBECK, filters.VISCOUS), _WARMING),
+        ((filters.SCALE, filters.MASS, filters.CREEP, *_TURNING), _SIMPLIFIED),
+    ):
+        for state in states:
+            f["wander"][state], f["wander_s"][state] = share**2, time_s
+
+
+@inlined
+def record(state: Array) -> Record:
+    """The filter that stands in a state, for compiled callers."""
+    return viewed(state, FILTER)[0]
+
+
+@compiled
+def correction_N(state: Array) -> float:
+    """Force in the balance that has been accepted as no tension."""
+    return float(record(state).correction_N)
+
+
+_INTERRUPT, _TAKE = range(2)
+
+
+def _compiled_entry(sources: int) -> Callable[..., None]:
+    """The function that is called from Python; `sources` as in `number_of_sources`."""
+
+    @entry_point(COUNT, VECTOR, *[REAL] * 8)
+    def act(
+        what: int,
+        state: Array,
+        x1_m: float,
+        x2_m: float,
+        torque_Nm: float,
+        force_N: float,
+        web_per_Pa: float,
+        velocity_m_s: float,
+        next_N: float,
+        stated_Pa: float,
+    ) -> None:
+        if sources < 0:
+            return
+        f = viewed(state, FILTER)[0]
+        if what == _INTERRUPT:
+            filters.interrupt(f)
+        else:
+            filters.take(f, x1_m, x2_m, torque_Nm, force_N, web_per_Pa, velocity_m_s, next_N, stated_Pa)
+
+    return act
+
+
+#: The files of what is compiled here.
+SOURCES: Final = tuple(
+    str(each)
+    for each in (noise_level.__file__, ripples.__file__, unmodelled_evidence.__file__, filters.__file__, __file__)
+)
+_act = _compiled_entry(number_of_sources(*SOURCES))
+
+
+class UnmodelledEffects:
+    """Friction, offset, scale, mass, creep, unbalance and eccentricity beyond the model's, of the roller behind the
+    first span. `priors`: what was commissioned, of its axis."""
+
+    def __init__(
+        self,
+        config: ModelErrorsConfig,
+        model: ModelParameters,
+        balance: MeasuredBalance,
+        youngs_modulus_Pa: float,
+        cycle_s: float,
+        priors: tuple[Prior, ...] = (),
+    ) -> None:
+        self.state = np.zeros(FILTER.itemsize // 8)  #: a `FILTER`, for compiled callers
+        f, s = filters, self._record
+        s["force_per_torque_per_m"] = balance.force_per_torque_per_m
+        deviations = prior_deviations(config, model, balance.force_per_torque_per_m)
+        self._radius_m = model.radius_m(2)
+        s["mass_kg"], s["span_m"] = balance.mass_kg, balance.span_length_m
+        s["reference_Pa"], s["stiffness_N"] = youngs_modulus_Pa, youngs_modulus_Pa * balance.section_m2
+        s["radius_1_m"], s["radius_2_m"] = model.radius_m(1), model.radius_m(2)
+        s["tension_N"] = max(model.boundary.upstream_tension_N, model.boundary.downstream_tension_N)
+        s["standstill_m_s"] = 5.0 * FRICTION_WIDTH_M_S
+        _wander(s)
+        for prior in priors:
+            at = _STATES[prior.quantity]
+            unit = balance.force_per_torque_per_m if at == f.OFFSET else 1.0
+            s["base"][at], deviations[at] = unit * prior.value, unit * prior.deviation
+        s["prior"] = deviations**2
+        s["theta"] = s["base"]
+        s["torque_noise"] = NoiseLevel(_TORQUE_NOISE_NM, _TORQUE_FLOOR_NM).state
+        s["position_noise"] = NoiseLevel(_POSITION_NOISE_M, _POSITION_FLOOR_M).state
+        s["unrest_N2"] = f.least_unrest_N2(s["tension_N"])
+        s["x"][f.E] = s["modulus"] = 1.0
+        s["covariance"] = np.diag(s["prior"])
+        s["covariance"][f.E, f.E], s["covariance"][f.DISTURBANCE, f.DISTURBANCE] = _INITIAL_E**2, s["unrest_N2"]
+        s["spread_N"] = hypot(deviations[f.OFFSET], deviations[f.DRY])
+        self._set_groups()
+        self._set_cycle(cycle_s)
+
+    @property
+    def _record(self) -> np.void:
+        found: np.void = self.state.view(FILTER)[0]
+        return found
+
+    def _set_groups(self) -> None:
+        evidence, prior = self._record["evidence"], self._record["prior"]
+        members = [(at, number) for number, group in enumerate(filters.GROUPS) for at in group if prior[at] > 0.0]
+        evidence["count"] = len(members)
+        for place, (at, number) in enumerate(members):
+            evidence["places"][place], evidence["groups"][place] = at, number
+
+    def _set_cycle(self, cycle_s: float) -> None:
+        self._record["cycle_s"], self._record["block"] = cycle_s, max(2, round(_BLOCK_S / cycle_s))
+
+    def interrupt(self) -> None:
+        """A cycle is missing, or can't be used: no mean goes across."""
+        _act(_INTERRUPT, self.state, *[0.0] * 8)
+
+    def go_by(self, cycle_s: float) -> None:
+        """A cycle is so long from the next on: what is known stays."""
+        self._set_cycle(cycle_s)
+        self.interrupt()
+
+    def hold(self, duration_s: float) -> None:
+        """Nothing can be measured: E may become another one. Of what the model lacks nothing is forgotten."""
+        self.interrupt()
+        self._record["covariance"][filters.E, filters.E] += _HOLD_WALK**2 * duration_s
+
+    def release(self) -> None:
+        """The web is another one: its E may be, too."""
+        self.interrupt()
+        self._record["covariance"][filters.E, filters.E] += _INITIAL_E**2
+
+    def know(self, modulus_Pa: float, deviation_Pa: float, friction_N: float, friction_deviation_N: float) -> None:
+        """Something else than what is learned here tells E, and dry friction beyond the model's."""
+        s = self._record
+        reference_Pa = s["reference_Pa"]
+        for at, value, deviation in (
+            (filters.E, modulus_Pa / reference_Pa, deviation_Pa / reference_Pa),
+            (filters.DRY, friction_N - s["base"][filters.DRY], friction_deviation_N),
+        ):
+            s["x"][at] = value
+            s["covariance"][at, :] = s["covariance"][:, at] = 0.0
+            s["covariance"][at, at] = deviation**2
+
+    @property
+    def correction_N(self) -> float:
+        """Force in the balance that has been accepted as no tension."""
+        return float(self._record["correction_N"])
+
+    @property
+    def rebased_N(self) -> float:
+        """By how much more the correction is than with what was known in the cycle before."""
+        return float(self._record["rebased_N"])
+
+    @property
+    def deviation_N(self) -> float:
+        """What the correction may be wrong by, standard deviation."""
+        return float(self._record["spread_N"])
+
+    def update(self, now: BalanceSample, torque_Nm: float, x1_m: float, next_N: float, stated_Pa: float) -> float:
+        """Take the balance of this cycle; returns what of its force is no tension."""
+        balance = (now.force_N, now.web_per_Pa, now.velocity_m_s)
+        _act(_TAKE, self.state, x1_m, now.x2_m, torque_Nm, *balance, next_N, stated_Pa)
+        return self.correction_N
+
+    def found(self) -> tuple[Nuisance, ...]:
+        """What is estimated beside E by now, beyond the model; of an eccentricity (of roller 2) the amplitude. The mass
+        is that by which the measured torque accelerates: its error and that of the torque's scale are stated together,
+        which of them it is by nothing that they do."""
+        s = self._record
+        mean, deviations = s["base"] + s["x"], np.sqrt(np.diag(s["covariance"]))
+        priors = np.sqrt(s["prior"])
+        rows = []
+        for name in _NAMED:
+            at = _STATES[name]
+            unit = float(s["force_per_torque_per_m"]) if at == filters.OFFSET else 1.0
+            deviation = deviations.item(at)
+            identified = deviation < _IDENTIFIED * priors.item(at)
+            rows.append(Nuisance(name, mean.item(at) / unit, deviation / unit, identified))
+        both = [filters.SCALE, filters.MASS]
+        deviation = _ALIKE_IN_A_RAMP * sqrt(s["covariance"][np.ix_(both, both)].sum())
+        identified = deviation < _IDENTIFIED * priors.item(filters.MASS)
+        rows.append(Nuisance("inertia_share", float(mean[both].sum()), deviation, identified))
+        turning = slice(filters.COS2, filters.COS2 + 2)
+        deviation = float(np.hypot(*deviations[turning]))
+        identified = deviation < _IDENTIFIED * float(np.hypot(*priors[turning]))
+        amplitude_m, deviation_m = float(np.hypot(*mean[turning])) * self._radius_m, deviation * self._radius_m
+        rows.append(Nuisance("eccentricity_m", amplitude_m, deviation_m, identified))
+        return tuple(rows)

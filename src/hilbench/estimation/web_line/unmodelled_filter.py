@@ -1,0 +1,549 @@
+"""Kalman filter of E and of what the model of a driven roller lacks, on block means of its balance; compiled.
+
+    y = E·h + b + d·sign(v) + g·sign(v)·exp(-(v/v_s)²) + s·[v = 0] + c·v + k·T + μ·m·v' + u·cos φ + w·sin φ + D
+        + E·S·(Σ_j a_j·p_j + b_j·q_j − κ·q)
+
+y: force with which the web pulls by measured torque and motion. D: a disturbance that comes and goes; offset b; dry
+friction d, and g beyond it at low speed (Stribeck); s keeps a roller at rest; viscous friction c; error k of the
+torque's scale (T: what the motor pushes with); error μ of the mass; unbalance u, w at the roller's angle φ; creep κ
+(q: difference of the tensions around the roller, as it builds up in the span: q' = v/L·(F − F_next − q)); eccentricity
+a_j, b_j of the rollers over their radius (p_j' = v/L·(cos φ_j − p_j), and q_j).
+
+At constant speed and tension one number is measured, the sum of all of it. E and the rest part only by excitation:
+while speed or tension change, all states are estimated. In quiet time only those are that their regressors tell apart
+at all times (E, D, what turns with a roller); the others are considered (Schmidt 1966): they keep their mean, and count
+in every gain and in the stated deviation by their covariance. A regressor that is made of measured signals varies in
+quiet time by nothing but their noise, and would be taken for evidence in minutes (errors in variables).
+
+What may change by itself does so within bounds: the variance that is added since the last excitation goes to that of an
+Ornstein-Uhlenbeck process, of which it is the increment.
+"""
+
+from __future__ import annotations
+
+from math import cos, exp, sin, sqrt
+from typing import Any
+
+import numpy as np
+
+from hilbench.compiled import compiled, inlined, noinline
+from hilbench.estimation import noise_level
+from hilbench.estimation.bank import Array
+from hilbench.estimation.web_line import ripples, unmodelled_evidence
+from hilbench.estimation.web_line.unmodelled_evidence import EVIDENCE
+
+# States; from OFFSET on what the model may lack, from CREEP on what it lacks in the strain: times E.
+E, DISTURBANCE, OFFSET, DRY, STRIBECK, STUCK, VISCOUS, SCALE, MASS, UNBALANCE_COS, UNBALANCE_SIN, CREEP = range(12)
+COS2, SIN2, COS1, SIN1, STATES = range(12, 17)
+#: Effects that the model lacks all of, or none.
+GROUPS = (
+    (OFFSET,),
+    (DRY, STRIBECK, VISCOUS),
+    (SCALE, MASS),
+    (CREEP,),
+    (UNBALANCE_COS, UNBALANCE_SIN, COS2, SIN2, COS1, SIN1),
+)
+
+_VECTOR, _SQUARE = (STATES,), (STATES, STATES)
+#: All of a filter. Forces at the web, angles in rad; E and what is relative to it over `reference_Pa`.
+FILTER = np.dtype(
+    [
+        # What follows from model, config and cycle.
+        ("cycle_s", "f8"),
+        ("block", "f8"),  # cycles of a block
+        ("mass_kg", "f8"),
+        ("span_m", "f8"),
+        ("reference_Pa", "f8"),
+        ("stiffness_N", "f8"),  # E·S at the reference E
+        ("force_per_torque_per_m", "f8"),
+        ("radius_1_m", "f8"),
+        ("radius_2_m", "f8"),
+        ("tension_N", "f8"),  # usual
+        ("standstill_m_s", "f8"),  # speed up to which a roller may be at rest
+        ("prior", "f8", _VECTOR),  # variances before anything is measured
+        ("wander", "f8", _VECTOR),  # variances of what changes by itself, relative to the prior's
+        ("wander_s", "f8", _VECTOR),  # in which time
+        ("base", "f8", _VECTOR),  # what was commissioned: means of the prior
+        # What is known: deviations from `base` and their covariance, of which `growth` has been added by itself.
+        ("x", "f8", _VECTOR),
+        ("covariance", "f8", _SQUARE),
+        ("growth", "f8", _VECTOR),
+        # What is taken out of the force, and what it goes to.
+        ("theta", "f8", _VECTOR),
+        ("target", "f8", _VECTOR),
+        ("correction_N", "f8"),
+        ("rebased_N", "f8"),  # by how much more it is than with what was known a cycle before, without what turns
+        ("spread_N", "f8"),  # its deviation
+        ("intercept_N", "f8"),  # the same of what would be taken out of the force of a web that pulls no more
+        ("prior_N2", "f8"),  # variance of the force where nothing has been measured
+        # Of this cycle and block.
+        ("now", "f8", _VECTOR),  # regressors
+        ("sums", "f8", _VECTOR),
+        ("row", "f8", _VECTOR),
+        ("y_N", "f8"),
+        ("count", "f8"),
+        ("began_m_s", "f8"),
+        # Motion and tension, filtered.
+        ("smooth_m_s", "f8"),
+        ("usual_m_s", "f8"),
+        ("directed_m_s", "f8"),
+        ("acceleration_m_s2", "f8"),
+        ("built_up_N", "f8"),
+        ("wobble", "f8", (4,)),  # cosine and sine of the rollers' angles, as a strain of the span
+        ("web_before_N", "f8"),
+        ("lagged_N", "f8"),  # mean of the tension at the reference E over the blocks before the last
+        ("regressor_N", "f8"),  # the tension at the reference E that regressors are formed with
+        ("usual_web_N", "f8"),
+        ("web_swing_N2", "f8"),  # how far the tension usually is from its mean
+        ("beyond_N", "f8"),
+        ("at_rest", "f8"),  # share of the last block
+        ("excited", "f8"),  # all states are estimated
+        ("speeds_up_s", "f8"),  # for how long the speed counts as changing yet
+        ("steady_m_s", "f8"),  # what the speed is while it does not
+        ("evidence_s", "f8"),  # until the evidence is looked at again
+        # Innovations.
+        ("excess", "f8"),  # their square over what is expected
+        ("surprised", "f8"),
+        ("leaning", "f8"),
+        ("jumped_s", "f8"),  # since E has jumped
+        # E as it is stated: its lags, how far it goes to and fro.
+        ("modulus", "f8"),  # E that strains are turned into forces with
+        ("stated", "f8"),
+        ("soon_before", "f8"),
+        ("before", "f8"),
+        ("unrest_N2", "f8"),
+        ("stated_jumped", "f8"),
+        ("torque_noise", "f8", (noise_level.SIZE,)),
+        ("position_noise", "f8", (noise_level.SIZE,)),
+        ("orders", "f8", (ripples.ORDERS, ripples.COLUMNS)),
+        ("ripples", "f8", (ripples.KEPT,)),
+        ("evidence", EVIDENCE),
+    ]
+)
+
+Record = Any
+
+#: Smoothing of the speed: of its sign, of the acceleration, and of what is usual, s.
+_DIRECTION_S, _ACCELERATION_S, _USUAL_SPEED_S = 0.02, 0.1, 0.5
+#: A speed that differs from the usual one by more is changing: far above the noise of an encoder, and less than 1 % of
+#: what lines run at, m/s.
+_SAME_SPEED_M_S = 0.01
+#: A tension is changing that differs from its mean over some time by so many times what it usually does, and by so much
+#: of itself; time over which the usual is formed, s, and how many times of it one block counts at most.
+_MEAN_S, _FAR, _LEAST_CHANGE, _SWING_S, _MOST_SWING = 5.0, 4.0, 0.01, 60.0, 9.0
+#: A tension that differs from its mean over the blocks before by more is in transition: what creep, scale and mass
+#: make of it parts then by a timing that no measurement is sure of.
+_SETTLED = 0.005
+#: For how long the data tell of a change of speed behind it: the loops settle, s.
+_SETTLES_S = 0.3
+#: Speed at which friction at the onset has gone (Stribeck), m/s.
+STRIBECK_M_S = 0.25
+#: Change of speed by which friction is another one, as much as by all of its time, m/s.
+_OTHER_FRICTION_M_S = 3.0
+#: Time over which the tension of the blocks before is averaged, s: far above a block, below the span's transport.
+_LAG_S = 0.1
+#: Change of E from which on what is in the strain is another force, relative.
+_OTHER_MODULUS = 0.02
+#: Memory of a force that comes and goes, s.
+_DISTURBANCE_S = 1.0
+#: Random walk of E, relative per √s: while all is estimated, and in quiet time, where nothing is learned by it.
+_WALK, _QUIET_WALK = 1e-3, 4e-3
+#: Share of the inertial force that counts as noise where the speed shakes.
+_SHAKING = 0.1
+#: Change of tension from block to block that counts as noise, times this: torque and motion are of one instant to some
+#: milliseconds only.
+_LATE = 0.15
+#: Share of what holds a roller at rest that counts as noise while it neither rests nor turns.
+_PRESLIDING = 0.25
+#: An innovation beyond so many deviations is no noise; nor a mean of them over so many blocks beyond so many.
+_SURPRISE, _LEANS, _LEANING_BLOCKS = 4.0, 5.0, 25.0
+#: By how much E may have changed then, relative.
+_JUMP, _SMALL_JUMP = 0.3, 0.03
+#: Memory of the innovations' size, s, and the most that one counts of it.
+_EXCESS_S, _MOST_EXCESS = 2.0, 30.0
+#: Time constants of how the stated E was before, s; it jumps when it differs from that soon before by so many
+#: deviations of how far it goes to and fro, and by so much of itself, so long after a jump at the soonest, s.
+_SOON_S, _BEFORE_S, _USUAL_S, _JUMPS, _LEAST_JUMP = 0.1, 0.5, 5.0, 4.0, 0.02
+#: Deviation of a force that comes and goes at least, relative to the tension; how many times the usual one counts.
+_LEAST_UNREST, _MOST_UNREST = 4e-3, 9.0
+#: Time constant with which what has been accepted is taken out of the force, s.
+_APPLIED_S = 0.25
+#: Time between two looks at the evidence, s.
+_EVIDENCE_S = 0.5
+
+
+@inlined
+def _turns(i: int) -> bool:
+    return i >= COS2 or i in (UNBALANCE_COS, UNBALANCE_SIN)
+
+
+@compiled
+def interrupt(f: Record) -> None:
+    """A cycle is missing, or can't be used: no mean goes across."""
+    f.count = 0.0
+    f.soon_before = f.before = 0.0
+    ripples.interrupt(f.ripples)
+
+
+@inlined
+def likely_deviation_N(f: Record) -> float:
+    """What the correction may be wrong by (standard deviation), by what is likely: mostly the model lacks nothing.
+
+    As far as more speaks for something that is lacking than before anything was measured: what that would be of a web
+    that pulls no more, as a change of the tension shows.
+    """
+    lacking, before = f.evidence.lacking, 1.0 - (1.0 - unmodelled_evidence.LACKING) ** unmodelled_evidence.GROUPS
+    shows = 1.0 if f.evidence.accepted != 0 else min(max((lacking - before) / (1.0 - before), 0.0), 1.0)
+    return float(shows * f.intercept_N + (1.0 - shows) * f.spread_N * sqrt(lacking))
+
+
+@compiled
+def forget(f: Record) -> None:
+    """Know no more of what the model lacks than before anything was measured; E stays."""
+    noinline()
+    for i in range(STATES):
+        if i == E:
+            continue
+        f.x[i] = 0.0
+        f.growth[i] = 0.0
+        for j in range(STATES):
+            f.covariance[i, j] = f.covariance[j, i] = 0.0
+        f.covariance[i, i] = f.prior[i]
+    f.excess = f.leaning = f.surprised = f.count = 0.0
+
+
+@compiled
+def _regressors(f: Record, web_N: float, speed_m_s: float, motor_N: float, phi_1: float, phi_2: float) -> None:
+    """What a unit of each state adds to the force at this instant; of those of the strain at the reference E."""
+    a, inertia_N, changes = f.now, 0.0, f.speeds_up_s > 0.0
+    if changes:
+        inertia_N = f.mass_kg * f.acceleration_m_s2
+    else:
+        speed_m_s = f.steady_m_s
+    direction = min(max(f.directed_m_s / f.standstill_m_s, -1.0), 1.0)
+    a[E], a[DISTURBANCE], a[OFFSET] = web_N, 1.0, 1.0
+    a[DRY] = direction
+    a[STRIBECK] = direction * exp(-((speed_m_s / STRIBECK_M_S) ** 2))
+    a[STUCK] = 1.0 - abs(direction)
+    a[VISCOUS] = speed_m_s
+    a[SCALE] = motor_N + inertia_N
+    a[MASS] = inertia_N
+    a[UNBALANCE_COS], a[UNBALANCE_SIN] = cos(phi_2), sin(phi_2)
+    a[CREEP] = -f.stiffness_N * f.built_up_N
+    for j in range(4):
+        a[COS2 + j] = f.stiffness_N * f.wobble[j]
+
+
+@compiled
+def _transport(f: Record, speed_m_s: float, tension_N: float, next_N: float, phi_1: float, phi_2: float) -> None:
+    """What creep and eccentricity have made of the span's strain, per unit of either, after a cycle."""
+    share = min(abs(speed_m_s) * f.cycle_s / f.span_m, 1.0)
+    f.built_up_N += share * (tension_N - next_N - f.built_up_N)
+    f.wobble[0] += share * (cos(phi_2) - f.wobble[0])
+    f.wobble[1] += share * (sin(phi_2) - f.wobble[1])
+    f.wobble[2] += share * (cos(phi_1) - f.wobble[2])
+    f.wobble[3] += share * (sin(phi_1) - f.wobble[3])
+
+
+@compiled
+def force_of(a: Array, theta: Array, modulus: float, turning: bool) -> float:
+    """Force of what the model lacks, theta (STATES,) by regressors a (STATES,), at E over its reference. N.
+
+    With or without what turns with a roller."""
+    total = 0.0
+    for i in range(OFFSET, STATES):
+        if turning or not _turns(i):
+            total += a[i] * theta[i] * (modulus if i >= CREEP else 1.0)
+    return total
+
+
+@compiled
+def _predict(f: Record, duration_s: float, changed_m_s: float) -> None:
+    """Let a block pass: E walks, a disturbance fades, the rest wanders within its bounds."""
+    p, walk = f.covariance, _WALK if f.excited != 0.0 else _QUIET_WALK
+    p[E, E] += walk * walk * duration_s
+    keep = exp(-duration_s / _DISTURBANCE_S)
+    f.x[DISTURBANCE] *= keep
+    for i in range(STATES):
+        p[DISTURBANCE, i] *= keep
+        p[i, DISTURBANCE] *= keep
+    p[DISTURBANCE, DISTURBANCE] += (1.0 - keep * keep) * f.unrest_N2
+    for i in range(OFFSET, STATES):
+        if f.wander[i] == 0.0 or f.prior[i] == 0.0:
+            continue
+        ages = duration_s / f.wander_s[i]
+        if i in (DRY, VISCOUS):
+            ages += changed_m_s / _OTHER_FRICTION_M_S
+        most = f.wander[i] * max(f.prior[i], f.x[i] * f.x[i])
+        more = max(most - f.growth[i], 0.0) * (1.0 - exp(-2.0 * ages))
+        f.growth[i] += more
+        p[i, i] += more
+
+
+@compiled
+def _innovation(f: Record, y_N: float) -> float:
+    """Block mean less what is expected; into `row` its covariances with the states. N."""
+    x, p, row = f.x, f.covariance, f.row
+    expected_N = 0.0
+    for i in range(STATES):
+        known = x[i] if i < OFFSET else f.base[i] + x[i]
+        expected_N += (f.sums[E] if i == E else _slope(f, i)) * known
+        total = 0.0
+        for j in range(STATES):
+            total += _slope(f, j) * p[i, j]
+        row[i] = total
+    return float(y_N - expected_N)
+
+
+@inlined
+def _slope(f: Record, i: int) -> float:
+    """Force per unit of a state in this block, without noise of the block: the tension is that of blocks before, and
+    what is in the strain goes with an E that does not follow the noise of the estimate."""
+    if i == E:
+        return float(f.regressor_N)
+    return float(f.sums[i] * f.modulus) if i >= CREEP else float(f.sums[i])
+
+
+@compiled
+def _spread(f: Record) -> float:
+    """Variance of the innovation without the noise, by `row`. N²."""
+    total = 0.0
+    for j in range(STATES):
+        total += _slope(f, j) * f.row[j]
+    return float(total)
+
+
+@inlined
+def _is_estimated(i: int, excited: bool) -> bool:
+    return excited or i in (E, DISTURBANCE) or _turns(i)
+
+
+@compiled
+def _correct(f: Record, innovation_N: float, variance_N2: float, excited: bool) -> None:
+    """Update of the states that are estimated now; those that are considered keep mean and covariance (Joseph form of a
+    gain that is zero for them)."""
+    x, p, row = f.x, f.covariance, f.row
+    for i in range(STATES):
+        if not _is_estimated(i, excited):
+            continue
+        gain, before = row[i] / variance_N2, p[i, i]
+        x[i] += gain * innovation_N
+        for j in range(STATES):
+            if _is_estimated(j, excited) and j > i:
+                continue  # symmetric: done when it is j's turn
+            p[i, j] -= gain * row[j]
+            p[j, i] = p[i, j]
+        if before > 0.0:
+            f.growth[i] *= p[i, i] / before
+
+
+@compiled
+def _free_modulus(f: Record, share: float) -> None:
+    f.covariance[E, E] += share * share
+    f.leaning = 0.0
+
+
+@compiled
+def _block(f: Record, y_N: float, noise_N2: float, duration_s: float) -> None:
+    """A block's means into the filter, unless they fit nothing: E has jumped, if the next one says so too."""
+    innovation_N = _innovation(f, y_N)
+    variance_N2 = _spread(f) + noise_N2
+    size = innovation_N / sqrt(variance_N2)
+    f.jumped_s += duration_s
+    f.excess += duration_s / _EXCESS_S * (min(size * size, _MOST_EXCESS) - f.excess)
+    if abs(size) > _SURPRISE and f.surprised == 0.0:
+        f.surprised = 1.0
+        return
+    freed = 0.0
+    if abs(size) > _SURPRISE or f.stated_jumped != 0.0:
+        freed, f.jumped_s = _JUMP, 0.0
+    else:
+        f.leaning += (size - f.leaning) / _LEANING_BLOCKS
+        if abs(f.leaning) > _LEANS / sqrt(2.0 * _LEANING_BLOCKS):
+            freed = _SMALL_JUMP
+    f.surprised = 0.0
+    if freed != 0.0:
+        _free_modulus(f, freed)
+        innovation_N = _innovation(f, y_N)
+        variance_N2 = _spread(f) + noise_N2
+    _correct(f, innovation_N, variance_N2, f.excited != 0.0)
+
+
+@compiled
+def _look_for_excitation(f: Record, web_N: float, duration_s: float) -> None:
+    """Whether speed or tension change by more than noise and than they usually do, and with which tension and speed the
+    regressors are formed: where nothing changes with means over seconds, which have none of the noise of a block."""
+    apart_N = web_N - f.usual_web_N
+    least_N2 = (_LEAST_CHANGE * f.tension_N / _FAR) ** 2
+    swing_N2 = max(f.web_swing_N2, least_N2)
+    tension_changes = abs(apart_N) > _FAR * sqrt(swing_N2) and abs(apart_N) > _LEAST_CHANGE * abs(web_N)
+    f.web_swing_N2 += duration_s / _SWING_S * (min(apart_N * apart_N, _MOST_SWING * swing_N2) - f.web_swing_N2)
+    f.usual_web_N += duration_s / (_MEAN_S + duration_s) * apart_N
+    f.speeds_up_s = max(f.speeds_up_s - duration_s, 0.0)
+    if abs(f.smooth_m_s - f.usual_m_s) > _SAME_SPEED_M_S:
+        f.speeds_up_s = _SETTLES_S
+    if f.speeds_up_s > 0.0:
+        f.steady_m_s = f.usual_m_s
+    f.steady_m_s += duration_s / (_MEAN_S + duration_s) * (f.usual_m_s - f.steady_m_s)
+    settled = abs(web_N - f.lagged_N) < _SETTLED * abs(web_N)
+    f.excited = 1.0 if (tension_changes or f.speeds_up_s > 0.0) and settled else 0.0
+    f.lagged_N += duration_s / (_LAG_S + duration_s) * (f.web_before_N - f.lagged_N)
+    f.web_before_N = web_N
+    f.regressor_N = f.lagged_N if tension_changes or f.speeds_up_s > 0.0 else f.usual_web_N
+
+
+@compiled
+def _noise_N2(f: Record, web_N: float, acceleration_m_s2: float) -> float:
+    """Variance of a block's mean: of torque and encoder, and what is of one instant to some milliseconds only."""
+    n, dt = f.block, f.cycle_s
+    position_m2 = noise_level.variance(f.position_noise)
+    white_N2 = f.force_per_torque_per_m**2 * noise_level.variance(f.torque_noise)
+    white_N2 += 2.0 * (f.stiffness_N / f.span_m) ** 2 * position_m2
+    shaking_N = _SHAKING * f.mass_kg * (f.acceleration_m_s2 - acceleration_m_s2)
+    presliding_N = _PRESLIDING * sqrt(f.prior[STUCK]) * (1.0 - abs(2.0 * f.sums[STUCK] - 1.0))
+    late_N = _LATE * (web_N - f.web_before_N)
+    edges_N2 = 4.0 * position_m2 * (f.mass_kg / (n * dt * dt)) ** 2
+    return float((white_N2 / n + edges_N2 + shaking_N**2 + presliding_N**2 + late_N**2) * max(f.excess, 1.0))
+
+
+@compiled
+def _end_block(f: Record, speed_m_s: float) -> None:
+    """Take the means of a block that is complete."""
+    duration_s = f.block * f.cycle_s
+    for j in range(STATES):
+        f.sums[j] /= f.block
+    acceleration_m_s2 = (speed_m_s - f.began_m_s) / duration_s
+    y_N = f.y_N / f.block - f.mass_kg * acceleration_m_s2
+    web_N, at_rest = f.sums[E], f.sums[STUCK]
+    if f.usual_web_N == 0.0:
+        f.usual_web_N = f.lagged_N = f.web_before_N = f.regressor_N = web_N
+    noise_N2 = _noise_N2(f, web_N, acceleration_m_s2)
+    _look_for_excitation(f, web_N, duration_s)
+    if at_rest > 0.5 and f.at_rest <= 0.5:  # what keeps a roller at rest is another force each time
+        f.x[STUCK] = 0.0
+        for j in range(STATES):
+            f.covariance[STUCK, j] = f.covariance[j, STUCK] = 0.0
+        f.covariance[STUCK, STUCK] = f.prior[STUCK]
+    f.at_rest = at_rest
+    if abs(f.x[E] - f.modulus) > _OTHER_MODULUS * f.modulus:
+        f.modulus = f.x[E]
+    _predict(f, duration_s, abs(speed_m_s - f.began_m_s))
+    _block(f, y_N, noise_N2, duration_s)
+    f.evidence_s -= duration_s
+    if f.evidence_s <= 0.0:
+        f.evidence_s = _EVIDENCE_S
+        unmodelled_evidence.look(f.evidence, f.x, f.covariance, f.prior, f.wander, f.target)
+    share = 1.0 - exp(-duration_s / _APPLIED_S)
+    for j in range(OFFSET, STATES):
+        f.theta[j] += share * (f.base[j] + f.target[j] - f.theta[j])
+
+
+@compiled
+def _spread_N(f: Record, a: Array, modulus: float) -> float:
+    """Deviation of the force of what the model lacks from that of what has been accepted, by regressors a (STATES,). N.
+
+    The root of the mean square: while nothing is accepted the mean of the filter is another one."""
+    variance, apart = 0.0, 0.0
+    for i in range(OFFSET, STATES):
+        b = a[i] * (modulus if i >= CREEP else 1.0)
+        apart += b * (f.x[i] - f.target[i])
+        for j in range(OFFSET, STATES):
+            variance += b * a[j] * (modulus if j >= CREEP else 1.0) * f.covariance[i, j]
+    return sqrt(max(variance, 0.0) + f.unrest_N2 + apart * apart)
+
+
+@compiled
+def _state_spread(f: Record, tension_N: float) -> None:
+    """What the correction may be off by now, and what it would be with a web that pulls no more."""
+    a, b, modulus = f.now, f.row, f.stated
+    f.spread_N = _spread_N(f, a, modulus)
+    for i in range(STATES):
+        b[i] = 0.0 if i < OFFSET or _turns(i) else a[i]
+    b[SCALE] -= tension_N
+    b[CREEP] = f.stiffness_N * (tension_N - f.built_up_N)
+    f.intercept_N = _spread_N(f, b, modulus)
+    f.prior_N2 = 0.0
+    for i in range(OFFSET, STATES):
+        force_N = a[i] * (modulus if i >= CREEP else 1.0)
+        f.prior_N2 += force_N * force_N * f.prior[i]
+
+
+@inlined
+def least_unrest_N2(tension_N: float) -> float:
+    """Variance of a force that comes and goes, at least: at a usual tension. N²."""
+    return (_LEAST_UNREST * tension_N) ** 2
+
+
+@compiled
+def _look_at_stated(f: Record, web_N: float) -> None:
+    """How far the stated E goes to and fro, and whether it has jumped."""
+    duration_s = f.block * f.cycle_s
+    if f.before == 0.0:
+        f.soon_before = f.before = f.stated
+        f.stated_jumped = 0.0
+        return
+    least_N2 = least_unrest_N2(f.tension_N)
+    jump_N, apart_N = abs(f.stated - f.soon_before) * web_N, (f.stated - f.before) * web_N
+    jumps = jump_N > max(_JUMPS * sqrt(f.unrest_N2), _LEAST_JUMP * f.stated * web_N)
+    f.stated_jumped = 1.0 if jumps and f.excited == 0.0 and f.jumped_s > _BEFORE_S else 0.0
+    more_N2 = min(apart_N * apart_N, _MOST_UNREST * f.unrest_N2) - f.unrest_N2
+    f.unrest_N2 = max(f.unrest_N2 + duration_s / _USUAL_S * more_N2, least_N2)
+    f.soon_before += duration_s / (_SOON_S + duration_s) * (f.stated - f.soon_before)
+    f.before += duration_s / (_BEFORE_S + duration_s) * apart_N / web_N if web_N != 0.0 else 0.0
+
+
+@compiled
+def take(
+    f: Record,
+    x1_m: float,
+    x2_m: float,
+    torque_Nm: float,
+    force_N: float,
+    web_per_Pa: float,
+    velocity_m_s: float,
+    next_N: float,
+    stated_Pa: float,
+) -> None:
+    """Take the balance of a cycle; `correction_N`, `rebased_N` and `spread_N` follow from it."""
+    noise_level.take(f.torque_noise, torque_Nm)
+    noise_level.take(f.position_noise, x2_m)
+    dt, web_N = f.cycle_s, web_per_Pa * f.reference_Pa
+    f.stated = stated_Pa / f.reference_Pa
+    slope = (velocity_m_s - f.smooth_m_s) / (_ACCELERATION_S + dt)
+    f.smooth_m_s += slope * dt
+    f.usual_m_s += (velocity_m_s - f.usual_m_s) * dt / _USUAL_SPEED_S
+    f.directed_m_s += (velocity_m_s - f.directed_m_s) * dt / (_DIRECTION_S + dt)
+    f.acceleration_m_s2 = slope
+    f.rebased_N = 0.0
+    ended = f.count >= f.block
+    before_N = 0.0
+    if ended:
+        before_N = force_of(f.now, f.theta, f.stated, False)
+        _end_block(f, velocity_m_s)
+        f.rebased_N = force_of(f.now, f.theta, f.stated, False) - before_N
+        f.beyond_N = force_of(f.now, f.x, f.modulus, False) + force_of(f.now, f.base, f.modulus, False)
+        f.count = 0.0
+    tension_N = (f.regressor_N if f.regressor_N != 0.0 else web_N) * f.modulus
+    motor_angle = x2_m * f.force_per_torque_per_m
+    phi_1, phi_2 = x1_m / f.radius_1_m, x2_m / f.radius_2_m
+    # What the motor pushes with beside inertia, by the model: free of the noise of the measured torque.
+    resistance_N = torque_Nm * f.force_per_torque_per_m + next_N - force_N
+    _regressors(f, web_N, velocity_m_s, tension_N + resistance_N - next_N, phi_1, phi_2)
+    if f.count == 0.0:
+        f.began_m_s, f.y_N = velocity_m_s, 0.0
+        for j in range(STATES):
+            f.sums[j] = 0.0
+    for j in range(STATES):
+        f.sums[j] += f.now[j]
+    expected_N = web_N * f.x[E] + f.beyond_N
+    changed = ripples.look(f.orders, f.ripples, force_N, expected_N, velocity_m_s, motor_angle, f.mass_kg, dt)
+    ripple_N = ripples.ripple_N(f.orders, motor_angle)
+    f.y_N += force_N - ripple_N
+    f.count += 1.0
+    _transport(f, velocity_m_s, tension_N, next_N, phi_1, phi_2)
+    if ended:
+        _state_spread(f, tension_N)
+        _look_at_stated(f, web_N)
+    f.correction_N = force_of(f.now, f.theta, f.stated, True) + ripple_N
+    if changed:
+        forget(f)
