@@ -7,7 +7,7 @@ alone: the twin's model has nothing of it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,6 +120,11 @@ class OfflineOutcome:
     best_pct: float  #: the same of the best estimator that knows what is hidden
     any_pct: float  #: and of the one that allows for whatever may be
     cpu_us: float  #: a cycle
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """The numbers alone, by name."""
+        return {name: value for name, value in asdict(self).items() if name not in ("name", "method")}
 
     @property
     def ratio(self) -> float:
