@@ -24,8 +24,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import docs_page
 import finished_cases
@@ -34,6 +33,7 @@ from tests.independent_line.shift import SHIFT_S
 
 from hilbench.diagnosis.synchronization import methods_of
 
+ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "synchronization.md"
 
 

@@ -1,4 +1,4 @@
-"""Shifts of the independent line: a quarter of an hour in production, what is asked of the line and how its web changes.
+"""Shifts of the independent line: a quarter of an hour in production, what is asked and how the web changes.
 
     line = shift_line(hidden=[effect("coulomb_friction", 2, force_N=6.0)])
     record = line.record_courses(courses("stops", "steps", duration_s=900.0, seed=1), seed=1)
