@@ -130,7 +130,7 @@ def best_deviation(
     rows = _regressors(record, line, names)
     n_blocks = len(rows) // BLOCK_ROWS // CHUNK_BLOCKS * CHUNK_BLOCKS
     used = n_blocks * BLOCK_ROWS
-    moves = np.abs(record.truth["v2_m_s"][:used]).reshape(n_blocks, BLOCK_ROWS).min(axis=1) > MOVES_M_S
+    moves = np.abs(record.truth["v2_true_m_s"][:used]).reshape(n_blocks, BLOCK_ROWS).min(axis=1) > MOVES_M_S
     blocks = rows[:used].reshape(n_blocks, BLOCK_ROWS, -1).mean(axis=1) * moves[:, None]
     noise_N = line.noise * line.torque_noise_Nm * line.gear_ratio / line.radius_m
     chunks = blocks.reshape(-1, CHUNK_BLOCKS, blocks.shape[1])
@@ -198,7 +198,7 @@ def _wanders_s(name: str, friction_s: float) -> float:
 def _regressors(record: Record, line: Line, names: Sequence[str]) -> Array:
     """By row: of E, of its rate (nothing by itself), and of each state, (n, 2 + N); N per unit of the state."""
     truth = record.truth
-    t, v, tension = record.channels["t_s"], truth["v2_m_s"], truth["F_true_N"]
+    t, v, tension = record.channels["t_s"], truth["v2_true_m_s"], truth["F_true_N"]
     ratio = line.gear_ratio / line.radius_m
     stiffness = line.modulus_Pa * line.width_m * line.thickness_m
     web = truth["E_true_Pa"] / line.modulus_Pa * stiffness
@@ -218,23 +218,23 @@ def _regressors(record: Record, line: Line, names: Sequence[str]) -> Array:
             case "viscous":
                 return v
             case "scale":
-                return ratio * truth["tau2_Nm"]
+                return ratio * truth["tau2_true_Nm"]
             case "mass":
                 return mass * np.gradient(v, line.row_s)
             case "creep":
                 return web * built_up(tension - line.downstream_N)
             case "unbalance":
-                return np.asarray(turn(truth["x2_m"] / line.radius_m))
+                return np.asarray(turn(truth["x2_true_m"] / line.radius_m))
             case "delay":
-                return ratio * np.gradient(truth["tau2_Nm"], line.row_s)
+                return ratio * np.gradient(truth["tau2_true_Nm"], line.row_s)
             case "ripple":
-                return np.asarray(turn(_ripple_order(line) * truth["x2_m"] * ratio))
+                return np.asarray(turn(_ripple_order(line) * truth["x2_true_m"] * ratio))
             case "wave":
                 return web / stiffness * built_up(turn(2.0 * pi * _wave_Hz(line) * t))
             case "eccentric1":
-                return web * built_up(turn(truth["x1_m"] / line.radius_m))
+                return web * built_up(turn(truth["x1_true_m"] / line.radius_m))
             case "eccentric2":
-                return web * built_up(turn(truth["x2_m"] / line.radius_m))
+                return web * built_up(turn(truth["x2_true_m"] / line.radius_m))
             case other:
                 raise KeyError(other)
 

@@ -148,7 +148,7 @@ def estimated(line: Line, record: Record, method: SynchronizerConfig) -> Track:
 def scored_rows(record: Record, row_s: float) -> NDArray[np.bool_]:
     """The rows that count, (n,)."""
     after_steps = behind(shares_of_steps(record.truth["E_true_Pa"]), round(AFTER_STEP_S / row_s))
-    moves = np.abs(record.truth["v2_m_s"]) > MOVES_M_S
+    moves = np.abs(record.truth["v2_true_m_s"]) > MOVES_M_S
     return np.asarray(moves & ~after_steps & (record.channels["t_s"] >= SCORED_FROM_S))
 
 

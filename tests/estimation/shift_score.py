@@ -40,13 +40,14 @@ class EstimateScore:
         if not len(error):
             return
         error = np.where(np.isfinite(error), error, np.inf)
+        half = np.where(np.isfinite(half), half, np.inf)
         self.cycles += len(error)
         self.within += int(np.count_nonzero(np.abs(error) <= WITHIN))
         self.held += int(np.count_nonzero(np.abs(error) <= half))
         most = float(error[np.argmax(np.abs(error))])
         if abs(most) > abs(self.worst):
             self.worst = most
-        at = (np.log10(np.clip(half, 10.0**_LEAST, None)) - _LEAST) / _DECADES * _CLASSES
+        at = (np.log10(np.clip(half, 10.0**_LEAST, 10.0 ** (_LEAST + _DECADES))) - _LEAST) / _DECADES * _CLASSES
         self.widths += np.bincount(np.minimum(at.astype(int), _CLASSES - 1), minlength=_CLASSES)
 
     @property

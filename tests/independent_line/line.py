@@ -156,7 +156,7 @@ class Line:
         for name in self.without:
             del channels[name]
         truth = {"F_true_N": out[:, 8].copy(), "strain": out[:, 9].copy(), "E_true_Pa": modulus * self.modulus_Pa}
-        names = ("x1_m", "x2_m", "v1_m_s", "v2_m_s", "tau1_Nm", "tau2_Nm")
+        names = ("x1_true_m", "x2_true_m", "v1_true_m_s", "v2_true_m_s", "tau1_true_Nm", "tau2_true_Nm")
         truth |= {name: out[:, 2 + k].copy() for k, name in enumerate(names)}
         return Record(channels, truth)
 
