@@ -28,8 +28,7 @@ def finish(
 ) -> list[Kind]:
     """The cases as `run` finishes them, `jobs` at a time (None: one a core); those that stand in `kept` are taken from
     there, the others are added to it."""
-    names = {case.name for case in asked}
-    done = [case for case in _read(kept, type(asked[0])) if case.name in names] if asked else []
+    done = kept_of(asked, kept)
     known = {case.name for case in done}
     with ProcessPoolExecutor(jobs) as pool:
         for finished in as_completed([pool.submit(run, case) for case in asked if case.name not in known]):
@@ -41,6 +40,12 @@ def finish(
                 with kept.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(asdict(case)) + "\n")
     return done
+
+
+def kept_of(asked: Sequence[Kind], kept: Path | None) -> list[Kind]:
+    """Those of the cases asked for that stand in `kept`, as they were finished."""
+    names = {case.name for case in asked}
+    return [case for case in _read(kept, type(asked[0])) if case.name in names] if asked else []
 
 
 def _read(kept: Path | None, kind: type[Kind]) -> list[Kind]:

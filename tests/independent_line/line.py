@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,12 +55,23 @@ class Loops:
     trapezoidal: bool = False  #: whether they integrate so
 
 
+class Courses(NamedTuple):
+    """What an experiment asks of a line, and what changes in it meanwhile: a value a cycle, (n,)."""
+
+    speed_m_s: Array  #: of axis 2
+    tension_N: Array  #: that is wanted
+    wander: Array  #: of the speed ratio
+    sensor_noise_N: Array  #: of the tension that is controlled
+    modulus: Array  #: factor on E
+    friction: Array  #: factor on the friction of both rollers
+
+
 @dataclass(frozen=True)
 class Record:
     """Channels as a recording has them, and what only a simulation knows."""
 
     channels: dict[str, Array]
-    truth: dict[str, Array]  #: F_true_N, E_true_Pa, strain
+    truth: dict[str, Array]  #: F_true_N, E_true_Pa, strain; motion and the motors' torques without noise
 
 
 @dataclass(frozen=True)
@@ -93,20 +104,30 @@ class Line:
     jitter_s: float = 0.0  #: standard deviation of when a row is read; both axes are read at once
     without: Sequence[str] = ()  #: channels that are not recorded
     measured_tension_N: float | None = None  #: noise of a tension sensor, if there is one
+    controls_force: bool = False  #: the tension is held by a sensor of force; else by the strain at the nominal E
+    tension_kp: float = 8.0  #: of its controller: correction of the speed ratio per strain that is missing
+    tension_ki_per_s: float = 0.8
 
     def record(self, profile: str = "identification", seed: int = 0, duration_s: float | None = None) -> Record:
         """Run a profile of `PROFILES` from rest. The same arguments give the same bits."""
         duration_s = PROFILES[profile] if duration_s is None else duration_s
         rng = np.random.default_rng([seed, 17])
-        v2, f_ref, wander, sensor = self._experiment(profile, duration_s, rng)
-        rows = int(np.floor((len(v2) - 1) * CYCLE_S / self.row_s + 1e-9)) + 1
+        return self._run(self._experiment(profile, duration_s, rng), rng)
+
+    def record_courses(self, courses: Courses, seed: int = 0) -> Record:
+        """Run an experiment of one's own from rest. The same arguments give the same bits."""
+        return self._run(courses, np.random.default_rng([seed, 17]))
+
+    def _run(self, courses: Courses, rng: np.random.Generator) -> Record:
+        cycles = len(courses.speed_m_s)
+        rows = int(np.floor((cycles - 1) * CYCLE_S / self.row_s + 1e-9)) + 1
         t = np.arange(rows) * self.row_s
         read = t + (np.clip(rng.standard_normal(rows), -3.0, 3.0) * self.jitter_s if self.jitter_s else 0.0)
-        read = np.clip(read, 0.0, (len(v2) - 1) * CYCLE_S)
+        read = np.clip(read, 0.0, (cycles - 1) * CYCLE_S)
         axes, ripples = self._axes()
         late = np.stack([np.maximum(read - axes[k, ph.DELAY_S], 0.0) for k in (0, 1)])
-        out, modulus = ph.run(self._web(), axes, ripples, v2, f_ref, wander, sensor, read, late)
-        f_at_rows = np.interp(t, np.arange(len(f_ref)) * CYCLE_S, f_ref)
+        out, modulus = ph.run(self._web(), axes, ripples, *courses, read, late)
+        f_at_rows = np.interp(t, np.arange(cycles) * CYCLE_S, courses.tension_N)
         return self._sensed(np.asarray(t, np.float64), out, modulus, f_at_rows, axes, rng)
 
     def _sensed(
@@ -135,6 +156,8 @@ class Line:
         for name in self.without:
             del channels[name]
         truth = {"F_true_N": out[:, 8].copy(), "strain": out[:, 9].copy(), "E_true_Pa": modulus * self.modulus_Pa}
+        names = ("x1_true_m", "x2_true_m", "v1_true_m_s", "v2_true_m_s", "tau1_true_Nm", "tau2_true_Nm")
+        truth |= {name: out[:, 2 + k].copy() for k, name in enumerate(names)}
         return Record(channels, truth)
 
     @property
@@ -176,10 +199,7 @@ class Line:
             "boundary": {"upstream_tension_N": self.upstream_N, "downstream_tension_N": self.downstream_N},
         }
 
-    def _experiment(
-        self, profile: str, duration_s: float, rng: np.random.Generator
-    ) -> tuple[Array, Array, Array, Array]:
-        """Speed of axis 2, wanted tension, wander of the speed ratio, noise of the tension sensor: one a cycle."""
+    def _experiment(self, profile: str, duration_s: float, rng: np.random.Generator) -> Courses:
         n = round(duration_s / CYCLE_S) + 1
         t = np.arange(n) * CYCLE_S
         f_ref = np.full(n, self.upstream_N)
@@ -201,7 +221,7 @@ class Line:
         else:
             raise ValueError(f"profile {profile!r}, expected one of {', '.join(PROFILES)}")
         sensor = self.noise * noise_N * rng.standard_normal(n)
-        return self.top_share * v2, f_ref, wander, sensor
+        return Courses(self.top_share * v2, f_ref, wander, sensor, np.ones(n), np.ones(n))
 
     def _web(self) -> Array:
         web = np.zeros(ph.WEB)
@@ -209,7 +229,8 @@ class Line:
             self.length_m, self._stiffness_N, self.upstream_N, self.downstream_N, self._strain_prev,
         )  # fmt: skip
         web[[ph.STEP_TIME, ph.RAMP_S]] = np.inf, 1.0
-        web[[ph.CYCLE_S, ph.TENSION_KP, ph.TENSION_KI, ph.SENSOR_S]] = CYCLE_S, 8.0, 0.8, 0.05
+        web[[ph.CYCLE_S, ph.TENSION_KP, ph.TENSION_KI]] = CYCLE_S, self.tension_kp, self.tension_ki_per_s
+        web[[ph.SENSOR_S, ph.SENSES_FORCE]] = 0.05, float(self.controls_force)
         for item in self.hidden:
             values = item["parameters"]
             match item["effect"]:

@@ -24,8 +24,8 @@ MOST_PIECES = 256
 (LENGTH, STIFFNESS, UPSTREAM_N, DOWNSTREAM_N, STRAIN_PREV, SHIFT, STEP_TIME, STEP_CHANGE) = range(8)
 (DRIFT, RAMP_TIME, RAMP_S, RAMP_CHANGE, CREEP, STRAIN_OFFSET, LENGTH_ERROR, DAMPING_S) = range(8, 16)
 (WAVE_N, WAVE_HZ, WAVE_PHASE, SPLICE_EVERY, SPLICE_LENGTH, SPLICE_CHANGE) = range(16, 22)
-(CYCLE_S, TENSION_KP, TENSION_KI, SENSOR_S) = range(22, 26)
-WEB = 26
+(CYCLE_S, TENSION_KP, TENSION_KI, SENSOR_S, SENSES_FORCE) = range(22, 27)
+WEB = 27
 # Of an axis.
 (RADIUS, GEAR, MASS, MOTOR_MASS, COULOMB, VISCOUS, STRIBECK, STRIBECK_V, ASYMMETRY, QUADRATIC) = range(10)
 (ECCENTRICITY, ECCENTRICITY_PHASE, SCALE, OFFSET, DELAY_S, GAP, UNBALANCE, UNBALANCE_PHASE, LOAD_SHARE) = range(10, 19)
@@ -94,12 +94,15 @@ def run(
     f_ref: Vector,
     wander: Vector,
     sensor_noise: Vector,
+    modulus_course: Vector,
+    friction_course: Vector,
     times: Vector,
     late: Vector,
 ) -> tuple[Vector, Vector]:
     """The line from rest.
 
-    v2_cmd (m/s), f_ref (N), wander (of the speed ratio), sensor_noise (N): (n,) one a cycle. times (s): (rows,), when
+    v2_cmd (m/s), f_ref (N), wander (of the speed ratio), sensor_noise (N), factors on E and on the friction of both
+    rollers: (n,) one a cycle. times (s): (rows,), when
     motion is read; late (2, rows): when torques are. Returns (rows, 10): commands, x, v, torque by axis, tension,
     strain; and (rows,) E's factor.
     """
@@ -134,7 +137,7 @@ def run(
     x_before, v_before, torque_before, tension_before = np.zeros(2), np.zeros(2), np.zeros(2), tension
     for step in range(per_cycle * len(v2_cmd)):
         t = step * h
-        stiffness = web[STIFFNESS] * _modulus_factor(web, t)
+        stiffness = web[STIFFNESS] * _modulus_factor(web, t) * modulus_course[step // per_cycle]
         wave = web[WAVE_N] * np.sin(2.0 * np.pi * web[WAVE_HZ] * t + web[WAVE_PHASE])
         strain_prev = web[STRAIN_PREV] + wave / web[STIFFNESS]
         upstream = web[UPSTREAM_N] + wave
@@ -148,7 +151,8 @@ def run(
         tension = max(tension, 0.0)
         if step % per_cycle == 0:
             k = step // per_cycle
-            sensed += (web[STIFFNESS] * strain + sensor_noise[k] - sensed) * min(web[CYCLE_S] / web[SENSOR_S], 1.0)
+            shown = tension if web[SENSES_FORCE] != 0.0 else web[STIFFNESS] * strain
+            sensed += (shown + sensor_noise[k] - sensed) * min(web[CYCLE_S] / web[SENSOR_S], 1.0)
             miss = (f_ref[k] - sensed) / web[STIFFNESS] if abs(v2_cmd[k]) > 0.02 else 0.0
             tension_integral += web[TENSION_KI] * miss * web[CYCLE_S]
             correction = web[TENSION_KP] * miss + tension_integral
@@ -191,6 +195,7 @@ def run(
             before, behind = (upstream, tension) if j == 0 else (tension, web[DOWNSTREAM_N])
             pull = behind - before
             resistance, z[j] = _resistance(axis, vr[j], z[j], h, pull)
+            resistance *= friction_course[step // per_cycle]
             if axis[PLAY_N] != 0.0:
                 play[j] = min(max(play[j], vr[j] - axis[PLAY_WIDTH]), vr[j] + axis[PLAY_WIDTH])
                 resistance += axis[PLAY_N] * (vr[j] - play[j]) / axis[PLAY_WIDTH]
