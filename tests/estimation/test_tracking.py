@@ -102,7 +102,10 @@ def test_bad_torque_holds_the_estimate_and_it_recovers_by_itself(
     assert set(problems[TO:over]) <= {problem, None}
     assert len(set(moduli[first:TO])) == 1
     if not isinstance(method, PidConfig):
-        assert deviations[TO - 1] > 1.2 * deviations[first]
+        # E may have become another one meanwhile; what is known of the rest of the model stays.
+        grown_Pa2 = deviations[TO - 1] ** 2 - deviations[first] ** 2
+        walked_Pa = 0.01 * method.hold_growth_pct_per_s * OLD_PA  # type: ignore[attr-defined]
+        assert grown_Pa2 == pytest.approx(walked_Pa**2 * CYCLE_S * (TO - 1 - first), rel=0.05)
         assert abs(moduli[-1] - OLD_PA) < 3.0 * deviations[-1]
         assert deviations[-1] < 1.1 * deviations[FROM - 1]
 

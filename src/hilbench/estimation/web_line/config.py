@@ -292,6 +292,6 @@ class EstimationConfig(Block):
         found |= {entry.span: entry for entry in self.estimate if entry.span is not None}
         return dict(sorted(found.items()))
 
-    def of_span(self, method: SynchronizerConfig) -> EstimationConfig:
-        """The same with this method alone."""
-        return self.model_copy(update={"estimate": [method]})
+    def of_span(self, method: SynchronizerConfig, priors: list[Prior]) -> EstimationConfig:
+        """The same with this method alone, and with the priors of the rollers behind the span."""
+        return self.model_copy(update={"estimate": [method], "priors": priors})

@@ -48,6 +48,9 @@ _DECIDED, _ACCEPTED = 16.0, 9.0
 #: The same, of E over a shift, when the change has been open for long: nothing is said any more, it is not told as
 #: undecided, it is told so again.
 _SETTLED, _LEANS, _LEANS_NO_MORE = 8.0, 5.0, 2.5
+#: E changes oftener than a friction or an offset jumps: twice the logarithm of the odds, 7 to 1. With more a change that
+#: nothing tells apart would count as one of E, and nobody would be asked for another tension.
+_OFTENER = 4.0
 #: Blocks that an explanation needs, after which it counts as undecided, and after which nothing is said any more.
 _LEAST, _LONG, _LONGEST = 15, 150, 3000
 
@@ -184,7 +187,7 @@ def _explain(s: Array, f: float, h: float, may_decide: bool, deviation_N: float)
         s[FOUND_N], s[FOUND_PA] = shift_N, s[_TOLD_PA]
         reset(s)
         return True
-    better = of_shift - of_modulus
+    better = of_shift - of_modulus + _OFTENER
     s[_LEANS_TO_MODULUS] = 1.0 if better > (_LEANS_NO_MORE if s[_LEANS_TO_MODULUS] != 0.0 else _LEANS) else 0.0
     enough = _SETTLED if count >= _LONG else _DECIDED
     settled = better > enough or min(of_shift, of_modulus) > _DECIDED

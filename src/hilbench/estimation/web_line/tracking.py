@@ -60,6 +60,8 @@ _GONE = 0.1
 #: By what share dry friction of a roller that creeps may be another one than where the line runs (deviation).
 _AT_SPEED = 0.1
 
+#: Roller behind the span, of the model of two.
+_AXIS = 2
 _NOTHING_MEASURED = (nan,) * 9
 
 
@@ -134,9 +136,8 @@ class Tracking:
         return t
 
     def _new_errors(self) -> UnmodelledEffects:
-        config, axis = self.config, self._line.first_axis + 2
-        priors = tuple(prior for prior in config.priors if prior.axis == axis)
-        balance = self._balance
+        config, balance = self.config, self._balance
+        priors = [prior for prior in config.priors if prior.axis == _AXIS]
         return UnmodelledEffects(config.model_errors, self._model, balance, self._initial_Pa, self._cycle_s, priors)
 
     def _new_bank(self, config: ChangepointConfig) -> ChangepointSynchronizer:

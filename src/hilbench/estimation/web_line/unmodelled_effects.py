@@ -7,7 +7,7 @@ stated deviation of E has what all effects together may be off by.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import hypot, sqrt
 from typing import Final
 
@@ -57,6 +57,7 @@ _STATES: Final = {
     "creep_per_N": filters.CREEP,
 }
 _NAMED: Final = ("torque_offset_Nm", "dry_friction_N", "viscous_friction_N_s_per_m", "creep_per_N")
+_FORCES: Final = ("torque_offset_Nm", "dry_friction_N", "viscous_friction_N_s_per_m")
 _TURNING: Final = (
     filters.UNBALANCE_COS,
     filters.UNBALANCE_SIN,
@@ -92,6 +93,27 @@ def prior_deviations(config: ModelErrorsConfig, model: ModelParameters, force_pe
     for axis, cosine in ((2, f.COS2), (1, f.COS1)):
         priors[cosine] = priors[cosine + 1] = 1e-6 * config.eccentricity_um / model.radius_m(axis) / sqrt(2.0)
     return priors
+
+
+def priors_behind(priors: Sequence[Prior], span: int, model: ModelParameters) -> list[Prior]:
+    """Priors of the rollers behind a span (from 1) of a line, as those of axis 2 of two rollers.
+
+    Forces of several rollers add up, where each of them is known; a share of mass or torque is that of one roller.
+    """
+    axes = range(span + 1, model.axis_count + 1)
+    per_m = model.motor_rad_per_m(span + 1)
+    found = []
+    for quantity in _STATES:
+        of_each = [prior for prior in priors if prior.quantity == quantity and prior.axis in axes]
+        if len(of_each) != len(axes) or (len(axes) > 1 and quantity not in _FORCES):
+            continue
+        units = [
+            model.motor_rad_per_m(prior.axis) / per_m if quantity == "torque_offset_Nm" else 1.0 for prior in of_each
+        ]
+        value = sum(unit * prior.value for unit, prior in zip(units, of_each, strict=True))
+        deviation = hypot(*(unit * prior.deviation for unit, prior in zip(units, of_each, strict=True)))
+        found.append(of_each[0].model_copy(update={"axis": 2, "value": value, "deviation": deviation}))
+    return found
 
 
 def _wander(f: Record) -> None:
@@ -166,7 +188,7 @@ class UnmodelledEffects:
         balance: MeasuredBalance,
         youngs_modulus_Pa: float,
         cycle_s: float,
-        priors: tuple[Prior, ...] = (),
+        priors: Sequence[Prior] = (),
     ) -> None:
         self.state = np.zeros(FILTER.itemsize // 8)  #: a `FILTER`, for compiled callers
         f, s = filters, self._record

@@ -26,6 +26,7 @@ from hilbench.estimation.web_line.tracking import (
 )
 from hilbench.estimation.web_line.tracking_cycle import ASTRAY_S, LARGEST_STRAIN, as_if_stretched
 from hilbench.estimation.web_line.unknown_webs import UnknownWebs, creeps_per_N, unknown_webs
+from hilbench.estimation.web_line.unmodelled_effects import priors_behind
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.pairing import Pairing, SteadyWay
 from hilbench.plant.web_line.line import Line
@@ -84,7 +85,8 @@ class WebLineTwin:
             along = [other for other in spans if other != span and shape.shows(other) == span]
             section = WebSection(model, self.plant, self.ports, span, self._rollers, along)
             method = _over_rollers(method, model.axis_count - span)
-            tracking = Tracking(section.model, config.of_span(method), section, section, cycle_s)
+            of_span = config.of_span(method, priors_behind(config.priors, span, model))
+            tracking = Tracking(section.model, of_span, section, section, cycle_s)
             self._estimated[span] = _Estimated(span, section, tracking)
         self._all = tuple(self._estimated.values())
         #: What is asked for in every cycle is asked of it without a loop.
