@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, model_validator
@@ -46,6 +47,26 @@ class ModelErrorsConfig(Block):
     )
     eccentricity_um: PositiveFloat = Field(default=20.0, description="of either roller, micrometres")
     unbalance_pct: PositiveFloat = Field(default=4.0, description="of roller 2, as a force at the web, of the tension")
+
+
+class Prior(Block):
+    """What an axis lacks beyond the model: mean and standard deviation, as they are believed before a run."""
+
+    quantity: Literal[
+        "torque_offset_Nm",
+        "dry_friction_N",
+        "viscous_friction_N_s_per_m",
+        "torque_scale",
+        "inertia_share",
+        "creep_per_N",
+    ] = Field(
+        description="offset of the measured torque at the motor; friction of the roller at the web; relative error of "
+        "the torque's scale; relative change of the moving mass; strain lost by creep per newton of tension difference"
+    )
+    axis: int = Field(ge=1, description="number of the axis, in the direction of the web")
+    value: float = Field(description="mean, in the unit of the quantity; 0: the model is right")
+    deviation: PositiveFloat = Field(description="standard deviation, in the unit of the quantity")
+    measured_at: datetime | None = Field(default=None, description="when it was measured; null: it was not measured")
 
 
 class EstimateConfig(Block):
@@ -216,6 +237,9 @@ class EstimationConfig(Block):
         default="model", description="delay of the measured torque: found from the data, or as in the model's effects"
     )
     model_errors: ModelErrorsConfig = ModelErrorsConfig()
+    priors: list[Prior] = Field(
+        default=[], description="what is known of effects that the model lacks, beyond the model, by axis"
+    )
     unmodelled_torque_Nm: float | None = Field(
         default=None,
         ge=0,
