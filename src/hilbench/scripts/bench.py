@@ -19,6 +19,7 @@ from hilbench.bench.lifecycle.participants import Participants, check_in_process
 from hilbench.bench.lifecycle.startup import held_bus
 from hilbench.bench.reports.change import Change
 from hilbench.errors import UnusableInputError
+from hilbench.history.commissioned import with_commissioned
 from hilbench.history.entries import remember
 from hilbench.results.recording import Recording
 from hilbench.results.run import Recorder, RunRecord
@@ -85,6 +86,7 @@ class Bench(bench.Bench):
         name: str | None = None,
     ) -> None:
         loaded = load_with_overrides(Path(config), bus=bus, pace=pace, seed=seed, changes=changes)
+        loaded = with_commissioned(loaded, Path("runs" if out is None else out))
         check_bench(loaded.config, loaded.document)
         if participants is Participants.IN_PROCESS:
             check_in_process(loaded.config)
