@@ -148,7 +148,7 @@ def run(
         loaded = _load(config, bus=bus, pace=pace, seed=seed, changes=changes or ())
         from hilbench.history.commissioned import with_commissioned
 
-        loaded = with_commissioned(loaded, out)
+        loaded = with_commissioned(loaded, out, lambda text: print(text, file=sys.stderr))
     participants = Participants.IN_PROCESS if in_process else Participants.STARTED if start else Participants.PRESENT
     with copies_beside(loaded.config, participants) as beside:
         with for_good():  # while they load what they need

@@ -127,8 +127,13 @@ def commissioned(
 
 
 def _is_told(term: Term, model: Machine) -> bool:
-    """Rollers of one radius keep their angles to each other, so that the web shows how far each is out of true beyond
-    the first: of that one nothing is told then."""
+    """Whether there is something of its own to be told of it.
+
+    What is of all spans is told of each. Rollers of one radius keep their angles to each other, so that the web shows
+    how far each is out of true beyond the first: of that one nothing is told then.
+    """
+    if term.effect.per_section and term.section is None and model.span_count > 1:
+        return False
     if term.effect.id != "roller_eccentricity" or term.axis != 1 or not isinstance(model, ModelParameters):
         return True
     radii_m = [model.radius_m(axis) for axis in range(1, model.axis_count + 1)]
@@ -240,6 +245,8 @@ class _Fitted:
             if term.effect.id not in MEASURED:
                 continue
             one = self._stated(term)
+            if term.effect.id == "torque_ripple" and term.slot > 0 and one.value < _RIPPLE * one.deviation:
+                continue  # it was searched for, and beside all others it is none
             if term.place not in found or one.value > found[term.place].value:
                 found[term.place] = one
         return list(found.values())

@@ -63,9 +63,9 @@ def uncertainty(columns: Array, residual: Array, precision: Array | None = None)
     if count == 0:
         return Uncertainty(np.empty((0, 0)), np.empty(0))
     flat = columns.reshape(count, -1)
-    size = np.sqrt(np.maximum(np.einsum("ij,ij->i", flat, flat), 1e-300))
-    flat = flat / size[:, None]
-    before = np.zeros((count, count)) if precision is None else precision / np.outer(size, size)
+    before = np.zeros((count, count)) if precision is None else precision
+    size = np.sqrt(np.maximum(np.einsum("ij,ij->i", flat, flat) + np.diag(before), 1e-300))
+    flat, before = flat / size[:, None], before / np.outer(size, size)
     inverse = np.linalg.pinv(flat @ flat.T + before, rcond=1e-12, hermitian=True)
     covariance, squares = inverse @ before @ inverse, np.zeros(count)
     weights = np.full(n // 2 + 1, 2.0 / n)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.config import Prior
 from hilbench.history.store import COMMISSIONING, History, Row, history_of
 from hilbench.plant.parameters import EffectEntry
@@ -27,18 +28,22 @@ _PRIORS: Final = {
 _PLACE: Final = re.compile(r"(axis|span|web)(\d*)")
 
 
-def with_commissioned(loaded: LoadedConfig, runs: Path) -> LoadedConfig:
+def with_commissioned(loaded: LoadedConfig, runs: Path, warn: Callable[[str], None]) -> LoadedConfig:
     """The config with the priors of the newest commissioning of its stand, beyond its model.
 
     runs: the folder in which run folders are made. Unchanged where there is no commissioning, where the config has
-    priors of its own or `commissioned: ignore`, and of a machine other than a web line. Raises UnusableInputError for a
-    history that can't be read.
+    priors of its own or `commissioned: ignore`, and of a machine other than a web line; where the history can't be read
+    a run is no worse for it, and `warn` gets a line.
     """
     config, path = loaded.config, history_of(loaded.config, runs)
     model, twin = config.machine, config.twin
     if twin.priors or twin.commissioned == "ignore" or not isinstance(model, ModelParameters) or not path.is_file():
         return loaded
-    rows = [row for row in History(path).rows(config.stand_name) if row.source == COMMISSIONING]
+    try:
+        rows = [row for row in History(path).rows(config.stand_name) if row.source == COMMISSIONING]
+    except UnusableInputError as error:
+        warn(f"without what was commissioned: {error}")
+        return loaded
     priors = list(filter(None, (_prior(row, model) for row in _newest(rows))))
     changed = twin.model_copy(update={"priors": priors})
     return replace(loaded, config=config.model_copy(update={"twin": changed})) if priors else loaded

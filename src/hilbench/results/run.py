@@ -166,8 +166,6 @@ def run_experiment(
     made = copies_beside(config, participants) if beside is None else nullcontext(beside)
     with made as waiting, held_bus(config, participants, force=force):
         record = RunRecord(loaded, out, participants, announce=announce)
-        if record.commissioned is not None:
-            announce(record.commissioned)
         bench = Bench(
             config,
             observers=[record.recorder, *observers, *streams],

@@ -17,6 +17,7 @@ from hilbench.errors import UnusableInputError
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig
+from hilbench.runs.scenario import read_scenario
 from hilbench.runs.steps import ExperimentStep
 from hilbench.topology.quantities import LINE_SPEED, SPEED, tension_set_point
 
@@ -162,6 +163,9 @@ def _of_shaft(config: ExperimentConfig, place: Path) -> _Reach:
 
 
 def _highest_of_steps(config: ExperimentConfig, path: str) -> float:
-    """The highest speed that the config's own steps ask for; 0 where none does."""
+    """The highest speed that the config's own steps and tables ask for; 0 where none does."""
     moves = (each for step in config.steps for each in (step.ramp, step.set, step.step) if each is not None)
-    return max((abs(each.to) for each in moves if each.path == path), default=0.0)
+    asked = [each.to for each in moves if each.path == path]
+    for table in (read_scenario(step.table.file) for step in config.steps if step.table is not None):
+        asked += [value for moved in (table.ramps, table.jumps) for _, value in moved.get(path, ())]
+    return max(map(abs, asked), default=0.0)

@@ -21,6 +21,7 @@ from hilbench.bench.reports.change import Change
 from hilbench.errors import UnusableInputError
 from hilbench.history.commissioned import with_commissioned
 from hilbench.history.entries import remember
+from hilbench.results.commissioned import commissioned_text
 from hilbench.results.recording import Recording
 from hilbench.results.run import Recorder, RunRecord
 from hilbench.results.run_folder import RunFolder
@@ -86,12 +87,15 @@ class Bench(bench.Bench):
         name: str | None = None,
     ) -> None:
         loaded = load_with_overrides(Path(config), bus=bus, pace=pace, seed=seed, changes=changes)
-        loaded = with_commissioned(loaded, Path("runs" if out is None else out))
+        runs = Path("runs" if out is None else out)
+        loaded = with_commissioned(loaded, runs, lambda text: print(f"hilbench: {text}", file=sys.stderr))
         check_bench(loaded.config, loaded.document)
         if participants is Participants.IN_PROCESS:
             check_in_process(loaded.config)
         self._recorder = Recorder(loaded.config.signals)
         self._made = datetime.now(UTC)
+        if (known := commissioned_text(loaded.config.twin.priors, self._made)) is not None:
+            announce(known)
         self._happened = EventLog(loaded.config.cycle_time_s)
         self._loaded, self._name = loaded, name
         self._out = None if out is None else Path(out)
