@@ -53,8 +53,8 @@ _BESIDE: Final = ("elasticity_shift", "strain_offset", "unbalance")
 #: diagnosis takes for usual.
 _OF_LOOPS: Final = "drive_gain"
 _LOOP_SHARE: Final = 0.1
-#: Gauss–Newton steps: strengths are nearly linear, and the third step of simulated stands moves none by a hundredth of
-#: its deviation.
+#: Gauss–Newton steps with the derivatives of the beginning, before one with those of where they end: strengths are
+#: nearly linear.
 _STEPS: Final = 3
 #: Finite-difference steps, as a share of those of a search: a scale and an inertia that are tied must not be told apart
 #: by the curvature of their differences.
@@ -108,7 +108,6 @@ def commissioned(
     space, proposer = Space(model, predictor, data.period_s), Proposer(model, data)
     terms = [term for term in proposer.plain() if term.effect.id in (*MEASURED, *_BESIDE) and _is_told(term, model)]
     terms += [*_loops(model, proposer), *_once_a_turn(proposer)]
-
     shares = {
         "torque_scale": 0.01 * errors.torque_scale_pct,
         "inertia_mismatch": 0.01 * errors.inertia_pct,
@@ -192,7 +191,8 @@ class _Fitted:
     def of(cls, space: Space, terms: list[Term], believed: Callable[[Term], float], place: str | Path) -> _Fitted:
         """Gauss–Newton from where the terms are, with what is believed (standard deviation) around what the model has.
 
-        The derivatives of the first half of the steps are those at the beginning.
+        Where a bound of a term cuts it, its coordinate is that of the last step, which none cuts: a friction that is
+        not there is found on either side of zero.
         """
         sizes = [len(term.coordinates()) for term in terms]
         precision = np.repeat([believed(term) for term in terms], sizes) ** -2.0
@@ -301,7 +301,8 @@ def _uncertainty(space: Space, columns: Array, left: Array, precision: Array) ->
     forces, rows = _are_forces(space), space.predictor.rows
     others = columns[:, ~forces][..., rows].reshape(len(columns), -1)
     known = np.diag(precision) + others @ others.T
-    return uncertainty(columns[:, forces][..., rows], left[forces][:, rows], known)
+    least = 1.0 if space.predictor.exact else 0.0  # whitened by the noise of each signal alone
+    return uncertainty(columns[:, forces][..., rows], left[forces][:, rows], known, least)
 
 
 def _of_web(term: Term, model: ModelParameters, errors: ModelErrorsConfig, modulus_share: float) -> dict[str, float]:
