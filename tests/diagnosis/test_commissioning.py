@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.independent_line.line import Line, Loops, effect
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis.commissioning import Commissioned, commissioned
 from hilbench.diagnosis.imitated import imitation_of
-from hilbench.results.recording import read_recording
+from hilbench.estimation.web_line.config import ModelErrorsConfig
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.results.recording import Recording, read_recording
 from hilbench.results.run import run_experiment
 from hilbench.runs.commissioning import commissioning_plan
 from hilbench.runs.config import ExperimentConfig, LoadedConfig, load_with_overrides
@@ -50,9 +53,9 @@ def measured(
     path = CONFIGS / f"{name}.yaml"
     loaded = load_with_overrides(path, seed=seed)
     data: dict[str, Any] = loaded.config.model_dump()
-    for (effect, axis), parameters in hidden.items():
-        place = "load" if effect == "roller_eccentricity" else "hardware"
-        data[place]["effects"] = [*data[place]["effects"], {"effect": effect, "axis": axis, "parameters": parameters}]
+    for (name_of, axis), parameters in hidden.items():
+        place = "load" if name_of == "roller_eccentricity" else "hardware"
+        data[place]["effects"] = [*data[place]["effects"], {"effect": name_of, "axis": axis, "parameters": parameters}]
     config = ExperimentConfig.model_validate(data)
     plan = commissioning_plan(config, path, forward_only=forward_only)
     config = config.model_copy(update={"steps": plan.steps, "criteria": []})
@@ -127,3 +130,18 @@ def test_a_servo_axis_is_measured_too(
     assert max(off.values()) < FAR, off
     for place, parameters in hidden.items():
         assert found[place].deviation < 0.75 * next(iter(parameters.values())), found[place]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", [(), tuple(HIDDEN)], ids=["nothing", "effects"])
+@pytest.mark.parametrize("loops", [Loops(), Loops(kp=(1.3, 0.8), ki=(0.9, 1.2))], ids=["model", "own"])
+def test_its_intervals_hold_on_a_line_of_other_equations_with_a_web_and_drives_of_its_own(
+    hidden: tuple[tuple[str, int], ...], loops: Loops
+) -> None:
+    there = {place: HIDDEN[place] for place in hidden if place[0] not in ("torque_ripple", "roller_eccentricity")}
+    line = Line(hidden=[effect(name, axis, **values) for (name, axis), values in there.items()], loops=loops)
+    recording, model = Recording(line.record("identification", seed=3).channels), line.model
+    parameters = ModelParameters.model_validate(model)
+    found = commissioned(recording, parameters, "independent", None, ModelErrorsConfig(), 20.0)
+    off = deviations_off({(one.effect, one.axis or one.section): one for one in found}, there)  # type: ignore[misc]
+    assert max(off.values()) < NORMAL_95, off
