@@ -62,6 +62,7 @@ NOT_RUN = {
     r"hilbench run bench_configs/line_three_spans.yaml": "tests/bench/test_line_three_spans.py runs it",
     r"hilbench run bench_configs/winding_line.yaml": "tests/bench/test_line_with_stations.py runs it",
     r"hilbench what-if bench_configs/": "needs a bench that runs: tests/results/test_what_if.py has one",
+    r"hilbench commission ": "takes a minute: tests/history/test_commissioned.py commissions a stand",
     r"hilbench run bench_configs/probing.yaml": "tests/bench/test_probing.py runs it",
     r"hilbench run bench_configs/live_\w+.yaml": "takes minutes: tests/live/test_live_runs.py runs it",
     r"hilbench fmu ": "needs a C compiler: tests/bench/test_fmu.py and tests/plant/fmu run it where there is one",
@@ -144,6 +145,7 @@ def _says_more(words: list[str]) -> bool:
         "conformance",
         "drift",
         "check",
+        "commission",
     )
 
 

@@ -57,12 +57,12 @@ def history(
 
     from hilbench.history import entries
     from hilbench.history.quantities import quantities_of
-    from hilbench.history.store import History
+    from hilbench.history.store import FILE, History, history_of
     from hilbench.history.told import as_data
     from hilbench.runs.config import load
 
     bench = None if config is None else load(config)[0]
-    path = file or (Path(entries.FILE) if bench is None else entries.history_of(bench, runs))
+    path = file or (Path(FILE) if bench is None else history_of(bench, runs))
     stand = stand or (None if bench is None else bench.stand_name)
     limits = dict(map(_limit, limit or ()))
     problems = entries.rebuild(path, stand, runs)[1] if rebuild else []

@@ -18,6 +18,7 @@ from typer.models import CommandInfo
 
 from hilbench.cli import (
     boot,
+    commission,
     compare,
     compile,
     config,
@@ -145,6 +146,9 @@ def run(
         from hilbench.bench.lifecycle.startup import copies_beside
 
         loaded = _load(config, bus=bus, pace=pace, seed=seed, changes=changes or ())
+        from hilbench.history.commissioned import with_commissioned
+
+        loaded = with_commissioned(loaded, out, lambda text: print(text, file=sys.stderr))
     participants = Participants.IN_PROCESS if in_process else Participants.STARTED if start else Participants.PRESENT
     with copies_beside(loaded.config, participants) as beside:
         with for_good():  # while they load what they need
@@ -479,6 +483,7 @@ app.command()(conformance.conformance)
 app.command()(replay.replay)
 app.command()(monitor.monitor)
 app.command()(compare.compare)
+app.command()(commission.commission)
 app.command()(history.history)
 app.command("what-if")(what_if.what_if)
 app.command()(drift.drift)

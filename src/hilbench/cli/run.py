@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.console import Console
@@ -19,6 +20,7 @@ from hilbench.cli.shown import servo_axis, web_line
 from hilbench.cli.shown.machine import Shown
 from hilbench.copies import Copy
 from hilbench.errors import UnusableInputError
+from hilbench.results.commissioned import commissioned_text
 from hilbench.results.result import Result, StepRecord, Timing
 from hilbench.results.run import RunOutcome, Streamed, run_experiment
 from hilbench.runs.config import LoadedConfig
@@ -92,6 +94,8 @@ def _run(
         return outcome.exit_code
     console = Console(highlight=False)
     console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")
+    if (known := commissioned_text(loaded.config.twin.priors, datetime.now(UTC))) is not None:
+        console.print(known, soft_wrap=True, markup=False)
     with Progress(console, loaded.config) as progress:
         outcome = run_experiment(
             loaded,

@@ -49,7 +49,11 @@ def run_bench(
     data["machine"] = model.model_dump()
     data["steps"] = [*(data["steps"] or ()), *more_steps]
     loaded = LoadedConfig(ExperimentConfig.model_validate(data), loaded.document)
-    outcome = run_experiment(loaded, out, observers=observers, announce=announce)
+    return completed(run_experiment(loaded, out, observers=observers, announce=announce))
+
+
+def completed(outcome: RunOutcome) -> RunOutcome:
+    """The outcome of a run to its end. Raises as `run_bench` for one that was cut short."""
     said = f"{outcome.folder.path}: {'; '.join(fault.text for fault in outcome.result.faults)}"
     if outcome.exit_code == EXIT_INTERRUPTED:
         raise InterruptedByOperatorError(said)

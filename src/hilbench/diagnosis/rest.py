@@ -51,20 +51,26 @@ class Uncertainty:
         return float(fdtrc(len(moved), float(np.min(self.freedom[part])), wald))
 
 
-def uncertainty(columns: Array, residual: Array) -> Uncertainty:
+def uncertainty(
+    columns: Array, residual: Array, precision: Array | None = None, least_noise: float = 0.0
+) -> Uncertainty:
     """Of the coordinates that least squares finds with these columns.
 
     columns: (J, signals, n), derivatives of the prediction by the coordinates; residual: (signals, n), what the fit
     left; both in the units in which the sum of squares was least. Rows are taken as adjacent in time.
+    precision (J, J): of what was known of the coordinates before, the inverse of its covariance, where the fit went by
+    that as well; least_noise: variance of the white noise that there is at least: a fit with many columns takes much of
+    it up at the frequencies at which they act.
     """
     count, signals, n = columns.shape
     if count == 0:
         return Uncertainty(np.empty((0, 0)), np.empty(0))
     flat = columns.reshape(count, -1)
-    size = np.sqrt(np.maximum(np.einsum("ij,ij->i", flat, flat), 1e-300))
-    flat = flat / size[:, None]
-    inverse = np.linalg.pinv(flat @ flat.T, rcond=1e-12, hermitian=True)
-    covariance, squares = np.zeros((count, count)), np.zeros(count)
+    before = np.zeros((count, count)) if precision is None else precision
+    size = np.sqrt(np.maximum(np.einsum("ij,ij->i", flat, flat) + np.diag(before), 1e-300))
+    flat, before = flat / size[:, None], before / np.outer(size, size)
+    inverse = np.linalg.pinv(flat @ flat.T + before, rcond=1e-12, hermitian=True)
+    covariance, squares = inverse @ before @ inverse, np.zeros(count)
     weights = np.full(n // 2 + 1, 2.0 / n)
     weights[0] = 1.0 / n
     if n % 2 == 0:
@@ -79,7 +85,7 @@ def uncertainty(columns: Array, residual: Array) -> Uncertainty:
             left = max(float(np.sum(free[low:high])), 1.0)
             band = spectra[:, low:high]
             part = inverse @ np.real((band * weights[low:high]) @ band.conj().T) @ inverse
-            part *= float(np.sum(power[low:high])) / left
+            part *= max(float(np.sum(power[low:high])) / left, least_noise)
             covariance += part
             squares += np.diag(part) ** 2 / left
     freedom = np.diag(covariance) ** 2 / np.maximum(squares, 1e-300)

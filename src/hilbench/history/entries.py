@@ -2,23 +2,25 @@
 
 Only what was estimated from measurements enters, never a value that a config gives: of a twin, what it held when it was
 last in step with the machine; of a diagnosis, the parameters of the effects that it named, with the names of those that
-its data could not tell from them.
+its data could not tell from them; of a commissioning all that it measured.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from hilbench.diagnosis.commissioning import Commissioned
 from hilbench.errors import UnusableInputError
 from hilbench.files import written_whole
 from hilbench.history import servo_axis, web_line
-from hilbench.history.store import Entry, History, Quantity
+from hilbench.history.store import COMMISSIONING, Entry, History, Quantity, history_of
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
@@ -26,18 +28,11 @@ from hilbench.runs.config import load
 from hilbench.topology.config import BenchConfig
 from hilbench.twin.virtual_io import TwinStatus
 
-#: Where the history lies unless the config says so: beside the folder of the runs.
-FILE: Final = "history.sqlite"
 TWIN: Final = "twin"
 DIAGNOSIS: Final = "diagnosis"
 _NORMAL_95: Final = 1.959964
 #: Parameters that say when or where in a turn, and not how much.
 _PLACES: Final = ("phase_rad", "time_s", "duration_s")
-
-
-def history_of(config: BenchConfig, runs: Path) -> Path:
-    """The history file of a bench whose run folders are made in `runs`."""
-    return config.history or runs.resolve().parent / FILE
 
 
 def remember(folder: RunFolder) -> Path | None:
@@ -84,7 +79,11 @@ def entries_of(folder: RunFolder, config: BenchConfig) -> Iterator[Entry]:
     began = recording.start_time or datetime.fromtimestamp(folder.config.stat().st_mtime, UTC)
     followed = list(_of_twin(recording))
     # Of a twin that has never been in step with its machine nothing is believed.
-    sources = {TWIN: [*followed, *(_beside(folder) if followed else ())], DIAGNOSIS: list(_of_diagnosis(folder))}
+    sources = {
+        TWIN: [*followed, *(_beside(folder) if followed else ())],
+        DIAGNOSIS: list(_of_diagnosis(folder)),
+        COMMISSIONING: list(_of_commissioning(folder)),
+    }
     for source, quantities in sources.items():
         if quantities:
             yield Entry(config.stand_name, folder.name, source, began, folder.path.resolve(), quantities)
@@ -98,6 +97,39 @@ def keep_diagnosis(folder: RunFolder, diagnosis: Mapping[str, Any]) -> None:
     with written_whole(folder.diagnosis) as partial:
         partial.write_text(json.dumps(diagnosis, indent=2) + "\n", encoding="utf-8")
     remember(folder)
+
+
+def keep_commissioning(folder: RunFolder, found: Iterable[Commissioned]) -> list[Quantity]:
+    """Put what a commissioning has measured into its run folder, and into the history; returns the quantities.
+
+    Raises UnusableInputError for what can't be written.
+    """
+    quantities = [_quantity(one) for one in found]
+    with written_whole(folder.commissioning) as partial:
+        data = {"quantities": [asdict(each) for each in quantities]}
+        partial.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    remember(folder)
+    return quantities
+
+
+def _quantity(one: Commissioned) -> Quantity:
+    place = f"axis{one.axis}" if one.axis else web_line.place({"span": one.section})
+    name = f"{place}.{one.effect}.{one.parameter}"
+    return Quantity(name, one.value, one.deviation, one.unit, ", ".join(one.tied_with))
+
+
+def _of_commissioning(folder: RunFolder) -> Iterator[Quantity]:
+    """What a commissioning has measured, from its run folder."""
+    if not folder.commissioning.is_file():
+        return
+    try:
+        found = json.loads(folder.commissioning.read_text(encoding="utf-8"))
+        yield from (Quantity(**each) for each in found["quantities"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UnusableInputError(
+            folder.commissioning,
+            f"is no commissioning ({' '.join(str(error).split())}), expected what 'hilbench commission' has written",
+        ) from error
 
 
 def _of_twin(recording: Recording) -> Iterator[Quantity]:

@@ -17,11 +17,16 @@ from pathlib import Path
 from typing import Final
 
 from hilbench.errors import UnusableInputError
+from hilbench.topology.config import BenchConfig
 
 #: How long a run waits for another one that writes, s.
 _PATIENCE_S: Final = 10.0
 _A_MOMENT_S: Final = 0.005
 _VERSION: Final = 1
+#: Where the history lies unless the config says so: beside the folder of the runs.
+FILE: Final = "history.sqlite"
+#: The source of what a commissioning has measured.
+COMMISSIONING: Final = "commissioning"
 _TABLES: Final = """
 CREATE TABLE run (
     id INTEGER PRIMARY KEY,
@@ -58,7 +63,8 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Entry:
-    """What one run has found. `source`: who found it, ``twin`` or ``diagnosis``; `run`: name of the run folder."""
+    """What one run has found. `source`: who found it, ``twin``, ``diagnosis`` or ``commissioning``; `run`: name of the
+    run folder."""
 
     stand: str
     run: str
@@ -76,6 +82,11 @@ class Row:
     source: str
     time_s: float
     quantity: Quantity
+
+
+def history_of(config: BenchConfig, runs: Path) -> Path:
+    """The history file of a bench whose run folders are made in `runs`."""
+    return config.history or runs.resolve().parent / FILE
 
 
 class History:

@@ -479,6 +479,7 @@ class Result(_WithOptions, JsonFile):
     else that happened, the first `MOST_EVENTS` of each.
     `found`: what the diagnosis beside the run found, where there was one, and how the gap went (`gap_history`).
     `estimated`: errors of its model that the twin found while the machine ran.
+    `commissioned`: what the twin began with, where that was measured before, and how old it is.
     `warnings`: what did not stop the run (a limit's warning level, an EMCY message, a tension loop that opened), each
     kind once with its count.
     `predicted`: crossings of limits that were announced, where the config asks for predictions.
@@ -503,6 +504,7 @@ class Result(_WithOptions, JsonFile):
     gap_history: GapHistory | None = None
     streams: list[StreamRecord] | None = None
     estimated: list[EstimatedRecord] | None = None
+    commissioned: str | None = None
 
     @classmethod
     def of(
@@ -521,6 +523,7 @@ class Result(_WithOptions, JsonFile):
         estimated: Sequence[FoundBeside] = (),
         began: datetime | None = None,
         streams: Sequence[StreamRecord] = (),
+        commissioned: str | None = None,
     ) -> Self:
         """A result whose `passed` follows from its criteria and faults."""
         passed = all(criterion.passed for criterion in criteria) and not faults
@@ -542,6 +545,7 @@ class Result(_WithOptions, JsonFile):
             gap_history=gap_history,
             streams=list(streams) or None,
             estimated=[EstimatedRecord.of(each) for each in estimated] or None,
+            commissioned=commissioned,
         )
 
     def all_warnings(self) -> list[str]:

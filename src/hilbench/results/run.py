@@ -34,6 +34,7 @@ from hilbench.errors import (
 )
 from hilbench.exchange.timeliness import Timeliness
 from hilbench.processes import end_signals, leave_terminal
+from hilbench.results.commissioned import commissioned_text
 from hilbench.results.journal import JournalWriter
 from hilbench.results.junit import write_junit
 from hilbench.results.keeping import Keeping
@@ -213,6 +214,7 @@ class RunRecord:
         self._provenance = Provenance.of(loaded.config, loaded.document, participants)
         self._happened = happened or EventLog(loaded.config.cycle_time_s)
         self._started = datetime.now(UTC)
+        self.commissioned = commissioned_text(loaded.config.twin.priors, self._started)  #: what the twin begins with
         self.folder = RunFolder.create(out, name or loaded.config.name)
         config_files.dump(loaded.config, self.folder.config)
         self.ending = Ending(self.folder)
@@ -266,6 +268,7 @@ class RunRecord:
             bench.found_beside,
             began=self._started,
             streams=[stream.record() for stream in streams],
+            commissioned=self.commissioned,
         )
         try:
             result.write(folder.result)

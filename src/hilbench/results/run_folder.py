@@ -107,6 +107,11 @@ class RunFolder:
         return self.path / "diagnosis.json"
 
     @property
+    def commissioning(self) -> Path:
+        """What a commissioning of the stand has measured, JSON; only of such a run."""
+        return self.path / "commissioning.json"
+
+    @property
     def labels(self) -> Path:
         """Tags and notes, JSON; only where somebody gave some."""
         return self.path / "labels.json"
@@ -128,6 +133,7 @@ class RunFolder:
             "junit": self.junit,
             "report": self.report,
             "diagnosis": self.diagnosis,
+            "commissioning": self.commissioning,
             "labels": self.labels,
             "traceback": self.traceback,
         }

@@ -19,7 +19,9 @@ from hilbench.bench.lifecycle.participants import Participants, check_in_process
 from hilbench.bench.lifecycle.startup import held_bus
 from hilbench.bench.reports.change import Change
 from hilbench.errors import UnusableInputError
+from hilbench.history.commissioned import with_commissioned
 from hilbench.history.entries import remember
+from hilbench.results.commissioned import commissioned_text
 from hilbench.results.recording import Recording
 from hilbench.results.run import Recorder, RunRecord
 from hilbench.results.run_folder import RunFolder
@@ -85,11 +87,15 @@ class Bench(bench.Bench):
         name: str | None = None,
     ) -> None:
         loaded = load_with_overrides(Path(config), bus=bus, pace=pace, seed=seed, changes=changes)
+        runs = Path("runs" if out is None else out)
+        loaded = with_commissioned(loaded, runs, lambda text: print(f"hilbench: {text}", file=sys.stderr))
         check_bench(loaded.config, loaded.document)
         if participants is Participants.IN_PROCESS:
             check_in_process(loaded.config)
         self._recorder = Recorder(loaded.config.signals)
         self._made = datetime.now(UTC)
+        if (known := commissioned_text(loaded.config.twin.priors, self._made)) is not None:
+            announce(known)
         self._happened = EventLog(loaded.config.cycle_time_s)
         self._loaded, self._name = loaded, name
         self._out = None if out is None else Path(out)

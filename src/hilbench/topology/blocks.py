@@ -182,6 +182,11 @@ class TwinConfig(EstimationConfig):
     """The twin: its virtual I/O, what it assumes and how it keeps in step with the bench."""
 
     node: NodeConfig = Field(description="the virtual I/O: what the twin is told and what it tells")
+    commissioned: Literal["use", "ignore"] = Field(
+        default="use",
+        description="of a web line the newest commissioning in the history of the stand gives the `priors`, where the "
+        "config has none; or not",
+    )
     inertia: InertiaConfig = InertiaConfig()
     prediction: PredictionConfig | None = Field(
         default=None, description="look ahead while the bench runs; null: it does not"
