@@ -107,6 +107,6 @@ def shares_of_steps(values: Array) -> Mask:
 
 
 def behind(steps: Mask, cycles: int) -> Mask:
-    """The cycles of steps, and so many after each, (n,)."""
+    """So many cycles from each step on, (n,)."""
     total = np.concatenate([np.zeros(cycles, np.int64), np.cumsum(steps)])
     return np.asarray(total[cycles:] - total[:-cycles] > 0) if cycles else steps
