@@ -45,8 +45,8 @@ E_PATH, SPEED_PATH, INERTIA_PATH = "load.web.youngs_modulus_Pa", "line_speed_m_s
 LOWEST, HIGHEST, LEAST_STEP, LARGEST_STEP = 0.65, 1.5, 0.03, 0.4
 #: E drifts all the time by 6 % an hour, there and back again each hour, and now and then by 1 % a minute, 1/s.
 SLOW_DRIFT_PER_S, DRIFT_PER_S = 0.06 / 3600.0, 0.01 / 60.0
-#: A drift is made of steps each so many seconds: 0.02 % at most.
-DRIFT_EVERY_S = 1.0
+#: A drift is made of steps each so many seconds: 2e-5 at most, which is none to who scores (`STEP_SHARE`).
+DRIFT_EVERY_S = 0.1
 #: Once an hour the line stands for so long, and a splice comes in: a piece of so much web of other E.
 LONG_STAND_S, SPLICE_M, SPLICE_CHANGE, HOUR_S = 1800.0, 200.0, -0.15, 3600.0
 #: The one step of E of a hold.

@@ -47,7 +47,7 @@ def test_a_score_counts_what_is_off_and_what_an_interval_holds() -> None:
 
 
 def test_what_follows_a_step_is_left_out_and_a_drift_is_none() -> None:
-    values = np.concatenate([np.full(5, 1.0), np.full(10, 1.05)]) * (1.0 + 1e-4 * np.arange(15))
+    values = np.concatenate([np.full(5, 1.0), np.full(10, 1.05)]) * (1.0 + 1e-5 * np.arange(15))
     steps = shares_of_steps(values)
     assert np.flatnonzero(steps).tolist() == [5]
     assert np.flatnonzero(behind(steps, 3)).tolist() == [5, 6, 7]
