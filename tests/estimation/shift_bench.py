@@ -21,6 +21,7 @@ from tests.estimation.shift_score import (
     MOVES_M_S,
     STEP_N,
     EstimateScore,
+    Mask,
     TensionScore,
     behind,
     shares_of_steps,
@@ -49,6 +50,9 @@ SLOW_DRIFT_PER_S, DRIFT_PER_S = 0.06 / 3600.0, 0.01 / 60.0
 DRIFT_EVERY_S = 0.1
 #: Once an hour the line stands for so long, and a splice comes in: a piece of so much web of other E.
 LONG_STAND_S, SPLICE_M, SPLICE_CHANGE, HOUR_S = 1800.0, 200.0, -0.15, 3600.0
+#: A web stands strained as upstream when a line starts: its tension counts once it has come so near to its set-point
+#: (N), or from that time on (s).
+ARRIVES_N, ARRIVES_BY_S = 1.0, 10.0
 #: The one step of E of a hold.
 HOLD_STEP = 0.207
 #: Rows that are scored at once.
@@ -133,6 +137,7 @@ class Scored:
         self.tensions = {name: TensionScore() for name in _names("F", shape, () if turns else shape.controlled)}
         self._unit = "kg_m2" if turns else "Pa"
         self._last: dict[str, Array] = {}
+        self._arrived: set[str] = set()
         self.opened = 0
         self.offset_s = 0.0  #: of the samples that come now, for pictures
         self.pictures: dict[str, Envelope] = {}
@@ -140,7 +145,7 @@ class Scored:
 
     def begin(self) -> None:
         """Samples of another bench follow."""
-        self._last = {}
+        self._last, self._arrived = {}, set()
 
     def take(self, rows: Channels) -> None:
         """Score the next rows; the last ones before are looked back on."""
@@ -166,9 +171,21 @@ class Scored:
         for name, score in self.tensions.items():
             counts = moves & ~behind(steps, self._after)
             counts[:first] = False
+            counts[: self._arrival(name, rows, moves)] = False
             score.add(rows[f"{name}_true_N"], rows[f"{name}_ref_N"], counts)
             closed = rows[f"loop{name[1:]}_closed"][max(first - 1, 0) :]
             self.opened += int(np.count_nonzero(np.diff(closed) < 0.0))
+
+    def _arrival(self, name: str, rows: Channels, moves: Mask) -> int:
+        """First row from which on a tension counts."""
+        if name in self._arrived:
+            return 0
+        near = moves & (np.abs(rows[f"{name}_true_N"] - rows[f"{name}_ref_N"]) <= ARRIVES_N)
+        there = np.flatnonzero(near | (rows["t_s"] >= ARRIVES_BY_S))
+        if not len(there):
+            return len(near)
+        self._arrived.add(name)
+        return int(there[0])
 
     def _draw(self, rows: Channels) -> None:
         t_s = rows["t_s"] + self.offset_s

@@ -159,7 +159,7 @@ def test_samples_count_alike_however_they_come() -> None:
         "E_sim_Pa": 8.7e9 * (1.0 + 0.01 * rng.standard_normal(n)),
         "E_sd_Pa": np.full(n, 1e8),
         "F_ref_N": np.where(np.arange(n) < 800, 80.0, 90.0),
-        "F_true_N": 80.0 + rng.standard_normal(n),
+        "F_true_N": np.where(np.arange(n) < 100, 70.0, 80.0) + 0.5 * rng.standard_normal(n),
         "loop_closed": np.where((np.arange(n) > 999) & (np.arange(n) < 1200), 0.0, 1.0),
     }
     whole, parts = (Scored(config, 8.0, draws=False) for _ in range(2))
@@ -172,7 +172,9 @@ def test_samples_count_alike_however_they_come() -> None:
     assert (found.cycles, found.within, found.held, found.worst) == (
         other.cycles, other.within, other.held, other.worst,
     )  # fmt: skip
-    assert whole.tensions["F"].cycles == parts.tensions["F"].cycles == 3000 - 2 * 500
+    there = int(np.flatnonzero(np.abs(rows["F_true_N"] - 80.0) <= 1.0)[0])  # the web stood strained as upstream
+    assert there >= 100
+    assert whole.tensions["F"].cycles == parts.tensions["F"].cycles == 3000 - 2 * 500 - there
     assert whole.tensions["F"].worst_N == parts.tensions["F"].worst_N
 
 
