@@ -48,9 +48,9 @@ LOWEST, HIGHEST, LEAST_STEP, LARGEST_STEP = 0.65, 1.5, 0.03, 0.4
 SLOW_DRIFT_PER_S, DRIFT_PER_S = 0.06 / 3600.0, 0.01 / 60.0
 #: A drift is made of steps each so many seconds: 2e-5 at most, which is none to who scores (`STEP_SHARE`).
 DRIFT_EVERY_S = 0.1
-#: Once an hour the line stands for so long, and a splice comes in: a piece of so much web of other E.
-LONG_STAND_S, SPLICE_M, SPLICE_CHANGE, HOUR_S = 1800.0, 200.0, -0.15, 3600.0
-#: A web stands strained as upstream when a line starts: its tension counts once it has come so near to its set-point
+#: Once an hour the line is at rest for so long, and a splice comes in: a piece of so much web of other E.
+LONG_STOP_S, SPLICE_M, SPLICE_CHANGE, HOUR_S = 1800.0, 200.0, -0.15, 3600.0
+#: When a line starts its web has the strain upstream: the tension counts once it has come so near to its set-point
 #: (N), or from that time on (s).
 ARRIVES_N, ARRIVES_BY_S = 1.0, 10.0
 #: The one step of E of a hold.
@@ -322,7 +322,7 @@ class Operation:
             self.to_speed(1.0)
 
     def stop(self) -> None:
-        """Stand for 20 s; every second time, where the line can, run backwards for a while."""
+        """Stop for 20 s; every second time, where the line can, run backwards for a while."""
         self.to_speed(0.0)
         self.hold(20.0)
         if self._machine.reverses and self._rounds % 2 == 0:
@@ -332,7 +332,7 @@ class Operation:
 
     def once_an_hour(self) -> None:
         """Half an hour at rest, and a splice behind it."""
-        self.hold(LONG_STAND_S)
+        self.hold(LONG_STOP_S)
         if self._machine.splices:
             self.to_speed(1.0)
             self.hold(10.0)

@@ -1,6 +1,6 @@
 """A twin holds for a shift: five minutes of each machine with everything that happens in hours, and the scores alone.
 
-What is wanted stands here, not what is: a limit that a run misses is a defect of the estimator.
+The limits are those that are wanted: a run that misses one shows a defect of the estimator.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ def test_samples_count_alike_however_they_come() -> None:
     assert (found.cycles, found.within, found.held, found.worst) == (
         other.cycles, other.within, other.held, other.worst,
     )  # fmt: skip
-    there = int(np.flatnonzero(np.abs(rows["F_true_N"] - 80.0) <= 1.0)[0])  # the web stood strained as upstream
+    there = int(np.flatnonzero(np.abs(rows["F_true_N"] - 80.0) <= 1.0)[0])  # the web has the strain upstream before
     assert there >= 100
     assert whole.tensions["F"].cycles == parts.tensions["F"].cycles == 3000 - 2 * 500 - there
     assert whole.tensions["F"].worst_N == parts.tensions["F"].worst_N
