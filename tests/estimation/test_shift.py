@@ -206,9 +206,10 @@ def test_a_bench_holds_its_estimates_and_tensions_and_raises_no_alarm(title: str
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["pid", "lm", "global", "rls", "ekf", "input"])
-def test_each_other_method_holds_E_for_five_minutes(method: str) -> None:
-    """The published one takes 20 s to 1 %, and the one of a black box has no E to give: their tension is judged."""
+@pytest.mark.parametrize("method", ["pid", "rls", "ekf", "input"])
+def test_other_methods_hold_E_for_five_minutes(method: str) -> None:
+    """The published one takes 20 s to 1 %, and the one of a black box has no E to give: their tension is judged. Those
+    that solve over a window take ten times as long: `tools/shift.py --method all` has them."""
     found = run_shift(MACHINES["web_section_step, a hold"], MINUTES_5_S / 3600.0, method=method)
     assert (found.ended, found.notices, found.opened) == ("", (), 0)
     if method in ("pid", "input"):
