@@ -43,7 +43,7 @@ def finish(
 
 
 def kept_of(asked: Sequence[Kind], kept: Path | None) -> list[Kind]:
-    """Those of the cases asked for that stand in `kept`, as they were finished."""
+    """Finished cases in `kept`, of those asked for."""
     names = {case.name for case in asked}
     return [case for case in _read(kept, type(asked[0])) if case.name in names] if asked else []
 

@@ -53,7 +53,7 @@ class Case:
 
     @property
     def name(self) -> str:
-        """What tells it from others."""
+        """Unique among the cases."""
         return f"{self.part}: {self.case}, {self.method}"
 
 

@@ -4,7 +4,7 @@
 
 A Kalman filter in information form (Kailath, Sayed, Hassibi, *Linear Estimation*, 2000, chapter 9) on the momentum
 balance of roller 2. Its regressors are the true motion, tension and torque, free of noise, so that nothing is learned
-from noise; the only noise is that of the measured torque. It is told
+from noise; the only noise is that of the measured torque. It knows
 
 - which effects are hidden (`effects_of`), though not their sizes: those have the priors of `ModelErrorsConfig`, by the
   same sizes of the machine as the twin's own filters (`PRIORS` below has each with its unit);
@@ -76,7 +76,7 @@ class Jumps:
 
 
 def states_of(line: Line) -> tuple[str, ...]:
-    """The states that stand for what is hidden in a line. Raises KeyError for an effect that has none."""
+    """States of the effects that are hidden in a line. Raises KeyError for an effect that has none."""
     found: list[str] = []
     for item in line.hidden:
         eccentric = item["effect"] == "roller_eccentricity"
@@ -176,12 +176,12 @@ def _filtered(
             covariance[1, 1] = rate
         if k in at_jumps:
             covariance[0, 0] += (0.01 * method.jump_pct) ** 2
-        covariance = _told(covariance, said)
+        covariance = _corrected(covariance, said)
         out[k] = sqrt(covariance[0, 0])
     return out
 
 
-def _told(covariance: Array, information: Array) -> Array:
+def _corrected(covariance: Array, information: Array) -> Array:
     """Covariance with what measurements say of it: (P⁻¹ + HᵀR⁻¹H)⁻¹, also where P has no inverse."""
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     scaled, said = covariance / np.outer(size, size), information * np.outer(size, size)

@@ -21,6 +21,7 @@ from tests.estimation.shift_score import (
     MOVES_M_S,
     STEP_N,
     EstimateScore,
+    Mask,
     TensionScore,
     behind,
     shares_of_steps,
@@ -45,10 +46,13 @@ E_PATH, SPEED_PATH, INERTIA_PATH = "load.web.youngs_modulus_Pa", "line_speed_m_s
 LOWEST, HIGHEST, LEAST_STEP, LARGEST_STEP = 0.65, 1.5, 0.03, 0.4
 #: E drifts all the time by 6 % an hour, there and back again each hour, and now and then by 1 % a minute, 1/s.
 SLOW_DRIFT_PER_S, DRIFT_PER_S = 0.06 / 3600.0, 0.01 / 60.0
-#: A drift is made of steps each so many seconds: 0.02 % at most.
-DRIFT_EVERY_S = 1.0
-#: Once an hour the line stands for so long, and a splice comes in: a piece of so much web of other E.
-LONG_STAND_S, SPLICE_M, SPLICE_CHANGE, HOUR_S = 1800.0, 200.0, -0.15, 3600.0
+#: A drift is made of steps each so many seconds: 2e-5 at most, which is none to who scores (`STEP_SHARE`).
+DRIFT_EVERY_S = 0.1
+#: Once an hour the line is at rest for so long, and a splice comes in: a piece of so much web of other E.
+LONG_STOP_S, SPLICE_M, SPLICE_CHANGE, HOUR_S = 1800.0, 200.0, -0.15, 3600.0
+#: When a line starts its web has the strain upstream: the tension counts once it has come so near to its set-point
+#: (N), or from that time on (s).
+ARRIVES_N, ARRIVES_BY_S = 1.0, 10.0
 #: The one step of E of a hold.
 HOLD_STEP = 0.207
 #: Rows that are scored at once.
@@ -133,6 +137,7 @@ class Scored:
         self.tensions = {name: TensionScore() for name in _names("F", shape, () if turns else shape.controlled)}
         self._unit = "kg_m2" if turns else "Pa"
         self._last: dict[str, Array] = {}
+        self._arrived: set[str] = set()
         self.opened = 0
         self.offset_s = 0.0  #: of the samples that come now, for pictures
         self.pictures: dict[str, Envelope] = {}
@@ -140,7 +145,7 @@ class Scored:
 
     def begin(self) -> None:
         """Samples of another bench follow."""
-        self._last = {}
+        self._last, self._arrived = {}, set()
 
     def take(self, rows: Channels) -> None:
         """Score the next rows; the last ones before are looked back on."""
@@ -166,9 +171,21 @@ class Scored:
         for name, score in self.tensions.items():
             counts = moves & ~behind(steps, self._after)
             counts[:first] = False
+            counts[: self._arrival(name, rows, moves)] = False
             score.add(rows[f"{name}_true_N"], rows[f"{name}_ref_N"], counts)
             closed = rows[f"loop{name[1:]}_closed"][max(first - 1, 0) :]
             self.opened += int(np.count_nonzero(np.diff(closed) < 0.0))
+
+    def _arrival(self, name: str, rows: Channels, moves: Mask) -> int:
+        """First row from which on a tension counts."""
+        if name in self._arrived:
+            return 0
+        near = moves & (np.abs(rows[f"{name}_true_N"] - rows[f"{name}_ref_N"]) <= ARRIVES_N)
+        there = np.flatnonzero(near | (rows["t_s"] >= ARRIVES_BY_S))
+        if not len(there):
+            return len(near)
+        self._arrived.add(name)
+        return int(there[0])
 
     def _draw(self, rows: Channels) -> None:
         t_s = rows["t_s"] + self.offset_s
@@ -305,7 +322,7 @@ class Operation:
             self.to_speed(1.0)
 
     def stop(self) -> None:
-        """Stand for 20 s; every second time, where the line can, run backwards for a while."""
+        """Stop for 20 s; every second time, where the line can, run backwards for a while."""
         self.to_speed(0.0)
         self.hold(20.0)
         if self._machine.reverses and self._rounds % 2 == 0:
@@ -315,7 +332,7 @@ class Operation:
 
     def once_an_hour(self) -> None:
         """Half an hour at rest, and a splice behind it."""
-        self.hold(LONG_STAND_S)
+        self.hold(LONG_STOP_S)
         if self._machine.splices:
             self.to_speed(1.0)
             self.hold(10.0)

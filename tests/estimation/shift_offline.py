@@ -76,7 +76,7 @@ class ShiftCase:
 
     @property
     def name(self) -> str:
-        """What tells it from others."""
+        """Unique among the cases."""
         return f"{self.profile} / {self.modulus} / {self.hidden}"
 
     @property
@@ -86,7 +86,7 @@ class ShiftCase:
 
     @property
     def known(self) -> Jumps:
-        """What the best estimator is told of the course of E."""
+        """What the best estimator knows of the course of E."""
         match self.modulus:
             case "steps":
                 return Jumps(tuple(time_s for time_s, _ in profiles.STEPS))

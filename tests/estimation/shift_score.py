@@ -16,9 +16,10 @@ INTERVAL = 1.96
 WITHIN = 0.01
 #: A line moves from this speed on, m/s.
 MOVES_M_S = 0.05
-#: A step is a change from one cycle to the next by more than this share, or so many N of a set-point; what follows it
-#: within this time is not scored, s.
-STEP_SHARE, STEP_N, AFTER_STEP_S = 0.002, 0.2, 1.0
+#: A step is a change from one cycle to the next by more than this share (a drift of 1 % a minute: 3e-7; a splice of
+#: 10 % that comes into a span of 6 m at 2 m/s: 1e-4), or so many N of a set-point; what follows it within this time is
+#: not scored, s.
+STEP_SHARE, STEP_N, AFTER_STEP_S = 5e-5, 0.2, 1.0
 #: Half widths are counted by their logarithm, from 10^-5 to 10 (of E) in this many classes: 1 % wide.
 _CLASSES, _DECADES, _LEAST = 1200, 6.0, -5.0
 
@@ -107,6 +108,6 @@ def shares_of_steps(values: Array) -> Mask:
 
 
 def behind(steps: Mask, cycles: int) -> Mask:
-    """The cycles of steps, and so many after each, (n,)."""
+    """So many cycles from each step on, (n,)."""
     total = np.concatenate([np.zeros(cycles, np.int64), np.cumsum(steps)])
     return np.asarray(total[cycles:] - total[:-cycles] > 0) if cycles else steps

@@ -1,6 +1,6 @@
 """A twin holds for a shift: five minutes of each machine with everything that happens in hours, and the scores alone.
 
-What is wanted stands here, not what is: a limit that a run misses is a defect of the estimator.
+The limits are those that are wanted: a run that misses one shows a defect of the estimator.
 """
 
 from __future__ import annotations
@@ -8,14 +8,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests.estimation.best_estimator import ANY, Jumps, best_deviation
-from tests.estimation.shift_bench import MACHINES, run_shift
-from tests.estimation.shift_offline import ShiftCase, outcomes
+from tests.estimation.shift_bench import CONFIGS, MACHINES, Scored, run_shift
+from tests.estimation.shift_offline import OfflineOutcome, ShiftCase, outcomes
 from tests.estimation.shift_score import EstimateScore, TensionScore, behind, shares_of_steps
 from tests.independent_line import Record, effect
 from tests.independent_line.shift import TENSION_N, courses, shift_line
 
 from hilbench.diagnosis.synchronization import methods_of
-from hilbench.estimation.web_line.config import ChangepointConfig, ModelErrorsConfig
+from hilbench.estimation.web_line.config import ModelErrorsConfig
+from hilbench.runs.config import load_with_overrides
 
 #: Of a right model: E and tension in motion, 1 s behind steps left out.
 LARGEST_PCT, WITHIN_PCT, LARGEST_N = 3.0, 99.0, 1.0
@@ -46,7 +47,7 @@ def test_a_score_counts_what_is_off_and_what_an_interval_holds() -> None:
 
 
 def test_what_follows_a_step_is_left_out_and_a_drift_is_none() -> None:
-    values = np.concatenate([np.full(5, 1.0), np.full(10, 1.05)]) * (1.0 + 1e-4 * np.arange(15))
+    values = np.concatenate([np.full(5, 1.0), np.full(10, 1.05)]) * (1.0 + 1e-5 * np.arange(15))
     steps = shares_of_steps(values)
     assert np.flatnonzero(steps).tolist() == [5]
     assert np.flatnonzero(behind(steps, 3)).tolist() == [5, 6, 7]
@@ -128,15 +129,53 @@ def test_with_a_right_model_an_estimator_holds_E_where_nothing_but_it_is_judged(
     assert LEAST_HELD_PCT <= found.held_pct <= MOST_HELD_PCT
 
 
+@pytest.fixture(scope="module")
+def beside_friction() -> OfflineOutcome:
+    """Dry friction that the model lacks."""
+    return outcomes(ShiftCase("stops", "steps", "dry friction"), methods_of("changepoint"), duration_s=MINUTES_5_S)[0]
+
+
 @pytest.mark.slow
-def test_beside_hidden_friction_the_interval_is_honest_and_hardly_wider_than_it_must_be() -> None:
-    case = ShiftCase("stops", "steps", "dry friction")
-    (found,) = outcomes(case, {"changepoint": ChangepointConfig()}, duration_s=MINUTES_5_S)
-    assert LEAST_HELD_PCT <= found.held_pct <= MOST_HELD_PCT
-    assert found.ratio <= WIDER
+def test_beside_hidden_friction_the_interval_is_honest(beside_friction: OfflineOutcome) -> None:
+    assert LEAST_HELD_PCT <= beside_friction.held_pct <= MOST_HELD_PCT
+
+
+@pytest.mark.slow
+def test_beside_hidden_friction_the_interval_is_hardly_wider_than_it_must_be(beside_friction: OfflineOutcome) -> None:
+    assert beside_friction.ratio <= WIDER
 
 
 # -- benches -----------------------------------------------------------------------------------------------------------
+
+
+def test_samples_count_alike_however_they_come() -> None:
+    config = load_with_overrides(CONFIGS / "web_section_step.yaml").config
+    n, rng = 4000, np.random.default_rng(1)
+    true = np.where(np.arange(n) < 1500, 8.7e9, 9.2e9)
+    rows = {
+        "t_s": 0.002 * np.arange(n),
+        "v2_m_s": np.where(np.arange(n) < 3000, 3.0, 0.0),
+        "E_true_Pa": true,
+        "E_sim_Pa": 8.7e9 * (1.0 + 0.01 * rng.standard_normal(n)),
+        "E_sd_Pa": np.full(n, 1e8),
+        "F_ref_N": np.where(np.arange(n) < 800, 80.0, 90.0),
+        "F_true_N": np.where(np.arange(n) < 100, 70.0, 80.0) + 0.5 * rng.standard_normal(n),
+        "loop_closed": np.where((np.arange(n) > 999) & (np.arange(n) < 1200), 0.0, 1.0),
+    }
+    whole, parts = (Scored(config, 8.0, draws=False) for _ in range(2))
+    whole.take(rows)
+    for begin, end in ((0, 1000), (1000, 1001), (1001, 1502), (1502, n)):
+        parts.take({name: values[begin:end] for name, values in rows.items()})
+    assert whole.opened == parts.opened == 1
+    found, other = whole.estimates["E"], parts.estimates["E"]
+    assert found.cycles == 3000 - 500  # one step, 1 s
+    assert (found.cycles, found.within, found.held, found.worst) == (
+        other.cycles, other.within, other.held, other.worst,
+    )  # fmt: skip
+    there = int(np.flatnonzero(np.abs(rows["F_true_N"] - 80.0) <= 1.0)[0])  # the web has the strain upstream before
+    assert there >= 100
+    assert whole.tensions["F"].cycles == parts.tensions["F"].cycles == 3000 - 2 * 500 - there
+    assert whole.tensions["F"].worst_N == parts.tensions["F"].worst_N
 
 
 @pytest.mark.slow
@@ -153,8 +192,9 @@ def test_beside_hidden_friction_the_interval_is_honest_and_hardly_wider_than_it_
     ],
 )
 def test_a_bench_holds_its_estimates_and_tensions_and_raises_no_alarm(title: str) -> None:
-    """Five minutes of process time; of the winding line two reels."""
-    found = run_shift(MACHINES[title], MINUTES_5_S / 3600.0)
+    """Five minutes of process time; of the winding line a reel."""
+    machine = MACHINES[title]
+    found = run_shift(machine, min(MINUTES_5_S, machine.reel_s or MINUTES_5_S) / 3600.0)
     assert found.ended == ""
     assert found.notices == ()
     assert found.opened == 0
@@ -166,9 +206,10 @@ def test_a_bench_holds_its_estimates_and_tensions_and_raises_no_alarm(title: str
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["pid", "lm", "global", "rls", "ekf", "input"])
-def test_each_other_method_holds_E_for_five_minutes(method: str) -> None:
-    """The published one takes 20 s to 1 %, and the one of a black box has no E to give: their tension is judged."""
+@pytest.mark.parametrize("method", ["pid", "rls", "ekf", "input"])
+def test_other_methods_hold_E_for_five_minutes(method: str) -> None:
+    """The published one takes 20 s to 1 %, and the one of a black box has no E to give: their tension is judged. Those
+    that solve over a window take ten times as long: `tools/shift.py --method all` has them."""
     found = run_shift(MACHINES["web_section_step, a hold"], MINUTES_5_S / 3600.0, method=method)
     assert (found.ended, found.notices, found.opened) == ("", (), 0)
     if method in ("pid", "input"):

@@ -26,8 +26,8 @@ SPEEDS_M_S, SPEED_S = (3.0, 4.0, 2.0, 3.5, 2.5), 70.0
 TENSIONS_N, TENSION_S = (80.0, 70.0, 90.0, 75.0, 85.0), 55.0
 #: A set-point changes within this time, s.
 SET_POINT_RAMP_S = 0.5
-#: Every so often the line stops and stands for a while, s.
-STOP_EVERY_S, STANDS_S = 240.0, 20.0
+#: Every so often the line stops, and is at rest for a while, s.
+STOP_EVERY_S, REST_S = 240.0, 20.0
 #: Steps of E: when (s), and the factor on E from then on: +20.7, −10, +3, −25, +40, −3 %.
 STEPS = ((100.0, 1.207), (185.0, 1.0863), (330.0, 1.1189), (430.0, 0.8392), (600.0, 1.1748), (800.0, 1.1396))
 #: A drift of 1 % a minute of E: from, to, s; and one of 6 % an hour all the time.
@@ -56,8 +56,8 @@ def _stops(t: Array) -> tuple[Array, Array]:
     speed = np.array(SPEEDS_M_S)[np.floor(t / SPEED_S).astype(int) % len(SPEEDS_M_S)]
     tension = np.array(TENSIONS_N)[np.floor(t / TENSION_S).astype(int) % len(TENSIONS_N)]
     since = t % STOP_EVERY_S
-    stands = (t >= STOP_EVERY_S) & (since < STANDS_S)
-    return np.where(stands, 0.0, speed), tension
+    rests = (t >= STOP_EVERY_S) & (since < REST_S)
+    return np.where(rests, 0.0, speed), tension
 
 
 def _constant(t: Array) -> Array:
