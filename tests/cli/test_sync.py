@@ -13,12 +13,19 @@ from tests.cli.in_process import hilbench
 from tests.estimation.runs import NEW_PA, Array, measured, stepped, tracked
 from tests.plant.models import DEMONSTRATOR, model
 
-from hilbench.diagnosis.synchronization import NEEDED, compare_methods, compare_runs
+from hilbench.diagnosis.synchronization import (
+    NEEDED,
+    compare_methods,
+    compare_runs,
+    estimates,
+    measurements_of,
+    twin_config,
+)
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.config import METHODS
-from hilbench.estimation.web_line.offline import Track
+from hilbench.estimation.web_line.offline import Track, run_offline
 from hilbench.report.sync_page import rows
-from hilbench.results.recording import Recording
+from hilbench.results.recording import Recording, read_recording, write_recording
 
 COLUMNS = "t_s,v1_cmd_m_s,v2_cmd_m_s,x1_m,x2_m,tau2_Nm,strain_prev,F_next_N,E_true_Pa"
 
@@ -53,7 +60,47 @@ def test_methods_side_by_side_as_json_and_as_a_page(files: tuple[Path, Path], tm
     assert found["changepoint"]["final_E_Pa"] == pytest.approx(NEW_PA, rel=2e-3)
     page = (tmp_path / "out" / "sync.html").read_text()
     assert "changepoint" in page
-    assert "<svg" in page
+    assert page.count("<svg") == 3  # all methods, each with its interval, around the step
+    assert 'href="estimates.csv"' in page
+
+
+@pytest.mark.parametrize("suffix", [".csv.gz", ".mf4"])
+def test_estimates_over_time_are_those_of_the_methods_in_every_row(
+    files: tuple[Path, Path], tmp_path: Path, suffix: str
+) -> None:
+    recording, path = tmp_path / f"recording{suffix}", files[1]
+    write_recording(read_recording(files[0]), recording)
+    done = sync(recording, "--model", path, "--method", "rls,ekf", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert "estimates.csv" in done.stdout
+    header = (tmp_path / "out" / "estimates.csv").read_text().split("\n", 1)[0]
+    assert header == "t_s,rls_E_Pa,rls_E_sd_Pa,ekf_E_Pa,ekf_E_sd_Pa"
+    written, source = read_recording(tmp_path / "out" / "estimates.csv"), read_recording(recording)
+    assert written.time_s.tolist() == source.time_s.tolist()
+    data = measurements_of(source, recording)
+    for name in ("rls", "ekf"):
+        track = run_offline(model(), twin_config(METHODS[name]()), data)
+        assert written[f"{name}_E_Pa"].tolist() == track.E_Pa.tolist()
+        assert written[f"{name}_E_sd_Pa"].tolist() == track.E_sd_Pa.tolist()
+
+
+def test_estimates_of_a_recording_of_another_cycle_have_its_rows(files: tuple[Path, Path], tmp_path: Path) -> None:
+    path = files[1]
+    source = read_recording(files[0])
+    thinned = Recording({name: values[:1000:3] for name, values in source.channels.items()})  # 6 ms
+    write_recording(thinned, tmp_path / "thinned.csv")
+    done = sync(tmp_path / "thinned.csv", "--model", path, "--method", "rls", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert read_recording(tmp_path / "estimates.csv").time_s.tolist() == thinned.time_s.tolist()
+
+
+def test_a_line_of_several_spans_is_refused(tmp_path: Path, files: tuple[Path, Path]) -> None:
+    config = Path(__file__).resolve().parents[2] / "bench_configs" / "line_two_spans.yaml"
+    for arguments in ([files[0], "--model", config], [config]):
+        done = sync(*arguments, "--out", tmp_path / "out")
+        assert done.returncode == 2
+        assert "a line of 3 rollers, expected one of two, with one span" in done.stderr
+        assert not (tmp_path / "out").exists()
 
 
 def test_a_recording_of_a_clock_that_drifts_and_was_set_with_rows_missing(
@@ -158,5 +205,8 @@ def test_runs_of_a_bench_are_scored_by_what_their_twins_said() -> None:
         assert (one.method, one.time_to_1pct_s, one.covered) == (other.method, other.time_to_1pct_s, other.covered)
         assert one.cpu_us is None
     assert all(row[-1] == "–" for row in rows(online))
+    told = estimates(online)
+    assert list(told.channels) == ["t_s", "ekf_E_Pa", "ekf_E_sd_Pa", "rls_E_Pa", "rls_E_sd_Pa"]
+    assert told["rls_E_sd_Pa"].tolist() == tracks["rls"].E_sd_Pa.tolist()
     with pytest.raises(UnusableInputError, match="rls: E changes otherwise"):
         compare_runs(model(), {"ekf": run(tracks["ekf"], true), "rls": run(tracks["rls"], true * 1.01)})

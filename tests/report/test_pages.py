@@ -20,7 +20,7 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.report import live
 from hilbench.report.compare_page import ComparedRun, write_compare_page
 from hilbench.report.diagnosis_page import write_diagnosis_page
-from hilbench.report.sync_page import write_sync_page
+from hilbench.report.sync_page import write_comparison
 from hilbench.results.recording import Recording
 
 T_S = np.linspace(0.0, 10.0, 2000)
@@ -38,7 +38,7 @@ def synchronized(path: Path) -> Path:
     track = Track(E_Pa, sd_Pa, zeros, zeros, {}, None)
     result = MethodResult("pid", track, 1.0, 2.0, None, 0.1, 0.2, 0.95, 12.0)
     comparison = Comparison(T_S, None, None, 0.05, np.full(len(T_S), 1e7), 0.1, [result])
-    return write_sync_page(comparison, f"sync {EVIL}", path)
+    return write_comparison(comparison, f"sync {EVIL}", path.parent)
 
 
 def diagnosis() -> Diagnosis:
@@ -98,5 +98,7 @@ def test_a_diagnosis_without_a_finding_leaves_its_sections_out(tmp_path: Path) -
 
 @pytest.mark.parametrize("write", [compared, synchronized, diagnosed])
 def test_a_page_that_cannot_be_written_is_one_line(write, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(UnusableInputError, match=r"page\.html: cannot be written \(No such file or directory\)"):
+    with pytest.raises(
+        UnusableInputError, match=r"(page\.html|estimates\.csv): cannot be written \(No such file or directory\)"
+    ):
         write(tmp_path / "no" / "page.html")

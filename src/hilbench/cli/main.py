@@ -367,7 +367,7 @@ def sync(
     method: Annotated[str, typer.Option("--method", help="methods, comma-separated, or all")] = "all",
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="folder for the page with table and picture; a bench's runs, too (sync)"),
+        typer.Option("--out", help="folder for the page and the estimates over time (CSV); a bench's runs, too (sync)"),
     ] = None,
     unmodelled_torque: Annotated[
         float | None,
@@ -386,6 +386,9 @@ def sync(
 
     On a recording every method sees the same samples. With a bench config each method has a run of its own, with real
     processes and frames and the tension loop closed on its twin.
+
+    With --out: sync.html, and estimates.csv with t_s, METHOD_E_Pa and METHOD_E_sd_Pa (standard deviation) of each
+    method in every row.
 
     Example: hilbench sync runs/web_section_step-20260101-120000/recording.mf4 --model model.yaml --out comparison
 

@@ -26,7 +26,7 @@ from hilbench.diagnosis.synchronization import (
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, BenchFaultError, UnusableInputError
 from hilbench.estimation.web_line.offline import remarks
 from hilbench.files import make_folder
-from hilbench.report.sync_page import COLUMNS, rows, write_sync_page
+from hilbench.report.sync_page import COLUMNS, ESTIMATES, rows, write_comparison
 from hilbench.results.recording import read_recording
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load
@@ -65,9 +65,7 @@ def sync_runs_command(config_path: Path, methods: str, out: Path | None, jobs: i
             raise BenchFaultError(f"{name}: the run ended with exit code {row.exit_code}: {row.said}")
         recordings[name] = read_recording(RunFolder(folder / row.run).recording)
     comparison = compare_runs(machine_of(config, config_path), recordings)
-    _show(
-        comparison, write_sync_page(comparison, f"Synchronizers on {config_path.name}", folder / "sync.html"), as_json
-    )
+    _show(comparison, write_comparison(comparison, f"Synchronizers on {config_path.name}", folder), as_json)
 
 
 def sync_command(
@@ -79,7 +77,7 @@ def sync_command(
     *,
     as_json: bool,
 ) -> None:
-    """Compare, print, and write the page into `out`. Raises UnusableInputError for what can't be used."""
+    """Compare, print, and write page and estimates into `out`. Raises UnusableInputError for what can't be used."""
     chosen = methods_of(methods)
     model, recording = web_line_of(model_from(model_path), model_path), read_recording(recording_path)
     report_unknown(recording, recording_path)
@@ -101,7 +99,7 @@ def sync_command(
         raise UnusableInputError(model_path, f"{error}") from error
     page = None
     if out is not None:
-        page = write_sync_page(comparison, f"Synchronizers on {recording_path.name}", out / "sync.html")
+        page = write_comparison(comparison, f"Synchronizers on {recording_path.name}", out)
     _show(comparison, page, as_json)
 
 
@@ -113,6 +111,7 @@ def _show(comparison: Comparison, page: Path | None, as_json: bool) -> None:
     console.print(_table(comparison))
     if page is not None:
         console.print(f"page: {page}", soft_wrap=True)
+        console.print(f"estimates: {page.with_name(ESTIMATES)}", soft_wrap=True)
 
 
 def _table(comparison: Comparison) -> Table:

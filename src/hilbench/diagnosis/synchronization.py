@@ -18,6 +18,7 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 from hilbench.runs import figures
 from hilbench.topology.config import BenchConfig
+from hilbench.topology.signal_kinds import TIME
 
 Array = NDArray[np.float64]
 
@@ -27,8 +28,8 @@ NEEDED = ("v1_cmd_m_s", "v2_cmd_m_s", "x1_m", "x2_m", "tau2_Nm", "strain_prev", 
 SETTLED_AFTER_S = 1.0
 #: Samples that a noise about a line, a bias and a share need at least.
 _LEAST_SETTLED = 3
-#: Two-sided 95 % of a normal distribution.
-_INTERVAL = 1.96
+#: Two-sided 95 % of a normal distribution, in standard deviations.
+INTERVAL = 1.96
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +194,7 @@ def _score(method: str, track: Track, t_s: Array, true: Array | None, step: int 
     start = int(np.searchsorted(t_s, (t_s[step] if step is not None else t_s[0]) + SETTLED_AFTER_S))
     settled = slice(start, None)
     shown = len(t_s) - start >= _LEAST_SETTLED
-    inside = np.abs(track.E_Pa - true) <= _INTERVAL * track.E_sd_Pa
+    inside = np.abs(track.E_Pa - true) <= INTERVAL * track.E_sd_Pa
     return MethodResult(
         method=method,
         track=track,
@@ -205,6 +206,18 @@ def _score(method: str, track: Track, t_s: Array, true: Array | None, step: int 
         covered=float(np.mean(inside[settled])) if shown else None,
         cpu_us=track.synchronizer_us,
     )
+
+
+def estimates(comparison: Comparison) -> Recording:
+    """Estimates of all methods over time: `t_s`, then `METHOD_E_Pa` and its standard deviation `METHOD_E_sd_Pa`.
+
+    A row for each one of the recording, in Pa; a deviation that a method can't state is infinite.
+    """
+    channels = {TIME: comparison.t_s}
+    for result in comparison.results:
+        channels[f"{result.method}_E_Pa"] = result.track.E_Pa
+        channels[f"{result.method}_E_sd_Pa"] = result.track.E_sd_Pa
+    return Recording(channels)
 
 
 def reference_estimate(config: BenchConfig, recording: Recording) -> Array | None:

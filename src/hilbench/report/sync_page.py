@@ -1,4 +1,4 @@
-"""The page of a comparison of synchronizers: one table and one picture."""
+"""What a comparison of synchronizers leaves in a folder: a page with a table and pictures, and the estimates as CSV."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hilbench.diagnosis.synchronization import Comparison
+from hilbench.diagnosis.synchronization import INTERVAL, Comparison, MethodResult, estimates
 from hilbench.report.chart import (
     BLUE,
     BROWN,
@@ -23,8 +23,11 @@ from hilbench.report.chart import (
 )
 from hilbench.report.page import DASH, number, write_page
 from hilbench.report.plots import Picture, drawn
+from hilbench.results.recording import write_recording
 from hilbench.runs.figures import ESTIMATE_BAND
 
+#: The page, and beside it the estimates of all methods over time.
+PAGE, ESTIMATES = "sync.html", "estimates.csv"
 COLOURS = {
     "pid": INK,
     "lm": BLUE,
@@ -34,6 +37,7 @@ COLOURS = {
     "changepoint": VERMILLION,
     "input": BROWN,
 }
+_AXIS = "E in N/mm²"
 #: Time around the step that the lower half of the picture shows, s.
 _BEFORE_S, _AFTER_S = 0.1, 0.6
 
@@ -64,15 +68,20 @@ def rows(comparison: Comparison) -> list[list[str]]:
     return [*found, ["Cramér–Rao bound", *bound]]
 
 
-def write_sync_page(comparison: Comparison, title: str, path: Path) -> Path:
-    """Write the page. Raises UnusableInputError if it cannot be written."""
+def write_comparison(comparison: Comparison, title: str, folder: Path) -> Path:
+    """Write the estimates as `estimates.csv`, and `sync.html`, which shows and links them. Returns the page.
+
+    Raises UnusableInputError if one of them cannot be written.
+    """
+    write_recording(estimates(comparison), folder / ESTIMATES)
     shown = pictures(comparison)
     return write_page(
-        path,
+        folder / PAGE,
         "sync",
-        shown[:1],
+        shown[:2],
         _marks(comparison),
         title=title,
+        estimates=ESTIMATES,
         noise_Nm=comparison.noise_Nm,
         sample_ms=1e3 * float(np.median(np.diff(comparison.t_s))),
         columns=COLUMNS,
@@ -82,10 +91,15 @@ def write_sync_page(comparison: Comparison, title: str, path: Path) -> Path:
 
 
 def pictures(comparison: Comparison) -> list[Picture]:
-    """Estimates over the whole recording, and around the last step of the true E."""
-    caption = "Estimates" + (", and the true value with ±1 % (grey)" if comparison.E_true_Pa is not None else "")
+    """Estimates over the whole recording, each with its 95 % interval, and all around the last step of the true E."""
+    true = "" if comparison.E_true_Pa is None else ", and the true value with ±1 % (grey)"
     chart, marks = _chart(comparison), _marks(comparison)
-    found = [drawn(Picture("sync", "Young’s modulus by method", caption, [chart]), marks)]
+    intervals = [_interval_chart(comparison, result) for result in comparison.results]
+    stated = f"Estimate ± {INTERVAL} standard deviations as the method states them{true}"
+    found = [
+        drawn(Picture("sync", "Young’s modulus by method", f"Estimates{true}", [chart]), marks),
+        drawn(Picture("sync-intervals", "Young’s modulus with its 95 % interval", stated, intervals), marks),
+    ]
     if comparison.step_s is not None:
         around = chart.part(comparison.step_s - _BEFORE_S, comparison.step_s + _AFTER_S)
         found.append(drawn(Picture("sync-step", "Around the last step of E", "", [around]), marks))
@@ -97,11 +111,27 @@ def _marks(comparison: Comparison) -> list[Mark]:
 
 
 def _chart(comparison: Comparison) -> Chart:
-    t_s, bands, curves = comparison.t_s, [], []
-    if comparison.E_true_Pa is not None:
-        true = comparison.E_true_Pa / 1e6
-        bands.append(Band(t_s, true * (1 - ESTIMATE_BAND), true * (1 + ESTIMATE_BAND), INK, 0.16))
-        curves.append(Curve("true", t_s, true, PURPLE, 1.0))
-    for result in comparison.results:
-        curves.append(Curve(result.method, t_s, result.track.E_Pa / 1e6, COLOURS[result.method], 1.1))
-    return Chart("E in N/mm²", curves, bands)
+    curves, bands = _true(comparison)
+    return Chart(_AXIS, [*curves, *(_curve(comparison, result) for result in comparison.results)], bands)
+
+
+def _interval_chart(comparison: Comparison, result: MethodResult) -> Chart:
+    """One method; what its interval is where its deviation is infinite is not drawn."""
+    curves, bands = _true(comparison)
+    half = np.where(np.isfinite(result.track.E_sd_Pa), INTERVAL * result.track.E_sd_Pa, np.nan)
+    low, high = (result.track.E_Pa - half) / 1e6, (result.track.E_Pa + half) / 1e6
+    interval = Band(comparison.t_s, low, high, COLOURS[result.method], 0.25)
+    return Chart(_AXIS, [*curves, _curve(comparison, result)], [*bands, interval])
+
+
+def _true(comparison: Comparison) -> tuple[list[Curve], list[Band]]:
+    """The true E with its band, where the recording has it."""
+    if comparison.E_true_Pa is None:
+        return [], []
+    t_s, true = comparison.t_s, comparison.E_true_Pa / 1e6
+    band = Band(t_s, true * (1 - ESTIMATE_BAND), true * (1 + ESTIMATE_BAND), INK, 0.16)
+    return [Curve("true", t_s, true, PURPLE, 1.0)], [band]
+
+
+def _curve(comparison: Comparison, result: MethodResult) -> Curve:
+    return Curve(result.method, comparison.t_s, result.track.E_Pa / 1e6, COLOURS[result.method], 1.1)
