@@ -38,6 +38,8 @@ COLOURS = {
     "input": BROWN,
 }
 _AXIS = "E in N/mm²"
+#: Height of the axes at least, in median widths of the interval: its edges show where it is not much wider than usual.
+_ROOM = 1.5
 #: Time around the step that the lower half of the picture shows, s.
 _BEFORE_S, _AFTER_S = 0.1, 0.6
 
@@ -116,12 +118,15 @@ def _chart(comparison: Comparison) -> Chart:
 
 
 def _interval_chart(comparison: Comparison, result: MethodResult) -> Chart:
-    """One method; what its interval is where its deviation is infinite is not drawn."""
+    """One method; an infinite interval is not drawn."""
     curves, bands = _true(comparison)
-    half = np.where(np.isfinite(result.track.E_sd_Pa), INTERVAL * result.track.E_sd_Pa, np.nan)
-    low, high = (result.track.E_Pa - half) / 1e6, (result.track.E_Pa + half) / 1e6
+    finite = np.isfinite(result.track.E_sd_Pa)
+    half = np.where(finite, INTERVAL * result.track.E_sd_Pa, np.nan) / 1e6
+    modulus = result.track.E_Pa / 1e6
+    low, high = modulus - half, modulus + half
+    usual = float(np.median(high[finite] - low[finite])) if finite.any() else 0.0
     interval = Band(comparison.t_s, low, high, COLOURS[result.method], 0.25)
-    return Chart(_AXIS, [*curves, _curve(comparison, result)], [*bands, interval])
+    return Chart(_AXIS, [*curves, _curve(comparison, result)], [*bands, interval], least=_ROOM * usual)
 
 
 def _true(comparison: Comparison) -> tuple[list[Curve], list[Band]]:
