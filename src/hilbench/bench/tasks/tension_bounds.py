@@ -37,8 +37,9 @@ BLOCKS, _HALF = 10, 5
 DEVIATIONS = 3.0
 #: Share of the set-point, and deviations of what turns, by which the twin's tension may leave that of the torques.
 _CHANGE_SHARE, _TURNING_DEVIATIONS = 0.03, 2.0
-#: Time in which friction that warms up changes by a standard deviation at the fastest; `DEVIATIONS` of it are followed.
-_WARMS_UP_S = 180.0
+#: Time in which friction that warms up changes by a standard deviation at the fastest, as bearings and seals take
+#: minutes; a difference that goes with twice that is followed.
+_WARMS_UP_S, _WARMING_DEVIATIONS = 180.0, 2.0
 #: Constant speed and set-point before a difference counts as what it is at rest of changes: what was learned in a ramp
 #: is believed 1 s behind it, and a mean is of 1 s. After a step of E a twin may still find that it was friction.
 _SETTLED_S, _AFTER_STEP_S = 2.0, 5.0
@@ -195,7 +196,7 @@ def _learn(f: Vector, s: Vector, ring: Matrix, block: Vector, newest: int) -> No
     if s[KNOWN] == 0.0 and s[CONSTANT_S] >= _SETTLED_S and s[FILLED] >= BLOCKS:
         s[KNOWN], s[DIFFERENCE_N], s[KNOWN_AT_M_S] = 1.0, difference_N, block[LINE_M_S]
     elif s[KNOWN] != 0.0 and s[BEYOND_S] == 0.0:
-        most_N = DEVIATIONS * f[WARMS_N] * block[BLOCK_S] / _WARMS_UP_S
+        most_N = _WARMING_DEVIATIONS * f[WARMS_N] * block[BLOCK_S] / _WARMS_UP_S
         s[DIFFERENCE_N] += min(max(difference_N - s[DIFFERENCE_N], -most_N), most_N)
 
 

@@ -45,6 +45,7 @@ from hilbench.plant.web_line.sections import axes_before_spans, section_model
 from hilbench.plant.web_line.sizes import least_way_m
 from hilbench.plant.web_line.stations import Idler
 from hilbench.topology.sample import CycleSample
+from hilbench.twin.virtual_io import TwinStatus
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -57,13 +58,16 @@ _AT_LIMIT = 0.98
 #: What turns with a roller is in no block mean: a deviation of those, not a known force.
 _TURNING = ("unbalance", "torque_ripple", "torque_ripple_load")
 
+#: The twin goes over to another model.
+_CHANGING = int(TwinStatus.MODEL_CHANGING)
 #: What `run` says: something else is said of a twin than before.
 _LOOK = GOES_ON + 1
 # Rows of the table.
 (_VALUES, _WORDS, _AT, _PARAMETERS, _ROLLERS, _MOTION, _BEGUN, _LINE, _WAYS, _POSITIONS, _WEB) = range(11)
 (_FIGURES, _STATES, _RINGS, _SUMS, _PLACED, _BLOCK) = range(11, 17)
 #: Of a line: cycles of a block and how many it has; the cycle in which it began; samples whose positions are of one
-#: instant; the leading axis' command; whether somebody changed it, or a torque is at its limit; sum of the tension
+#: instant; the leading axis' command; whether somebody changed that, or the twin's model, or a torque is at its limit;
+#: sum of the tension
 #: behind the line; a cycle in s; a way by which positions may differ; strain behind the line; whether a block has
 #: begun, and the web is where the rollers are.
 _CYCLES, _COUNTED, _BEGAN, _PAIRED, _COMMAND_M_S, _CHANGED, _NEXT_SUM_N = range(7)
@@ -81,8 +85,8 @@ _FIRST, _SECTION, _PLACED_SIZE = range(3)
 _NOWHERE = -1
 #: Places in a sample: position, speed, torque of each axis, then these, then of each span tension and E of the twin,
 #: set-point, whether the loop is closed.
-_OF_AXIS, _OF_LINE, _OF_SPAN = 3, 4, 4
-_COMMAND_AT, _PREV_AT, _NEXT_AT, _CYCLE_AT = range(4)
+_OF_AXIS, _OF_LINE, _OF_SPAN = 3, 5, 4
+_COMMAND_AT, _PREV_AT, _NEXT_AT, _CYCLE_AT, _STATUS_AT = range(5)
 
 
 @compiled
@@ -112,7 +116,8 @@ def _add(values: Vector, words: Places, at: Places, begun: Matrix, line: Vector,
         if abs(torque_Nm) >= begun[_LIMIT_NM, j]:
             line[_CHANGED] = 1.0
     of_line = at[_OF_AXIS * axes :]
-    if values[of_line[_COMMAND_AT]] != line[_COMMAND_M_S]:
+    status = words[of_line[_STATUS_AT]]
+    if values[of_line[_COMMAND_AT]] != line[_COMMAND_M_S] or status & _CHANGING != 0:
         line[_CHANGED] = 1.0
     line[_NEXT_SUM_N] += values[of_line[_NEXT_AT]]
     line[_COUNTED] += 1.0
@@ -276,13 +281,14 @@ class TensionWatch(CyclicTask):
         self._rings = np.zeros((len(loops), bounds.BLOCK, bounds.BLOCKS))
         self._sums, self._block = np.zeros((len(loops), _SUMS_SIZE)), np.zeros(bounds.BLOCK)
         self._said = [bounds.NOTHING] * len(loops)
+        twin.refusals = 0
         self._piece = OfSample(self._on)
         _run(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before anybody waits for a cycle
 
     def _on(self, sample: CycleSample) -> Chained:
         kind, axes = type(sample), len(self._rollers)
         names = [name for k in range(1, axes + 1) for name in (f"x{k}_m", f"v{k}_m_s", f"tau{k}_Nm")]
-        names += [f"v{axes}_cmd_m_s", "strain_prev", "F_next_N", "cycle"]
+        names += [f"v{axes}_cmd_m_s", "strain_prev", "F_next_N", "cycle", "twin_status"]
         for loop in self._loops:
             of = loop.task.names
             names += [of.twin.tension, of.twin.modulus, of.set_point, of.closed]
@@ -336,6 +342,7 @@ class TensionWatch(CyclicTask):
             if said == bounds.NOTHING:
                 loop.trust.allow()
             else:
+                self._twin.refusals = (self._twin.refusals or 0) + 1
                 loop.trust.refuse(_reason(loop.task.names.span if len(self._rollers) > 2 else 0, state))
                 if state.item(bounds.ASSUMED_PA) > 0.0:
                     loop.task.assume_modulus(state.item(bounds.ASSUMED_PA))
