@@ -123,7 +123,7 @@ def test_every_span_has_its_own_opinion_and_a_reset_twin_is_a_new_one(tmp_path: 
 
 RUNS = ["web_section_step", "hidden_friction", "hidden_eccentricity", "line_three_spans", "line_with_dancer"]
 SLOW_RUNS = [
-    *("hidden_disturbance", "hidden_inertia", "hidden_offset", "hidden_ripple", "hidden_shaft_friction", "hidden_slip"),
+    *("hidden_disturbance", "hidden_inertia", "hidden_offset", "hidden_ripple", "hidden_slip"),
     *("hidden_softening", "hidden_span", "hidden_dancer", "line_two_spans", "web_section_step_pid", "probing"),
     *("predicted_limit", "giannoccaro_2016", "scenario", "live_friction", "live_line_friction", "koc_2002"),
 ]

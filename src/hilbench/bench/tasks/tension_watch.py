@@ -43,7 +43,7 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans, section_model
 from hilbench.plant.web_line.sizes import least_way_m
-from hilbench.plant.web_line.stations import Idler
+from hilbench.plant.web_line.stations import CarriageStation, Idler, Reel
 from hilbench.topology.sample import CycleSample
 from hilbench.twin.virtual_io import TwinStatus
 
@@ -377,7 +377,7 @@ def watched_loops(
     for task, trust in zip(tasks, trusts, strict=True):
         first = before.index(task.names.axis)  # of the section, from 0
         behind = rollers[first + 1 :]
-        if all(roller.station is None or isinstance(roller.station, Idler) for roller in behind):
+        if not any(isinstance(roller.station, CarriageStation | Reel) for roller in behind):
             method = methods.get(task.span) or next(iter(methods.values()))
             found.append(WatchedLoop(task, trust, not isinstance(method, PidConfig)))
     return found
