@@ -118,21 +118,21 @@ def test_the_web_in_the_spans_comes_to_the_strains_of_mass_conservation(forward:
 @pytest.mark.parametrize(
     ("twin_N", "within_s"),
     [
-        (lambda t: 1.3 * SET_POINT_N if t > 10.0 else SET_POINT_N, 1.5),
-        (lambda t: SET_POINT_N * (1.0 + 0.02 * max(t - 10.0, 0.0)), 5.0),
-        (lambda t: nan if t > 10.0 else SET_POINT_N, 1.0),
+        (lambda t: 1.3 * SET_POINT_N if t > 25.0 else SET_POINT_N, 1.5),
+        (lambda t: SET_POINT_N * (1.0 + 0.02 * max(t - 25.0, 0.0)), 5.0),
+        (lambda t: nan if t > 25.0 else SET_POINT_N, 1.5),
     ],
 )
 def test_a_tension_that_moves_as_no_torque_does_is_said(twin_N: Callable[[float], float], within_s: float) -> None:
     opinion = Opinion()
-    opinion.see(20.0, twin_N)
+    opinion.see(35.0, twin_N)
     assert [said for _, said in opinion.said] == [bounds.CHANGE]
-    assert 10.0 < opinion.said[0][0] <= 10.0 + within_s + 1e-9
+    assert 25.0 < opinion.said[0][0] <= 25.0 + within_s + 1e-9
 
 
 def test_a_tension_that_stays_while_the_torques_say_that_it_has_changed_is_said() -> None:
     opinion = Opinion()
-    opinion.see(15.0, torques_N=lambda t: 96.6 if t > 10.0 else 80.0)
+    opinion.see(30.0, torques_N=lambda t: 96.6 if t > 25.0 else 80.0)
     assert [said for _, said in opinion.said] == [bounds.CHANGE]
     assert opinion.state[bounds.ASSUMED_PA] == pytest.approx(MODULUS_PA * 96.6 / 80.0, rel=0.02)
 
@@ -164,6 +164,21 @@ def test_a_swing_of_the_tension_once_a_turn_and_friction_that_warms_up_are_no_ev
     turns_Hz = 3.0 / (2.0 * pi * 0.2)
     opinion.see(120.0, torques_N=lambda t: 80.0 + 6.0 * sin(2.0 * pi * turns_Hz * t) - 0.05 * t)
     assert opinion.said == []
+
+
+@pytest.mark.parametrize(("amplitude_N", "frequency_Hz"), [(4.0, 0.3), (6.0, 0.125), (3.0, 0.6)])
+def test_a_tension_upstream_that_swings_is_no_event(amplitude_N: float, frequency_Hz: float) -> None:
+    opinion = Opinion()
+    opinion.see(120.0, torques_N=lambda t: 80.0 + amplitude_N * sin(2.0 * pi * frequency_Hz * t))
+    assert opinion.said == []
+
+
+def test_an_open_loop_is_told_another_E_that_the_torques_show() -> None:
+    opinion = Opinion()
+    opinion.see(15.0, lambda t: 1.3 * SET_POINT_N if t > 10.0 else SET_POINT_N)
+    opinion.see(20.0, lambda t: 1.3 * SET_POINT_N, lambda t: 0.8 * SET_POINT_N, CLOSED=0.0)
+    assert opinion.state[bounds.ASSUMED_PA] == pytest.approx(0.8 * MODULUS_PA, rel=0.02)
+    assert {said for _, said in opinion.said} == {bounds.CHANGE}
 
 
 def test_a_twin_that_finds_behind_a_step_of_E_that_it_was_friction_before_is_no_event() -> None:

@@ -10,9 +10,9 @@ taken over blocks of 0.1 s. A twin's tension has to be in three intervals, each 
   standard deviations of `ModelErrorsConfig`, and dry friction of the model where a roller may stick. Any two errors of
   two deviations each and one sign are inside: 2·(a + b) ≤ 2·√2·√(a² + b²) < 3·√(a² + b²).
 - Modulus: F_k ± 3·σ over S·ε, with ε by mass conservation from the encoders, and what strain may lack.
-- Change: at constant speed and set-point nothing but E·ε changes quickly, so F_twin − F_k stays what it was, within 3 %
-  of the set-point (E is to be right within 3 % one second after anything), twice what turns with the rollers, and
-  friction that warms up.
+- Change: at constant speed and set-point nothing but E·ε changes quickly, so F_twin − F_k stays what it was, within
+  2.5 % of the set-point (E is to be right within 1 %), twice what turns with the rollers, as much as it has swung
+  before (tension upstream that no encoder sees), and friction that warms up.
 
 What is beyond for less than `PERSISTS_S` is not said: so long a twin may look for an E that has stepped.
 """
@@ -36,13 +36,18 @@ BLOCKS, _HALF = 10, 5
 #: errors as large as its priors say and nobody who has commissioned it.
 DEVIATIONS = 3.0
 #: Share of the set-point, and deviations of what turns, by which the twin's tension may leave that of the torques.
-_CHANGE_SHARE, _TURNING_DEVIATIONS = 0.03, 2.0
+_CHANGE_SHARE, _TURNING_DEVIATIONS = 0.025, 2.0
 #: Time in which friction that warms up changes by a standard deviation at the fastest, as bearings and seals take
 #: minutes; a difference that goes with twice that is followed.
 _WARMS_UP_S, _WARMING_DEVIATIONS = 180.0, 2.0
 #: Constant speed and set-point before a difference counts as what it is at rest of changes: what was learned in a ramp
 #: is believed 1 s behind it, and a mean is of 1 s. After a step of E a twin may still find that it was friction.
 _SETTLED_S, _AFTER_STEP_S = 2.0, 5.0
+#: A difference is a mean over two of these intervals, and swings by what it has in both of them: a period of 8 s and
+#: shorter. Until then it may be twice as far off.
+_INTERVAL_S, _LEARNING_BLOCKS = 8.0, 160.0
+#: Relative change of E that an open loop is told.
+_WORTH_TELLING = 0.01
 #: Change of E by torques, and share of it that the twin has to have followed, that is a step of E.
 _STEP_SHARE, _FOLLOWED = 0.05, 0.5
 #: How long something is beyond before it is said, longer than the slowest method needs for a step of E (0.75 s).
@@ -72,9 +77,12 @@ USUAL_N, USUAL_M2, STRAIN_SHARE, CREEP_SHARE, NEXT_N, WARMS_N, OF_SPEED, CHANGES
 IDLERS_KG, IDLERS_DRY_N, IDLERS_VISCOUS, SECTION_M2, SPAN = range(9, 14)
 #: What is kept of a span: blocks in the ring and where the next one goes; how long all has been constant; whether the
 #: difference then is known, what it is, and at which speed; how long the twin has been beyond, and back; what is said
-#: of it; then the mean tension of the twin, its interval, E of the twin and its interval, and E as it is assumed.
+#: of it; then the mean tension of the twin, its interval, E of the twin and its interval, E by torques and encoders,
+#: and what of that an open loop goes by; of the difference: blocks that are in it, its least and most in this interval,
+#: how long that is, and half of what it went to and fro in the two before (below 0: nobody knows).
 FILLED, NEXT, CONSTANT_S, KNOWN, DIFFERENCE_N, KNOWN_AT_M_S, BEYOND_S, BACK_S, SAID = range(9)
-(MEAN_N, LOW_N, HIGH_N, MEAN_PA, LOW_PA, HIGH_PA, ASSUMED_PA, STATE) = range(9, 17)
+(MEAN_N, LOW_N, HIGH_N, MEAN_PA, LOW_PA, HIGH_PA, BY_TORQUES_PA, ASSUMED_PA) = range(9, 17)
+(LEARNED, LEAST_N, MOST_N, INTERVAL_S, SWINGS_N, SWUNG_N, STATE) = range(17, 24)
 #: What is said of a twin.
 NOTHING, TENSION, MODULUS, CHANGE = 0.0, 1.0, 2.0, 3.0
 
@@ -193,16 +201,36 @@ def _learn(f: Vector, s: Vector, ring: Matrix, block: Vector, newest: int) -> No
     if _has_stepped(ring, newest):
         s[CONSTANT_S], s[KNOWN] = _SETTLED_S - _AFTER_STEP_S, 0.0
     difference_N = _mean(ring, TWIN_N, newest, 0, BLOCKS) - _mean(ring, TENSION_N, newest, 0, BLOCKS)
+    if not np.isfinite(difference_N):
+        return
     if s[KNOWN] == 0.0 and s[CONSTANT_S] >= _SETTLED_S and s[FILLED] >= BLOCKS:
         s[KNOWN], s[DIFFERENCE_N], s[KNOWN_AT_M_S] = 1.0, difference_N, block[LINE_M_S]
+        s[LEARNED], s[INTERVAL_S], s[LEAST_N], s[MOST_N] = 1.0, 0.0, difference_N, difference_N
+        s[SWINGS_N], s[SWUNG_N] = -1.0, -1.0
     elif s[KNOWN] != 0.0 and s[BEYOND_S] == 0.0:
-        most_N = _WARMING_DEVIATIONS * f[WARMS_N] * block[BLOCK_S] / _WARMS_UP_S
-        s[DIFFERENCE_N] += min(max(difference_N - s[DIFFERENCE_N], -most_N), most_N)
+        _refine(f, s, block, difference_N)
+
+
+@compiled
+def _refine(f: Vector, s: Vector, block: Vector, difference_N: float) -> None:
+    """The known difference, by one more block."""
+    off_N = difference_N - s[DIFFERENCE_N]
+    most_N = _WARMING_DEVIATIONS * f[WARMS_N] * block[BLOCK_S] / _WARMS_UP_S
+    s[LEARNED] += 1.0
+    if s[LEARNED] < _LEARNING_BLOCKS:
+        most_N = max(most_N, abs(off_N) / s[LEARNED])
+    s[DIFFERENCE_N] += min(max(off_N, -most_N), most_N)
+    s[LEAST_N], s[MOST_N] = min(s[LEAST_N], difference_N), max(s[MOST_N], difference_N)
+    s[INTERVAL_S] += block[BLOCK_S]
+    if s[INTERVAL_S] >= _INTERVAL_S:
+        s[SWUNG_N], s[SWINGS_N] = s[SWINGS_N], 0.5 * (s[MOST_N] - s[LEAST_N])
+        s[INTERVAL_S], s[LEAST_N], s[MOST_N] = 0.0, difference_N, difference_N
 
 
 @compiled
 def judge(f: Vector, s: Vector, ring: Matrix, block: Vector) -> bool:
-    """A block on: whether something else is said of the twin than before (SAID). `f` (SPAN,), `s` (STATE,), `ring`
+    """A block on: whether something else is said of the twin than before (SAID), or E is another one while it is said
+    (ASSUMED_PA). `f` (SPAN,), `s` (STATE,), `ring`
     (BLOCK, BLOCKS)."""
     newest = int(s[NEXT])
     if block[CLOSED] == 0.0 and s[SAID] == NOTHING:  # another reason holds the loop open: nobody goes by the twin
@@ -220,12 +248,18 @@ def judge(f: Vector, s: Vector, ring: Matrix, block: Vector) -> bool:
         s[BEYOND_S] = s[BEYOND_S] + block[BLOCK_S] if found != NOTHING else 0.0
         if s[BEYOND_S] < PERSISTS_S:
             return False
-        s[SAID], s[BACK_S] = found, 0.0
+        s[SAID], s[BACK_S], s[ASSUMED_PA] = found, 0.0, s[BY_TORQUES_PA]
         return True
-    s[BACK_S] = s[BACK_S] + block[BLOCK_S] if found == NOTHING and _is_comparable(s, block) else 0.0
-    if s[BACK_S] < _RETURN_S:
+    comparable = _is_comparable(s, block)
+    s[BACK_S] = s[BACK_S] + block[BLOCK_S] if found == NOTHING and comparable else 0.0
+    if s[BACK_S] >= _RETURN_S:
+        forget(s)
+        return True
+    if not (comparable and block[UNCHANGED] != 0.0 and s[BY_TORQUES_PA] > 0.0):
         return False
-    forget(s)
+    if abs(s[BY_TORQUES_PA] / s[ASSUMED_PA] - 1.0) <= _WORTH_TELLING:
+        return False
+    s[ASSUMED_PA] = s[BY_TORQUES_PA]
     return True
 
 
@@ -250,12 +284,14 @@ def _find(f: Vector, s: Vector, ring: Matrix, newest: int) -> float:
     s[MEAN_N], s[MEAN_PA] = _mean(ring, TWIN_N, newest, 0, BLOCKS), _mean(ring, TWIN_PA, newest, 0, BLOCKS)
     around_N = s[DIFFERENCE_N] if s[KNOWN] != 0.0 else 0.0
     stretch_m2 = _mean(ring, STRETCH_M2, newest, 0, BLOCKS)
-    s[ASSUMED_PA] = s[MEAN_PA] * (tension_N + around_N) / s[MEAN_N] if s[MEAN_N] > 0.0 else 0.0
+    s[BY_TORQUES_PA] = s[MEAN_PA] * (tension_N + around_N) / s[MEAN_N] if s[MEAN_N] > 0.0 else 0.0
     if stretch_m2 > _LEAST_STRAIN * f[USUAL_M2] > 0.0:
-        s[ASSUMED_PA] = (tension_N + around_N) / stretch_m2
+        s[BY_TORQUES_PA] = (tension_N + around_N) / stretch_m2
     if s[KNOWN] != 0.0:
         faster_m_s = abs(abs(ring[LINE_M_S, newest]) - abs(s[KNOWN_AT_M_S]))
-        bound_N = _CHANGE_SHARE * f[USUAL_N] + _TURNING_DEVIATIONS * turning_N + f[OF_SPEED] * faster_m_s
+        bound_N = _CHANGE_SHARE * f[USUAL_N] + _TURNING_DEVIATIONS * turning_N
+        bound_N += min(s[SWINGS_N], s[SWUNG_N]) if min(s[SWINGS_N], s[SWUNG_N]) >= 0.0 else bound_N
+        bound_N += f[OF_SPEED] * faster_m_s
         s[LOW_N], s[HIGH_N] = tension_N + around_N - bound_N, tension_N + around_N + bound_N
         if _lasts_beyond(ring, newest, around_N, share * bound_N):
             return CHANGE

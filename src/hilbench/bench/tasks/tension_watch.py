@@ -335,17 +335,17 @@ class TensionWatch(CyclicTask):
     def _say(self, _: int) -> bool:
         """Open loops, or let them close, by what is said of their twin."""
         for k, (loop, state) in enumerate(zip(self._loops, self._states, strict=True)):
-            said = state.item(bounds.SAID)
-            if said == self._said[k]:
-                continue
+            said, before = state.item(bounds.SAID), self._said[k]
+            if said != bounds.NOTHING and state.item(bounds.ASSUMED_PA) > 0.0:
+                loop.task.assume_modulus(state.item(bounds.ASSUMED_PA))
             self._said[k] = said
+            if said == before:
+                continue
             if said == bounds.NOTHING:
                 loop.trust.allow()
             else:
                 self._twin.refusals = (self._twin.refusals or 0) + 1
                 loop.trust.refuse(_reason(loop.task.names.span if len(self._rollers) > 2 else 0, state))
-                if state.item(bounds.ASSUMED_PA) > 0.0:
-                    loop.task.assume_modulus(state.item(bounds.ASSUMED_PA))
         return True
 
 
