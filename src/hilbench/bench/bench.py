@@ -305,6 +305,11 @@ class Bench:
         return self._operator.events
 
     @property
+    def twin_refusals(self) -> int | None:
+        """How often torques and encoders have opened a tension loop, as of `TwinState`."""
+        return self._state.twin.refusals
+
+    @property
     def notices(self) -> Notices:
         """What an operator must know of the run."""
         return self._state.reports.notices

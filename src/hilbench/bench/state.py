@@ -45,6 +45,7 @@ class TwinState:
     why: str = ""  #: why it was lost last
     started_cycle: int = 0  #: the SYNC before that which it counts as its first
     back_cycle: int = 0  #: in which it was taken back
+    refusals: int | None = None  #: how often a second opinion has opened a tension loop; None: nobody has one
 
     def fresh(self, sample: CycleSample) -> bool:
         """Whether the twin's data in a sample are of now: one from before it was taken back may still tell the old."""

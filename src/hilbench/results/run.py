@@ -243,6 +243,8 @@ class RunRecord:
             judged = judge(recording.channels, journal=self._happened.events())
         prediction, changes = bench.prediction, bench.model_changes
         metrics = judged.metrics() | timing.metrics()
+        if bench.twin_refusals is not None:
+            metrics["twin_refusals"] = float(bench.twin_refusals)
         if prediction is not None:
             metrics |= prediction.announcements.metrics()
         found, history = None, None

@@ -51,6 +51,9 @@ OF_RUNS: Final = {
         _NO_TIMING,
     ),
     "bus_load_pct": Metric("%", "bits on the bus over its capacity", _NO_TIMING),
+    "twin_refusals": Metric(
+        "", "how often torques and encoders have opened a tension loop against the twin", "no tension loop is watched"
+    ),
     "limits_predicted": Metric("", "announced crossings of limits that came", _NO_PREDICTION),
     "limits_not_predicted": Metric("", "crossings of limits that came unannounced", _NO_PREDICTION),
     "limits_predicted_in_vain": Metric(

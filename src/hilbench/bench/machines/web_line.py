@@ -27,6 +27,7 @@ from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_probing import Probing
 from hilbench.bench.tasks.tension_task import FeedForward, Leader, LoopNames, TensionTask
 from hilbench.bench.tasks.tension_trust import TwinTrust
+from hilbench.bench.tasks.tension_watch import TensionWatch, watched_loops
 from hilbench.bench.tasks.watches import QuietWatch
 from hilbench.bench.tasks.web_carriage_force import CarriageForceTask
 from hilbench.bench.tasks.web_limits import LimitWatch
@@ -108,6 +109,8 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         loops[axis] = _tension_task(config, state, control, names, axes[-1], trusts[-1], ahead)
         axes.append(loops[axis])
     of_spans = {loop.span: loop for loop in loops.values()}
+    watched = watched_loops(model, list(loops.values()), trusts, config.twin)
+    watch = [TensionWatch(watched, model, config.twin, state.twin, cycle_s)] if watched else []
     moved = _rest_movement(config, leading, [each for each in reversed(axes) if not isinstance(each, PositionTask)])
     probing = [_probing(config, state, of_spans, line_speed, moved)] if of_spans else []
     sensors = sensors_at_start(imitated_web(model, config.load), config.shape)
@@ -127,7 +130,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         ),
         control=(
             *(boundary, *probing, *([plan] if plan else []), *axes, *reels, *_reel_speeds(config, leading), *forces),
-            *(load, *([LoadCells(model, config.shape)] if config.shape.cells else [])),
+            *(load, *([LoadCells(model, config.shape)] if config.shape.cells else []), *watch),
         ),
         watches=(
             WebAlarms(trusts, state.twin, stop_on_break=config.safety.on_web_break == "stop"),

@@ -181,6 +181,10 @@ class TensionController:
         """Kp in m/s per N and Ki in m/s per N·s at this speed and E."""
         return _gains_once(self.figures, float(line_speed_m_s), float(modulus_Pa))
 
+    def assume_modulus(self, modulus_Pa: float) -> None:
+        """E that an open loop goes by, from now on."""
+        self.state[_MODULUS_PA] = modulus_Pa
+
     def reset(self) -> None:
         """Forget the integral (drives off)."""
         self.state[:] = 0.0

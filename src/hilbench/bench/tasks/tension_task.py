@@ -202,6 +202,11 @@ class TensionTask(CyclicTask):
         """E of the web there, as it was known last."""
         return float(self._at[cycle.MODULUS_PA])
 
+    def assume_modulus(self, modulus_Pa: float) -> None:
+        """E for the ratio of speeds of an open loop, in the place of what the twin has told."""
+        self._at[cycle.MODULUS_PA] = modulus_Pa
+        self._controller.assume_modulus(modulus_Pa)
+
     @property
     def closed(self) -> bool:
         """Whether the loop was closed in the last cycle."""

@@ -40,12 +40,12 @@ class TwinSignals:
 
 
 #: Of the vectors of `judged`. Figures: cycles of age, and of refusing, tensions in N and deviation of E in % up to
-#: which they are believed; state: whether the twin has called itself synchronized and not been in doubt since, and how
-#: many cycles in a row it has refused what was measured and not called itself that.
+#: which they are believed; state: whether the twin has called itself synchronized and not been in doubt since, how many
+#: cycles in a row it has refused what was measured and not called itself that, and whether `refuse` holds.
 _AGE_LIMIT, _REFUSES_CYCLES, _LOWEST_N, _HIGHEST_N, _DEVIATION_PCT, _FIGURES = range(6)
 #: Places in a sample: age in cycles, status, tension in N, E and its deviation in Pa.
 _AGE, _STATUS, _TENSION_N, _MODULUS_PA, _DEVIATION_PA, _PLACES = range(6)
-TOLD, _ASTRAY_CYCLES, _STATE = range(3)
+TOLD, _ASTRAY_CYCLES, _REFUSED_BY_WATCH, _STATE = range(4)
 #: What `judged` says.
 TRUSTED, _OLD, _ASTRAY, _NO_WEB, _OUTSIDE, _UNSURE = range(6)
 
@@ -72,7 +72,7 @@ def judged(figures: Vector, state: Vector, values: Vector, words: Places, at: Pl
         limit_pct = figures[_DEVIATION_PCT] * (1.0 if state[TOLD] != 0.0 else _CLOSES_AT)
         if 0.01 * limit_pct * modulus_Pa < deviation_Pa < np.inf:
             return _UNSURE
-    if synchronized:
+    if synchronized and state[_REFUSED_BY_WATCH] == 0.0:
         state[TOLD] = 1.0
     return TRUSTED
 
@@ -112,6 +112,15 @@ class TwinTrust:
         """Open the loop until the twin is synchronized anew."""
         self._synchronized[TOLD] = 0.0
         self._why = reason
+
+    def refuse(self, reason: str) -> None:
+        """Open the loop, whatever the twin says of itself, until `allow`."""
+        self._state[_REFUSED_BY_WATCH] = 1.0
+        self.forget(reason)
+
+    def allow(self) -> None:
+        """Close the loop when the twin calls itself synchronized."""
+        self._state[_REFUSED_BY_WATCH] = 0.0
 
     def doubts(self, found: int, sample: CycleSample) -> None:
         """What `judged` has found, if it is not TRUSTED."""
