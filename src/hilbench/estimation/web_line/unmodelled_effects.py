@@ -204,7 +204,9 @@ class UnmodelledEffects:
         for prior in priors:
             at = _STATES[prior.quantity]
             unit = balance.force_per_torque_per_m if at == f.OFFSET else 1.0
-            s["base"][at], deviations[at] = unit * prior.value, unit * prior.deviation
+            # A motor that pushes with more than it is known to needs less torque.
+            sign = -1.0 if at == f.SCALE else 1.0
+            s["base"][at], deviations[at] = sign * unit * prior.value, unit * prior.deviation
         s["prior"] = deviations**2
         s["theta"] = s["base"]
         s["torque_noise"] = NoiseLevel(_TORQUE_NOISE_NM, _TORQUE_FLOOR_NM).state
