@@ -122,6 +122,10 @@ class VariedLine:
         self._axes, self._boundary = model.axis_count, (nan, nan)
         self._idlers = [roller.name for roller in model.line_rollers if roller.axis is None]
         self._rollers, carriages = len(model.line_rollers), model.carriages
+        idle = [row for row, each in enumerate(model.line_rollers) if each.axis is None]
+        turning = 2 * (self._rollers + len(carriages))
+        #: Where the angles of idlers are among what is integrated: nothing depends on them, and nothing brings them back.
+        self._turned = np.array([*idle, *(turning + row for row in idle)], int)
         before, self._span_count = axes_before_spans(model), model.span_count
         #: Where the lengths of material and of spans begin among what is integrated.
         self._material = 4 * (self._rollers + len(carriages))
@@ -330,6 +334,7 @@ class VariedLine:
         Returns what the unknowns are in those of before, (n, n): new = matrix @ old.
         """
         turned, motions = np.eye(len(self.unknowns)), self._all.motions
+        motions[1:, self._turned] = motions[0, self._turned]
         for c, unknown in enumerate(self.unknowns):
             if unknown.kind not in (Kind.CARRIAGE, Kind.STRAIN):
                 continue

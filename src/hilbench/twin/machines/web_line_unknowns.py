@@ -149,8 +149,9 @@ class LineUnknowns:
         self._learns_slipping = np.zeros((len(kinds), len(self._offsets)), bool)
         self._learns_slipping[self._is_strain, : len(self._axes)] = True
         self._learns_slipping[~self._by_torque, len(self._axes) :] = True
-        #: The same of a web at rest of which nothing is known: one number says nothing of E and strain apart.
-        self._learns_unknown = np.repeat(~self._is_modulus[:, None], len(self._offsets), axis=1)
+        #: The same of a web at rest of which nothing is known, as one number says nothing of E and strain apart, and
+        #: while the line speeds up, as a wrong inertia is the same in each measurement and no noise.
+        self._learns_no_modulus = np.repeat(~self._is_modulus[:, None], len(self._offsets), axis=1)
         lengths_m = [sum(model.span_length_m(k + 1) for k in spans) for spans in _sections(model)]
         self._keep_every_m, self._keep_m = _KEPT_EVERY * min(lengths_m), _KEPT_LENGTHS * max(lengths_m)
         self._web_m = sum(lengths_m)
@@ -229,7 +230,7 @@ class LineUnknowns:
         self._undecided_from_m = inf
         self._corrected = np.zeros(len(self.varied.unknowns))
         self._before: Vector | None = None  # while E is corrected as it is found: what it had been corrected by
-        self._learn()
+        self._learn(np.zeros_like(self._corrected))
         self._kept = deque([_Kept(-inf, 0.0, self._filter.belief, self._corrected)])
         self._begin_window()
 
@@ -339,31 +340,34 @@ class LineUnknowns:
         turned = self.varied.web_changed()
         jumps = turned @ self._jumps @ turned.T
         learns = self._learns_slipping if self._slips else None
-        if self._way_m < self._moduli_from_m:
-            learns = self._learns_unknown
         innovations, slopes = self._sum / count, self._slopes / count
-        changes = self._filter.update(innovations, slopes, self._variances(count), jumps, learns)
+        variances, inertial = self._variances(count), self._inertial_errors_Nm(lasted_s) ** 2
+        if learns is None and (self._way_m < self._moduli_from_m or np.any(inertial > variances[: len(inertial)])):
+            learns = self._learns_no_modulus
+        variances[: len(inertial)] += inertial
+        doubtful = self._filter.mean[: len(unknowns)].copy()
+        changes = self._filter.update(innovations, slopes, variances, jumps, learns)
         if self._filter.has_begun_to_change:
             self._answer_from_now(count // 2)
             self._undecided_from_m = inf
             return False
         if learns is None:
-            changes = changes + self._parameters()
+            changes = changes + self._parameters(doubtful)
         changes = np.array([self._bounded(each, float(change)) for each, change in zip(unknowns, changes, strict=True)])
         self._apply(changes)
         return True
 
-    def _parameters(self) -> Vector:
-        """By which E is corrected (n,): on overwhelming evidence, and then as it is found for a while; what that leaves
-        doubtful is taken back."""
+    def _parameters(self, doubtful: Vector) -> Vector:
+        """By which E is corrected (n,): on overwhelming evidence, or by what has changed suddenly beside the mean that
+        was `doubtful` (n,) until then, and for a while as it is found; what that leaves doubtful is taken back."""
         none, mean = np.zeros_like(self._corrected), self._filter.mean[: len(self._corrected)]
-        learns = self._time_s <= self._learns_until_s
+        learns = self._time_s <= self._learns_until_s or self._way_m < self._known_from_m
         if self._filter.has_changed or (not learns and self._is_another(self._filter.evidence(mean))):
-            self._learn()
-        elif not learns and self._before is not None:
-            found, self._before = self._corrected - self._before, None
+            self._learn(doubtful if self._filter.has_changed else none)
+        elif not learns:
+            found, self._before = none if self._before is None else self._corrected - self._before, None
             return self._filter.take_parameters(mean + found if self._filter.evidence(found) < _KEPT else mean)
-        return none if self._before is None else self._filter.take_parameters(none)
+        return self._filter.take_parameters(self._stays)
 
     def _is_another(self, evidence: float) -> bool:
         """Whether E is another one by this evidence: beside a carriage, once a slip would have been told."""
@@ -373,9 +377,10 @@ class LineUnknowns:
         self._undecided_from_m = min(self._undecided_from_m, self._way_m)
         return not self._kicks or self._way_m - self._undecided_from_m > self._keep_m
 
-    def _learn(self) -> None:
-        """Correct E as it is found for a while."""
-        self._before = self._corrected if self._before is None else self._before
+    def _learn(self, stays: Vector) -> None:
+        """Correct E as it is found for a while, but for this part of its mean (n,)."""
+        if self._before is None:
+            self._before, self._stays = self._corrected, stays
         self._undecided_from_m = inf
         self._learns_until_s = self._time_s + _LEARNS_S
 
@@ -414,16 +419,17 @@ class LineUnknowns:
         return kick if told else None
 
     def _booked_behind(self, place: int, kept: _Kept) -> tuple[float, float]:
-        """Share by which E of the section behind another one is told to be larger than it was, and the deviation that
-        it had."""
-        axis = self.varied.unknowns[place].number + 1
-        behind = Unknown(Kind.MODULUS, axis)
+        """Share by which E of the section behind another one is told to be larger beside that of this one than it was,
+        and the deviation that it had."""
+        behind = Unknown(Kind.MODULUS, self.varied.unknowns[place].number + 1)
         if behind not in self.varied.places:
             return 0.0, 1.0
         at = self.varied.places[behind]
-        before = 1.0 + float(kept.corrected[at] + kept.belief.mean[at])
-        deviation = sqrt(float(kept.belief.covariance[at, at])) / before
-        return (self.varied.modulus_factor(axis) + float(self._filter.mean[at])) / before - 1.0, deviation
+        known = kept.belief.covariance
+        deviation = sqrt(float(known[at, at] + known[place, place] - 2.0 * known[at, place]))
+        before, now = (1.0 + corrected + mean[: len(corrected)] for corrected, mean in (
+            (kept.corrected, kept.belief.mean), (self._corrected, self._filter.mean)))  # fmt: skip
+        return float(now[at] / now[place] * before[place] / before[at]) - 1.0, deviation
 
     def _at(self, time_s: float) -> _Kept:
         """What was known then."""
@@ -442,7 +448,8 @@ class LineUnknowns:
         self._apply(changes)
         self._filter.jump(jumps)
         self._forget_kicks()
-        self._learn()
+        self._learn(self._filter.mean[: len(changes)].copy())
+        self._before = None  # there is nothing to take back
 
     def _hand_on(self, axis: int, since_s: float, kick: Kick, changes: Vector) -> None:
         """Web that has left the section since the kick has another strain than the line that is followed has handed
@@ -541,15 +548,22 @@ class LineUnknowns:
         return self._left, growth
 
     def _variances(self, count: int) -> Vector:
-        speeds_m_s = self.varied.line.v_m_s[self._rows]
-        before, self._speeds_m_s = self._speeds_m_s, speeds_m_s
-        rates = np.abs(speeds_m_s - (speeds_m_s if before is None else before)) / (count * self._cycle_s)
-        accelerating_Nm = self._inertia_kg_m2[self._rows] * self._rad_per_m * rates
         noise = self._noise.variances / count + (_LEAST_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
         swing = exp(-self._time_s / _SWING_S)
         noise += (_SWING_SHARE * np.array(self._limits_Nm) * swing) ** 2
         sensors = self._sensors.variances + (_SWING_SHARE * self._sensors.tensions_N * swing) ** 2
-        return np.concatenate([noise + (_INERTIA_SHARE * accelerating_Nm) ** 2, sensors])
+        return np.concatenate([noise, sensors])
+
+    def _inertial_errors_Nm(self, lasted_s: float) -> Vector:
+        """Deviations of what accelerates, in a window that lasted so long: with load motors a reel turns the flywheel
+        that it had at the start."""
+        speeds_m_s = self.varied.line.v_m_s[self._rows]
+        before, self._speeds_m_s = self._speeds_m_s, speeds_m_s
+        rates = np.abs(speeds_m_s - (speeds_m_s if before is None else before)) / lasted_s
+        wound_kg_m2 = np.abs(self._inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2)
+        unsure_kg_m2 = _INERTIA_SHARE * self._inertia_kg_m2 + self._imitated * wound_kg_m2
+        errors_Nm: Vector = unsure_kg_m2[self._rows] * self._rad_per_m * rates
+        return errors_Nm
 
     # -- what is found -----------------------------------------------------------------------------------
 
