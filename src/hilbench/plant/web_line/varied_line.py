@@ -122,14 +122,18 @@ class VariedLine:
         self._axes, self._boundary = model.axis_count, (nan, nan)
         self._idlers = [roller.name for roller in model.line_rollers if roller.axis is None]
         self._rollers, carriages = len(model.line_rollers), model.carriages
-        idle = [row for row, each in enumerate(model.line_rollers) if each.axis is None]
-        turning = 2 * (self._rollers + len(carriages))
-        #: Where the angles of idlers are among what is integrated: nothing depends on them, and nothing brings them back.
-        self._turned = np.array([*idle, *(turning + row for row in idle)], int)
         before, self._span_count = axes_before_spans(model), model.span_count
         #: Where the lengths of material and of spans begin among what is integrated.
         self._material = 4 * (self._rollers + len(carriages))
         self._lengths = self._material + self._span_count
+        idle = [row for row, each in enumerate(model.line_rollers) if each.axis is None]
+        turning = 2 * (self._rollers + len(carriages))
+        #: Where the angles of idlers are among what is integrated: nothing depends on them or brings them back.
+        self._turned = np.array([*idle, *(turning + row for row in idle)], int)
+        #: What a strain changes by carriages alone: where these are, and the lengths of spans.
+        moved = range(self._rollers, self._rollers + len(carriages))
+        spans = range(self._lengths, self._lengths + model.span_count)
+        self._kept_by_strain = np.array([*moved, *(turning + row for row in moved), *spans], int)
         self._stops = [
             (self._rollers + at, each.station.name, each.station.lower_stop_m, each.station.upper_stop_m)
             for at, each in enumerate(carriages)
@@ -338,6 +342,8 @@ class VariedLine:
         for c, unknown in enumerate(self.unknowns):
             if unknown.kind not in (Kind.CARRIAGE, Kind.STRAIN):
                 continue
+            if unknown.kind is Kind.STRAIN:  # carriages come first: what is left is rounding, and would be blown up
+                motions[1 + c, self._kept_by_strain] = motions[0, self._kept_by_strain]
             slopes = self._slopes_seen(unknown)
             if not slopes[c] > _LEAST_LEFT:  # a slack web, or a carriage at its stop
                 continue

@@ -150,7 +150,7 @@ class LineUnknowns:
         self._learns_slipping[self._is_strain, : len(self._axes)] = True
         self._learns_slipping[~self._by_torque, len(self._axes) :] = True
         #: The same of a web at rest of which nothing is known, as one number says nothing of E and strain apart, and
-        #: while the line speeds up, as a wrong inertia is the same in each measurement and no noise.
+        #: where a reel has a wrong flywheel as it speeds up: an error that is no noise.
         self._learns_no_modulus = np.repeat(~self._is_modulus[:, None], len(self._offsets), axis=1)
         lengths_m = [sum(model.span_length_m(k + 1) for k in spans) for spans in _sections(model)]
         self._keep_every_m, self._keep_m = _KEPT_EVERY * min(lengths_m), _KEPT_LENGTHS * max(lengths_m)
@@ -341,10 +341,11 @@ class LineUnknowns:
         jumps = turned @ self._jumps @ turned.T
         learns = self._learns_slipping if self._slips else None
         innovations, slopes = self._sum / count, self._slopes / count
-        variances, inertial = self._variances(count), self._inertial_errors_Nm(lasted_s) ** 2
-        if learns is None and (self._way_m < self._moduli_from_m or np.any(inertial > variances[: len(inertial)])):
+        variances, (any_roller, of_reels) = self._variances(count), self._inertial_variances(lasted_s)
+        wrong = np.any(of_reels > variances[: len(of_reels)])
+        if learns is None and (wrong or self._way_m < self._moduli_from_m):
             learns = self._learns_no_modulus
-        variances[: len(inertial)] += inertial
+        variances[: len(of_reels)] += any_roller + of_reels
         doubtful = self._filter.mean[: len(unknowns)].copy()
         changes = self._filter.update(innovations, slopes, variances, jumps, learns)
         if self._filter.has_begun_to_change:
@@ -554,16 +555,15 @@ class LineUnknowns:
         sensors = self._sensors.variances + (_SWING_SHARE * self._sensors.tensions_N * swing) ** 2
         return np.concatenate([noise, sensors])
 
-    def _inertial_errors_Nm(self, lasted_s: float) -> Vector:
-        """Deviations of what accelerates, in a window that lasted so long: with load motors a reel turns the flywheel
-        that it had at the start."""
+    def _inertial_variances(self, lasted_s: float) -> tuple[Vector, Vector]:
+        """Of torques (m,) in a window that lasted so long, by what accelerates: a share of any inertia, and what load
+        motors don't imitate, as a reel on them has the flywheel that it had at the start."""
         speeds_m_s = self.varied.line.v_m_s[self._rows]
         before, self._speeds_m_s = self._speeds_m_s, speeds_m_s
-        rates = np.abs(speeds_m_s - (speeds_m_s if before is None else before)) / lasted_s
-        wound_kg_m2 = np.abs(self._inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2)
-        unsure_kg_m2 = _INERTIA_SHARE * self._inertia_kg_m2 + self._imitated * wound_kg_m2
-        errors_Nm: Vector = unsure_kg_m2[self._rows] * self._rad_per_m * rates
-        return errors_Nm
+        rates = self._rad_per_m * (speeds_m_s - (speeds_m_s if before is None else before)) / lasted_s
+        wound_kg_m2 = self._imitated * (self._inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2)
+        share_kg_m2 = _INERTIA_SHARE * self._inertia_kg_m2
+        return (share_kg_m2[self._rows] * rates) ** 2, (wound_kg_m2[self._rows] * rates) ** 2
 
     # -- what is found -----------------------------------------------------------------------------------
 
