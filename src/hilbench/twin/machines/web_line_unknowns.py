@@ -544,7 +544,8 @@ class LineUnknowns:
                 thickness = (_THICKNESS_SHARE * self.varied.slope_per_m(unknown.number)) ** 2
                 growth[at, at] = (2.0 * thickness * self._way_m + _RADIUS_PER_SQRT_M**2) * way_m
             elif unknown.kind is Kind.STRAIN:
-                per_sqrt_s = _SLIPPING_PER_SQRT_S if self._slips else _STRAIN_PER_SQRT_S
+                slips = self._slips or self._undecided_from_m < inf  # or may
+                per_sqrt_s = _SLIPPING_PER_SQRT_S if slips else _STRAIN_PER_SQRT_S
                 growth[at, at] = (per_sqrt_s * self._model.upstream_strain) ** 2 * time_s
         return self._left, growth
 
