@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from enum import StrEnum
-from math import pi
+from math import nan, pi
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_follower import LineFollower, LinesTogether
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
-from hilbench.plant.web_line.stations import Idler, Reel, reel_name
+from hilbench.plant.web_line.stations import Reel, reel_name
 
 #: Less of what a carriage was varied by is left no more, and is not blown up again.
 _LEAST_LEFT: Final = 0.05
@@ -117,15 +117,23 @@ class VariedLine:
         self._followers = [self.line, *(damped_follower(model) for _ in self.unknowns)]
         #: All of them beside each other, the line itself in the first row.
         self._all = LinesTogether(self._followers)
+        self.motion_count = self._all.motions.shape[1]  #: of what is integrated
         self._steps = np.array([unknown.step for unknown in self.unknowns])
-        self._axes = model.axis_count
+        self._axes, self._boundary = model.axis_count, (nan, nan)
         self._idlers = [roller.name for roller in model.line_rollers if roller.axis is None]
-        self._idler_rows = [row for row, each in enumerate(model.line_rollers) if isinstance(each.station, Idler)]
         self._rollers, carriages = len(model.line_rollers), model.carriages
         before, self._span_count = axes_before_spans(model), model.span_count
         #: Where the lengths of material and of spans begin among what is integrated.
         self._material = 4 * (self._rollers + len(carriages))
         self._lengths = self._material + self._span_count
+        idle = [row for row, each in enumerate(model.line_rollers) if each.axis is None]
+        turning = 2 * (self._rollers + len(carriages))
+        #: Where the angles of idlers are among what is integrated: nothing depends on them or brings them back.
+        self._turned = np.array([*idle, *(turning + row for row in idle)], int)
+        #: What a strain changes by carriages alone: where these are, and the lengths of spans.
+        moved = range(self._rollers, self._rollers + len(carriages))
+        spans = range(self._lengths, self._lengths + model.span_count)
+        self._kept_by_strain = np.array([*moved, *(turning + row for row in moved), *spans], int)
         self._stops = [
             (self._rollers + at, each.station.name, each.station.lower_stop_m, each.station.upper_stop_m)
             for at, each in enumerate(carriages)
@@ -185,8 +193,10 @@ class VariedLine:
 
     def set_boundary(self, strain_prev: float, F_next_N: float) -> None:
         """What the neighbouring sections do from now on."""
-        for follower in self._followers:
-            follower.set_boundary(strain_prev, F_next_N)
+        if (strain_prev, F_next_N) != self._boundary:
+            self._boundary = (strain_prev, F_next_N)
+            for follower in self._followers:
+                follower.set_boundary(strain_prev, F_next_N)
 
     def set_input(self, name: str, value: float) -> None:
         """One of the inputs of a line from now on. Raises ValueError for an unknown name."""
@@ -220,7 +230,11 @@ class VariedLine:
 
     def carriage_m(self, number: int) -> float:
         """Position of a carriage, from 1."""
-        return self._all.motions.item(0, self._rollers + number - 1)
+        return self._all.motions.item(0, self.carriage_row(number))
+
+    def carriage_row(self, number: int) -> int:
+        """Place of that among what is integrated."""
+        return self._rollers + number - 1
 
     def ratio(self, axis: int) -> float:
         """Radius of a reel over that at the start."""
@@ -250,9 +264,11 @@ class VariedLine:
         """Bring `load_slopes` up to what is followed."""
         _put_load_slopes(0, self._slopes_table)
 
-    def carriage_slopes(self, number: int) -> Vector:
-        """How the position of a carriage (from 1) depends on each unknown (n,)."""
-        return self._over_steps(self._all.motions[:, self._rollers + number - 1])
+    def shown(self, of_motions: Vector, of_tensions: Vector) -> tuple[Vector, Vector]:
+        """Sums (s,) of what is integrated (s, `motion_count`) and of tensions (s, K), and how they depend on each
+        unknown (s, n)."""
+        seen = self._all.motions @ of_motions.T + self._all.tensions_N @ of_tensions.T
+        return seen[0], ((seen[1:] - seen[0]) / self._steps[:, None]).T
 
     def _over_steps(self, seen: Vector) -> Vector:
         """How something that the line and the copies show (F,) depends on each unknown (n,)."""
@@ -266,19 +282,6 @@ class VariedLine:
     def strain(self, axis: int) -> float:
         """Of the section behind an axis, times relative E."""
         return self._seen(Unknown(Kind.STRAIN, axis)).item(0)
-
-    def cell_N(self, idler: int) -> float:
-        """What the load cell of an idler (from 1) tells: the mean of the tensions on both sides."""
-        return self._at_cell_N(idler).item(0)
-
-    def cell_slopes(self, idler: int) -> Vector:
-        """How that depends on each unknown (n,)."""
-        return self._over_steps(self._at_cell_N(idler))
-
-    def _at_cell_N(self, idler: int) -> Vector:
-        row = self._idler_rows[idler - 1]
-        tensions: Vector = 0.5 * (self._all.tensions_N[:, row - 1] + self._all.tensions_N[:, row])
-        return tensions
 
     # -- corrections -------------------------------------------------------------------------------------
 
@@ -335,9 +338,12 @@ class VariedLine:
         Returns what the unknowns are in those of before, (n, n): new = matrix @ old.
         """
         turned, motions = np.eye(len(self.unknowns)), self._all.motions
+        motions[1:, self._turned] = motions[0, self._turned]
         for c, unknown in enumerate(self.unknowns):
             if unknown.kind not in (Kind.CARRIAGE, Kind.STRAIN):
                 continue
+            if unknown.kind is Kind.STRAIN:  # carriages come first: what is left is rounding, and would be blown up
+                motions[1 + c, self._kept_by_strain] = motions[0, self._kept_by_strain]
             slopes = self._slopes_seen(unknown)
             if not slopes[c] > _LEAST_LEFT:  # a slack web, or a carriage at its stop
                 continue
@@ -372,7 +378,7 @@ class VariedLine:
         its tension. The strain is that of how much web there is, which never swings."""
         motions = self._all.motions
         if unknown.kind is Kind.CARRIAGE:
-            return motions[:, self._rollers + unknown.number - 1]
+            return motions[:, self.carriage_row(unknown.number)]
         spans = self._spans[unknown.number]
         material_m = motions[:, [self._material + k for k in spans]].sum(axis=1)
         length_m = motions[:, [self._lengths + k for k in spans]].sum(axis=1)

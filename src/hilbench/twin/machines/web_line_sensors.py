@@ -30,50 +30,41 @@ class StationSensors:
     """
 
     def __init__(self, model: ModelParameters, varied: VariedLine, measured: Sequence[str]) -> None:
-        self._model, self._varied = model, varied
-        self._direct = [(name, unknown) for name, unknown in _stations(model).items() if name in measured]
-        idlers = [row for row, each in enumerate(model.line_rollers) if isinstance(each.station, Idler)]
-        names = [model.line_rollers[row].name for row in idlers]
-        self._cells = [(name, number) for number, name in enumerate(names, 1) if name in measured]
-        at_cells_N = [
-            model.upstream_strain * 0.5 * (model.stiffness_N(row) + model.stiffness_N(row + 1))
-            for row, name in zip(idlers, names, strict=True)
-            if name in measured
-        ]
+        self._varied = varied
+        direct = [(name, unknown) for name, unknown in _stations(model).items() if name in measured]
+        idlers = {each.name: row for row, each in enumerate(model.line_rollers) if isinstance(each.station, Idler)}
+        cells = {name: row for name, row in idlers.items() if name in measured}
+        #: The unknowns that have a sensor of their own.
+        self.sensed = [unknown for _, unknown in direct]
+        self._names = [name for name, _ in direct] + list(cells)
+        count = len(self._names)
+        # What each sensor shows, by what is integrated and by the tensions of a line, and by the radii of reels.
+        self._of_motions = np.zeros((count, varied.motion_count))
+        self._of_tensions, self._of_ratios = np.zeros((count, model.span_count)), np.zeros((count, model.axis_count))
+        self._own, self._scales = np.zeros((count, len(varied.unknowns))), np.ones(count)
+        for at, unknown in enumerate(self.sensed):
+            if unknown.kind is Kind.CARRIAGE:
+                self._of_motions[at, varied.carriage_row(unknown.number)] = 1.0
+            else:
+                self._of_ratios[at, unknown.number - 1] = self._own[at, varied.places[unknown]] = 1.0
+                self._scales[at] = model.radius_m(unknown.number)
+        for at, row in enumerate(cells.values(), len(direct)):
+            self._of_tensions[at, [row - 1, row]] = 0.5
         #: The usual tension at each load cell (s,); 0 for what is no tension.
-        self.tensions_N = np.array([0.0] * len(self._direct) + at_cells_N)
-        shares = [_CARRIAGE_M if unknown.kind is Kind.CARRIAGE else _RADIUS_SHARE for _, unknown in self._direct]
-        noise = np.array(shares + [0.0] * len(at_cells_N))
+        stiffness_N = np.array([model.stiffness_N(span) for span in range(1, model.span_count + 1)])
+        self.tensions_N = model.upstream_strain * self._of_tensions @ stiffness_N
+        shares = [_CARRIAGE_M if unknown.kind is Kind.CARRIAGE else _RADIUS_SHARE for unknown in self.sensed]
+        noise = np.array(shares + [0.0] * len(cells))
         #: Variances of what they say in a window (s,), and deviations of their constant errors (s,).
         self.variances = (noise + _CELL_SHARE * self.tensions_N) ** 2
         self.offsets = _CELL_OFFSET_SHARE * self.tensions_N
 
-    @property
-    def sensed(self) -> list[Unknown]:
-        """The unknowns that have a sensor of their own."""
-        return [unknown for _, unknown in self._direct]
-
-    def left(self, told: Mapping[str, float]) -> Vector:
-        """What they say, by name of the station, less what the line that is followed does (s,)."""
-        found = []
-        for name, unknown in self._direct:
-            if unknown.kind is Kind.CARRIAGE:
-                found.append(told[name] - self._varied.carriage_m(unknown.number))
-            else:
-                found.append(told[name] / self._model.radius_m(unknown.number) - self._varied.ratio(unknown.number))
-        return np.array(found + [told[name] - self._varied.cell_N(number) for name, number in self._cells])
-
-    def slopes(self) -> Vector:
-        """How what they say depends on each unknown (s, n)."""
-        found = np.zeros((len(self.variances), len(self._varied.unknowns)))
-        for at, (_, unknown) in enumerate(self._direct):
-            if unknown.kind is Kind.CARRIAGE:
-                found[at] = self._varied.carriage_slopes(unknown.number)
-            else:
-                found[at, self._varied.places[unknown]] = 1.0
-        for at, (_, number) in enumerate(self._cells, len(self._direct)):
-            found[at] = self._varied.cell_slopes(number)
-        return found
+    def look(self, told: Mapping[str, float]) -> tuple[Vector, Vector]:
+        """What they say, by name of the station, less what the line that is followed does (s,); how what they say
+        depends on each unknown (s, n)."""
+        shown, slopes = self._varied.shown(self._of_motions, self._of_tensions)
+        says = np.array([told[name] for name in self._names]) / self._scales
+        return says - shown - self._of_ratios @ self._varied.ratios, slopes + self._own
 
 
 def _stations(model: ModelParameters) -> dict[str, Unknown]:

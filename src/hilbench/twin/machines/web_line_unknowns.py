@@ -50,10 +50,11 @@ _SLIPPING_M_PER_SQRT_M: Final = 2e-3  #: while a web slips somewhere
 _THICKNESS_SHARE: Final = 0.1  #: error of the thickness by which a reel's radius changes
 _RADIUS_PER_SQRT_M: Final = 2e-5  #: what else
 _STRAIN_PER_SQRT_S: Final = 1e-3  #: of that with which the web comes in
-_MODULUS_PER_SQRT_S: Final = 3e-3
+#: After which E, and the slow error of a torque, are others within their prior: a shift, from roll to roll (1 % in a
+#: minute, 8 % in an hour); minutes, as bearings warm up.
+_MODULUS_S, _OFFSET_S = 5e4, 600.0
 # How wrong measurements are.
-_OFFSET_SHARE: Final = 0.002  #: constant error of a torque: friction, offset; of the drive's limit
-_OFFSET_SHARE_PER_SQRT_S: Final = 5e-4  #: by which that changes
+_OFFSET_SHARE: Final = 0.002  #: slow error of a torque: friction, offset; of the drive's limit
 _LEAST_NOISE_SHARE: Final = 2e-3  #: of a window: idlers swing, by which it is no white noise
 #: Of a limit, or of the tension at a load cell, at first: the line is let go in another state than it is in, and
 #: swings; and for how long.
@@ -63,16 +64,20 @@ _CHANGE_SWING_SHARE, _CHANGE_SWINGS_S = 0.3, 0.13
 _INERTIA_SHARE: Final = 0.05  #: of the torque that accelerates
 #: By which the strain of a section may change while a web slips somewhere, of that with which the web comes in.
 _SLIPPING_PER_SQRT_S: Final = 0.2
+#: Evidence (`Unknowns.evidence`) on which E is corrected: with a right model its errors are draws of priors, a new one
+#: in minutes. Of two sections that is passed by one draw in 20,000, which are some 100 days.
+_ACCEPTED: Final = 20.0
+_KEPT: Final = 0.5 * _ACCEPTED  #: what is left of that once more is known, with which it is kept
 #: From when on kicks are looked for: the line is let go in another state than it is in, and swings.
 _KICKS_FROM_S: Final = 0.5
 _KICK_NOISE_SHARE: Final = 1e-3  #: of a limit: what else is in a torque
 #: For how long a kick that noise may be is kept in mind, for what web of another strain tells in the next section.
 _MAY_BE_S: Final = 3.0
-#: Deviations of E by which it is another one in the next section, what of that ends it, and its error, as a share.
-_BOOKED, _DECIDED_SHARE, _BOOKED_OFF = 3.0, 0.6, 0.35
+#: Deviations of E by which it is another one in the next section, and the error of that, as a share.
+_BOOKED, _BOOKED_OFF = 3.0, 0.35
 _IMITATED_SHARE: Final = 0.25  #: error of the size of a kick that load motors imitate
-#: After how long from the start on, and after a change that is told, what is known is what it was.
-_BEGINS_S, _SETTLES_S = 1.0, 0.5
+#: For how long from the start on, and after a change, E is corrected as it is found.
+_LEARNS_S: Final = 1.0
 #: Way of the web, as a share of the shortest section, from which to which what is known is kept; and for how many
 #: lengths of the longest one.
 _KEPT_EVERY, _KEPT_LENGTHS = 0.1, 3.0
@@ -125,8 +130,6 @@ class LineUnknowns:
         self._least_variances = (_KICK_NOISE_SHARE * limits_Nm) ** 2  # of torques in which kicks are looked for
         self._offsets = np.concatenate([_OFFSET_SHARE * limits_Nm, of_sensors])
         self._shows = np.array([self._shows_in_torques(each) for each in self.varied.unknowns], float)
-        growth = (_OFFSET_SHARE_PER_SQRT_S * limits_Nm) ** 2
-        self._offset_growth = np.concatenate([growth, np.zeros_like(of_sensors)])
         self._gains = [per_item(loops.velocity_kp_Nm_s_per_rad, axis) for axis in axes]
         self._rates = [per_item(loops.velocity_ki_Nm_per_rad, axis) for axis in axes]
         own_kg = [model.roller_mass_kg(axis) + model.motor_mass_kg(axis) for axis in axes]
@@ -146,8 +149,9 @@ class LineUnknowns:
         self._learns_slipping = np.zeros((len(kinds), len(self._offsets)), bool)
         self._learns_slipping[self._is_strain, : len(self._axes)] = True
         self._learns_slipping[~self._by_torque, len(self._axes) :] = True
-        #: The same of a web at rest of which nothing is known: one number says nothing of E and strain apart.
-        self._learns_unknown = np.repeat(~self._is_modulus[:, None], len(self._offsets), axis=1)
+        #: The same of a web at rest of which nothing is known, as one number says nothing of E and strain apart, and
+        #: where a reel has a wrong flywheel as it speeds up: an error that is no noise.
+        self._learns_no_modulus = np.repeat(~self._is_modulus[:, None], len(self._offsets), axis=1)
         lengths_m = [sum(model.span_length_m(k + 1) for k in spans) for spans in _sections(model)]
         self._keep_every_m, self._keep_m = _KEPT_EVERY * min(lengths_m), _KEPT_LENGTHS * max(lengths_m)
         self._web_m = sum(lengths_m)
@@ -181,6 +185,7 @@ class LineUnknowns:
         before = self._response
         self._set_cycle(cycle_s)
         self._response.go_on_from(before)
+        self._set_growth()
         self._set_inertia()
         self._set_kicks()
         self._may_be.clear()
@@ -208,7 +213,9 @@ class LineUnknowns:
         swings_on = exp(-self._window * self._cycle_s / _CHANGE_SWINGS_S)
         told_by_tension = np.concatenate([np.ones(len(self._axes), bool), self._sensors.tensions_N > 0.0])
         swings = np.where(told_by_tension, _CHANGE_SWING_SHARE, 0.0)
-        self._filter = Unknowns(believed + moduli, self._offsets, swings, swings_on)
+        self._filter = Unknowns(believed + moduli, self._is_modulus, self._offsets, swings, swings_on)
+        self._prior = moduli
+        self._set_growth()
         limits_Nm = np.array(self._limits_Nm)
         self._noise = NoiseLevels(0.01 * limits_Nm, 1e-4 * limits_Nm)
         self._positions_m, self._way_m, self._window_way_m = list(positions_m), 0.0, 0.0
@@ -218,11 +225,12 @@ class LineUnknowns:
         self._response.reset()
         self._set_inertia()
         self._slips = False
-        self._settled_s = _BEGINS_S
         self._may_be: list[tuple[float, int, Kick]] = []  # kicks that noise may be, and when they began
-        #: E of a section behind a carriage's (by the place of that) that is another one and may not be, and since when.
-        self._undecided: dict[int, _Kept] = {}
+        #: Way from which on E beside a carriage is another one, or web comes in with another strain, or slips.
+        self._undecided_from_m = inf
         self._corrected = np.zeros(len(self.varied.unknowns))
+        self._before: Vector | None = None  # while E is corrected as it is found: what it had been corrected by
+        self._learn(np.zeros_like(self._corrected))
         self._kept = deque([_Kept(-inf, 0.0, self._filter.belief, self._corrected)])
         self._begin_window()
 
@@ -270,9 +278,9 @@ class LineUnknowns:
 
     def sense(self, told: Mapping[str, float]) -> None:
         """What the sensors of stations said of the motion that was followed last, m and N, by name."""
-        first = len(self._axes)
-        self._sum[first:] += self._sensors.left(told)
-        self._slopes[first:] += self._sensors.slopes()
+        first, (left, slopes) = len(self._axes), self._sensors.look(told)
+        self._sum[first:] += left
+        self._slopes[first:] += slopes
 
     def follow(self, positions_m: Sequence[float], duration_s: float) -> None:
         """The driven rollers (N,) are there now."""
@@ -294,7 +302,7 @@ class LineUnknowns:
         began, self._slips = not self._slips and slips_since_s < inf, slips_since_s < inf
         if began:
             self._take_back(slips_since_s)
-            self._settle(time_s)
+            self._undecided_from_m = inf
             self._response.step(self._loads)
             self._begin_window()
             return True
@@ -313,8 +321,6 @@ class LineUnknowns:
         if self._cycles >= self._window:
             corrected = not limited and self._correct(time_s)
             self._keep(time_s)
-            if not self._slips and self._tells_moduli:
-                self._look_for_drifts()
             self._begin_window()
         self._response.step(self._loads)
         return corrected
@@ -330,21 +336,54 @@ class LineUnknowns:
         count, unknowns = self._cycles, self.varied.unknowns
         lasted_s = count * self._cycle_s
         self._time_s += lasted_s
-        self._filter.grow(self._growth(lasted_s), self._offset_growth * lasted_s)
+        self._filter.grow(*self._growth(lasted_s))
         turned = self.varied.web_changed()
         jumps = turned @ self._jumps @ turned.T
         learns = self._learns_slipping if self._slips else None
-        if self._way_m < self._moduli_from_m:
-            learns = self._learns_unknown
         innovations, slopes = self._sum / count, self._slopes / count
-        changes = self._filter.update(innovations, slopes, self._variances(count), jumps, learns)
+        variances, (any_roller, of_reels) = self._variances(count), self._inertial_variances(lasted_s)
+        wrong = np.any(of_reels > variances[: len(of_reels)])
+        if learns is None and (wrong or self._way_m < self._moduli_from_m):
+            learns = self._learns_no_modulus
+        variances[: len(of_reels)] += any_roller + of_reels
+        doubtful = self._filter.mean[: len(unknowns)].copy()
+        changes = self._filter.update(innovations, slopes, variances, jumps, learns)
         if self._filter.has_begun_to_change:
             self._answer_from_now(count // 2)
-            self._settle(time_s)
+            self._undecided_from_m = inf
             return False
+        if learns is None:
+            changes = changes + self._parameters(doubtful)
         changes = np.array([self._bounded(each, float(change)) for each, change in zip(unknowns, changes, strict=True)])
         self._apply(changes)
         return True
+
+    def _parameters(self, doubtful: Vector) -> Vector:
+        """By which E is corrected (n,): on overwhelming evidence, or by what has changed suddenly beside the mean that
+        was `doubtful` (n,) until then, and for a while as it is found; what that leaves doubtful is taken back."""
+        none, mean = np.zeros_like(self._corrected), self._filter.mean[: len(self._corrected)]
+        learns = self._time_s <= self._learns_until_s or self._way_m < self._known_from_m
+        if self._filter.has_changed or (not learns and self._is_another(self._filter.evidence(mean))):
+            self._learn(doubtful if self._filter.has_changed else none)
+        elif not learns:
+            found, self._before = none if self._before is None else self._corrected - self._before, None
+            return self._filter.take_parameters(mean + found if self._filter.evidence(found) < _KEPT else mean)
+        return self._filter.take_parameters(self._stays)
+
+    def _is_another(self, evidence: float) -> bool:
+        """Whether E is another one by this evidence: beside a carriage, once a slip would have been told."""
+        if evidence < (_ACCEPTED if self._undecided_from_m == inf else _KEPT):
+            self._undecided_from_m = inf
+            return False
+        self._undecided_from_m = min(self._undecided_from_m, self._way_m)
+        return not self._kicks or self._way_m - self._undecided_from_m > self._keep_m
+
+    def _learn(self, stays: Vector) -> None:
+        """Correct E as it is found for a while, but for this part of its mean (n,)."""
+        if self._before is None:
+            self._before, self._stays = self._corrected, stays
+        self._undecided_from_m = inf
+        self._learns_until_s = self._time_s + _LEARNS_S
 
     def _look_for_kicks(self, time_s: float, left_Nm: Vector) -> bool:
         """In torques (m,) beside those of the line that is followed; whether there was one."""
@@ -381,35 +420,21 @@ class LineUnknowns:
         return kick if told else None
 
     def _booked_behind(self, place: int, kept: _Kept) -> tuple[float, float]:
-        """Share by which E of the section behind another one is told to be larger than it was, and the deviation that
-        it had."""
-        axis = self.varied.unknowns[place].number + 1
-        behind = Unknown(Kind.MODULUS, axis)
+        """Share by which E of the section behind another one is told to be larger beside that of this one than it was,
+        and the deviation that it had."""
+        behind = Unknown(Kind.MODULUS, self.varied.unknowns[place].number + 1)
         if behind not in self.varied.places:
             return 0.0, 1.0
         at = self.varied.places[behind]
-        before = 1.0 + float(kept.corrected[at])
-        deviation = sqrt(float(kept.belief.covariance[at, at])) / before
-        return self.varied.modulus_factor(axis) / before - 1.0, deviation
+        known = kept.belief.covariance
+        deviation = sqrt(float(known[at, at] + known[place, place] - 2.0 * known[at, place]))
+        before, now = (1.0 + corrected + mean[: len(corrected)] for corrected, mean in (
+            (kept.corrected, kept.belief.mean), (self._corrected, self._filter.mean)))  # fmt: skip
+        return float(now[at] / now[place] * before[place] / before[at]) - 1.0, deviation
 
     def _at(self, time_s: float) -> _Kept:
         """What was known then."""
         return next((kept for kept in reversed(self._kept) if kept.time_s <= time_s), self._kept[0])
-
-    def _look_for_drifts(self) -> None:
-        """E of a section behind one whose tension a carriage keeps that is told to be another one, and was not at once:
-        it may be, or another strain comes in as E before it is another one, or the web slips behind it."""
-        for place, _ in self._kicks:
-            since = self._undecided.get(place)
-            kept = since or next((each for each in self._kept if each.time_s >= self._settled_s), None)
-            if kept is None:
-                continue
-            changed, deviation = self._booked_behind(place, kept)
-            limit = hypot(_BOOKED * deviation, _MODEL_SHARE) * (1.0 if since is None else _DECIDED_SHARE)
-            if abs(changed) > limit:
-                self._undecided[place] = kept
-            else:
-                self._undecided.pop(place, None)
 
     def _kicked(self, time_s: float, began_s: float, place: int, kick: Kick) -> None:
         """E of a section whose tension a carriage keeps is another one: torques have told of the others what was that,
@@ -424,12 +449,8 @@ class LineUnknowns:
         self._apply(changes)
         self._filter.jump(jumps)
         self._forget_kicks()
-        self._settle(time_s)
-
-    def _settle(self, time_s: float) -> None:
-        """What has changed is told: from now on it is as it is."""
-        self._settled_s = time_s + _SETTLES_S
-        self._undecided.clear()
+        self._learn(self._filter.mean[: len(changes)].copy())
+        self._before = None  # there is nothing to take back
 
     def _hand_on(self, axis: int, since_s: float, kick: Kick, changes: Vector) -> None:
         """Web that has left the section since the kick has another strain than the line that is followed has handed
@@ -481,7 +502,7 @@ class LineUnknowns:
     def _take_back(self, since_s: float) -> None:
         """What torques have told since then of E, and where carriages without a sensor stand, was the slip; tensions
         stay, and are the torques' to tell from now on."""
-        earlier = self._at(since_s)
+        earlier, self._before, self._learns_until_s = self._at(since_s), None, -inf
         strains = np.where(self._is_strain, (_STRAIN_AT_REST * self._model.upstream_strain) ** 2, 0.0)
         variances = np.maximum(strains, self._filter.deviations**2)
         self._filter.put_back(earlier.belief, self._by_torque, variances)
@@ -502,33 +523,48 @@ class LineUnknowns:
             return min(max(change, _LEAST_MODULUS - at), _MOST_MODULUS - at)
         return min(max(change, -_MOST_RADIUS), _MOST_RADIUS) if unknown.kind is Kind.RADIUS else change
 
-    def _growth(self, time_s: float) -> Vector:
+    def _set_growth(self) -> None:
+        """What is left in a window of what is known, and by what E and slow errors change."""
+        moduli, lasted_s, count = self._prior, self._window * self._cycle_s, len(self._offsets)
+        slow = np.concatenate([np.diag(moduli) > 0.0, self._offsets > 0.0])
+        times_s = np.where(slow, np.array([_MODULUS_S] * len(moduli) + [_OFFSET_S] * count), inf)
+        self._left = np.exp(-lasted_s / times_s)
+        prior = np.diag(np.concatenate([np.zeros(len(moduli)), self._offsets**2]))
+        prior[: len(moduli), : len(moduli)] = moduli
+        self._slow_growth = (1.0 - np.outer(self._left, self._left)) * prior
+
+    def _growth(self, time_s: float) -> tuple[Vector, Vector]:
         way_m, self._window_way_m = self._window_way_m, 0.0
-        found = []
-        for unknown in self.varied.unknowns:
+        growth = self._slow_growth.copy()
+        for at, unknown in enumerate(self.varied.unknowns):
             if unknown.kind is Kind.CARRIAGE:
-                found.append((_SLIPPING_M_PER_SQRT_M if self._slips else _CARRIAGE_M_PER_SQRT_M) ** 2 * way_m)
+                growth[at, at] = (_SLIPPING_M_PER_SQRT_M if self._slips else _CARRIAGE_M_PER_SQRT_M) ** 2 * way_m
             elif unknown.kind is Kind.RADIUS:
                 # A thickness that is wrong goes on adding up: its share of the way, squared.
                 thickness = (_THICKNESS_SHARE * self.varied.slope_per_m(unknown.number)) ** 2
-                found.append((2.0 * thickness * self._way_m + _RADIUS_PER_SQRT_M**2) * way_m)
-            elif unknown.kind is Kind.MODULUS:
-                found.append(_MODULUS_PER_SQRT_S**2 * time_s if self._tells_moduli else 0.0)
-            else:
-                per_sqrt_s = _SLIPPING_PER_SQRT_S if self._slips else _STRAIN_PER_SQRT_S
-                found.append((per_sqrt_s * self._model.upstream_strain) ** 2 * time_s)
-        return np.array(found)
+                growth[at, at] = (2.0 * thickness * self._way_m + _RADIUS_PER_SQRT_M**2) * way_m
+            elif unknown.kind is Kind.STRAIN:
+                slips = self._slips or self._undecided_from_m < inf  # or may
+                per_sqrt_s = _SLIPPING_PER_SQRT_S if slips else _STRAIN_PER_SQRT_S
+                growth[at, at] = (per_sqrt_s * self._model.upstream_strain) ** 2 * time_s
+        return self._left, growth
 
     def _variances(self, count: int) -> Vector:
-        speeds_m_s = self.varied.line.v_m_s[self._rows]
-        before, self._speeds_m_s = self._speeds_m_s, speeds_m_s
-        rates = np.abs(speeds_m_s - (speeds_m_s if before is None else before)) / (count * self._cycle_s)
-        accelerating_Nm = self._inertia_kg_m2[self._rows] * self._rad_per_m * rates
         noise = self._noise.variances / count + (_LEAST_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
         swing = exp(-self._time_s / _SWING_S)
         noise += (_SWING_SHARE * np.array(self._limits_Nm) * swing) ** 2
         sensors = self._sensors.variances + (_SWING_SHARE * self._sensors.tensions_N * swing) ** 2
-        return np.concatenate([noise + (_INERTIA_SHARE * accelerating_Nm) ** 2, sensors])
+        return np.concatenate([noise, sensors])
+
+    def _inertial_variances(self, lasted_s: float) -> tuple[Vector, Vector]:
+        """Of torques (m,) in a window that lasted so long, by what accelerates: a share of any inertia, and what load
+        motors don't imitate, as a reel on them has the flywheel that it had at the start."""
+        speeds_m_s = self.varied.line.v_m_s[self._rows]
+        before, self._speeds_m_s = self._speeds_m_s, speeds_m_s
+        rates = self._rad_per_m * (speeds_m_s - (speeds_m_s if before is None else before)) / lasted_s
+        wound_kg_m2 = self._imitated * (self._inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2)
+        share_kg_m2 = _INERTIA_SHARE * self._inertia_kg_m2
+        return (share_kg_m2[self._rows] * rates) ** 2, (wound_kg_m2[self._rows] * rates) ** 2
 
     # -- what is found -----------------------------------------------------------------------------------
 
@@ -545,7 +581,7 @@ class LineUnknowns:
         """Whether anything has told E of the section behind an axis."""
         if not self._tells_moduli or self._is_undecided(axis):
             return False
-        return self._deviation(Unknown(Kind.MODULUS, axis)) < 0.5 * _MODULUS_SHARE * self.varied.modulus_factor(axis)
+        return self._modulus_deviation(axis) < 0.5 * _MODULUS_SHARE * self.varied.modulus_factor(axis)
 
     def modulus(self, axis: int, modulus_Pa: float) -> Found:
         """E in the section behind an axis, Pa, of which the model says `modulus_Pa`; inf where nothing tells it."""
@@ -554,17 +590,21 @@ class LineUnknowns:
             return Found(modulus_Pa, inf)
         if self._is_undecided(axis):
             return Found(modulus_Pa * factor, inf)
-        deviation = self._deviation(Unknown(Kind.MODULUS, axis))
-        return Found(modulus_Pa * factor, modulus_Pa * hypot(deviation, self._model_share))
+        return Found(modulus_Pa * factor, modulus_Pa * hypot(self._modulus_deviation(axis), self._model_share))
+
+    def _modulus_deviation(self, axis: int) -> float:
+        """About what E is corrected by, with what the data say otherwise but not yet for sure."""
+        at = self.varied.places[Unknown(Kind.MODULUS, axis)]
+        return hypot(self._filter.deviation(at), self._filter.mean.item(at))
 
     def _is_undecided(self, axis: int) -> bool:
         """Whether E of the section behind an axis may have changed, or that of one beside it, or web whose strain
         nobody knows is still there."""
         if self._way_m < self._known_from_m:
             return True
-        if not self._undecided:
+        if self._undecided_from_m == inf:
             return False
-        numbers = [self.varied.unknowns[place].number for place in self._undecided]
+        numbers = [self.varied.unknowns[place].number for place, _ in self._kicks]
         return axis in numbers or axis - 1 in numbers
 
     def _deviation(self, unknown: Unknown) -> float:
