@@ -275,7 +275,9 @@ def test_what_the_twin_reports_while_nothing_else_changes_is_on_the_bus_before_t
         (5, ramps("line_speed_m_s", 3.0, 2.0)),
         (1005, sets("hardware.effects.torque_offset.axis2.offset_Nm", 0.19)),
     ]
-    left = check(tmp_path, load_with_overrides(CONFIGS / "web_section_step.yaml"), changes, cycles=3000, least=2800)
+    slow_loop = "controllers.tension_control.bandwidth_rad_per_s=0.05"
+    loaded = load_with_overrides(CONFIGS / "web_section_step.yaml", changes=[slow_loop])
+    left = check(tmp_path, loaded, changes, cycles=3000, least=2800)
     assert [text for _, _, text, _ in left.notices if "FF18h" in text] != []
 
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import FLAG, REAL, VECTOR, compiled, entry_point, number_of_sources
+from hilbench.compiled import FLAG, REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
 from hilbench.estimation import ring
 from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line.balance import BalanceSample
@@ -48,9 +48,9 @@ _DECIDED, _ACCEPTED = 16.0, 9.0
 #: The same, of E over a shift, when the change has been open for long: nothing is said any more, it is not told as
 #: undecided, it is told so again.
 _SETTLED, _LEANS, _LEANS_NO_MORE = 8.0, 5.0, 2.5
-#: E changes oftener than a friction or an offset jumps: twice the logarithm of the odds, 7 to 1. With more a change that
-#: nothing tells apart would count as one of E, and nobody would be asked for another tension.
-_OFTENER = 4.0
+#: E changes oftener than a friction or an offset jumps, 100 to 1: twice the logarithm. It counts where the strain has
+#: followed the change by this share, as a closed loop makes it; where it has not, another tension is to be asked for.
+_OFTENER, _FOLLOWED = 9.2, 0.5
 #: Blocks that an explanation needs, after which it counts as undecided, and after which nothing is said any more.
 _LEAST, _LONG, _LONGEST = 15, 150, 3000
 
@@ -187,13 +187,22 @@ def _explain(s: Array, f: float, h: float, may_decide: bool, deviation_N: float)
         s[FOUND_N], s[FOUND_PA] = shift_N, s[_TOLD_PA]
         reset(s)
         return True
-    better = of_shift - of_modulus + _OFTENER
-    s[_LEANS_TO_MODULUS] = 1.0 if better > (_LEANS_NO_MORE if s[_LEANS_TO_MODULUS] != 0.0 else _LEANS) else 0.0
+    better = of_shift - of_modulus
+    likelier = better + (_OFTENER if _has_followed(s) else 0.0)
+    s[_LEANS_TO_MODULUS] = 1.0 if likelier > (_LEANS_NO_MORE if s[_LEANS_TO_MODULUS] != 0.0 else _LEANS) else 0.0
     enough = _SETTLED if count >= _LONG else _DECIDED
     settled = better > enough or min(of_shift, of_modulus) > _DECIDED
     if settled or count >= _LONGEST:
         reset(s)
     return False
+
+
+@inlined
+def _has_followed(s: Array) -> bool:
+    """Whether the strain has changed since, as far as a tension that is kept asks for with another E."""
+    strain = s[_H] / s[_COUNT] / s[_WEB_PER_PA] - 1.0
+    force = s[_F] / s[_COUNT] / (s[_MODULUS_PA] * s[_WEB_PER_PA]) - 1.0
+    return bool(abs(strain) > _FOLLOWED * (abs(force) + abs(strain)))
 
 
 @compiled
