@@ -23,7 +23,7 @@ from hilbench.estimation.bank import Array
 
 #: Largest number of states that are compared.
 SIZE: Final = 13
-GROUPS: Final = 5
+GROUPS: Final = 6
 _SETS: Final = 2**GROUPS
 EVIDENCE = np.dtype(
     [

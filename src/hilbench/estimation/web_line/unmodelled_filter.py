@@ -38,7 +38,8 @@ COS2, SIN2, COS1, SIN1, STATES = range(12, 17)
 #: Effects that the model lacks all of, or none.
 GROUPS = (
     (OFFSET,),
-    (DRY, STRIBECK, VISCOUS),
+    (DRY, STRIBECK),
+    (VISCOUS,),
     (SCALE, MASS),
     (CREEP,),
     (UNBALANCE_COS, UNBALANCE_SIN, COS2, SIN2, COS1, SIN1),
