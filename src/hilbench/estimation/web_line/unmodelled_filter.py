@@ -132,8 +132,8 @@ _SAME_SPEED_M_S = 0.01
 #: A tension is changing that differs from its mean over some time by so many times what it usually does, and by so much
 #: of itself; time over which the usual is formed, s, and how many times of it one block counts at most.
 _MEAN_S, _FAR, _LEAST_CHANGE, _SWING_S, _MOST_SWING = 5.0, 4.0, 0.01, 60.0, 9.0
-#: A tension that differs from its mean over the blocks before by more is in transition: what creep, scale and mass
-#: make of it parts then by a timing that no measurement is sure of.
+#: A tension that differs from its mean over the blocks before by more is in transition, at a constant speed: what creep
+#: and scale make of it parts then by a timing that no measurement is sure of.
 _SETTLED = 0.005
 #: For how long the data tell of a change of speed behind it: the loops settle, s.
 _SETTLES_S = 0.3
@@ -387,7 +387,7 @@ def _look_for_excitation(f: Record, web_N: float, duration_s: float) -> None:
         f.steady_m_s = f.usual_m_s
     f.steady_m_s += duration_s / (_MEAN_S + duration_s) * (f.usual_m_s - f.steady_m_s)
     settled = abs(web_N - f.lagged_N) < _SETTLED * abs(web_N)
-    f.excited = 1.0 if (tension_changes or f.speeds_up_s > 0.0) and settled else 0.0
+    f.excited = 1.0 if f.speeds_up_s > 0.0 or (tension_changes and settled) else 0.0
     f.lagged_N += duration_s / (_LAG_S + duration_s) * (f.web_before_N - f.lagged_N)
     f.web_before_N = web_N
     f.regressor_N = f.lagged_N if tension_changes or f.speeds_up_s > 0.0 else f.usual_web_N
@@ -486,7 +486,7 @@ def _look_at_stated(f: Record, web_N: float) -> None:
     least_N2 = least_unrest_N2(f.tension_N)
     jump_N, apart_N = abs(f.stated - f.soon_before) * web_N, (f.stated - f.before) * web_N
     jumps = jump_N > max(_JUMPS * sqrt(f.unrest_N2), _LEAST_JUMP * f.stated * web_N)
-    f.stated_jumped = 1.0 if jumps and f.excited == 0.0 and f.jumped_s > _BEFORE_S else 0.0
+    f.stated_jumped = 1.0 if jumps and f.speeds_up_s == 0.0 and f.jumped_s > _BEFORE_S else 0.0
     more_N2 = min(apart_N * apart_N, _MOST_UNREST * f.unrest_N2) - f.unrest_N2
     f.unrest_N2 = max(f.unrest_N2 + duration_s / _USUAL_S * more_N2, least_N2)
     f.soon_before += duration_s / (_SOON_S + duration_s) * (f.stated - f.soon_before)
