@@ -42,6 +42,9 @@ _FILTER_CYCLES = 5.0
 _SETTLED_CYCLES = 75
 #: Deviations of its noise beyond which an acceleration is one.
 _SIGNIFICANT = 4.0
+#: Torque that accelerates the model's inertia, in deviations of the torque's noise, below which the motion counts as
+#: quiet: what ripples and unbalance leave to be seen is acceleration as well, and would be told as inertia.
+_EXCITED = 2.0
 #: Below this speed the shaft may stick, and dry friction is anything up to its greatest.
 _STANDSTILL_RAD_S = 0.2
 #: How fast that is over when it turns again: a load motor that imitates friction turns it late, and the jump of the
@@ -115,8 +118,9 @@ class InputVectors(NamedTuple):
     _BREAKAWAY_NM,
     _UNFORESEEN_RAD_S2,
     _UNFORESEEN_GAIN,
-) = range(13)
-_SIZE = 13
+    _STUCK,
+) = range(14)
+_SIZE = 14
 
 
 @compiled
@@ -174,8 +178,10 @@ def _fill(
     s, u, variance = v.s, v.u, noise_level.variance(v.position)
     x, speed, a = later(v.motion, back, 0), later(v.motion, back, 1), later(v.motion, back, 2)
     significant = abs(a) > _SIGNIFICANT * s[_NOISE_GAIN] * sqrt(variance)
+    excites = abs(a) * u[kalman.INERTIA_KG_M2] > _EXCITED * sqrt(noise_level.variance(v.torque))
     direction = min(max(speed / _STANDSTILL_RAD_S, -1.0), 1.0)
     s[_STICKING] = max(s[_STICKING] * exp(-duration_s / _AFTER_STANDSTILL_S), 1.0 - direction * direction)
+    s[_STUCK] = s[_STUCK] + 1.0 if abs(direction) < 1.0 else 0.0
     phi = x / s[_GEAR_RATIO]
     torque, between_Nm = 0.5 * (before_Nm + torque_Nm), 0.0
     if next_cycle:
@@ -186,13 +192,14 @@ def _fill(
     unforeseen_Nm = u[kalman.INERTIA_KG_M2] * s[_UNFORESEEN_RAD_S2]
     u[kalman.DURATION_S] = duration_s
     u[kalman.TORQUE_NM] = _known_torque_Nm(v.p, torque, x, speed)
-    u[kalman.ACCELERATION_RAD_S2] = a if significant else 0.0
+    u[kalman.ACCELERATION_RAD_S2] = a if significant and excites else 0.0
     u[kalman.TORQUE_VARIANCE] = (
         noise_level.variance(v.torque)
         + between_Nm * between_Nm
         + shaking_Nm * shaking_Nm
         + unforeseen_Nm * unforeseen_Nm
-        + s[_BREAKAWAY_NM] * s[_BREAKAWAY_NM] * s[_STICKING]
+        # A constant that is not known for n cycles: the impulse of white noise whose variance grows by 2 with each.
+        + s[_BREAKAWAY_NM] * s[_BREAKAWAY_NM] * (s[_STICKING] + 2.0 * s[_STUCK])
     )
     u[kalman.POSITION_RAD] = position_rad
     u[kalman.POSITION_VARIANCE] = variance
@@ -299,7 +306,9 @@ class FilterInputs:
         self.u = np.zeros(kalman.INPUTS)
         self.u[kalman.INERTIA_KG_M2] = self.inertia_kg_m2
         self.u[kalman.BETA_VARIANCE_PER_S] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
-        self.u[kalman.MEMORY_S] = config.friction_memory_s
+        self.u[kalman.BETA_BOUND] = (0.01 * config.jump_pct) ** 2
+        self.u[kalman.MEMORIES_S : kalman.PRIORS] = config.friction_memory_s
+        self.u[kalman.MEMORIES_S] = config.offset_memory_s
         self.u[kalman.PRIORS :] = self.priors
         self._torque = NoiseLevel(config.torque_noise_Nm, _TORQUE_FLOOR_NM)
         self._position = NoiseLevel(_POSITION_NOISE_RAD, _POSITION_FLOOR_RAD)

@@ -33,7 +33,11 @@ class InertiaConfig(Block):
         default=2.0, description="growth of the deviation, as a random walk, while there is no usable sample"
     )
     friction_memory_s: PositiveFloat = Field(
-        default=60.0, description="time in which friction may wander through what is believed of it"
+        default=600.0,
+        description="time in which friction may wander through what is believed of it; bearings warm up in minutes",
+    )
+    offset_memory_s: PositiveFloat = Field(
+        default=28800.0, description="the same of the torque's offset, which changes with a shift"
     )
     unmodelled_pct: float = Field(
         default=0.3, ge=0, description="what the inertia may lastingly be off by: part of its stated deviation"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import hypot, sqrt
+from math import expm1, hypot, log, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -48,9 +48,15 @@ class BankVectors(NamedTuple):
     figures: Array
 
 
+#: How long the motion has told nothing of the inertia, behind the settings of the bank; no longer than is sure of a jump.
+_QUIET_S, _LONGEST_QUIET = bank.SETTINGS, 20.0
+#: Standard deviations of the mixture by which what is told may differ from its mean.
+CAUTION = 0.5
+#: Number of a cycle behind which the bank's next is that of a large jump.
+_BEFORE_LARGE_JUMP = 3.0
 #: Figures: priors of a birth at the length of a cycle; what the inertia may be off by, and the share from which it is
-#: separable; then the prior deviations of what is estimated beside it, and what the model has of that.
-_LOG_JUMP, _LOG_DRIFT, _UNMODELLED, _SEPARABLE, PRIORS = range(5)
+#: separable; how often it jumps; then the prior deviations of what is estimated beside it, and what the model has of that.
+_LOG_JUMP, _LOG_DRIFT, _UNMODELLED, _SEPARABLE, _JUMPS_PER_S, PRIORS = range(6)
 OF_MODEL: Final = PRIORS + kalman.TERMS
 #: What is told (7,): inertia and its deviation, whether it is separable; viscous and dry friction, with the model's,
 #: and their deviations, 0 where they are not estimated.
@@ -62,22 +68,49 @@ ROWS: Final = _BANK_ROW + len(BankVectors._fields)
 
 @compiled
 def _step(v: BankVectors, u: Array) -> bool:
-    """One cycle of all hypotheses; False where what they have found is none."""
+    """One cycle of all hypotheses; False where what they have found is none.
+
+    In quiet time, without acceleration, none is born and none told from another. What may have changed by then is one
+    jump, as probable as it has been quiet long: part of the stated deviation, and the first one that is born after it.
+    """
     size, work = v.z.shape[0], v.work
     rows, g, likelihoods, shares = work[: size + 3], work[size + 5 :], work[size + 3], work[size + 4]
+    excited, was_quiet = u[kalman.ACCELERATION_RAD_S2] != 0.0, v.settings[_QUIET_S] > 0.0
+    if excited and was_quiet:
+        v.settings[bank.LOG_JUMP] = max(log(_jump_odds(v)), v.settings[bank.LOG_JUMP])
+        bank.births(v.z, v.p, v.records, v.settings, kalman.BETA, kalman.RATE)
+        v.settings[_QUIET_S] = 0.0
     kalman.step(v.z, v.p, u, v.places, g, rows, likelihoods)
     bank.weigh(v.records, likelihoods)
     bank.compare(v.records, shares)
     bank.mix(v.z, v.p, shares, v.places, v.out)
-    bank.births(v.z, v.p, v.records, v.settings, kalman.BETA, kalman.RATE)
+    if not excited:
+        v.settings[_QUIET_S] += u[kalman.DURATION_S]
+        v.settings[bank.CYCLE] = _BEFORE_LARGE_JUMP
+    elif not was_quiet:
+        bank.births(v.z, v.p, v.records, v.settings, kalman.BETA, kalman.RATE)
     return bool(v.out[0, kalman.BETA] > _LEAST_BETA)
 
 
 @compiled
+def _jump_odds(v: BankVectors) -> float:
+    """Of a jump of the inertia in quiet time against none."""
+    return expm1(min(v.figures[_JUMPS_PER_S] * v.settings[_QUIET_S], _LONGEST_QUIET))
+
+
+@compiled
 def _tell(v: BankVectors, inertia_kg_m2: float, told: Array) -> None:
-    """What is known, into `told`; `inertia_kg_m2`: the model's."""
-    share = v.out[1, kalman.BETA] / v.out[0, kalman.BETA]
-    told[INERTIA] = inertia_kg_m2 / v.out[0, kalman.BETA]
+    """What is known, into `told`; `inertia_kg_m2`: the model's.
+
+    The inertia stays what it was as far as the mixture is not surer: a jump that is only probable moves the deviation,
+    which is that about what is told, and no noise of a hypothesis that has just been born.
+    """
+    mean, odds = v.out[0, kalman.BETA], _jump_odds(v)
+    deviation = sqrt(v.out[1, kalman.BETA] ** 2 + odds / (1.0 + odds) * v.settings[bank.JUMP_VARIANCE])
+    beta = inertia_kg_m2 / told[INERTIA] if told[INERTIA] > 0.0 else mean
+    beta = min(max(beta, mean - CAUTION * deviation), mean + CAUTION * deviation)
+    told[INERTIA] = inertia_kg_m2 / beta
+    share = hypot(deviation, beta - mean) / beta
     told[DEVIATION] = told[INERTIA] * hypot(share, v.figures[_UNMODELLED])
     told[SEPARABLE] = 1.0 if share < v.figures[_SEPARABLE] else 0.0
     told[VISCOUS] = v.out[0, kalman.Q + 1] + v.figures[OF_MODEL + 1]
@@ -184,11 +217,12 @@ class InertiaEstimator:
         figures = np.zeros(OF_MODEL + kalman.TERMS)
         figures[_UNMODELLED] = 0.01 * config.unmodelled_pct
         figures[_SEPARABLE] = _FOUND * 0.01 * config.initial_deviation_pct
+        figures[_JUMPS_PER_S] = config.jumps_per_s
         figures[PRIORS:OF_MODEL] = self._inputs.priors
         figures[OF_MODEL + 1] = model.shaft.viscous_friction_Nm_s_per_rad
         figures[OF_MODEL + 2] = model.shaft.coulomb_friction_Nm
         figures[OF_MODEL] = kernel.look(p, 0.0)[2]
-        self._settings = np.zeros(bank.SETTINGS)
+        self._settings = np.zeros(bank.SETTINGS + 1)
         self._settings[bank.JUMP_VARIANCE] = (0.01 * config.jump_pct) ** 2
         self._settings[bank.DRIFT_VARIANCE] = (0.01 * config.drift_pct_per_s) ** 2
         self._z = np.zeros((kalman.SIZE, bank.CAPACITY))
@@ -223,6 +257,7 @@ class InertiaEstimator:
         deviation = 0.01 * self._config.initial_deviation_pct
         kalman.new_filter(self._z, self._p, 0, deviation, self._inputs.priors)
         self._records[0, bank.ALIVE] = 1.0
+        self._settings[_QUIET_S] = self.told[INERTIA] = 0.0
         self._out[0] = self._z[:, 0]
         self._out[1] = np.sqrt(np.diag(self._p[:, :, 0]))
         self._lose(lost=True)  # the motion, not what is known of the shaft
@@ -302,9 +337,11 @@ class InertiaEstimator:
     def _less_sure(self, duration_s: float) -> ShaftEstimate:
         if self._inputs.lost:
             self._lose(lost=True)
-        walk = 0.01 * self._config.hold_growth_pct_per_s
-        self._p[kalman.BETA, kalman.BETA] += walk**2 * duration_s
-        self._out[1, kalman.BETA] = sqrt(self._out[1, kalman.BETA] ** 2 + walk**2 * duration_s)
+        added = (0.01 * self._config.hold_growth_pct_per_s) ** 2 * duration_s
+        bound, variances = (0.01 * self._config.jump_pct) ** 2, self._p[kalman.BETA, kalman.BETA]
+        variances += added * np.maximum(1.0 - variances / bound, 0.0)
+        variance = self._out[1, kalman.BETA] ** 2
+        self._out[1, kalman.BETA] = sqrt(variance + added * max(1.0 - variance / bound, 0.0))
         self._tell()
         return self.estimate
 

@@ -37,13 +37,14 @@ SIZE: Final = Q + TERMS
     TORQUE_NM,  # mean over the cycle, without what the model says of friction
     ACCELERATION_RAD_S2,  # of the encoder; 0 within its noise
     TORQUE_VARIANCE,
-    BETA_VARIANCE_PER_S,
+    BETA_VARIANCE_PER_S,  # of what it wanders by,
+    BETA_BOUND,  # up to a variance of this
     POSITION_RAD,
     POSITION_VARIANCE,
-    MEMORY_S,
     REGRESSORS,
 ) = range(10)
-PRIORS: Final = REGRESSORS + TERMS
+MEMORIES_S: Final = REGRESSORS + TERMS
+PRIORS: Final = MEMORIES_S + TERMS
 INPUTS: Final = PRIORS + TERMS
 #: No shaft is so much heavier than the model's.
 _LEAST_BETA = 0.02
@@ -61,6 +62,12 @@ def _known_variance(acceleration_rad_s2: float, dt_s: float, position_variance: 
     return position_variance / (root * root)
 
 
+@inlined
+def wandered(variance: float, added: float, bound: float) -> float:
+    """What a variance grows by, of a random walk that would add so much: ever less, and nothing beyond the bound."""
+    return float(added * max(1.0 - variance / bound, 0.0))
+
+
 @compiled
 def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, likelihoods: Array) -> None:
     """Predict all filters over one cycle and take in the position.
@@ -71,6 +78,8 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
     """
     dt, count = u[DURATION_S], z.shape[1]
     half = 0.5 * dt * dt
+    # In quiet time nothing tells whether a drift goes on: what is known of the inertia stays.
+    drifting = dt if u[ACCELERATION_RAD_S2] != 0.0 else 0.0
     curved, per_torque = rows[SIZE + 1], rows[SIZE + 2]
     for i in range(count):
         beta = max(z[BETA, i], _LEAST_BETA)
@@ -85,7 +94,7 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
         rate = per_torque[i] * net
         z[X, i] += dt * z[V, i] + half * rate
         z[V, i] += dt * rate
-        z[BETA, i] += dt * z[RATE, i]
+        z[BETA, i] += drifting * z[RATE, i]
     for j in range(SIZE):
         for i in range(count):
             rows[j, i] = g[BETA, i] * p[BETA, j, i]
@@ -96,7 +105,7 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
         for i in range(count):
             p[X, j, i] += dt * p[V, j, i] + half * rows[j, i]
             p[V, j, i] += dt * rows[j, i]
-            p[BETA, j, i] += dt * p[RATE, j, i]
+            p[BETA, j, i] += drifting * p[RATE, j, i]
     for j in range(SIZE):
         for i in range(count):
             rows[j, i] = g[BETA, i] * p[j, BETA, i]
@@ -107,18 +116,18 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
         for i in range(count):
             p[j, X, i] += dt * p[j, V, i] + half * rows[j, i]
             p[j, V, i] += dt * rows[j, i]
-            p[j, BETA, i] += dt * p[j, RATE, i]
+            p[j, BETA, i] += drifting * p[j, RATE, i]
     for i in range(count):
         variance = per_torque[i] * per_torque[i] * u[TORQUE_VARIANCE] + 2.0 * curved[i] * curved[i]
         p[X, X, i] += half * half * variance
         p[X, V, i] += half * dt * variance
         p[V, X, i] += half * dt * variance
         p[V, V, i] += dt * dt * variance
-        p[BETA, BETA, i] += dt * u[BETA_VARIANCE_PER_S]
+        p[BETA, BETA, i] += wandered(p[BETA, BETA, i], dt * u[BETA_VARIANCE_PER_S], u[BETA_BOUND])
     # Weak evidence is forgotten again: what the data can't tell goes back to what is believed of it.
-    left = 1.0 - dt / u[MEMORY_S]
     for j in range(Q, SIZE):
-        prior = u[PRIORS + j - Q]
+        prior, gone = u[PRIORS + j - Q], dt / u[MEMORIES_S + j - Q]
+        left = 1.0 - gone
         if prior > 0.0:
             for i in range(count):
                 z[j, i] *= left
@@ -128,7 +137,7 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
                 for i in range(count):
                     p[k, j, i] *= left
             for i in range(count):
-                p[j, j, i] += 2.0 * dt / u[MEMORY_S] * prior * prior
+                p[j, j, i] += 2.0 * gone * prior * prior
     innovation, variances = rows[SIZE + 1], g[X]
     for i in range(count):
         innovation[i] = u[POSITION_RAD] - z[X, i]
