@@ -195,6 +195,70 @@ def test_standing_shaft_tells_nothing_and_keeps_what_was_known() -> None:
     assert not found.separable[-1]
 
 
+def holds(*stretches: tuple[float, float]) -> np.ndarray:
+    """To each of these speeds (rad/s) at 30 rad/s², and on for so long (s)."""
+    parts, before = [np.zeros(0)], 0.0
+    for speed, duration_s in stretches:
+        rows = round(abs(speed - before) / 30.0 / CYCLE_S)
+        parts += [np.linspace(before, speed, rows, endpoint=False), np.full(round(duration_s / CYCLE_S), speed)]
+        before = speed
+    return np.concatenate(parts)
+
+
+def shift(duration_s: float) -> np.ndarray:
+    """Constant speeds both ways, long ones among them, stops, and swings, 60 s a period."""
+    swings = 20.0 - 15.0 * np.cos(np.pi * np.arange(round(8.0 / CYCLE_S)) * CYCLE_S)
+    of_period = holds((5.0, 0.5)), swings, holds((5.0, 0.0), (20.0, 14.0), (-10.0, 14.0), (0.0, 20.0))[83:]
+    return np.tile(np.concatenate(of_period), round(duration_s / 60.0) + 1)[: round(duration_s / CYCLE_S)]
+
+
+def test_standstill_tells_no_offset_of_the_torque() -> None:
+    """What holds a shaft that sticks is any torque up to its breakaway, and the same one for as long as it stands."""
+    found = track(axis(), InertiaConfig(), record(axis(), holds((10.0, 0.5), (0.0, 20.0), (10.0, 0.5)), 3))
+    offset, deviation = found.also["torque_offset_Nm"]
+    assert np.abs(offset).max() < 0.01
+    assert deviation[-1] > 0.01
+
+
+def test_the_interval_grows_in_a_hold_up_to_a_jump_and_what_was_known_comes_back_behind_it() -> None:
+    config = InertiaConfig(jumps_per_s=0.05)  # so that 100 s are as long as an hour
+    found = track(axis(), config, record(axis(), holds((20.0, 100.0), (0.0, 0.5)), 1))
+    jump = 0.01 * config.jump_pct * 0.048
+    hold = slice(round(2.0 / CYCLE_S), round(100.0 / CYCLE_S))
+    assert np.ptp(found.inertia_kg_m2[hold]) < 1e-3 * 0.048
+    assert np.all(np.diff(found.deviation_kg_m2[hold]) > -1e-9)
+    assert 0.9 * jump < found.deviation_kg_m2[hold][-1] < 1.1 * jump
+    assert found.deviation_kg_m2[-1] < 0.1 * jump
+    assert found.inertia_kg_m2[-1] == pytest.approx(0.048, rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", [{}, {"coulomb": 0.4}, {"viscous": 0.009}, {"unbalance_Nm": 0.1}])
+def test_over_five_minutes_the_inertia_stays_right_and_its_interval_honest(hidden: dict[str, float]) -> None:
+    """With a right model, and with friction or unbalance that the model lacks."""
+    # In a hold an unbalance looks like inertia to who does not look for it.
+    config = InertiaConfig(also=BesideInertia(unbalance_Nm=0.01 if "unbalance_Nm" in hidden else 0.0))
+    found = track(axis(), config, record(axis(**hidden), shift(300.0), 1))
+    running = slice(round(5.0 / CYCLE_S), None)
+    error = found.inertia_kg_m2[running] - 0.048
+    assert np.mean(np.abs(error) < 0.01 * 0.048) > 0.99
+    assert np.abs(error).max() < 0.03 * 0.048
+    assert np.mean(np.abs(error) <= 1.96 * found.deviation_kg_m2[running]) > 0.99
+    # Within a hold of 20 s a jump is 2 % likely: behind it the interval is wide until motion says that there was none.
+    assert found.deviation_kg_m2[running].max() < 0.04 * 0.048
+    assert found.deviation_kg_m2[running].min() < 0.005 * 0.048
+
+
+@pytest.mark.slow
+def test_a_step_of_the_inertia_in_a_long_hold_is_found_with_the_next_acceleration() -> None:
+    swings = 20.0 - 15.0 * np.cos(np.pi * np.arange(round(4.0 / CYCLE_S)) * CYCLE_S)
+    before = np.concatenate([holds((5.0, 0.5)), swings, holds((5.0, 0.0), (20.0, 280.0))[83:]])
+    commands = np.concatenate([before, 20.0 + 15.0 * np.sin(np.pi * np.arange(round(4.0 / CYCLE_S)) * CYCLE_S)])
+    found = track(axis(), InertiaConfig(), record(axis(), commands, 2, step_row=len(before) - 50_000))
+    late = found.inertia_kg_m2[len(before) + round(0.3 / CYCLE_S) :]
+    assert np.abs(late / 0.06 - 1.0).max() < 0.01
+
+
 def test_missing_samples_are_bridged_and_cost_certainty() -> None:
     data = record(axis(), sine(6.0), 5)
     estimator = InertiaEstimator(InertiaConfig(), axis(0.055))

@@ -47,7 +47,9 @@ _SIGNIFICANT = 4.0
 _EXCITED = 2.0
 #: Below this speed the shaft may stick, and dry friction is anything up to its greatest.
 _STANDSTILL_RAD_S = 0.2
-#: How fast that is over when it turns again: a load motor that imitates friction turns it late, and the jump of the
+#: Below this one, dry friction may be another than above (Stribeck), by as much as its greatest.
+_LOW_SPEED_RAD_S = 2.0
+#: How fast sticking is over when it turns again: a load motor that imitates friction turns it late, and the jump of the
 #: acceleration then goes through the filter of the inertia that it imitates.
 _AFTER_STANDSTILL_S = 0.02
 #: Share of the accelerating torque that counts as noise: what is imitated follows it only so well.
@@ -118,7 +120,7 @@ class InputVectors(NamedTuple):
     _BREAKAWAY_NM,
     _UNFORESEEN_RAD_S2,
     _UNFORESEEN_GAIN,
-    _STUCK,
+    _SLOW,
 ) = range(14)
 _SIZE = 14
 
@@ -181,7 +183,8 @@ def _fill(
     excites = abs(a) * u[kalman.INERTIA_KG_M2] > _EXCITED * sqrt(noise_level.variance(v.torque))
     direction = min(max(speed / _STANDSTILL_RAD_S, -1.0), 1.0)
     s[_STICKING] = max(s[_STICKING] * exp(-duration_s / _AFTER_STANDSTILL_S), 1.0 - direction * direction)
-    s[_STUCK] = s[_STUCK] + 1.0 if abs(direction) < 1.0 else 0.0
+    slow = max(1.0 - (speed / _LOW_SPEED_RAD_S) ** 2, 0.0)
+    s[_SLOW] = s[_SLOW] + 1.0 if slow > 0.0 else 0.0
     phi = x / s[_GEAR_RATIO]
     torque, between_Nm = 0.5 * (before_Nm + torque_Nm), 0.0
     if next_cycle:
@@ -198,8 +201,9 @@ def _fill(
         + between_Nm * between_Nm
         + shaking_Nm * shaking_Nm
         + unforeseen_Nm * unforeseen_Nm
-        # A constant that is not known for n cycles: the impulse of white noise whose variance grows by 2 with each.
-        + s[_BREAKAWAY_NM] * s[_BREAKAWAY_NM] * (s[_STICKING] + 2.0 * s[_STUCK])
+        # What friction is there is no white noise: the impulse of a constant over n cycles has n² times the variance of
+        # one cycle, so that of the last one is 2n times. However long a shaft stands, it tells no offset.
+        + s[_BREAKAWAY_NM] * s[_BREAKAWAY_NM] * (s[_STICKING] + 2.0 * slow * s[_SLOW])
     )
     u[kalman.POSITION_RAD] = position_rad
     u[kalman.POSITION_VARIANCE] = variance

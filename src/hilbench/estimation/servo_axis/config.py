@@ -33,8 +33,9 @@ class InertiaConfig(Block):
         default=2.0, description="growth of the deviation, as a random walk, while there is no usable sample"
     )
     friction_memory_s: PositiveFloat = Field(
-        default=600.0,
-        description="time in which friction may wander through what is believed of it; bearings warm up in minutes",
+        default=60.0,
+        description="time in which friction may wander through what is believed of it, and take up a law that the"
+        " model lacks",
     )
     offset_memory_s: PositiveFloat = Field(
         default=28800.0, description="the same of the torque's offset, which changes with a shift"

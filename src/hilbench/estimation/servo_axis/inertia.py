@@ -50,8 +50,10 @@ class BankVectors(NamedTuple):
 
 #: How long the motion has told nothing of the inertia, behind the settings of the bank; no longer than is sure of a jump.
 _QUIET_S, _LONGEST_QUIET = bank.SETTINGS, 20.0
+#: What an interval of 95 % leaves out: a jump in quiet time that is less probable does not widen it.
+_LEFT_OUT = 0.05
 #: Standard deviations of the mixture by which what is told may differ from its mean.
-CAUTION = 0.5
+_CAUTION = 0.3
 #: Number of a cycle behind which the bank's next is that of a large jump.
 _BEFORE_LARGE_JUMP = 3.0
 #: Figures: priors of a birth at the length of a cycle; what the inertia may be off by, and the share from which it is
@@ -71,7 +73,7 @@ def _step(v: BankVectors, u: Array) -> bool:
     """One cycle of all hypotheses; False where what they have found is none.
 
     In quiet time, without acceleration, none is born and none told from another. What may have changed by then is one
-    jump, as probable as it has been quiet long: part of the stated deviation, and the first one that is born after it.
+    jump, the more probable the longer it has been quiet: part of the stated deviation, and the first one that is born after it.
     """
     size, work = v.z.shape[0], v.work
     rows, g, likelihoods, shares = work[: size + 3], work[size + 5 :], work[size + 3], work[size + 4]
@@ -106,9 +108,10 @@ def _tell(v: BankVectors, inertia_kg_m2: float, told: Array) -> None:
     which is that about what is told, and no noise of a hypothesis that has just been born.
     """
     mean, odds = v.out[0, kalman.BETA], _jump_odds(v)
-    deviation = sqrt(v.out[1, kalman.BETA] ** 2 + odds / (1.0 + odds) * v.settings[bank.JUMP_VARIANCE])
+    unseen = max(odds / (1.0 + odds) - _LEFT_OUT, 0.0)
+    deviation = sqrt(v.out[1, kalman.BETA] ** 2 + unseen * v.settings[bank.JUMP_VARIANCE])
     beta = inertia_kg_m2 / told[INERTIA] if told[INERTIA] > 0.0 else mean
-    beta = min(max(beta, mean - CAUTION * deviation), mean + CAUTION * deviation)
+    beta = min(max(beta, mean - _CAUTION * deviation), mean + _CAUTION * deviation)
     told[INERTIA] = inertia_kg_m2 / beta
     share = hypot(deviation, beta - mean) / beta
     told[DEVIATION] = told[INERTIA] * hypot(share, v.figures[_UNMODELLED])
