@@ -48,7 +48,7 @@ class BankVectors(NamedTuple):
     figures: Array
 
 
-#: How long the motion has told nothing of the inertia, behind the settings of the bank; no longer than is sure of a jump.
+#: How long the motion has told nothing of the inertia, behind the settings of the bank; most jumps expected by then.
 _QUIET_S, _LONGEST_QUIET = bank.SETTINGS, 20.0
 #: What an interval of 95 % leaves out: a jump in quiet time that is less probable does not widen it.
 _LEFT_OUT = 0.05
@@ -57,7 +57,7 @@ _CAUTION = 0.3
 #: Number of a cycle behind which the bank's next is that of a large jump.
 _BEFORE_LARGE_JUMP = 3.0
 #: Figures: priors of a birth at the length of a cycle; what the inertia may be off by, and the share from which it is
-#: separable; how often it jumps; then the prior deviations of what is estimated beside it, and what the model has of that.
+#: separable; how often it jumps; then the prior deviations of what is estimated beside it, and what the model has.
 _LOG_JUMP, _LOG_DRIFT, _UNMODELLED, _SEPARABLE, _JUMPS_PER_S, PRIORS = range(6)
 OF_MODEL: Final = PRIORS + kalman.TERMS
 #: What is told (7,): inertia and its deviation, whether it is separable; viscous and dry friction, with the model's,
@@ -73,7 +73,8 @@ def _step(v: BankVectors, u: Array) -> bool:
     """One cycle of all hypotheses; False where what they have found is none.
 
     In quiet time, without acceleration, none is born and none told from another. What may have changed by then is one
-    jump, the more probable the longer it has been quiet: part of the stated deviation, and the first one that is born after it.
+    jump, the more probable the longer it has been quiet: part of the stated deviation, and the first one that is born
+    after it.
     """
     size, work = v.z.shape[0], v.work
     rows, g, likelihoods, shares = work[: size + 3], work[size + 5 :], work[size + 3], work[size + 4]
