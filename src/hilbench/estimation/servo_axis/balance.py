@@ -143,6 +143,13 @@ def _slack_rad(position: Array, cycles: int) -> float:
 
 
 @compiled
+def _excites(v: InputVectors, acceleration_rad_s2: float) -> bool:
+    """Whether the torque that such an acceleration takes is more than what noise, ripple and unbalance make."""
+    accelerating_Nm = abs(acceleration_rad_s2) * v.u[kalman.INERTIA_KG_M2]
+    return bool(accelerating_Nm > _EXCITED * sqrt(noise_level.variance(v.torque)))
+
+
+@compiled
 def _take_quality(
     v: InputVectors, position_rad: float, torque_Nm: float, off_rad: float, duration_s: float, next_cycle: bool
 ) -> None:
@@ -153,9 +160,12 @@ def _take_quality(
         noise_level.take(v.torque, torque_Nm)
     else:
         noise_level.interrupt(v.position)
-    # An encoder at rest shows no noise, whatever it counts by.
-    if abs(position_rad - s[_BEFORE_RAD]) > _STANDSTILL_RAD_S * duration_s:
+    # An encoder at rest shows no noise, whatever it counts by, and next to none at a constant speed: the same part of an
+    # increment is left over again and again.
+    if _excites(v, v.motion[_ACCELERATION]):
         noise_level.take(v.position, position_rad)
+    else:
+        noise_level.interrupt(v.position)
     s[_BEFORE_RAD] = position_rad
     s[_UNFORESEEN_RAD_S2] *= exp(-duration_s / _FORESEEN_AGAIN_S)
     unforeseen = s[_UNFORESEEN_GAIN] * abs(off_rad)
@@ -180,7 +190,6 @@ def _fill(
     s, u, variance = v.s, v.u, noise_level.variance(v.position)
     x, speed, a = later(v.motion, back, 0), later(v.motion, back, 1), later(v.motion, back, 2)
     significant = abs(a) > _SIGNIFICANT * s[_NOISE_GAIN] * sqrt(variance)
-    excites = abs(a) * u[kalman.INERTIA_KG_M2] > _EXCITED * sqrt(noise_level.variance(v.torque))
     direction = min(max(speed / _STANDSTILL_RAD_S, -1.0), 1.0)
     s[_STICKING] = max(s[_STICKING] * exp(-duration_s / _AFTER_STANDSTILL_S), 1.0 - direction * direction)
     slow = max(1.0 - (speed / _LOW_SPEED_RAD_S) ** 2, 0.0)
@@ -195,7 +204,7 @@ def _fill(
     unforeseen_Nm = u[kalman.INERTIA_KG_M2] * s[_UNFORESEEN_RAD_S2]
     u[kalman.DURATION_S] = duration_s
     u[kalman.TORQUE_NM] = _known_torque_Nm(v.p, torque, x, speed)
-    u[kalman.ACCELERATION_RAD_S2] = a if significant and excites else 0.0
+    u[kalman.ACCELERATION_RAD_S2] = a if significant and _excites(v, a) else 0.0
     u[kalman.TORQUE_VARIANCE] = (
         noise_level.variance(v.torque)
         + between_Nm * between_Nm
