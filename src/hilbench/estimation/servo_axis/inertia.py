@@ -52,7 +52,7 @@ class BankVectors(NamedTuple):
 _QUIET_S, _LONGEST_QUIET = bank.SETTINGS, 20.0
 #: What an interval of 95 % leaves out: a jump in quiet time that is less probable does not widen it.
 _LEFT_OUT = 0.05
-#: Standard deviations of the mixture by which what is told may differ from its mean.
+#: Standard deviations of the mixture by which what is told may differ from its mean, once it is separable; one before.
 _CAUTION = 0.3
 #: Number of a cycle behind which the bank's next is that of a large jump.
 _BEFORE_LARGE_JUMP = 3.0
@@ -112,7 +112,8 @@ def _tell(v: BankVectors, inertia_kg_m2: float, told: Array) -> None:
     unseen = max(odds / (1.0 + odds) - _LEFT_OUT, 0.0)
     deviation = sqrt(v.out[1, kalman.BETA] ** 2 + unseen * v.settings[bank.JUMP_VARIANCE])
     beta = inertia_kg_m2 / told[INERTIA] if told[INERTIA] > 0.0 else mean
-    beta = min(max(beta, mean - _CAUTION * deviation), mean + _CAUTION * deviation)
+    apart = deviation * min(hypot(_CAUTION, deviation / (mean * v.figures[_SEPARABLE])), 1.0)
+    beta = min(max(beta, mean - apart), mean + apart)
     told[INERTIA] = inertia_kg_m2 / beta
     share = hypot(deviation, beta - mean) / beta
     told[DEVIATION] = told[INERTIA] * hypot(share, v.figures[_UNMODELLED])
