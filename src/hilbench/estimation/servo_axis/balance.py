@@ -320,6 +320,8 @@ class FilterInputs:
         self.u[kalman.INERTIA_KG_M2] = self.inertia_kg_m2
         self.u[kalman.BETA_VARIANCE_PER_S] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
         self.u[kalman.BETA_BOUND] = (0.01 * config.jump_pct) ** 2
+        # Without an end a drift once believed in goes on through all holds, and grows with all that is not white noise.
+        self.u[kalman.DRIFT_S] = config.jump_pct / config.drift_pct_per_s
         self.u[kalman.MEMORIES_S : kalman.PRIORS] = config.friction_memory_s
         self.u[kalman.MEMORIES_S] = config.offset_memory_s
         self.u[kalman.PRIORS :] = self.priors

@@ -41,8 +41,9 @@ SIZE: Final = Q + TERMS
     BETA_BOUND,  # up to a variance of this
     POSITION_RAD,
     POSITION_VARIANCE,
+    DRIFT_S,  # in which a drift comes to its end
     REGRESSORS,
-) = range(10)
+) = range(11)
 MEMORIES_S: Final = REGRESSORS + TERMS
 PRIORS: Final = MEMORIES_S + TERMS
 INPUTS: Final = PRIORS + TERMS
@@ -124,6 +125,14 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
         p[V, X, i] += half * dt * variance
         p[V, V, i] += dt * dt * variance
         p[BETA, BETA, i] += wandered(p[BETA, BETA, i], dt * u[BETA_VARIANCE_PER_S], u[BETA_BOUND])
+    kept = 1.0 - dt / u[DRIFT_S]
+    for i in range(count):
+        z[RATE, i] *= kept
+    for k in range(SIZE):
+        for i in range(count):
+            p[RATE, k, i] *= kept
+        for i in range(count):
+            p[k, RATE, i] *= kept
     # Weak evidence is forgotten again: what the data can't tell goes back to what is believed of it.
     for j in range(Q, SIZE):
         prior, gone = u[PRIORS + j - Q], dt / u[MEMORIES_S + j - Q]
