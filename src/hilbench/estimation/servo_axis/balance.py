@@ -103,7 +103,7 @@ class InputVectors(NamedTuple):
 
 # State: cycles that the motion has been followed (-1: it is not); cycles without a sample since the last one; samples
 # in a row that were not so many cycles after the one before as was expected; 1: what dry friction is may be anything;
-# torque and position of the last sample (NaN: none); whether the filters of the inertia have lost the motion. Figures:
+# torque of the last sample (NaN: none); whether the filters of the inertia have lost the motion. Figures:
 # length of a cycle; noise of the filter's acceleration by that of the position; ratio of the gear; breakaway of dry
 # friction; acceleration that the filter has lately not foreseen, and how much of it there is by a position that is off.
 (
@@ -112,7 +112,6 @@ class InputVectors(NamedTuple):
     _ODD,
     _STICKING,
     _BEFORE_NM,
-    _BEFORE_RAD,
     LOST,
     CYCLE_S,
     _NOISE_GAIN,
@@ -121,8 +120,8 @@ class InputVectors(NamedTuple):
     _UNFORESEEN_RAD_S2,
     _UNFORESEEN_GAIN,
     _SLOW,
-) = range(14)
-_SIZE = 14
+) = range(13)
+_SIZE = 13
 
 
 @compiled
@@ -160,13 +159,12 @@ def _take_quality(
         noise_level.take(v.torque, torque_Nm)
     else:
         noise_level.interrupt(v.position)
-    # An encoder at rest shows no noise, whatever it counts by, and next to none at a constant speed: the same part of an
-    # increment is left over again and again.
+    # An encoder at rest shows no noise, whatever it counts by, and little at a constant speed, where the same part of
+    # an increment may be left over again and again: believed, it would make each later innovation weigh too much.
     if _excites(v, v.motion[_ACCELERATION]):
         noise_level.take(v.position, position_rad)
     else:
         noise_level.interrupt(v.position)
-    s[_BEFORE_RAD] = position_rad
     s[_UNFORESEEN_RAD_S2] *= exp(-duration_s / _FORESEEN_AGAIN_S)
     unforeseen = s[_UNFORESEEN_GAIN] * abs(off_rad)
     noisy = abs(off_rad) <= _SIGNIFICANT * sqrt(noise_level.variance(v.position))
@@ -333,7 +331,7 @@ class FilterInputs:
         largest_Nm = per_item(model.drives.torque_limit_Nm, 1) if model.drives else inf
         self._largest_change_rad_s2 = _TORQUE_CHANGE * largest_Nm / self.inertia_kg_m2
         self._state[FOLLOWED] = -1.0
-        self._state[_BEFORE_NM] = self._state[_BEFORE_RAD] = nan
+        self._state[_BEFORE_NM] = nan
         self._state[LOST] = 1.0
         self._gather()
 
