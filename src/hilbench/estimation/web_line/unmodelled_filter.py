@@ -96,6 +96,8 @@ FILTER = np.dtype(
         ("regressor_N", "f8"),  # the tension at the reference E that regressors are formed with
         ("usual_web_N", "f8"),
         ("web_swing_N2", "f8"),  # how far the tension usually is from its mean
+        ("lag_swing_N2", "f8"),  # the same of that over the blocks before
+        ("settled_s", "f8"),  # since the tension was in transition
         ("beyond_N", "f8"),
         ("at_rest", "f8"),  # share of the last block
         ("excited", "f8"),  # all states are estimated
@@ -129,13 +131,16 @@ _DIRECTION_S, _ACCELERATION_S, _USUAL_SPEED_S = 0.02, 0.1, 0.5
 #: A speed that differs from the usual one by more is changing: far above the noise of an encoder, and less than 1 % of
 #: what lines run at, m/s.
 _SAME_SPEED_M_S = 0.01
+#: Share of a block in which a roller is at rest, below which it starts.
+_STARTS = 0.9
 #: A tension is changing that differs from its mean over some time by so many times what it usually does, and by so much
 #: of itself; time over which the usual is formed, s, and how many times of it one block counts at most.
 _MEAN_S, _FAR, _LEAST_CHANGE, _SWING_S, _MOST_SWING = 5.0, 4.0, 0.01, 60.0, 9.0
-#: A tension that differs from its mean over the blocks before by more is in transition, at a constant speed: what creep
-#: and scale make of it parts then by a timing that no measurement is sure of.
-_SETTLED = 0.005
-#: For how long the data tell of a change of speed behind it: the loops settle, s.
+#: A tension that differs from its mean over the blocks before by more, and by more than it usually does, is in
+#: transition: what creep and scale make of it parts then by a timing that no measurement is sure of.
+_TRANSITION = 0.005
+#: Time in which the loops settle: for so long the data tell of a change of the speed behind it, and from then on of one
+#: of the tension, s.
 _SETTLES_S = 0.3
 #: Speed at which friction at the onset has gone (Stribeck), m/s.
 STRIBECK_M_S = 0.25
@@ -381,13 +386,17 @@ def _look_for_excitation(f: Record, web_N: float, duration_s: float) -> None:
     f.web_swing_N2 += duration_s / _SWING_S * (min(apart_N * apart_N, _MOST_SWING * swing_N2) - f.web_swing_N2)
     f.usual_web_N += duration_s / (_MEAN_S + duration_s) * apart_N
     f.speeds_up_s = max(f.speeds_up_s - duration_s, 0.0)
-    if abs(f.smooth_m_s - f.usual_m_s) > _SAME_SPEED_M_S:
+    starts = abs(f.usual_m_s) <= f.standstill_m_s and f.sums[STUCK] < _STARTS
+    if starts or abs(f.smooth_m_s - f.usual_m_s) > _SAME_SPEED_M_S:
         f.speeds_up_s = _SETTLES_S
     if f.speeds_up_s > 0.0:
         f.steady_m_s = f.usual_m_s
     f.steady_m_s += duration_s / (_MEAN_S + duration_s) * (f.usual_m_s - f.steady_m_s)
-    settled = abs(web_N - f.lagged_N) < _SETTLED * abs(web_N)
-    f.excited = 1.0 if f.speeds_up_s > 0.0 or (tension_changes and settled) else 0.0
+    lag_N = web_N - f.lagged_N
+    lag_N2 = max(f.lag_swing_N2, (_TRANSITION * f.tension_N / _FAR) ** 2)
+    f.settled_s = f.settled_s + duration_s if abs(lag_N) < _FAR * sqrt(lag_N2) else 0.0
+    f.lag_swing_N2 += duration_s / _MEAN_S * (min(lag_N * lag_N, _MOST_SWING * lag_N2) - f.lag_swing_N2)
+    f.excited = 1.0 if f.speeds_up_s > 0.0 or (tension_changes and f.settled_s > _SETTLES_S) else 0.0
     f.lagged_N += duration_s / (_LAG_S + duration_s) * (f.web_before_N - f.lagged_N)
     f.web_before_N = web_N
     f.regressor_N = f.lagged_N if tension_changes or f.speeds_up_s > 0.0 else f.usual_web_N
