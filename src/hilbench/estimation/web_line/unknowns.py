@@ -20,7 +20,7 @@ Vector = NDArray[np.float64]
 #: Innovations that are so many deviations off, twice running, are no chance: something has changed. Nothing is made of
 #: the first of them: what has changed is not known, and small corrections of all would hide it. What has come gradually
 #: is no sudden change: at least this share of it was not there two innovations before.
-_FAR_OFF, _SUDDEN = 5.0, 0.5
+_FAR_OFF, _SUDDEN = 4.0, 0.5
 _TWICE = 2
 
 
