@@ -46,7 +46,6 @@ class Unknowns:
         self.covariance = np.zeros((size, size))
         self.covariance[: self._count, : self._count] = start
         self.covariance[self._count :, self._count :] = np.diag(offsets**2)
-        self._offsets = offsets
         #: Of unknowns and offsets: what they are beside what the model was corrected by.
         self.mean = np.zeros(size)
         self._parameters = np.flatnonzero(parameters)
@@ -111,17 +110,13 @@ class Unknowns:
         """The unknowns have changed by something of this covariance (n, n)."""
         self.covariance[: self._count, : self._count] += jumps
 
-    def reopen(self, jumps: Vector) -> None:
-        """The parameters are others by something of this covariance (n, n), and have been for a while: what depends on
-        them is as uncertain, and what the offsets seemed to be was that."""
-        at, count = self._parameters, self._count
-        unknowns = self.covariance[:count, :count]
-        depends = np.linalg.solve(unknowns[np.ix_(at, at)], unknowns[at]).T
-        offsets = np.diag(self._offsets**2)
-        self.covariance = np.zeros_like(self.covariance)
-        self.covariance[:count, :count] = unknowns + depends @ jumps[np.ix_(at, at)] @ depends.T
-        self.covariance[count:, count:] = offsets
-        self.mean[count:] = 0.0
+    def reopen(self) -> None:
+        """The parameters are others than believed, by about their mean: it is that much less certain, and so is what
+        depends on them."""
+        at, mean = self._parameters, self.mean[self._parameters]
+        known = self.covariance[np.ix_(at, at)]
+        change = np.linalg.solve(known, self.covariance[at]).T @ mean
+        self.covariance = self.covariance + np.outer(change, change)
 
     def turn(self, matrix: Vector) -> None:
         """The unknowns are others now, `matrix` (n, n) times those of before."""

@@ -372,7 +372,7 @@ class LineUnknowns:
             self._learn_anew()
         elif not learns:
             found, self._before = none if self._before is None else self._corrected - self._before, None
-            doubted = np.max(np.abs(found)) < _LEAST_STEP and self._filter.evidence(found) < _KEPT
+            doubted = np.max(np.abs(found[self._is_modulus])) < _LEAST_STEP and self._filter.evidence(found) < _KEPT
             return self._filter.take_parameters(mean + found if doubted else mean)
         return self._filter.take_parameters(self._stays)
 
@@ -392,8 +392,8 @@ class LineUnknowns:
         self._learns_until_s = self._time_s + _LEARNS_S
 
     def _learn_anew(self) -> None:
-        """E is another one, and has been for a while: what torques have said meanwhile of their slow errors was that."""
-        self._filter.reopen(self._jumps)
+        """E is another one, and has been for a while: it is learned what by."""
+        self._filter.reopen()
         self._learn(np.zeros_like(self._corrected))
         self._before = None  # there is nothing to take back
 
