@@ -87,3 +87,15 @@ def test_a_step_is_a_sudden_change_and_what_comes_gradually_is_none() -> None:
     assert changes(np.full(3, 20.0))
     assert not changes(np.full(1, 20.0)), "one alone may be chance"
     assert not changes(np.linspace(0.0, 20.0, 200))
+
+
+def test_a_parameter_that_was_another_one_for_a_while_is_as_uncertain_as_it_was_wrong() -> None:
+    filtered = unknowns()
+    for _ in range(50):
+        look(filtered, 0.0)
+    known, offset = filtered.deviation(0), filtered.covariance[2, 2]
+    filtered.mean[0] = 3.0 * known
+    filtered.reopen()
+    assert np.isclose(filtered.deviation(0), np.hypot(1.0, 3.0) * known)
+    assert filtered.covariance[2, 2] > offset, "what was learned beside it depends on it"
+    assert np.isclose(filtered.evidence(filtered.mean[:2]), 0.9)

@@ -20,7 +20,7 @@ Vector = NDArray[np.float64]
 #: Innovations that are so many deviations off, twice running, are no chance: something has changed. Nothing is made of
 #: the first of them: what has changed is not known, and small corrections of all would hide it. What has come gradually
 #: is no sudden change: at least this share of it was not there two innovations before.
-_FAR_OFF, _SUDDEN = 5.0, 0.5
+_FAR_OFF, _SUDDEN = 4.0, 0.5
 _TWICE = 2
 
 
@@ -109,6 +109,14 @@ class Unknowns:
     def jump(self, jumps: Vector) -> None:
         """The unknowns have changed by something of this covariance (n, n)."""
         self.covariance[: self._count, : self._count] += jumps
+
+    def reopen(self) -> None:
+        """The parameters are others than believed, by about their mean: it is that much less certain, and so is what
+        depends on them."""
+        at, mean = self._parameters, self.mean[self._parameters]
+        known = self.covariance[np.ix_(at, at)]
+        change = np.linalg.solve(known, self.covariance[at]).T @ mean
+        self.covariance = self.covariance + np.outer(change, change)
 
     def turn(self, matrix: Vector) -> None:
         """The unknowns are others now, `matrix` (n, n) times those of before."""

@@ -68,6 +68,9 @@ _SLIPPING_PER_SQRT_S: Final = 0.2
 #: in minutes. Of two sections that is passed by one draw in 20,000, which are some 100 days.
 _ACCEPTED: Final = 20.0
 _KEPT: Final = 0.5 * _ACCEPTED  #: what is left of that once more is known, with which it is kept
+#: What has been found of a sudden change so far is one of E, however little is known of E itself: what a line does
+#: otherwise that its model lacks leaves less (`tests/bench/test_lines_hold.py`).
+_LEAST_STEP: Final = 0.02
 #: From when on kicks are looked for: the line is let go in another state than it is in, and swings.
 _KICKS_FROM_S: Final = 0.5
 _KICK_NOISE_SHARE: Final = 1e-3  #: of a limit: what else is in a torque
@@ -363,11 +366,14 @@ class LineUnknowns:
         was `doubtful` (n,) until then, and for a while as it is found; what that leaves doubtful is taken back."""
         none, mean = np.zeros_like(self._corrected), self._filter.mean[: len(self._corrected)]
         learns = self._time_s <= self._learns_until_s or self._way_m < self._known_from_m
-        if self._filter.has_changed or (not learns and self._is_another(self._filter.evidence(mean))):
-            self._learn(doubtful if self._filter.has_changed else none)
+        if self._filter.has_changed:
+            self._learn(doubtful)
+        elif not learns and self._is_another(self._filter.evidence(mean)):
+            self._learn_anew()
         elif not learns:
             found, self._before = none if self._before is None else self._corrected - self._before, None
-            return self._filter.take_parameters(mean + found if self._filter.evidence(found) < _KEPT else mean)
+            doubted = np.max(np.abs(found[self._is_modulus])) < _LEAST_STEP and self._filter.evidence(found) < _KEPT
+            return self._filter.take_parameters(mean + found if doubted else mean)
         return self._filter.take_parameters(self._stays)
 
     def _is_another(self, evidence: float) -> bool:
@@ -384,6 +390,12 @@ class LineUnknowns:
             self._before, self._stays = self._corrected, stays
         self._undecided_from_m = inf
         self._learns_until_s = self._time_s + _LEARNS_S
+
+    def _learn_anew(self) -> None:
+        """E is another one, and has been for a while: it is learned what by."""
+        self._filter.reopen()
+        self._learn(np.zeros_like(self._corrected))
+        self._before = None  # there is nothing to take back
 
     def _look_for_kicks(self, time_s: float, left_Nm: Vector) -> bool:
         """In torques (m,) beside those of the line that is followed; whether there was one."""
@@ -421,13 +433,17 @@ class LineUnknowns:
 
     def _booked_behind(self, place: int, kept: _Kept) -> tuple[float, float]:
         """Share by which E of the section behind another one is told to be larger beside that of this one than it was,
-        and the deviation that it had."""
+        and the deviation of that, then or now."""
         behind = Unknown(Kind.MODULUS, self.varied.unknowns[place].number + 1)
         if behind not in self.varied.places:
             return 0.0, 1.0
         at = self.varied.places[behind]
-        known = kept.belief.covariance
-        deviation = sqrt(float(known[at, at] + known[place, place] - 2.0 * known[at, place]))
+        # What has just changed suddenly is not told apart yet: then that counts, however well it was known.
+        apart = (
+            float(known[at, at] + known[place, place] - 2.0 * known[at, place])
+            for known in (kept.belief.covariance, self._filter.covariance)
+        )
+        deviation = sqrt(max(apart))
         before, now = (1.0 + corrected + mean[: len(corrected)] for corrected, mean in (
             (kept.corrected, kept.belief.mean), (self._corrected, self._filter.mean)))  # fmt: skip
         return float(now[at] / now[place] * before[place] / before[at]) - 1.0, deviation
