@@ -23,7 +23,9 @@ DURATION_S = 30.0
 )
 def test_e_is_right_or_as_uncertain_as_is_said_when_the_model_lacks_something(case: str) -> None:
     found = outcome(case, ChangepointConfig(), duration_s=DURATION_S)
-    assert found.right, found
+    assert found.covered >= 0.93, found
+    # Within the 95 % interval: an honest estimate is beyond one deviation in a third of all cases.
+    assert abs(found.end_pct) <= max(1.0, 1.96 * found.stated_pct), found
     assert found.stated_pct < 30.0, "a deviation that opens every tension loop is of no use"
 
 
