@@ -128,8 +128,11 @@ class OfflineOutcome:
 
     @property
     def ratio(self) -> float:
-        """Half width over that of the best estimator that knows what is hidden."""
-        return self.half_pct / self.best_pct
+        """Half width over that of the best estimator that allows for whatever may be.
+
+        None can be as sure as one that knows which effects are there: an offset that nothing shows is in no data.
+        """
+        return self.half_pct / self.any_pct
 
 
 def recorded(case: ShiftCase, duration_s: float = profiles.SHIFT_S, seed: int = 1) -> tuple[Line, Record]:
@@ -174,6 +177,6 @@ def outcomes(
     for name, method in methods.items():
         track, score = estimated(line, record, method), EstimateScore()
         score.add(track.E_Pa, track.E_sd_Pa, true, counts)
-        figures = (score.worst_pct, score.within_pct, score.held_pct, score.half_width_pct)
-        found.append(OfflineOutcome(case.name, name, *figures, *widths, track.synchronizer_us or float("nan")))
+        figures = (score.worst_pct, score.within_pct, score.held_pct, score.half_width_pct, widths[0], widths[1])
+        found.append(OfflineOutcome(case.name, name, *figures, track.synchronizer_us or float("nan")))
     return found

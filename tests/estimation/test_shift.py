@@ -20,8 +20,7 @@ from hilbench.runs.config import load_with_overrides
 
 #: Of a right model: E and tension in motion, 1 s behind steps left out.
 LARGEST_PCT, WITHIN_PCT, LARGEST_N = 3.0, 99.0, 1.0
-#: Shares in which a 95 % interval of an honest estimator may hold over so short a time; and how much wider it may be
-#: than that of the best estimator which knows what is hidden.
+#: Shares in which a 95 % interval of an honest estimator may hold over so short a time; and how much wider X
 LEAST_HELD_PCT, MOST_HELD_PCT, WIDER = 93.0, 100.0, 1.5
 MINUTES_5_S = 300.0
 

@@ -92,7 +92,7 @@ MODULI: Mapping[str, Callable[[Array], Array]] = {
 def courses(profile: str, modulus: str, duration_s: float, *, seed: int = 0, warms_up: bool = False) -> Courses:
     """A shift: a profile of `PROFILES`, a course of E of `MODULI`, and friction that is lost as the line warms up."""
     n = round(duration_s / CYCLE_S) + 1
-    t = np.arange(n) * CYCLE_S
+    t = np.asarray(np.arange(n) * CYCLE_S, np.float64)
     speed, tension = PROFILES[profile](t)
     speed = np.where(t < START_S, 0.0, speed)
     rng = np.random.default_rng([seed, 23])

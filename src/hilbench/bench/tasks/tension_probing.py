@@ -32,8 +32,8 @@ from hilbench.twin.virtual_io import TwinStatus
 
 #: Slower than this a roller may turn back within a probe, and dry friction with it.
 _LEAST_SPEED_M_S = 0.05
-#: Share of E from which its deviation says that nothing is known of the web (of a known one at rest it is 10 to 17 %, by
-#: friction that nobody measured), and the longest movement at rest, s.
+#: Share of E from which its deviation says that nothing is known of the web (of a known one at rest it is 10 to 17 %,
+#: by friction that nobody measured), and the longest movement at rest, s.
 _UNKNOWN, _LONGEST_AT_REST_S = 0.25, 20.0
 _RUNNING = int(TwinStatus.RUNNING)
 #: How to allow what is asked for.
