@@ -249,13 +249,16 @@ def _without_errors(v: TrackingVectors, force_N: float) -> float:
     return float(force_N - unmodelled_effects.correction_N(v.errors))
 
 
-@inlined
+@compiled
 def _find_delay(v: TrackingVectors, torque_Nm: float, torque_sim_Nm: float) -> bool:
     """Whether the delay is another one from this cycle on."""
     if v.t[FINDS_DELAY] == 0.0 or v.t[PROBLEM] != 0.0:
         return False
     before_s = v.t[DELAY_S]
     v.t[DELAY_S] = delay.find(v.delay_finder, torque_Nm, torque_sim_Nm)
+    # What torque and motion of different times have told of the model is worth nothing.
+    if v.t[HAS_ERRORS] != 0.0 and abs(v.t[DELAY_S] - before_s) >= v.t[CYCLE_S]:
+        unmodelled_filter.forget(unmodelled_effects.record(v.errors))
     return bool(v.t[DELAY_S] != before_s)
 
 

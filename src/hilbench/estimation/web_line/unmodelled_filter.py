@@ -205,8 +205,9 @@ def likely_deviation_N(f: Record) -> float:
 
 @compiled
 def forget(f: Record) -> None:
-    """Know no more of what the model lacks than before anything was measured; E stays."""
+    """Know no more of what the model lacks than before anything was measured; E stays, and may be another one."""
     noinline()
+    f.covariance[E, E] += _JUMP * _JUMP
     for i in range(STATES):
         if i == E:
             continue
