@@ -20,11 +20,12 @@ from hilbench.runs.config import load_with_overrides
 
 #: Of a right model: E and tension in motion, 1 s behind steps left out.
 LARGEST_PCT, WITHIN_PCT, LARGEST_N = 3.0, 99.0, 1.0
-#: Shares in which a 95 % interval of an honest estimator may hold over so short a time; and how much wider X
+#: Shares in which a 95 % interval of an honest estimator may hold over so short a time; and how much wider it may be
+#: than that of the best estimator that allows for as much.
 LEAST_HELD_PCT, MOST_HELD_PCT, WIDER = 93.0, 100.0, 1.5
 MINUTES_5_S = 300.0
-#: A dancer keeps the tension of its web whatever E is: steps and drifts of E show in the draw alone, and are followed to
-#: some percent; on the line with reels the interval holds in two thirds of the cycles.
+#: A dancer keeps the tension of its web whatever E is: steps and drifts of E show in the draw alone, and are followed
+#: to some percent; on the line with reels the interval holds in two thirds of the cycles.
 _IN_PART = pytest.mark.xfail(reason="E of lines with stations is not within 1 % in 99 % of the cycles yet", strict=True)
 
 
