@@ -50,9 +50,9 @@ SLOW_DRIFT_PER_S, DRIFT_PER_S = 0.06 / 3600.0, 0.01 / 60.0
 DRIFT_EVERY_S = 0.1
 #: Once an hour the line is at rest for so long, and a splice comes in: a piece of so much web of other E.
 LONG_STOP_S, SPLICE_M, SPLICE_CHANGE, HOUR_S = 1800.0, 200.0, -0.15, 3600.0
-#: When a line starts its web has the strain upstream: the tension counts once it has come so near to its set-point
-#: (N), or from that time on (s).
-ARRIVES_N, ARRIVES_BY_S = 1.0, 10.0
+#: When a line starts its web has the strain upstream: the tension counts once it has come so near to its set-point (N),
+#: well within what is judged, or from that time on (s).
+ARRIVES_N, ARRIVES_BY_S = 0.5, 10.0
 #: The one step of E of a hold.
 HOLD_STEP = 0.207
 #: Rows that are scored at once.
