@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from math import hypot
 from pathlib import Path
 
 import numpy as np
@@ -104,7 +105,8 @@ def test_friction_that_is_there_is_in_the_history_of_a_plain_run(tmp_path: Path)
     hilbench("run", str(path), "--in-process", "--out", str(tmp_path / "runs"))
     found = named(History(tmp_path / "history.sqlite"))[VISCOUS].quantity
     assert abs(found.value - 3.0) < 1.96 * found.sd
-    assert found.sd < 0.5
+    # What friction may have changed by itself within the run is in it: 15 % of what was found.
+    assert found.sd < hypot(0.5, 0.15 * found.value)
     page = next(tmp_path.glob("runs/*/report.html")).read_text(encoding="utf-8")
     assert "What the twin estimates of its model" in page
     assert "coefficient_N_s_per_m" in page
