@@ -372,7 +372,8 @@ class LineUnknowns:
             self._learn_anew()
         elif not learns:
             found, self._before = none if self._before is None else self._corrected - self._before, None
-            doubted = np.max(np.abs(found[self._is_modulus])) < _LEAST_STEP and self._filter.evidence(found) < _KEPT
+            largest = np.max(np.abs(found[self._is_modulus]), initial=0.0)  # of a line whose E is not looked for: none
+            doubted = bool(largest < _LEAST_STEP) and self._filter.evidence(found) < _KEPT
             return self._filter.take_parameters(mean + found if doubted else mean)
         return self._filter.take_parameters(self._stays)
 
