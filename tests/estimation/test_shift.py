@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests.estimation.best_estimator import ANY, Jumps, best_deviation
-from tests.estimation.shift_bench import CONFIGS, MACHINES, Scored, run_shift
+from tests.estimation.shift_bench import ARRIVES_N, CONFIGS, MACHINES, Scored, run_shift
 from tests.estimation.shift_offline import OfflineOutcome, ShiftCase, outcomes
 from tests.estimation.shift_score import EstimateScore, TensionScore, behind, shares_of_steps
 from tests.independent_line import Record, effect
