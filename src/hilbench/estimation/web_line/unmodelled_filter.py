@@ -76,7 +76,6 @@ FILTER = np.dtype(
         ("rebased_N", "f8"),  # by how much more it is than with what was known a cycle before, without what turns
         ("spread_N", "f8"),  # its deviation
         ("intercept_N", "f8"),  # the same of what would be taken out of the force of a web that pulls no more
-        ("prior_N2", "f8"),  # variance of the force where nothing has been measured
         # Of this cycle and block.
         ("now", "f8", _VECTOR),  # regressors
         ("sums", "f8", _VECTOR),
@@ -345,12 +344,6 @@ def _correct(f: Record, innovation_N: float, variance_N2: float, excited: bool) 
 
 
 @compiled
-def _free_modulus(f: Record, share: float) -> None:
-    f.covariance[E, E] += share * share
-    f.leaning = 0.0
-
-
-@compiled
 def _block(f: Record, y_N: float, noise_N2: float, duration_s: float) -> None:
     """A block's means into the filter, unless they fit nothing: E has jumped, if the next one says so too."""
     innovation_N = _innovation(f, y_N)
@@ -370,7 +363,8 @@ def _block(f: Record, y_N: float, noise_N2: float, duration_s: float) -> None:
             freed = _SMALL_JUMP
     f.surprised = 0.0
     if freed != 0.0:
-        _free_modulus(f, freed)
+        f.covariance[E, E] += freed * freed
+        f.leaning = 0.0
         innovation_N = _innovation(f, y_N)
         variance_N2 = _spread(f) + noise_N2
     _correct(f, innovation_N, variance_N2, f.excited != 0.0)
@@ -473,10 +467,6 @@ def _state_spread(f: Record, tension_N: float) -> None:
     b[SCALE] -= tension_N
     b[CREEP] = f.stiffness_N * (tension_N - f.built_up_N)
     f.intercept_N = _spread_N(f, b, modulus)
-    f.prior_N2 = 0.0
-    for i in range(OFFSET, STATES):
-        force_N = a[i] * (modulus if i >= CREEP else 1.0)
-        f.prior_N2 += force_N * force_N * f.prior[i]
 
 
 @inlined
@@ -527,7 +517,6 @@ def take(
     f.acceleration_m_s2 = slope
     f.rebased_N = 0.0
     ended = f.count >= f.block
-    before_N = 0.0
     if ended:
         before_N = force_of(f.now, f.theta, f.stated, False)
         _end_block(f, velocity_m_s)
