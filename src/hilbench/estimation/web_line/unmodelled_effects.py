@@ -13,14 +13,14 @@ from typing import Final
 
 import numpy as np
 
-from hilbench.compiled import COUNT, REAL, VECTOR, compiled, entry_point, inlined, number_of_sources, viewed
+from hilbench.compiled import VECTOR, compiled, entry_point, inlined, number_of_sources, viewed
 from hilbench.estimation import noise_level
 from hilbench.estimation.bank import Array
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line import ripples, unmodelled_evidence
 from hilbench.estimation.web_line import unmodelled_filter as filters
-from hilbench.estimation.web_line.balance import BalanceSample, MeasuredBalance
+from hilbench.estimation.web_line.balance import MeasuredBalance
 from hilbench.estimation.web_line.config import ModelErrorsConfig, Prior
 from hilbench.estimation.web_line.unmodelled_filter import FILTER, Record
 from hilbench.plant.parameters import per_item
@@ -139,34 +139,15 @@ def correction_N(state: Array) -> float:
     return float(record(state).correction_N)
 
 
-_INTERRUPT, _TAKE = range(2)
-
-
-def _compiled_entry(sources: int) -> Callable[..., None]:
+def _compiled_entry(sources: int) -> Callable[[Array], None]:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point(COUNT, VECTOR, *[REAL] * 8)
-    def act(
-        what: int,
-        state: Array,
-        x1_m: float,
-        x2_m: float,
-        torque_Nm: float,
-        force_N: float,
-        web_per_Pa: float,
-        velocity_m_s: float,
-        next_N: float,
-        stated_Pa: float,
-    ) -> None:
-        if sources < 0:
-            return
-        f = viewed(state, FILTER)[0]
-        if what == _INTERRUPT:
-            filters.interrupt(f)
-        else:
-            filters.take(f, x1_m, x2_m, torque_Nm, force_N, web_per_Pa, velocity_m_s, next_N, stated_Pa)
+    @entry_point(VECTOR)
+    def interrupt(state: Array) -> None:
+        if sources >= 0:
+            filters.interrupt(viewed(state, FILTER)[0])
 
-    return act
+    return interrupt
 
 
 #: The files of what is compiled here.
@@ -174,7 +155,7 @@ SOURCES: Final = tuple(
     str(each)
     for each in (noise_level.__file__, ripples.__file__, unmodelled_evidence.__file__, filters.__file__, __file__)
 )
-_act = _compiled_entry(number_of_sources(*SOURCES))
+_interrupt = _compiled_entry(number_of_sources(*SOURCES))
 
 
 class UnmodelledEffects:
@@ -236,7 +217,7 @@ class UnmodelledEffects:
 
     def interrupt(self) -> None:
         """A cycle is missing, or can't be used: no mean goes across."""
-        _act(_INTERRUPT, self.state, *[0.0] * 8)
+        _interrupt(self.state)
 
     def go_by(self, cycle_s: float) -> None:
         """A cycle is so long from the next on: what is known stays."""
@@ -264,27 +245,6 @@ class UnmodelledEffects:
             s["x"][at] = value
             s["covariance"][at, :] = s["covariance"][:, at] = 0.0
             s["covariance"][at, at] = deviation**2
-
-    @property
-    def correction_N(self) -> float:
-        """Force in the balance that has been accepted as no tension."""
-        return float(self._record["correction_N"])
-
-    @property
-    def rebased_N(self) -> float:
-        """By how much more the correction is than with what was known in the cycle before."""
-        return float(self._record["rebased_N"])
-
-    @property
-    def deviation_N(self) -> float:
-        """What the correction may be wrong by, standard deviation."""
-        return float(self._record["spread_N"])
-
-    def update(self, now: BalanceSample, torque_Nm: float, x1_m: float, next_N: float, stated_Pa: float) -> float:
-        """Take the balance of this cycle; returns what of its force is no tension."""
-        balance = (now.force_N, now.web_per_Pa, now.velocity_m_s)
-        _act(_TAKE, self.state, x1_m, now.x2_m, torque_Nm, *balance, next_N, stated_Pa)
-        return self.correction_N
 
     def found(self) -> tuple[Nuisance, ...]:
         """What is estimated beside E by now, beyond the model; of an eccentricity (of roller 2) the amplitude. The mass
