@@ -8,9 +8,8 @@ import pytest
 from tests.machine_words import elsewhere, found_in, is_its_own
 
 #: As many as there are. It is lowered with what goes, not raised: a new machine is no reason to name an old one.
-#: 59 of these came with the commissioning of a stand, which names friction and tension by span: they go with its split
-#: by kinds of machine.
-CEILING = 454
+#: Six came with the commissioning of a stand: what calls its parts for a web line names them.
+CEILING = 401
 
 
 @pytest.mark.slow

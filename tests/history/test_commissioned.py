@@ -11,8 +11,8 @@ import yaml
 from tests.cli import in_process
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.history.commissioned import with_commissioned
 from hilbench.history.store import COMMISSIONING, Entry, History, Quantity
+from hilbench.history.web_line_priors import with_commissioned
 from hilbench.results.commissioned import commissioned_text
 from hilbench.runs.config import LoadedConfig, load, load_with_overrides
 from hilbench.scripts.bench import Bench

@@ -21,17 +21,6 @@ if TYPE_CHECKING:
 #: Columns that the table needs; a narrower terminal wraps whole lines.
 _WIDTH: Final = 120
 _NORMAL_95: Final = 1.959964
-#: What an effect is called in the table.
-_NAMES: Final = {
-    "coulomb_friction": "dry friction",
-    "viscous_friction": "viscous friction",
-    "inertia_mismatch": "inertia, relative to the model's",
-    "torque_offset": "torque offset",
-    "torque_ripple": "torque ripple",
-    "roller_eccentricity": "roller eccentricity",
-    "torque_scale": "torque scale, relative",
-    "web_slip": "creep",
-}
 
 
 def commission(
@@ -47,14 +36,14 @@ def commission(
             help="never turn back: dry friction and torque offset are tied then, and known as little as before",
         ),
     ] = False,
-    web_known: Annotated[
+    known_pct: Annotated[
         float,
         typer.Option(
-            "--web-known",
+            "--modulus-known",
             min=0.01,
             max=100.0,
             metavar="PCT",
-            help="how well E of the web is known (standard deviation, %): what is tied with it is told as well as that",
+            help="how well E is known (standard deviation, %): what is tied with it is told as well as that",
         ),
     ] = 20.0,
     yes: Annotated[bool, typer.Option("--yes", help="move real drives without asking")] = False,
@@ -75,7 +64,7 @@ def commission(
 
     Example: hilbench commission CONFIG --set stand=pilot_line
 
-    Example: hilbench commission CONFIG --set stand=pilot_line --forward-only --web-known 1
+    Example: hilbench commission CONFIG --set stand=pilot_line --forward-only --modulus-known 1
     """
     from json import dumps
 
@@ -107,7 +96,7 @@ def commission(
             type(loaded)(loaded.config.model_copy(update=experiment), loaded.document),
             out,
             progress,
-            web_known,
+            known_pct,
             in_process=in_process,
             force=force,
         )
@@ -126,7 +115,7 @@ def _measured(
     loaded: LoadedConfig,
     out: Path,
     progress: ProgressDisplay,
-    web_known_pct: float,
+    known_pct: float,
     *,
     in_process: bool,
     force: bool,
@@ -148,17 +137,19 @@ def _measured(
     progress.announce("fit the recording", 0.5)
     recording, imitation = read_recording(folder.recording), imitation_of(config)
     errors = config.twin.model_errors
-    return folder, commissioned(recording, config.machine, folder.recording, imitation, errors, web_known_pct)
+    return folder, commissioned(recording, config.machine, folder.recording, imitation, errors, known_pct)
 
 
 def _table(found: list[Commissioned]) -> Table:
     from rich.table import Table
 
+    from hilbench.diagnosis.commissioning import MEASURED
+
     shown = Table(title_justify="left", caption="with what the model has already", caption_justify="left")
     for column in ("", "axis", "value", "± 95 %", "unit", "tied with"):
         shown.add_column(column, justify="right" if column in ("value", "± 95 %") else "left", no_wrap=column == "")
-    for one in sorted(found, key=lambda one: (one.axis or 0, list(_NAMES).index(one.effect))):
-        name = _NAMES[one.effect] + ("" if one.order is None else f", {one.order:.4g} per motor turn")
+    for one in sorted(found, key=lambda one: (one.axis or 0, list(MEASURED).index(one.effect))):
+        name = MEASURED[one.effect] + ("" if one.order is None else f", {one.order:.4g} per motor turn")
         place = str(one.axis or "") if one.section is None else f"span {one.section}"
         half = f"{_NORMAL_95 * one.deviation:.2g}"
         shown.add_row(name, place, f"{one.value:.4g}", half, one.unit, ", ".join(one.tied_with))

@@ -146,7 +146,7 @@ def run(
         from hilbench.bench.lifecycle.startup import copies_beside
 
         loaded = _load(config, bus=bus, pace=pace, seed=seed, changes=changes or ())
-        from hilbench.history.commissioned import with_commissioned
+        from hilbench.history.web_line_priors import with_commissioned
 
         loaded = with_commissioned(loaded, out, lambda text: print(text, file=sys.stderr))
     participants = Participants.IN_PROCESS if in_process else Participants.STARTED if start else Participants.PRESENT

@@ -27,27 +27,27 @@ from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.rest import Uncertainty, uncertainty
 from hilbench.diagnosis.space import Space, noise_model
 from hilbench.diagnosis.terms import Place, Term
+from hilbench.diagnosis.web_line.commissioning import WIDE, believed_sizes, has_own
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.config import ModelErrorsConfig
 from hilbench.plant.effect import Section
 from hilbench.plant.model_file import Machine
-from hilbench.plant.parameters import per_item
-from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
 Array = NDArray[np.float64]
 
-#: What is measured of each axis, and what is fitted beside it.
-MEASURED: Final = (
-    "coulomb_friction",
-    "viscous_friction",
-    "inertia_mismatch",
-    "torque_offset",
-    "torque_ripple",
-    "roller_eccentricity",
-    "torque_scale",
-    "web_slip",
-)
+#: What is measured of each axis, and what a person calls it.
+MEASURED: Final = {
+    "coulomb_friction": "dry friction",
+    "viscous_friction": "viscous friction",
+    "inertia_mismatch": "inertia, relative to the model's",
+    "torque_offset": "torque offset",
+    "torque_ripple": "torque ripple",
+    "roller_eccentricity": "roller eccentricity",
+    "torque_scale": "torque scale, relative",
+    "web_slip": "creep",
+}
+#: What is fitted beside it.
 _BESIDE: Final = ("elasticity_shift", "strain_offset", "unbalance")
 #: The same of the drives' loops, each strength by itself, and what is believed of its relative error: half of what a
 #: diagnosis takes for usual.
@@ -59,8 +59,6 @@ _STEPS: Final = 3
 #: Finite-difference steps, as a share of those of a search: a scale and an inertia that are tied must not be told apart
 #: by the curvature of their differences.
 _FINE: Final = 0.01
-#: What is believed of an effect that `model_errors` has no word on: so many of its usual sizes.
-_WIDE: Final = 10.0
 #: Deviations from which a ripple of an order that was searched for is one: among a thousand orders and three axes
 #: noise has one so large in a commissioning of a hundred.
 _RIPPLE: Final = 5.0
@@ -69,8 +67,6 @@ _TIED: Final = 0.9
 #: How far from a whole number of times a turn an order is that one: a motor makes a hundred turns in a commissioning.
 _WHOLE: Final = 0.02
 _ORDER: Final = frozenset({"order"})
-#: Share up to which radii are one, as a twin takes it.
-_SAME_RADIUS: Final = 0.01
 
 
 @dataclass(frozen=True)
@@ -106,7 +102,7 @@ def commissioned(
     data = measured_from(recording, model, place)
     predictor = choice(model, data, imitation).predictor
     space, proposer = Space(model, predictor, data.period_s), Proposer(model, data)
-    terms = [term for term in proposer.plain() if term.effect.id in (*MEASURED, *_BESIDE) and _is_told(term, model)]
+    terms = [term for term in proposer.plain() if term.effect.id in (*MEASURED, *_BESIDE) and has_own(term, model)]
     terms += [*_loops(model, proposer), *_once_a_turn(proposer)]
     shares = {
         "torque_scale": 0.01 * errors.torque_scale_pct,
@@ -115,28 +111,13 @@ def commissioned(
     }
 
     def believed(term: Term) -> float:
-        if isinstance(model, ModelParameters):
-            return (shares | _of_web(term, model, errors, 0.01 * modulus_pct)).get(term.effect.id, _WIDE * term.size)
-        return shares.get(term.effect.id, _WIDE * term.size)
+        sizes = shares | believed_sizes(term, model, errors, 0.01 * modulus_pct)
+        return sizes.get(term.effect.id, WIDE * term.size)
 
     found = _Fitted.of(space, terms, believed, place)
     if ripples := _searched_ripples(found, proposer, believed):
         found = _Fitted.of(space, [*found.terms, *ripples], believed, place)
     return found.stated()
-
-
-def _is_told(term: Term, model: Machine) -> bool:
-    """Whether there is something of its own to be told of it.
-
-    What is of all spans is told of each. Rollers of one radius keep their angles to each other, so that the web shows
-    how far each is out of true beyond the first: of that one nothing is told then.
-    """
-    if term.effect.per_section and term.section is None and model.span_count > 1:
-        return False
-    if term.effect.id != "roller_eccentricity" or term.axis != 1 or not isinstance(model, ModelParameters):
-        return True
-    radii_m = [model.radius_m(axis) for axis in range(1, model.axis_count + 1)]
-    return max(radii_m) > (1.0 + _SAME_RADIUS) * min(radii_m)
 
 
 def _loops(model: Machine, proposer: Proposer) -> list[Term]:
@@ -303,23 +284,3 @@ def _uncertainty(space: Space, columns: Array, left: Array, precision: Array) ->
     known = np.diag(precision) + others @ others.T
     least = 1.0 if space.predictor.exact else 0.0  # whitened by the noise of each signal alone
     return uncertainty(columns[:, forces][..., rows], left[forces][:, rows], known, least)
-
-
-def _of_web(term: Term, model: ModelParameters, errors: ModelErrorsConfig, modulus_share: float) -> dict[str, float]:
-    """Standard deviations of strengths at the axis of a term, of a web line before anything is measured: as a twin
-    believes it."""
-    axis, boundary = term.axis or 1, model.boundary
-    tension_N = max(boundary.upstream_tension_N, boundary.downstream_tension_N)
-    strain = tension_N / model.stiffness_N(1)
-    limit_Nm = per_item(model.drives.torque_limit_Nm, axis) if model.drives else _WIDE * term.size
-    friction_N = 0.01 * errors.friction_pct * tension_N
-    return {
-        "coulomb_friction": friction_N,
-        "viscous_friction": friction_N / errors.at_speed_m_s,
-        "torque_offset": 0.01 * errors.torque_offset_pct * limit_Nm,
-        "strain_offset": 0.01 * errors.strain_pct * strain,
-        "web_slip": 0.01 * errors.creep_pct / model.stiffness_N(1),
-        "roller_eccentricity": 1e-6 * errors.eccentricity_um,
-        "unbalance": 0.01 * errors.unbalance_pct * tension_N * model.radius_m(axis),
-        "elasticity_shift": modulus_share,
-    }

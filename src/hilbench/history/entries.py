@@ -113,7 +113,7 @@ def keep_commissioning(folder: RunFolder, found: Iterable[Commissioned]) -> list
 
 
 def _quantity(one: Commissioned) -> Quantity:
-    place = f"axis{one.axis}" if one.axis else web_line.place({"span": one.section})
+    place = _place({"axis": one.axis, "span": one.section})
     name = f"{place}.{one.effect}.{one.parameter}"
     return Quantity(name, one.value, one.deviation, one.unit, ", ".join(one.tied_with))
 

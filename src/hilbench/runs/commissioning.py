@@ -1,4 +1,4 @@
-"""The experiment that commissions a stand: speeds, both directions, two tensions and steep ramps, from its config.
+"""The experiment that commissions a stand: speeds, both directions, second set-points and steep ramps, from its config.
 
 Nothing goes further than the config lets it: speeds up to those of its own steps (without any up to the usual line
 speed of the twin's `model_errors`), nothing beyond the warning levels of `safety: limits`, ramps with a share of the
@@ -7,7 +7,7 @@ torque that the drives have.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,26 +17,20 @@ from hilbench.errors import UnusableInputError
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig
-from hilbench.runs.scenario import read_scenario
+from hilbench.runs.reach import GENTLE, HOLD_S, OF_LIMIT, SLOW, STEEP, Reach, highest_of_steps
 from hilbench.runs.steps import ExperimentStep
-from hilbench.topology.quantities import LINE_SPEED, SPEED, tension_set_point
+from hilbench.runs.web_line_reach import reach_of_line
+from hilbench.topology.quantities import SPEED
 
 #: Longest process time of a commissioning, s.
 LONGEST_S: Final = 120.0
-#: Share of a warning level that is used: a drive overshoots the corner of a ramp by less than a tenth.
-_OF_LIMIT: Final = 0.9
-#: Share of a drive's torque that the steep ramps take, and the gentle ones: the rest is for friction and pull of web.
-_STEEP, _GENTLE = 0.25, 0.1
-#: Levels of speed, as shares of the highest: friction from 1 to 7 of its speeds, and two between which ramps are steep.
-_SLOW, _MIDDLE, _FAST, _TOP = 0.15, 0.5, 0.85, 1.0
-#: Time at a level, at another tension and between steep ramps, s: the loops settle in half of the shortest.
-_HOLD_S, _TENSION_S, _BETWEEN_S = 4.0, 3.0, 0.8
+#: Levels of speed above the slow one, as shares of the highest: friction from 1 to 7 of its speeds, and two between
+#: which ramps are steep.
+_MIDDLE, _FAST, _TOP = 0.5, 0.85, 1.0
+#: Time at a second set-point and between steep ramps, s: the loops settle in half of the shorter.
+_SECOND_S, _BETWEEN_S = 3.0, 0.8
 #: Steep ramps up and down, in each direction.
 _RAMPS: Final = 3
-#: The second tension over the first, and the least that tells one from the other.
-_SECOND, _LEAST_SECOND = 1.25, 1.1
-#: A turn of each roller at the slow level has to fit into its hold: below that speed nothing is told of a turn.
-_LEAST_TURNS: Final = 0.25
 #: Top speed of a servo axis without steps that say one, as a share of the level at which its speed warns.
 _OF_A_SHAFT: Final = 0.5
 
@@ -50,25 +44,12 @@ class CommissioningPlan:
     text: str
 
 
-@dataclass(frozen=True)
-class _Reach:
-    """How far the plan goes: highest speed and steepest ramps in the machine's unit of position per s and s²; of each
-    set-point of a tension its path and the two values, N."""
-
-    path: str
-    unit: str
-    top: float
-    steep: float
-    gentle: float
-    tensions: Sequence[tuple[str, float, float]] = ()
-
-
 def commissioning_plan(config: ExperimentConfig, place: Path, *, forward_only: bool = False) -> CommissioningPlan:
     """The experiment for a bench; `place`: the config's file, for errors.
 
     Raises UnusableInputError, one line, for a machine that can't be commissioned, or within too tight limits.
     """
-    reach = _of_shaft(config, place) if config.machine_kind is MachineKind.SERVO_AXIS else _of_web(config, place)
+    reach = _of_shaft(config, place) if config.machine_kind is MachineKind.SERVO_AXIS else reach_of_line(config, place)
     directions = (1.0,) if forward_only else (1.0, -1.0)
     steps = [*(step for sign in directions for step in _one_way(reach, sign))]
     duration_s = sum(each.get("duration_s", 0.0) for step in steps for each in step.values())
@@ -79,15 +60,15 @@ def commissioning_plan(config: ExperimentConfig, place: Path, *, forward_only: b
             f"{LONGEST_S:g} s: a lower speed in its steps, or drives with more torque",
         )
     which = "forward" if forward_only else "in both directions"
-    tensions = "".join(f", {path} {low:g} and {high:g} N" for path, low, high in reach.tensions)
+    beside = "".join(f", {path} {first:g} and {second:g} {unit}" for path, first, second, unit in reach.set_points)
     text = (
         f"speeds up to {reach.top:g} {reach.unit} {which}, ramps up to {reach.steep:.2g} {reach.unit}²"
-        f"{tensions}; {duration_s:.0f} s"
+        f"{beside}; {duration_s:.0f} s"
     )
     return CommissioningPlan([ExperimentStep.model_validate(step) for step in steps], duration_s, text)
 
 
-def _one_way(reach: _Reach, sign: float) -> Iterator[dict[str, Any]]:
+def _one_way(reach: Reach, sign: float) -> Iterator[dict[str, Any]]:
     """From standstill to standstill in one direction."""
     speed = 0.0
 
@@ -99,73 +80,24 @@ def _one_way(reach: _Reach, sign: float) -> Iterator[dict[str, Any]]:
         yield {"hold": {"duration_s": stay_s}}
         speed = target
 
-    yield from to(_SLOW, reach.gentle, _HOLD_S)
-    yield from to(_MIDDLE, reach.gentle, _HOLD_S)
-    for path, first_N, second_N in reach.tensions:
-        for tension_N in (second_N, first_N):
-            yield {"set": {"path": path, "to": tension_N}}
-            yield {"hold": {"duration_s": _TENSION_S}}
+    yield from to(SLOW, reach.gentle, HOLD_S)
+    yield from to(_MIDDLE, reach.gentle, HOLD_S)
+    for path, first, second, _ in reach.set_points:
+        for value in (second, first):
+            yield {"set": {"path": path, "to": value}}
+            yield {"hold": {"duration_s": _SECOND_S}}
     for _ in range(_RAMPS):
         yield from to(_FAST, reach.steep, _BETWEEN_S)
         yield from to(_MIDDLE, reach.steep, _BETWEEN_S)
-    yield from to(_TOP, reach.gentle, _HOLD_S)
+    yield from to(_TOP, reach.gentle, HOLD_S)
     yield from to(0.0, reach.gentle, 0.5)
 
 
-def _of_web(config: ExperimentConfig, place: Path) -> _Reach:
-    model = config.web_line
-    if model.stations is not None:
-        raise UnusableInputError(
-            place, "a line with 'stations', expected one of driven rollers alone: others can't be commissioned yet"
-        )
-    if model.web is None or model.drives is None:
-        raise UnusableInputError(place, "a machine without web or drives, expected a web line to commission")
-    limits = operator_ranges(config)
-    usual_m_s = _highest_of_steps(config, LINE_SPEED) or config.twin.model_errors.at_speed_m_s
-    top_m_s = min(usual_m_s, _OF_LIMIT * limits[LINE_SPEED][1])
-    for axis in range(1, model.axis_count + 1):
-        turn_m = 6.283 * model.radius_m(axis)
-        least_m_s = _LEAST_TURNS * turn_m / (_SLOW * _HOLD_S)
-        if top_m_s < least_m_s:
-            raise UnusableInputError(
-                place,
-                f"speeds up to {top_m_s:.2g} m/s by its steps and safety.limits.speed_m_s, expected {least_m_s:.2g} "
-                f"m/s or more, for turns of roller {axis}",
-            )
-    fastest_m_s2 = min(config.fastest_m_s2(axis) for axis in range(1, model.axis_count + 1))
-    tensions = [_tensions(config, span, limits, place) for span in config.tension_controls]
-    return _Reach(LINE_SPEED, "m/s", top_m_s, _STEEP * fastest_m_s2, _GENTLE * fastest_m_s2, tensions)
-
-
-def _tensions(
-    config: ExperimentConfig, span: int, limits: dict[str, tuple[float, float]], place: Path
-) -> tuple[str, float, float]:
-    path = tension_set_point(config.shape.numbered(span))
-    first_N = config.tension_controls[span].set_point_N
-    second_N = round(min(_SECOND * first_N, _OF_LIMIT * limits[path][1]), 3)
-    if second_N < _LEAST_SECOND * first_N:
-        raise UnusableInputError(
-            place,
-            f"safety.limits.tension_N lets {path} go from {first_N:g} to {second_N:g} N, expected a second tension of "
-            f"{_LEAST_SECOND * first_N:g} N or more",
-        )
-    return path, first_N, second_N
-
-
-def _of_shaft(config: ExperimentConfig, place: Path) -> _Reach:
+def _of_shaft(config: ExperimentConfig, place: Path) -> Reach:
     model = config.servo_axis
     if model.drives is None:
         raise UnusableInputError(place, "a machine without drives, expected a servo axis to commission")
     limit_rad_s = operator_ranges(config)[SPEED][1]
-    top_rad_s = min(_highest_of_steps(config, SPEED) or _OF_A_SHAFT * limit_rad_s, _OF_LIMIT * limit_rad_s)
+    top_rad_s = min(highest_of_steps(config, SPEED) or _OF_A_SHAFT * limit_rad_s, OF_LIMIT * limit_rad_s)
     fastest_rad_s2 = per_item(model.drives.torque_limit_Nm, 1) / model.inertia_kg_m2
-    return _Reach(SPEED, "rad/s", top_rad_s, _STEEP * fastest_rad_s2, _GENTLE * fastest_rad_s2)
-
-
-def _highest_of_steps(config: ExperimentConfig, path: str) -> float:
-    """The highest speed that the config's own steps and tables ask for; 0 where none does."""
-    moves = (each for step in config.steps for each in (step.ramp, step.set, step.step) if each is not None)
-    asked = [each.to for each in moves if each.path == path]
-    for table in (read_scenario(step.table.file) for step in config.steps if step.table is not None):
-        asked += [value for moved in (table.ramps, table.jumps) for _, value in moved.get(path, ())]
-    return max(map(abs, asked), default=0.0)
+    return Reach(SPEED, "rad/s", top_rad_s, STEEP * fastest_rad_s2, GENTLE * fastest_rad_s2)

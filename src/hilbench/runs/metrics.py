@@ -52,7 +52,7 @@ OF_RUNS: Final = {
     ),
     "bus_load_pct": Metric("%", "bits on the bus over its capacity", _NO_TIMING),
     "twin_refusals": Metric(
-        "", "how often torques and encoders have opened a tension loop against the twin", "no tension loop is watched"
+        "", "how often torques and encoders have opened a loop against the twin", "no loop is watched"
     ),
     "limits_predicted": Metric("", "announced crossings of limits that came", _NO_PREDICTION),
     "limits_not_predicted": Metric("", "crossings of limits that came unannounced", _NO_PREDICTION),

@@ -19,8 +19,8 @@ from hilbench.bench.lifecycle.participants import Participants, check_in_process
 from hilbench.bench.lifecycle.startup import held_bus
 from hilbench.bench.reports.change import Change
 from hilbench.errors import UnusableInputError
-from hilbench.history.commissioned import with_commissioned
 from hilbench.history.entries import remember
+from hilbench.history.web_line_priors import with_commissioned
 from hilbench.results.commissioned import commissioned_text
 from hilbench.results.recording import Recording
 from hilbench.results.run import Recorder, RunRecord

@@ -184,8 +184,8 @@ class TwinConfig(EstimationConfig):
     node: NodeConfig = Field(description="the virtual I/O: what the twin is told and what it tells")
     commissioned: Literal["use", "ignore"] = Field(
         default="use",
-        description="of a web line the newest commissioning in the history of the stand gives the `priors`, where the "
-        "config has none; or not",
+        description="the newest commissioning in the history of the stand gives the `priors`, where the config has "
+        "none; or not",
     )
     inertia: InertiaConfig = InertiaConfig()
     prediction: PredictionConfig | None = Field(
