@@ -24,7 +24,8 @@ Places = NDArray[np.int64]
 _SYNCHRONIZED, _REFUSED = int(TwinStatus.SYNCHRONIZED), int(TwinStatus.TRANSFER_REFUSED)
 #: Share of the set-point by which a simulated tension may be below zero: rounding of REAL32.
 _BELOW_ZERO = 0.0125
-#: So long a twin may refuse what is measured, s: where a span is short it does until a new E of the web is found.
+#: So long a twin may refuse what is measured, or be unsure of E, s: while a new E of the web is looked for, which takes
+#: it 0.13 s on a span of 1 m, and twice that where steps are small or spans short.
 _REFUSES_S = 0.25
 #: Share of the deviation at which a loop opens that it closes at.
 _CLOSES_AT = 0.8
@@ -41,11 +42,12 @@ class TwinSignals:
 
 #: Of the vectors of `judged`. Figures: cycles of age, and of refusing, tensions in N and deviation of E in % up to
 #: which they are believed; state: whether the twin has called itself synchronized and not been in doubt since, how many
-#: cycles in a row it has refused what was measured and not called itself that, and whether `refuse` holds.
+#: cycles in a row it has refused what was measured and not called itself that, for how many it has been unsure of E
+#: since it last was sure, and whether `refuse` holds.
 _AGE_LIMIT, _REFUSES_CYCLES, _LOWEST_N, _HIGHEST_N, _DEVIATION_PCT, _FIGURES = range(6)
 #: Places in a sample: age in cycles, status, tension in N, E and its deviation in Pa.
 _AGE, _STATUS, _TENSION_N, _MODULUS_PA, _DEVIATION_PA, _PLACES = range(6)
-TOLD, _ASTRAY_CYCLES, _REFUSED_BY_WATCH, _STATE = range(4)
+TOLD, _ASTRAY_CYCLES, _UNSURE_CYCLES, _REFUSED_BY_WATCH, _STATE = range(5)
 #: What `judged` says.
 TRUSTED, _OLD, _ASTRAY, _NO_WEB, _OUTSIDE, _UNSURE = range(6)
 
@@ -68,10 +70,17 @@ def judged(figures: Vector, state: Vector, values: Vector, words: Places, at: Pl
     if not figures[_LOWEST_N] <= tension_N <= figures[_HIGHEST_N]:
         return _OUTSIDE
     # A twin that is starting knows nothing yet; an infinite deviation is that of a method which has none.
-    if state[TOLD] != 0.0 or synchronized:
-        limit_pct = figures[_DEVIATION_PCT] * (1.0 if state[TOLD] != 0.0 else _CLOSES_AT)
-        if 0.01 * limit_pct * modulus_Pa < deviation_Pa < np.inf:
+    limit_Pa = 0.01 * figures[_DEVIATION_PCT] * modulus_Pa
+    closes = not _CLOSES_AT * limit_Pa < deviation_Pa < np.inf
+    if closes:
+        state[_UNSURE_CYCLES] = 0.0
+    elif deviation_Pa > limit_Pa:
+        state[_UNSURE_CYCLES] += 1.0
+    if state[TOLD] != 0.0:
+        if state[_UNSURE_CYCLES] > figures[_REFUSES_CYCLES]:
             return _UNSURE
+    elif synchronized and not closes:
+        return _UNSURE
     if synchronized and state[_REFUSED_BY_WATCH] == 0.0:
         state[TOLD] = 1.0
     return TRUSTED

@@ -188,6 +188,9 @@ class UnmodelledEffects:
             # A motor that pushes with more than it is known to needs less torque.
             sign = -1.0 if at == f.SCALE else 1.0
             s["base"][at], deviations[at] = sign * unit * prior.value, unit * prior.deviation
+        less = 1.0 + s["stiffness_N"] * s["base"][f.CREEP]  # the state is less than what is known, see the filter
+        s["base"][f.CREEP] /= less
+        deviations[f.CREEP] /= less**2
         s["prior"] = deviations**2
         s["theta"] = s["base"]
         s["torque_noise"] = NoiseLevel(_TORQUE_NOISE_NM, _TORQUE_FLOOR_NM).state
@@ -256,10 +259,13 @@ class UnmodelledEffects:
         rows = []
         for name in _NAMED:
             at = _STATES[name]
-            unit = float(s["force_per_torque_per_m"]) if at == filters.OFFSET else 1.0
             deviation = deviations.item(at)
+            unit = unit_of_deviation = float(s["force_per_torque_per_m"]) if at == filters.OFFSET else 1.0
+            if at == filters.CREEP:
+                unit = 1.0 - float(s["modulus"] * s["stiffness_N"]) * mean.item(at)
+                unit_of_deviation = unit**2
             identified = deviation < _IDENTIFIED * priors.item(at)
-            rows.append(Nuisance(name, mean.item(at) / unit, deviation / unit, identified))
+            rows.append(Nuisance(name, mean.item(at) / unit, deviation / unit_of_deviation, identified))
         both = [filters.SCALE, filters.MASS]
         deviation = _ALIKE_IN_A_RAMP * sqrt(s["covariance"][np.ix_(both, both)].sum())
         identified = deviation < _IDENTIFIED * priors.item(filters.MASS)

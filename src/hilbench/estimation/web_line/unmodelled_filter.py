@@ -1,13 +1,16 @@
 """Kalman filter of E and of what the model of a driven roller lacks, on block means of its balance; compiled.
 
     y = E·h + b + d·sign(v) + g·sign(v)·exp(-(v/v_s)²) + s·[v = 0] + c·v + k·T + μ·m·v' + u·cos φ + w·sin φ + D
-        + E·S·(Σ_j a_j·p_j + b_j·q_j − κ·q)
+        + E·S·(Σ_j a_j·p_j + b_j·q_j − κ'·q)
 
 y: force with which the web pulls by measured torque and motion. D: a disturbance that comes and goes; offset b; dry
 friction d, and g beyond it at low speed (Stribeck); s keeps a roller at rest; viscous friction c; error k of the
-torque's scale (T: what the motor pushes with); error μ of the mass; unbalance u, w at the roller's angle φ; creep κ
-(q: difference of the tensions around the roller, as it builds up in the span: q' = v/L·(F − F_next − q)); eccentricity
-a_j, b_j of the rollers over their radius (p_j' = v/L·(cos φ_j − p_j), and q_j).
+torque's scale (T: what the motor pushes with); error μ of the mass; unbalance u, w at the roller's angle φ;
+eccentricity a_j, b_j of the rollers over their radius (p_j' = v/L·(cos φ_j − p_j), and q_j).
+
+Creep κ takes κ·(F − F_next) from the strain as it builds up in the span, F being less by that itself. As
+κ' = κ/(1 + E·S·κ) it is linear in what is measured: q' = v/L·(1 + E·S·κ)·(E·h − F_next − q). The state is κ', at the E
+that strains are turned into forces with.
 
 At constant speed and tension one number is measured, the sum of all of it. E and the rest part only by excitation:
 while speed or tension change, all states are estimated. In quiet time only those are that their regressors tell apart
@@ -92,6 +95,7 @@ FILTER = np.dtype(
         ("wobble", "f8", (4,)),  # cosine and sine of the rollers' angles, as a strain of the span
         ("web_before_N", "f8"),
         ("lagged_N", "f8"),  # mean of the tension at the reference E over the blocks before the last
+        ("mean_N", "f8"),  # the same over more of them
         ("regressor_N", "f8"),  # the tension at the reference E that regressors are formed with
         ("usual_web_N", "f8"),
         ("web_swing_N2", "f8"),  # how far the tension usually is from its mean
@@ -145,12 +149,17 @@ _SETTLES_S = 0.3
 STRIBECK_M_S = 0.25
 #: Change of speed by which friction is another one, as much as by all of its time, m/s.
 _OTHER_FRICTION_M_S = 3.0
-#: Time over which the tension of the blocks before is averaged, s: far above a block, below the span's transport.
-_LAG_S = 0.1
+#: Time over which the tension of the blocks before is averaged, s: far above a block, below the span's transport; and
+#: where it is a regressor: of what turns with a roller (2.4 Hz at 3 m/s and 0.2 m) a quarter is left.
+_LAG_S, _REGRESSOR_S = 0.1, 0.3
 #: Change of E from which on what is in the strain is another force, relative.
 _OTHER_MODULUS = 0.02
-#: Memory of a force that comes and goes, s.
-_DISTURBANCE_S = 1.0
+#: Share of the tension that creep leaves at least: far more than a web that runs loses by it.
+_LEAST_LEFT = 0.1
+#: Memory of a force that comes and goes, s. How many times the variance that is seen beyond the least is added to it:
+#: half of what sways at 0.3 Hz is seen, and it goes on in phase for longer than the memory. From 2 to 8 times the
+#: intervals hold beside ±3 N; without it friction or offset are found where there are none.
+_DISTURBANCE_S, _SWAYS = 1.0, 4.0
 #: Random walk of E, relative per √s: while all is estimated, and in quiet time, where nothing is learned by it.
 _WALK, _QUIET_WALK = 1e-3, 4e-3
 #: Share of the inertial force that counts as noise where the speed shakes.
@@ -240,11 +249,34 @@ def _regressors(f: Record, web_N: float, speed_m_s: float, motor_N: float, phi_1
         a[COS2 + j] = f.stiffness_N * f.wobble[j]
 
 
+@inlined
+def _left(f: Record) -> float:
+    """Share of a change of the tension that creep leaves of it: 1/(1 + E·S·κ) = 1 − E·S·κ'."""
+    return float(max(1.0 - f.modulus * f.stiffness_N * (f.base[CREEP] + f.x[CREEP]), _LEAST_LEFT))
+
+
 @compiled
-def _transport(f: Record, speed_m_s: float, tension_N: float, next_N: float, phi_1: float, phi_2: float) -> None:
-    """What creep and eccentricity have made of the span's strain, per unit of either, after a cycle."""
+def _use_modulus(f: Record, modulus: float) -> None:
+    """Turn strains into forces with another E, over its reference: the same creep κ is another κ' then."""
+    noinline()
+    ratio = 1.0 + (modulus / f.modulus - 1.0) * (1.0 - _left(f))
+    f.modulus = modulus
+    slope = 1.0 / (ratio * ratio)  # of κ' by κ', at a κ
+    for i in range(STATES):
+        f.covariance[CREEP, i] *= slope
+    for i in range(STATES):
+        f.covariance[i, CREEP] *= slope
+    f.growth[CREEP] *= slope * slope
+    for each in (f.base, f.x, f.theta, f.target):
+        each[CREEP] /= ratio
+
+
+@compiled
+def _transport(f: Record, speed_m_s: float, uncrept_N: float, next_N: float, phi_1: float, phi_2: float) -> None:
+    """What creep and eccentricity have made of the span's strain, per unit of either, after a cycle. `uncrept_N`: the
+    tension by its strain as the encoders show it."""
     share = min(abs(speed_m_s) * f.cycle_s / f.span_m, 1.0)
-    f.built_up_N += share * (tension_N - next_N - f.built_up_N)
+    f.built_up_N += min(share / _left(f), 1.0) * (uncrept_N - next_N - f.built_up_N)
     f.wobble[0] += share * (cos(phi_2) - f.wobble[0])
     f.wobble[1] += share * (sin(phi_2) - f.wobble[1])
     f.wobble[2] += share * (cos(phi_1) - f.wobble[2])
@@ -273,7 +305,8 @@ def _predict(f: Record, duration_s: float, changed_m_s: float) -> None:
     for i in range(STATES):
         p[DISTURBANCE, i] *= keep
         p[i, DISTURBANCE] *= keep
-    p[DISTURBANCE, DISTURBANCE] += (1.0 - keep * keep) * f.unrest_N2
+    sways_N2 = _SWAYS * (f.unrest_N2 - least_unrest_N2(f.tension_N))
+    p[DISTURBANCE, DISTURBANCE] += (1.0 - keep * keep) * (f.unrest_N2 + sways_N2)
     for i in range(OFFSET, STATES):
         if f.wander[i] == 0.0 or f.prior[i] == 0.0:
             continue
@@ -288,17 +321,20 @@ def _predict(f: Record, duration_s: float, changed_m_s: float) -> None:
 
 @compiled
 def _innovation(f: Record, y_N: float) -> float:
-    """Block mean less what is expected; into `row` its covariances with the states. N."""
+    """Block mean less what is expected; into `row` its covariances with the states. N.
+
+    By how much the tension is another one than its regressor is taken out of it, at the E that strains are turned into
+    forces with: the regressor has none of the block's noise, and the innovation nothing of its lag."""
     x, p, row = f.x, f.covariance, f.row
     expected_N = 0.0
     for i in range(STATES):
         known = x[i] if i < OFFSET else f.base[i] + x[i]
-        expected_N += (f.sums[E] if i == E else _slope(f, i)) * known
+        expected_N += _slope(f, i) * known
         total = 0.0
         for j in range(STATES):
             total += _slope(f, j) * p[i, j]
         row[i] = total
-    return float(y_N - expected_N)
+    return float(y_N - f.modulus * (f.sums[E] - f.regressor_N) - expected_N)
 
 
 @inlined
@@ -393,8 +429,9 @@ def _look_for_excitation(f: Record, web_N: float, duration_s: float) -> None:
     f.lag_swing_N2 += duration_s / _MEAN_S * (min(lag_N * lag_N, _MOST_SWING * lag_N2) - f.lag_swing_N2)
     f.excited = 1.0 if f.speeds_up_s > 0.0 or (tension_changes and f.settled_s > _SETTLES_S) else 0.0
     f.lagged_N += duration_s / (_LAG_S + duration_s) * (f.web_before_N - f.lagged_N)
+    f.mean_N += duration_s / (_REGRESSOR_S + duration_s) * (web_N - f.mean_N)
     f.web_before_N = web_N
-    f.regressor_N = f.lagged_N if tension_changes or f.speeds_up_s > 0.0 else f.usual_web_N
+    f.regressor_N = f.mean_N if tension_changes or f.speeds_up_s > 0.0 else f.usual_web_N
 
 
 @compiled
@@ -421,7 +458,7 @@ def _end_block(f: Record, speed_m_s: float) -> None:
     y_N = f.y_N / f.block - f.mass_kg * acceleration_m_s2
     web_N, at_rest = f.sums[E], f.sums[STUCK]
     if f.usual_web_N == 0.0:
-        f.usual_web_N = f.lagged_N = f.web_before_N = f.regressor_N = web_N
+        f.usual_web_N = f.lagged_N = f.mean_N = f.web_before_N = f.regressor_N = web_N
     noise_N2 = _noise_N2(f, web_N, acceleration_m_s2)
     _look_for_excitation(f, web_N, duration_s)
     if at_rest > 0.5 and f.at_rest <= 0.5:  # what keeps a roller at rest is another force each time
@@ -431,7 +468,7 @@ def _end_block(f: Record, speed_m_s: float) -> None:
         f.covariance[STUCK, STUCK] = f.prior[STUCK]
     f.at_rest = at_rest
     if abs(f.x[E] - f.modulus) > _OTHER_MODULUS * f.modulus:
-        f.modulus = f.x[E]
+        _use_modulus(f, f.x[E])
     _predict(f, duration_s, abs(speed_m_s - f.began_m_s))
     _block(f, y_N, noise_N2, duration_s)
     f.evidence_s -= duration_s
@@ -523,7 +560,8 @@ def take(
         f.rebased_N = force_of(f.now, f.theta, f.stated, False) - before_N
         f.beyond_N = force_of(f.now, f.x, f.modulus, False) + force_of(f.now, f.base, f.modulus, False)
         f.count = 0.0
-    tension_N = (f.regressor_N if f.regressor_N != 0.0 else web_N) * f.modulus
+    uncrept_N = (f.regressor_N if f.regressor_N != 0.0 else web_N) * f.modulus
+    tension_N = uncrept_N - f.modulus * f.stiffness_N * (f.base[CREEP] + f.x[CREEP]) * f.built_up_N
     motor_angle = x2_m * f.force_per_torque_per_m
     phi_1, phi_2 = x1_m / f.radius_1_m, x2_m / f.radius_2_m
     # What the motor pushes with beside inertia, by the model: free of the noise of the measured torque.
@@ -540,7 +578,7 @@ def take(
     ripple_N = ripples.ripple_N(f.orders, motor_angle)
     f.y_N += force_N - ripple_N
     f.count += 1.0
-    _transport(f, velocity_m_s, tension_N, next_N, phi_1, phi_2)
+    _transport(f, velocity_m_s, web_N * f.modulus, next_N, phi_1, phi_2)
     if ended:
         _state_spread(f, tension_N)
         _look_at_stated(f, web_N)
