@@ -6,13 +6,10 @@ missing do no harm: a block goes on over them, as long as it is mostly measured.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
+from hilbench.compiled import compiled, inlined
 from hilbench.estimation.bank import Array
-from hilbench.estimation.web_line.balance import BalanceSample
 
 #: Length of a block: short against the way of the strain to a new value, and against what a stop takes.
 BLOCK_S = 0.02
@@ -121,30 +118,9 @@ def _middle(s: Array, at: int) -> float:
     return float(max(min(a, b), min(max(a, b), c)))
 
 
-def _compiled_take(sources: int) -> Callable[[Array, float, float, float], bool]:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR, REAL, REAL, REAL)
-    def take_one(s: Array, force_N: float, web_per_Pa: float, velocity_m_s: float) -> bool:
-        return take(s, force_N, web_per_Pa, velocity_m_s) if sources >= 0 else False
-
-    return take_one
-
-
-_take = _compiled_take(number_of_sources(__file__))
-
-
-class Blocks:
-    """Collects the balances of axis 2 cycle by cycle. `mass_kg`: at the web, of what is behind the span."""
-
-    def __init__(self, mass_kg: float, cycle_s: float) -> None:
-        self.state = np.zeros(_SIZE)
-        self.state[_MASS_KG], self.state[_CYCLE_S] = mass_kg, cycle_s
-        self.state[_CYCLES] = max(2, round(BLOCK_S / cycle_s))
-
-    def update(self, now: BalanceSample) -> BalanceSample | None:
-        """Take the balance of this cycle; the means of the block that it completes, if it does."""
-        if not _take(self.state, now.force_N, now.web_per_Pa, now.velocity_m_s):
-            return None
-        force_N, web_per_Pa, velocity_m_s = self.state[FORCE_N:DURATION_S].tolist()
-        return BalanceSample(now.x2_m, force_N, web_per_Pa, velocity_m_s)
+def new_state(mass_kg: float, cycle_s: float) -> Array:
+    """State of what collects the balances of axis 2. `mass_kg`: at the web, of what is behind the span."""
+    s = np.zeros(_SIZE)
+    s[_MASS_KG], s[_CYCLE_S] = mass_kg, cycle_s
+    s[_CYCLES] = max(2, round(BLOCK_S / cycle_s))
+    return s

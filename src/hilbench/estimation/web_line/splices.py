@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point, number_of_sources
+from hilbench.compiled import MATRIX, VECTOR, compiled, entry_point, interpreted, number_of_sources
 from hilbench.estimation.web_line.balance import BalanceSample
 
 Array = NDArray[np.float64]
@@ -144,24 +144,7 @@ def _looking(sources: int) -> Callable[[Vector, Vector, Array, Vector, Array], N
     return explain_all
 
 
-def _entry_points(
-    sources: int,
-) -> tuple[Callable[[Vector], None], Callable[[Vector, float, float, float, float], bool]]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(VECTOR)
-    def interrupt_once(s: Vector) -> None:
-        if sources >= 0:
-            interrupt(s)
-
-    @entry_point(VECTOR, REAL, REAL, REAL, REAL)
-    def collect_once(s: Vector, force_N: float, web_per_Pa: float, velocity_m_s: float, before_m: float) -> bool:
-        return collect(s, force_N, web_per_Pa, velocity_m_s, before_m) if sources >= 0 else False
-
-    return interrupt_once, collect_once
-
-
-_interrupt, _collect = _entry_points(number_of_sources(__file__))
+_interrupt, _collect = interpreted(interrupt), interpreted(collect)
 _explain_all = _looking(number_of_sources(__file__))
 
 

@@ -13,14 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import table_of
+from hilbench.compiled import interpreted, table_of
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.plausibility import Plausibility
 from hilbench.estimation.problems import PROBLEMS, Problem
-from hilbench.estimation.web_line import anomalies, delay
+from hilbench.estimation.web_line import anomalies, blocks, delay, torque_shift
 from hilbench.estimation.web_line import tracking_cycle as cycle
 from hilbench.estimation.web_line.balance import BalanceSample, MeasuredBalance
-from hilbench.estimation.web_line.blocks import Blocks
 from hilbench.estimation.web_line.config import (
     ChangepointConfig,
     EstimationConfig,
@@ -28,7 +27,6 @@ from hilbench.estimation.web_line.config import (
     PidConfig,
     SynchronizerConfig,
 )
-from hilbench.estimation.web_line.delay import DelayFinder
 from hilbench.estimation.web_line.found_running import FoundWeb
 from hilbench.estimation.web_line.known_change import new_known_change
 from hilbench.estimation.web_line.measured_span import MeasuredSpan
@@ -36,7 +34,6 @@ from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchroniz
 from hilbench.estimation.web_line.synchronizers.changepoint import ChangepointSynchronizer
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
 from hilbench.estimation.web_line.synchronizers.plant import Plant
-from hilbench.estimation.web_line.torque_shift import TorqueShiftFinder
 from hilbench.estimation.web_line.tracked import SimulatedMotor, TrackedLine
 from hilbench.estimation.web_line.unknown_webs import UnknownWebs, unknown_webs
 from hilbench.estimation.web_line.unmodelled_effects import UnmodelledEffects
@@ -63,6 +60,7 @@ _AT_SPEED = 0.1
 #: Roller behind the span, of the model of two.
 _AXIS = 2
 _NOTHING_MEASURED = (nan,) * 9
+_undecided, _is_synchronized = interpreted(torque_shift.undecided), interpreted(cycle.is_synchronized)
 
 
 class Known(NamedTuple):
@@ -103,8 +101,8 @@ class Tracking:
             machine_sizes(model, 2).force_N,
             model.span_length_m(1),
         )
-        self._blocks = Blocks(balance.mass_kg, cycle_s)
-        self._shift_finder = TorqueShiftFinder()
+        self._blocks = blocks.new_state(balance.mass_kg, cycle_s)
+        self._shift = torque_shift.new_state()
         self._delay_line = delay.new_line(cycle_s)
         self._known_change = new_known_change(model, config, balance.mass_kg, cycle_s)
         self._model = model
@@ -153,15 +151,15 @@ class Tracking:
             self._t,
             self._plausibility.state,
             self._anomalies,
-            self._shift_finder.state,
+            self._shift,
             self._delay_line,
-            self._delay_finder.state,
+            self._delay_finder,
             self._line.moduli,
             self._balance.vectors,
             errors.state,
             bank.vectors,
             self._line.vectors,
-            self._blocks.state,
+            self._blocks,
         )
         self._table = table_of(cycle.flat(self._vectors))
 
@@ -215,7 +213,7 @@ class Tracking:
             self._balance.section_m2 * self._strain_prev,
             self._cycle_s,
         )
-        self._delay_finder = DelayFinder(self._cycle_s)
+        self._delay_finder = delay.new_finder(self._cycle_s)
 
     def doubt(self, *, doubted: bool) -> None:
         """Whether nobody knows how long a cycle is: the web is followed by its ways, and nothing is learned."""
@@ -224,7 +222,7 @@ class Tracking:
     def go_by(self, cycle_s: float, known: Known) -> None:
         """A cycle is so long from the next on; goes on from what was known, with the strain as it is measured."""
         self._cycle_s = self._t[cycle.CYCLE_S] = cycle_s
-        self._blocks = Blocks(self._balance.mass_kg, cycle_s)
+        self._blocks = blocks.new_state(self._balance.mass_kg, cycle_s)
         self._delay_line = delay.new_line(cycle_s)
         self._known_change = new_known_change(self._model, self.config, self._balance.mass_kg, cycle_s)
         self._look_anew()
@@ -261,7 +259,7 @@ class Tracking:
         self._t[cycle.BANK] = 0.0  # until it has started from what is found
 
     def _forget(self, what: int) -> None:
-        cycle.forget(what, self._blocks.state, self._anomalies, self._shift_finder.state, self._delay_line)
+        cycle.forget(what, self._blocks, self._anomalies, self._shift, self._delay_line)
 
     def use(self, synchronizer: SynchronizerConfig | None) -> None:
         """Go on with another method (None: the configured one) from the present E, without a jump."""
@@ -372,7 +370,7 @@ class Tracking:
     def synchronized(self) -> bool:
         """Whether E is known as well as the config asks for, the web in the span is the one that was measured, and the
         simulation has its strain."""
-        return cycle.synchronized(self._t, self.config.synchronized_pct)
+        return _is_synchronized(self._t, self.config.synchronized_pct)
 
     @property
     def web_is_known(self) -> bool:
@@ -409,7 +407,7 @@ class Tracking:
     @property
     def torque_undecided(self) -> bool:
         """Whether the torque has changed, and nothing tells yet whether that was E or a shift."""
-        return self._shift_finder.undecided
+        return _undecided(self._shift)
 
     def miss(self) -> None:
         """A cycle without measurement."""
@@ -575,10 +573,10 @@ class Tracking:
 
     def _take_out_shift(self) -> None:
         """A shift is taken out of the torque from the next cycle on, and E goes on from what it was before it."""
-        t, shift = self._t, self._shift_finder.found
-        more_Nm = shift.force_N / self._balance.force_per_torque_per_m
+        t, shift = self._t, self._shift
+        more_Nm = shift.item(torque_shift.FOUND_N) / self._balance.force_per_torque_per_m
         t[cycle.SHIFT_NM] += more_Nm
         if abs(self.torque_shift_Nm) < _GONE * abs(more_Nm):
             t[cycle.SHIFT_NM] = 0.0
-        t[cycle.MODULUS_PA] = shift.youngs_modulus_Pa
+        t[cycle.MODULUS_PA] = shift[torque_shift.FOUND_PA]
         self.use(self._method)

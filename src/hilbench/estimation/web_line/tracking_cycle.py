@@ -455,7 +455,7 @@ INTERRUPT, SUSPEND, NEW_WEB = range(3)
 
 def _entry_points(
     sources: int,
-) -> tuple[Callable[..., int], Callable[..., None], Callable[..., None], Callable[[Vector, float], bool]]:
+) -> tuple[Callable[..., int], Callable[..., None], Callable[..., None]]:
     """Compiled functions that are called from Python; `sources` as in the kernel."""
 
     @entry_point(COUNT, reals(9), TABLE)
@@ -532,11 +532,7 @@ def _entry_points(
         if sources >= 0:
             state_modulus(t, errors, modulus_Pa, deviation_Pa)
 
-    @entry_point(VECTOR, REAL)
-    def synchronized(t: Vector, most_pct: float) -> bool:
-        return is_synchronized(t, most_pct) if sources >= 0 else False
-
-    return run_vectors, forget, state, synchronized
+    return run_vectors, forget, state
 
 
 #: The files of what is compiled here, beside those of the kernel.
@@ -567,4 +563,4 @@ SOURCES = (
     ),
     __file__,
 )
-run_vectors, forget, state, synchronized = _entry_points(kernel.source_number(*SOURCES))
+run_vectors, forget, state = _entry_points(kernel.source_number(*SOURCES))
