@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.estimation.nuisance import Nuisance
+from hilbench.estimation.plausibility import STANDSTILL_M_S
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.estimation.web_line.even_rows import EvenRows, even_rows
 from hilbench.estimation.web_line.measurements import Measurements
-from hilbench.estimation.web_line.tracking import MOVES_M_S, UNKNOWN_AT_REST, UNKNOWN_STRAIN, Tracking
+from hilbench.estimation.web_line.tracking import UNKNOWN_AT_REST, UNKNOWN_STRAIN, Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -95,7 +96,7 @@ def _join(line: Line, tracking: Tracking, cycles: Measurements, cycle_s: float, 
     """Where the recording begins under way, let the simulation begin there, with a web that is not known."""
     start_m = cycles.x_m[0]
     speeds = (cycles.x_m[min(1, len(cycles.x_m) - 1)] - start_m) / cycle_s
-    if np.abs(speeds).max() <= MOVES_M_S:
+    if np.abs(speeds).max() <= STANDSTILL_M_S:
         if unknown_at_rest:
             tracking.release(UNKNOWN_AT_REST)
         return

@@ -28,12 +28,13 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import MATRIX, VECTOR, compiled, entry_point, interpreted, number_of_sources
 from hilbench.estimation.web_line.balance import BalanceSample
+from hilbench.estimation.web_line.blocks import BLOCK_S, SAME_SPEED
 
 Array = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
-#: Length of a block, time between two looks, and the most and the fewest blocks that are looked at.
-_BLOCK_S, _LOOK_S = 0.02, 0.1
+#: Time between two looks, s, and the most and the fewest blocks that are looked at.
+_LOOK_S = 0.1
 _MOST, _FEWEST = 400, 40
 #: Blocks that have to lie before a joint and behind it, and how many places are tried.
 _BEFORE, _BEHIND, _PLACES = 15, 2, 60
@@ -42,8 +43,6 @@ _CHANGED, _BETTER = 45.0, 16.0
 #: Way of a joint through the span, in lengths, before which it is not told from a step, and up to which what is known
 #: of it gets better.
 _LEAST_WAY, _THROUGH = 0.12, 1.0
-#: Relative change of the speed from which on the web's share in the torque is not all that may change.
-_SAME_SPEED = 0.02
 #: A short piece is taken to be so long, m, and no softer or stiffer than this share of the span allows.
 _SHORT_M, _LEAST_SHARE = 0.3, 0.5
 
@@ -194,7 +193,7 @@ class SpliceFinder:
         self._length_m = span_length_m
         self._mass_kg = mass_kg
         self.state = np.zeros(_SIZE)  #: what is added up
-        self.state[CYCLES] = cycles = max(2, round(_BLOCK_S / cycle_s))
+        self.state[CYCLES] = cycles = max(2, round(BLOCK_S / cycle_s))
         self._block_s = cycles * cycle_s
         self._every = max(1, round(_LOOK_S / self._block_s))
         self.reset()
@@ -305,7 +304,7 @@ class SpliceFinder:
         """Look back beyond the last change of speed only while web is in the span that came in before it: then others
         before that say what is of the motion."""
         speeds_m_s, now_m = blocks[:, 2], blocks[-1, 0]
-        others = np.flatnonzero(np.abs(speeds_m_s - speeds_m_s[-1]) > _SAME_SPEED * abs(speeds_m_s[-1]))
+        others = np.flatnonzero(np.abs(speeds_m_s - speeds_m_s[-1]) > SAME_SPEED * abs(speeds_m_s[-1]))
         last = int(others[-1]) if len(others) else -1
         changed_m = blocks[last, 0] if last >= 0 else -inf
         if now_m - changed_m < _THROUGH * self._length_m or len(blocks) - last <= _FEWEST:
@@ -331,7 +330,7 @@ class SpliceFinder:
 def _known_ways(speeds_m_s: Array, accelerating: Array) -> Array:
     """Orthonormal columns (n, 1 to 3) of what a compliance may do by itself: be constant, and go with the motion."""
     ways = [np.ones(len(speeds_m_s))]
-    if np.ptp(speeds_m_s) > _SAME_SPEED * np.max(np.abs(speeds_m_s)):
+    if np.ptp(speeds_m_s) > SAME_SPEED * np.max(np.abs(speeds_m_s)):
         ways += [speeds_m_s, accelerating]
     return np.linalg.qr(np.stack(ways, axis=1))[0]
 

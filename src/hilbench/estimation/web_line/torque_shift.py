@@ -23,14 +23,13 @@ import numpy as np
 from hilbench.compiled import compiled, inlined
 from hilbench.estimation import ring
 from hilbench.estimation.bank import Array
+from hilbench.estimation.web_line.blocks import SAME_SPEED
 
 #: Blocks that say what was before, and how many are enough.
 _BEFORE, _ENOUGH = 60, 24
 #: Blocks after that of the change that are left out: a shaft that was hit is on no line, nor is a load motor that
 #: imitates a web some cycles late.
 _HIT = 1
-#: Change of the speed between blocks that are compared, relative.
-_SAME_SPEED = 0.02
 #: A change that is worth an explanation: over the noise of a block, and relative to the tension.
 _CHANGED_NOISES, _CHANGED = 6.0, 0.02
 #: Least noise of a block that is believed, relative to the tension: what is left of the model's own errors.
@@ -111,7 +110,7 @@ def look(
     changed_speed = False
     if ring.count(s, before) > 0:
         first_m_s = ring.value(s, before, 0)
-        changed_speed = not abs(velocity_m_s - first_m_s) <= _SAME_SPEED * abs(first_m_s)
+        changed_speed = not abs(velocity_m_s - first_m_s) <= SAME_SPEED * abs(first_m_s)
     if block_per_Pa <= 0.0 or changed_speed:
         reset(s)
     elif s[_OPEN] != 0.0:

@@ -34,7 +34,7 @@ from hilbench.estimation.web_line.synchronizers.changepoint import ChangepointSy
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
 from hilbench.estimation.web_line.synchronizers.plant import Plant
 from hilbench.estimation.web_line.tracked import SimulatedMotor, TrackedLine
-from hilbench.estimation.web_line.unknown_webs import UnknownWebs, unknown_webs
+from hilbench.estimation.web_line.unknown_webs import SLOW_M_S, UnknownWebs, unknown_webs
 from hilbench.estimation.web_line.unmodelled_effects import UnmodelledEffects
 from hilbench.estimation.web_line.web_search import WebSearch
 from hilbench.plant.parameters import per_item
@@ -42,13 +42,9 @@ from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
 
-#: Above this speed of an axis the plant runs already when the twin joins.
-MOVES_M_S = 1e-3
 #: How far off the upstream strain may be as a guess of the strain of a web that is found under way, and of one that is
 #: found at rest, which may be strained by anything.
 UNKNOWN_STRAIN, UNKNOWN_AT_REST = 0.3, 1.0
-#: Spans of web after which a strain that was wrong when they began to pass is none any more (exp(-5) of it is left).
-PASSED_SPANS = 5.0
 #: Least deviation with which a method takes over the estimate of the one before.
 _LEAST_PRIOR_PCT = 0.1
 #: What is left of a shift of the torque that has gone again, as a share of it.
@@ -346,7 +342,7 @@ class Tracking:
         that was in the span had left it: nothing that was measured wrongly then is in it any more."""
         t = self._t
         lasts = t.item(cycle.REFUSED) * self._cycle_s > cycle.ASTRAY_S
-        return lasts and t.item(cycle.REFUSED_M) > PASSED_SPANS * self._balance.span_length_m
+        return lasts and t.item(cycle.REFUSED_M) > anomalies.PASSED_SPANS * self._balance.span_length_m
 
     @property
     def used(self) -> BalanceSample | None:
@@ -524,7 +520,7 @@ class Tracking:
             friction_sd_N = hypot(found.friction_deviation_N, _AT_SPEED * found.friction_N)
             self._errors.know(found.youngs_modulus_Pa, found.deviation_Pa, found.friction_N, friction_sd_N)
         if found.sticks:
-            self._plausibility.sticks()
+            self._plausibility.sticks(SLOW_M_S)
 
     def look_for_known_change(self, set_point_m_s: float) -> None:
         """After `compare`: what the last changes of the tension tell of E, at a steady set-point of axis 2 (m/s).

@@ -21,6 +21,7 @@ from hilbench.estimation.web_line import (
     delay,
     ripples,
     torque_shift,
+    unknown_webs,
     unmodelled_effects,
     unmodelled_evidence,
     unmodelled_filter,
@@ -34,8 +35,6 @@ from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.span_kernel import SpanVectors
 
-#: Relative uncertainty of the strain below which the web in the span counts as known.
-_KNOWN_STRAIN = 0.003
 #: Share of the tension by which more may become known to be none without a fresh look at what happens to the web.
 _ALL_AT_ONCE = 0.002
 #: Largest strain, either way, of a measured state that is taken over: no web has more.
@@ -265,7 +264,7 @@ def _find_delay(v: TrackingVectors, torque_Nm: float, torque_sim_Nm: float) -> b
 def _transport_out(t: Array, velocity_m_s: float) -> None:
     """What is not known of the strain leaves with the web: it decays by exp(-v·t/L)."""
     t[STRAIN_UNCERTAINTY] *= exp(-abs(velocity_m_s) * t[CYCLE_S] / t[SPAN_M])
-    if t[STRAIN_UNCERTAINTY] < _KNOWN_STRAIN:
+    if t[STRAIN_UNCERTAINTY] < unknown_webs.KNOWN:
         t[STRAIN_UNCERTAINTY] = 0.0
 
 
@@ -555,6 +554,7 @@ SOURCES = (
             ripples,
             span_kernel,
             torque_shift,
+            unknown_webs,
             unmodelled_effects,
             unmodelled_evidence,
             unmodelled_filter,

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 from hilbench.compiled import interpreted
+from hilbench.estimation.plausibility import STANDSTILL_M_S
 from hilbench.estimation.problems import Problem
+from hilbench.estimation.web_line.anomalies import PASSED_SPANS
 from hilbench.estimation.web_line.config import (
     METHODS,
     ChangepointConfig,
@@ -17,8 +19,6 @@ from hilbench.estimation.web_line.config import (
 )
 from hilbench.estimation.web_line.rollers import Rollers
 from hilbench.estimation.web_line.tracking import (
-    MOVES_M_S,
-    PASSED_SPANS,
     UNKNOWN_AT_REST,
     UNKNOWN_STRAIN,
     Known,
@@ -217,7 +217,7 @@ class WebLineTwin:
         if not (self._pairing.update(*last) and self._pairing.update(*positions)):
             return False
         speeds = [(x - then) / self._cycle_s for x, then in zip(positions, last, strict=True)]
-        moves = max(map(abs, speeds)) > MOVES_M_S
+        moves = max(map(abs, speeds)) > STANDSTILL_M_S
         at_rest = [0.0] * len(self.ports)
         torques = [torque for _, torque in now]
         self.plant.set_state(

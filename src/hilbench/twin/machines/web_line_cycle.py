@@ -32,7 +32,7 @@ from hilbench.plant.web_line.line import LineStep
 from hilbench.twin.machines import web_passage
 from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, MachineVectors
 from hilbench.twin.machines.web_passage import Passage
-from hilbench.twin.virtual_io import TwinStatus
+from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED, TRANSFER_REFUSED
 
 Places = NDArray[np.int64]
 Matrix = NDArray[np.float64]
@@ -86,16 +86,6 @@ _F_SIM_N, _E_SIM_PA, _E_DEVIATION_PA, _TORQUE_SIM_NM, _TORQUE_RESIDUAL_NM, _COUN
 #: What is measured of an axis, and the torque among that and among what its motor shows.
 _MEASURED_SIZE, _TORQUE = 4, 2
 _NUMBERS = 0x10000
-_RUNNING, _SYNCHRONIZED, _HOLDING, _REFUSED, _NOT_SEPARABLE = (
-    int(bit)
-    for bit in (
-        TwinStatus.RUNNING,
-        TwinStatus.SYNCHRONIZED,
-        TwinStatus.HOLDING,
-        TwinStatus.TRANSFER_REFUSED,
-        TwinStatus.NOT_SEPARABLE,
-    )
-)
 
 
 @compiled
@@ -226,19 +216,19 @@ def _separable(of_span: Places) -> bool:
 @compiled
 def _status(table: Places) -> int:
     """`TwinApplication._status` of a machine that is released, with the model that it was configured with."""
-    spans, synchronized, status = floats(table, _SPANS, (1, 2)), _SYNCHRONIZED, _RUNNING
+    spans, synchronized, status = floats(table, _SPANS, (1, 2)), SYNCHRONIZED, RUNNING
     for k in range(len(spans)):
         of_span = table[_OWN + k * cycle.ROWS :]
         t = floats(of_span, cycle.STATE_ROW, (1,))
         if not cycle.is_synchronized(t, spans[k, _KNOWN_PCT]):
             synchronized = 0
         if t[cycle.PROBLEM] != 0.0:
-            status |= _HOLDING
+            status |= HOLDING
         if t[cycle.REFUSED] != 0.0:
-            status |= _REFUSED
+            status |= TRANSFER_REFUSED
         separable = _separable(of_span) if t[cycle.BANK] != 0.0 else spans[k, _SEPARABLE] != 0.0
         if not separable:
-            status |= _NOT_SEPARABLE
+            status |= NOT_SEPARABLE
     return status | synchronized
 
 
@@ -279,7 +269,7 @@ def _entry_point(sources: int) -> Callable[[int, Places], int]:
         whole[at[_NUMBER]] = (whole[at[_NUMBER]] + 1) % _NUMBERS
         if stage == _FINISH_WITHOUT:
             return _WITHOUT
-        return _DONE if _told(table) and not status & (_HOLDING | _REFUSED) else _LOOK
+        return _DONE if _told(table) and not status & (HOLDING | TRANSFER_REFUSED) else _LOOK
 
     return run
 
