@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from math import inf, sqrt
 
 from hilbench.compiled import interpreted
@@ -37,7 +36,7 @@ from hilbench.topology.signals import Shape
 from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines import web_line_cycle
 from hilbench.twin.machines.machine import MachineVectors, Measured, Told
-from hilbench.twin.machines.web_line_cycle import LineInVectors
+from hilbench.twin.machines.web_line_cycle import EstimatedSpan, LineInVectors
 from hilbench.twin.machines.web_line_errors import as_effects
 from hilbench.twin.machines.web_passage import Passage
 from hilbench.twin.machines.web_section import WebSection
@@ -49,16 +48,6 @@ _LARGEST_STEP = 0.005
 def boundary(model: ModelParameters) -> dict[str, float]:
     """What is around the web before the bench says it."""
     return {"strain_prev": model.upstream_strain, "F_next_N": model.boundary.downstream_tension_N}
-
-
-@dataclass(slots=True)
-class _Estimated:
-    """A span at which E is found."""
-
-    span: int
-    section: WebSection
-    tracking: Tracking
-    residual_Nm: float = 0.0  #: torque of the axis behind it, measured less simulated
 
 
 class WebLineTwin:
@@ -80,14 +69,14 @@ class WebLineTwin:
         self._rollers = Rollers(model)
         self._several = len(spans) > 1
         shape = Shape(model.axis_count, (), len(spans), tuple(methods))
-        self._estimated: dict[int, _Estimated] = {}
+        self._estimated: dict[int, EstimatedSpan] = {}
         for span, method in methods.items():
             along = [other for other in spans if other != span and shape.shows(other) == span]
             section = WebSection(model, self.plant, self.ports, span, self._rollers, along)
             method = _over_rollers(method, model.axis_count - span)
             of_span = config.of_span(method, priors_behind(config.priors, span, model))
             tracking = Tracking(section.model, of_span, section, section, cycle_s)
-            self._estimated[span] = _Estimated(span, section, tracking)
+            self._estimated[span] = EstimatedSpan(span, section, tracking)
         self._all = tuple(self._estimated.values())
         #: What is asked for in every cycle is asked of it without a loop.
         self._only = self._all[0] if len(self._all) == 1 else None
@@ -317,7 +306,7 @@ class WebLineTwin:
 
     def _compare(
         self,
-        each: _Estimated,
+        each: EstimatedSpan,
         time_s: float,
         positions_m: Sequence[float],
         torques_Nm: Sequence[float],

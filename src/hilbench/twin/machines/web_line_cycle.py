@@ -9,8 +9,8 @@ the line, then those of each span with the rollers around it, one span after the
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from math import nan
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ from hilbench.plant.web_line.line import LineStep
 from hilbench.twin.machines import web_passage
 from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, MachineVectors
 from hilbench.twin.machines.web_passage import Passage
+from hilbench.twin.machines.web_section import WebSection
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED, TRANSFER_REFUSED
 
 Places = NDArray[np.int64]
@@ -288,11 +289,14 @@ def warm_up() -> None:
     _run(-1, np.zeros((1, 1), np.int64))
 
 
-class Estimated(Protocol):
-    """Who finds E of a span, and keeps the residual of its torque."""
+@dataclass(slots=True)
+class EstimatedSpan:
+    """A span at which E is found."""
 
+    span: int
+    section: WebSection
     tracking: Tracking
-    residual_Nm: float
+    residual_Nm: float = 0.0  #: torque of the axis behind it, measured less simulated
 
 
 class LineInVectors:
@@ -304,7 +308,7 @@ class LineInVectors:
 
     def __init__(
         self,
-        estimated: Sequence[Estimated],
+        estimated: Sequence[EstimatedSpan],
         pairing_of_axes: Pairing,
         steady: SteadyWay,
         line: LineStep,
