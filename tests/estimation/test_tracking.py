@@ -41,9 +41,7 @@ class Twin:
     plant: ModelParameters
 
     def take(self, data: Measurements, row: int) -> None:
-        self.tracking.compare(
-            row * CYCLE_S, *data.x_m[row], data.tau2_Nm[row], data.strain_prev[row], data.F_next_N[row]
-        )
+        self.tracking.compare(*data.x_m[row], data.tau2_Nm[row], data.strain_prev[row], data.F_next_N[row])
         for axis, port in enumerate(self.ports):
             port.setpoint = data.v_cmd_m_s[row, axis] * self.plant.motor_rad_per_m(axis + 1)
         self.line.step(CYCLE_S)

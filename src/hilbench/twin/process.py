@@ -361,7 +361,7 @@ class TwinApplication:
         self._count_syncs(-1 if machine.has_ended(code) else 0)
         self._sync_number += 1
         piece = machine.piece
-        went = machine.go_on_from(code, self._time_s)
+        went = machine.go_on_from(code)
         if went == LOOK or (went != MISSED and not self._reports.quiet):
             self._reports.update()
             self.leaves_vectors = self._machine.refused

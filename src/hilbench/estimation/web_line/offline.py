@@ -64,7 +64,7 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
         strain_prev, F_next_N = cycles.strain_prev[row], cycles.F_next_N[row]
         before_ns = time.thread_time_ns()
         if even.measured[row]:
-            tracking.compare(row * cycle_s, cycles.x_m[row, 0], cycles.x_m[row, 1], tau2_Nm[row], strain_prev, F_next_N)
+            tracking.compare(cycles.x_m[row, 0], cycles.x_m[row, 1], tau2_Nm[row], strain_prev, F_next_N)
             tracking.look_for_known_change(float(cycles.v_cmd_m_s[row, 1]))
         else:
             tracking.miss()

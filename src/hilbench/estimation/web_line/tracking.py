@@ -158,12 +158,6 @@ class Tracking:
         self._table = table_of(cycle.flat(self._vectors))
 
     @property
-    def vectors(self) -> cycle.TrackingVectors:
-        """What it consists of, for compiled callers of `tracking_cycle.run`; another one after `reset`, `use`,
-        `believe` and a known change."""
-        return self._vectors
-
-    @property
     def table(self) -> NDArray[np.int64]:
         """Where they stand, as `tracking_cycle.run_vectors` takes them; another one whenever they are."""
         return self._table
@@ -317,11 +311,6 @@ class Tracking:
         return self._t.item(cycle.SHIFT_NM)
 
     @property
-    def delay_s(self) -> float:
-        """By which the measured torque is late."""
-        return self._t.item(cycle.DELAY_S)
-
-    @property
     def residual_Nm(self) -> float:
         """Torque measured, less the shift, less simulated."""
         return self._t.item(cycle.RESIDUAL_NM)
@@ -356,11 +345,6 @@ class Tracking:
         """Whether E is known as well as the config asks for, the web in the span is the one that was measured, and the
         simulation has its strain."""
         return _is_synchronized(self._t, self.config.synchronized_pct)
-
-    @property
-    def web_is_known(self) -> bool:
-        """Whether the web in the span is the one that was measured, none that was found under way."""
-        return self._t.item(cycle.STRAIN_UNCERTAINTY) == 0.0
 
     def become(self, relative_change: float) -> None:
         """The web in the span is all of what a piece of it was: what is known of E is known of that."""
@@ -407,7 +391,6 @@ class Tracking:
 
     def compare(
         self,
-        time_s: float,
         x1_m: float,
         x2_m: float,
         torque_Nm: float,
@@ -429,18 +412,18 @@ class Tracking:
         if stage == cycle.DONE:
             self.has_gone_on()
         else:
-            self.go_on_from(stage, time_s, strain_prev)
+            self.go_on_from(stage, strain_prev)
         if self._t[cycle.MOVED]:
             self._line.show()
 
-    def go_on_from(self, stage: int, time_s: float, strain_prev: float) -> None:
+    def go_on_from(self, stage: int, strain_prev: float) -> None:
         """What is Python's part of a cycle, from this stage on; a compiled caller that was left with it has it done."""
         t, c = self._t, cycle
         if stage == c.UPDATE:
-            self._update(time_s, strain_prev)
+            self._update(strain_prev)
         elif stage in (c.HOLD, c.FOUND_WEB):
             if stage == c.FOUND_WEB:
-                self._look_at_found_web(time_s, strain_prev)
+                self._look_at_found_web(strain_prev)
                 t[c.USED] = 0.0
             self.skip()
             if self._search.is_on:
@@ -453,13 +436,12 @@ class Tracking:
             self._take_out_shift()
             c.run_vectors(c.TRANSFER, _NOTHING_MEASURED, self._table)
 
-    def _sample(self, time_s: float, strain_prev: float, force_N: float) -> SyncSample:
+    def _sample(self, strain_prev: float, force_N: float) -> SyncSample:
         """Of this cycle, with this force in the balance."""
         t, c = self._t, cycle
         x2_m, _, web_per_Pa, velocity_m_s = t[c.USED_M : c.USED_M_S + 1].tolist()
         sensitivity = t.item(c.SECTION_M2) * float(self._line.strain[0]) / t.item(c.FORCE_PER_TORQUE)
         return SyncSample(
-            time_s,
             self._cycle_s,
             t.item(c.TORQUE_NM),
             t.item(c.TORQUE_SIM_NM),
@@ -468,7 +450,7 @@ class Tracking:
             BalanceSample(x2_m, force_N, web_per_Pa, velocity_m_s),
         )
 
-    def _update(self, time_s: float, strain_prev: float) -> None:
+    def _update(self, strain_prev: float) -> None:
         """Let another method than the bank, or one that begins, take this cycle."""
         if self._search.is_on:  # the web that could not be known has gone
             self._believe_found(self._search.end())
@@ -477,7 +459,7 @@ class Tracking:
         if t[c.REBASED_PA]:
             method.rebase(t.item(c.REBASED_PA))
         t[c.WEB_PER_PA] = t[c.USED_PER_PA]
-        self._state(method.update(self._sample(time_s, strain_prev, t.item(c.CORRECTED_N))))
+        self._state(method.update(self._sample(strain_prev, t.item(c.CORRECTED_N))))
         t[c.BANK] = isinstance(method, ChangepointSynchronizer) and method.is_compiled
 
     def _state_looked_for(self) -> None:
@@ -485,7 +467,7 @@ class Tracking:
         looked_for_Pa = self._search.deviation_Pa(self._t.item(cycle.MODULUS_PA))
         self._state(replace(self.estimate, deviation_Pa=max(self._own_deviation_Pa, looked_for_Pa)))
 
-    def _look_at_found_web(self, time_s: float, strain_prev: float) -> None:
+    def _look_at_found_web(self, strain_prev: float) -> None:
         """The web was found under way: the method begins as soon as its E and strain, and the strain of the web that
         enters, are known."""
         t, c, search = self._t, cycle, self._search
@@ -493,7 +475,7 @@ class Tracking:
         t[c.STRAIN_UNCERTAINTY] = max(t.item(c.STRAIN_UNCERTAINTY), enters)
         if not search.is_on:
             return
-        sample = self._sample(time_s, strain_prev, t.item(c.USED_N)) if t[c.USED] else None
+        sample = self._sample(strain_prev, t.item(c.USED_N)) if t[c.USED] else None
         strain = float(self._balance.web.strain[0])
         found = search.look(sample, self._cycle_s, strain)
         if found is None:
@@ -530,7 +512,7 @@ class Tracking:
         change, t, c = self._known_change, self._t, cycle
         if change is None or not t[c.MEASURED]:
             return
-        if self.problem is not None or not self.web_is_known or self._input_strain is not None:
+        if self.problem is not None or t[c.STRAIN_UNCERTAINTY] != 0.0 or self._input_strain is not None:
             change.reset()
             return
         now, torque_Nm, estimate = self._balance.sample, t.item(c.TORQUE_NM), self.estimate

@@ -195,7 +195,7 @@ class ShaftInVectors:
         """See `machine.InVectors`."""
         return code in _ENDS
 
-    def go_on_from(self, code: int, time_s: float) -> int:
+    def go_on_from(self, code: int) -> int:
         """See `machine.InVectors`."""
         if code not in _ENDS:
             code = self._go_on_by_objects(code)

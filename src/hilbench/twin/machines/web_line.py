@@ -248,7 +248,7 @@ class WebLineTwin:
             others.follow(positions_m, strain_prev, F_next_N, self._cycle_s)
         for each in self._all:
             less_Nm = each.tracking.torque_shift_Nm, self.ports[each.span].torque_Nm
-            self._compare(each, time_s, positions_m, torques_Nm, strain_prev, F_next_N)
+            self._compare(each, positions_m, torques_Nm, strain_prev, F_next_N)
             each.residual_Nm = measured_Nm[each.span] - less_Nm[0] - less_Nm[1]
         if self._passage is not None:
             self._passage.update(positions_m[self._all[0].span - 1 :])
@@ -307,7 +307,6 @@ class WebLineTwin:
     def _compare(
         self,
         each: EstimatedSpan,
-        time_s: float,
         positions_m: Sequence[float],
         torques_Nm: Sequence[float],
         strain_prev: float,
@@ -319,7 +318,7 @@ class WebLineTwin:
             torque_Nm, centre_m = each.section.measured_torque_Nm(torques_Nm), each.section.centre_m
         strain_before, crept = self._strain_before(span, strain_prev), self._crept_before(span)
         around = strain_before, F_next_N, centre_m, self._strain_behind(span), crept
-        tracking.compare(time_s, positions_m[span - 1], positions_m[span], torque_Nm, *around)
+        tracking.compare(positions_m[span - 1], positions_m[span], torque_Nm, *around)
         rad_per_m = 1.0 / self._metres_per_rad[span]
         tracking.look_for_known_change(self.ports[span].setpoint / rad_per_m)
 

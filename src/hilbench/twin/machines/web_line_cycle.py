@@ -355,13 +355,13 @@ class LineInVectors:
         """See `machine.InVectors`."""
         return code in _ENDS
 
-    def go_on_from(self, code: int, time_s: float) -> int:
+    def go_on_from(self, code: int) -> int:
         """See `machine.InVectors`."""
         while code not in _ENDS:
-            code = self._go_on_by_objects(code, time_s)
+            code = self._go_on_by_objects(code)
         return _ENDS[code]
 
-    def _go_on_by_objects(self, stage: int, time_s: float) -> int:
+    def _go_on_by_objects(self, stage: int) -> int:
         """What is Python's of a stage, and what is behind that."""
         for each in self._estimated:
             each.tracking.has_gone_on()
@@ -376,7 +376,7 @@ class LineInVectors:
         else:
             span = int(self._said.item(_AT_SPAN))
             strain_before = self._spans.item(span, _STRAIN_BEFORE)
-            self._estimated[span].tracking.go_on_from(stage, time_s, strain_before)
+            self._estimated[span].tracking.go_on_from(stage, strain_before)
             behind = _NEXT_SPAN
         self._take_method()
         return _run(behind, self._table)
