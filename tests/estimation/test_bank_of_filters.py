@@ -128,7 +128,7 @@ def samples(cycles: int, stepped_at: int, seed: int) -> list[SyncSample]:
         seen_m = x_m + 1e-7 * rng.standard_normal()
         noise_Nm = 0.05 * rng.standard_normal()
         balance = BalanceSample(seen_m, force_N + 25.0 * noise_Nm, web_per_Pa, (seen_m - before_m) / CYCLE_S)
-        found.append(SyncSample(k * CYCLE_S, CYCLE_S, 3.0 + noise_Nm, 3.0, 0.0, 3e-4, balance))
+        found.append(SyncSample(CYCLE_S, 3.0 + noise_Nm, 3.0, 0.0, 3e-4, balance))
         before_m = seen_m
     return found
 

@@ -34,7 +34,6 @@ def samples(
         noise_Nm = TORQUE_NOISE_NM * rng.standard_normal()
         torque_Nm = (modulus_Pa * h - NEXT_N) / PER_M + noise_Nm
         yield SyncSample(
-            time_s=10.0 + k * CYCLE_S,
             cycle_s=CYCLE_S,
             torque_real_Nm=torque_Nm,
             torque_sim_Nm=(START_PA * h - NEXT_N) / PER_M,

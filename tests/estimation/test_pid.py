@@ -19,9 +19,8 @@ def torque_Nm(modulus_Pa: float) -> float:
     return METRES_PER_RAD * (modulus_Pa * SECTION_M2 * STRAIN - NEXT_N)
 
 
-def sample(real_Nm: float, sim_Nm: float, time_s: float = 1.0) -> SyncSample:
+def sample(real_Nm: float, sim_Nm: float) -> SyncSample:
     return SyncSample(
-        time_s=time_s,
         cycle_s=CYCLE_S,
         torque_real_Nm=real_Nm,
         torque_sim_Nm=sim_Nm,

@@ -11,9 +11,7 @@ from tests.tiers import slow
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.estimation.web_line.balance import BalanceSample
-from hilbench.estimation.web_line.blocks import Blocks
-from hilbench.estimation.web_line.torque_shift import TorqueShift, TorqueShiftFinder
+from hilbench.estimation.web_line import blocks, torque_shift
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.sample import CycleSample
 
@@ -23,6 +21,16 @@ E_PA, SECTION_M2, TENSION_N = 8.7e9, 0.5 * 65e-6, 80.0
 NOISE_N = 1.25
 CHANGE_S, LOOP_S = 2.0, 0.17
 CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
+
+
+def look(
+    state: np.ndarray, block: np.ndarray, force_N: float, web_per_Pa: float, v_m_s: float, *, may_decide: bool = True
+) -> bool:
+    """Whether a shift is sure with the balance of this cycle."""
+    if not blocks.take(block, force_N, web_per_Pa, v_m_s):
+        return False
+    means = block[blocks.FORCE_N], block[blocks.WEB_PER_PA], block[blocks.VELOCITY_M_S]
+    return bool(torque_shift.look(state, *means, E_PA, may_decide, 0.0))
 
 
 class Found:
@@ -43,9 +51,10 @@ class Found:
         """`modulus`: factor on E; `follows`: share of the way that the tension loop goes to bring the simulated tension
         back; `later_tension` and `later_speed_m_s`: set points from 6 s on."""
         rng = np.random.default_rng(seed)
-        blocks, finder = Blocks(mass_kg=30.0, cycle_s=CYCLE_S), TorqueShiftFinder()
+        block, state = blocks.new_state(mass_kg=30.0, cycle_s=CYCLE_S), torque_shift.new_state()
         self.at_s: float | None = None
-        self.shift: TorqueShift | None = None
+        self.shift_N: float | None = None
+        self.modulus_Pa = np.nan
         self.undecided_s = 0.0
         strain = TENSION_N / (E_PA * SECTION_M2)
         for k in range(round(seconds / CYCLE_S)):
@@ -58,57 +67,53 @@ class Found:
             h = strain * SECTION_M2
             v_m_s = later_speed_m_s if t_s >= 6.0 else speed_m_s
             force_N = acting_Pa * h + d_N + rng.normal(0.0, NOISE_N)
-            block = blocks.update(BalanceSample(v_m_s * t_s, force_N, h, v_m_s))
-            told = None if block is None else finder.update(block, E_PA)
-            self.undecided_s += CYCLE_S * finder.undecided
-            if told is not None:
-                assert self.shift is None
-                self.shift, self.at_s = told, t_s
+            if look(state, block, force_N, h, v_m_s):
+                assert self.shift_N is None
+                self.shift_N, self.modulus_Pa = state[[torque_shift.FOUND_N, torque_shift.FOUND_PA]]
+                self.at_s = t_s
+            self.undecided_s += CYCLE_S * torque_shift.undecided(state)
 
 
 def test_no_change_of_e_is_taken_for_a_shift() -> None:
     factors = np.concatenate([np.linspace(0.75, 0.95, 10), np.linspace(1.05, 1.3, 10)])
     for seed in range(3):
         for factor in factors:
-            assert Found(seed, modulus=float(factor), later_tension=0.9).shift is None, (seed, factor)
+            assert Found(seed, modulus=float(factor), later_tension=0.9).shift_N is None, (seed, factor)
 
 
 @pytest.mark.parametrize("shift_N", [-16.0, 12.0])
 def test_a_shift_is_named_with_its_size(shift_N: float) -> None:
     found = [Found(seed, shift_N=shift_N) for seed in range(20)]
-    named = [one for one in found if one.shift is not None]
+    named = [one for one in found if one.shift_N is not None]
     assert len(named) >= 19
     for one in named:
-        assert one.shift is not None
-        assert one.shift.force_N == pytest.approx(shift_N, abs=0.5)
-        assert one.shift.youngs_modulus_Pa == E_PA
+        assert one.shift_N == pytest.approx(shift_N, abs=0.5)
+        assert one.modulus_Pa == E_PA
 
 
 def test_what_the_strain_does_not_tell_stays_open_until_the_tension_changes() -> None:
     still = Found(1, shift_N=5.0, follows=0.0)
-    assert still.shift is None
+    assert still.shift_N is None
     assert still.undecided_s > 1.0
     found = [Found(seed, shift_N=5.0, later_tension=0.85, seconds=10.0) for seed in range(10)]
-    named = [one for one in found if one.shift is not None]
+    named = [one for one in found if one.shift_N is not None]
     assert len(named) >= 9
     assert all(one.at_s is not None and one.at_s > 3.0 for one in named)
 
 
 def test_nothing_is_said_of_a_torque_that_changes_with_the_speed() -> None:
-    assert Found(1, shift_N=5.0, follows=0.0, later_speed_m_s=2.0).shift is None
+    assert Found(1, shift_N=5.0, follows=0.0, later_speed_m_s=2.0).shift_N is None
 
 
 def test_a_finder_that_may_not_decide_keeps_it_to_itself() -> None:
-    blocks, finder = Blocks(mass_kg=30.0, cycle_s=CYCLE_S), TorqueShiftFinder()
+    block, state = blocks.new_state(mass_kg=30.0, cycle_s=CYCLE_S), torque_shift.new_state()
     h = TENSION_N / E_PA
     said = []
     for k in range(5000):
         shift = 20.0 if k >= 1000 else 0.0
         moved = 0.8 if k >= 1200 else 1.0
-        sample = BalanceSample(0.006 * k, E_PA * h * moved + shift, h * moved, 3.0)
-        block = blocks.update(sample)
-        said.append(None if block is None else finder.update(block, E_PA, may_decide=k >= 3000))
-    decided = [k for k, one in enumerate(said) if one is not None]
+        said.append(look(state, block, E_PA * h * moved + shift, h * moved, 3.0, may_decide=k >= 3000))
+    decided = [k for k, one in enumerate(said) if one]
     assert len(decided) == 1
     assert decided[0] >= 3000
 

@@ -14,6 +14,7 @@ from tests.plant.models import effect, model
 
 from hilbench.estimation.plausibility import Plausibility
 from hilbench.estimation.problems import Problem
+from hilbench.estimation.web_line import delay
 from hilbench.estimation.web_line.config import (
     ChangepointConfig,
     EkfConfig,
@@ -22,7 +23,6 @@ from hilbench.estimation.web_line.config import (
     PidConfig,
     RlsConfig,
 )
-from hilbench.estimation.web_line.delay import DelayFinder
 from hilbench.estimation.web_line.measurements import Measurements
 from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort
@@ -41,9 +41,7 @@ class Twin:
     plant: ModelParameters
 
     def take(self, data: Measurements, row: int) -> None:
-        self.tracking.compare(
-            row * CYCLE_S, *data.x_m[row], data.tau2_Nm[row], data.strain_prev[row], data.F_next_N[row]
-        )
+        self.tracking.compare(*data.x_m[row], data.tau2_Nm[row], data.strain_prev[row], data.F_next_N[row])
         for axis, port in enumerate(self.ports):
             port.setpoint = data.v_cmd_m_s[row, axis] * self.plant.motor_rad_per_m(axis + 1)
         self.line.step(CYCLE_S)
@@ -219,16 +217,17 @@ def test_implausible_states_are_not_transferred() -> None:
 def test_a_delay_of_the_torque_is_found(delay_cycles: int) -> None:
     rng = np.random.default_rng(0)
     simulated = np.cumsum(rng.standard_normal(6000)) * 0.02
-    finder = DelayFinder(CYCLE_S)
+    finder = delay.new_finder(CYCLE_S)
     for k in range(6000):
-        found_s = finder.update(simulated[max(k - delay_cycles, 0)] + 0.05 * rng.standard_normal(), simulated[k])
+        measured_Nm = simulated[max(k - delay_cycles, 0)] + 0.05 * rng.standard_normal()
+        found_s = delay.find(finder, measured_Nm, simulated[k])
     assert found_s == pytest.approx(delay_cycles * CYCLE_S, abs=0.45 * CYCLE_S)
 
 
 def test_no_delay_is_believed_where_the_torque_does_not_move() -> None:
     rng = np.random.default_rng(0)
-    finder = DelayFinder(CYCLE_S)
-    assert {finder.update(0.05 * rng.standard_normal(), 0.0) for _ in range(5000)} == {0.0}
+    finder = delay.new_finder(CYCLE_S)
+    assert {delay.find(finder, 0.05 * rng.standard_normal(), 0.0) for _ in range(5000)} == {0.0}
 
 
 def test_a_late_torque_is_compensated() -> None:

@@ -67,7 +67,7 @@ def slipping(
     told = set()
     for row, t_s in enumerate(data.t_s):
         x1, x2 = data.x_m[row]
-        tracking.compare(t_s, x1, x2, data.tau2_Nm[row], data.strain_prev[row], data.F_next_N[row])
+        tracking.compare(x1, x2, data.tau2_Nm[row], data.strain_prev[row], data.F_next_N[row])
         assert tracking.problem in (None, Problem.SLIP)
         if tracking.problem is Problem.SLIP:
             told.add(float(t_s))

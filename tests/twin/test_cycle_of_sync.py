@@ -102,7 +102,7 @@ def test_a_period_that_changes_under_way_leaves_what_is_known_as_it_is(
         since_s = time_s % 1.5 if time_s >= 1.5 else 0.0
         if since_s > 0.5:
             off.append(now_Pa / (1.1 * modulus_Pa) - 1.0)
-            in_step.append(twin.machine.synchronized)
+            in_step.append(twin.machine.in_use.synchronized)
     assert np.max(np.abs(off)) < 0.005
     assert all(in_step)
     other, back = emergencies(twin)

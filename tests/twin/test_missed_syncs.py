@@ -164,7 +164,7 @@ def test_a_start_at_which_the_bench_leaves_syncs_out_is_no_web_break(
         if cycle > 2 and missed[cycle]:
             continue
         twin.sync(cycle * CYCLE_S, cycle * CYCLE_S)
-        problems.add(twin.machine.problem)
+        problems.add(twin.machine.in_use.problem)
         _, modulus_Pa, deviation_Pa, *_ = twin.machine.published()
         deviations.append(deviation_Pa / modulus_Pa)
     assert problems == {None}
@@ -219,7 +219,7 @@ def test_drives_that_take_a_sync_for_the_next_one_at_low_speed_make_no_web_break
         tension_N = 0.0 if breaks and cycle >= 150 else TENSION_N
         noise_N = 0.1 if cycle % 2 else -0.1  # a torque that does not change would be none that is measured
         twin.sync((cycle + more) * CYCLE_S, cycle * CYCLE_S, tension_N + noise_N)
-        if twin.machine.problem is Problem.WEB_BREAK:
+        if twin.machine.in_use.problem is Problem.WEB_BREAK:
             told.append(cycle)
     assert bool(told) is breaks
     assert min(told, default=150) >= 150
@@ -297,8 +297,8 @@ def test_a_twin_does_not_join_by_positions_of_two_instants(late_at: int, monkeyp
     for k in range(500, 1500):
         noise_N = 0.1 if k % 2 else -0.1
         bus.sync(k * CYCLE_S, k * CYCLE_S, TENSION_N + noise_N, late_s=CYCLE_S if k == 500 + late_at else 0.0)
-        off_N.append(abs(bus.shown[1] - TENSION_N) if bus.machine.synchronized else 0.0)
-    assert bus.machine.synchronized
+        off_N.append(abs(bus.shown[1] - TENSION_N) if bus.machine.in_use.synchronized else 0.0)
+    assert bus.machine.in_use.synchronized
     assert max(off_N) < 1.0
 
 
@@ -313,7 +313,7 @@ def test_a_simulation_that_went_astray_is_not_called_synchronized_and_goes_on_fr
         noise_N = 0.1 if k % 2 else -0.1
         bus.sync(k * CYCLE_S, k * CYCLE_S, TENSION_N + noise_N)
         off_N.append(abs(bus.shown[1] - TENSION_N))
-        in_step.append(bus.machine.synchronized)
+        in_step.append(bus.machine.in_use.synchronized)
     astray = np.array(off_N) > 10.0
     assert np.count_nonzero(astray) > 100
     assert np.count_nonzero(astray & in_step) <= 0.25 / CYCLE_S + 1

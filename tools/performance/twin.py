@@ -100,7 +100,7 @@ def _in_vectors(machines: list[WebLineTwin], inputs: _Inputs, count: int) -> Non
         for each in going:
             code = each.piece.function(each.piece.argument, each.piece.table)
             if code != each.piece.goes_on:
-                each.go_on_from(code, row * _CYCLE_S)
+                each.go_on_from(code)
 
 
 def _begun(model: ModelParameters, machine: WebLineTwin, measured: Rows, asked: Rows, shown: Rows) -> InVectors:

@@ -17,10 +17,9 @@ _FROZEN_CYCLES = 20
 #: stay there: noise goes to and fro over either, and a drive that has just left its limit soon returns to it.
 _SATURATED, _FREE, _FREE_S = 0.995, 0.98, 0.05
 #: Share of the upstream strain below which the web counts as slack: no tension, nothing to learn.
-_SLACK = 0.02
-#: Speed below which a roller with dry friction stands: friction takes up the tension. Of friction that the model does
-#: not have: below which it goes to and fro, and the friction with it.
-_STANDSTILL_M_S, _TO_AND_FRO_M_S = 1e-3, 0.02
+SLACK = 0.02
+#: Speed below which a roller with dry friction stands: friction takes up the tension.
+STANDSTILL_M_S = 1e-3
 
 
 # State. Limits of the torque, in N·m; cycles until it counts as free; below which speed the roller stands; pull_per_Pa
@@ -85,13 +84,13 @@ class Plausibility:
     def __init__(self, torque_limit_Nm: float, dry_friction_N: float, slack_per_Pa: float, cycle_s: float) -> None:
         self.state = np.zeros(_SIZE)
         self.state[_LIMIT_NM], self.state[_FREE_CYCLES] = torque_limit_Nm, round(_FREE_S / cycle_s)
-        self.state[_STANDS_M_S] = _STANDSTILL_M_S if dry_friction_N > 0.0 else 0.0
-        self.state[_SLACK_PER_PA] = _SLACK * slack_per_Pa
+        self.state[_STANDS_M_S] = STANDSTILL_M_S if dry_friction_N > 0.0 else 0.0
+        self.state[_SLACK_PER_PA] = SLACK * slack_per_Pa
         self.state[_LAST_NM] = np.nan
 
-    def sticks(self) -> None:
-        """There is dry friction, whatever the model has of it."""
-        self.state[_STANDS_M_S] = _TO_AND_FRO_M_S
+    def sticks(self, below_m_s: float) -> None:
+        """There is dry friction, whatever the model has of it, which below this speed takes up the tension."""
+        self.state[_STANDS_M_S] = below_m_s
 
     def problem(self, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> Problem | None:
         """What is wrong with this cycle's torque, if anything."""

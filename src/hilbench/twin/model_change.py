@@ -122,11 +122,6 @@ class ChangeableMachine:
     # -- a TwinMachine -----------------------------------------------------------------------------------
 
     @property
-    def problem(self) -> Problem | None:
-        """Why the last measurement could not be used."""
-        return self._current.problem
-
-    @property
     def problems(self) -> Mapping[int, Problem | None]:
         """The same by the number of the span."""
         return self._current.problems
@@ -140,26 +135,6 @@ class ChangeableMachine:
     def refused(self) -> bool:
         """Whether a measured state was not plausible and was not taken over in the last cycle."""
         return self._current.refused
-
-    @property
-    def synchronized(self) -> bool:
-        """Whether what is estimated is known as well as the config asks for."""
-        return self._current.synchronized
-
-    @property
-    def separable(self) -> bool:
-        """Whether the data tell everything that is estimated apart."""
-        return self._current.separable
-
-    @property
-    def torque_shift_Nm(self) -> float:
-        """What the measured torque has shifted by, and is corrected for."""
-        return self._current.torque_shift_Nm
-
-    @property
-    def torque_undecided(self) -> bool:
-        """Whether the torque has changed, and nothing tells yet why."""
-        return self._current.torque_undecided
 
     def doubt(self, *, doubted: bool) -> None:
         """Whether nobody knows how long a cycle is."""

@@ -24,6 +24,7 @@ from hilbench.real_time import ProcessSettings, right_behind
 from hilbench.topology.blocks import MachineParameters, TwinConfig
 from hilbench.topology.process_data.of_kind import process_data
 from hilbench.topology.signals import Shape
+from hilbench.twin import virtual_io
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
 from hilbench.twin.axis_ways import AxisWays
 from hilbench.twin.bus_clock import BusClock
@@ -39,7 +40,7 @@ from hilbench.twin.machines.machine import (
 )
 from hilbench.twin.model_change import ChangeableMachine, Coming, Make, with_effects
 from hilbench.twin.reports import Reports
-from hilbench.twin.virtual_io import TwinStatus, VirtualIo
+from hilbench.twin.virtual_io import VirtualIo
 
 _VALUE_TOO_HIGH, _INVALID_VALUE, _PRESENT_STATE = 0x06090031, 0x06090030, 0x08000022
 #: SYNCs that an axis may leave unanswered and answer later.
@@ -51,11 +52,6 @@ _KEPT_S = 0.25
 #: From which speed on, at the motor, an axis moves that has to be told so before the machine is released; how long that
 #: is waited for.
 _MOVES_RAD_S, _LONGEST_WAIT_S = 0.05, 0.1
-_RUNNING, _SYNCHRONIZED, _HOLDING, _LATE = (
-    int(bit) for bit in (TwinStatus.RUNNING, TwinStatus.SYNCHRONIZED, TwinStatus.HOLDING, TwinStatus.LATE)
-)
-_TRANSFER_REFUSED, _NOT_SEPARABLE = int(TwinStatus.TRANSFER_REFUSED), int(TwinStatus.NOT_SEPARABLE)
-_MODEL_CHANGING, _MODEL_CHANGED = int(TwinStatus.MODEL_CHANGING), int(TwinStatus.MODEL_CHANGED)
 
 
 @dataclass(frozen=True)
@@ -365,7 +361,7 @@ class TwinApplication:
         self._count_syncs(-1 if machine.has_ended(code) else 0)
         self._sync_number += 1
         piece = machine.piece
-        went = machine.go_on_from(code, self._time_s)
+        went = machine.go_on_from(code)
         if went == LOOK or (went != MISSED and not self._reports.quiet):
             self._reports.update()
             self.leaves_vectors = self._machine.refused
@@ -483,21 +479,21 @@ class TwinApplication:
         """Bits of `TwinStatus`, as a plain number: flags of the enum take microseconds to put together."""
         machine, status = self._machine.in_use, 0
         if self._released:
-            status |= _RUNNING
+            status |= virtual_io.RUNNING
             if machine.synchronized and not self._apart:
-                status |= _SYNCHRONIZED
+                status |= virtual_io.SYNCHRONIZED
         if machine.problem is not None:
-            status |= _HOLDING
+            status |= virtual_io.HOLDING
         if self._behind > 0:
-            status |= _LATE
+            status |= virtual_io.LATE
         if machine.refused:
-            status |= _TRANSFER_REFUSED
+            status |= virtual_io.TRANSFER_REFUSED
         if not machine.separable:
-            status |= _NOT_SEPARABLE
+            status |= virtual_io.NOT_SEPARABLE
         if self._machine.changing:
-            status |= _MODEL_CHANGING
+            status |= virtual_io.MODEL_CHANGING
         if self._machine.changed:
-            status |= _MODEL_CHANGED
+            status |= virtual_io.MODEL_CHANGED
         return status
 
     def _publish(self) -> None:

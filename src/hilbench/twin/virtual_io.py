@@ -28,6 +28,12 @@ class TwinStatus(IntFlag):
     MODEL_CHANGED = 128  #: the model in use has other effects than the configured one
 
 
+#: The same as plain numbers, for what is compiled or runs in each cycle.
+RUNNING, SYNCHRONIZED, HOLDING, LATE, TRANSFER_REFUSED, NOT_SEPARABLE, MODEL_CHANGING, MODEL_CHANGED = map(
+    int, TwinStatus
+)
+
+
 class VirtualIo:
     """Access to the analogue inputs and outputs of the virtual I/O, as `data` has them.
 

@@ -34,9 +34,9 @@ _CHANGED, _BEFORE = 0.05, 10
 _SETTLED = 2
 #: Transported length, in spans, from a change to its judgement.
 _JUDGED_AFTER = 1.0
-#: Transported length, in spans, after a change or a slack web in which no slip is looked for: what happened to the
-#: strain then leaves the span with the web, and that looks like a slip that comes or goes.
-_QUIET = 5.0
+#: Spans of web after which a strain that was another one when they began to pass is none any more (exp(-5) of it is
+#: left). After a change or a slack web no slip is looked for until then: what leaves looks like one that comes or goes.
+PASSED_SPANS = 5.0
 #: Share of the change at its judgement that a change of E has had from its beginning.
 _AT_ONCE = 0.7
 #: How often the ratio is noted for the range that it swings in, as a share of the span's length.
@@ -77,7 +77,7 @@ def reset(s: Array) -> None:
     ring.clear(s, int(s[_SWUNG]))
     for place in (_USUAL_N, _RATIO_BEFORE, _RATIO_AT_ONCE, _SINCE_NOTED_M, _LEAST, _BROKEN_NOW, _SLIPPING):
         s[place] = 0.0
-    s[_QUIET_M] = _QUIET * s[_SPAN_M]
+    s[_QUIET_M] = PASSED_SPANS * s[_SPAN_M]
 
 
 @compiled
@@ -106,7 +106,7 @@ def look(s: Array, block: Array) -> None:
     promised_N = s[_MODULUS_PA] * web_per_Pa
     if promised_N < s[_LEAST_N]:
         s[_SINCE_CHANGE_M] = _NONE
-        s[_QUIET_M] = _QUIET * s[_SPAN_M]
+        s[_QUIET_M] = PASSED_SPANS * s[_SPAN_M]
         return
     ratio, threshold = tension_N / promised_N, WHOLE if s[_BROKEN_NOW] != 0.0 else BROKEN
     broken = ratio < threshold and tension_N < threshold * s[_USUAL_N]
@@ -163,7 +163,7 @@ def _judge(s: Array, ratio: float, moved_m: float) -> None:
         return
     change, at_once = ratio / s[_RATIO_BEFORE] - 1.0, s[_RATIO_AT_ONCE] / s[_RATIO_BEFORE] - 1.0
     s[_SINCE_CHANGE_M] = _NONE
-    s[_QUIET_M] = _QUIET * s[_SPAN_M]
+    s[_QUIET_M] = PASSED_SPANS * s[_SPAN_M]
     if abs(change) <= _CHANGED:  # it has gone again
         s[_SLIPPING] = 0.0
     elif s[_BROKEN_NOW] == 0.0:
@@ -172,7 +172,7 @@ def _judge(s: Array, ratio: float, moved_m: float) -> None:
 
 def new_state(model_modulus_Pa: float, usual_tension_N: float, span_length_m: float) -> Array:
     """State of what looks at the blocks of axis 2. `model_modulus_Pa`: what the ratio is formed with."""
-    capacities = {_RATIOS: _BEFORE, _SWUNG: round(_QUIET / _NOTED_EVERY)}
+    capacities = {_RATIOS: _BEFORE, _SWUNG: round(PASSED_SPANS / _NOTED_EVERY)}
     s = np.zeros(_SIZE + sum(map(ring.size, capacities.values())))
     s[_MODULUS_PA], s[_SPAN_M], s[_LEAST_N] = model_modulus_Pa, span_length_m, LEAST_SHARE * usual_tension_N
     at = _SIZE

@@ -8,15 +8,14 @@ h = F/E is the web's section times its strain, as the encoders show it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, compiled, entry_point
+from hilbench.compiled import compiled
 from hilbench.plant.motor_laws import measured_direction
-from hilbench.plant.web_line import kernel, laws, span_kernel
+from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -95,7 +94,7 @@ def weigh(
     crept_prev: float,
     duration_s: float,
 ) -> None:
-    """The balance at this SYNC into the state, `duration_s` after the last; see `MeasuredBalance.update`.
+    """The balance at this SYNC into the state, `duration_s` after the last; positions at the web, torque at the motor.
 
     `behind_N`, `strain_next`: tension and strain of the web behind roller 2; of several rollers as one the tension is
     not `F_next_N`, which is behind the last of them. `crept_prev`: as in `put_boundary`."""
@@ -110,42 +109,6 @@ def weigh(
     s[FORCE_N] = measured_force_N(balance.p, torque_Nm, x2_m, velocity_m_s, F_next_N)
     s[WEB_PER_PA] = balance.web.tension[0] / balance.web.p[modulus_place(balance.web.p)]
     s[VELOCITY_M_S] = velocity_m_s
-
-
-Weigh = Callable[
-    [Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector, float, float, float, float, float, float], None
-]
-
-
-def _entry_point(sources: int) -> Weigh:
-    """The compiled function that is called from Python; `sources` as in the kernel."""
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL, REAL, REAL, REAL, REAL, REAL)
-    def weigh_once(
-        p: Vector,
-        web_p: Vector,
-        web_s: Vector,
-        web_w: Vector,
-        web_v: Vector,
-        boundary: Vector,
-        tension: Vector,
-        s: Vector,
-        x1_m: float,
-        x2_m: float,
-        torque_Nm: float,
-        strain_prev: float,
-        F_next_N: float,
-        duration_s: float,
-    ) -> None:
-        if sources >= 0:
-            web = SpanVectors(web_p, web_s, web_w, web_v, boundary, tension)
-            balance, strain_next = BalanceVectors(p, web, s), laws.downstream_strain(p, F_next_N)
-            weigh(balance, x1_m, x2_m, torque_Nm, strain_prev, F_next_N, F_next_N, strain_next, 0.0, duration_s)
-
-    return weigh_once
-
-
-_weigh = _entry_point(kernel.source_number(span_kernel.__file__, __file__))
 
 
 def mass_at_web_kg(p: Vector) -> float:
@@ -201,12 +164,3 @@ class MeasuredBalance:
         if self.state[STARTED] == _NOT_STARTED:
             self.web.reset((x1_m, x2_m), strain=[strain_prev])
             self.state[STARTED] = _BEGUN
-
-    def update(
-        self, x1_m: float, x2_m: float, torque_Nm: float, strain_prev: float, F_next_N: float, duration_s: float
-    ) -> BalanceSample:
-        """The balance at this SYNC, `duration_s` after the last; positions at the web, torque at the motor."""
-        self.begin(x1_m, x2_m, strain_prev)
-        p, web, s = self.vectors
-        _weigh(p, *web, s, x1_m, x2_m, torque_Nm, strain_prev, F_next_N, duration_s)
-        return self.sample

@@ -6,21 +6,20 @@ missing do no harm: a block goes on over them, as long as it is mostly measured.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
+from hilbench.compiled import compiled, inlined
 from hilbench.estimation.bank import Array
-from hilbench.estimation.web_line.balance import BalanceSample
 
 #: Length of a block: short against the way of the strain to a new value, and against what a stop takes.
 BLOCK_S = 0.02
+#: Change of the speed, relative, from which on blocks are not of one motion.
+SAME_SPEED = 0.02
 #: So many times as long it may last with the cycles that are missing in it.
 _LONGEST = 3.0
 #: Speeds at either end, of which the middle one counts: of a position that is of another instant one is too fast, and
 #: the next too slow.
-_ENDS = 3
+ENDS = 3
 
 # State. The block that is collected: its first and last speeds (m/s) and the cycles that they are of; the last one that
 # was complete, which is there for the cycle that completed it.
@@ -40,8 +39,8 @@ _ENDS = 3
     DURATION_S,
     _FIRST,
 ) = range(14)
-_FIRST_AT, _LAST, _LAST_AT = _FIRST + _ENDS, _FIRST + 2 * _ENDS, _FIRST + 3 * _ENDS
-_SIZE = _FIRST + 4 * _ENDS
+_FIRST_AT, _LAST, _LAST_AT = _FIRST + ENDS, _FIRST + 2 * ENDS, _FIRST + 3 * ENDS
+_SIZE = _FIRST + 4 * ENDS
 
 
 @compiled
@@ -81,14 +80,14 @@ def take(s: Array, force_N: float, web_per_Pa: float, velocity_m_s: float) -> bo
         begin(s)
         s[_LASTED] = 1.0
     collected = int(s[_COLLECTED])
-    if collected < _ENDS:
+    if collected < ENDS:
         s[_FIRST + collected] = velocity_m_s
         s[_FIRST_AT + collected] = s[_LASTED]
-    for i in range(_ENDS - 1):
+    for i in range(ENDS - 1):
         s[_LAST + i] = s[_LAST + i + 1]
         s[_LAST_AT + i] = s[_LAST_AT + i + 1]
-    s[_LAST + _ENDS - 1] = velocity_m_s
-    s[_LAST_AT + _ENDS - 1] = s[_LASTED]
+    s[_LAST + ENDS - 1] = velocity_m_s
+    s[_LAST_AT + ENDS - 1] = s[_LASTED]
     s[_FORCE_SUM_N] += force_N
     s[_WEB_SUM] += web_per_Pa
     s[_COLLECTED] += 1.0
@@ -101,12 +100,12 @@ def take(s: Array, force_N: float, web_per_Pa: float, velocity_m_s: float) -> bo
 @inlined
 def _complete(s: Array, velocity_m_s: float) -> None:
     count = s[_COLLECTED]
-    if count > _ENDS:
+    if count > ENDS:
         gained_m_s = _middle(s, _LAST) - _middle(s, _FIRST)
         cycles = s[_LAST_AT + 1] - s[_FIRST_AT + 1]
     else:
         gained_m_s = velocity_m_s - s[_FIRST]
-        cycles = s[_LAST_AT + _ENDS - 1] - s[_FIRST_AT]
+        cycles = s[_LAST_AT + ENDS - 1] - s[_FIRST_AT]
     s[FORCE_N] = s[_FORCE_SUM_N] / count - s[_MASS_KG] * gained_m_s / (cycles * s[_CYCLE_S])
     s[WEB_PER_PA] = s[_WEB_SUM] / count
     s[VELOCITY_M_S] = velocity_m_s
@@ -121,30 +120,9 @@ def _middle(s: Array, at: int) -> float:
     return float(max(min(a, b), min(max(a, b), c)))
 
 
-def _compiled_take(sources: int) -> Callable[[Array, float, float, float], bool]:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR, REAL, REAL, REAL)
-    def take_one(s: Array, force_N: float, web_per_Pa: float, velocity_m_s: float) -> bool:
-        return take(s, force_N, web_per_Pa, velocity_m_s) if sources >= 0 else False
-
-    return take_one
-
-
-_take = _compiled_take(number_of_sources(__file__))
-
-
-class Blocks:
-    """Collects the balances of axis 2 cycle by cycle. `mass_kg`: at the web, of what is behind the span."""
-
-    def __init__(self, mass_kg: float, cycle_s: float) -> None:
-        self.state = np.zeros(_SIZE)
-        self.state[_MASS_KG], self.state[_CYCLE_S] = mass_kg, cycle_s
-        self.state[_CYCLES] = max(2, round(BLOCK_S / cycle_s))
-
-    def update(self, now: BalanceSample) -> BalanceSample | None:
-        """Take the balance of this cycle; the means of the block that it completes, if it does."""
-        if not _take(self.state, now.force_N, now.web_per_Pa, now.velocity_m_s):
-            return None
-        force_N, web_per_Pa, velocity_m_s = self.state[FORCE_N:DURATION_S].tolist()
-        return BalanceSample(now.x2_m, force_N, web_per_Pa, velocity_m_s)
+def new_state(mass_kg: float, cycle_s: float) -> Array:
+    """State of what collects the balances of axis 2. `mass_kg`: at the web, of what is behind the span."""
+    s = np.zeros(_SIZE)
+    s[_MASS_KG], s[_CYCLE_S] = mass_kg, cycle_s
+    s[_CYCLES] = max(2, round(BLOCK_S / cycle_s))
+    return s

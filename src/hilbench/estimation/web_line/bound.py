@@ -15,6 +15,7 @@ from hilbench.estimation.web_line.balance import MeasuredBalance
 from hilbench.estimation.web_line.config import AlsoEstimated
 from hilbench.estimation.web_line.measurements import Measurements
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.span import SpanFollower
 
 Array = NDArray[np.float64]
 
@@ -34,13 +35,9 @@ def least_deviation_Pa(
 
     Infinite until a sample says something. `also`: what must be found beside E, with its prior deviation.
     """
-    balance = MeasuredBalance(model)
-    cycle_s = data.cycle_s
-    per_Pa = np.empty(len(data.t_s))
-    for row in range(len(per_Pa)):
-        x1_m, x2_m = data.x_m[row]
-        now = balance.update(x1_m, x2_m, data.tau2_Nm[row], data.strain_prev[row], data.F_next_N[row], cycle_s)
-        per_Pa[row] = now.web_per_Pa
+    balance, web = MeasuredBalance(model), SpanFollower(model, data.x_m[0], [data.strain_prev[0]])
+    boundary = np.column_stack([data.strain_prev, data.F_next_N])
+    per_Pa = web.follow_rows(data.x_m, boundary, data.cycle_s)[:, 0] / model.youngs_modulus_Pa(1)
     ratio = balance.force_per_torque_per_m
     velocity = np.gradient(data.x_m[:, 1], data.t_s)[start:]
     acceleration = np.gradient(velocity, data.t_s[start:])

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import exp, floor
 
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
+from hilbench.compiled import compiled, inlined
 from hilbench.estimation import ring
 from hilbench.estimation.bank import Array
 
@@ -33,7 +32,7 @@ _LINE_SIZE = 5
 
 @compiled
 def find(s: Array, torque_real_Nm: float, torque_sim_Nm: float) -> float:
-    """Take one cycle; returns the delay in s that is believed now. s: state of a `DelayFinder`."""
+    """Take one cycle; returns the delay in s that is believed now. s: state of `new_finder`."""
     delays, lag = int(s[_DELAYS]), int(s[_LAG])
     length = delays + lag + 1
     simulated, real, errors = _SIZE, _SIZE + length, _SIZE + length + lag + 1
@@ -135,34 +134,16 @@ def new_line(cycle_s: float) -> Array:
     return s
 
 
-def _compiled_find(sources: int) -> Callable[[Array, float, float], float]:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR, REAL, REAL)
-    def find_once(s: Array, torque_real_Nm: float, torque_sim_Nm: float) -> float:
-        return find(s, torque_real_Nm, torque_sim_Nm) if sources >= 0 else 0.0
-
-    return find_once
-
-
-_find = _compiled_find(number_of_sources(__file__))
-
-
-class DelayFinder:
-    """Compares the changes of the measured torque with those of the simulated one, some cycles ago.
+def new_finder(cycle_s: float) -> Array:
+    """State of what compares the changes of the measured torque with those of the simulated one, some cycles ago.
 
     For each whole number of cycles the squared differences of the second differences (over a fixed lag, so that
     offsets and trends don't matter) are averaged; the minimum, refined by a parabola, is the delay. It is believed
     once it explains the measurement better than no delay beyond what noise does.
     """
-
-    def __init__(self, cycle_s: float) -> None:
-        delays = max(2, round(LONGEST_S / cycle_s)) + 1
-        lag = max(2, round(0.03 / cycle_s))
-        self.state = np.zeros(_SIZE + (delays + lag + 1) + (lag + 1) + delays)
-        self.state[_CYCLE_S], self.state[_DELAYS], self.state[_LAG] = cycle_s, delays, lag
-        self.state[_KEEP] = exp(-cycle_s / _MEMORY_S)
-
-    def update(self, torque_real_Nm: float, torque_sim_Nm: float) -> float:
-        """Take one cycle; returns the delay in s that is believed now."""
-        return float(_find(self.state, torque_real_Nm, torque_sim_Nm))
+    delays = max(2, round(LONGEST_S / cycle_s)) + 1
+    lag = max(2, round(0.03 / cycle_s))
+    s = np.zeros(_SIZE + (delays + lag + 1) + (lag + 1) + delays)
+    s[_CYCLE_S], s[_DELAYS], s[_LAG] = cycle_s, delays, lag
+    s[_KEEP] = exp(-cycle_s / _MEMORY_S)
+    return s

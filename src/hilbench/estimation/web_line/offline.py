@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.estimation.nuisance import Nuisance
+from hilbench.estimation.plausibility import STANDSTILL_M_S
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.estimation.web_line.even_rows import EvenRows, even_rows
 from hilbench.estimation.web_line.measurements import Measurements
-from hilbench.estimation.web_line.tracking import MOVES_M_S, UNKNOWN_AT_REST, UNKNOWN_STRAIN, Tracking
+from hilbench.estimation.web_line.tracking import UNKNOWN_AT_REST, UNKNOWN_STRAIN, Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -63,7 +64,7 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
         strain_prev, F_next_N = cycles.strain_prev[row], cycles.F_next_N[row]
         before_ns = time.thread_time_ns()
         if even.measured[row]:
-            tracking.compare(row * cycle_s, cycles.x_m[row, 0], cycles.x_m[row, 1], tau2_Nm[row], strain_prev, F_next_N)
+            tracking.compare(cycles.x_m[row, 0], cycles.x_m[row, 1], tau2_Nm[row], strain_prev, F_next_N)
             tracking.look_for_known_change(float(cycles.v_cmd_m_s[row, 1]))
         else:
             tracking.miss()
@@ -95,7 +96,7 @@ def _join(line: Line, tracking: Tracking, cycles: Measurements, cycle_s: float, 
     """Where the recording begins under way, let the simulation begin there, with a web that is not known."""
     start_m = cycles.x_m[0]
     speeds = (cycles.x_m[min(1, len(cycles.x_m) - 1)] - start_m) / cycle_s
-    if np.abs(speeds).max() <= MOVES_M_S:
+    if np.abs(speeds).max() <= STANDSTILL_M_S:
         if unknown_at_rest:
             tracking.release(UNKNOWN_AT_REST)
         return

@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, MATRIX, REAL, VECTOR, compiled, entry_point
+from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point, interpreted
 from hilbench.estimation.web_line import balance
 from hilbench.estimation.web_line.balance import mass_at_web_kg, measured_force_N
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
@@ -64,11 +64,7 @@ def centre_m(masses_kg: Vector, s: Vector, axis: int) -> float:
     return moments / total_kg
 
 
-Take = Callable[[Matrix, Vector, Vector, Vector, float], None]
-OfAxis = Callable[[Vector, Vector, int], float]
-
-
-def _entry_points(sources: int) -> tuple[Take, OfAxis, OfAxis]:
+def _compiled_take(sources: int) -> Callable[[Matrix, Vector, Vector, Vector, float], None]:
     """For Python; `sources` as in the kernel."""
 
     @entry_point(MATRIX, VECTOR, VECTOR, VECTOR, REAL)
@@ -76,18 +72,11 @@ def _entry_points(sources: int) -> tuple[Take, OfAxis, OfAxis]:
         if sources >= 0:
             take(p, s, x_m, torques_Nm, duration_s)
 
-    @entry_point(VECTOR, VECTOR, COUNT)
-    def force_once(masses_kg: Vector, s: Vector, axis: int) -> float:
-        return force_behind_N(masses_kg, s, axis) if sources >= 0 else 0.0
-
-    @entry_point(VECTOR, VECTOR, COUNT)
-    def centre_once(masses_kg: Vector, s: Vector, axis: int) -> float:
-        return centre_m(masses_kg, s, axis) if sources >= 0 else 0.0
-
-    return take_once, force_once, centre_once
+    return take_once
 
 
-_take, _force_behind_N, _centre_m = _entry_points(kernel.source_number(str(balance.__file__), __file__))
+_take = _compiled_take(kernel.source_number(str(balance.__file__), __file__))
+_force_behind_N, _centre_m = interpreted(force_behind_N), interpreted(centre_m)
 
 
 class Rollers:
@@ -117,12 +106,12 @@ class Rollers:
 
     def force_behind_N(self, axis: int) -> float:
         """Force at the web of the motors behind that of `axis`, from 2, less their rollers' resistance."""
-        return _force_behind_N(self.masses_kg, self.state, axis)
+        return float(_force_behind_N(self.masses_kg, self.state, axis))
 
     def centre_m(self, axis: int) -> float:
         """Position of the centre of mass of the roller of `axis`, from 2, and all behind it, at the web."""
         assert self.state[_HAS_POSITIONS], "asked for before the first positions"
-        return _centre_m(self.masses_kg, self.state, axis)
+        return float(_centre_m(self.masses_kg, self.state, axis))
 
 
 def two_rollers(model: ModelParameters, span: int, masses_behind_kg: Sequence[float] = ()) -> ModelParameters:

@@ -26,24 +26,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point, number_of_sources
+from hilbench.compiled import MATRIX, VECTOR, compiled, entry_point, interpreted, number_of_sources
 from hilbench.estimation.web_line.balance import BalanceSample
+from hilbench.estimation.web_line.blocks import BLOCK_S, SAME_SPEED
 
 Array = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
-#: Length of a block, time between two looks, and the most and the fewest blocks that are looked at.
-_BLOCK_S, _LOOK_S = 0.02, 0.1
+#: Time between two looks, s, and the most and the fewest blocks that are looked at.
+_LOOK_S = 0.1
 _MOST, _FEWEST = 400, 40
 #: Blocks that have to lie before a joint and behind it, and how many places are tried.
 _BEFORE, _BEHIND, _PLACES = 15, 2, 60
-#: Twice the logarithm of the likelihood: something has changed; one explanation is better than another; it may have.
-_CHANGED, _BETTER, _SUSPECTED = 45.0, 16.0, 25.0
+#: Twice the logarithm of the likelihood: something has changed; one explanation is better than another.
+_CHANGED, _BETTER = 45.0, 16.0
 #: Way of a joint through the span, in lengths, before which it is not told from a step, and up to which what is known
 #: of it gets better.
 _LEAST_WAY, _THROUGH = 0.12, 1.0
-#: Relative change of the speed from which on the web's share in the torque is not all that may change.
-_SAME_SPEED = 0.02
 #: A short piece is taken to be so long, m, and no softer or stiffer than this share of the span allows.
 _SHORT_M, _LEAST_SHARE = 0.3, 0.5
 
@@ -144,24 +143,7 @@ def _looking(sources: int) -> Callable[[Vector, Vector, Array, Vector, Array], N
     return explain_all
 
 
-def _entry_points(
-    sources: int,
-) -> tuple[Callable[[Vector], None], Callable[[Vector, float, float, float, float], bool]]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(VECTOR)
-    def interrupt_once(s: Vector) -> None:
-        if sources >= 0:
-            interrupt(s)
-
-    @entry_point(VECTOR, REAL, REAL, REAL, REAL)
-    def collect_once(s: Vector, force_N: float, web_per_Pa: float, velocity_m_s: float, before_m: float) -> bool:
-        return collect(s, force_N, web_per_Pa, velocity_m_s, before_m) if sources >= 0 else False
-
-    return interrupt_once, collect_once
-
-
-_interrupt, _collect = _entry_points(number_of_sources(__file__))
+_interrupt, _collect = interpreted(interrupt), interpreted(collect)
 _explain_all = _looking(number_of_sources(__file__))
 
 
@@ -211,7 +193,7 @@ class SpliceFinder:
         self._length_m = span_length_m
         self._mass_kg = mass_kg
         self.state = np.zeros(_SIZE)  #: what is added up
-        self.state[CYCLES] = cycles = max(2, round(_BLOCK_S / cycle_s))
+        self.state[CYCLES] = cycles = max(2, round(BLOCK_S / cycle_s))
         self._block_s = cycles * cycle_s
         self._every = max(1, round(_LOOK_S / self._block_s))
         self.reset()
@@ -225,7 +207,6 @@ class SpliceFinder:
         self._since_m = -inf  # position of the roller before the span from which on blocks are looked at
         self._kind: _Kind | None = None
         self._joint: Joint | None = None
-        self.suspects = False  #: something has changed that may be inside, and it is open yet what
         _interrupt(self.state)
 
     def update(self, now: BalanceSample | None, before_m: float, seeming: float) -> Entered | None:
@@ -265,8 +246,6 @@ class SpliceFinder:
         # What none of them explains, as a roller that a step has hit, counts as noise.
         total = float(np.sum(_without(compliances, motion) ** 2)) / noise**2
         rest = (total - max(fit.gain for fit in fits.values())) / len(compliances)
-        inside_yet = [fit.gain for fit in fits.values() if ways_m[-1] - fit.front_m < _THROUGH * self._length_m]
-        self.suspects = max(inside_yet, default=0.0) > _SUSPECTED * max(rest, 1.0)
         told = {kind for kind, fit in fits.items() if self._can_be_told(kind, fit, float(ways_m[-1]))}
         if not self._decide({kind: fit.gain / max(rest, 1.0) for kind, fit in fits.items()}, told):
             return None
@@ -310,10 +289,7 @@ class SpliceFinder:
         best, next_best = sorted(gains, key=gains.__getitem__, reverse=True)[:2]
         if gains[best] < _CHANGED:
             return self._kind is not None
-        than = next_best
-        if self._kind is not None and best is not _Kind.STEP:
-            than = self._kind if best is not self._kind else next_best
-        if best in told and gains[best] > gains[than] + _BETTER:
+        if best in told and gains[best] > gains[next_best] + _BETTER:
             self._kind = best
         return self._kind in told
 
@@ -322,18 +298,18 @@ class SpliceFinder:
         kept = [block for block in self._blocks if block[0] > front_m]
         self._blocks.clear()
         self._blocks.extend(kept)
-        self._kind, self.suspects = None, False
+        self._kind = None
 
     def _choose_since(self, blocks: Array) -> None:
         """Look back beyond the last change of speed only while web is in the span that came in before it: then others
         before that say what is of the motion."""
         speeds_m_s, now_m = blocks[:, 2], blocks[-1, 0]
-        others = np.flatnonzero(np.abs(speeds_m_s - speeds_m_s[-1]) > _SAME_SPEED * abs(speeds_m_s[-1]))
+        others = np.flatnonzero(np.abs(speeds_m_s - speeds_m_s[-1]) > SAME_SPEED * abs(speeds_m_s[-1]))
         last = int(others[-1]) if len(others) else -1
         changed_m = blocks[last, 0] if last >= 0 else -inf
         if now_m - changed_m < _THROUGH * self._length_m or len(blocks) - last <= _FEWEST:
             self._since_m = -inf
-        elif self._joint is None and not self.suspects:
+        elif self._joint is None:
             self._since_m = changed_m
 
     def _entered(self, found: _Fit, way: float) -> Entered | None:
@@ -354,7 +330,7 @@ class SpliceFinder:
 def _known_ways(speeds_m_s: Array, accelerating: Array) -> Array:
     """Orthonormal columns (n, 1 to 3) of what a compliance may do by itself: be constant, and go with the motion."""
     ways = [np.ones(len(speeds_m_s))]
-    if np.ptp(speeds_m_s) > _SAME_SPEED * np.max(np.abs(speeds_m_s)):
+    if np.ptp(speeds_m_s) > SAME_SPEED * np.max(np.abs(speeds_m_s)):
         ways += [speeds_m_s, accelerating]
     return np.linalg.qr(np.stack(ways, axis=1))[0]
 

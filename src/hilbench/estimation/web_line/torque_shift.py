@@ -16,24 +16,20 @@ the inertia looks like one). When neither line fits it was something else.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import inf, sqrt
-from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import FLAG, REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
+from hilbench.compiled import compiled, inlined
 from hilbench.estimation import ring
 from hilbench.estimation.bank import Array
-from hilbench.estimation.web_line.balance import BalanceSample
+from hilbench.estimation.web_line.blocks import SAME_SPEED
 
 #: Blocks that say what was before, and how many are enough.
 _BEFORE, _ENOUGH = 60, 24
 #: Blocks after that of the change that are left out: a shaft that was hit is on no line, nor is a load motor that
 #: imitates a web some cycles late.
 _HIT = 1
-#: Change of the speed between blocks that are compared, relative.
-_SAME_SPEED = 0.02
 #: A change that is worth an explanation: over the noise of a block, and relative to the tension.
 _CHANGED_NOISES, _CHANGED = 6.0, 0.02
 #: Least noise of a block that is believed, relative to the tension: what is left of the model's own errors.
@@ -53,13 +49,6 @@ _SETTLED, _LEANS, _LEANS_NO_MORE = 8.0, 5.0, 2.5
 _OFTENER, _FOLLOWED = 9.2, 0.5
 #: Blocks that an explanation needs, after which it counts as undecided, and after which nothing is said any more.
 _LEAST, _LONG, _LONGEST = 15, 150, 3000
-
-
-class TorqueShift(NamedTuple):
-    """What has shifted: force at the web that the torque shows and the web does not pull; E is what was told before."""
-
-    force_N: float
-    youngs_modulus_Pa: float
 
 
 # State. Of a change what there was before (E of the line through the blocks before: beside
@@ -111,12 +100,17 @@ def look(
     may_decide: bool,
     deviation_N: float,
 ) -> bool:
-    """Take a block that is complete; whether a shift is sure, FOUND_N and FOUND_PA then (see `TorqueShiftFinder`)."""
+    """Take the means of a block that is complete, and the E that is told. Whether a shift is sure: then FOUND_N is the
+    force at the web that the torque shows and the web does not pull, FOUND_PA the E that was told before.
+
+    Without `may_decide` what is sure is not said yet: it may be something else. `deviation_N`: what the balance may
+    have been off by all the time.
+    """
     before = int(s[_SPEEDS])
     changed_speed = False
     if ring.count(s, before) > 0:
         first_m_s = ring.value(s, before, 0)
-        changed_speed = not abs(velocity_m_s - first_m_s) <= _SAME_SPEED * abs(first_m_s)
+        changed_speed = not abs(velocity_m_s - first_m_s) <= SAME_SPEED * abs(first_m_s)
     if block_per_Pa <= 0.0 or changed_speed:
         reset(s)
     elif s[_OPEN] != 0.0:
@@ -251,56 +245,11 @@ def undecided(s: Array) -> bool:
     return bool(s[_OPEN] != 0.0 and s[_COUNT] >= _LONG and s[_LEANS_TO_MODULUS] == 0.0)
 
 
-Look = Callable[[Array, float, float, float, float, bool, float], bool]
-
-
-def _entry_points(sources: int) -> tuple[Look, Callable[[Array], bool]]:
-    """The functions that are called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR, REAL, REAL, REAL, REAL, FLAG, REAL)
-    def look_once(
-        s: Array, force_N: float, web_per_Pa: float, velocity_m_s: float, told_Pa: float, may: bool, deviation_N: float
-    ) -> bool:
-        return look(s, force_N, web_per_Pa, velocity_m_s, told_Pa, may, deviation_N) if sources >= 0 else False
-
-    @entry_point(VECTOR)
-    def undecided_now(s: Array) -> bool:
-        return undecided(s) if sources >= 0 else False
-
-    return look_once, undecided_now
-
-
-_look, _undecided = _entry_points(number_of_sources(ring.__file__, __file__))
-
-
-class TorqueShiftFinder:
-    """Looks at the blocks of axis 2."""
-
-    def __init__(self) -> None:
-        size = ring.size(_BEFORE)
-        self.state = np.zeros(_SIZE + 4 * size)
-        for number, place in enumerate((_FORCES, _WEBS, _SPEEDS, _TOLD)):
-            self.state[place] = _SIZE + number * size
-            ring.put(self.state, _SIZE + number * size, _BEFORE)
-
-    @property
-    def undecided(self) -> bool:
-        """Whether a change has been open for long, and may as well be the one as the other."""
-        return _undecided(self.state)
-
-    def update(
-        self, block: BalanceSample, told_Pa: float, *, may_decide: bool = True, deviation_N: float = 0.0
-    ) -> TorqueShift | None:
-        """Take the means of a block and the E that is told; a shift once it is sure.
-
-        Without `may_decide` what is sure is not said yet: it may be something else. `deviation_N`: what the balance may
-        have been off by all the time.
-        """
-        if _look(self.state, block.force_N, block.web_per_Pa, block.velocity_m_s, told_Pa, may_decide, deviation_N):
-            return self.found
-        return None
-
-    @property
-    def found(self) -> TorqueShift:
-        """The last shift that was sure."""
-        return TorqueShift(self.state.item(FOUND_N), self.state.item(FOUND_PA))
+def new_state() -> Array:
+    """State of what looks at the blocks of axis 2."""
+    size = ring.size(_BEFORE)
+    s = np.zeros(_SIZE + 4 * size)
+    for number, place in enumerate((_FORCES, _WEBS, _SPEEDS, _TOLD)):
+        s[place] = _SIZE + number * size
+        ring.put(s, _SIZE + number * size, _BEFORE)
+    return s

@@ -5,7 +5,6 @@ The same for the twin on the bus and for a recording.
 
 from __future__ import annotations
 
-from copy import deepcopy
 from dataclasses import replace
 from math import hypot, inf, nan
 from typing import NamedTuple
@@ -13,14 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import table_of
+from hilbench.compiled import interpreted, table_of
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.plausibility import Plausibility
 from hilbench.estimation.problems import PROBLEMS, Problem
-from hilbench.estimation.web_line import anomalies, delay
+from hilbench.estimation.web_line import anomalies, blocks, delay, torque_shift
 from hilbench.estimation.web_line import tracking_cycle as cycle
 from hilbench.estimation.web_line.balance import BalanceSample, MeasuredBalance
-from hilbench.estimation.web_line.blocks import Blocks
 from hilbench.estimation.web_line.config import (
     ChangepointConfig,
     EstimationConfig,
@@ -28,7 +26,6 @@ from hilbench.estimation.web_line.config import (
     PidConfig,
     SynchronizerConfig,
 )
-from hilbench.estimation.web_line.delay import DelayFinder
 from hilbench.estimation.web_line.found_running import FoundWeb
 from hilbench.estimation.web_line.known_change import new_known_change
 from hilbench.estimation.web_line.measured_span import MeasuredSpan
@@ -36,9 +33,8 @@ from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchroniz
 from hilbench.estimation.web_line.synchronizers.changepoint import ChangepointSynchronizer
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
 from hilbench.estimation.web_line.synchronizers.plant import Plant
-from hilbench.estimation.web_line.torque_shift import TorqueShiftFinder
 from hilbench.estimation.web_line.tracked import SimulatedMotor, TrackedLine
-from hilbench.estimation.web_line.unknown_webs import UnknownWebs, unknown_webs
+from hilbench.estimation.web_line.unknown_webs import SLOW_M_S, UnknownWebs, unknown_webs
 from hilbench.estimation.web_line.unmodelled_effects import UnmodelledEffects
 from hilbench.estimation.web_line.web_search import WebSearch
 from hilbench.plant.parameters import per_item
@@ -46,13 +42,9 @@ from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
 
-#: Above this speed of an axis the plant runs already when the twin joins.
-MOVES_M_S = 1e-3
 #: How far off the upstream strain may be as a guess of the strain of a web that is found under way, and of one that is
 #: found at rest, which may be strained by anything.
 UNKNOWN_STRAIN, UNKNOWN_AT_REST = 0.3, 1.0
-#: Spans of web after which a strain that was wrong when they began to pass is none any more (exp(-5) of it is left).
-PASSED_SPANS = 5.0
 #: Least deviation with which a method takes over the estimate of the one before.
 _LEAST_PRIOR_PCT = 0.1
 #: What is left of a shift of the torque that has gone again, as a share of it.
@@ -63,14 +55,14 @@ _AT_SPEED = 0.1
 #: Roller behind the span, of the model of two.
 _AXIS = 2
 _NOTHING_MEASURED = (nan,) * 9
+_undecided, _is_synchronized = interpreted(torque_shift.undecided), interpreted(cycle.is_synchronized)
 
 
 class Known(NamedTuple):
-    """What is known of a span at some time: E, what the torque has shifted by, and what else the model lacks."""
+    """What is known of a span at some time: E, and what the torque has shifted by."""
 
     youngs_modulus_Pa: float
     torque_shift_Nm: float
-    errors: UnmodelledEffects | None
 
 
 class Tracking:
@@ -103,8 +95,8 @@ class Tracking:
             machine_sizes(model, 2).force_N,
             model.span_length_m(1),
         )
-        self._blocks = Blocks(balance.mass_kg, cycle_s)
-        self._shift_finder = TorqueShiftFinder()
+        self._blocks = blocks.new_state(balance.mass_kg, cycle_s)
+        self._shift = torque_shift.new_state()
         self._delay_line = delay.new_line(cycle_s)
         self._known_change = new_known_change(model, config, balance.mass_kg, cycle_s)
         self._model = model
@@ -153,23 +145,17 @@ class Tracking:
             self._t,
             self._plausibility.state,
             self._anomalies,
-            self._shift_finder.state,
+            self._shift,
             self._delay_line,
-            self._delay_finder.state,
+            self._delay_finder,
             self._line.moduli,
             self._balance.vectors,
             errors.state,
             bank.vectors,
             self._line.vectors,
-            self._blocks.state,
+            self._blocks,
         )
         self._table = table_of(cycle.flat(self._vectors))
-
-    @property
-    def vectors(self) -> cycle.TrackingVectors:
-        """What it consists of, for compiled callers of `tracking_cycle.run`; another one after `reset`, `use`,
-        `believe` and a known change."""
-        return self._vectors
 
     @property
     def table(self) -> NDArray[np.int64]:
@@ -201,7 +187,7 @@ class Tracking:
         t[c.MODULUS_PA], t[c.WEB_PER_PA] = self._initial_Pa, self._balance.section_m2 * self._strain_prev
         self._begin(self.config.synchronizer, self._initial_Pa)
         t[c.DELAY_S] = self._model_delay_s
-        t[c.RESIDUAL_NM] = t[c.USED] = t[c.SPLICED] = t[c.OTHER_WEB] = t[c.PROBLEM] = 0.0
+        t[c.RESIDUAL_NM] = t[c.USED] = t[c.SPLICED] = t[c.PROBLEM] = 0.0
         t[c.SERIES_FACTOR] = t[c.END_FACTOR] = 1.0
         t[c.SHIFT_NM] = 0.0
         self._state(Estimate(self._initial_Pa, inf))
@@ -215,7 +201,7 @@ class Tracking:
             self._balance.section_m2 * self._strain_prev,
             self._cycle_s,
         )
-        self._delay_finder = DelayFinder(self._cycle_s)
+        self._delay_finder = delay.new_finder(self._cycle_s)
 
     def doubt(self, *, doubted: bool) -> None:
         """Whether nobody knows how long a cycle is: the web is followed by its ways, and nothing is learned."""
@@ -224,7 +210,7 @@ class Tracking:
     def go_by(self, cycle_s: float, known: Known) -> None:
         """A cycle is so long from the next on; goes on from what was known, with the strain as it is measured."""
         self._cycle_s = self._t[cycle.CYCLE_S] = cycle_s
-        self._blocks = Blocks(self._balance.mass_kg, cycle_s)
+        self._blocks = blocks.new_state(self._balance.mass_kg, cycle_s)
         self._delay_line = delay.new_line(cycle_s)
         self._known_change = new_known_change(self._model, self.config, self._balance.mass_kg, cycle_s)
         self._look_anew()
@@ -261,7 +247,7 @@ class Tracking:
         self._t[cycle.BANK] = 0.0  # until it has started from what is found
 
     def _forget(self, what: int) -> None:
-        cycle.forget(what, self._blocks.state, self._anomalies, self._shift_finder.state, self._delay_line)
+        cycle.forget(what, self._blocks, self._anomalies, self._shift, self._delay_line)
 
     def use(self, synchronizer: SynchronizerConfig | None) -> None:
         """Go on with another method (None: the configured one) from the present E, without a jump."""
@@ -325,11 +311,6 @@ class Tracking:
         return self._t.item(cycle.SHIFT_NM)
 
     @property
-    def delay_s(self) -> float:
-        """By which the measured torque is late."""
-        return self._t.item(cycle.DELAY_S)
-
-    @property
     def residual_Nm(self) -> float:
         """Torque measured, less the shift, less simulated."""
         return self._t.item(cycle.RESIDUAL_NM)
@@ -350,7 +331,7 @@ class Tracking:
         that was in the span had left it: nothing that was measured wrongly then is in it any more."""
         t = self._t
         lasts = t.item(cycle.REFUSED) * self._cycle_s > cycle.ASTRAY_S
-        return lasts and t.item(cycle.REFUSED_M) > PASSED_SPANS * self._balance.span_length_m
+        return lasts and t.item(cycle.REFUSED_M) > anomalies.PASSED_SPANS * self._balance.span_length_m
 
     @property
     def used(self) -> BalanceSample | None:
@@ -360,24 +341,10 @@ class Tracking:
         return BalanceSample(*self._t[cycle.USED_M : cycle.USED_M_S + 1].tolist())
 
     @property
-    def other_web_suspected(self) -> bool:
-        """Whether E may be changing because other web comes in."""
-        return self._t.item(cycle.OTHER_WEB) != 0.0
-
-    @other_web_suspected.setter
-    def other_web_suspected(self, suspected: bool) -> None:
-        self._t[cycle.OTHER_WEB] = suspected
-
-    @property
     def synchronized(self) -> bool:
         """Whether E is known as well as the config asks for, the web in the span is the one that was measured, and the
         simulation has its strain."""
-        return cycle.synchronized(self._t, self.config.synchronized_pct)
-
-    @property
-    def web_is_known(self) -> bool:
-        """Whether the web in the span is the one that was measured, none that was found under way."""
-        return self._t.item(cycle.STRAIN_UNCERTAINTY) == 0.0
+        return _is_synchronized(self._t, self.config.synchronized_pct)
 
     def become(self, relative_change: float) -> None:
         """The web in the span is all of what a piece of it was: what is known of E is known of that."""
@@ -393,7 +360,7 @@ class Tracking:
 
     def known(self) -> Known:
         """What is known now, to come back to."""
-        return Known(self.estimate.youngs_modulus_Pa, self.torque_shift_Nm, deepcopy(self._errors))
+        return Known(self._t.item(cycle.MODULUS_PA), self.torque_shift_Nm)
 
     def believe(self, known: Known, strain: float) -> None:
         """What has come to light since then was no change of E of the web that is in the span, but another strain."""
@@ -403,13 +370,12 @@ class Tracking:
         self._forget(cycle.SUSPEND)
 
     def _go_back(self, known: Known) -> None:
-        self._errors = deepcopy(known.errors)
         self._t[cycle.SHIFT_NM], self._t[cycle.MODULUS_PA] = known.torque_shift_Nm, known.youngs_modulus_Pa
 
     @property
     def torque_undecided(self) -> bool:
         """Whether the torque has changed, and nothing tells yet whether that was E or a shift."""
-        return self._shift_finder.undecided
+        return _undecided(self._shift)
 
     def miss(self) -> None:
         """A cycle without measurement."""
@@ -425,7 +391,6 @@ class Tracking:
 
     def compare(
         self,
-        time_s: float,
         x1_m: float,
         x2_m: float,
         torque_Nm: float,
@@ -447,18 +412,18 @@ class Tracking:
         if stage == cycle.DONE:
             self.has_gone_on()
         else:
-            self.go_on_from(stage, time_s, strain_prev)
+            self.go_on_from(stage, strain_prev)
         if self._t[cycle.MOVED]:
             self._line.show()
 
-    def go_on_from(self, stage: int, time_s: float, strain_prev: float) -> None:
+    def go_on_from(self, stage: int, strain_prev: float) -> None:
         """What is Python's part of a cycle, from this stage on; a compiled caller that was left with it has it done."""
         t, c = self._t, cycle
         if stage == c.UPDATE:
-            self._update(time_s, strain_prev)
+            self._update(strain_prev)
         elif stage in (c.HOLD, c.FOUND_WEB):
             if stage == c.FOUND_WEB:
-                self._look_at_found_web(time_s, strain_prev)
+                self._look_at_found_web(strain_prev)
                 t[c.USED] = 0.0
             self.skip()
             if self._search.is_on:
@@ -471,13 +436,12 @@ class Tracking:
             self._take_out_shift()
             c.run_vectors(c.TRANSFER, _NOTHING_MEASURED, self._table)
 
-    def _sample(self, time_s: float, strain_prev: float, force_N: float) -> SyncSample:
+    def _sample(self, strain_prev: float, force_N: float) -> SyncSample:
         """Of this cycle, with this force in the balance."""
         t, c = self._t, cycle
         x2_m, _, web_per_Pa, velocity_m_s = t[c.USED_M : c.USED_M_S + 1].tolist()
         sensitivity = t.item(c.SECTION_M2) * float(self._line.strain[0]) / t.item(c.FORCE_PER_TORQUE)
         return SyncSample(
-            time_s,
             self._cycle_s,
             t.item(c.TORQUE_NM),
             t.item(c.TORQUE_SIM_NM),
@@ -486,7 +450,7 @@ class Tracking:
             BalanceSample(x2_m, force_N, web_per_Pa, velocity_m_s),
         )
 
-    def _update(self, time_s: float, strain_prev: float) -> None:
+    def _update(self, strain_prev: float) -> None:
         """Let another method than the bank, or one that begins, take this cycle."""
         if self._search.is_on:  # the web that could not be known has gone
             self._believe_found(self._search.end())
@@ -495,7 +459,7 @@ class Tracking:
         if t[c.REBASED_PA]:
             method.rebase(t.item(c.REBASED_PA))
         t[c.WEB_PER_PA] = t[c.USED_PER_PA]
-        self._state(method.update(self._sample(time_s, strain_prev, t.item(c.CORRECTED_N))))
+        self._state(method.update(self._sample(strain_prev, t.item(c.CORRECTED_N))))
         t[c.BANK] = isinstance(method, ChangepointSynchronizer) and method.is_compiled
 
     def _state_looked_for(self) -> None:
@@ -503,7 +467,7 @@ class Tracking:
         looked_for_Pa = self._search.deviation_Pa(self._t.item(cycle.MODULUS_PA))
         self._state(replace(self.estimate, deviation_Pa=max(self._own_deviation_Pa, looked_for_Pa)))
 
-    def _look_at_found_web(self, time_s: float, strain_prev: float) -> None:
+    def _look_at_found_web(self, strain_prev: float) -> None:
         """The web was found under way: the method begins as soon as its E and strain, and the strain of the web that
         enters, are known."""
         t, c, search = self._t, cycle, self._search
@@ -511,7 +475,7 @@ class Tracking:
         t[c.STRAIN_UNCERTAINTY] = max(t.item(c.STRAIN_UNCERTAINTY), enters)
         if not search.is_on:
             return
-        sample = self._sample(time_s, strain_prev, t.item(c.USED_N)) if t[c.USED] else None
+        sample = self._sample(strain_prev, t.item(c.USED_N)) if t[c.USED] else None
         strain = float(self._balance.web.strain[0])
         found = search.look(sample, self._cycle_s, strain)
         if found is None:
@@ -538,7 +502,7 @@ class Tracking:
             friction_sd_N = hypot(found.friction_deviation_N, _AT_SPEED * found.friction_N)
             self._errors.know(found.youngs_modulus_Pa, found.deviation_Pa, found.friction_N, friction_sd_N)
         if found.sticks:
-            self._plausibility.sticks()
+            self._plausibility.sticks(SLOW_M_S)
 
     def look_for_known_change(self, set_point_m_s: float) -> None:
         """After `compare`: what the last changes of the tension tell of E, at a steady set-point of axis 2 (m/s).
@@ -548,7 +512,7 @@ class Tracking:
         change, t, c = self._known_change, self._t, cycle
         if change is None or not t[c.MEASURED]:
             return
-        if self.problem is not None or not self.web_is_known or self._input_strain is not None:
+        if self.problem is not None or t[c.STRAIN_UNCERTAINTY] != 0.0 or self._input_strain is not None:
             change.reset()
             return
         now, torque_Nm, estimate = self._balance.sample, t.item(c.TORQUE_NM), self.estimate
@@ -575,10 +539,10 @@ class Tracking:
 
     def _take_out_shift(self) -> None:
         """A shift is taken out of the torque from the next cycle on, and E goes on from what it was before it."""
-        t, shift = self._t, self._shift_finder.found
-        more_Nm = shift.force_N / self._balance.force_per_torque_per_m
+        t, shift = self._t, self._shift
+        more_Nm = shift.item(torque_shift.FOUND_N) / self._balance.force_per_torque_per_m
         t[cycle.SHIFT_NM] += more_Nm
         if abs(self.torque_shift_Nm) < _GONE * abs(more_Nm):
             t[cycle.SHIFT_NM] = 0.0
-        t[cycle.MODULUS_PA] = shift.youngs_modulus_Pa
+        t[cycle.MODULUS_PA] = shift[torque_shift.FOUND_PA]
         self.use(self._method)

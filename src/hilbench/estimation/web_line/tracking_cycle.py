@@ -21,6 +21,7 @@ from hilbench.estimation.web_line import (
     delay,
     ripples,
     torque_shift,
+    unknown_webs,
     unmodelled_effects,
     unmodelled_evidence,
     unmodelled_filter,
@@ -34,8 +35,6 @@ from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.span_kernel import SpanVectors
 
-#: Relative uncertainty of the strain below which the web in the span counts as known.
-_KNOWN_STRAIN = 0.003
 #: Share of the tension by which more may become known to be none without a fresh look at what happens to the web.
 _ALL_AT_ONCE = 0.002
 #: Largest strain, either way, of a measured state that is taken over: no web has more.
@@ -74,7 +73,6 @@ COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(
     DELAY_S,
     STRAIN_UNCERTAINTY,
     WEB_PER_PA,
-    OTHER_WEB,  # E may be changing because other web comes in
     # Of the present cycle:
     MISSED_S,  # since the last measurement
     RUNS,  # the line has been simulated since the release
@@ -102,8 +100,8 @@ COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(
     CREPT,  # share by which the web leaves the span slower than the roller turns
     FOUND,  # the strain of the web has just been found: the simulation had a guess
     DOUBTED,  # how long a cycle is, nobody knows: nothing is learned
-) = range(51)
-SIZE = 51
+) = range(50)
+SIZE = 50
 
 
 class TrackingVectors(NamedTuple):
@@ -266,7 +264,7 @@ def _find_delay(v: TrackingVectors, torque_Nm: float, torque_sim_Nm: float) -> b
 def _transport_out(t: Array, velocity_m_s: float) -> None:
     """What is not known of the strain leaves with the web: it decays by exp(-v·t/L)."""
     t[STRAIN_UNCERTAINTY] *= exp(-abs(velocity_m_s) * t[CYCLE_S] / t[SPAN_M])
-    if t[STRAIN_UNCERTAINTY] < _KNOWN_STRAIN:
+    if t[STRAIN_UNCERTAINTY] < unknown_webs.KNOWN:
         t[STRAIN_UNCERTAINTY] = 0.0
 
 
@@ -276,8 +274,8 @@ def _look_for_errors(v: TrackingVectors, F_next_N: float) -> None:
     t, errors = v.t, unmodelled_effects.record(v.errors)
     if t[HAS_ERRORS] == 0.0:
         return
-    # How much of other web is in the span, and what else it is, says nothing of the model.
-    if t[SPLICED] != 0.0 or t[OTHER_WEB] != 0.0:
+    # How much of other web is in the span says nothing of the model.
+    if t[SPLICED] != 0.0:
         unmodelled_filter.interrupt(errors)
         return
     web_per_Pa = t[USED_PER_PA]
@@ -455,7 +453,7 @@ INTERRUPT, SUSPEND, NEW_WEB = range(3)
 
 def _entry_points(
     sources: int,
-) -> tuple[Callable[..., int], Callable[..., None], Callable[..., None], Callable[[Vector, float], bool]]:
+) -> tuple[Callable[..., int], Callable[..., None], Callable[..., None]]:
     """Compiled functions that are called from Python; `sources` as in the kernel."""
 
     @entry_point(COUNT, reals(9), TABLE)
@@ -532,11 +530,7 @@ def _entry_points(
         if sources >= 0:
             state_modulus(t, errors, modulus_Pa, deviation_Pa)
 
-    @entry_point(VECTOR, REAL)
-    def synchronized(t: Vector, most_pct: float) -> bool:
-        return is_synchronized(t, most_pct) if sources >= 0 else False
-
-    return run_vectors, forget, state, synchronized
+    return run_vectors, forget, state
 
 
 #: The files of what is compiled here, beside those of the kernel.
@@ -560,6 +554,7 @@ SOURCES = (
             ripples,
             span_kernel,
             torque_shift,
+            unknown_webs,
             unmodelled_effects,
             unmodelled_evidence,
             unmodelled_filter,
@@ -567,4 +562,4 @@ SOURCES = (
     ),
     __file__,
 )
-run_vectors, forget, state, synchronized = _entry_points(kernel.source_number(*SOURCES))
+run_vectors, forget, state = _entry_points(kernel.source_number(*SOURCES))

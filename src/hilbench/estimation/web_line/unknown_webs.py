@@ -30,7 +30,7 @@ SLOW_M_S = 0.02
 #: Of the speeds.
 _SMOOTHING_S = 0.008
 #: Share of the unknown below which a web is known.
-_KNOWN = 0.003
+KNOWN = 0.003
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class UnknownWebs:
 
     def enters_known(self, span: int) -> bool:
         """Whether the strain of the web that enters a span is known."""
-        return self.entering(span) < _KNOWN
+        return self.entering(span) < KNOWN
 
     def go_along(self, span: int, speed_m_s: float, least_m_s: float) -> bool:
         """Whether the rollers behind that behind a span go in the direction of this speed, or stand where it is 0, by

@@ -152,7 +152,7 @@ class InVectors(Protocol):
     def has_ended(self, code: int) -> bool:
         """Whether with this the cycle has gone on to its end."""
 
-    def go_on_from(self, code: int, time_s: float) -> int:
+    def go_on_from(self, code: int) -> int:
         """The rest of a cycle whose piece has returned this: WENT_ON, LOOK or MISSED."""
 
     def give(self) -> int:

@@ -27,7 +27,7 @@ from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.layout import Vector
 from hilbench.plant.servo_axis.shaft import ShaftStep
 from hilbench.twin.machines.machine import LOOK, WENT_ON, MachineVectors
-from hilbench.twin.virtual_io import TwinStatus
+from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED
 
 Places = NDArray[np.int64]
 
@@ -51,9 +51,6 @@ _NUMBER, _STATUS_AT, _PUBLISHED = range(3)
 #: Position and torque in what is measured, torque in what the motor shows.
 _POSITION, _TORQUE = 0, 2
 _NUMBERS = 0x10000
-_RUNNING, _SYNCHRONIZED, _HOLDING, _NOT_SEPARABLE = (
-    int(bit) for bit in (TwinStatus.RUNNING, TwinStatus.SYNCHRONIZED, TwinStatus.HOLDING, TwinStatus.NOT_SEPARABLE)
-)
 
 
 @compiled
@@ -95,13 +92,13 @@ def _publish(values: Vector, at: Places, told: Vector, said: Vector, torque_Nm: 
 @compiled
 def _status(told: Vector, problem: float, known: float) -> int:
     """`TwinApplication._status` of a machine that is released, with the model that it was configured with."""
-    status = _RUNNING
+    status = RUNNING
     if problem != 0.0:
-        status |= _HOLDING
+        status |= HOLDING
     elif told[inertia.DEVIATION] <= known * told[inertia.INERTIA]:
-        status |= _SYNCHRONIZED
+        status |= SYNCHRONIZED
     if told[inertia.SEPARABLE] == 0.0:
-        status |= _NOT_SEPARABLE
+        status |= NOT_SEPARABLE
     return status
 
 
@@ -198,7 +195,7 @@ class ShaftInVectors:
         """See `machine.InVectors`."""
         return code in _ENDS
 
-    def go_on_from(self, code: int, time_s: float) -> int:
+    def go_on_from(self, code: int) -> int:
         """See `machine.InVectors`."""
         if code not in _ENDS:
             code = self._go_on_by_objects(code)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from math import inf, sqrt
 
 from hilbench.compiled import interpreted
+from hilbench.estimation.plausibility import STANDSTILL_M_S
 from hilbench.estimation.problems import Problem
+from hilbench.estimation.web_line.anomalies import PASSED_SPANS
 from hilbench.estimation.web_line.config import (
     METHODS,
     ChangepointConfig,
@@ -17,8 +18,6 @@ from hilbench.estimation.web_line.config import (
 )
 from hilbench.estimation.web_line.rollers import Rollers
 from hilbench.estimation.web_line.tracking import (
-    MOVES_M_S,
-    PASSED_SPANS,
     UNKNOWN_AT_REST,
     UNKNOWN_STRAIN,
     Known,
@@ -37,7 +36,7 @@ from hilbench.topology.signals import Shape
 from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines import web_line_cycle
 from hilbench.twin.machines.machine import MachineVectors, Measured, Told
-from hilbench.twin.machines.web_line_cycle import LineInVectors
+from hilbench.twin.machines.web_line_cycle import EstimatedSpan, LineInVectors
 from hilbench.twin.machines.web_line_errors import as_effects
 from hilbench.twin.machines.web_passage import Passage
 from hilbench.twin.machines.web_section import WebSection
@@ -49,16 +48,6 @@ _LARGEST_STEP = 0.005
 def boundary(model: ModelParameters) -> dict[str, float]:
     """What is around the web before the bench says it."""
     return {"strain_prev": model.upstream_strain, "F_next_N": model.boundary.downstream_tension_N}
-
-
-@dataclass(slots=True)
-class _Estimated:
-    """A span at which E is found."""
-
-    span: int
-    section: WebSection
-    tracking: Tracking
-    residual_Nm: float = 0.0  #: torque of the axis behind it, measured less simulated
 
 
 class WebLineTwin:
@@ -80,14 +69,14 @@ class WebLineTwin:
         self._rollers = Rollers(model)
         self._several = len(spans) > 1
         shape = Shape(model.axis_count, (), len(spans), tuple(methods))
-        self._estimated: dict[int, _Estimated] = {}
+        self._estimated: dict[int, EstimatedSpan] = {}
         for span, method in methods.items():
             along = [other for other in spans if other != span and shape.shows(other) == span]
             section = WebSection(model, self.plant, self.ports, span, self._rollers, along)
             method = _over_rollers(method, model.axis_count - span)
             of_span = config.of_span(method, priors_behind(config.priors, span, model))
             tracking = Tracking(section.model, of_span, section, section, cycle_s)
-            self._estimated[span] = _Estimated(span, section, tracking)
+            self._estimated[span] = EstimatedSpan(span, section, tracking)
         self._all = tuple(self._estimated.values())
         #: What is asked for in every cycle is asked of it without a loop.
         self._only = self._all[0] if len(self._all) == 1 else None
@@ -217,7 +206,7 @@ class WebLineTwin:
         if not (self._pairing.update(*last) and self._pairing.update(*positions)):
             return False
         speeds = [(x - then) / self._cycle_s for x, then in zip(positions, last, strict=True)]
-        moves = max(map(abs, speeds)) > MOVES_M_S
+        moves = max(map(abs, speeds)) > STANDSTILL_M_S
         at_rest = [0.0] * len(self.ports)
         torques = [torque for _, torque in now]
         self.plant.set_state(
@@ -259,7 +248,7 @@ class WebLineTwin:
             others.follow(positions_m, strain_prev, F_next_N, self._cycle_s)
         for each in self._all:
             less_Nm = each.tracking.torque_shift_Nm, self.ports[each.span].torque_Nm
-            self._compare(each, time_s, positions_m, torques_Nm, strain_prev, F_next_N)
+            self._compare(each, positions_m, torques_Nm, strain_prev, F_next_N)
             each.residual_Nm = measured_Nm[each.span] - less_Nm[0] - less_Nm[1]
         if self._passage is not None:
             self._passage.update(positions_m[self._all[0].span - 1 :])
@@ -317,8 +306,7 @@ class WebLineTwin:
 
     def _compare(
         self,
-        each: _Estimated,
-        time_s: float,
+        each: EstimatedSpan,
         positions_m: Sequence[float],
         torques_Nm: Sequence[float],
         strain_prev: float,
@@ -330,7 +318,7 @@ class WebLineTwin:
             torque_Nm, centre_m = each.section.measured_torque_Nm(torques_Nm), each.section.centre_m
         strain_before, crept = self._strain_before(span, strain_prev), self._crept_before(span)
         around = strain_before, F_next_N, centre_m, self._strain_behind(span), crept
-        tracking.compare(time_s, positions_m[span - 1], positions_m[span], torque_Nm, *around)
+        tracking.compare(positions_m[span - 1], positions_m[span], torque_Nm, *around)
         rad_per_m = 1.0 / self._metres_per_rad[span]
         tracking.look_for_known_change(self.ports[span].setpoint / rad_per_m)
 

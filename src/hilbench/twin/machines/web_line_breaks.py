@@ -17,9 +17,10 @@ from typing import Final
 
 import numpy as np
 
+from hilbench.estimation.plausibility import SLACK
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.anomalies import BROKEN, LEAST_SHARE, WHOLE
-from hilbench.estimation.web_line.blocks import BLOCK_S
+from hilbench.estimation.web_line.blocks import BLOCK_S, ENDS
 from hilbench.estimation.web_line.carriage_slip import CarriageSlip
 from hilbench.estimation.web_line.section_slip import SectionSlip
 from hilbench.plant.web_line.layout import Vector
@@ -31,15 +32,11 @@ from hilbench.plant.web_line.varied_line import Kind, Unknown, VariedLine
 
 #: Share below which nothing is learned, and for how long: a web that tears has this on its way, another one for good.
 _DOUBTFUL, _DOUBT_S = 0.5, 0.15
-#: Most of the usual tension that a slack web has, as a share.
-_SLACK = 0.02
 #: Share of the usual tension from which a web pulls, whatever the encoders promise; that within which the torques say
 #: what is promised; and way of the web, in lengths of the section, after which they do so again.
 _PULLS, _AGREES, _AGREES_AGAIN = 0.25, 0.1, 1.0
 #: By which a reel with a sensor may carry another length of web than is reckoned with.
 _REEL_SHARE: Final = 5e-4
-#: Speeds at either end of a block, of which the middle one counts: cycles are not of one length where time is real.
-_ENDS: Final = 3
 #: Share of the usual tension that may accelerate the rollers while slip is looked for: of more the model is not sure.
 _ACCELERATES: Final = 0.2
 #: From when on: until then the line that is followed comes to the tensions that there are.
@@ -61,7 +58,7 @@ class SectionWatch:
     ) -> None:
         before = axes_before_spans(model)
         self._model, self._cycle_s = model, cycle_s
-        self._cycles = max(round(BLOCK_S / cycle_s), 2 * _ENDS)
+        self._cycles = max(round(BLOCK_S / cycle_s), 2 * ENDS)
         self._spans = {axis: [k for k, of in enumerate(before) if of == axis] for axis in told}
         self._axes = axes = range(1, model.axis_count + 1)
         carried = [model.carries_web_load(axis) for axis in axes]
@@ -193,10 +190,10 @@ class SectionWatch:
     def _judge(self, time_s: float, line: LineFollower, inertia_kg_m2: Vector) -> None:
         """A block is complete."""
         lows = zip(self._spans, self._tightest_N, self._usual_N, strict=True)
-        self._slack = {axis: tightest_N <= _SLACK * usual_N for axis, tightest_N, usual_N in lows}
+        self._slack = {axis: tightest_N <= SLACK * usual_N for axis, tightest_N, usual_N in lows}
         speeds = np.diff(np.array(self._way_m), axis=0) / self._cycle_s
-        gained_m_s = _middle(speeds[-_ENDS:]) - _middle(speeds[:_ENDS])
-        gained_m_s2 = gained_m_s / ((len(speeds) - _ENDS) * self._cycle_s)
+        gained_m_s = _middle(speeds[-ENDS:]) - _middle(speeds[:ENDS])
+        gained_m_s2 = gained_m_s / ((len(speeds) - ENDS) * self._cycle_s)
         ratios = np.array([line.radius_ratio(axis) for axis in range(1, len(gained_m_s2) + 1)])
         accelerates_N = inertia_kg_m2 * self._per_m * gained_m_s2 * self._per_m / ratios
         more_N = self._differences_Nm / self._collected * self._per_m / ratios + accelerates_N

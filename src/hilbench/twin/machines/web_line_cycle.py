@@ -9,8 +9,8 @@ the line, then those of each span with the rollers around it, one span after the
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from math import nan
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,8 @@ from hilbench.plant.web_line.line import LineStep
 from hilbench.twin.machines import web_passage
 from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, MachineVectors
 from hilbench.twin.machines.web_passage import Passage
-from hilbench.twin.virtual_io import TwinStatus
+from hilbench.twin.machines.web_section import WebSection
+from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED, TRANSFER_REFUSED
 
 Places = NDArray[np.int64]
 Matrix = NDArray[np.float64]
@@ -86,16 +87,6 @@ _F_SIM_N, _E_SIM_PA, _E_DEVIATION_PA, _TORQUE_SIM_NM, _TORQUE_RESIDUAL_NM, _COUN
 #: What is measured of an axis, and the torque among that and among what its motor shows.
 _MEASURED_SIZE, _TORQUE = 4, 2
 _NUMBERS = 0x10000
-_RUNNING, _SYNCHRONIZED, _HOLDING, _REFUSED, _NOT_SEPARABLE = (
-    int(bit)
-    for bit in (
-        TwinStatus.RUNNING,
-        TwinStatus.SYNCHRONIZED,
-        TwinStatus.HOLDING,
-        TwinStatus.TRANSFER_REFUSED,
-        TwinStatus.NOT_SEPARABLE,
-    )
-)
 
 
 @compiled
@@ -226,19 +217,19 @@ def _separable(of_span: Places) -> bool:
 @compiled
 def _status(table: Places) -> int:
     """`TwinApplication._status` of a machine that is released, with the model that it was configured with."""
-    spans, synchronized, status = floats(table, _SPANS, (1, 2)), _SYNCHRONIZED, _RUNNING
+    spans, synchronized, status = floats(table, _SPANS, (1, 2)), SYNCHRONIZED, RUNNING
     for k in range(len(spans)):
         of_span = table[_OWN + k * cycle.ROWS :]
         t = floats(of_span, cycle.STATE_ROW, (1,))
         if not cycle.is_synchronized(t, spans[k, _KNOWN_PCT]):
             synchronized = 0
         if t[cycle.PROBLEM] != 0.0:
-            status |= _HOLDING
+            status |= HOLDING
         if t[cycle.REFUSED] != 0.0:
-            status |= _REFUSED
+            status |= TRANSFER_REFUSED
         separable = _separable(of_span) if t[cycle.BANK] != 0.0 else spans[k, _SEPARABLE] != 0.0
         if not separable:
-            status |= _NOT_SEPARABLE
+            status |= NOT_SEPARABLE
     return status | synchronized
 
 
@@ -279,7 +270,7 @@ def _entry_point(sources: int) -> Callable[[int, Places], int]:
         whole[at[_NUMBER]] = (whole[at[_NUMBER]] + 1) % _NUMBERS
         if stage == _FINISH_WITHOUT:
             return _WITHOUT
-        return _DONE if _told(table) and not status & (_HOLDING | _REFUSED) else _LOOK
+        return _DONE if _told(table) and not status & (HOLDING | TRANSFER_REFUSED) else _LOOK
 
     return run
 
@@ -298,11 +289,14 @@ def warm_up() -> None:
     _run(-1, np.zeros((1, 1), np.int64))
 
 
-class Estimated(Protocol):
-    """Who finds E of a span, and keeps the residual of its torque."""
+@dataclass(slots=True)
+class EstimatedSpan:
+    """A span at which E is found."""
 
+    span: int
+    section: WebSection
     tracking: Tracking
-    residual_Nm: float
+    residual_Nm: float = 0.0  #: torque of the axis behind it, measured less simulated
 
 
 class LineInVectors:
@@ -314,7 +308,7 @@ class LineInVectors:
 
     def __init__(
         self,
-        estimated: Sequence[Estimated],
+        estimated: Sequence[EstimatedSpan],
         pairing_of_axes: Pairing,
         steady: SteadyWay,
         line: LineStep,
@@ -361,13 +355,13 @@ class LineInVectors:
         """See `machine.InVectors`."""
         return code in _ENDS
 
-    def go_on_from(self, code: int, time_s: float) -> int:
+    def go_on_from(self, code: int) -> int:
         """See `machine.InVectors`."""
         while code not in _ENDS:
-            code = self._go_on_by_objects(code, time_s)
+            code = self._go_on_by_objects(code)
         return _ENDS[code]
 
-    def _go_on_by_objects(self, stage: int, time_s: float) -> int:
+    def _go_on_by_objects(self, stage: int) -> int:
         """What is Python's of a stage, and what is behind that."""
         for each in self._estimated:
             each.tracking.has_gone_on()
@@ -382,7 +376,7 @@ class LineInVectors:
         else:
             span = int(self._said.item(_AT_SPAN))
             strain_before = self._spans.item(span, _STRAIN_BEFORE)
-            self._estimated[span].tracking.go_on_from(stage, time_s, strain_before)
+            self._estimated[span].tracking.go_on_from(stage, strain_before)
             behind = _NEXT_SPAN
         self._take_method()
         return _run(behind, self._table)

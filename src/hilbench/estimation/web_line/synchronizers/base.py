@@ -13,7 +13,6 @@ from hilbench.estimation.web_line.balance import BalanceSample
 class SyncSample:
     """What the twin knows at one SYNC; real and simulated values belong to the same instant."""
 
-    time_s: float  #: since the twin's web was released
     cycle_s: float  #: time since the sample before
     torque_real_Nm: float  #: measured motor torque of axis 2
     torque_sim_Nm: float  #: the same quantity as the twin simulates it

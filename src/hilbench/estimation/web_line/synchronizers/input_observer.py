@@ -20,10 +20,9 @@ from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line.config import InputConfig
 from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
-from hilbench.estimation.web_line.synchronizers.plant import Plant, held
+from hilbench.estimation.web_line.synchronizers.plant import TORQUE_FLOOR_NM, Plant, held
 from hilbench.estimation.web_line.synchronizers.regression import FILTER_S, RegressionRows
 
-_TORQUE_FLOOR_NM = 1e-4
 #: Most that the missing strain is amplified: at low speed the model can't follow faster, only the noise would.
 _MOST_GAIN = 30.0
 #: E that is told is positive, whatever the torque says.
@@ -37,7 +36,7 @@ class InputSynchronizer:
         self._config = config
         self._plant = plant
         self._rows = RegressionRows(plant)
-        self._noise = NoiseLevel(config.torque_noise_Nm, _TORQUE_FLOOR_NM)
+        self._noise = NoiseLevel(config.torque_noise_Nm, TORQUE_FLOOR_NM)
         self._missing = self._lacking = self._acting = 0.0
         self._innovation = 0.0
         self._simulated: list[float] | None = None  # tension a cycle ago, and behind each of the two low passes

@@ -18,10 +18,10 @@ from hilbench.estimation.web_line.config import AlsoEstimated, ChangepointConfig
 from hilbench.estimation.web_line.synchronizers import kalman
 from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
 
-#: Encoder noise believed before it is measured, and the least that is believed, m at the web.
+#: Encoder noise believed before it is measured, and the least that is believed, m at the web; the least of a torque.
 _POSITION_NOISE_M = 2e-7
 _POSITION_FLOOR_M = 2e-8
-_TORQUE_FLOOR_NM = 1e-4
+TORQUE_FLOOR_NM = 1e-4
 #: Smoothing of the acceleration by which the error of the mass is weighed.
 _ACCELERATION_S = 0.02
 #: Share of the inertial force that counts as noise: while the roller shakes, torque, load and position are less of one
@@ -169,7 +169,7 @@ class FilterInputs:
         self._s[_MODULUS_PA], self._s[_MASS_KG] = plant.youngs_modulus_Pa, plant.mass_kg
         self._s[_PER_TORQUE2], self._s[_PER_POSITION2] = plant.force_per_torque_per_m**2, 2.0 * stiffness_per_m**2
         self._s[_SLOWLY] = float(self.priors[:-1].any())
-        self._torque = NoiseLevel(config.torque_noise_Nm, _TORQUE_FLOOR_NM)
+        self._torque = NoiseLevel(config.torque_noise_Nm, TORQUE_FLOOR_NM)
         self._position = NoiseLevel(_POSITION_NOISE_M, _POSITION_FLOOR_M)
 
     @property
