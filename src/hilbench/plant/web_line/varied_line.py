@@ -122,7 +122,7 @@ class VariedLine:
         self._axes, self._boundary = model.axis_count, (nan, nan)
         self._idlers = [roller.name for roller in model.line_rollers if roller.axis is None]
         self._rollers, carriages = len(model.line_rollers), model.carriages
-        before, self._span_count = axes_before_spans(model), model.span_count
+        self._before, self._span_count = axes_before_spans(model), model.span_count
         #: Where the lengths of material and of spans begin among what is integrated.
         self._material = 4 * (self._rollers + len(carriages))
         self._lengths = self._material + self._span_count
@@ -138,7 +138,7 @@ class VariedLine:
             (self._rollers + at, each.station.name, each.station.lower_stop_m, each.station.upper_stop_m)
             for at, each in enumerate(carriages)
         ]
-        self._spans = {axis: [k for k, of in enumerate(before) if of == axis] for axis in range(model.axis_count + 1)}
+        self._spans = {axis: [k for k, of in enumerate(self._before) if of == axis] for axis in range(model.axis_count + 1)}
         self._slopes = {each.number: _slope_per_m(model, each.number) for each in self._of(Kind.RADIUS)}
         self._moduli = np.array([model.youngs_modulus_Pa(span) for span in range(1, model.span_count + 1)])
         self._pulls = self._lever_arms()
@@ -358,9 +358,15 @@ class VariedLine:
 
     def web_changed(self) -> Vector:
         """What unknowns become of others, (n, n), where web suddenly has another E with the strain that it has: its
-        tension is another one at once."""
+        tension is another one at once, and a carriage soon gives way to that."""
         turned = np.eye(len(self.unknowns))
         for c, unknown in enumerate(self.unknowns):
+            if unknown.kind is Kind.CARRIAGE:
+                axis = self._before[self._model.carriages[unknown.number - 1].first_span - 1]
+                lengths_m, material_m = self._web_m(axis)
+                longer = self._over_steps(lengths_m).item(c)
+                if axis in self._place_of_modulus and longer > _LEAST_LEFT * self._slopes_seen(unknown)[c]:
+                    turned[c, self._place_of_modulus[axis]] = (material_m - lengths_m).item(0) / longer
             i = self._place_of_modulus.get(unknown.number)
             if unknown.kind is Kind.STRAIN and i is not None:
                 strain = self._seen(unknown)[0] / self.modulus_factor(unknown.number)
@@ -376,16 +382,20 @@ class VariedLine:
     def _seen(self, unknown: Unknown) -> Vector:
         """Of the line and the copies (F,): position of a carriage, or strain times relative E of a section, which is
         its tension. The strain is that of how much web there is, which never swings."""
-        motions = self._all.motions
         if unknown.kind is Kind.CARRIAGE:
-            return motions[:, self.carriage_row(unknown.number)]
-        spans = self._spans[unknown.number]
-        material_m = motions[:, [self._material + k for k in spans]].sum(axis=1)
-        length_m = motions[:, [self._lengths + k for k in spans]].sum(axis=1)
+            return self._all.motions[:, self.carriage_row(unknown.number)]
+        length_m, material_m = self._web_m(unknown.number)
         place = self._place_of_modulus.get(unknown.number)
         factors = 1.0 if place is None else 1.0 + self._error_of_each(place)
         seen: Vector = factors * (length_m / material_m - 1.0)
         return seen
+
+    def _web_m(self, axis: int) -> tuple[Vector, Vector]:
+        """Of the section behind an axis, of the line and the copies (F,): its length, and that of its web at rest."""
+        motions, spans = self._all.motions, self._spans[axis]
+        material_m: Vector = motions[:, [self._material + k for k in spans]].sum(axis=1)
+        length_m: Vector = motions[:, [self._lengths + k for k in spans]].sum(axis=1)
+        return length_m, material_m
 
 
 def damped_follower(model: ModelParameters) -> LineFollower:
