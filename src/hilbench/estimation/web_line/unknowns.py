@@ -102,6 +102,12 @@ class Unknowns:
         """Corrections (n,) by what the parameters were wrong by from the start."""
         return self._take(self.parameters, 1.0)
 
+    def give_back(self, taken: Vector) -> Vector:
+        """Corrections (n,) by which the parameters are without what was `taken` (n,) of what they were wrong by from
+        the start."""
+        self.mean[: self._count] += taken
+        return -taken
+
     def _take(self, states: slice | NDArray[np.int64], share: float) -> Vector:
         corrections = np.zeros(self._count)
         corrections[self.parameters] = share * self.mean[states]
@@ -113,12 +119,12 @@ class Unknowns:
         standard deviations."""
         return self._evidence(np.arange(self._count, self._first_rate))
 
-    def evidence_of_start(self) -> float:
-        """The same of what they were wrong by from the start."""
-        return self._evidence(self.parameters)
+    def evidence_of_start(self, taken: Vector) -> float:
+        """The same of what they were wrong by from the start, with what was `taken` (n,) of it."""
+        return self._evidence(self.parameters, taken[self.parameters])
 
-    def _evidence(self, at: NDArray[np.int64]) -> float:
-        found = self.mean[at]
+    def _evidence(self, at: NDArray[np.int64], taken: Vector | float = 0.0) -> float:
+        found = self.mean[at] + taken
         return float(found @ np.linalg.solve(self.covariance[np.ix_(at, at)], found)) if found.any() else 0.0
 
     def put_back(self, earlier: Belief, taken: NDArray[np.bool_], variances: Vector) -> None:
@@ -147,12 +153,17 @@ class Unknowns:
     def jump(self, jumps: Vector, becomes: Vector | None = None) -> None:
         """The parameters have changed suddenly by something of this covariance (p, p); `becomes` (n, n): what other
         unknowns become by that. None: nothing."""
-        rows = np.zeros((len(self.mean), len(jumps)))
+        rows = self._by_change(becomes)
+        self.covariance = self.covariance + rows @ jumps @ rows.T
+
+    def _by_change(self, becomes: Vector | None) -> Vector:
+        """What the states are other by (n + p + q + m, p) as parameters change suddenly; see `jump`."""
+        rows = np.zeros((len(self.mean), len(self.parameters)))
         if becomes is not None:
             rows[: self._count] = becomes[:, self.parameters]
         rows[self.parameters] = 0.0
-        rows[self._count : self._first_rate] = np.eye(len(jumps))
-        self.covariance = self.covariance + rows @ jumps @ rows.T
+        rows[self._count : self._first_rate] = np.eye(len(self.parameters))
+        return rows
 
     def turn(self, matrix: Vector) -> None:
         """The unknowns are others now, `matrix` (n, n) times those of before."""
@@ -182,8 +193,7 @@ class Unknowns:
         self._swing = self._swings_on * self._swing
         variances = variances + self._swing**2
         spread = known @ self.covariance @ known.T + np.diag(variances)
-        sudden = np.abs(left - self._before[0]) > _SUDDEN * np.abs(left)
-        off = bool(np.any(sudden & (np.abs(left) > _FAR_OFF * np.sqrt(np.diag(spread)))))
+        off = self._is_off(left, known, spread, jumps[1])
         self._far_off = self._far_off + 1 if off else 0
         self.has_changed = self._far_off == _TWICE
         if self.has_begun_to_change:
@@ -205,3 +215,14 @@ class Unknowns:
         changes[self.parameters] = 0.0
         self.mean[: self._count] -= changes
         return changes
+
+    def _is_off(self, left: Vector, known: Vector, spread: Vector, becomes: Vector) -> bool:
+        """Whether innovations (m,) of this covariance (m, m) are suddenly far off: one of them, or all together as
+        where all parameters have changed by the same share."""
+        weights = np.diag(1.0 / np.sqrt(np.diag(spread)))
+        change = np.linalg.solve(spread, known @ self._by_change(becomes).sum(axis=1))
+        size = float(change @ spread @ change)
+        if size > 0.0:
+            weights = np.vstack([weights, change / sqrt(size)])
+        now, before = weights @ left, weights @ self._before[0]
+        return bool(np.any((np.abs(now) > _FAR_OFF) & (np.abs(now - before) > _SUDDEN * np.abs(now))))

@@ -19,8 +19,6 @@ from hilbench.plant.web_line.varied_line import Kind, Unknown, VariedLine
 # How wrong they are, as standard deviations.
 _CARRIAGE_M: Final = 2e-4
 _RADIUS_SHARE: Final = 2e-4
-#: Of a radius, throughout: a sensor that is read 3 ms late shows one that is 2e-5 other, which is 2 % of a strain.
-_RADIUS_OFFSET_SHARE: Final = 2e-4
 #: Of the usual tension at a load cell: in each window, as idlers swing, and throughout.
 _CELL_SHARE, _CELL_OFFSET_SHARE = 3e-3, 2e-3
 
@@ -59,8 +57,7 @@ class StationSensors:
         noise = np.array(shares + [0.0] * len(cells))
         #: Variances of what they say in a window (s,), and deviations of their constant errors (s,).
         self.variances = (noise + _CELL_SHARE * self.tensions_N) ** 2
-        of_reels = [0.0 if unknown.kind is Kind.CARRIAGE else _RADIUS_OFFSET_SHARE for unknown in self.sensed]
-        self.offsets = np.array(of_reels + [0.0] * len(cells)) + _CELL_OFFSET_SHARE * self.tensions_N
+        self.offsets = _CELL_OFFSET_SHARE * self.tensions_N
 
     def look(self, told: Mapping[str, float]) -> tuple[Vector, Vector]:
         """What they say, by name of the station, less what the line that is followed does (s,); how what they say

@@ -34,6 +34,8 @@ _RADIUS_SHARE: Final = 0.02
 _MODULUS_SHARE: Final = 0.2
 _SECTION_SHARE: Final = 0.03  #: by which E of a section is another than that of the whole web
 _DRIFT_APART: Final = 0.1  #: so much of that in a shift, in which the whole web goes through all of them
+#: By which E changes at once: that of the whole web, and besides that of a section.
+_JUMP_SHARE, _SECTION_JUMP_SHARE = 0.2, 0.1
 #: Share of a web of which nothing is known that has to have left before E is learned: until then it is the same as the
 #: strain to what is measured. And the deviation of E, relative, that learning both of them from their product adds.
 _SHOWN_FROM, _OF_PRODUCT = 0.1, 0.01
@@ -84,6 +86,7 @@ _IMITATED_SHARE: Final = 0.25  #: error of the size of a kick that load motors i
 #: For how long from the start on, and after a change, E is corrected as it is found; and with which time constant after
 #: that, so that what comes faster than a drift is seen as evidence first.
 _LEARNS_S, _FOLLOWS_S = 1.0, 1.0
+_STARTS_S: Final = 0.5
 #: Way of the web, as a share of the shortest section, from which to which what is known is kept; and for how many
 #: lengths of the longest one.
 _KEPT_EVERY, _KEPT_LENGTHS = 0.1, 3.0
@@ -218,9 +221,10 @@ class LineUnknowns:
         common = sqrt(_MODULUS_SHARE**2 - _SECTION_SHARE**2)
         moduli = self._moduli_apart(common, _SECTION_SHARE) if self._tells_moduli else nothing
         drifts = self._moduli_apart(common, _DRIFT_APART * _SECTION_SHARE) if self._tells_moduli else nothing
-        #: By which E (p, p) changes suddenly: as it may be other at the start; and in a shift: that of all of the web.
+        #: By which E (p, p) changes suddenly, and in a shift.
         at = np.ix_(self._is_modulus, self._is_modulus)
-        self._jumps, self._drifts = moduli[at], drifts[at]
+        jumps = self._moduli_apart(_JUMP_SHARE, _SECTION_JUMP_SHARE) if self._tells_moduli else nothing
+        self._jumps, self._drifts = jumps[at], drifts[at]
         told_by_tension = np.concatenate([np.ones(len(self._axes), bool), self._sensors.tensions_N > 0.0])
         kicked = np.concatenate([self._beside_carriages, np.zeros(len(self._sensors.tensions_N), bool)])
         swings = np.where(told_by_tension, np.where(kicked, _KICK_SWING_SHARE, _CHANGE_SWING_SHARE), 0.0)
@@ -243,7 +247,7 @@ class LineUnknowns:
         #: Way from which on E beside a carriage is another one, or web comes in with another strain, or slips.
         self._undecided_from_m = inf
         self._corrected = np.zeros(len(self.varied.unknowns))
-        self._learns_until_s = self._starts_until_s = -inf
+        self._learns_until_s, self._started = -inf, np.zeros_like(self._corrected)
         self._kept = deque([_Kept(-inf, 0.0, self._filter.belief, self._corrected)])
         self._begin_window()
 
@@ -387,20 +391,31 @@ class LineUnknowns:
         """By which E is corrected (n,): by what has changed, at once for a while from a sudden change on, and slowly
         after that; not at all where something else may be. By what has been wrong from the start on overwhelming
         evidence, or where nothing was known of it."""
-        filtered = self._filter
+        filtered, none = self._filter, np.zeros_like(self._corrected)
         if filtered.has_changed:
             self._learn()
-        if filtered.evidence_of_start() > _ACCEPTED:
-            self._starts_until_s = self._time_s + _LEARNS_S
-        from_start = self._time_s <= self._starts_until_s or self._way_m < self._known_from_m
-        found = filtered.take_start() if from_start else np.zeros_like(self._corrected)
+        found = self._from_start()
         if self._time_s <= self._learns_until_s:
             return found + filtered.take_changes(1.0)
-        if self._is_another(filtered.evidence_of_change()):
+        if self._is_another(max(filtered.evidence_of_change(), filtered.evidence_of_start(none))):
+            found = found + filtered.take_start()
             self._learn_anew()
         if self._undecided_from_m < inf:
             return found
         return found + filtered.take_changes(self._window * self._cycle_s / _FOLLOWS_S)
+
+    def _from_start(self) -> Vector:
+        """By which E is corrected (n,) as it was wrong from the start: as it is found where nothing is known of the web
+        yet, which is given back where that is no evidence."""
+        filtered, none = self._filter, np.zeros_like(self._corrected)
+        if self._time_s <= _STARTS_S or self._way_m < self._known_from_m:
+            taken = filtered.take_start()
+            self._started = self._started + taken
+            return taken
+        started, self._started = self._started, none
+        if started.any() and filtered.evidence_of_start(started) < _KEPT:
+            return filtered.give_back(started)
+        return none
 
     def _is_another(self, evidence: float) -> bool:
         """Whether E is another one by this evidence: beside a carriage, once a slip would have been told."""
