@@ -96,7 +96,8 @@ def assert_taken_back(line: BesideStations, slips_s: float, told_s: float, *span
     assert np.ptp(modulus_Pa[after]) == 0.0
     # Time goes on, in which E may change as ever.
     assert np.all(np.diff(deviation_Pa[after]) >= 0.0)
-    assert deviation_Pa[after] == pytest.approx(deviation_Pa[before][-1], rel=0.1)
+    # As known as before the slip can have begun, some lengths of web ago.
+    assert 0.9 * deviation_Pa[before][-1] < deviation_Pa[after][0] < 1.1 * deviation_Pa[found["t_s"] > 0.5][0]
     for span in spans:
         off_N = (found[f"F{span}_sim_N"] - found[f"F{span}_true_N"])[settled]
         assert np.max(np.abs(off_N)) < 2.0

@@ -37,15 +37,16 @@ def _entry_point(sources: int) -> Function:
     @entry_point(COUNT, TABLE)
     def put_load_slopes(unused: int, table: NDArray[np.int64]) -> int:
         """Table: tensions (F, K), radii over those at the start (N,), pulls per tension (N, K), steps (n,), errors
-        (n,), the axis, from 0, and the unknown of each reel, and the slopes (N, n + 1)."""
+        (n,), shares of what tensions tell of unknowns (n, K), the axis, from 0, and the unknown of each reel, and the
+        slopes (N, n + 1)."""
         tensions, ratios, pulls = floats(table, 0, (1, 2)), floats(table, 1, (1,)), floats(table, 2, (1, 2))
-        steps, errors = floats(table, 3, (1,)), floats(table, 4, (1,))
-        reels, slopes = integers(table, 5, (1, 2)), floats(table, 6, (1, 2))
+        steps, errors, tells = floats(table, 3, (1,)), floats(table, 4, (1,)), floats(table, 5, (1, 2))
+        reels, slopes = integers(table, 6, (1, 2)), floats(table, 7, (1, 2))
         for i in range(pulls.shape[0] if sources >= 0 else 0):
             for c in range(len(steps)):
                 pull = 0.0
                 for j in range(pulls.shape[1]):
-                    pull += pulls[i, j] * (tensions[1 + c, j] - tensions[0, j])
+                    pull += pulls[i, j] * tells[c, j] * (tensions[1 + c, j] - tensions[0, j])
                 slopes[i, c] = ratios[i] * pull / steps[c]
             slopes[i, len(steps)] = 0.0
         for r in range(reels.shape[0]):
@@ -138,7 +139,9 @@ class VariedLine:
             (self._rollers + at, each.station.name, each.station.lower_stop_m, each.station.upper_stop_m)
             for at, each in enumerate(carriages)
         ]
-        self._spans = {axis: [k for k, of in enumerate(self._before) if of == axis] for axis in range(model.axis_count + 1)}
+        self._spans = {
+            axis: [k for k, of in enumerate(self._before) if of == axis] for axis in range(model.axis_count + 1)
+        }
         self._slopes = {each.number: _slope_per_m(model, each.number) for each in self._of(Kind.RADIUS)}
         self._moduli = np.array([model.youngs_modulus_Pa(span) for span in range(1, model.span_count + 1)])
         self._pulls = self._lever_arms()
@@ -148,14 +151,24 @@ class VariedLine:
         self.load_slopes = np.zeros((self._axes, len(self.unknowns) + 1))
         radii = [(each.number - 1, place) for each, place in self.places.items() if each.kind is Kind.RADIUS]
         reels = np.array(radii, np.int64).reshape(-1, 2)
-        lines = self._all
+        lines, tells = self._all, self._tells()
         self._kept = (
-            lines.tensions_N, lines.ratios, self._pulls, self._steps, self._errors, reels, self.load_slopes,
+            lines.tensions_N, lines.ratios, self._pulls, self._steps, self._errors, tells, reels, self.load_slopes,
         )  # fmt: skip
         self._slopes_table = table_of(self._kept)
 
     def _of(self, kind: Kind) -> list[Unknown]:
         return [each for each in self.unknowns if each.kind is kind]
+
+    def _tells(self) -> Vector:
+        """Whether tensions (K,) tell of unknowns (n, K): where a carriage keeps them that of its web's E shows in swings
+        alone, of which nobody knows how they began."""
+        tells = np.ones((len(self.unknowns), self._span_count))
+        for carriage in self._model.carriages:
+            axis = self._before[carriage.first_span - 1]
+            if axis in self._place_of_modulus:
+                tells[self._place_of_modulus[axis], self._spans[axis]] = 0.0
+        return tells
 
     def _lever_arms(self) -> Vector:
         """Load at each motor (N,) by the tensions (K,), N·m/N, with the reels as at the start."""

@@ -159,9 +159,11 @@ class SectionWatch:
         torques_Nm: Sequence[float],
         followed: VariedLine,
         inertia_kg_m2: Vector,
+        *,
+        swings: bool,
     ) -> None:
         """One cycle: of the driven rollers positions (N,) at the web and torques, beside the line that follows them;
-        `inertia_kg_m2` (N,): at the motors."""
+        `inertia_kg_m2` (N,): at the motors; `swings`: the web has just become another one, and carriages give way."""
         line, tensions_N = followed.line, followed.tensions_N
         self._time_s += self._cycle_s
         self._now_N = self._by_model_N(followed)
@@ -176,7 +178,7 @@ class SectionWatch:
         self._collected += 1
         if self._collected > self._cycles:
             self._judge(time_s, line, inertia_kg_m2)
-            self._look_for_lost_web(time_s, followed)
+            self._look_for_lost_web(time_s, followed, swings)
             self._judged_m = self._way_m[-1]
             self.interrupt()
 
@@ -210,13 +212,16 @@ class SectionWatch:
                 steady = abs(np.sum(accelerates_N[axis:])) < _ACCELERATES * usual_N
                 self._look_for_slip(time_s, axis, is_N, ratios.item(axis), steady=bool(steady))
 
-    def _look_for_lost_web(self, time_s: float, followed: VariedLine) -> None:
+    def _look_for_lost_web(self, time_s: float, followed: VariedLine, swings: bool) -> None:
         """A block is complete: of the sections whose carriage has a sensor."""
         before_m, self._lengths_m = self._lengths_m, {axis: followed.length_m(axis) for axis in self._carriage_slips}
         if self._judged_m is None or self._time_s < _SETTLED_S:
             return
         ways_m = self._way_m[-1] - self._judged_m
         for axis, slip in self._carriage_slips.items():
+            if swings and slip.since_s == inf:
+                slip.reset()
+                continue
             into_m, out_m = (float(ways_m[of - 1]) * followed.line.radius_ratio(of) for of in (axis, axis + 1))
             slip.take(time_s, into_m, out_m, self._lengths_m[axis] - before_m.get(axis, self._lengths_m[axis]))
 

@@ -35,7 +35,7 @@ _MODULUS_SHARE: Final = 0.2
 _SECTION_SHARE: Final = 0.03  #: by which E of a section is another than that of the whole web
 _DRIFT_APART: Final = 0.1  #: so much of that in a shift, in which the whole web goes through all of them
 #: By which E changes at once: that of the whole web, and besides that of a section.
-_JUMP_SHARE, _SECTION_JUMP_SHARE = 0.2, 0.1
+_JUMP_SHARE, _SECTION_JUMP_SHARE = 0.2, 0.05
 #: Share of a web of which nothing is known that has to have left before E is learned: until then it is the same as the
 #: strain to what is measured. And the deviation of E, relative, that learning both of them from their product adds.
 _SHOWN_FROM, _OF_PRODUCT = 0.1, 0.01
@@ -247,7 +247,8 @@ class LineUnknowns:
         #: Way from which on E beside a carriage is another one, or web comes in with another strain, or slips.
         self._undecided_from_m = inf
         self._corrected = np.zeros(len(self.varied.unknowns))
-        self._learns_until_s, self._started = -inf, np.zeros_like(self._corrected)
+        self._learns_until_s = self._swings_until_s = -inf
+        self._started = np.zeros_like(self._corrected)
         self._kept = deque([_Kept(-inf, 0.0, self._filter.belief, self._corrected)])
         self._begin_window()
 
@@ -290,6 +291,11 @@ class LineUnknowns:
         """Of each driven roller (N,) with what is on it now, at the motor."""
         inertia_kg_m2: Vector = self._inertia_kg_m2
         return inertia_kg_m2
+
+    @property
+    def swings(self) -> bool:
+        """Whether E has changed suddenly so lately that carriages swing against it."""
+        return self._time_s <= self._swings_until_s
 
     def _begin_window(self) -> None:
         self._cycles = 0
@@ -393,13 +399,16 @@ class LineUnknowns:
         evidence, or where nothing was known of it."""
         filtered, none = self._filter, np.zeros_like(self._corrected)
         if filtered.has_changed:
+            if self._time_s > self._learns_until_s:
+                self._swings_until_s = self._time_s + _KICK_SWINGS_S
             self._learn()
         found = self._from_start()
         if self._time_s <= self._learns_until_s:
             return found + filtered.take_changes(1.0)
-        if self._is_another(max(filtered.evidence_of_change(), filtered.evidence_of_start(none))):
+        changes, starts = filtered.evidence_of_change(), filtered.evidence_of_start(none)
+        if self._is_another(max(changes, starts)):
             found = found + filtered.take_start()
-            self._learn_anew()
+            self._learn(anew=changes > starts)
         if self._undecided_from_m < inf:
             return found
         return found + filtered.take_changes(self._window * self._cycle_s / _FOLLOWS_S)
@@ -425,15 +434,13 @@ class LineUnknowns:
         self._undecided_from_m = min(self._undecided_from_m, self._way_m)
         return not self._kicks or self._way_m - self._undecided_from_m > self._keep_m
 
-    def _learn(self) -> None:
-        """Correct E as it is found for a while."""
+    def _learn(self, *, anew: bool = False) -> None:
+        """Correct E as it is found for a while; `anew`: it has been another one for a while, and it is learned what
+        by."""
+        if anew:
+            self._filter.jump(self._jumps)
         self._undecided_from_m = inf
         self._learns_until_s = self._time_s + _LEARNS_S
-
-    def _learn_anew(self) -> None:
-        """E is another one, and has been for a while: it is learned what by."""
-        self._filter.jump(self._jumps)
-        self._learn()
 
     def _look_for_kicks(self, time_s: float, left_Nm: Vector) -> bool:
         """In torques (m,) beside those of the line that is followed; whether there was one."""

@@ -172,7 +172,8 @@ class LineWithStationsTwin:
             self._watch.suspend()
         else:
             unknowns = self._unknowns
-            self._watch.look(time_s, positions_m, torques_Nm, unknowns.varied, unknowns.inertia_kg_m2)
+            inertia_kg_m2, swings = unknowns.inertia_kg_m2, unknowns.swings
+            self._watch.look(time_s, positions_m, torques_Nm, unknowns.varied, inertia_kg_m2, swings=swings)
 
     def _let_out(self, way_m: float) -> None:
         """So much more web has left the line."""
