@@ -219,9 +219,8 @@ class SectionWatch:
             return
         ways_m = self._way_m[-1] - self._judged_m
         for axis, slip in self._carriage_slips.items():
-            if swings and slip.since_s == inf:
-                slip.reset()
-                continue
+            if swings:
+                slip.allow()
             into_m, out_m = (float(ways_m[of - 1]) * followed.line.radius_ratio(of) for of in (axis, axis + 1))
             slip.take(time_s, into_m, out_m, self._lengths_m[axis] - before_m.get(axis, self._lengths_m[axis]))
 
