@@ -46,7 +46,7 @@ _CARRIAGE_AT_REST: Final = 0.01
 _USUAL_WAY_M: Final = 1.0  #: of a carriage without stops
 _MODEL_SHARE: Final = 0.01  #: of E, that no model of a line is surer of
 # What changes meanwhile.
-_CARRIAGE_M_PER_SQRT_M: Final = 1e-4  #: of web
+_CARRIAGE_M_PER_SQRT_M: Final = 1e-5  #: of web
 _SLIPPING_M_PER_SQRT_M: Final = 2e-3  #: while a web slips somewhere
 _THICKNESS_SHARE: Final = 0.1  #: error of the thickness by which a reel's radius changes
 _RADIUS_PER_SQRT_M: Final = 2e-5  #: what else
