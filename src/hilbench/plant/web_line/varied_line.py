@@ -292,6 +292,12 @@ class VariedLine:
         """Of the section behind an axis, with what its carriages have made longer."""
         return float(sum(self._all.motions[0, self._lengths + k] for k in self._spans[axis]))
 
+    def longer_by(self, carriage: Unknown, axis: int) -> float:
+        """By how much the section behind an axis is longer with its carriage so much further; 0 of one at a stop."""
+        c = self.places[carriage]
+        further = self._slopes_seen(carriage).item(c)
+        return self._over_steps(self._web_m(axis)[0]).item(c) / further if further > _LEAST_LEFT else 0.0
+
     def strain(self, axis: int) -> float:
         """Of the section behind an axis, times relative E."""
         return self._seen(Unknown(Kind.STRAIN, axis)).item(0)
@@ -377,8 +383,8 @@ class VariedLine:
             if unknown.kind is Kind.CARRIAGE:
                 axis = self._before[self._model.carriages[unknown.number - 1].first_span - 1]
                 lengths_m, material_m = self._web_m(axis)
-                longer = self._over_steps(lengths_m).item(c)
-                if axis in self._place_of_modulus and longer > _LEAST_LEFT * self._slopes_seen(unknown)[c]:
+                longer = self.longer_by(unknown, axis)
+                if axis in self._place_of_modulus and longer:
                     turned[c, self._place_of_modulus[axis]] = (material_m - lengths_m).item(0) / longer
             i = self._place_of_modulus.get(unknown.number)
             if unknown.kind is Kind.STRAIN and i is not None:

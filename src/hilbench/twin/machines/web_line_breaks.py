@@ -11,7 +11,7 @@ Where they promise a slack web and the torques say that it pulls, a roller besid
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import inf
 from typing import Final
 
@@ -49,7 +49,7 @@ _SETTLED_S: Final = 0.5
 class SectionWatch:
     """Of a line whose N driven rollers answer once a cycle. `told`: the span by whose number each section is told, by
     the axis before it; `unknowns`: what the line that is followed is corrected by; `measured`: names of stations with a
-    sensor."""
+    sensor; `sensed_length_m`: of the section behind an axis, with its carriage where its sensor says."""
 
     def __init__(
         self,
@@ -58,8 +58,10 @@ class SectionWatch:
         told: Mapping[int, int],
         unknowns: Sequence[Unknown],
         measured: Sequence[str],
+        sensed_length_m: Callable[[int], float],
     ) -> None:
         before = axes_before_spans(model)
+        self._sensed_length_m = sensed_length_m
         self._model, self._cycle_s = model, cycle_s
         self._cycles = max(round(BLOCK_S / cycle_s), 2 * _ENDS)
         self._spans = {axis: [k for k, of in enumerate(before) if of == axis] for axis in told}
@@ -214,7 +216,7 @@ class SectionWatch:
 
     def _look_for_lost_web(self, time_s: float, followed: VariedLine, swings: bool) -> None:
         """A block is complete: of the sections whose carriage has a sensor."""
-        before_m, self._lengths_m = self._lengths_m, {axis: followed.length_m(axis) for axis in self._carriage_slips}
+        before_m, self._lengths_m = self._lengths_m, {axis: self._sensed_length_m(axis) for axis in self._carriage_slips}
         if self._judged_m is None or self._time_s < _SETTLED_S:
             return
         ways_m = self._way_m[-1] - self._judged_m

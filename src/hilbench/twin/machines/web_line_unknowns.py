@@ -35,7 +35,7 @@ _MODULUS_SHARE: Final = 0.2
 _SECTION_SHARE: Final = 0.03  #: by which E of a section is another than that of the whole web
 _DRIFT_APART: Final = 0.1  #: so much of that in a shift, in which the whole web goes through all of them
 #: By which E changes at once: that of the whole web, and besides that of a section.
-_JUMP_SHARE, _SECTION_JUMP_SHARE = 0.2, 0.05
+_JUMP_SHARE, _SECTION_JUMP_SHARE = 0.2, 0.1
 #: Share of a web of which nothing is known that has to have left before E is learned: until then it is the same as the
 #: strain to what is measured. And the deviation of E, relative, that learning both of them from their product adds.
 _SHOWN_FROM, _OF_PRODUCT = 0.1, 0.01
@@ -237,6 +237,7 @@ class LineUnknowns:
         self._noise = NoiseLevels(0.01 * limits_Nm, 1e-4 * limits_Nm)
         self._positions_m, self._way_m, self._window_way_m = list(positions_m), 0.0, 0.0
         self._time_s = 0.0
+        self._sensed = np.zeros(len(self._sensors.offsets))  # by sensors beside the line that is followed
         self._speeds_m_s: Vector | None = None
         self._speeds_rad_s: Vector | None = None  # of the motors (N,)
         self._loads[:] = 0.0
@@ -307,8 +308,16 @@ class LineUnknowns:
     def sense(self, told: Mapping[str, float]) -> None:
         """What the sensors of stations said of the motion that was followed last, m and N, by name."""
         first, (left, slopes) = len(self._axes), self._sensors.look(told)
+        self._sensed = left
         self._sum[first:] += left
         self._slopes[first:] += slopes
+
+    def sensed_length_m(self, axis: int) -> float:
+        """Of the section behind an axis, with its carriages where their sensors say."""
+        sensed = zip(self._sensors.sensed, self._sensed.tolist(), strict=False)
+        return self.varied.length_m(axis) + sum(
+            left_m * self.varied.longer_by(each, axis) for each, left_m in sensed if each.kind is Kind.CARRIAGE
+        )
 
     def follow(self, positions_m: Sequence[float], duration_s: float) -> None:
         """The driven rollers (N,) are there now."""
