@@ -20,8 +20,9 @@ Vector = NDArray[np.float64]
 
 #: Innovations that are so many deviations off, twice running, are no chance: something has changed. Nothing is made of
 #: the first of them: what has changed is not known, and small corrections of all would hide it. What has come gradually
-#: is no sudden change: at least this share of it was not there two innovations before.
-_FAR_OFF, _SUDDEN = 4.0, 0.5
+#: is no sudden change: at least this share of it was not there two innovations before. Then the same of all together.
+_FAR_OFF, _SUDDEN = 6.0, 0.4
+_FAR_OFF_TOGETHER, _SUDDEN_TOGETHER = 5.0, 0.75
 _TWICE = 2
 
 
@@ -207,7 +208,9 @@ class Unknowns:
             self._far_off = 0
         gain = np.linalg.solve(spread, known @ self.covariance).T
         if learns is not None:
-            gain = gain * np.vstack([self._of_states(learns), np.zeros((len(self.mean) - self._first_rate, len(left)), bool)])
+            gain = gain * np.vstack(
+                [self._of_states(learns), np.zeros((len(self.mean) - self._first_rate, len(left)), bool)]
+            )
         rest = np.eye(len(self.covariance)) - gain @ known
         self.covariance = rest @ self.covariance @ rest.T + (gain * variances) @ gain.T
         self.mean = self.mean + gain @ left
@@ -219,10 +222,17 @@ class Unknowns:
     def _is_off(self, left: Vector, known: Vector, spread: Vector, becomes: Vector) -> bool:
         """Whether innovations (m,) of this covariance (m, m) are suddenly far off: one of them, or all together as
         where all parameters have changed by the same share."""
-        weights = np.diag(1.0 / np.sqrt(np.diag(spread)))
+        deviations = np.sqrt(np.diag(spread))
+        if np.any(_is_sudden(left / deviations, self._before[0] / deviations, _FAR_OFF, _SUDDEN)):
+            return True
         change = np.linalg.solve(spread, known @ self._by_change(becomes).sum(axis=1))
-        size = float(change @ spread @ change)
-        if size > 0.0:
-            weights = np.vstack([weights, change / sqrt(size)])
-        now, before = weights @ left, weights @ self._before[0]
-        return bool(np.any((np.abs(now) > _FAR_OFF) & (np.abs(now - before) > _SUDDEN * np.abs(now))))
+        size = sqrt(float(change @ spread @ change))
+        now, before = np.array([change @ left]), np.array([change @ self._before[0]])
+        together = _is_sudden(now, before, _FAR_OFF_TOGETHER * size, _SUDDEN_TOGETHER)
+        return size > 0.0 and bool(together[0])
+
+
+def _is_sudden(now: Vector, before: Vector, far_off: float, share: float) -> NDArray[np.bool_]:
+    """Whether values are so far off, and at least this share of them was not there before."""
+    sudden: NDArray[np.bool_] = (np.abs(now) > far_off) & (np.abs(now - before) > share * np.abs(now))
+    return sudden

@@ -216,7 +216,10 @@ class SectionWatch:
 
     def _look_for_lost_web(self, time_s: float, followed: VariedLine, swings: bool) -> None:
         """A block is complete: of the sections whose carriage has a sensor."""
-        before_m, self._lengths_m = self._lengths_m, {axis: self._sensed_length_m(axis) for axis in self._carriage_slips}
+        before_m, self._lengths_m = (
+            self._lengths_m,
+            {axis: self._sensed_length_m(axis) for axis in self._carriage_slips},
+        )
         if self._judged_m is None or self._time_s < _SETTLED_S:
             return
         ways_m = self._way_m[-1] - self._judged_m

@@ -271,7 +271,7 @@ class LineUnknowns:
 
     def _moduli_apart(self, common: float, apart: float) -> Vector:
         """Covariance of E of the sections, of one web: deviations of what all have, and each for itself."""
-        moduli = np.array([each.kind is Kind.MODULUS for each in self.varied.unknowns], float)
+        moduli = self._is_modulus.astype(float)
         return common**2 * np.outer(moduli, moduli) + apart**2 * np.diag(moduli)
 
     def _shows_in_torques(self, unknown: Unknown) -> bool:
@@ -494,10 +494,7 @@ class LineUnknowns:
         at = self.varied.places[behind]
         then, told = self._filter.of_unknowns(kept.belief), self._filter.of_unknowns(self._filter.belief)
         # What has just changed suddenly is not told apart yet: then that counts, however well it was known.
-        apart = (
-            float(known[at, at] + known[place, place] - 2.0 * known[at, place])
-            for known, _ in (then, told)
-        )
+        apart = (float(known[at, at] + known[place, place] - 2.0 * known[at, place]) for known, _ in (then, told))
         deviation = sqrt(max(apart))
         before, now = 1.0 + kept.corrected + then[1], 1.0 + self._corrected + told[1]
         return float(now[at] / now[place] * before[place] / before[at]) - 1.0, deviation
@@ -639,9 +636,11 @@ class LineUnknowns:
         return Found(self.varied.carriage_m(number), self._deviation(Unknown(Kind.CARRIAGE, number)))
 
     def radius(self, axis: int) -> Found:
-        """Of a reel, m."""
+        """Of a reel, m. Where nothing tells E the strain is another one by what is not known of that."""
         radius_m = self._model.radius_m(axis)
-        return Found(radius_m * self.varied.ratio(axis), radius_m * self._deviation(Unknown(Kind.RADIUS, axis)))
+        by_strain = 0.0 if self._tells_moduli else _MODULUS_SHARE * abs(self._model.upstream_strain)
+        deviation = hypot(self._deviation(Unknown(Kind.RADIUS, axis)), by_strain)
+        return Found(radius_m * self.varied.ratio(axis), radius_m * deviation)
 
     def separable(self, axis: int) -> bool:
         """Whether anything has told E of the section behind an axis."""
