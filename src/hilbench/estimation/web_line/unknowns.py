@@ -2,10 +2,10 @@
 
 Innovations are linear in the unknowns (n,) by slopes that the model tells of itself. After each update the model is
 corrected, so that the filter's own mean is 0, but for the errors of the measurements (m,), which nobody else knows, and
-for parameters of the model (p of the unknowns). A parameter is the sum of two states: what the model may have been wrong
-by from the start, which is kept here as the measurements never tell it apart from their own slow errors for sure, and by
-what it has changed since, which they do. What changes by itself does so within its prior, as an Ornstein-Uhlenbeck
-process.
+for parameters of the model (p of the unknowns). A parameter is the sum of two states: what the model may have been
+wrong by from the start, which is kept here as the measurements never tell it apart from their own slow errors for sure,
+and by what it has changed since, which they do. What changes by itself does so within its prior, as an
+Ornstein-Uhlenbeck process, or at an unknown rate (q of the unknowns) with the way of the web.
 """
 
 from __future__ import annotations
@@ -36,9 +36,10 @@ class Belief:
 
 class Unknowns:
     """`start` (n, n): covariance of the unknowns at the start; `parameters` (n,): those that are parameters; `rates`
-    (n,): deviations of what they change by per m, 0 of those that have no such rate; `offsets` (m,): deviations of the slow errors of the measurements; `swings` (m,): of innovations by which a change is seen,
-    how far each measurement may be off, as what is measured swings after it otherwise than the model says; `swings_on`
-    (m,): what is left of that an update later; `swinging` (m,): how far off they may be so at first."""
+    (n,): deviations of what they change by per m, 0 of those that have no such rate; `offsets` (m,): deviations of the
+    slow errors of the measurements; `swings` (m,): of innovations by which a change is seen, how far each measurement
+    may be off, as what is measured swings after it otherwise than the model says; `swings_on` (m,): what is left of
+    that an update later; `swinging` (m,): how far off they may be so at first."""
 
     def __init__(
         self,

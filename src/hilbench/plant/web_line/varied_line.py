@@ -161,7 +161,7 @@ class VariedLine:
         return [each for each in self.unknowns if each.kind is kind]
 
     def _tells(self) -> Vector:
-        """Whether tensions (K,) tell of unknowns (n, K): where a carriage keeps them that of its web's E shows in swings
+        """Whether tensions (K,) tell of unknowns (n, K): where a carriage keeps them E of its web shows in swings
         alone, of which nobody knows how they began."""
         tells = np.ones((len(self.unknowns), self._span_count))
         for carriage in self._model.carriages:

@@ -72,9 +72,6 @@ _SLIPPING_PER_SQRT_S: Final = 0.2
 #: in minutes. Of two sections that is passed by one draw in 20,000, which are some 100 days.
 _ACCEPTED: Final = 20.0
 _KEPT: Final = 0.5 * _ACCEPTED  #: what is left of that once more is known, with which it is kept
-#: What has been found of a sudden change so far is one of E, however little is known of E itself: what a line does
-#: otherwise that its model lacks leaves less (`tests/bench/test_lines_hold.py`).
-_LEAST_STEP: Final = 0.02
 #: From when on kicks are looked for: the line is let go in another state than it is in, and swings.
 _KICKS_FROM_S: Final = 0.5
 _KICK_NOISE_SHARE: Final = 1e-3  #: of a limit: what else is in a torque
