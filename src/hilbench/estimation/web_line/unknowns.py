@@ -22,7 +22,7 @@ Vector = NDArray[np.float64]
 #: the first of them: what has changed is not known, and small corrections of all would hide it. What has come gradually
 #: is no sudden change: at least this share of it was not there two innovations before. Then the same of all together.
 _FAR_OFF, _SUDDEN = 6.0, 0.4
-_FAR_OFF_TOGETHER, _SUDDEN_TOGETHER = 5.0, 0.75
+_FAR_OFF_TOGETHER, _SUDDEN_TOGETHER = 4.0, 0.75
 _TWICE = 2
 
 
