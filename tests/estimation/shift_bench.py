@@ -50,8 +50,8 @@ SLOW_DRIFT_PER_S, DRIFT_PER_S = 0.06 / 3600.0, 0.01 / 60.0
 DRIFT_EVERY_S = 0.1
 #: Once an hour the line is at rest for so long, and a splice comes in: a piece of so much web of other E.
 LONG_STOP_S, SPLICE_M, SPLICE_CHANGE, HOUR_S = 1800.0, 200.0, -0.15, 3600.0
-#: When a line starts its web has the strain upstream: the tension counts once it has come so near to its set-point (N),
-#: well within what is judged, or from that time on (s).
+#: When a line starts its web has the strain upstream: the tension counts once it has been so near to its set-point (N),
+#: well within what is judged, for as long as a step is left out, or from that time on (s).
 ARRIVES_N, ARRIVES_BY_S = 0.5, 10.0
 #: The one step of E of a hold.
 HOLD_STEP = 0.207
@@ -181,7 +181,8 @@ class Scored:
         if name in self._arrived:
             return 0
         near = moves & (np.abs(rows[f"{name}_true_N"] - rows[f"{name}_ref_N"]) <= ARRIVES_N)
-        there = np.flatnonzero(near | (rows["t_s"] >= ARRIVES_BY_S))
+        stays = ~behind(~near, self._after) & (np.arange(len(near)) >= self._after)
+        there = np.flatnonzero(stays | (rows["t_s"] >= ARRIVES_BY_S))
         if not len(there):
             return len(near)
         self._arrived.add(name)
@@ -232,20 +233,26 @@ class Machine:
         return f"{self.name}, a hold" if self.holds else self.name
 
 
+def _ahead(controller: str) -> tuple[str, ...]:
+    """With what the twin knows ahead of this loop, as the other lines have it: without, a tension takes a length of web
+    or two to come back, whatever E is known to be."""
+    return (f"controllers.{controller}.feed_forward=twin",)
+
+
 MACHINES: Mapping[str, Machine] = {
     each.title: each
     for each in (
         Machine("web_section_step", reverses=True),
         Machine("line_two_spans", 2.0, reverses=True, splices=True),
         Machine("line_three_spans", 2.0, reverses=True, splices=True),
-        Machine("line_with_dancer", 2.0),
-        Machine("winding_line", 1.2, changes_tension=False, reel_s=140.0),
+        Machine("line_with_dancer", 2.0, _ahead("outfeed_tension")),
+        Machine("winding_line", 1.2, _ahead("winding_tension"), changes_tension=False, reel_s=140.0),
         Machine("servo_axis", 35.0, shaft=True),
         Machine("shift", once=True),
         Machine("web_section_step", holds=True),
         Machine("line_two_spans", 2.0, holds=True),
         Machine("line_three_spans", 2.0, holds=True),
-        Machine("line_with_dancer", 2.0, holds=True),
+        Machine("line_with_dancer", 2.0, _ahead("outfeed_tension"), holds=True),
     )
 }
 

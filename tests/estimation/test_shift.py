@@ -24,9 +24,6 @@ LARGEST_PCT, WITHIN_PCT, LARGEST_N = 3.0, 99.0, 1.0
 #: than that of the best estimator that allows for as much.
 LEAST_HELD_PCT, MOST_HELD_PCT, WIDER = 93.0, 100.0, 1.5
 MINUTES_5_S = 300.0
-#: A dancer keeps the tension of its web whatever E is: steps and drifts of E show in the draw alone, and are followed
-#: to some percent; on the line with reels the interval holds in two thirds of the cycles.
-_IN_PART = pytest.mark.xfail(reason="E of lines with stations is not within 1 % in 99 % of the cycles yet", strict=True)
 
 
 # -- what scores -------------------------------------------------------------------------------------------------------
@@ -163,7 +160,7 @@ def test_samples_count_alike_however_they_come() -> None:
         "E_sim_Pa": 8.7e9 * (1.0 + 0.01 * rng.standard_normal(n)),
         "E_sd_Pa": np.full(n, 1e8),
         "F_ref_N": np.where(np.arange(n) < 800, 80.0, 90.0),
-        "F_true_N": np.where(np.arange(n) < 100, 70.0, 80.0) + 0.5 * rng.standard_normal(n),
+        "F_true_N": np.where(np.arange(n) < 100, 70.0, 80.0) + 0.1 * rng.standard_normal(n),
         "loop_closed": np.where((np.arange(n) > 999) & (np.arange(n) < 1200), 0.0, 1.0),
     }
     whole, parts = (Scored(config, 8.0, draws=False) for _ in range(2))
@@ -176,11 +173,9 @@ def test_samples_count_alike_however_they_come() -> None:
     assert (found.cycles, found.within, found.held, found.worst) == (
         other.cycles, other.within, other.held, other.worst,
     )  # fmt: skip
-    there = int(
-        np.flatnonzero(np.abs(rows["F_true_N"] - 80.0) <= ARRIVES_N)[0]
-    )  # the web has the strain upstream before
-    assert there >= 100
-    assert whole.tensions["F"].cycles == parts.tensions["F"].cycles == 3000 - 2 * 500 - there
+    # The web has the strain upstream before; then its tension is to stay for 1 s.
+    assert np.all(np.abs(rows["F_true_N"] - rows["F_ref_N"])[100:800] <= ARRIVES_N)
+    assert whole.tensions["F"].cycles == parts.tensions["F"].cycles == 3000 - 2 * 500 - (100 + 500 - 1)
     assert whole.tensions["F"].worst_N == parts.tensions["F"].worst_N
 
 
@@ -192,8 +187,8 @@ def test_samples_count_alike_however_they_come() -> None:
         "web_section_step, a hold",
         "line_two_spans",
         "line_three_spans",
-        pytest.param("line_with_dancer", marks=_IN_PART),
-        pytest.param("winding_line", marks=_IN_PART),
+        "line_with_dancer",
+        "winding_line",
         "servo_axis",
     ],
 )

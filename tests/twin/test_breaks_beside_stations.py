@@ -96,7 +96,8 @@ def assert_taken_back(line: BesideStations, slips_s: float, told_s: float, *span
     assert np.ptp(modulus_Pa[after]) == 0.0
     # Time goes on, in which E may change as ever.
     assert np.all(np.diff(deviation_Pa[after]) >= 0.0)
-    assert deviation_Pa[after] == pytest.approx(deviation_Pa[before][-1], rel=0.1)
+    # As known as before the slip can have begun, some lengths of web ago.
+    assert 0.9 * deviation_Pa[before][-1] < deviation_Pa[after][0] < 1.1 * deviation_Pa[found["t_s"] > 0.5][0]
     for span in spans:
         off_N = (found[f"F{span}_sim_N"] - found[f"F{span}_true_N"])[settled]
         assert np.max(np.abs(off_N)) < 2.0
@@ -212,7 +213,7 @@ def test_encoders_that_promise_a_slack_web_where_it_pulls_tell_a_slip() -> None:
 
 @pytest.mark.slow
 def test_tensions_stay_as_E_that_was_a_slip_is_taken_back() -> None:
-    """Of a slip of 0.1 % E is booked as a fifth of what it is, until it is told."""
+    """Of a slip of 0.1 % E is booked as another one, until it is told."""
     true = IndependentDancer()
     line = BesideStations(true, dancer_line(), dancer_line(), measured=("dancer",))  # type: ignore[arg-type]
     line.go(1.0, 2.0, 2.0, 2.0, ramp_s=0.8)
@@ -222,7 +223,7 @@ def test_tensions_stay_as_E_that_was_a_slip_is_taken_back() -> None:
     assert found == {4: Problem.SLIP}
     line.go(line.time_s + 0.8, 2.0, 2.0, 2.0)
     rows = line.table()
-    assert np.min(rows["E4_sim_Pa"]) < 0.5 * 8.7e9
+    assert np.min(rows["E4_sim_Pa"]) < 0.95 * 8.7e9
     since_told = rows["t_s"] > 4.0 + after_s + 0.05
     assert rows["E4_sim_Pa"][since_told] == pytest.approx(8.7e9, rel=0.01)
     for span in (1, 4):

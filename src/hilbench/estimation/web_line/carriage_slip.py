@@ -50,6 +50,10 @@ class CarriageSlip:
             self._judge()
             self._kept.append(_Kept(time_s, self._way_m, self._lost_m))
 
+    def allow(self) -> None:
+        """What seems lost until now is what the web, which has become another one, has been stretched by."""
+        self._kept = deque(each._replace(lost_m=self._lost_m) for each in self._kept)
+
     def _judge(self) -> None:
         if not self._kept:
             return

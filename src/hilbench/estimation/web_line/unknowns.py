@@ -2,9 +2,10 @@
 
 Innovations are linear in the unknowns (n,) by slopes that the model tells of itself. After each update the model is
 corrected, so that the filter's own mean is 0, but for the errors of the measurements (m,), which nobody else knows, and
-for parameters of the model, which are corrected on overwhelming evidence alone: in between their mean is kept here, so
-that nothing is learned from noise and no measurement counts twice. What changes by itself does so within its prior, as
-an Ornstein-Uhlenbeck process.
+for parameters of the model (p of the unknowns). A parameter is the sum of two states: what the model may have been
+wrong by from the start, which is kept here as the measurements never tell it apart from their own slow errors for sure,
+and by what it has changed since, which they do. What changes by itself does so within its prior, as an
+Ornstein-Uhlenbeck process, or at an unknown rate (q of the unknowns) with the way of the web.
 """
 
 from __future__ import annotations
@@ -19,41 +20,56 @@ Vector = NDArray[np.float64]
 
 #: Innovations that are so many deviations off, twice running, are no chance: something has changed. Nothing is made of
 #: the first of them: what has changed is not known, and small corrections of all would hide it. What has come gradually
-#: is no sudden change: at least this share of it was not there two innovations before.
-_FAR_OFF, _SUDDEN = 4.0, 0.5
+#: is no sudden change: at least this share of it was not there two innovations before. Then the same of all together.
+_FAR_OFF, _SUDDEN = 6.0, 0.4
+_FAR_OFF_TOGETHER, _SUDDEN_TOGETHER = 4.0, 0.75
 _TWICE = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """What was known once: covariance and mean of unknowns and offsets (n + m,)."""
+    """What was known once of all states (n + p + q + m,): covariance and mean."""
 
     covariance: Vector
     mean: Vector
 
 
 class Unknowns:
-    """`start` (n, n): covariance of the unknowns at the start; `parameters` (n,): those whose mean is kept; `offsets`
-    (m,): deviations of the slow errors of the measurements; `swings` (m,): of innovations by which a change is seen,
-    how far each measurement may be off, as what is measured swings after it otherwise than the model says; `swings_on`:
-    what is left of that an update later."""
+    """`start` (n, n): covariance of the unknowns at the start; `parameters` (n,): those that are parameters; `rates`
+    (n,): deviations of what they change by per m, 0 of those that have no such rate; `offsets` (m,): deviations of the
+    slow errors of the measurements; `swings` (m,): of innovations by which a change is seen, how far each measurement
+    may be off, as what is measured swings after it otherwise than the model says; `swings_on` (m,): what is left of
+    that an update later; `swinging` (m,): how far off they may be so at first."""
 
     def __init__(
-        self, start: Vector, parameters: NDArray[np.bool_], offsets: Vector, swings: Vector, swings_on: float
+        self,
+        start: Vector,
+        parameters: NDArray[np.bool_],
+        rates: Vector,
+        offsets: Vector,
+        swings: Vector,
+        swings_on: Vector,
+        swinging: Vector,
     ) -> None:
-        self._count = len(start)
-        size = self._count + len(offsets)
+        self._count = n = len(start)
+        self.parameters, self._with_rate = np.flatnonzero(parameters), np.flatnonzero(rates)
+        self._first_rate = n + len(self.parameters)
+        self.first_offset = self._first_rate + len(self._with_rate)
+        size = self.first_offset + len(offsets)
         self.covariance = np.zeros((size, size))
-        self.covariance[: self._count, : self._count] = start
-        self.covariance[self._count :, self._count :] = np.diag(offsets**2)
-        #: Of unknowns and offsets: what they are beside what the model was corrected by.
+        self.covariance[:n, :n] = start
+        constant = np.concatenate([rates[self._with_rate], offsets])
+        self.covariance[self._first_rate :, self._first_rate :] = np.diag(constant**2)
+        #: Of the states: unknowns, with the parameters as they were at the start, changes of these, rates, offsets.
         self.mean = np.zeros(size)
-        self._parameters = np.flatnonzero(parameters)
+        #: The unknowns by the states (n, n + p + q + m).
+        self._sums = np.eye(n, size)
+        self._sums[self.parameters, np.arange(n, self._first_rate)] = 1.0
         self._far_off = 0
         self._before = np.zeros((2, len(offsets)))  # innovations beside what was expected, the last one behind
         #: Whether the last innovations were far off again, and the unknowns have changed suddenly.
         self.has_changed = False
-        self._swings, self._swings_on, self._swing = swings, swings_on, np.zeros(len(offsets))
+        self._swings, self._swings_on, self._swing = swings, swings_on, swinging
 
     @property
     def has_begun_to_change(self) -> bool:
@@ -63,36 +79,60 @@ class Unknowns:
     @property
     def deviations(self) -> Vector:
         """Standard deviations of the unknowns (n,)."""
-        found: Vector = np.sqrt(np.diag(self.covariance)[: self._count])
+        found: Vector = np.sqrt(np.diag(self._sums @ self.covariance @ self._sums.T))
         return found
 
     def deviation(self, unknown: int) -> float:
         """Of one of them, from 0."""
-        return sqrt(self.covariance.item(unknown, unknown))
+        row = self._sums[unknown]
+        return sqrt(float(row @ self.covariance @ row))
 
     @property
     def belief(self) -> Belief:
         """What is known now, for `put_back`."""
         return Belief(self.covariance.copy(), self.mean.copy())
 
-    def evidence(self, errors: Vector) -> float:
-        """Against it that the parameters are without these errors, of the unknowns (n,): their squared distance from 0
-        in standard deviations."""
-        at = self._parameters
-        known = self.covariance[np.ix_(at, at)]
-        return float(errors[at] @ np.linalg.solve(known, errors[at])) if errors[at].any() else 0.0
+    def of_unknowns(self, belief: Belief) -> tuple[Vector, Vector]:
+        """Covariance (n, n) and mean (n,) of the unknowns."""
+        return self._sums @ belief.covariance @ self._sums.T, self._sums @ belief.mean
 
-    def take_parameters(self, left: Vector) -> Vector:
-        """Corrections (n,) by the mean of the parameters, of which so much is `left` (n,)."""
-        taken = np.zeros(self._count)
-        taken[self._parameters] = (self.mean[: self._count] - left)[self._parameters]
-        self.mean[: self._count] -= taken
-        return taken
+    def take_changes(self, share: float) -> Vector:
+        """Corrections (n,) by so much of the changes of the parameters."""
+        return self._take(slice(self._count, self._first_rate), share)
+
+    def take_start(self) -> Vector:
+        """Corrections (n,) by what the parameters were wrong by from the start."""
+        return self._take(self.parameters, 1.0)
+
+    def give_back(self, taken: Vector) -> Vector:
+        """Corrections (n,) by which the parameters are without what was `taken` (n,) of what they were wrong by from
+        the start."""
+        self.mean[: self._count] += taken
+        return -taken
+
+    def _take(self, states: slice | NDArray[np.int64], share: float) -> Vector:
+        corrections = np.zeros(self._count)
+        corrections[self.parameters] = share * self.mean[states]
+        self.mean[states] -= corrections[self.parameters]
+        return corrections
+
+    def evidence_of_change(self) -> float:
+        """Against it that the parameters are without what is found of their changes: its squared distance from 0 in
+        standard deviations."""
+        return self._evidence(np.arange(self._count, self._first_rate))
+
+    def evidence_of_start(self, taken: Vector) -> float:
+        """The same of what they were wrong by from the start, with what was `taken` (n,) of it."""
+        return self._evidence(self.parameters, taken[self.parameters])
+
+    def _evidence(self, at: NDArray[np.int64], taken: Vector | float = 0.0) -> float:
+        found = self.mean[at] + taken
+        return float(found @ np.linalg.solve(self.covariance[np.ix_(at, at)], found)) if found.any() else 0.0
 
     def put_back(self, earlier: Belief, taken: NDArray[np.bool_], variances: Vector) -> None:
         """Of the offsets, and of the unknowns that are `taken` (n,), is known what was known earlier, no more and no
         less; of the others these variances (n,)."""
-        back = np.concatenate([taken, np.ones(len(self.mean) - self._count, bool)])
+        back = np.concatenate([self._of_states(taken), np.ones(len(self.mean) - self._first_rate, bool)])
         self.covariance = np.where(np.outer(back, back), earlier.covariance, 0.0)
         others = np.flatnonzero(~taken)
         self.covariance[others, others] = variances[others]
@@ -100,28 +140,40 @@ class Unknowns:
         self._far_off = 0
         self._swing[:] = 0.0
 
-    def grow(self, left: Vector, growth: Vector) -> None:
-        """Time goes by: of what is known of unknowns and offsets so much is `left` (n + m,), as shares, and what they
-        may have changed by has this covariance (n + m, n + m)."""
-        self.covariance = left[:, None] * self.covariance * left + growth
-        self.mean = left * self.mean
+    def _of_states(self, of_unknowns: Vector | NDArray[np.bool_]) -> Vector | NDArray[np.bool_]:
+        """Rows of unknowns (n, …), and behind them those of the parameters (p, …) once more."""
+        return np.concatenate([of_unknowns, of_unknowns[self.parameters]])
 
-    def jump(self, jumps: Vector) -> None:
-        """The unknowns have changed by something of this covariance (n, n)."""
-        self.covariance[: self._count, : self._count] += jumps
+    def grow(self, left: Vector, growth: Vector, way_m: float) -> None:
+        """Time goes by, and so much web: of what is known of the states so much is `left` (n + p + q + m,), as shares,
+        and what they may have changed by has this covariance (n + p + q + m, n + p + q + m)."""
+        goes_on = np.diag(left)
+        goes_on[self._with_rate, np.arange(self._first_rate, self.first_offset)] = way_m
+        self.covariance = goes_on @ self.covariance @ goes_on.T + growth
+        self.mean = goes_on @ self.mean
 
-    def reopen(self) -> None:
-        """The parameters are others than believed, by about their mean: it is that much less certain, and so is what
-        depends on them."""
-        at, mean = self._parameters, self.mean[self._parameters]
-        known = self.covariance[np.ix_(at, at)]
-        change = np.linalg.solve(known, self.covariance[at]).T @ mean
-        self.covariance = self.covariance + np.outer(change, change)
+    def jump(self, jumps: Vector, becomes: Vector | None = None) -> None:
+        """The parameters have changed suddenly by something of this covariance (p, p); `becomes` (n, n): what other
+        unknowns become by that. None: nothing."""
+        rows = self._by_change(becomes)
+        self.covariance = self.covariance + rows @ jumps @ rows.T
+
+    def _by_change(self, becomes: Vector | None) -> Vector:
+        """What the states are other by (n + p + q + m, p) as parameters change suddenly; see `jump`."""
+        rows = np.zeros((len(self.mean), len(self.parameters)))
+        if becomes is not None:
+            rows[: self._count] = becomes[:, self.parameters]
+        rows[self.parameters] = 0.0
+        rows[self._count : self._first_rate] = np.eye(len(self.parameters))
+        return rows
 
     def turn(self, matrix: Vector) -> None:
         """The unknowns are others now, `matrix` (n, n) times those of before."""
         whole = np.eye(len(self.covariance))
         whole[: self._count, : self._count] = matrix
+        changed = matrix[:, self.parameters].copy()
+        changed[self.parameters] = 0.0  # parameters stay what they are
+        whole[: self._count, self._count : self._first_rate] = changed
         self.covariance = whole @ self.covariance @ whole.T
         self.mean = whole @ self.mean
 
@@ -130,38 +182,58 @@ class Unknowns:
         innovations: Vector,
         slopes: Vector,
         variances: Vector,
-        jumps: Vector,
+        jumps: tuple[Vector, Vector],
         learns: NDArray[np.bool_] | None = None,
     ) -> Vector:
         """Corrections of the unknowns (n,), of the parameters none, by innovations (m,) with slopes (m, n) and
-        variances (m,); `jumps` (n, n): covariance of a sudden change of the unknowns; `learns` (n, m): which unknown is
-        learned from which innovation, and no offset from any then: how little is known of the rest is reckoned with
-        all the same. None: all."""
-        known = np.hstack([slopes, np.eye(len(innovations))])
+        variances (m,); `jumps`: of a sudden change, see `jump`; `learns` (n, m): which unknown is learned from which
+        innovation, and no offset from any then: how little is known of the rest is reckoned with all the same. None:
+        all."""
+        known = slopes @ self._sums
+        known[:, self.first_offset :] = np.eye(len(innovations))
         left = innovations - known @ self.mean
         self._swing = self._swings_on * self._swing
         variances = variances + self._swing**2
         spread = known @ self.covariance @ known.T + np.diag(variances)
-        sudden = np.abs(left - self._before[0]) > _SUDDEN * np.abs(left)
-        off = bool(np.any(sudden & (np.abs(left) > _FAR_OFF * np.sqrt(np.diag(spread)))))
+        off = self._is_off(left, known, spread, jumps[1])
         self._far_off = self._far_off + 1 if off else 0
         self.has_changed = self._far_off == _TWICE
         if self.has_begun_to_change:
             return np.zeros(self._count)
         self._before = np.array([self._before[1], left])
         if self.has_changed:
-            self.jump(jumps)
+            self.jump(*jumps)
             self._swing = self._swings * np.abs(left)
             variances = variances + self._swing**2
             spread = known @ self.covariance @ known.T + np.diag(variances)
             self._far_off = 0
         gain = np.linalg.solve(spread, known @ self.covariance).T
         if learns is not None:
-            gain = gain * np.vstack([learns, np.zeros((len(left), len(left)), bool)])
+            gain = gain * np.vstack(
+                [self._of_states(learns), np.zeros((len(self.mean) - self._first_rate, len(left)), bool)]
+            )
         rest = np.eye(len(self.covariance)) - gain @ known
         self.covariance = rest @ self.covariance @ rest.T + (gain * variances) @ gain.T
         self.mean = self.mean + gain @ left
         changes = self.mean[: self._count].copy()
-        changes[self._parameters] = 0.0
+        changes[self.parameters] = 0.0
         self.mean[: self._count] -= changes
         return changes
+
+    def _is_off(self, left: Vector, known: Vector, spread: Vector, becomes: Vector) -> bool:
+        """Whether innovations (m,) of this covariance (m, m) are suddenly far off: one of them, or all together as
+        where all parameters have changed by the same share."""
+        deviations = np.sqrt(np.diag(spread))
+        if np.any(_is_sudden(left / deviations, self._before[0] / deviations, _FAR_OFF, _SUDDEN)):
+            return True
+        change = np.linalg.solve(spread, known @ self._by_change(becomes).sum(axis=1))
+        size = sqrt(float(change @ spread @ change))
+        now, before = np.array([change @ left]), np.array([change @ self._before[0]])
+        together = _is_sudden(now, before, _FAR_OFF_TOGETHER * size, _SUDDEN_TOGETHER)
+        return size > 0.0 and bool(together[0])
+
+
+def _is_sudden(now: Vector, before: Vector, far_off: float, share: float) -> NDArray[np.bool_]:
+    """Whether values are so far off, and at least this share of them was not there before."""
+    sudden: NDArray[np.bool_] = (np.abs(now) > far_off) & (np.abs(now - before) > share * np.abs(now))
+    return sudden

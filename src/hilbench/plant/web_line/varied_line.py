@@ -37,15 +37,16 @@ def _entry_point(sources: int) -> Function:
     @entry_point(COUNT, TABLE)
     def put_load_slopes(unused: int, table: NDArray[np.int64]) -> int:
         """Table: tensions (F, K), radii over those at the start (N,), pulls per tension (N, K), steps (n,), errors
-        (n,), the axis, from 0, and the unknown of each reel, and the slopes (N, n + 1)."""
+        (n,), shares of what tensions tell of unknowns (n, K), the axis, from 0, and the unknown of each reel, and the
+        slopes (N, n + 1)."""
         tensions, ratios, pulls = floats(table, 0, (1, 2)), floats(table, 1, (1,)), floats(table, 2, (1, 2))
-        steps, errors = floats(table, 3, (1,)), floats(table, 4, (1,))
-        reels, slopes = integers(table, 5, (1, 2)), floats(table, 6, (1, 2))
+        steps, errors, tells = floats(table, 3, (1,)), floats(table, 4, (1,)), floats(table, 5, (1, 2))
+        reels, slopes = integers(table, 6, (1, 2)), floats(table, 7, (1, 2))
         for i in range(pulls.shape[0] if sources >= 0 else 0):
             for c in range(len(steps)):
                 pull = 0.0
                 for j in range(pulls.shape[1]):
-                    pull += pulls[i, j] * (tensions[1 + c, j] - tensions[0, j])
+                    pull += pulls[i, j] * tells[c, j] * (tensions[1 + c, j] - tensions[0, j])
                 slopes[i, c] = ratios[i] * pull / steps[c]
             slopes[i, len(steps)] = 0.0
         for r in range(reels.shape[0]):
@@ -122,7 +123,7 @@ class VariedLine:
         self._axes, self._boundary = model.axis_count, (nan, nan)
         self._idlers = [roller.name for roller in model.line_rollers if roller.axis is None]
         self._rollers, carriages = len(model.line_rollers), model.carriages
-        before, self._span_count = axes_before_spans(model), model.span_count
+        self._before, self._span_count = axes_before_spans(model), model.span_count
         #: Where the lengths of material and of spans begin among what is integrated.
         self._material = 4 * (self._rollers + len(carriages))
         self._lengths = self._material + self._span_count
@@ -138,7 +139,9 @@ class VariedLine:
             (self._rollers + at, each.station.name, each.station.lower_stop_m, each.station.upper_stop_m)
             for at, each in enumerate(carriages)
         ]
-        self._spans = {axis: [k for k, of in enumerate(before) if of == axis] for axis in range(model.axis_count + 1)}
+        self._spans = {
+            axis: [k for k, of in enumerate(self._before) if of == axis] for axis in range(model.axis_count + 1)
+        }
         self._slopes = {each.number: _slope_per_m(model, each.number) for each in self._of(Kind.RADIUS)}
         self._moduli = np.array([model.youngs_modulus_Pa(span) for span in range(1, model.span_count + 1)])
         self._pulls = self._lever_arms()
@@ -148,14 +151,24 @@ class VariedLine:
         self.load_slopes = np.zeros((self._axes, len(self.unknowns) + 1))
         radii = [(each.number - 1, place) for each, place in self.places.items() if each.kind is Kind.RADIUS]
         reels = np.array(radii, np.int64).reshape(-1, 2)
-        lines = self._all
+        lines, tells = self._all, self._tells()
         self._kept = (
-            lines.tensions_N, lines.ratios, self._pulls, self._steps, self._errors, reels, self.load_slopes,
+            lines.tensions_N, lines.ratios, self._pulls, self._steps, self._errors, tells, reels, self.load_slopes,
         )  # fmt: skip
         self._slopes_table = table_of(self._kept)
 
     def _of(self, kind: Kind) -> list[Unknown]:
         return [each for each in self.unknowns if each.kind is kind]
+
+    def _tells(self) -> Vector:
+        """Whether tensions (K,) tell of unknowns (n, K): where a carriage keeps them E of its web shows in swings
+        alone, of which nobody knows how they began."""
+        tells = np.ones((len(self.unknowns), self._span_count))
+        for carriage in self._model.carriages:
+            axis = self._before[carriage.first_span - 1]
+            if axis in self._place_of_modulus:
+                tells[self._place_of_modulus[axis], self._spans[axis]] = 0.0
+        return tells
 
     def _lever_arms(self) -> Vector:
         """Load at each motor (N,) by the tensions (K,), N·m/N, with the reels as at the start."""
@@ -279,6 +292,12 @@ class VariedLine:
         """Of the section behind an axis, with what its carriages have made longer."""
         return float(sum(self._all.motions[0, self._lengths + k] for k in self._spans[axis]))
 
+    def longer_by(self, carriage: Unknown, axis: int) -> float:
+        """By how much the section behind an axis is longer with its carriage so much further; 0 of one at a stop."""
+        c = self.places[carriage]
+        further = self._slopes_seen(carriage).item(c)
+        return self._over_steps(self._web_m(axis)[0]).item(c) / further if further > _LEAST_LEFT else 0.0
+
     def strain(self, axis: int) -> float:
         """Of the section behind an axis, times relative E."""
         return self._seen(Unknown(Kind.STRAIN, axis)).item(0)
@@ -358,9 +377,15 @@ class VariedLine:
 
     def web_changed(self) -> Vector:
         """What unknowns become of others, (n, n), where web suddenly has another E with the strain that it has: its
-        tension is another one at once."""
+        tension is another one at once, and a carriage soon gives way to that."""
         turned = np.eye(len(self.unknowns))
         for c, unknown in enumerate(self.unknowns):
+            if unknown.kind is Kind.CARRIAGE:
+                axis = self._before[self._model.carriages[unknown.number - 1].first_span - 1]
+                lengths_m, material_m = self._web_m(axis)
+                longer = self.longer_by(unknown, axis)
+                if axis in self._place_of_modulus and longer:
+                    turned[c, self._place_of_modulus[axis]] = (material_m - lengths_m).item(0) / longer
             i = self._place_of_modulus.get(unknown.number)
             if unknown.kind is Kind.STRAIN and i is not None:
                 strain = self._seen(unknown)[0] / self.modulus_factor(unknown.number)
@@ -376,16 +401,20 @@ class VariedLine:
     def _seen(self, unknown: Unknown) -> Vector:
         """Of the line and the copies (F,): position of a carriage, or strain times relative E of a section, which is
         its tension. The strain is that of how much web there is, which never swings."""
-        motions = self._all.motions
         if unknown.kind is Kind.CARRIAGE:
-            return motions[:, self.carriage_row(unknown.number)]
-        spans = self._spans[unknown.number]
-        material_m = motions[:, [self._material + k for k in spans]].sum(axis=1)
-        length_m = motions[:, [self._lengths + k for k in spans]].sum(axis=1)
+            return self._all.motions[:, self.carriage_row(unknown.number)]
+        length_m, material_m = self._web_m(unknown.number)
         place = self._place_of_modulus.get(unknown.number)
         factors = 1.0 if place is None else 1.0 + self._error_of_each(place)
         seen: Vector = factors * (length_m / material_m - 1.0)
         return seen
+
+    def _web_m(self, axis: int) -> tuple[Vector, Vector]:
+        """Of the section behind an axis, of the line and the copies (F,): its length, and that of its web at rest."""
+        motions, spans = self._all.motions, self._spans[axis]
+        material_m: Vector = motions[:, [self._material + k for k in spans]].sum(axis=1)
+        length_m: Vector = motions[:, [self._lengths + k for k in spans]].sum(axis=1)
+        return length_m, material_m
 
 
 def damped_follower(model: ModelParameters) -> LineFollower:

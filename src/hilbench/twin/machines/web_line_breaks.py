@@ -11,7 +11,7 @@ Where they promise a slack web and the torques say that it pulls, a roller besid
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import inf
 from typing import Final
 
@@ -46,7 +46,7 @@ _SETTLED_S: Final = 0.5
 class SectionWatch:
     """Of a line whose N driven rollers answer once a cycle. `told`: the span by whose number each section is told, by
     the axis before it; `unknowns`: what the line that is followed is corrected by; `measured`: names of stations with a
-    sensor."""
+    sensor; `sensed_length_m`: of the section behind an axis, with its carriage where its sensor says."""
 
     def __init__(
         self,
@@ -55,8 +55,10 @@ class SectionWatch:
         told: Mapping[int, int],
         unknowns: Sequence[Unknown],
         measured: Sequence[str],
+        sensed_length_m: Callable[[int], float],
     ) -> None:
         before = axes_before_spans(model)
+        self._sensed_length_m = sensed_length_m
         self._model, self._cycle_s = model, cycle_s
         self._cycles = max(round(BLOCK_S / cycle_s), 2 * ENDS)
         self._spans = {axis: [k for k, of in enumerate(before) if of == axis] for axis in told}
@@ -156,9 +158,11 @@ class SectionWatch:
         torques_Nm: Sequence[float],
         followed: VariedLine,
         inertia_kg_m2: Vector,
+        *,
+        swings: bool,
     ) -> None:
         """One cycle: of the driven rollers positions (N,) at the web and torques, beside the line that follows them;
-        `inertia_kg_m2` (N,): at the motors."""
+        `inertia_kg_m2` (N,): at the motors; `swings`: the web has just become another one, and carriages give way."""
         line, tensions_N = followed.line, followed.tensions_N
         self._time_s += self._cycle_s
         self._now_N = self._by_model_N(followed)
@@ -173,7 +177,7 @@ class SectionWatch:
         self._collected += 1
         if self._collected > self._cycles:
             self._judge(time_s, line, inertia_kg_m2)
-            self._look_for_lost_web(time_s, followed)
+            self._look_for_lost_web(time_s, followed, swings)
             self._judged_m = self._way_m[-1]
             self.interrupt()
 
@@ -207,13 +211,18 @@ class SectionWatch:
                 steady = abs(np.sum(accelerates_N[axis:])) < _ACCELERATES * usual_N
                 self._look_for_slip(time_s, axis, is_N, ratios.item(axis), steady=bool(steady))
 
-    def _look_for_lost_web(self, time_s: float, followed: VariedLine) -> None:
+    def _look_for_lost_web(self, time_s: float, followed: VariedLine, swings: bool) -> None:
         """A block is complete: of the sections whose carriage has a sensor."""
-        before_m, self._lengths_m = self._lengths_m, {axis: followed.length_m(axis) for axis in self._carriage_slips}
+        before_m, self._lengths_m = (
+            self._lengths_m,
+            {axis: self._sensed_length_m(axis) for axis in self._carriage_slips},
+        )
         if self._judged_m is None or self._time_s < _SETTLED_S:
             return
         ways_m = self._way_m[-1] - self._judged_m
         for axis, slip in self._carriage_slips.items():
+            if swings:
+                slip.allow()
             into_m, out_m = (float(ways_m[of - 1]) * followed.line.radius_ratio(of) for of in (axis, axis + 1))
             slip.take(time_s, into_m, out_m, self._lengths_m[axis] - before_m.get(axis, self._lengths_m[axis]))
 

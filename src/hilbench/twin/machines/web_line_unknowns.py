@@ -33,8 +33,9 @@ _WINDOW_S: Final = 0.03  #: of which the means are looked at
 _RADIUS_SHARE: Final = 0.02
 _MODULUS_SHARE: Final = 0.2
 _SECTION_SHARE: Final = 0.03  #: by which E of a section is another than that of the whole web
+_DRIFT_APART: Final = 0.1  #: so much of that in a shift, in which the whole web goes through all of them
 #: By which E changes at once: that of the whole web, and besides that of a section.
-_JUMP_SHARE, _SECTION_JUMP_SHARE = 0.15, 0.15
+_JUMP_SHARE, _SECTION_JUMP_SHARE = 0.2, 0.1
 #: Share of a web of which nothing is known that has to have left before E is learned: until then it is the same as the
 #: strain to what is measured. And the deviation of E, relative, that learning both of them from their product adds.
 _SHOWN_FROM, _OF_PRODUCT = 0.1, 0.01
@@ -45,22 +46,26 @@ _CARRIAGE_AT_REST: Final = 0.01
 _USUAL_WAY_M: Final = 1.0  #: of a carriage without stops
 _MODEL_SHARE: Final = 0.01  #: of E, that no model of a line is surer of
 # What changes meanwhile.
-_CARRIAGE_M_PER_SQRT_M: Final = 1e-4  #: of web
+#: Of web: at 1e-4 what goes in and out beside a measured carriage tells no drift of E of 1 % in a minute.
+_CARRIAGE_M_PER_SQRT_M: Final = 1e-5
 _SLIPPING_M_PER_SQRT_M: Final = 2e-3  #: while a web slips somewhere
 _THICKNESS_SHARE: Final = 0.1  #: error of the thickness by which a reel's radius changes
 _RADIUS_PER_SQRT_M: Final = 2e-5  #: what else
 _STRAIN_PER_SQRT_S: Final = 1e-3  #: of that with which the web comes in
-#: After which E, and the slow error of a torque, are others within their prior: a shift, from roll to roll (1 % in a
-#: minute, 8 % in an hour); minutes, as bearings warm up.
-_MODULUS_S, _OFFSET_S = 5e4, 600.0
+#: After which E, and the slow error of a torque, are others within their prior: a shift. So E changes from roll to roll
+#: by 1 % in a minute, 8 % in an hour, and a torque by 1 % of its slow error in 2.5 s: E is likelier to.
+_SHIFT_S: Final = 5e4
 # How wrong measurements are.
 _OFFSET_SHARE: Final = 0.002  #: slow error of a torque: friction, offset; of the drive's limit
-_LEAST_NOISE_SHARE: Final = 2e-3  #: of a window: idlers swing, by which it is no white noise
+_LEAST_NOISE_SHARE: Final = 1e-3  #: of a window: idlers swing, by which it is no white noise
 #: Of a limit, or of the tension at a load cell, at first: the line is let go in another state than it is in, and
 #: swings; and for how long.
 _SWING_SHARE, _SWING_S = 0.2, 0.05
 #: After a change of the web: of the torques and tensions that show it, and for how long; of other sensors nothing.
 _CHANGE_SWING_SHARE, _CHANGE_SWINGS_S = 0.3, 0.13
+#: The same of torques beside a section with a carriage, which swings against its web.
+_KICK_SWING_SHARE, _KICK_SWINGS_S = 1.0, 0.3
+_KICK_SHARE: Final = 0.03  #: of a limit, of these at first
 _INERTIA_SHARE: Final = 0.05  #: of the torque that accelerates
 #: By which the strain of a section may change while a web slips somewhere, of that with which the web comes in.
 _SLIPPING_PER_SQRT_S: Final = 0.2
@@ -68,9 +73,6 @@ _SLIPPING_PER_SQRT_S: Final = 0.2
 #: in minutes. Of two sections that is passed by one draw in 20,000, which are some 100 days.
 _ACCEPTED: Final = 20.0
 _KEPT: Final = 0.5 * _ACCEPTED  #: what is left of that once more is known, with which it is kept
-#: What has been found of a sudden change so far is one of E, however little is known of E itself: what a line does
-#: otherwise that its model lacks leaves less (`tests/bench/test_lines_hold.py`).
-_LEAST_STEP: Final = 0.02
 #: From when on kicks are looked for: the line is let go in another state than it is in, and swings.
 _KICKS_FROM_S: Final = 0.5
 _KICK_NOISE_SHARE: Final = 1e-3  #: of a limit: what else is in a torque
@@ -79,8 +81,10 @@ _MAY_BE_S: Final = 3.0
 #: Deviations of E by which it is another one in the next section, and the error of that, as a share.
 _BOOKED, _BOOKED_OFF = 3.0, 0.35
 _IMITATED_SHARE: Final = 0.25  #: error of the size of a kick that load motors imitate
-#: For how long from the start on, and after a change, E is corrected as it is found.
-_LEARNS_S: Final = 1.0
+#: For how long from the start on, and after a change, E is corrected as it is found; and with which time constant after
+#: that, so that what comes faster than a drift is seen as evidence first.
+_LEARNS_S, _FOLLOWS_S = 1.0, 1.0
+_STARTS_S: Final = 0.5
 #: Way of the web, as a share of the shortest section, from which to which what is known is kept; and for how many
 #: lengths of the longest one.
 _KEPT_EVERY, _KEPT_LENGTHS = 0.1, 3.0
@@ -140,7 +144,7 @@ class LineUnknowns:
         wound_kg_m2 = [model.wound_inertia_kg_m2(axis) / model.gear_ratio(axis) ** 2 for axis in axes]
         #: Of each driven roller (N,), at the motor: its own, and what is wound on it at the start.
         self._own_kg_m2, self._wound_kg_m2 = np.array(own_kg) / per_m**2, np.array(wound_kg_m2)
-        self._rad_per_m = per_m[self._rows]
+        self._rad_per_m = per_m
         self._set_cycle(cycle_s)
         self._loads = self.varied.load_slopes  # as it is brought up to date
         kinds = np.array([each.kind for each in self.varied.unknowns])
@@ -158,6 +162,8 @@ class LineUnknowns:
         lengths_m = [sum(model.span_length_m(k + 1) for k in spans) for spans in _sections(model)]
         self._keep_every_m, self._keep_m = _KEPT_EVERY * min(lengths_m), _KEPT_LENGTHS * max(lengths_m)
         self._web_m = sum(lengths_m)
+        held = {axes_before_spans(model)[carriage.first_span - 1] for carriage in model.carriages}
+        self._beside_carriages = np.array([axis in held or axis - 1 in held for axis in self._axes], bool)
         self.begin([0.0] * model.axis_count, 0.0)
         self._set_kicks()
 
@@ -212,18 +218,26 @@ class LineUnknowns:
         nothing = np.zeros_like(believed)
         common = sqrt(_MODULUS_SHARE**2 - _SECTION_SHARE**2)
         moduli = self._moduli_apart(common, _SECTION_SHARE) if self._tells_moduli else nothing
-        self._jumps = self._moduli_apart(_JUMP_SHARE, _SECTION_JUMP_SHARE) if self._tells_moduli else nothing
-        swings_on = exp(-self._window * self._cycle_s / _CHANGE_SWINGS_S)
+        drifts = self._moduli_apart(common, _DRIFT_APART * _SECTION_SHARE) if self._tells_moduli else nothing
+        #: By which E (p, p) changes suddenly, and in a shift.
+        at = np.ix_(self._is_modulus, self._is_modulus)
+        jumps = self._moduli_apart(_JUMP_SHARE, _SECTION_JUMP_SHARE) if self._tells_moduli else nothing
+        self._jumps, self._drifts = jumps[at], drifts[at]
         told_by_tension = np.concatenate([np.ones(len(self._axes), bool), self._sensors.tensions_N > 0.0])
-        swings = np.where(told_by_tension, _CHANGE_SWING_SHARE, 0.0)
-        self._filter = Unknowns(believed + moduli, self._is_modulus, self._offsets, swings, swings_on)
-        self._prior = moduli
+        kicked = np.concatenate([self._beside_carriages, np.zeros(len(self._sensors.tensions_N), bool)])
+        swings = np.where(told_by_tension, np.where(kicked, _KICK_SWING_SHARE, _CHANGE_SWING_SHARE), 0.0)
+        swings_on = np.exp(-self._window * self._cycle_s / np.where(kicked, _KICK_SWINGS_S, _CHANGE_SWINGS_S))
+        swinging = np.concatenate([_KICK_SHARE * self._beside_carriages * self._limits_Nm, 0.0 * self._sensors.offsets])
+        rates = np.array([self._rate_per_m(each) for each in self.varied.unknowns])
+        self._filter = Unknowns(believed + moduli, self._is_modulus, rates, self._offsets, swings, swings_on, swinging)
         self._set_growth()
         limits_Nm = np.array(self._limits_Nm)
         self._noise = NoiseLevels(0.01 * limits_Nm, 1e-4 * limits_Nm)
         self._positions_m, self._way_m, self._window_way_m = list(positions_m), 0.0, 0.0
         self._time_s = 0.0
+        self._sensed = np.zeros(len(self._sensors.offsets))  # by sensors beside the line that is followed
         self._speeds_m_s: Vector | None = None
+        self._speeds_rad_s: Vector | None = None  # of the motors (N,)
         self._loads[:] = 0.0
         self._response.reset()
         self._set_inertia()
@@ -232,8 +246,8 @@ class LineUnknowns:
         #: Way from which on E beside a carriage is another one, or web comes in with another strain, or slips.
         self._undecided_from_m = inf
         self._corrected = np.zeros(len(self.varied.unknowns))
-        self._before: Vector | None = None  # while E is corrected as it is found: what it had been corrected by
-        self._learn(np.zeros_like(self._corrected))
+        self._learns_until_s = self._swings_until_s = -inf
+        self._started = np.zeros_like(self._corrected)
         self._kept = deque([_Kept(-inf, 0.0, self._filter.belief, self._corrected)])
         self._begin_window()
 
@@ -248,9 +262,14 @@ class LineUnknowns:
             return self._model.upstream_strain * strained
         return _RADIUS_SHARE if unknown.kind is Kind.RADIUS else 0.0
 
+    def _rate_per_m(self, unknown: Unknown) -> float:
+        """Deviation of what a reel's radius changes by per m of web, of that at the start, besides what it does."""
+        reel = unknown.kind is Kind.RADIUS
+        return _THICKNESS_SHARE * abs(self.varied.slope_per_m(unknown.number)) if reel else 0.0
+
     def _moduli_apart(self, common: float, apart: float) -> Vector:
         """Covariance of E of the sections, of one web: deviations of what all have, and each for itself."""
-        moduli = np.array([each.kind is Kind.MODULUS for each in self.varied.unknowns], float)
+        moduli = self._is_modulus.astype(float)
         return common**2 * np.outer(moduli, moduli) + apart**2 * np.diag(moduli)
 
     def _shows_in_torques(self, unknown: Unknown) -> bool:
@@ -272,6 +291,11 @@ class LineUnknowns:
         inertia_kg_m2: Vector = self._inertia_kg_m2
         return inertia_kg_m2
 
+    @property
+    def swings(self) -> bool:
+        """Whether E has changed suddenly so lately that carriages swing against it."""
+        return self._time_s <= self._swings_until_s
+
     def _begin_window(self) -> None:
         self._cycles = 0
         self._sum = np.zeros(len(self._offsets))
@@ -282,8 +306,16 @@ class LineUnknowns:
     def sense(self, told: Mapping[str, float]) -> None:
         """What the sensors of stations said of the motion that was followed last, m and N, by name."""
         first, (left, slopes) = len(self._axes), self._sensors.look(told)
+        self._sensed = left
         self._sum[first:] += left
         self._slopes[first:] += slopes
+
+    def sensed_length_m(self, axis: int) -> float:
+        """Of the section behind an axis, with its carriages where their sensors say."""
+        sensed = zip(self._sensors.sensed, self._sensed.tolist(), strict=False)
+        return self.varied.length_m(axis) + sum(
+            left_m * self.varied.longer_by(each, axis) for each, left_m in sensed if each.kind is Kind.CARRIAGE
+        )
 
     def follow(self, positions_m: Sequence[float], duration_s: float) -> None:
         """The driven rollers (N,) are there now."""
@@ -319,7 +351,7 @@ class LineUnknowns:
         self._sum[: len(left)] += left
         self._slopes[: len(left)] += answered[self._rows, :-1] * self._shows
         self._cycles += 1
-        self.varied.refresh_load_slopes()
+        self._refresh_loads()
         corrected = False
         if self._cycles >= self._window:
             corrected = not limited and self._correct(time_s)
@@ -328,8 +360,19 @@ class LineUnknowns:
         self._response.step(self._loads)
         return corrected
 
+    def _refresh_loads(self) -> None:
+        """Bring loads up to what is followed. A load motor in the place of a reel imitates what its web pulls, but has
+        the flywheel that the reel had at the start."""
+        self.varied.refresh_load_slopes()
+        speeds = self._rad_per_m * self.varied.line.v_m_s
+        before, self._speeds_rad_s = self._speeds_rad_s, speeds
+        if self._imitated and before is not None:
+            lacking_kg_m2 = self._inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2
+            self._loads[:, -1] += lacking_kg_m2 * (speeds - before) / self._cycle_s
+
     def miss(self) -> None:
         """A cycle without measurement."""
+        self._speeds_rad_s = None
         self._response.step(self._loads)
         self._noise.interrupt()
         self._forget_kicks()
@@ -340,42 +383,55 @@ class LineUnknowns:
         lasted_s = count * self._cycle_s
         self._time_s += lasted_s
         self._filter.grow(*self._growth(lasted_s))
-        turned = self.varied.web_changed()
-        jumps = turned @ self._jumps @ turned.T
         learns = self._learns_slipping if self._slips else None
         innovations, slopes = self._sum / count, self._slopes / count
-        variances, (any_roller, of_reels) = self._variances(count), self._inertial_variances(lasted_s)
-        wrong = np.any(of_reels > variances[: len(of_reels)])
-        if learns is None and (wrong or self._way_m < self._moduli_from_m):
+        if learns is None and self._way_m < self._moduli_from_m:
             learns = self._learns_no_modulus
-        variances[: len(of_reels)] += any_roller + of_reels
-        doubtful = self._filter.mean[: len(unknowns)].copy()
+        variances, jumps = self._variances(count), (self._jumps, self.varied.web_changed())
+        variances[: len(self._axes)] += self._inertial_variances(lasted_s)
         changes = self._filter.update(innovations, slopes, variances, jumps, learns)
         if self._filter.has_begun_to_change:
             self._answer_from_now(count // 2)
             self._undecided_from_m = inf
             return False
         if learns is None:
-            changes = changes + self._parameters(doubtful)
+            changes = changes + self._parameters()
         changes = np.array([self._bounded(each, float(change)) for each, change in zip(unknowns, changes, strict=True)])
         self._apply(changes)
         return True
 
-    def _parameters(self, doubtful: Vector) -> Vector:
-        """By which E is corrected (n,): on overwhelming evidence, or by what has changed suddenly beside the mean that
-        was `doubtful` (n,) until then, and for a while as it is found; what that leaves doubtful is taken back."""
-        none, mean = np.zeros_like(self._corrected), self._filter.mean[: len(self._corrected)]
-        learns = self._time_s <= self._learns_until_s or self._way_m < self._known_from_m
-        if self._filter.has_changed:
-            self._learn(doubtful)
-        elif not learns and self._is_another(self._filter.evidence(mean)):
-            self._learn_anew()
-        elif not learns:
-            found, self._before = none if self._before is None else self._corrected - self._before, None
-            largest = np.max(np.abs(found[self._is_modulus]), initial=0.0)  # of a line whose E is not looked for: none
-            doubted = bool(largest < _LEAST_STEP) and self._filter.evidence(found) < _KEPT
-            return self._filter.take_parameters(mean + found if doubted else mean)
-        return self._filter.take_parameters(self._stays)
+    def _parameters(self) -> Vector:
+        """By which E is corrected (n,): by what has changed, at once for a while from a sudden change on, and slowly
+        after that; not at all where something else may be. By what has been wrong from the start on overwhelming
+        evidence, or where nothing was known of it."""
+        filtered, none = self._filter, np.zeros_like(self._corrected)
+        if filtered.has_changed:
+            if self._time_s > self._learns_until_s:
+                self._swings_until_s = self._time_s + _KICK_SWINGS_S
+            self._learn()
+        found = self._from_start()
+        if self._time_s <= self._learns_until_s:
+            return found + filtered.take_changes(1.0)
+        changes, starts = filtered.evidence_of_change(), filtered.evidence_of_start(none)
+        if self._is_another(max(changes, starts)):
+            found = found + filtered.take_start()
+            self._learn(anew=changes > starts)
+        if self._undecided_from_m < inf:
+            return found
+        return found + filtered.take_changes(self._window * self._cycle_s / _FOLLOWS_S)
+
+    def _from_start(self) -> Vector:
+        """By which E is corrected (n,) as it was wrong from the start: as it is found where nothing is known of the web
+        yet, which is given back where that is no evidence."""
+        filtered, none = self._filter, np.zeros_like(self._corrected)
+        if self._time_s <= _STARTS_S or self._way_m < self._known_from_m:
+            taken = filtered.take_start()
+            self._started = self._started + taken
+            return taken
+        started, self._started = self._started, none
+        if started.any() and filtered.evidence_of_start(started) < _KEPT:
+            return filtered.give_back(started)
+        return none
 
     def _is_another(self, evidence: float) -> bool:
         """Whether E is another one by this evidence: beside a carriage, once a slip would have been told."""
@@ -385,18 +441,13 @@ class LineUnknowns:
         self._undecided_from_m = min(self._undecided_from_m, self._way_m)
         return not self._kicks or self._way_m - self._undecided_from_m > self._keep_m
 
-    def _learn(self, stays: Vector) -> None:
-        """Correct E as it is found for a while, but for this part of its mean (n,)."""
-        if self._before is None:
-            self._before, self._stays = self._corrected, stays
+    def _learn(self, *, anew: bool = False) -> None:
+        """Correct E as it is found for a while; `anew`: it has been another one for a while, and it is learned what
+        by."""
+        if anew:
+            self._filter.jump(self._jumps)
         self._undecided_from_m = inf
         self._learns_until_s = self._time_s + _LEARNS_S
-
-    def _learn_anew(self) -> None:
-        """E is another one, and has been for a while: it is learned what by."""
-        self._filter.reopen()
-        self._learn(np.zeros_like(self._corrected))
-        self._before = None  # there is nothing to take back
 
     def _look_for_kicks(self, time_s: float, left_Nm: Vector) -> bool:
         """In torques (m,) beside those of the line that is followed; whether there was one."""
@@ -439,14 +490,11 @@ class LineUnknowns:
         if behind not in self.varied.places:
             return 0.0, 1.0
         at = self.varied.places[behind]
+        then, told = self._filter.of_unknowns(kept.belief), self._filter.of_unknowns(self._filter.belief)
         # What has just changed suddenly is not told apart yet: then that counts, however well it was known.
-        apart = (
-            float(known[at, at] + known[place, place] - 2.0 * known[at, place])
-            for known in (kept.belief.covariance, self._filter.covariance)
-        )
+        apart = (float(known[at, at] + known[place, place] - 2.0 * known[at, place]) for known, _ in (then, told))
         deviation = sqrt(max(apart))
-        before, now = (1.0 + corrected + mean[: len(corrected)] for corrected, mean in (
-            (kept.corrected, kept.belief.mean), (self._corrected, self._filter.mean)))  # fmt: skip
+        before, now = 1.0 + kept.corrected + then[1], 1.0 + self._corrected + told[1]
         return float(now[at] / now[place] * before[place] / before[at]) - 1.0, deviation
 
     def _at(self, time_s: float) -> _Kept:
@@ -459,15 +507,15 @@ class LineUnknowns:
         self._take_back(began_s)
         unknown = self.varied.unknowns[place]
         factor = self.varied.modulus_factor(unknown.number)
-        changes, jumps = np.zeros(len(self.varied.unknowns)), np.zeros((len(self.varied.unknowns),) * 2)
+        changes, jumps = np.zeros(len(self.varied.unknowns)), np.zeros_like(self._jumps)
         changes[place] = self._bounded(unknown, factor * kick.share)
         self._hand_on(unknown.number, time_s - began_s, kick, changes)
-        jumps[place, place] = (factor * kick.deviation) ** 2
+        changed = np.flatnonzero(self._filter.parameters == place)
+        jumps[changed, changed] = (factor * kick.deviation) ** 2
         self._apply(changes)
         self._filter.jump(jumps)
         self._forget_kicks()
-        self._learn(self._filter.mean[: len(changes)].copy())
-        self._before = None  # there is nothing to take back
+        self._learn()
 
     def _hand_on(self, axis: int, since_s: float, kick: Kick, changes: Vector) -> None:
         """Web that has left the section since the kick has another strain than the line that is followed has handed
@@ -519,7 +567,7 @@ class LineUnknowns:
     def _take_back(self, since_s: float) -> None:
         """What torques have told since then of E, and where carriages without a sensor stand, was the slip; tensions
         stay, and are the torques' to tell from now on."""
-        earlier, self._before, self._learns_until_s = self._at(since_s), None, -inf
+        earlier, self._learns_until_s = self._at(since_s), -inf
         strains = np.where(self._is_strain, (_STRAIN_AT_REST * self._model.upstream_strain) ** 2, 0.0)
         variances = np.maximum(strains, self._filter.deviations**2)
         self._filter.put_back(earlier.belief, self._by_torque, variances)
@@ -541,30 +589,28 @@ class LineUnknowns:
         return min(max(change, -_MOST_RADIUS), _MOST_RADIUS) if unknown.kind is Kind.RADIUS else change
 
     def _set_growth(self) -> None:
-        """What is left in a window of what is known, and by what E and slow errors change."""
-        moduli, lasted_s, count = self._prior, self._window * self._cycle_s, len(self._offsets)
-        slow = np.concatenate([np.diag(moduli) > 0.0, self._offsets > 0.0])
-        times_s = np.where(slow, np.array([_MODULUS_S] * len(moduli) + [_OFFSET_S] * count), inf)
-        self._left = np.exp(-lasted_s / times_s)
-        prior = np.diag(np.concatenate([np.zeros(len(moduli)), self._offsets**2]))
-        prior[: len(moduli), : len(moduli)] = moduli
+        """What is left in a window of what is known of the states, and by what E and slow errors change."""
+        lasted_s, first = self._window * self._cycle_s, self._filter.first_offset
+        prior = np.zeros((first + len(self._offsets),) * 2)
+        changes = len(self._is_modulus) + np.arange(len(self._drifts))
+        prior[np.ix_(changes, changes)] = self._drifts
+        prior[first:, first:] = np.diag(self._offsets**2)
+        self._left = np.where(np.diag(prior) > 0.0, exp(-lasted_s / _SHIFT_S), 1.0)
         self._slow_growth = (1.0 - np.outer(self._left, self._left)) * prior
 
-    def _growth(self, time_s: float) -> tuple[Vector, Vector]:
+    def _growth(self, time_s: float) -> tuple[Vector, Vector, float]:
         way_m, self._window_way_m = self._window_way_m, 0.0
         growth = self._slow_growth.copy()
         for at, unknown in enumerate(self.varied.unknowns):
             if unknown.kind is Kind.CARRIAGE:
                 growth[at, at] = (_SLIPPING_M_PER_SQRT_M if self._slips else _CARRIAGE_M_PER_SQRT_M) ** 2 * way_m
             elif unknown.kind is Kind.RADIUS:
-                # A thickness that is wrong goes on adding up: its share of the way, squared.
-                thickness = (_THICKNESS_SHARE * self.varied.slope_per_m(unknown.number)) ** 2
-                growth[at, at] = (2.0 * thickness * self._way_m + _RADIUS_PER_SQRT_M**2) * way_m
+                growth[at, at] = _RADIUS_PER_SQRT_M**2 * way_m
             elif unknown.kind is Kind.STRAIN:
                 slips = self._slips or self._undecided_from_m < inf  # or may
                 per_sqrt_s = _SLIPPING_PER_SQRT_S if slips else _STRAIN_PER_SQRT_S
                 growth[at, at] = (per_sqrt_s * self._model.upstream_strain) ** 2 * time_s
-        return self._left, growth
+        return self._left, growth, way_m
 
     def _variances(self, count: int) -> Vector:
         noise = self._noise.variances / count + (_LEAST_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
@@ -573,15 +619,13 @@ class LineUnknowns:
         sensors = self._sensors.variances + (_SWING_SHARE * self._sensors.tensions_N * swing) ** 2
         return np.concatenate([noise, sensors])
 
-    def _inertial_variances(self, lasted_s: float) -> tuple[Vector, Vector]:
-        """Of torques (m,) in a window that lasted so long, by what accelerates: a share of any inertia, and what load
-        motors don't imitate, as a reel on them has the flywheel that it had at the start."""
+    def _inertial_variances(self, lasted_s: float) -> Vector:
+        """Of torques (m,) in a window that lasted so long, by what accelerates."""
         speeds_m_s = self.varied.line.v_m_s[self._rows]
         before, self._speeds_m_s = self._speeds_m_s, speeds_m_s
-        rates = self._rad_per_m * (speeds_m_s - (speeds_m_s if before is None else before)) / lasted_s
-        wound_kg_m2 = self._imitated * (self._inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2)
-        share_kg_m2 = _INERTIA_SHARE * self._inertia_kg_m2
-        return (share_kg_m2[self._rows] * rates) ** 2, (wound_kg_m2[self._rows] * rates) ** 2
+        rates = self._rad_per_m[self._rows] * (speeds_m_s - (speeds_m_s if before is None else before)) / lasted_s
+        variances: Vector = (_INERTIA_SHARE * self._inertia_kg_m2[self._rows] * rates) ** 2
+        return variances
 
     # -- what is found -----------------------------------------------------------------------------------
 
@@ -590,9 +634,11 @@ class LineUnknowns:
         return Found(self.varied.carriage_m(number), self._deviation(Unknown(Kind.CARRIAGE, number)))
 
     def radius(self, axis: int) -> Found:
-        """Of a reel, m."""
+        """Of a reel, m. Where nothing tells E the strain is another one by what is not known of that."""
         radius_m = self._model.radius_m(axis)
-        return Found(radius_m * self.varied.ratio(axis), radius_m * self._deviation(Unknown(Kind.RADIUS, axis)))
+        by_strain = 0.0 if self._tells_moduli else _MODULUS_SHARE * abs(self._model.upstream_strain)
+        deviation = hypot(self._deviation(Unknown(Kind.RADIUS, axis)), by_strain)
+        return Found(radius_m * self.varied.ratio(axis), radius_m * deviation)
 
     def separable(self, axis: int) -> bool:
         """Whether anything has told E of the section behind an axis."""
@@ -612,7 +658,7 @@ class LineUnknowns:
     def _modulus_deviation(self, axis: int) -> float:
         """About what E is corrected by, with what the data say otherwise but not yet for sure."""
         at = self.varied.places[Unknown(Kind.MODULUS, axis)]
-        return hypot(self._filter.deviation(at), self._filter.mean.item(at))
+        return hypot(self._filter.deviation(at), self._filter.of_unknowns(self._filter.belief)[1].item(at))
 
     def _is_undecided(self, axis: int) -> bool:
         """Whether E of the section behind an axis may have changed, or that of one beside it, or web whose strain

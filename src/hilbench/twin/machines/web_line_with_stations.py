@@ -77,7 +77,10 @@ class LineWithStationsTwin:
         of_a_cycle = play(model.position_unit, cycle_s)
         self._pairing = Pairing(least_m) if isfinite(least_m) else OwnWays(model.axis_count, of_a_cycle)
         told_by = {self._before[span - 1]: span for span in shape.simulated}
-        self._watch = SectionWatch(model, cycle_s, told_by, self._unknowns.varied.unknowns, shape.measured)
+        unknowns = self._unknowns
+        self._watch = SectionWatch(
+            model, cycle_s, told_by, unknowns.varied.unknowns, shape.measured, unknowns.sensed_length_m
+        )
 
     def doubt(self, *, doubted: bool) -> None:
         """See `TwinMachine`."""
@@ -172,7 +175,8 @@ class LineWithStationsTwin:
             self._watch.suspend()
         else:
             unknowns = self._unknowns
-            self._watch.look(time_s, positions_m, torques_Nm, unknowns.varied, unknowns.inertia_kg_m2)
+            inertia_kg_m2, swings = unknowns.inertia_kg_m2, unknowns.swings
+            self._watch.look(time_s, positions_m, torques_Nm, unknowns.varied, inertia_kg_m2, swings=swings)
 
     def _let_out(self, way_m: float) -> None:
         """So much more web has left the line."""
