@@ -253,8 +253,8 @@ class EstimationConfig(Block):
     )
     splices: bool | None = Field(
         default=None,
-        description="look for other web that comes in, follow it and expect it in the next span; while it is in a span "
-        "the model's errors are not learned there; null: on a line of several spans",
+        description="look for other web that comes in, follow it and expect it in the next span; while there may be "
+        "some the model's errors are not learned; null: on a line of several spans",
     )
     known_change: KnownChangeConfig | None = Field(
         default=None,

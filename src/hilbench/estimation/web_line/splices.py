@@ -38,8 +38,8 @@ _LOOK_S = 0.1
 _MOST, _FEWEST = 400, 40
 #: Blocks that have to lie before a joint and behind it, and how many places are tried.
 _BEFORE, _BEHIND, _PLACES = 15, 2, 60
-#: Twice the logarithm of the likelihood: something has changed; one explanation is better than another.
-_CHANGED, _BETTER = 45.0, 16.0
+#: Twice the logarithm of the likelihood: something has changed; one explanation is better than another; it may have.
+_CHANGED, _BETTER, _SUSPECTED = 45.0, 16.0, 25.0
 #: Way of a joint through the span, in lengths, before which it is not told from a step, and up to which what is known
 #: of it gets better.
 _LEAST_WAY, _THROUGH = 0.12, 1.0
@@ -207,6 +207,7 @@ class SpliceFinder:
         self._since_m = -inf  # position of the roller before the span from which on blocks are looked at
         self._kind: _Kind | None = None
         self._joint: Joint | None = None
+        self.suspects = False  #: something has changed that may be inside, and it is open yet what
         _interrupt(self.state)
 
     def update(self, now: BalanceSample | None, before_m: float, seeming: float) -> Entered | None:
@@ -246,6 +247,8 @@ class SpliceFinder:
         # What none of them explains, as a roller that a step has hit, counts as noise.
         total = float(np.sum(_without(compliances, motion) ** 2)) / noise**2
         rest = (total - max(fit.gain for fit in fits.values())) / len(compliances)
+        inside_yet = [fit.gain for fit in fits.values() if ways_m[-1] - fit.front_m < _THROUGH * self._length_m]
+        self.suspects = max(inside_yet, default=0.0) > _SUSPECTED * max(rest, 1.0)
         told = {kind for kind, fit in fits.items() if self._can_be_told(kind, fit, float(ways_m[-1]))}
         if not self._decide({kind: fit.gain / max(rest, 1.0) for kind, fit in fits.items()}, told):
             return None
@@ -289,7 +292,10 @@ class SpliceFinder:
         best, next_best = sorted(gains, key=gains.__getitem__, reverse=True)[:2]
         if gains[best] < _CHANGED:
             return self._kind is not None
-        if best in told and gains[best] > gains[next_best] + _BETTER:
+        than = next_best
+        if self._kind is not None and best is not _Kind.STEP:
+            than = self._kind if best is not self._kind else next_best
+        if best in told and gains[best] > gains[than] + _BETTER:
             self._kind = best
         return self._kind in told
 
@@ -298,7 +304,7 @@ class SpliceFinder:
         kept = [block for block in self._blocks if block[0] > front_m]
         self._blocks.clear()
         self._blocks.extend(kept)
-        self._kind = None
+        self._kind, self.suspects = None, False
 
     def _choose_since(self, blocks: Array) -> None:
         """Look back beyond the last change of speed only while web is in the span that came in before it: then others
@@ -309,7 +315,7 @@ class SpliceFinder:
         changed_m = blocks[last, 0] if last >= 0 else -inf
         if now_m - changed_m < _THROUGH * self._length_m or len(blocks) - last <= _FEWEST:
             self._since_m = -inf
-        elif self._joint is None:
+        elif self._joint is None and not self.suspects:
             self._since_m = changed_m
 
     def _entered(self, found: _Fit, way: float) -> Entered | None:

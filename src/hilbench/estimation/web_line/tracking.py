@@ -5,6 +5,7 @@ The same for the twin on the bus and for a recording.
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from math import hypot, inf, nan
 from typing import NamedTuple
@@ -59,10 +60,11 @@ _undecided, _is_synchronized = interpreted(torque_shift.undecided), interpreted(
 
 
 class Known(NamedTuple):
-    """What is known of a span at some time: E, and what the torque has shifted by."""
+    """What is known of a span at some time: E, what the torque has shifted by, and what else the model lacks."""
 
     youngs_modulus_Pa: float
     torque_shift_Nm: float
+    errors: UnmodelledEffects | None
 
 
 class Tracking:
@@ -187,7 +189,7 @@ class Tracking:
         t[c.MODULUS_PA], t[c.WEB_PER_PA] = self._initial_Pa, self._balance.section_m2 * self._strain_prev
         self._begin(self.config.synchronizer, self._initial_Pa)
         t[c.DELAY_S] = self._model_delay_s
-        t[c.RESIDUAL_NM] = t[c.USED] = t[c.SPLICED] = t[c.PROBLEM] = 0.0
+        t[c.RESIDUAL_NM] = t[c.USED] = t[c.SPLICED] = t[c.OTHER_WEB] = t[c.PROBLEM] = 0.0
         t[c.SERIES_FACTOR] = t[c.END_FACTOR] = 1.0
         t[c.SHIFT_NM] = 0.0
         self._state(Estimate(self._initial_Pa, inf))
@@ -341,6 +343,15 @@ class Tracking:
         return BalanceSample(*self._t[cycle.USED_M : cycle.USED_M_S + 1].tolist())
 
     @property
+    def other_web_suspected(self) -> bool:
+        """Whether E may be changing because other web comes in."""
+        return self._t.item(cycle.OTHER_WEB) != 0.0
+
+    @other_web_suspected.setter
+    def other_web_suspected(self, suspected: bool) -> None:
+        self._t[cycle.OTHER_WEB] = suspected
+
+    @property
     def synchronized(self) -> bool:
         """Whether E is known as well as the config asks for, the web in the span is the one that was measured, and the
         simulation has its strain."""
@@ -360,7 +371,7 @@ class Tracking:
 
     def known(self) -> Known:
         """What is known now, to come back to."""
-        return Known(self._t.item(cycle.MODULUS_PA), self.torque_shift_Nm)
+        return Known(self.estimate.youngs_modulus_Pa, self.torque_shift_Nm, deepcopy(self._errors))
 
     def believe(self, known: Known, strain: float) -> None:
         """What has come to light since then was no change of E of the web that is in the span, but another strain."""
@@ -370,6 +381,7 @@ class Tracking:
         self._forget(cycle.SUSPEND)
 
     def _go_back(self, known: Known) -> None:
+        self._errors = deepcopy(known.errors)
         self._t[cycle.SHIFT_NM], self._t[cycle.MODULUS_PA] = known.torque_shift_Nm, known.youngs_modulus_Pa
 
     @property

@@ -73,6 +73,7 @@ COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(
     DELAY_S,
     STRAIN_UNCERTAINTY,
     WEB_PER_PA,
+    OTHER_WEB,  # E may be changing because other web comes in
     # Of the present cycle:
     MISSED_S,  # since the last measurement
     RUNS,  # the line has been simulated since the release
@@ -100,8 +101,8 @@ COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(
     CREPT,  # share by which the web leaves the span slower than the roller turns
     FOUND,  # the strain of the web has just been found: the simulation had a guess
     DOUBTED,  # how long a cycle is, nobody knows: nothing is learned
-) = range(50)
-SIZE = 50
+) = range(51)
+SIZE = 51
 
 
 class TrackingVectors(NamedTuple):
@@ -274,8 +275,8 @@ def _look_for_errors(v: TrackingVectors, F_next_N: float) -> None:
     t, errors = v.t, unmodelled_effects.record(v.errors)
     if t[HAS_ERRORS] == 0.0:
         return
-    # How much of other web is in the span says nothing of the model.
-    if t[SPLICED] != 0.0:
+    # How much of other web is in the span, and what else it is, says nothing of the model.
+    if t[SPLICED] != 0.0 or t[OTHER_WEB] != 0.0:
         unmodelled_filter.interrupt(errors)
         return
     web_per_Pa = t[USED_PER_PA]

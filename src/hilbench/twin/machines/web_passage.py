@@ -117,6 +117,7 @@ class Passage:
         self._follow_seeming(first)
         tracking = first.tracking
         entered = self._finder.update(tracking.used, positions_m[0], self._seeming / tracking.span.series_factor)
+        tracking.other_web_suspected = self._finder.suspects
         if entered is not None:
             self._enter(first, entered)
         for place, span in enumerate(self._spans):
