@@ -39,10 +39,9 @@ from hilbench.real_time import ProcessSettings, beside_the_cycle
 from hilbench.topology.quantities import MODEL_CHANGE, parse_effect_path
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signal_kinds import Signal
-from hilbench.twin.virtual_io import TwinStatus
+from hilbench.twin.virtual_io import MODEL_CHANGED, MODEL_CHANGING
 
 _SOURCE: Final = "model"
-_CHANGING, _CHANGED = int(TwinStatus.MODEL_CHANGING), int(TwinStatus.MODEL_CHANGED)
 #: Wall time for which the bus stands still at most, lockstep: for an answer, for an SDO request of the twin, s.
 _LONGEST_ANSWER_S, _LONGEST_REQUEST_S = 600.0, 5.0
 #: Answers that may be outstanding in real time before chunks are left out, which the diagnosis sees as a gap.
@@ -250,9 +249,9 @@ class ModelChanges(CyclicTask):
             if self._step.done():
                 self._end_change(change, self._step)
             return
-        if sample.cycle <= self._written_cycle + 2 or sample.twin_status & _CHANGING:
+        if sample.cycle <= self._written_cycle + 2 or sample.twin_status & MODEL_CHANGING:
             return
-        if bool(sample.twin_status & _CHANGED) is not bool(change.model):
+        if bool(sample.twin_status & MODEL_CHANGED) is not bool(change.model):
             return
         change.applied_s = sample.t_s
         self._step = self._pool.submit(self._nodes.twin_step_N)

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.tasks.limits import LOUD, QUIET, SYNCHRONIZED, Levels, Look
+from hilbench.bench.tasks.limits import LOUD, QUIET, Levels, Look
 from hilbench.bench.tasks.task import OfSample
 from hilbench.chain import Function
 from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, number_of_sources, table_of
 from hilbench.topology.sample import CycleSample, PlacesIn
+from hilbench.twin.virtual_io import SYNCHRONIZED
 
 Vector = NDArray[np.float64]
 Table = NDArray[np.int64]

@@ -14,9 +14,8 @@ from hilbench.chain import Function
 from hilbench.errors import BenchFaultError
 from hilbench.topology.safety import Limit
 from hilbench.topology.sample import CycleSample
-from hilbench.twin.virtual_io import TwinStatus
+from hilbench.twin.virtual_io import SYNCHRONIZED
 
-SYNCHRONIZED = int(TwinStatus.SYNCHRONIZED)
 #: A warning is over, and can come again, when the quantity has fallen below this share of its level.
 _RELEASE = 0.95
 

@@ -28,14 +28,13 @@ from hilbench.bench.tasks.web_rest_movement import RestMovement
 from hilbench.topology.quantities import TENSION_PROBE
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import ProbingConfig
-from hilbench.twin.virtual_io import TwinStatus
+from hilbench.twin.virtual_io import RUNNING
 
 #: Slower than this a roller may turn back within a probe, and dry friction with it.
 _LEAST_SPEED_M_S = 0.05
 #: Share of E from which its deviation says that nothing is known of the web (of a known one at rest it is 10 to 17 %,
 #: by friction that nobody measured), and the longest movement at rest, s.
 _UNKNOWN, _LONGEST_AT_REST_S = 0.25, 20.0
-_RUNNING = int(TwinStatus.RUNNING)
 #: How to allow what is asked for.
 _ALLOW = "hilbench sdo write bench 2200:7 1 (0 refuses)"
 
@@ -152,7 +151,7 @@ class Probing(CyclicTask):
             self._end(self._known(sample))
         elif movement.is_beyond(sample):
             self._end("broken off: a roller has moved further than is permitted")
-        elif self._line_speed.present != 0.0 or not sample.twin_status & _RUNNING:
+        elif self._line_speed.present != 0.0 or not sample.twin_status & RUNNING:
             self._end("broken off: the line is not at rest beside a twin")
         elif since_s >= _LONGEST_AT_REST_S:
             self._end(f"not told in {_LONGEST_AT_REST_S:g} s, {self._known(sample)}")
@@ -165,7 +164,7 @@ class Probing(CyclicTask):
             return False
         known = (of_span(sample) for of_span in self._of_all)
         unknown = any(deviation_Pa > _UNKNOWN * modulus_Pa for modulus_Pa, deviation_Pa in known)
-        return bool(sample.twin_status & _RUNNING) and unknown
+        return bool(sample.twin_status & RUNNING) and unknown
 
     def _is_steady(self, sample: CycleSample) -> bool:
         now = (self._line_speed.present, self._loop.set_point_N)

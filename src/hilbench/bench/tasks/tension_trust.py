@@ -16,12 +16,11 @@ from hilbench.compiled import compiled
 from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
 from hilbench.topology.sample import CycleSample, PlacesIn
 from hilbench.topology.web_line_config import TensionControlConfig
-from hilbench.twin.virtual_io import TwinStatus
+from hilbench.twin.virtual_io import SYNCHRONIZED, TRANSFER_REFUSED
 
 Vector = NDArray[np.float64]
 Places = NDArray[np.int64]
 
-_SYNCHRONIZED, _REFUSED = int(TwinStatus.SYNCHRONIZED), int(TwinStatus.TRANSFER_REFUSED)
 #: Share of the set-point by which a simulated tension may be below zero: rounding of REAL32.
 _BELOW_ZERO = 0.0125
 #: So long a twin may refuse what is measured, or be unsure of E, s: while a new E of the web is looked for, which takes
@@ -60,8 +59,8 @@ def judged(figures: Vector, state: Vector, values: Vector, words: Places, at: Pl
     if words[at[_AGE]] > figures[_AGE_LIMIT]:
         return _OLD
     status = words[at[_STATUS]]
-    synchronized = status & _SYNCHRONIZED != 0
-    astray = status & _REFUSED != 0 and not synchronized
+    synchronized = status & SYNCHRONIZED != 0
+    astray = status & TRANSFER_REFUSED != 0 and not synchronized
     state[_ASTRAY_CYCLES] = state[_ASTRAY_CYCLES] + 1.0 if astray else 0.0
     if state[_ASTRAY_CYCLES] > figures[_REFUSES_CYCLES]:
         return _ASTRAY

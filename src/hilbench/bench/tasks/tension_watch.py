@@ -45,7 +45,7 @@ from hilbench.plant.web_line.sections import axes_before_spans, section_model
 from hilbench.plant.web_line.sizes import least_way_m
 from hilbench.plant.web_line.stations import CarriageStation, Idler, Reel
 from hilbench.topology.sample import CycleSample
-from hilbench.twin.virtual_io import TwinStatus
+from hilbench.twin.virtual_io import MODEL_CHANGING
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -59,7 +59,6 @@ _AT_LIMIT = 0.98
 _TURNING = ("unbalance", "torque_ripple", "torque_ripple_load")
 
 #: The twin goes over to another model.
-_CHANGING = int(TwinStatus.MODEL_CHANGING)
 #: What `run` says: something else is said of a twin than before.
 _LOOK = GOES_ON + 1
 # Rows of the table.
@@ -117,7 +116,7 @@ def _add(values: Vector, words: Places, at: Places, begun: Matrix, line: Vector,
             line[_CHANGED] = 1.0
     of_line = at[_OF_AXIS * axes :]
     status = words[of_line[_STATUS_AT]]
-    if values[of_line[_COMMAND_AT]] != line[_COMMAND_M_S] or status & _CHANGING != 0:
+    if values[of_line[_COMMAND_AT]] != line[_COMMAND_M_S] or status & MODEL_CHANGING != 0:
         line[_CHANGED] = 1.0
     line[_NEXT_SUM_N] += values[of_line[_NEXT_AT]]
     line[_COUNTED] += 1.0
