@@ -129,10 +129,6 @@ class NoiseLevels:
         #: Of the noise, unit of the signal squared.
         self.variances = np.array([level.variance for level in levels])
 
-    def interrupt(self) -> None:
-        """The next samples are not one cycle after the last."""
-        self._states[:, _APART] = _DIFFERENCES
-
     def update(self, values: Array) -> None:
         """Take a sample of each."""
         _take_all(self._states, values, self.variances)

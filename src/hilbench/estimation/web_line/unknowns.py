@@ -87,6 +87,10 @@ class Unknowns:
         row = self._sums[unknown]
         return sqrt(float(row @ self.covariance @ row))
 
+    def expected(self, unknown: int) -> float:
+        """Mean of one of them, from 0."""
+        return float(self._sums[unknown] @ self.mean)
+
     @property
     def belief(self) -> Belief:
         """What is known now, for `put_back`."""

@@ -238,6 +238,7 @@ class LineUnknowns:
         self._sensed = np.zeros(len(self._sensors.offsets))  # by sensors beside the line that is followed
         self._speeds_m_s: Vector | None = None
         self._speeds_rad_s: Vector | None = None  # of the motors (N,)
+        self._followed_s = self._cycle_s  # for how long the motion was followed last
         self._loads[:] = 0.0
         self._response.reset()
         self._set_inertia()
@@ -320,6 +321,7 @@ class LineUnknowns:
     def follow(self, positions_m: Sequence[float], duration_s: float) -> None:
         """The driven rollers (N,) are there now."""
         self.varied.follow(positions_m, duration_s)
+        self._followed_s = duration_s
         way_m = abs(positions_m[-1] - self._positions_m[-1])
         self._way_m += way_m
         self._window_way_m += way_m
@@ -368,15 +370,7 @@ class LineUnknowns:
         before, self._speeds_rad_s = self._speeds_rad_s, speeds
         if self._imitated and before is not None:
             lacking_kg_m2 = self._inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2
-            self._loads[:, -1] += lacking_kg_m2 * (speeds - before) / self._cycle_s
-
-    def miss(self) -> None:
-        """A cycle without measurement."""
-        self._speeds_rad_s = None
-        self._response.step(self._loads)
-        self._noise.interrupt()
-        self._forget_kicks()
-        self._begin_window()
+            self._loads[:, -1] += lacking_kg_m2 * (speeds - before) / self._followed_s
 
     def _correct(self, time_s: float) -> bool:
         count, unknowns = self._cycles, self.varied.unknowns
@@ -658,7 +652,7 @@ class LineUnknowns:
     def _modulus_deviation(self, axis: int) -> float:
         """About what E is corrected by, with what the data say otherwise but not yet for sure."""
         at = self.varied.places[Unknown(Kind.MODULUS, axis)]
-        return hypot(self._filter.deviation(at), self._filter.of_unknowns(self._filter.belief)[1].item(at))
+        return hypot(self._filter.deviation(at), self._filter.expected(at))
 
     def _is_undecided(self, axis: int) -> bool:
         """Whether E of the section behind an axis may have changed, or that of one beside it, or web whose strain
