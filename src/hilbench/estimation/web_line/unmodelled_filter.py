@@ -250,9 +250,15 @@ def _regressors(f: Record, web_N: float, speed_m_s: float, motor_N: float, phi_1
 
 
 @inlined
+def _lost(f: Record) -> float:
+    """Share of a change of the tension that creep takes: E·S·κ'."""
+    return float(f.modulus * f.stiffness_N * (f.base[CREEP] + f.x[CREEP]))
+
+
+@inlined
 def _left(f: Record) -> float:
-    """Share of a change of the tension that creep leaves of it: 1/(1 + E·S·κ) = 1 − E·S·κ'."""
-    return float(max(1.0 - f.modulus * f.stiffness_N * (f.base[CREEP] + f.x[CREEP]), _LEAST_LEFT))
+    """Share of it that creep leaves: 1/(1 + E·S·κ) = 1 − E·S·κ'."""
+    return float(max(1.0 - _lost(f), _LEAST_LEFT))
 
 
 @compiled
@@ -467,7 +473,7 @@ def _end_block(f: Record, speed_m_s: float) -> None:
             f.covariance[STUCK, j] = f.covariance[j, STUCK] = 0.0
         f.covariance[STUCK, STUCK] = f.prior[STUCK]
     f.at_rest = at_rest
-    if abs(f.x[E] - f.modulus) > _OTHER_MODULUS * f.modulus:
+    if f.x[E] > 0.0 and abs(f.x[E] - f.modulus) > _OTHER_MODULUS * f.modulus:
         _use_modulus(f, f.x[E])
     _predict(f, duration_s, abs(speed_m_s - f.began_m_s))
     _block(f, y_N, noise_N2, duration_s)
@@ -561,7 +567,7 @@ def take(
         f.beyond_N = force_of(f.now, f.x, f.modulus, False) + force_of(f.now, f.base, f.modulus, False)
         f.count = 0.0
     uncrept_N = (f.regressor_N if f.regressor_N != 0.0 else web_N) * f.modulus
-    tension_N = uncrept_N - f.modulus * f.stiffness_N * (f.base[CREEP] + f.x[CREEP]) * f.built_up_N
+    tension_N = uncrept_N - _lost(f) * f.built_up_N
     motor_angle = x2_m * f.force_per_torque_per_m
     phi_1, phi_2 = x1_m / f.radius_1_m, x2_m / f.radius_2_m
     # What the motor pushes with beside inertia, by the model: free of the noise of the measured torque.
