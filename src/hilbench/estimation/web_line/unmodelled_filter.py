@@ -159,7 +159,7 @@ _LEAST_LEFT = 0.1
 #: Memory of a force that comes and goes, s. How many times the variance that is seen beyond the least is added to it:
 #: half of what sways at 0.3 Hz is seen, and it goes on in phase for longer than the memory. From 2 to 8 times the
 #: intervals hold beside ±3 N; without it friction or offset are found where there are none.
-_DISTURBANCE_S, _SWAYS = 1.0, 4.0
+_DISTURBANCE_S, _SWAYS = 1.0, 3.0
 #: Random walk of E, relative per √s: while all is estimated, and in quiet time, where nothing is learned by it.
 _WALK, _QUIET_WALK = 1e-3, 4e-3
 #: Share of the inertial force that counts as noise where the speed shakes.
