@@ -47,31 +47,42 @@ class Found:
         speed_m_s: float = 3.0,
         later_speed_m_s: float = 3.0,
         seconds: float = 8.0,
+        loop_s: float = LOOP_S,
+        disturbed_N: float = 0.0,
     ) -> None:
         """`modulus`: factor on E; `follows`: share of the way that the tension loop goes to bring the simulated tension
-        back; `later_tension` and `later_speed_m_s`: set points from 6 s on."""
+        back, `loop_s`: its time; `later_tension` and `later_speed_m_s`: set points from 6 s on; `disturbed_N`:
+        deviation of what moves the strain beside the loop, half of it with the force of the web and half without."""
         rng = np.random.default_rng(seed)
         block, state = blocks.new_state(mass_kg=30.0, cycle_s=CYCLE_S), torque_shift.new_state()
         self.at_s: float | None = None
         self.shift_N: float | None = None
         self.modulus_Pa = np.nan
         self.undecided_s = 0.0
-        strain = TENSION_N / (E_PA * SECTION_M2)
+        strain, moved_N = TENSION_N / (E_PA * SECTION_M2), np.zeros(2)
         for k in range(round(seconds / CYCLE_S)):
             t_s = k * CYCLE_S
             changed = t_s >= CHANGE_S
             acting_Pa, d_N = (modulus * E_PA, shift_N) if changed else (E_PA, 0.0)
             believed_Pa = acting_Pa + d_N / (strain * SECTION_M2)  # the twin books it all as E
             wanted = TENSION_N * (later_tension if t_s >= 6.0 else 1.0)
-            strain += CYCLE_S / LOOP_S * follows * (wanted / (believed_Pa * SECTION_M2) - strain)
-            h = strain * SECTION_M2
+            strain += CYCLE_S / loop_s * follows * (wanted / (believed_Pa * SECTION_M2) - strain)
+            moved_N += -CYCLE_S / 0.1 * moved_N + disturbed_N * np.sqrt(CYCLE_S / 0.05) * rng.standard_normal(2)
+            h = strain * SECTION_M2 + moved_N[0] / E_PA
             v_m_s = later_speed_m_s if t_s >= 6.0 else speed_m_s
             force_N = acting_Pa * h + d_N + rng.normal(0.0, NOISE_N)
-            if look(state, block, force_N, h, v_m_s):
+            if look(state, block, force_N, h + moved_N[1] / E_PA, v_m_s):
                 assert self.shift_N is None
                 self.shift_N, self.modulus_Pa = state[[torque_shift.FOUND_N, torque_shift.FOUND_PA]]
                 self.at_s = t_s
             self.undecided_s += CYCLE_S * torque_shift.undecided(state)
+
+
+@pytest.mark.parametrize("modulus", [0.75, 1.2, 1.4])
+def test_beside_a_strain_that_is_disturbed_no_change_of_e_is_taken_for_a_shift(modulus: float) -> None:
+    """What disturbs is in strain and force alike or not, so that a line through both has not the slope of the web."""
+    found = [Found(seed, modulus=modulus, loop_s=CYCLE_S, disturbed_N=1.0, seconds=6.0).shift_N for seed in range(10)]
+    assert found == [None] * 10
 
 
 def test_no_change_of_e_is_taken_for_a_shift() -> None:

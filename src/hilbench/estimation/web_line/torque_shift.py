@@ -7,6 +7,9 @@ one that was there before, F = E·h + d, and the two are weighed by their square
 fit, the change stays open: the next change of tension decides. What the balance may have been off by all the time (c)
 is in both: F = E'·h + c, and F = (E - c/h)·h + c + d.
 
+What moves the strain before the change, beside the loop, says nothing: where it goes with the force and where not, no
+line through both has the slope of the web. A shift is found only where the strain has moved by more than that.
+
 What swings slowly before the change, as a tension upstream does, is no noise of which each block is a new draw: it
 counts so many times as the blocks before are alike.
 
@@ -47,6 +50,9 @@ _SETTLED, _LEANS, _LEANS_NO_MORE = 8.0, 5.0, 2.5
 #: E changes oftener than a friction or an offset jumps, 100 to 1: twice the logarithm. It counts where the strain has
 #: followed the change by this share, as a closed loop makes it; where it has not, another tension is to be asked for.
 _OFTENER, _FOLLOWED = 9.2, 0.5
+#: Variance of the strain since the change over that before, from which on its movement says more than what disturbs it:
+#: a slope is then off by a fifth of what the disturbances alone would show (errors in variables).
+_MOVED = 5.0
 #: Blocks that an explanation needs, after which it counts as undecided, and after which nothing is said any more.
 _LEAST, _LONG, _LONGEST = 15, 150, 3000
 
@@ -59,6 +65,7 @@ _LEAST, _LONG, _LONGEST = 15, 150, 3000
     _MODULUS_PA,
     _TOLD_PA,
     _WEB_PER_PA,
+    _WEB_VARIANCE_PER_PA2,
     _VARIANCE_N2,
     _SLOWNESS,  # how many times as much the noise before counts in a sum as if it were white
     _HITS,
@@ -76,8 +83,8 @@ _LEAST, _LONG, _LONGEST = 15, 150, 3000
     _WEBS,
     _SPEEDS,
     _TOLD,
-) = range(21)
-_SIZE = 21
+) = range(22)
+_SIZE = 22
 
 
 @compiled
@@ -134,8 +141,10 @@ def _is_noticed(s: Array, block_N: float, block_per_Pa: float) -> bool:
     modulus_Pa = force_N / web_per_Pa
     tension_N = abs(modulus_Pa * block_per_Pa)
     before_N, products = 0.0, 0.0
+    spread_per_Pa2 = 0.0
     for i in range(count):
         residual_N = ring.value(s, forces, i) - modulus_Pa * ring.value(s, webs, i)
+        spread_per_Pa2 += (ring.value(s, webs, i) - web_per_Pa / count) ** 2
         squares += residual_N * residual_N
         products += residual_N * before_N
         before_N = residual_N
@@ -145,6 +154,7 @@ def _is_noticed(s: Array, block_N: float, block_per_Pa: float) -> bool:
     if difference_N < max(_CHANGED_NOISES * sqrt(variance_N2), _CHANGED * tension_N):
         return False
     s[_OPEN], s[_MODULUS_PA], s[_WEB_PER_PA], s[_VARIANCE_N2] = 1.0, modulus_Pa, web_per_Pa / count, variance_N2
+    s[_WEB_VARIANCE_PER_PA2] = spread_per_Pa2 / (count - 1)
     s[_SLOWNESS] = (1.0 + alike) / (1.0 - alike)
     s[_TOLD_PA] = ring.value(s, int(s[_TOLD]), count - 1)
     s[_HITS], s[_LEANS_TO_MODULUS] = _HIT, 0.0
@@ -177,7 +187,7 @@ def _explain(s: Array, f: float, h: float, may_decide: bool, deviation_N: float)
     precision = variance / (deviation_N * deviation_N) if deviation_N != 0.0 else inf
     shift_N, of_shift = _of_shift(s, precision)
     of_shift, of_modulus = (of_shift - free) / variance, (_of_modulus(s, precision) - free) / variance
-    if of_modulus - of_shift > _DECIDED and of_shift < _ACCEPTED:
+    if of_modulus - of_shift > _DECIDED and of_shift < _ACCEPTED and _has_moved(s):
         s[FOUND_N], s[FOUND_PA] = shift_N, s[_TOLD_PA]
         reset(s)
         return True
@@ -189,6 +199,14 @@ def _explain(s: Array, f: float, h: float, may_decide: bool, deviation_N: float)
     if settled or count >= _LONGEST:
         reset(s)
     return False
+
+
+@inlined
+def _has_moved(s: Array) -> bool:
+    """Whether the strain has changed by more than it does at a constant tension: what disturbs it (a tension upstream,
+    the torque of its roller) is in the force as well, and no line through that has the slope of the web."""
+    spread = s[_HH] / s[_COUNT] - (s[_H] / s[_COUNT]) ** 2
+    return bool(spread > _MOVED * s[_WEB_VARIANCE_PER_PA2])
 
 
 @inlined
