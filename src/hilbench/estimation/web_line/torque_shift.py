@@ -70,6 +70,7 @@ _LEAST, _LONG, _LONGEST = 15, 150, 3000
     _SLOWNESS,  # how many times as much the noise before counts in a sum as if it were white
     _HITS,
     _LEANS_TO_MODULUS,
+    _HAS_FOLLOWED,
     _WEB_LAST_PER_PA,  # of the block before
     _COUNT,
     _F,
@@ -83,8 +84,8 @@ _LEAST, _LONG, _LONGEST = 15, 150, 3000
     _WEBS,
     _SPEEDS,
     _TOLD,
-) = range(22)
-_SIZE = 22
+) = range(23)
+_SIZE = 23
 
 
 @compiled
@@ -157,7 +158,7 @@ def _is_noticed(s: Array, block_N: float, block_per_Pa: float) -> bool:
     s[_WEB_VARIANCE_PER_PA2] = spread_per_Pa2 / (count - 1)
     s[_SLOWNESS] = (1.0 + alike) / (1.0 - alike)
     s[_TOLD_PA] = ring.value(s, int(s[_TOLD]), count - 1)
-    s[_HITS], s[_LEANS_TO_MODULUS] = _HIT, 0.0
+    s[_HITS], s[_LEANS_TO_MODULUS], s[_HAS_FOLLOWED] = _HIT, 0.0, 0.0
     for place in (_COUNT, _F, _H, _FF, _FH, _HH):
         s[place] = 0.0
     return True
@@ -192,7 +193,10 @@ def _explain(s: Array, f: float, h: float, may_decide: bool, deviation_N: float)
         reset(s)
         return True
     better = of_shift - of_modulus
-    likelier = better + (_OFTENER if _has_followed(s) else 0.0)
+    # Once it has, a later set-point takes nothing away from that.
+    if _has_followed(s):
+        s[_HAS_FOLLOWED] = 1.0
+    likelier = better + _OFTENER * s[_HAS_FOLLOWED]
     s[_LEANS_TO_MODULUS] = 1.0 if likelier > (_LEANS_NO_MORE if s[_LEANS_TO_MODULUS] != 0.0 else _LEANS) else 0.0
     enough = _SETTLED if count >= _LONG else _DECIDED
     settled = better > enough or min(of_shift, of_modulus) > _DECIDED
