@@ -6,15 +6,14 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.bench.whole_runs import ENDLESS, STARTED, config, run_folders, start
+from tests.bench.whole_runs import ENDLESS, config, run_folders, start
+from tests.pages.page_server import Server
 
 from hilbench.errors import EXIT_BENCH_FAULT
 from hilbench.results.journal import read_journal
@@ -41,26 +40,6 @@ def browser() -> Iterator[Browser]:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         yield browser
         browser.close()
-
-
-class Server:
-    """The page's server of a config, as a process."""
-
-    def __init__(self, path: Path) -> None:
-        options = ["--browser", "--port", "0", "--runs", str(path.parent / "runs")]
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "hilbench.cli", "monitor", str(path), *options],
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        STARTED.append(self.process)
-        assert self.process.stdout is not None
-        self.address = self.process.stdout.readline().removeprefix("page: ").strip()
-
-    def end(self) -> None:
-        self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(30) == 0
 
 
 def opened(browser: Browser, address: str) -> Page:
