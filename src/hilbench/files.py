@@ -1,4 +1,4 @@
-"""Files that are written for a person: what goes wrong (no space, no such folder, no right) is one line."""
+"""Files that are read up to a size, or written for a person: what goes wrong (no space, no right) is one line."""
 
 from __future__ import annotations
 
@@ -8,6 +8,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hilbench.errors import UnusableInputError
+
+
+def content(path: str | Path, most_bytes: int) -> bytes:
+    """Of a whole file. Raises OSError where it can't be read, UnusableInputError where it is larger."""
+    with open(path, "rb") as file:
+        found = file.read(most_bytes + 1)
+    if len(found) > most_bytes:
+        raise UnusableInputError(path, f"larger than {most_bytes / 1e6:g} MB, expected a file of at most that size")
+    return found
 
 
 @contextmanager
