@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,8 +11,13 @@ from pathlib import Path
 from hilbench.errors import UnusableInputError
 
 
-def content(path: str | Path, most_bytes: int) -> bytes:
-    """Of a whole file. Raises OSError where it can't be read, UnusableInputError where it is larger."""
+def content(path: str | Path, most_bytes: int, *, kept: bool = False) -> bytes:
+    """Of a whole file. Raises OSError where it can't be read, UnusableInputError where it is larger.
+
+    `kept`: in a folder in which nothing but files counts: what would be waited for, such as a pipe, is refused.
+    """
+    if kept and not stat.S_ISREG(os.stat(path).st_mode):
+        raise UnusableInputError(path, "is no file, expected one")
     with open(path, "rb") as file:
         found = file.read(most_bytes + 1)
     if len(found) > most_bytes:
