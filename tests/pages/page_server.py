@@ -13,8 +13,8 @@ from tests.bench.whole_runs import STARTED
 class Server:
     """The page's server of a config, as a process."""
 
-    def __init__(self, path: Path) -> None:
-        options = ["--browser", "--port", "0", "--runs", str(path.parent / "runs")]
+    def __init__(self, path: Path, *more: str) -> None:
+        options = ["--browser", "--port", "0", "--runs", str(path.parent / "runs"), *more]
         self.process = subprocess.Popen(
             [sys.executable, "-m", "hilbench.cli", "monitor", str(path), *options],
             stdout=subprocess.PIPE,

@@ -93,7 +93,9 @@ def _run(
         print(outcome.as_json())
         return outcome.exit_code
     console = Console(highlight=False)
-    console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")
+    alone = participants is Participants.IN_PROCESS
+    where = "in this process, on no bus: no monitor hears it" if alone else loaded.config.bus.address
+    console.print(f"[bold]{loaded.config.name}[/bold]  {where}; {loaded.config.pace}")
     if (known := commissioned_text(loaded.config.twin.priors, datetime.now(UTC))) is not None:
         console.print(known, soft_wrap=True, markup=False)
     with Progress(console, loaded.config) as progress:
