@@ -12,6 +12,13 @@ EXIT_BENCH_FAULT = 3
 EXIT_INTERRUPTED = 130
 
 
+#: Characters of a place, or of a problem, that are shown; what lies between the beginning and the end of a longer one
+#: is left out.
+_LONGEST_TEXT = 1500
+#: Errors that are shown beside the first one.
+_MOST_NOTES = 40
+
+
 class HilbenchError(Exception):
     """Base of the errors that are shown to a person as one line."""
 
@@ -21,24 +28,23 @@ class HilbenchError(Exception):
 class UnusableInputError(HilbenchError):
     """A file or an argument that cannot be used: where, what was found, what was expected.
 
-    The text is always one printable line, whatever stood in the file: ``place: found, expected ...``.
+    The text is always one printable line of bounded length, whatever stood in the file: ``place: found, expected ...``.
     """
 
     exit_code = EXIT_UNUSABLE_INPUT
 
     def __init__(self, place: str | Path, problem: str) -> None:
-        self.place = printable(str(place))
-        self.problem = printable(problem)
+        self.place, self.problem = _shortened(printable(str(place))), _shortened(printable(problem))
         super().__init__(f"{self.place}: {self.problem}")
 
     @classmethod
     def of(cls, errors: Sequence[UnusableInputError]) -> UnusableInputError:
-        """One error of several: the first one, with the number of the others, which are its notes (`add_note`)."""
+        """One error of several: the first one, with the number of the others, the next ones as its notes."""
         first, *others = errors
         if not others:
             return first
         error = cls(first.place, f"{first.problem} (and {len(others)} more)")
-        for other in others:
+        for other in others[:_MOST_NOTES]:
             error.add_note(str(other))
         return error
 
@@ -46,6 +52,10 @@ class UnusableInputError(HilbenchError):
 def printable(text: str) -> str:
     """One line, with control characters escaped: they could move a terminal's cursor, or fake another message."""
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _LONGEST_TEXT else f"{text[: _LONGEST_TEXT // 2]} … {text[-_LONGEST_TEXT // 2 :]}"
 
 
 class BenchFaultError(HilbenchError):

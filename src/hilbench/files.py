@@ -1,13 +1,28 @@
-"""Files that are written for a person: what goes wrong (no space, no such folder, no right) is one line."""
+"""Files that are read up to a size, or written for a person: what goes wrong (no space, no right) is one line."""
 
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from hilbench.errors import UnusableInputError
+
+
+def content(path: str | Path, most_bytes: int, *, kept: bool = False) -> bytes:
+    """Of a whole file. Raises OSError where it can't be read, UnusableInputError where it is larger.
+
+    `kept`: in a folder in which nothing but files counts: what would be waited for, such as a pipe, is refused.
+    """
+    if kept and not stat.S_ISREG(os.stat(path).st_mode):
+        raise UnusableInputError(path, "is no file, expected one")
+    with open(path, "rb") as file:
+        found = file.read(most_bytes + 1)
+    if len(found) > most_bytes:
+        raise UnusableInputError(path, f"larger than {most_bytes / 1e6:g} MB, expected a file of at most that size")
+    return found
 
 
 @contextmanager

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import ClassVar, Final, Self
 
 from pydantic import ValidationError
 
 from hilbench.block import Strict
 from hilbench.errors import UnusableInputError
-from hilbench.files import written_whole
+from hilbench.files import content, written_whole
+
+#: Of one file, at most.
+_MOST_BYTES: Final = 64_000_000
 
 
 class JsonFile(Strict):
@@ -28,7 +31,7 @@ class JsonFile(Strict):
     def read(cls, path: Path) -> Self:
         """Read and check. Raises UnusableInputError: file, key, what was found."""
         try:
-            return cls.model_validate_json(path.read_bytes())
+            return cls.model_validate_json(content(path, _MOST_BYTES, kept=True))
         except OSError as error:
             raise UnusableInputError(path, f"cannot be read ({error.strerror}), expected {cls.described}") from error
         except ValidationError as error:

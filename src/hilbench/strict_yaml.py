@@ -18,11 +18,14 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from hilbench.errors import UnusableInputError
+from hilbench.files import content
 from hilbench.suggest import did_you_mean
 
 Location = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
+#: Bytes of a file, and values in a document, those behind aliases counted each time, at most.
+_MOST_BYTES, _MOST_VALUES = 1_000_000, 10_000
 #: Characters beyond which an error does not repeat the value that was found.
 _LONGEST_TEXT = 400
 #: So many keys of one name elsewhere in a config are worth a question.
@@ -137,10 +140,13 @@ class Document:
 
     def over(self, base: Document) -> Document:
         """This document on top of another: mappings key by key, everything else of this one instead of the other's."""
-        places = dict(base.places)
-        for location in _replaced(self.data, base.data):
-            places = _without(places, location)
-        return Document(self.path, _merged(self.data, base.data), places | dict(self.places))
+        gone = set(_replaced(self.data, base.data))
+        kept = {
+            known: place
+            for known, place in base.places.items()
+            if not any(known[:length] in gone for length in range(len(known) + 1))
+        }
+        return Document(self.path, _merged(self.data, base.data), kept | dict(self.places))
 
     def below(self, key: str) -> Document:
         """The document as the value of one key of a new one."""
@@ -210,7 +216,7 @@ def load(path: Path) -> Document:
     Raises UnusableInputError, with file and line, on unreadable files, syntax errors and repeated keys.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = content(path, _MOST_BYTES).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise UnusableInputError(path, f"cannot be read ({reason}), expected a YAML file") from error
@@ -233,11 +239,19 @@ def load(path: Path) -> Document:
 
 
 def _index(path: Path, node: yaml.Node, location: Location, places: dict[Location, str]) -> None:
+    if len(places) >= _MOST_VALUES:
+        raise UnusableInputError(
+            f"{path}:{node.start_mark.line + 1}",
+            f"more than {_MOST_VALUES} values, those behind aliases counted each time, expected fewer",
+        )
     places.setdefault(location, f"{path}:{node.start_mark.line + 1}")
     if isinstance(node, yaml.MappingNode):
         seen: dict[str, int] = {}
         for key, value in node.value:
-            name, line = str(key.value), key.start_mark.line + 1
+            line = key.start_mark.line + 1
+            if not isinstance(key, yaml.ScalarNode):
+                raise UnusableInputError(f"{path}:{line}", "a list or mapping as a key, expected a name")
+            name = str(key.value)
             if name in seen:
                 raise UnusableInputError(
                     f"{path}:{line}", f"key '{name}' is repeated, first given in line {seen[name]}"

@@ -150,6 +150,29 @@ def test_what_cannot_be_done_has_the_standards_code(client: Client, line: str, e
     assert client.ask(line).startswith(error)
 
 
+LONG = "1" * 4301
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        f"[{LONG}] info version",
+        f"[1] {LONG} start",
+        f"[1] {LONG} 5 start",
+        f"[1] set node {LONG}",
+        f"[1] 5 r {LONG} 0 u32",
+        f"[1] 5 w 0x6085 0 u32 {LONG}",
+        f"[1] 5 w 0x6085 0 r32 {LONG}",
+        f"[1] 5 w 0x6085 0 t {LONG} 1",
+        "[1] 5 w 0x6085 0 t 1 4294967296",
+        "[1] 5 w 0x6085 0 t 65536 1",
+    ],
+)
+def test_a_number_that_no_field_holds_is_an_error_and_the_connection_stays(client: Client, line: str) -> None:
+    assert re.match(r"\[[01]\] ERROR:101 # .{1,200}$", client.ask(line))
+    assert client.ask("[2] info version").startswith("[2] 0 0 0 0")
+
+
 def test_a_default_node_is_the_clients_own(port: int) -> None:
     first, second = Client(port), Client(port)
     assert first.ask("[1] set node 6") == "[1] OK"

@@ -7,6 +7,8 @@ import multiprocessing
 import os
 import shutil
 import sqlite3
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -88,6 +90,92 @@ def test_the_index_is_made_again_when_it_is_gone_broken_or_of_another_version(tm
         connection.execute("PRAGMA user_version = 99")
     connection.close()
     assert Library(tmp_path).runs(metrics=None) == before
+
+
+def _damage_pages(index: Path) -> None:
+    """All but the first one, in which its version and its tables stand."""
+    content = bytearray(index.read_bytes())
+    content[4096:] = b"\xff" * (len(content) - 4096)
+    index.write_bytes(content)
+
+
+def _set(column: str, value: str) -> Callable[[Path], None]:
+    def damage(index: Path) -> None:
+        with closing(sqlite3.connect(index)) as connection, connection:
+            connection.execute(f"UPDATE run SET {column} = {value} WHERE rowid = 2")
+
+    return damage
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        _damage_pages,
+        _set("entry", "'{'"),
+        _set("entry", "'{}'"),
+        _set("entry", """'{"path": 1, "verdicts": 2}'"""),
+        _set("entry", "CAST(x'ff' AS TEXT)"),
+        _set("stamp", "CAST(x'ff' AS TEXT)"),
+        lambda index: sqlite3.connect(index).execute("DROP TABLE metric"),
+    ],
+)
+def test_an_index_with_one_damaged_page_row_or_table_is_made_again(
+    tmp_path: Path, damage: Callable[[Path], None]
+) -> None:
+    for number in range(3):
+        made_run(tmp_path, number=number)
+    before = Library(tmp_path).runs(metrics=None)
+    damage(tmp_path / FILE)
+    assert Library(tmp_path).runs(metrics=None) == before
+    assert Library(tmp_path).known_names() >= {"E_noise_pct"}
+    library = Library(tmp_path)
+    assert library.runs(metrics=None) == before
+    assert library.index.opened == 0  # it is kept again
+
+
+def test_a_listing_does_not_wait_for_who_holds_the_index(tmp_path: Path) -> None:
+    made_run(tmp_path, number=1)
+    assert len(Library(tmp_path).runs()) == 1
+    made_run(tmp_path, number=2)
+    with closing(sqlite3.connect(tmp_path / FILE)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        assert len(Library(tmp_path).runs()) == 2
+        other.rollback()
+    assert len(Library(tmp_path).runs()) == 2
+
+
+def test_runs_with_odd_names_and_files_do_not_hide_the_others(tmp_path: Path) -> None:
+    good = made_run(tmp_path, number=1)
+    odd = made_run(tmp_path, number=2)
+    os.rename(odd.path, os.fsencode(tmp_path) + b"/web-\xff")
+    for number, (name, text) in enumerate(
+        [
+            ("result.json", None),
+            ("labels.json", None),
+            ("result.json", '{"began": "0001-01-01T00:00:00+14:00"}'),
+            ("labels.json", '{"tags": ["\\ud800"]}'),
+            ("config.yaml", "seed: 1" + "0" * 5000 + "\n"),
+            ("config.yaml", "name: " + "[" * 5000 + "\n"),
+            ("config.yaml", 'description: "\\ud800"\n'),
+        ]
+    ):
+        folder = made_run(tmp_path, number=3 + number)
+        path = folder.path / name
+        path.unlink(missing_ok=True)
+        if text is None:
+            os.mkfifo(path)
+        else:
+            path.write_text(text)
+    data = json.loads((folder := made_run(tmp_path, number=20)).result.read_text())
+    data["timing"]["cycles"], data["metrics"] = 10**400, {"\ud800": 1.0}
+    folder.result.write_text(json.dumps(data))
+    found = {run.path: run for run in Library(tmp_path).runs(metrics=None)}
+    assert len(found) == 10
+    assert not found[good.name].problem
+    assert "no UTF-8" in found["web-\\xff"].problem
+    assert sum(bool(run.problem) for run in found.values()) >= 7
+    for run in found.values():
+        json.dumps(run.as_data(), ensure_ascii=False).encode()
 
 
 def test_a_folder_that_can_not_be_written_is_listed_all_the_same(

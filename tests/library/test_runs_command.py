@@ -111,6 +111,17 @@ def test_delete_of_one_that_is_no_run_deletes_none(runs: Path, tmp_path: Path) -
     assert names(runs) == before
 
 
+@pytest.mark.parametrize("options", [(), ("--json",)])
+def test_gc_goes_on_past_a_run_that_may_not_be_deleted(runs: Path, options: tuple[str, ...]) -> None:
+    before = names(runs)
+    made_run(runs / before[0], "inside", number=1)
+    done = hilbench("runs", "gc", "--older-than", "1d", "--keep-last", 1, "--yes", *options, "--runs", runs)
+    assert done.returncode == 2
+    assert f"{before[0]}: holds inside-" in done.stderr
+    assert names(runs) == [before[0], before[3]]
+    assert "2 runs deleted" in done.stdout or len(json.loads(done.stdout)["runs"]) == 2
+
+
 def test_gc_says_first_what_would_go(runs: Path) -> None:
     before = names(runs)
     dry = hilbench("runs", "gc", "--older-than", "1d", "--keep-last", 1, "--dry-run", "--runs", runs)

@@ -195,6 +195,46 @@ def test_only_a_confirmed_key_sends(bench: BenchConfig) -> None:
     asyncio.run(asyncio.wait_for(press(), 60.0))
 
 
+@pytest.mark.parametrize("keys", [("t", "9", "9", "9"), ("v", "9", ".", "5"), ("w", "t", "9", "9", "9")])
+def test_a_value_beyond_its_range_can_not_be_confirmed(bench: BenchConfig, keys: tuple[str, ...]) -> None:
+    bus = MemoryBus()
+    ours, theirs = bus.open_link(), bus.open_link()
+    dashboard = dashboard_of(bench, bus, ours)
+
+    async def press() -> tuple[object, object, object]:
+        async with dashboard.run_test(size=(80, 24)) as pilot:
+            whole = dashboard.screen
+            await pilot.press(*keys)
+            field = dashboard.screen
+            await pilot.press("enter", "y")
+            await pilot.pause(0.2)
+            still = dashboard.screen
+            await pilot.press("escape")
+            return whole is field, still is field, dashboard.screen is whole
+
+    assert asyncio.run(asyncio.wait_for(press(), 30.0)) == (False, True, True)
+    assert theirs.receive(0.0) == []
+
+
+def test_what_is_said_is_whole_in_a_terminal_of_80_columns(bench: BenchConfig) -> None:
+    dashboard = dashboard_of(bench, MemoryBus())
+    told = "what if line speed 2 m/s: within 2 s tension 70.1 to 95.3 N, torque of axis1 -0.4 to 0.7 N·m, " * 3
+
+    async def say() -> list[str]:
+        async with dashboard.run_test(size=(80, 24)) as pilot:
+            dashboard._say(told)
+            await pilot.pause(0.1)
+            return list(dashboard.query_one("#faults", Log).lines)
+
+    lines = asyncio.run(asyncio.wait_for(say(), 30.0))
+    assert max(map(len, lines)) <= 80
+    assert told.split() == " ".join(lines).split("monitor:")[1].split()
+
+
+def test_a_monitor_that_hears_nothing_says_of_which_runs_it_can_not(bench: BenchConfig) -> None:
+    assert "--in-process" in BusPicture(bench).condition_text
+
+
 #: SDO writes of 1 and of 0 to 2200h:7 and :8 of node 127, and their confirmations.
 YES_NO = {
     ("p", "y"): ("230022070000803f", "6000220700000000", "probe: yes: set"),

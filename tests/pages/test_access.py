@@ -69,7 +69,14 @@ def test_a_wrong_token_opens_nothing(stranger: TestClient, given: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "host", ["evil.example", f"evil.example:{PORT}", "127.0.0.1:80", f"127.0.0.1.evil.example:{PORT}"]
+    "host",
+    [
+        "evil.example",
+        f"evil.example:{PORT}",
+        "127.0.0.1:80",
+        f"127.0.0.1.evil.example:{PORT}",
+        "127.0.0.1:" + "8" * 5000,
+    ],
 )
 def test_a_name_that_another_site_points_here_is_refused(known: TestClient, host: str) -> None:
     assert known.get("/runs", headers={"Host": host}).status_code == 403
@@ -103,6 +110,7 @@ def test_a_body_has_a_size(access: Access, known: TestClient) -> None:
     headers = {"Authorization": f"Bearer {access.token}", "Origin": HERE}
     assert known.post("/session", headers=headers, content=b"x" * 10_000).status_code == 413
     assert known.post("/session", headers=headers, content=iter([b"x"])).status_code == 413
+    assert known.post("/session", headers={**headers, "Content-Length": "1" * 5000}).status_code == 413
 
 
 @pytest.mark.parametrize(

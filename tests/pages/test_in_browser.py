@@ -6,17 +6,16 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.bench.whole_runs import ENDLESS, STARTED, config, run_folders, start
+from tests.bench.whole_runs import ENDLESS, config, run_folders, start
+from tests.pages.page_server import Server
 
-from hilbench.errors import EXIT_BENCH_FAULT
+from hilbench.errors import EXIT_BENCH_FAULT, EXIT_INTERRUPTED
 from hilbench.results.journal import read_journal
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
@@ -41,26 +40,6 @@ def browser() -> Iterator[Browser]:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         yield browser
         browser.close()
-
-
-class Server:
-    """The page's server of a config, as a process."""
-
-    def __init__(self, path: Path) -> None:
-        options = ["--browser", "--port", "0", "--runs", str(path.parent / "runs")]
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "hilbench.cli", "monitor", str(path), *options],
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        STARTED.append(self.process)
-        assert self.process.stdout is not None
-        self.address = self.process.stdout.readline().removeprefix("page: ").strip()
-
-    def end(self) -> None:
-        self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(30) == 0
 
 
 def opened(browser: Browser, address: str) -> Page:
@@ -130,6 +109,30 @@ def test_a_run_is_watched_changed_and_stopped_by_two(browser: Browser, tmp_path:
         ("anna (127.0.0.1)", "line speed 1.5 m/s: set"),
         ("ben (127.0.0.1)", "emergency stop"),
     ]
+    server.end()
+
+
+def test_who_was_there_before_the_run_sees_it_from_its_first_sample(browser: Browser, tmp_path: Path) -> None:
+    path = config(tmp_path, steps=ENDLESS)
+    server = Server(path, "--pace", "realtime")
+    anna, errors = opened(browser, server.address), []
+    anna.on("pageerror", lambda error: errors.append(str(error)))
+    until(anna, "document.body.dataset.condition === 'not heard'")
+    anna.wait_for_timeout(500)  # plots without a sample are drawn
+    run = start(path, "--pace", "realtime")
+    until(anna, RUNNING)
+    until(anna, "!document.querySelector('[data-plot=tension] .u-legend').innerText.includes('–')")
+    assert errors == []
+
+    anna.fill("#who", "anna")
+    anna.click("#take")
+    until(anna, "!document.querySelector('#set-v').disabled")
+    anna.fill("#field-v", "9.5")
+    anna.click("#set-v")
+    until(anna, "document.querySelector('#said').textContent.includes('expected a number from −8 to 8 m/s')")
+    assert not anna.locator("#ask").is_visible()
+    run.send_signal(signal.SIGINT)
+    assert run.wait(PATIENCE_MS / 1000) == EXIT_INTERRUPTED
     server.end()
 
 

@@ -218,6 +218,20 @@ def test_an_emergency_stop_does_not_wait_for_an_answer_of_the_bench(place: Place
         assert anna.said() == ("tension set-point 95 N: set", True)
 
 
+def test_what_a_viewer_asked_goes_with_him_and_a_stop_behind_a_hundred_requests_does_not_wait(place: Place) -> None:
+    with place.viewer() as anna:
+        anna.ask(do="take", name="anna")
+        for _ in range(100):
+            anna.send(do="set", key="t", value=95.0)
+        place.heard(1)  # and nobody answers
+        assert anna.ask(do="stop", name="anna") == ("emergency stop sent", True)
+        place.heard(len(EMERGENCY_STOP))
+    with place.viewer() as ben:
+        place.far.send([Frame(0x5FF, DONE)])
+        ben.until(lambda viewer, told: any("95 N: set" in event for event in viewer.events))
+        assert place.far.receive(0.2) == []  # what stood behind it is not asked any more
+
+
 def test_control_goes_from_one_to_the_next(place: Place) -> None:
     with place.viewer() as anna, place.viewer() as ben:
         anna.ask(do="take", name="anna")

@@ -261,7 +261,7 @@ def _ask(name: str, answer_s: float) -> Holder | None:
         pid=pid,
         uid=uid,
         what=_text(said, "what"),
-        command=_text(said, "command") or _command_line(pid),
+        command=_text(said, "command") or command_line(pid),
         folder=_text(said, "folder"),
         since_s=since_s if isinstance(since_s, float) and 0.0 < since_s < 1e11 else None,
         bitrate=bitrate if isinstance(bitrate, int) and 0 < bitrate <= _HIGHEST_BITRATE else None,
@@ -273,7 +273,8 @@ def _text(said: dict[str, Any], key: str) -> str:
     return _one_line(value) if isinstance(value, str) else ""
 
 
-def _command_line(pid: int) -> str:
+def command_line(pid: int) -> str:
+    """Of a process; "" where it is not known."""
     try:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
     except OSError:

@@ -19,6 +19,7 @@ import os
 import select
 import signal
 import socket
+import struct
 import sys
 import time
 from collections import deque
@@ -509,7 +510,12 @@ class Hub:
             self._medium = Medium(self.settings.bitrate, self._now_ns() if self.settings.timing == "real" else 0)
             self.malformed = 0
         else:
-            join.wanted.check_against(self.settings)
+            try:
+                join.wanted.check_against(self.settings)
+            except requests.RefusedError as error:
+                raise requests.RefusedError(
+                    f"{error}; on it: {self._programs()}; expected these ended, or of the same bit rate and --pace"
+                ) from None
         client.filters = join.filters
         self._forget_listeners()
         client.receive_own, client.fd = join.receive_own, join.fd
@@ -518,6 +524,17 @@ class Hub:
         self._fd = (self._fd and not alone) or client.fd
         self._medium.join(client)
         return {"version": protocol.VERSION, "station": client.identity, **self.settings.as_json()}
+
+    def _programs(self) -> str:
+        """Whose stations there are, as the kernel knows them."""
+        from hilbench.can.claims import command_line  # only where somebody is told
+
+        pids = {
+            struct.unpack("=i", client.connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 4))[0]
+            for client in self._clients.values()
+            if client.joined
+        }
+        return ", ".join(f"{command_line(pid) or 'a program'} (process {pid})" for pid in sorted(pids))
 
     def _statistics(self) -> dict[str, Any]:
         counters = self._medium.counters

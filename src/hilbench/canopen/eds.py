@@ -16,7 +16,10 @@ from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 import canopen
 from hilbench.canopen.data_types import NODE_ID, Value, data_type
 from hilbench.errors import UnusableInputError
+from hilbench.files import content
 
+#: Bytes of a file, objects in it with their entries, and the last sub-index there is (CiA 301).
+_MOST_BYTES, _MOST_OBJECTS, _LAST_SUB = 4_000_000, 65_536, 254
 #: Below it stand data types; 0001h to 0007h may be mapped as placeholders.
 _FIRST_OBJECT = 0x1000
 _VAR = 0x7
@@ -203,7 +206,7 @@ def _unreadable(path: Path, error: OSError) -> UnusableInputError:
 
 def _read_sections(path: Path) -> dict[str, _Section]:
     try:
-        text = path.read_bytes().decode("utf-8-sig", errors="replace")
+        text = content(path, _MOST_BYTES).decode("utf-8-sig", errors="replace")
     except OSError as error:
         raise _unreadable(path, error) from error
     sections: dict[str, _Section] = {}
@@ -256,6 +259,8 @@ def _object_sections(path: Path, sections: dict[str, _Section]) -> _Objects:
     for (index, sub), section in list(objects.items()):
         if sub is None and "CompactSubObj" in section.options:
             objects.update(_expand_compact(path, index, section, sections))
+            if len(objects) > _MOST_OBJECTS:
+                raise UnusableInputError(path, f"more than {_MOST_OBJECTS} objects and entries, expected fewer")
     objects.update(_dummies(sections.get("dummyusage")))
     return dict(sorted(objects.items(), key=lambda item: (item[0][0], -1 if item[0][1] is None else item[0][1])))
 
@@ -263,6 +268,11 @@ def _object_sections(path: Path, sections: dict[str, _Section]) -> _Objects:
 def _expand_compact(path: Path, index: int, section: _Section, sections: dict[str, _Section]) -> _Objects:
     """The sub-indices that CompactSubObj stands for (CiA 306, 4.6.3.3), named and valued by their own sections."""
     count = _integer(path, section, "CompactSubObj", 0)
+    if not 0 <= count <= _LAST_SUB:
+        raise UnusableInputError(
+            f"{path}:{section.lines['CompactSubObj']}",
+            f"CompactSubObj of [{section.name}] is {count}, expected 0 to {_LAST_SUB}",
+        )
     names, values = (sections.get(f"{section.name}{what}".lower()) for what in ("Name", "Value"))
     members: _Objects = {}
     head = {"ParameterName": "Number of entries", "DataType": "0x5", "AccessType": "ro", "DefaultValue": str(count)}

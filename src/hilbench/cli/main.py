@@ -101,8 +101,8 @@ def run(
         bool,
         typer.Option(
             "--in-process",
-            help="simulated hardware and twin in this process: the same frames and recording, faster; in real time "
-            "they wait for SYNC, and nothing comes late",
+            help="simulated hardware and twin in this process: the same frames and recording, faster, but on no bus: "
+            "no monitor hears them; in real time they wait for SYNC, and nothing comes late",
         ),
     ] = False,
     report: Annotated[

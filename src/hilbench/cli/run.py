@@ -87,13 +87,14 @@ def _run(
 ) -> int:
     if as_json:
         outcome = run_experiment(loaded, out, streams=streams, participants=participants, force=force, beside=beside)
-        if outcome.recorded and with_report:
-            _write_report(outcome)
+        code = _write_report(outcome) if outcome.recorded and with_report else outcome.exit_code
         _remember(outcome)
         print(outcome.as_json())
-        return outcome.exit_code
+        return code
     console = Console(highlight=False)
-    console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")
+    alone = participants is Participants.IN_PROCESS
+    where = "in this process, on no bus: no monitor hears it" if alone else loaded.config.bus.address
+    console.print(f"[bold]{loaded.config.name}[/bold]  {where}; {loaded.config.pace}")
     if (known := commissioned_text(loaded.config.twin.priors, datetime.now(UTC))) is not None:
         console.print(known, soft_wrap=True, markup=False)
     with Progress(console, loaded.config) as progress:
@@ -107,18 +108,25 @@ def _run(
             force=force,
             beside=beside,
         )
+        code = outcome.exit_code
         if outcome.recorded and with_report:
             progress.announce("write report")
-            _write_report(outcome)
+            code = _write_report(outcome)
     show_outcome(console, outcome)
     _remember(outcome)
-    return outcome.exit_code
+    return code
 
 
-def _write_report(outcome: RunOutcome) -> None:
+def _write_report(outcome: RunOutcome) -> int:
+    """The exit code: that of the run, whose result is there; of one without a fault also that of its report."""
     from hilbench.report.html import write_report  # slow to import: not before the first SYNC
 
-    write_report(outcome.folder)
+    try:
+        write_report(outcome.folder)
+    except UnusableInputError as error:
+        Console(stderr=True, highlight=False).print(f"no report: {error}", soft_wrap=True, markup=False)
+        return outcome.exit_code or error.exit_code
+    return outcome.exit_code
 
 
 def _remember(outcome: RunOutcome) -> None:

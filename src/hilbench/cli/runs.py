@@ -409,7 +409,7 @@ def _given(library: Library, run: str) -> Path:
 
 
 def _delete(given: Sequence[tuple[Path, str]], *, yes: bool) -> None:
-    from hilbench.library.clearing import delete
+    from hilbench.library.clearing import delete_all
 
     for path, why in given:
         typer.echo(f"{path}  {why}".rstrip(), err=True)
@@ -420,9 +420,10 @@ def _delete(given: Sequence[tuple[Path, str]], *, yes: bool) -> None:
         if not sys.stdin.isatty():
             raise UnusableInputError("--yes", "missing, expected where nobody can be asked")
         typer.confirm(f"Delete {_count(len(given))} for good?", abort=True, err=True)
-    for path, _ in given:
-        delete(path)
-    print(f"{_count(len(given))} deleted")
+    left = delete_all([path for path, _ in given])
+    print(f"{_count(len(given) - len(left))} deleted")
+    if left:
+        raise UnusableInputError.of([*left.values()])
 
 
 def _count(runs: int) -> str:
@@ -455,7 +456,7 @@ def gc(
     import time
     from json import dumps
 
-    from hilbench.library.clearing import Keep, delete, to_clear
+    from hilbench.library.clearing import Keep, delete_all, to_clear
     from hilbench.library.query import seconds_of
 
     if older_than is None and max_size is None:
@@ -468,19 +469,21 @@ def gc(
     )
     known = _library(runs).runs()
     goes = to_clear(known, keep, time.time())
-    freed = sum(each.run.size_bytes for each in goes)
     if json:
         if not dry_run and not yes and goes:
             raise UnusableInputError("--yes", "missing, expected with --json, or --dry-run")
-        if not dry_run:
-            for each in goes:
-                delete(runs / each.run.path)
+        left = {} if dry_run else delete_all([runs / each.run.path for each in goes])
+        goes = [each for each in goes if runs / each.run.path not in left]
+    freed = sum(each.run.size_bytes for each in goes)
+    if json:
         data = [{"run": each.run.path, "why": each.why, "size_bytes": each.run.size_bytes} for each in goes]
         print(
             dumps(
                 {"deleted": not dry_run, "freed_bytes": freed, "kept": len(known) - len(goes), "runs": data}, indent=2
             )
         )
+        if left:
+            raise UnusableInputError.of([*left.values()])
         return
     size = f"{_count(len(goes))}, {freed / 1e6:.1f} MB; {len(known) - len(goes)} stay"
     if dry_run:

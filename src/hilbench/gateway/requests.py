@@ -9,7 +9,7 @@ from typing import Final
 
 from hilbench.gateway.errors import GatewayError, RequestError
 
-_LINE: Final = re.compile(r"^\s*\[\s*(\d+|0x[0-9A-Fa-f]+)\s*\]\s*(.*)$")
+_LINE: Final = re.compile(r"^\s*\[\s*([0-9]{1,10}|0x[0-9A-Fa-f]{1,8})\s*\]\s*(.*)$")
 _MOST: Final = 0xFFFF_FFFF
 
 
@@ -25,14 +25,9 @@ class Request:
     def number(self, place: int, most: int = _MOST) -> int:
         """The word at a place, as a number up to `most`. Raises RequestError."""
         try:
-            value = int(self.words[place], 0)
+            return _number(self.words[place], 0, most)
         except IndexError:
             raise RequestError(GatewayError.SYNTAX, f"{self.words[0]}: too few arguments") from None
-        except ValueError:
-            raise RequestError(GatewayError.SYNTAX, f"'{self.words[place]}', expected a number") from None
-        if not 0 <= value <= most:
-            raise RequestError(GatewayError.SYNTAX, f"{value}, expected 0 to {most}")
-        return value
 
 
 def sequence_of(line: str) -> int | None:
@@ -55,7 +50,7 @@ def parse(line: str) -> Request | None:
     words = _split(found[2])
     numbers: list[int | None] = []
     while words and words[0].isdecimal() and len(numbers) < 2:
-        numbers.append(int(words.pop(0)))
+        numbers.append(_number(words.pop(0), 10))
     if not words:
         raise RequestError(GatewayError.SYNTAX, "no command")
     command = words[0].lower()
@@ -63,6 +58,17 @@ def parse(line: str) -> Request | None:
         numbers = [*numbers, None] if command == "set" or "lss_" in command else [None, *numbers]
     net, node = numbers or (None, None)
     return Request(_sequence(found[1]), net, node, [command, *words[1:]])
+
+
+def _number(word: str, base: int, most: int = _MOST) -> int:
+    """A number up to `most`; `base` 0: as it is written. Raises RequestError."""
+    try:
+        value = int(word, base)
+    except ValueError:  # also of one of more digits than Python reads
+        raise RequestError(GatewayError.SYNTAX, f"'{word[:40]}', expected a number") from None
+    if not 0 <= value <= most:
+        raise RequestError(GatewayError.SYNTAX, f"{word[:40]}, expected 0 to {most}")
+    return value
 
 
 def _sequence(text: str) -> int:

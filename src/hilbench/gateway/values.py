@@ -7,6 +7,7 @@ import binascii
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from math import isinf
 
 from hilbench.canopen import data_types as types
 from hilbench.canopen.data_types import Value, data_type
@@ -32,9 +33,12 @@ def form(name: str) -> TextForm:
 def _parse(code: int, text: str) -> bytes:
     kind = data_type(code)
     try:
-        return kind.encode(float(text) if kind.is_float else int(text, 0))
-    except ValueError as error:
-        raise RequestError(GatewayError.SYNTAX, f"'{text}' is no value of this data type") from error
+        value = float(text) if kind.is_float else int(text, 0)
+        if kind.is_float and isinf(value) and "inf" not in text.lower():
+            raise OverflowError
+        return kind.encode(value)
+    except (ValueError, OverflowError) as error:
+        raise RequestError(GatewayError.SYNTAX, f"'{text[:40]}' is no value of this data type") from error
 
 
 def _decode(code: int, data: bytes) -> Value:
@@ -64,10 +68,13 @@ def _parse_base64(text: str) -> bytes:
 
 def _parse_time(text: str) -> bytes:
     """Days and milliseconds of the day: `ms days`, 28 of 32 bits and 16 bits."""
-    parts = text.split()
-    if len(parts) != 2 or not all(part.isdecimal() for part in parts) or int(parts[0]) >= 1 << 28:
-        raise RequestError(GatewayError.SYNTAX, f"'{text}', expected days and milliseconds")
-    return int(parts[1]).to_bytes(4, "little") + int(parts[0]).to_bytes(2, "little")
+    try:
+        days, milliseconds = map(int, text.split())
+        if milliseconds >= 1 << 28:
+            raise OverflowError
+        return milliseconds.to_bytes(4, "little") + days.to_bytes(2, "little")
+    except (ValueError, OverflowError):
+        raise RequestError(GatewayError.SYNTAX, f"'{text[:40]}', expected days and milliseconds") from None
 
 
 def _show_time(data: bytes) -> str:

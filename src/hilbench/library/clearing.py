@@ -94,6 +94,17 @@ def delete(path: Path) -> None:
         ) from error
 
 
+def delete_all(paths: Sequence[Path]) -> dict[Path, UnusableInputError]:
+    """Delete run folders, past those that can't be deleted: these, and why."""
+    left = {}
+    for path in paths:
+        try:
+            delete(path)
+        except UnusableInputError as error:
+            left[path] = error
+    return left
+
+
 def _folders(path: Path) -> Iterator[Path]:
     for below, folders, _ in os.walk(path):
         yield from (Path(below) / name for name in folders)

@@ -14,6 +14,8 @@ from typing import Any, Final, Literal, Self
 
 import yaml
 
+from hilbench.errors import UnusableInputError
+from hilbench.files import content
 from hilbench.results.run_folder import RunFolder
 
 State = Literal["passed", "failed", "fault", "interrupted", "unfinished", "running"]
@@ -22,6 +24,11 @@ STATES: Final[tuple[State, ...]] = ("passed", "failed", "fault", "interrupted", 
 _BY_OPERATOR: Final = "operator"
 _TIME_IN_NAME: Final = re.compile(r"-(\d{8}-\d{6})(?:-\d+)?$")
 _TOP_LEVEL: Final = re.compile(r"^(name|description|stand|seed|pace):.*\n(?:[ \t].*\n)*", re.MULTILINE)
+_LARGEST_SEED: Final = 2**63
+#: A time that has a date, s since 1970.
+_LATEST_S: Final = 250e9
+#: Bytes of a file in a run folder, at most.
+_MOST_BYTES: Final = 16_000_000
 _LOADER: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
@@ -130,7 +137,7 @@ class RunEntry:
 def read_entry(base: Path, path: str) -> RunEntry:
     """The run in the folder `base`/`path`. What can't be read is a `problem` of the entry: never raises for it."""
     folder = RunFolder(base / path)
-    problems: list[str] = []
+    problems = [] if folder.path.is_dir() else ["there is no folder of this name, or its name is no UTF-8"]
     about = _config(folder, problems)
     result = _json(folder.result, problems)
     labels = _json(folder.labels, problems)
@@ -140,17 +147,17 @@ def read_entry(base: Path, path: str) -> RunEntry:
             "tags": tuple(map(str, labels.get("tags", ()))),
             "notes": tuple(f"{note['time']} {note['by']}: {note['text']}" for note in labels.get("notes", ())),
         }
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
         problems.append(f"not understood ({' '.join(str(error).split())})")
         known, labelled = {"state": "unfinished"}, {}
     return RunEntry(
         path=path,
         bench=str(about.get("name") or folder.path.name),
-        began_s=_began_s(folder, result),
+        began_s=min(max(_began_s(folder, result), 0.0), _LATEST_S),
         description=str(about.get("description") or ""),
         stand=str(about.get("stand") or about.get("name") or ""),
         pace=str(about.get("pace") or ""),
-        seed=about["seed"] if isinstance(about.get("seed"), int) else None,
+        seed=seed if isinstance(seed := about.get("seed"), int) and abs(seed) < _LARGEST_SEED else None,
         size_bytes=_size(folder.path),
         has_report=folder.report.exists(),
         problem="; ".join(problems),
@@ -162,21 +169,31 @@ def read_entry(base: Path, path: str) -> RunEntry:
 def _config(folder: RunFolder, problems: list[str]) -> dict[str, Any]:
     """The few values at the top of a config that tell runs apart: the rest of it takes long to parse."""
     try:
-        text = folder.config.read_text(encoding="utf-8", errors="replace")
+        text = content(folder.config, _MOST_BYTES, kept=True).decode(errors="replace")
         found = yaml.load("".join(match[0] for match in _TOP_LEVEL.finditer(text)), _LOADER)
-    except (OSError, yaml.YAMLError) as error:
+    except (OSError, UnusableInputError, yaml.YAMLError, ValueError, RecursionError) as error:
         problems.append(f"{folder.config.name}: {' '.join(str(error).split())}")
         return {}
-    return found if isinstance(found, dict) else {}
+    return _mapping(folder.config, found, problems)
 
 
 def _json(path: Path, problems: list[str]) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_bytes())
+        found = json.loads(content(path, _MOST_BYTES, kept=True))
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, UnusableInputError, ValueError, RecursionError) as error:
         problems.append(f"{path.name}: {' '.join(str(error).split())}")
+        return {}
+    return _mapping(path, found, problems)
+
+
+def _mapping(path: Path, found: object, problems: list[str]) -> dict[str, Any]:
+    """What stands in a file, where it can be kept and shown: escapes may stand for characters that no text has."""
+    try:
+        json.dumps(found, ensure_ascii=False, default=str).encode()
+    except (ValueError, RecursionError):  # among them UnicodeEncodeError
+        problems.append(f"{path.name}: characters that UTF-8 does not have")
         return {}
     return found if isinstance(found, dict) else {}
 
@@ -231,12 +248,12 @@ def _began_s(folder: RunFolder, result: Mapping[str, Any]) -> float:
     """As the result says it; of older runs, and those without one, the time in the name, or of the config's file."""
     try:
         return datetime.fromisoformat(result["began"]).timestamp()
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError, OSError):
         pass
     found = _TIME_IN_NAME.search(folder.path.name)
     try:
         return datetime.strptime(found[1], "%Y%m%d-%H%M%S").timestamp() if found else folder.config.stat().st_mtime
-    except (ValueError, OSError):
+    except (ValueError, OverflowError, OSError):
         return 0.0
 
 

@@ -10,18 +10,31 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 from hilbench.errors import UnusableInputError
 from hilbench.library.entry import RunEntry, read_entry
 
+_Answer = TypeVar("_Answer")
+
 #: Its name in the folder of the runs.
 FILE: Final = ".runs.sqlite"
 #: How long one waits for another who writes, s.
-_PATIENCE_S: Final = 10.0
+_PATIENCE_S: Final = 2.0
+#: What says nothing against the file itself: it can't be read or written here, or somebody else holds it.
+_OF_ANOTHER: Final = (
+    sqlite3.SQLITE_BUSY,
+    sqlite3.SQLITE_LOCKED,
+    sqlite3.SQLITE_PERM,
+    sqlite3.SQLITE_READONLY,
+    sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_CANTOPEN,
+)
 _VERSION: Final = 1
 #: Folders below that of the runs in which runs are looked for (sweeps have theirs deeper).
 _DEEPEST: Final = 4
@@ -52,16 +65,19 @@ class Index:
 
         `announce` gets a line when many folders are to be read. Raises UnusableInputError for no folder.
         """
-        with self._connected() as connection:
+
+        def listed(connection: sqlite3.Connection) -> list[RunEntry]:
             self._update(connection, announce)
             values = _metrics(connection, metrics)
             rows = connection.execute("SELECT path, entry FROM run ORDER BY began_s DESC, path DESC")
-            return [RunEntry.of_text(text, values.get(path, {})) for path, text in rows]
+            return [_entry(text, values.get(path, {})) for path, text in rows]
+
+        return self._asked(listed)
 
     def metric_names(self) -> list[str]:
         """The metrics that any run has."""
-        with self._connected() as connection:
-            return [name for (name,) in connection.execute("SELECT DISTINCT name FROM metric ORDER BY name")]
+        names = "SELECT DISTINCT name FROM metric ORDER BY name"
+        return self._asked(lambda connection: [name for (name,) in connection.execute(names)])
 
     def _update(self, connection: sqlite3.Connection, announce: Callable[[str], None]) -> None:
         known = dict(connection.execute("SELECT path, stamp FROM run"))
@@ -87,33 +103,30 @@ class Index:
                 [(name, each.path, value) for each in entries for name, value in each.metrics.items()],
             )
 
-    @contextmanager
-    def _connected(self) -> Iterator[sqlite3.Connection]:
-        try:
-            connection = self._opened()
-        except sqlite3.OperationalError:  # a folder that can't be written, or a file system without locks
-            connection = _prepared(sqlite3.connect(":memory:"))
-        with closing(connection):
-            yield connection
-
-    def _opened(self) -> sqlite3.Connection:
-        """The file, made anew where it is of another version or no index at all."""
-        path = self.base / FILE
-        for again in (True, False):
-            connection = sqlite3.connect(path, timeout=_PATIENCE_S, isolation_level="IMMEDIATE")
+    def _asked(self, question: Callable[[sqlite3.Connection], list[_Answer]]) -> list[_Answer]:
+        """Of the file, which is made anew where it is damaged, of another version or no index at all; of one in memory
+        where it can't be written, or somebody else holds it."""
+        connect = partial(sqlite3.connect, self.base / FILE, timeout=_PATIENCE_S, isolation_level="IMMEDIATE")
+        for _ in range(2):
             try:
-                return _prepared(connection)
-            except sqlite3.OperationalError:
-                connection.close()
-                raise
-            except sqlite3.DatabaseError:
-                connection.close()
-                if not again:
-                    raise
+                with closing(connect()) as file:
+                    return question(_prepared(file))
+            except sqlite3.DatabaseError as error:
+                if getattr(error, "sqlite_errorcode", 0) & 0xFF in _OF_ANOTHER:
+                    break
                 for suffix in ("", "-wal", "-shm"):
-                    with suppress(FileNotFoundError):
-                        os.unlink(f"{path}{suffix}")
-        raise AssertionError("unreachable: the second time it returns or raises")
+                    with suppress(OSError):
+                        os.unlink(self.base / f"{FILE}{suffix}")
+        with closing(_prepared(sqlite3.connect(":memory:"))) as memory:
+            self._update(memory, lambda text: None)
+            return question(memory)
+
+
+def _entry(text: str, metrics: Mapping[str, float]) -> RunEntry:
+    try:
+        return RunEntry.of_text(text, metrics)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise sqlite3.DatabaseError("a row of the index is damaged") from error
 
 
 def _prepared(connection: sqlite3.Connection) -> sqlite3.Connection:
@@ -159,10 +172,11 @@ def _run_folders(base: Path, known: Iterable[str]) -> Iterator[tuple[str, str]]:
                 if entry.name.startswith(".") or not entry.is_dir(follow_symlinks=False):
                     continue
                 path = f"{below}{entry.name}"
-                if path in known or is_run(entry.path):
+                shown = os.fsencode(path).decode(errors="backslashreplace")  # what is no UTF-8 can't be kept
+                if shown in known or is_run(entry.path):
                     stamp = _stamp(entry.path)
                     if stamp is not None:
-                        yield path, stamp
+                        yield shown, stamp
                 elif depth < _DEEPEST:
                     waiting.append((f"{path}/", depth + 1))
 

@@ -92,7 +92,7 @@ class ChangeRequests:
         """A line for each request that has ended since the last call."""
         done = [request for request in self._requests if request.done()]
         self._requests = [request for request in self._requests if request not in done]
-        return [str(request.result()) for request in done]
+        return [str(request.result()) for request in done if not request.cancelled()]
 
     def range_of(self, quantity: MainQuantity) -> tuple[float, float]:
         """What the bench accepts by its config, in the quantity's unit."""

@@ -72,4 +72,6 @@ class BenchWatch:
             alive = self._master_s is not None and now_s - self._master_s <= SILENCE_S
             why = "the bench pauses" if alive else "nothing of the bench either"
             return f"{condition.value}: no SYNC for {now_s - (self._sync_s or 0.0):.0f} s, {why}"
+        if condition is Condition.NOT_HEARD:
+            return f"{condition.value}: no SYNC on this bus yet (a run --in-process is on none)"
         return str(condition.value)

@@ -6,11 +6,12 @@ yes or no to what it proposes, and to look ahead a question of its present value
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 from math import floor, log10
+from textwrap import wrap
 from typing import ClassVar
 
 from textual.app import App, ComposeResult
@@ -18,6 +19,7 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.css.query import NoMatches
 from textual.screen import ModalScreen
+from textual.validation import Number
 from textual.widgets import DataTable, Footer, Input, Log, Sparkline, Static
 
 from hilbench.can.link import Link
@@ -39,6 +41,8 @@ _COLUMNS = ("node", "part", "NMT", "drive", "statusword", "velocity rad/s", "tor
 #: A trend that is never larger is written with more decimals.
 _SMALL = 10.0
 
+#: Columns in which a line is shown at least.
+_NARROWEST = 20
 _WHAT_IF_KEY = "w"
 _STOP_KEY = "e"
 _STOP_HINT = f"{_STOP_KEY}: EMERGENCY STOP"
@@ -112,21 +116,23 @@ class _NewValue(ModalScreen[float | None]):
 
     BINDINGS: ClassVar[list[BindingType]] = [("escape", "dismiss(None)", "leave it")]
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, low: float, high: float, unit: str) -> None:
         super().__init__()
-        self._text = text
+        self._text = f"{text} in {unit} ({low:g} to {high:g}); Esc leaves it"
+        self._range = Number(low, high)
 
     def compose(self) -> ComposeResult:
         """The field."""
         with Vertical(classes="dialogue"):
             yield Static(f"{self._text}\n{_STOP_HINT}")
-            yield _Number(type="number")
+            yield _Number(type="number", validators=[self._range], valid_empty=True)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Return ends it; an empty field changes nothing."""
-        self.dismiss(
-            float(event.value) if event.validation_result is None or event.validation_result.is_valid else None
-        )
+        """Return ends it where the value may be asked for; an empty field changes nothing."""
+        if not event.value:
+            self.dismiss(None)
+        elif event.validation_result is None or event.validation_result.is_valid:
+            self.dismiss(float(event.value))
 
 
 class Dashboard(App[None]):
@@ -201,9 +207,10 @@ class Dashboard(App[None]):
     def action_change(self, key: str) -> None:
         """Ask for a new value, and whether it is meant."""
         quantity = self._changes.changeable[key]
-        low, high = self._changes.range_of(quantity)
-        text = f"{quantity.title} in {quantity.in_unit} ({low:g} to {high:g}); Esc leaves it"
-        self.push_screen(_NewValue(text), partial(self._confirm, quantity))
+        self.push_screen(self._new_value(quantity, quantity.title), partial(self._confirm, quantity))
+
+    def _new_value(self, quantity: MainQuantity, text: str) -> _NewValue:
+        return _NewValue(text, *self._changes.range_of(quantity), quantity.in_unit)
 
     def _confirm(self, quantity: MainQuantity, value: float | None) -> None:
         if value is None:
@@ -238,7 +245,7 @@ class Dashboard(App[None]):
             if value is not None:
                 self._changes.look_ahead(quantity, value, self._recent.frames())
 
-        self.push_screen(_NewValue(f"What if {quantity.title} in {quantity.in_unit} went to; Esc leaves it"), look)
+        self.push_screen(self._new_value(quantity, f"What if {quantity.title} went to a value"), look)
 
     def _stop(self, yes: bool | None) -> None:
         if yes:
@@ -266,7 +273,13 @@ class Dashboard(App[None]):
             self.call_from_thread(self._say, str(error))
 
     def _say(self, text: str) -> None:
-        self.query_one("#faults", Log).write_line(f"cycle {self._picture.cycles}  monitor: {text}")
+        self._write([f"cycle {self._picture.cycles}  monitor: {text}"])
+
+    def _write(self, texts: Iterable[str]) -> None:
+        """Whole, however narrow the terminal is."""
+        log = self.query_one("#faults", Log)
+        width = max(log.scrollable_content_region.width, _NARROWEST)
+        log.write_lines([line for text in texts for line in wrap(text, width, subsequent_indent="  ")])
 
     # -- what is heard -------------------------------------------------------------------------------------
 
@@ -296,7 +309,7 @@ class Dashboard(App[None]):
         unseen = min(picture.fault_count - self._noted, len(picture.faults))
         self._noted = picture.fault_count
         new = list(picture.faults)[len(picture.faults) - unseen :]
-        self.query_one("#faults", Log).write_lines([f"cycle {note.cycle}  {note.part}: {note.text}" for note in new])
+        self._write(f"cycle {note.cycle}  {note.part}: {note.text}" for note in new)
 
     def _draw_trend(self, trend: Trend) -> None:
         # A sparkline stands on 0: what matters is how the signal moves above its least value.

@@ -77,7 +77,7 @@ class Access:
         if not colon or not port.isdecimal():
             name, port = host, "80"
         name = name.strip("[]").lower()
-        return int(port) == self.port and (name in self._names or _is_address(name))
+        return port == str(self.port) and (name in self._names or _is_address(name))
 
     def session_of(self, headers: Headers) -> str:
         """The session cookie of a request, "" for none."""
@@ -129,7 +129,8 @@ class Guard:
         if headers.get("sec-fetch-site", "none") not in ("none", "same-origin") and path != "/":
             return 403, "the request comes from another site"
         length = headers.get("content-length", "0")
-        if not length.isdecimal() or int(length) > _LARGEST_BODY or "transfer-encoding" in headers:
+        known = length.isdecimal() and len(length) <= len(str(_LARGEST_BODY)) and int(length) <= _LARGEST_BODY
+        if not known or "transfer-encoding" in headers:
             return 413, f"expected a body of at most {_LARGEST_BODY} bytes"
         if path in _PUBLIC or path.startswith(_PUBLIC_FOLDER):
             return None

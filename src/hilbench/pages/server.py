@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -10,6 +11,8 @@ from pathlib import Path
 from typing import Final
 
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
@@ -31,7 +34,28 @@ PORT: Final = 8321
 _LARGEST_MESSAGE, _LARGEST_HEAD = 4096, 16_384
 #: A viewer of whom nothing is heard for so long is gone, s.
 _PING_S: Final = 10.0
+#: Connections that are not a viewer's.
 _MOST_CONNECTIONS: Final = 128
+
+
+class _Connection(H11Protocol):
+    """A connection as it begins; of more than `_MOST_CONNECTIONS` the oldest ends: silent ones keep nobody out."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self.made_s = self.loop.time()
+        known = [connection for connection in self.connections if isinstance(connection, _Connection)]
+        if len(known) > _MOST_CONNECTIONS:
+            oldest = min(known, key=lambda connection: connection.made_s)
+            self.connections.discard(oldest)
+            oldest.transport.abort()
+
+
+class _ViewersConnection(WebSocketsSansIOProtocol):
+    """A viewer's connection, which ends when nothing is heard of him, also where he does not take what was sent."""
+
+    def keepalive_timeout(self) -> None:
+        self.transport.abort()
 
 
 def serve(config: BenchConfig | None, runs: Path, host: str, port: int, announce: Callable[[str], None]) -> None:
@@ -62,14 +86,13 @@ def serve(config: BenchConfig | None, runs: Path, host: str, port: int, announce
                 log_level="warning",
                 lifespan="off",
                 server_header=False,
-                ws="websockets-sansio",
+                ws=_ViewersConnection,
                 ws_per_message_deflate=False,  # a few kB a second, and most of what each viewer would cost
                 ws_max_size=_LARGEST_MESSAGE,
                 ws_ping_interval=_PING_S,
                 ws_ping_timeout=_PING_S,
-                http="h11",
+                http=_Connection,
                 h11_max_incomplete_event_size=_LARGEST_HEAD,
-                limit_concurrency=_MOST_CONNECTIONS,
                 timeout_graceful_shutdown=1,
             )
         )

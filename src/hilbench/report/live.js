@@ -18,7 +18,7 @@
   };
   const minus = (text) => text.replace("-", "\u2212");
   const decimals = (step) => Math.max(0, Math.min(9, Math.ceil(-Math.log10(step) - 1e-6)));
-  const ticks = (u, values, axis, space, step) => values.map((v) => (v === null ? "" : minus(v.toFixed(decimals(step)))));
+  const ticks = (u, values, axis, space, step) => values.map((v) => (v === null || v === undefined ? "" : minus(v.toFixed(decimals(step)))));
 
   const plots = [];
   let shown = [first, last];
@@ -93,7 +93,7 @@
   };
 
   const draw = (plot, place) => {
-    const data = aligned(plot), series = [{ label: "t", value: (u, v) => (v === null ? "" : `${v.toFixed(3)} s`) }], bands = [];
+    const data = aligned(plot), series = [{ label: "t", value: (u, v) => (v === null || v === undefined ? "" : `${v.toFixed(3)} s`) }], bands = [];
     for (const band of plot.bands) {
       bands.push({ series: [series.length, series.length + 1], fill: () => colour(band.colour, band.alpha) });
       for (const edge of ["high", "low"]) series.push({ label: edge, width: 0, points: { show: false }, auto: false, class: "edge" });

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from pydantic import Field, field_validator
 from hilbench import strict_yaml
 from hilbench.block import Block
 from hilbench.errors import UnusableInputError
-from hilbench.results.recording import Recording, check_recording, read_recording
+from hilbench.results.recording import MOST_COLUMNS, Recording, check_recording, open_text, read_recording
 from hilbench.suggest import did_you_mean
 from hilbench.topology.signal_kinds import TIME
 from hilbench.topology.signals import example_names, find_signal, unit_of
@@ -105,6 +106,10 @@ def _columns(path: Path, file: TextFile) -> dict[str, NDArray[np.float64]]:
     import pandas
 
     try:
+        with open_text(path, file.encoding) as text:
+            header = next(islice(text, file.skip_rows, None), "")
+        if header.count(file.delimiter) >= MOST_COLUMNS:
+            raise UnusableInputError(path, f"more than {MOST_COLUMNS} columns, expected no more")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             table = pandas.read_csv(

@@ -40,6 +40,8 @@ LEAST_SAMPLES = 2
 
 _FORMATS = "expected a recording: .mf4, .csv, .csv.gz or .parquet"
 _BLOCK_ROWS = 8192
+#: Channels of a table as text, characters of the row that names them, and of all below it, at most.
+MOST_COLUMNS, _LONGEST_HEADER, _MOST_CHARACTERS = 4096, 500_000, 500_000_000
 #: The most that deflate can shrink data (RFC 1951: 258 bytes by two bits), and a little.
 _DEFLATE_MOST = 1040
 _MDF_HEAD_BYTES = 64 + 104  # identification block and header block (ASAM MDF 4: IDBLOCK, HDBLOCK)
@@ -469,8 +471,8 @@ def _mdf_channels(mdf: Any, path: Path) -> Recording:
 
 def _read_csv(path: Path) -> Recording:
     try:
-        with _open_text(path) as file:
-            names = _header(path, file.readline())
+        with open_text(path) as file:
+            names = _header(path, file.readline(_LONGEST_HEADER))
             rows = _rows(path, file, len(names))
     except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
         if isinstance(error, OSError) and error.strerror:
@@ -505,15 +507,18 @@ def _read_parquet(path: Path) -> Recording:
     return Recording(ordered, start, about.get("comment", ""), units)
 
 
-def _open_text(path: Path) -> IO[str]:
+def open_text(path: Path, encoding: str = "utf-8-sig") -> IO[str]:
+    """A table as text, unpacked if it is packed."""
     if path.suffix.lower() == ".gz":
-        return gzip.open(path, "rt", encoding="utf-8-sig", newline=None)
-    return open(path, encoding="utf-8-sig")
+        return gzip.open(path, "rt", encoding=encoding, newline=None)
+    return open(path, encoding=encoding)
 
 
 def _header(path: Path, line: str) -> list[str]:
     names = [name.strip().strip('"') for name in line.rstrip("\n").split(",")]
     place = f"{path}:1"
+    if len(names) > MOST_COLUMNS:
+        raise UnusableInputError(place, f"more than {MOST_COLUMNS} columns, expected no more")
     if any(not name or name[0].isdigit() or name[0] in "-+." for name in names):
         raise UnusableInputError(place, f"'{line.strip()[:60]}', expected a row of channel names separated by commas")
     for position, name in enumerate(names):
@@ -524,7 +529,12 @@ def _header(path: Path, line: str) -> list[str]:
 
 def _rows(path: Path, file: IO[str], width: int) -> NDArray[np.float64]:
     """The numbers below the header, shape (samples, width)."""
-    lines = file.readlines()
+    text = file.read(_MOST_CHARACTERS + 1)
+    if len(text) > _MOST_CHARACTERS:
+        raise UnusableInputError(
+            path, f"more than {_MOST_CHARACTERS / 1e6:g} MB of text, expected fewer, or the same as MDF or Parquet"
+        )
+    lines = io.StringIO(text).readlines()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # "no data": said better by the check of the time

@@ -19,6 +19,9 @@ from hilbench.runs.criteria import Criterion
 from hilbench.runs.steps import ExperimentStep
 from hilbench.topology.config import BenchConfig
 
+#: Files of which a config is made, at most, each counted as often as it is included.
+_MOST_FILES = 100
+
 
 class ExperimentConfig(BenchConfig):
     """Bench, experiment steps and criteria, as one YAML file holds them."""
@@ -51,14 +54,20 @@ def _with_named_bus(document: strict_yaml.Document) -> strict_yaml.Document:
     return document.with_value(location, str(bus_of_folder(document.path)), document.place(location))
 
 
-def read_document(path: Path, including: tuple[Path, ...] = ()) -> strict_yaml.Document:
+def read_document(path: Path) -> strict_yaml.Document:
     """A config file on top of the files that its key `include` names (one, or a list; the later one counts).
 
     What a file names (includes, EDS files, tables) is looked for in its own folder. A model file counts as a config
     that has nothing but its `machine:`. Raises UnusableInputError with file and line; for files that include each other
     too.
     """
+    return _read(path, (), [])
+
+
+def _read(path: Path, including: tuple[Path, ...], read: list[Path]) -> strict_yaml.Document:
+    """`including`: the files on the way to this one; `read`: all that were read."""
     document = strict_yaml.load(path)
+    read.append(path)
     if not isinstance(document.data, Mapping):
         raise UnusableInputError(document.place(), "no mapping, expected a bench config")
     if is_model(document.data):
@@ -74,11 +83,13 @@ def read_document(path: Path, including: tuple[Path, ...] = ()) -> strict_yaml.D
     below: strict_yaml.Document | None = None
     for name in names:
         file = path.parent / name
+        if not os.path.isfile(file):  # also of what can't be a name
+            raise UnusableInputError(place, f"no file {file}, expected a config to include")
         if file.resolve() in here:
             raise UnusableInputError(place, f"'{name}' includes this file, expected no circle")
-        if not file.is_file():
-            raise UnusableInputError(place, f"no file {file}, expected a config to include")
-        included = read_document(file, here)
+        if len(read) >= _MOST_FILES:
+            raise UnusableInputError(place, f"more than {_MOST_FILES} files are included, expected fewer")
+        included = _read(file, here, read)
         below = included if below is None else included.over(below)
     top = document.without("include")
     return top if below is None else top.over(below)
@@ -92,8 +103,14 @@ def is_model(data: Mapping[str, Any]) -> bool:
 def _with_files_of_its_folder(document: strict_yaml.Document) -> strict_yaml.Document:
     """Files that a config names are looked for in its own folder."""
     for location, name in list(_named_files(document.data)):
-        file = (document.path.resolve().parent / name).resolve()
-        document = document.with_value(location, str(file), document.place(location))
+        place = document.place(location)
+        try:
+            file = (document.path.resolve().parent / name).resolve()
+            file.is_file()
+        except (OSError, ValueError) as error:
+            key = ".".join(map(str, location))
+            raise UnusableInputError(place, f"'{key}' is {name!r}, expected the name of a file ({error})") from error
+        document = document.with_value(location, str(file), place)
     return document
 
 

@@ -9,6 +9,7 @@ changes nothing. The table ends with its last row.
 from __future__ import annotations
 
 import csv
+import io
 import math
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping
@@ -24,12 +25,15 @@ from numpy.typing import NDArray
 from hilbench import strict_yaml
 from hilbench.bench.bench import Bench
 from hilbench.errors import UnusableInputError
+from hilbench.files import content
 from hilbench.runs.criteria import CriterionResult
 from hilbench.suggest import did_you_mean
 from hilbench.topology.quantities import LONGEST_S, permitted, rampable_path, settable_path
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import example_names, find_signal, unit_of
 
+#: Bytes of a table, and columns of it, at most.
+_MOST_BYTES, _MOST_COLUMNS = 16_000_000, 1000
 _TIME = "t_s"
 _RAMP, _EXPECT = "ramp:", "expect:"
 _END = "-"
@@ -220,16 +224,17 @@ def _value(place: str, column: str, path: str, cell: Any) -> float:
 
 def _csv_rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(line for line in file)
-            header = [name.strip() for name in next(reader, [])]
-            for cells in reader:
-                place = f"{path}:{reader.line_num}"
-                if len(cells) > len(header):
-                    raise UnusableInputError(place, f"{len(cells)} cells, expected {len(header)} as in the header row")
-                row = {name: cell.strip() for name, cell in zip(header, cells, strict=False) if cell.strip()}
-                if row:
-                    yield place, row
+        reader = csv.reader(io.StringIO(content(path, _MOST_BYTES).decode("utf-8-sig"), newline=""))
+        header = [name.strip() for name in next(reader, [])]
+        if len(header) > _MOST_COLUMNS:
+            raise UnusableInputError(f"{path}:1", f"{len(header)} columns, expected at most {_MOST_COLUMNS}")
+        for cells in reader:
+            place = f"{path}:{reader.line_num}"
+            if len(cells) > len(header):
+                raise UnusableInputError(place, f"{len(cells)} cells, expected {len(header)} as in the header row")
+            row = {name: cell.strip() for name, cell in zip(header, cells, strict=False) if cell.strip()}
+            if row:
+                yield place, row
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise UnusableInputError(path, f"cannot be read ({reason}), expected a table (CSV or YAML)") from error

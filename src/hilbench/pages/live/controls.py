@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
 from pydantic import Field, FiniteFloat, StringConstraints, TypeAdapter, ValidationError
@@ -98,6 +99,7 @@ class Controls:
         self.seat = seat or Seat()
         self._listener = listener
         self._changes = changes
+        self._looking = asyncio.Lock()
 
     def as_data(self) -> dict[str, Any]:
         """What can be asked for."""
@@ -168,16 +170,21 @@ class Controls:
             future, value = self._changes.ask(self._changes.changeable[action.key], action.value), action.value
         else:
             future, value = self._changes.tell(self._changes.switches[action.key], action.yes), float(action.yes)
+        future.add_done_callback(partial(self._note, who, value))  # also of who has left meanwhile
         said = await self._ended(future)
-        await asyncio.to_thread(self._listener.note, who, said, value)
         return Said(said, said.endswith(": set"))
+
+    def _note(self, who: str, value: float, future: Future[str]) -> None:
+        if not future.cancelled():
+            self._listener.note(who, future.result(), value)
 
     async def _look_ahead(self, action: WhatIf) -> Said:
         if action.key not in self._changes.foreseeable:
             return Said(f"'{action.key}', expected one of {', '.join(self._changes.foreseeable)}", False)
         quantity = self._changes.foreseeable[action.key]
-        asked = self._changes.look_ahead(quantity, action.value, self._listener.recent_frames())
-        foreseen = await self._ended(asked)
+        async with self._looking:  # who leaves before his turn has asked for nothing
+            asked = self._changes.look_ahead(quantity, action.value, self._listener.recent_frames())
+            foreseen = await self._ended(asked)
         return Said(foreseen.text, True, () if foreseen.outlook is None else courses(foreseen.outlook))
 
     async def _ended(self, future: Future[Answered]) -> Answered:

@@ -6,6 +6,7 @@ import asyncio
 import json
 import secrets
 import struct
+from collections import deque
 from collections.abc import Mapping
 from typing import Any, Final, Protocol
 
@@ -21,6 +22,12 @@ from hilbench.pages.live.seat import Seat
 _TICK_S: Final = 0.05
 _STATE_S: Final = 0.1
 _MOST_VIEWERS: Final = 32
+#: Requests of one viewer that are not answered yet; those beyond are let go, but for an emergency stop.
+_MOST_ASKED: Final = 8
+#: Ended connections whose viewers may come back as who they were.
+_MOST_KNOWN: Final = 256
+#: What a connection begins with comes within this time, s.
+_HELLO_S: Final = 10.0
 #: Points of a part of the past that is asked for.
 _MOST_POINTS: Final = 4000
 _HEAD: Final = struct.Struct("<4I")
@@ -54,62 +61,71 @@ class Viewers:
     def __init__(self, listener: Listener, controls: Asked) -> None:
         self._listener = listener
         self._controls = controls
-        self._secrets: set[str] = set()  # of viewers that may come back
+        self._secrets: deque[str] = deque(maxlen=_MOST_KNOWN)  # of viewers that may come back
         self._present: dict[str, int] = {}
+        self._connections = 0
 
     async def serve(self, socket: WebSocket) -> None:
         """One connection, until it ends."""
         await socket.accept()
-        if sum(self._present.values()) >= _MOST_VIEWERS:
-            await socket.close(1013, f"{_MOST_VIEWERS} viewers, expected no more")
+        if self._connections >= _MOST_VIEWERS:
+            await socket.close(1013, f"{_MOST_VIEWERS} viewers, expected no more; `hilbench estop` stops the machine")
             return
+        self._connections += 1
         try:
-            hello = await socket.receive_json()
-            before = hello.get("viewer") if isinstance(hello, dict) else None
-            secret = before if isinstance(before, str) and before in self._secrets else secrets.token_hex(16)
-        except (WebSocketDisconnect, ValueError, KeyError):
+            hello = await asyncio.wait_for(_heard(socket), _HELLO_S)
+            if hello is not None:
+                await self._serve(socket, hello.get("viewer"))
+        except TimeoutError:
             return
-        self._secrets.add(secret)
+        finally:
+            self._connections -= 1
+
+    async def _serve(self, socket: WebSocket, before: object) -> None:
+        if isinstance(before, str) and before in self._secrets:
+            secret = before
+        else:
+            self._secrets.append(secret := secrets.token_hex(16))
         self._present[secret] = self._present.get(secret, 0) + 1
         self._controls.seat.comes(secret)
-        viewer = Viewer(secret, socket.client.host if socket.client else "?")
-        sending = asyncio.create_task(self._send(socket, secret))
+        tasks = {asyncio.create_task(self._send(socket, secret))}
         try:
-            await self._receive(socket, viewer)
+            await self._receive(socket, Viewer(secret, socket.client.host if socket.client else "?"), tasks)
         finally:
-            sending.cancel()
+            for task in tasks:
+                task.cancel()
             self._present[secret] -= 1
             if not self._present[secret]:
                 del self._present[secret]
                 self._controls.seat.leaves(secret)
 
-    async def _receive(self, socket: WebSocket, viewer: Viewer) -> None:
-        doing: set[asyncio.Task[None]] = set()
-        try:
-            while True:
-                asked = await socket.receive_json()
-                if not isinstance(asked, dict):
-                    return
-                # An answer of the bench takes its time; an emergency stop behind it does not wait for that.
-                task = asyncio.create_task(self._answer(socket, viewer, asked))
-                doing.add(task)
-                task.add_done_callback(doing.discard)
-        except (WebSocketDisconnect, ValueError, KeyError):
-            return
+    async def _receive(self, socket: WebSocket, viewer: Viewer, tasks: set[asyncio.Task[None]]) -> None:
+        """`tasks`: what is done for the viewer, the sending of what is new among it."""
+        while (asked := await _heard(socket)) is not None:
+            number = asked.pop("number", None)
+            # Done whatever else was asked, and whether answers are taken or not.
+            stopped = await self._controls.do(viewer, asked) if asked.get("do") == "stop" else None
+            if len(tasks) > _MOST_ASKED + (stopped is not None):
+                continue
+            # An answer of the bench takes its time; what is asked behind it does not wait for that.
+            task = asyncio.create_task(self._answer(socket, viewer, asked, number, stopped))
+            tasks.add(task)
+            task.add_done_callback(tasks.discard)
 
-    async def _answer(self, socket: WebSocket, viewer: Viewer, asked: dict[str, Any]) -> None:
-        number = asked.pop("number", None)
+    async def _answer(
+        self, socket: WebSocket, viewer: Viewer, asked: dict[str, Any], number: object, stopped: Said | None
+    ) -> None:
         if asked.get("do") == "past":
             await self._past(socket, asked)
             return
-        said = await self._controls.do(viewer, asked)
+        said = stopped or await self._controls.do(viewer, asked)
         answer = {"kind": "said", "number": number, "to": asked.get("do"), **said._asdict()}
         await _sent(socket, json.dumps(answer))
 
     async def _past(self, socket: WebSocket, asked: dict[str, Any]) -> None:
         try:
             from_s, to_s = float(asked["from_s"]), float(asked["to_s"])
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             return
         history = self._listener.history
         with self._listener.lock:
@@ -166,6 +182,15 @@ class Viewers:
         seat = self._controls.seat
         control = {"name": seat.name, "mine": seat.is_of(secret), "left_s": seat.left_s}
         return {**self._listener.state(), "control": control, "viewers": len(self._present)}
+
+
+async def _heard(socket: WebSocket) -> dict[str, Any] | None:
+    """The next message; None once the connection is gone, or for what is none: no JSON, or deeper than Python goes."""
+    try:
+        message = await socket.receive_json()
+    except (WebSocketDisconnect, RuntimeError, ValueError, KeyError):  # RuntimeError: as below, and RecursionError
+        return None
+    return message if isinstance(message, dict) else None
 
 
 async def _sent(socket: WebSocket, message: str | bytes) -> bool:

@@ -179,7 +179,7 @@ window.session.then((known) => {
     return bottom <= top ? [bottom, top] : null;
   };
   const decimals = (step) => Math.max(0, Math.min(9, Math.ceil(-Math.log10(step) - 1e-6)));
-  const ticks = (u, values, axis, space, step) => values.map((v) => (v === null ? "" : minus(v.toFixed(decimals(step)))));
+  const ticks = (u, values, axis, space, step) => values.map((v) => (v === null || v === undefined ? "" : minus(v.toFixed(decimals(step)))));
 
   const axisOf = () => ({ stroke: () => colour("--ink"), grid: { stroke: () => colour("--rule"), width: 1 }, ticks: { stroke: () => colour("--rule"), width: 1 }, font: "11px system-ui, sans-serif", values: ticks });
   const makePlot = (plot) => {
@@ -189,7 +189,7 @@ window.session.then((known) => {
     figure.append(at);
     figure.dataset.plot = plot.name;
     $("grid").append(figure);
-    const series = [{ label: "t", value: (u, v) => (v === null ? "" : `${v.toFixed(3)} s`) }], bands = [];
+    const series = [{ label: "t", value: (u, v) => (v === null || v === undefined ? "" : `${v.toFixed(3)} s`) }], bands = [];
     for (const spread of plot.spreads) {
       bands.push({ series: [series.length, series.length + 1], fill: () => colour(spread.colour, 0.2) });
       for (const edge of ["high", "low"]) series.push({ label: edge, width: 0, points: { show: false }, auto: false });
@@ -420,8 +420,9 @@ window.session.then((known) => {
       what.append(make("span", quantity.title), make("span", "–", "now"));
       row.append(what, make("span", `${rounded(quantity.low)} to ${rounded(quantity.high)} ${quantity.unit}`, "range"), field, preview, set);
       const value = () => {
-        if (field.value !== "" && Number.isFinite(field.valueAsNumber)) return field.valueAsNumber;
-        told(`${quantity.title}: expected a number`, false);
+        const given = field.valueAsNumber; // NaN for an empty field
+        if (given >= quantity.low && given <= quantity.high) return given;
+        told(`${quantity.title}: expected a number from ${rounded(quantity.low)} to ${rounded(quantity.high)} ${quantity.unit}`, false);
         field.focus();
         return null;
       };

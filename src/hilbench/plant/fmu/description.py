@@ -38,6 +38,9 @@ _OF_UNIT: Final[dict[str, tuple[int, int, int]]] = {
     "N·m·s/rad": (1, 2, -1),
 }
 _MOST_NAMES: Final = 3
+#: Bytes of what is unpacked, and of the description in it, at most.
+_MOST_BYTES: Final = 1_000_000_000
+_MOST_DESCRIBED_BYTES: Final = 30_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +143,18 @@ def read_fmu(path: Path) -> FmuDescription:
     return _read(path.resolve(), path.stat().st_mtime_ns)
 
 
+def _check_size(path: Path) -> None:
+    with zipfile.ZipFile(path) as archive:
+        entries = archive.infolist()
+    described = sum(entry.file_size for entry in entries if entry.filename == "modelDescription.xml")
+    whole = sum(entry.file_size for entry in entries)
+    for what, size, most in (("modelDescription.xml", described, _MOST_DESCRIBED_BYTES), ("it", whole, _MOST_BYTES)):
+        if size > most:
+            raise UnusableInputError(
+                path, f"{what} is {size / 1e6:.0f} MB when unpacked, expected at most {most / 1e6:g} MB"
+            )
+
+
 @lru_cache(16)
 def _read(path: Path, _changed_ns: int) -> FmuDescription:
     try:
@@ -147,7 +162,10 @@ def _read(path: Path, _changed_ns: int) -> FmuDescription:
     except ImportError:
         raise UnusableInputError(path, "FMPy is not installed, expected it (pip install 'hilbench[fmi]')") from None
     try:
+        _check_size(path)
         found: Any = read_model_description(str(path), validate=True)
+    except UnusableInputError:
+        raise
     except (zipfile.BadZipFile, KeyError, OSError):
         raise UnusableInputError(path, "no FMU, expected a zip archive with a modelDescription.xml") from None
     except Exception as error:  # FMPy raises Exception for all that is wrong with the file
