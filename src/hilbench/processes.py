@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -209,3 +210,58 @@ def end_requests() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+class HeldSignals:
+    """Handler of the signals that ask the process to end, while something is finished.
+
+    `asked`: the last that is still to act, set to None by who acts on it.
+    """
+
+    def __init__(self) -> None:
+        self.asked: int | None = None
+        self._doing: list[tuple[str, float, Callable[[], bool]]] = []
+
+    def __call__(self, number: int, _frame: object) -> None:
+        """Say what is finished first; straight to the descriptor, as the stream may be in the middle of a write."""
+        if number == signal.SIGHUP:
+            leave_terminal()
+        what, began_s, at_once = self._doing[-1]
+        if at_once():
+            return
+        self.asked = number
+        elapsed_s = time.monotonic() - began_s
+        text = f"{signal.Signals(number).name} waits: {what} (for {elapsed_s:.1f} s until now), then it acts"
+        with suppress(OSError):
+            os.write(2, f"hilbench: {text}\n".encode())
+
+    @contextmanager
+    def doing(self, what: str, at_once: Callable[[], bool]) -> Iterator[HeldSignals]:
+        """Meanwhile this is what a signal waits for."""
+        self._doing.append((what, time.monotonic(), at_once))
+        try:
+            yield self
+        finally:
+            self._doing.pop()
+
+
+@contextmanager
+def finishing(what: str, at_once: Callable[[], bool] = lambda: False) -> Iterator[HeldSignals]:
+    """Hold the signals that ask the process to end: each is told what it waits for, and acts afterwards.
+
+    `at_once`: acts on one now, or says that it is to be held. One inside another holds them until the outer is done;
+    in a thread other than the main one nothing is held.
+    """
+    outer = signal.getsignal(signal.SIGINT)
+    main = threading.current_thread() is threading.main_thread()
+    held = outer if main and isinstance(outer, HeldSignals) else HeldSignals()
+    before = {number: signal.signal(number, held) for number in end_signals()} if main and held is not outer else {}
+    try:
+        with held.doing(what, at_once):
+            yield held
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if before and held.asked is not None:
+        handler = before[signal.Signals(held.asked)]
+        (handler if callable(handler) else signal.default_int_handler)(held.asked, None)

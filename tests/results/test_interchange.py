@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from tests.cli.in_process import hilbench
 
-from hilbench.can.frame import EXTENDED_FLAG, Frame
 from hilbench.canopen.dbc import DbcMessage, dbc_text
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.pdo import PdoMap
@@ -19,7 +18,7 @@ from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.pdo_set import pdo_set_dbc
 from hilbench.results.import_mapping import read_foreign
 from hilbench.results.recording import Recording, read_recording, write_recording
-from hilbench.results.trace_files import read_trace, write_trace
+from hilbench.results.trace_files import read_trace
 from hilbench.runs.config import load
 
 CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
@@ -40,15 +39,108 @@ def test_parquet_gives_back_what_was_written(tmp_path: Path) -> None:
         read_recording(tmp_path / "b.parquet")
 
 
-@pytest.mark.parametrize("suffix", [".asc", ".blf", ".log"])
-def test_frames_survive_the_formats_of_other_tools(tmp_path: Path, suffix: str) -> None:
-    start_ns = 1_790_000_000_000_000_000
-    frames = [Frame(0x181, bytes(range(8)), start_ns), Frame(EXTENDED_FLAG | 0x12345, b"\1", start_ns + 2_000_000)]
-    path = tmp_path / f"trace{suffix}"
-    assert write_trace(frames, path, "can0") == 2
-    found = list(read_trace(path))
-    assert [(frame.can_id, frame.data) for frame in found] == [(frame.can_id, frame.data) for frame in frames]
-    assert found[1].time_ns - found[0].time_ns == pytest.approx(2_000_000, abs=2_000)
+CANDUMP = """\
+(1700000000.005123) can0 181#0001020304050607 R
+(1700000000.006123) can1 00012345#01 R
+(1700000000.007123) can0 281#0102 T
+"""
+ODD = (
+    CANDUMP
+    + """\
+(1700000000.008123) can0 191##3000102030405060708090A0B R
+(1700000000.009123) can0 181#R8 R
+(1700000000.010123) can0 20000080#0000000000000000 R
+"""
+)
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".blf", ".trc", ".log"])
+def test_a_trace_of_two_buses_comes_back_as_it_was_from_any_format(tmp_path: Path, suffix: str) -> None:
+    (tmp_path / "a.log").write_text(CANDUMP)
+    there = hilbench("convert", tmp_path / "a.log", tmp_path / f"b{suffix}")
+    back = hilbench("convert", tmp_path / f"b{suffix}", tmp_path / "c.log")
+    assert (there.stderr, back.stderr, back.stdout) == ("", "", f"{tmp_path / 'c.log'}: 3 frames\n")
+    assert (tmp_path / "c.log").read_text() == CANDUMP
+    assert [frame.data.hex() for frame in read_trace(tmp_path / f"b{suffix}")] == ["0001020304050607", "01", "0102"]
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".blf"])
+def test_can_fd_remote_and_error_frames_come_back_where_a_format_holds_them(tmp_path: Path, suffix: str) -> None:
+    (tmp_path / "a.log").write_text(ODD)
+    lossy = suffix == ".asc"  # an error frame without its class
+    there = hilbench("convert", tmp_path / "a.log", tmp_path / f"b{suffix}", *["--allow-loss"] * lossy)
+    assert there.returncode == 0, there.stderr
+    assert ("does not hold 1 × error class of a frame" in there.stderr) == lossy
+    assert hilbench("convert", tmp_path / f"b{suffix}", tmp_path / "c.log").returncode == 0
+    assert (tmp_path / "c.log").read_text() == ODD
+    with pytest.raises(UnusableInputError, match=r"a CAN FD frame.*, expected classical CAN"):
+        list(read_trace(tmp_path / f"b{suffix}"))
+
+
+def test_what_a_format_does_not_hold_is_told_and_written_only_when_asked(tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text(ODD.replace("can1", "vcan7"))
+    refused = hilbench("convert", tmp_path / "a.log", tmp_path / "b.trc")
+    lost = ".trc does not hold 1 × CAN FD frame, 1 × remote frame, 1 × error frame"
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert f"b.trc: {lost} (" in refused.stderr
+    assert "--allow-loss" in refused.stderr
+    assert not (tmp_path / "b.trc").exists()
+    done = hilbench("convert", tmp_path / "a.log", tmp_path / "b.trc", "--allow-loss")
+    assert (done.returncode, done.stdout) == (0, f"{tmp_path / 'b.trc'}: 3 frames\n")
+    told = [f"hilbench: {tmp_path / 'a.log'}: {text}" for text in (lost, "channels have numbers in it: vcan7 is 8")]
+    assert done.stderr.splitlines() == told
+    assert len(list(read_trace(tmp_path / "b.trc"))) == 3
+
+
+def test_a_last_line_without_an_end_is_converted_and_told(tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text(CANDUMP.removesuffix("\n"))
+    done = hilbench("convert", tmp_path / "a.log", tmp_path / "b.log")
+    assert done.stdout.endswith(": 3 frames\n")
+    assert "the last line has no line end, its data may be cut off: taken as it is" in done.stderr
+    (tmp_path / "a.log").write_text(CANDUMP + "(1700000000.0081")
+    assert "left out" in hilbench("convert", tmp_path / "a.log", tmp_path / "b.log").stderr
+
+
+ASC = """\
+date Mon Jan 6 10:00:00.000 am 2025
+base hex  timestamps absolute
+internal events logged
+   0.010000 1  181             Rx   d 2 00 11
+"""
+
+
+@pytest.mark.parametrize(
+    ("header", "told"),
+    [
+        ("date Mon Jan 6 10:00:00.000 am 2025", ""),
+        ("date lundi 6 janvier 2025", "its date is not understood"),
+        ("// no date", "it says no date: times count from the start"),
+    ],
+)
+def test_the_date_of_a_trace_is_kept_or_its_loss_told(tmp_path: Path, header: str, told: str) -> None:
+    (tmp_path / "a.asc").write_text(ASC.replace("date Mon Jan 6 10:00:00.000 am 2025", header))
+    done = hilbench("convert", tmp_path / "a.asc", tmp_path / "b.log")
+    assert done.returncode == 0, done.stderr
+    assert told in done.stderr if told else done.stderr == ""
+    (frame,) = read_trace(tmp_path / "b.log")
+    start_s = 0.0 if told else datetime(2025, 1, 6, 10).timestamp()
+    assert frame.time_ns * 1e-9 == pytest.approx(start_s + 0.01, abs=1e-5)
+
+
+def test_time_stamps_relative_to_the_line_before_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.asc").write_text(ASC.replace("timestamps absolute", "timestamps relative"))
+    done = hilbench("convert", tmp_path / "a.asc", tmp_path / "b.log")
+    assert done.returncode == 2
+    assert "a.asc: time stamps relative to the line before, expected absolute ones" in done.stderr
+
+
+def test_lines_of_a_trace_that_nobody_reads_are_counted(tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text(CANDUMP)
+    hilbench("convert", tmp_path / "a.log", tmp_path / "b.trc")
+    with open(tmp_path / "b.trc", "a") as file:
+        file.write("      4         9.000 ST  1      00 Rx -  4    00 00 00 04\n")
+    done = hilbench("convert", tmp_path / "b.trc", tmp_path / "c.log")
+    assert "1 × TRCReader: Unsupported type" in done.stderr
 
 
 @pytest.mark.parametrize("name", ["bad.asc", "bad.blf", "missing.blf"])

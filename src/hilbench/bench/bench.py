@@ -41,7 +41,7 @@ from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.timeliness import Timeliness
 from hilbench.plant.effect import MachineKind
 from hilbench.prediction.plan import Asked, Move, Plan
-from hilbench.processes import ChildProcess
+from hilbench.processes import ChildProcess, finishing
 from hilbench.suggest import did_you_mean
 from hilbench.topology import quantities
 from hilbench.topology.config import BenchConfig
@@ -50,6 +50,9 @@ from hilbench.twin.found import FoundBeside, read_text
 from hilbench.unexpected import TRACEBACK_FILE, unexpected
 
 __all__ = ["Bench", "CycleObserver", "InterruptedByOperatorError", "StepEvent"]
+
+#: What a signal waits for while a bench is left.
+_STOP = "the drives are brought to a stop"
 
 
 class Bench:
@@ -160,10 +163,11 @@ class Bench:
                 stay_alive = partial(self._cycle.stay_alive, silence_s)
                 self._resources.enter_context(idle.kept_alive(stay_alive, silence_s))
         except BaseException as error:
-            try:
-                self._safe_stop(error)
-            finally:
-                self._leave()
+            with finishing(_STOP):
+                try:
+                    self._safe_stop(error)
+                finally:
+                    self._leave()
             raise
         return self
 
@@ -243,23 +247,24 @@ class Bench:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            if kind is None:
-                try:
-                    self._announce("disable drives")
-                    if self._drives is not None:
-                        self._drives.disable(self._operator)
-                        self._ask_the_twin()
-                except BaseException as failure:
-                    self._safe_stop(failure)
-                    raise
-            else:
-                try:
-                    self._announce("quick stop")
-                finally:  # a broken display must not keep the drives from being stopped
-                    self._safe_stop(error)
-        finally:
-            self._leave()
+        with finishing(_STOP):
+            try:
+                if kind is None:
+                    try:
+                        self._announce("disable drives")
+                        if self._drives is not None:
+                            self._drives.disable(self._operator)
+                            self._ask_the_twin()
+                    except BaseException as failure:
+                        self._safe_stop(failure)
+                        raise
+                else:
+                    try:
+                        self._announce("quick stop")
+                    finally:  # a broken display must not keep the drives from being stopped
+                        self._safe_stop(error)
+            finally:
+                self._leave()
 
     def _ask_the_twin(self) -> None:
         """What it has found of errors of its model; a twin that is gone, or does not say, has found nothing."""

@@ -21,10 +21,14 @@ def convert(
         Path | None,
         typer.Option("--columns", metavar="FILE", help="mapping file (YAML): which column of another machine is what"),
     ] = None,
+    allow_loss: Annotated[
+        bool, typer.Option("--allow-loss", help="of a trace: write it although the format does not hold all of it")
+    ] = False,
 ) -> None:
     """Write a recording or a trace in another format; bring a recording of another machine in.
 
-    What is read is never written over. Columns that are no channel are told on standard error.
+    What is read is never written over. Columns that are no channel are told on standard error. What a format does not
+    hold of a trace (CAN FD, remote and error frames in .trc) is told: exit code 1 and no file, or --allow-loss.
 
     Example: hilbench convert runs/web_section_step-20260101-120000/recording.mf4 run.parquet
 
@@ -37,13 +41,14 @@ def convert(
     from hilbench.cli.columns import report, report_unknown
     from hilbench.results.import_mapping import read_foreign
     from hilbench.results.recording import read_recording, write_recording
-    from hilbench.results.trace_files import FORMATS, read_trace, write_trace
+    from hilbench.results.trace_files import FORMATS, convert_trace
 
     for read in (source, columns):
         if read is not None and _is_same_file(read, target):
             raise UnusableInputError(target, f"is what is read ({read}), expected another file to write")
     if source.suffix.lower() in FORMATS and columns is None:
-        print(f"{target}: {write_trace(read_trace(source), target, 'can0')} frames")
+        count = convert_trace(source, target, lambda text: report(source, text), allow_loss=allow_loss)
+        print(f"{target}: {count} frames")
         return
     if columns is None:
         recording = read_recording(source)

@@ -20,6 +20,7 @@ from hilbench.cli.shown import servo_axis, web_line
 from hilbench.cli.shown.machine import Shown
 from hilbench.copies import Copy
 from hilbench.errors import UnusableInputError
+from hilbench.processes import finishing
 from hilbench.results.commissioned import commissioned_text
 from hilbench.results.result import Result, StepRecord, Timing
 from hilbench.results.run import RunOutcome, Streamed, run_experiment
@@ -32,6 +33,8 @@ from hilbench.topology.signals import Shape
 
 _REFRESH_S = 0.2
 _PLAIN_LINE_EVERY_S = 5.0
+#: What a signal waits for once a run has ended.
+_WRITING = "report and history are written"
 _COLOURS = {"passed": "green", "marginal": "yellow", "failed": "red", "error": "red"}
 
 
@@ -87,9 +90,11 @@ def _run(
 ) -> int:
     if as_json:
         outcome = run_experiment(loaded, out, streams=streams, participants=participants, force=force, beside=beside)
-        code = _write_report(outcome) if outcome.recorded and with_report else outcome.exit_code
-        _remember(outcome)
-        print(outcome.as_json())
+        with finishing(_WRITING) as held:
+            code = _write_report(outcome) if outcome.recorded and with_report else outcome.exit_code
+            _remember(outcome)
+            outcome.end_if_asked(held)
+            print(outcome.as_json())
         return code
     console = Console(highlight=False)
     alone = participants is Participants.IN_PROCESS
@@ -108,12 +113,15 @@ def _run(
             force=force,
             beside=beside,
         )
-        code = outcome.exit_code
-        if outcome.recorded and with_report:
-            progress.announce("write report")
-            code = _write_report(outcome)
-    show_outcome(console, outcome)
-    _remember(outcome)
+        with finishing(_WRITING) as held:
+            code = outcome.exit_code
+            if outcome.recorded and with_report:
+                progress.announce("write report")
+                code = _write_report(outcome)
+            progress.end()
+            show_outcome(console, outcome)
+            _remember(outcome)
+            outcome.end_if_asked(held)
     return code
 
 
@@ -160,6 +168,10 @@ class Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """Show nothing any more."""
         if self._live is not None:
             self._live.stop()
 

@@ -14,6 +14,7 @@ from hilbench.errors import UnusableInputError
 #: Function codes of what makes nodes do something (predefined connection set): NMT, RPDO1 to 4, SDO requests.
 #: SYNC is one of them, too: synchronous RPDOs act on it.
 _COMMANDS = frozenset({NMT, *RPDOS, SDO_REQUEST})
+_NOT_SENT = ERROR_FLAG | REMOTE_FLAG
 #: Frames due within so long go out together: a shorter wait is not kept by the machine anyway.
 _TOGETHER_S = 0.0005
 
@@ -39,7 +40,8 @@ def replay(
 ) -> Replayed:
     """Send frames as far apart as they were, `speed` times as fast; without `commands` only what nodes said.
 
-    Error frames are left out: a bus makes its own. Raises BusError when the bus is lost.
+    Error frames are left out: a bus makes its own; remote frames, too: nodes would answer. Raises BusError when the bus
+    is lost.
     """
     done = Replayed()
     started_s, first_ns = time.monotonic(), None
@@ -50,7 +52,7 @@ def replay(
             first_ns = batch[0].time_ns
         due_s = started_s + (batch[0].time_ns - first_ns) * 1e-9 / speed
         time.sleep(max(0.0, due_s - time.monotonic()))
-        chosen = [frame for frame in batch if not frame.can_id & ERROR_FLAG and (commands or not is_command(frame))]
+        chosen = [frame for frame in batch if not frame.can_id & _NOT_SENT and (commands or not is_command(frame))]
         link.send(chosen)
         link.receive(0.0)  # what others say is not kept, and must not pile up
         done.frames += len(chosen)
@@ -62,8 +64,6 @@ def replay(
 def _batches(frames: Iterable[Frame], speed: float) -> Iterator[list[Frame]]:
     batch: list[Frame] = []
     for frame in frames:
-        if frame.can_id & REMOTE_FLAG:
-            continue
         if batch and (frame.time_ns - batch[0].time_ns) * 1e-9 / speed > _TOGETHER_S:
             yield batch
             batch = []

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from types import FrameType
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -33,7 +31,7 @@ from hilbench.errors import (
     printable,
 )
 from hilbench.exchange.timeliness import Timeliness
-from hilbench.processes import end_signals, leave_terminal
+from hilbench.processes import HeldSignals, finishing
 from hilbench.results.commissioned import commissioned_text
 from hilbench.results.journal import JournalWriter
 from hilbench.results.junit import write_junit
@@ -100,6 +98,12 @@ class RunOutcome:
     def as_json(self) -> str:
         """The same as text. ASCII, whatever reads it: a character typed in another way is not the result any more."""
         return json.dumps(self.as_object(), indent=2)
+
+    def end_if_asked(self, held: HeldSignals) -> None:
+        """Tell by the exit code, unless it tells a fault, that a signal came while files were written."""
+        if held.asked is not None and self.exit_code != EXIT_BENCH_FAULT:
+            self.exit_code = EXIT_INTERRUPTED
+        held.asked = None
 
     @property
     def recorded(self) -> bool:
@@ -178,13 +182,16 @@ def run_experiment(
             copies=waiting,
         )
         kept = record.ending.kept("bench", lambda: bench.fault_time_s)
-        with record.journal, kept, record.trace, stop_on_signals(bench), bench:
-            announce("run the experiment")
-            foresight = Foresight(config)
-            for number, step in enumerate(config.steps):
-                bench.foresee(foresight.plan(number, bench.time_s))
-                step.run(bench, record.verdicts)
-    return record.finish(bench, config.criteria, streams)
+        with finishing("recording and result are written", partial(_end_at_once, bench)) as held:
+            with record.journal, kept, record.trace, bench:
+                announce("run the experiment")
+                foresight = Foresight(config)
+                for number, step in enumerate(config.steps):
+                    bench.foresee(foresight.plan(number, bench.time_s))
+                    step.run(bench, record.verdicts)
+            outcome = record.finish(bench, config.criteria, streams)
+            outcome.end_if_asked(held)
+            return outcome
 
 
 class RunRecord:
@@ -381,29 +388,12 @@ def _late(timeliness: Timeliness) -> dict[str, Late] | None:
     }
 
 
-@contextmanager
-def stop_on_signals(bench: Bench) -> Iterator[None]:
-    """SIGINT, SIGTERM and SIGHUP end the run between two cycles, so that the quick stop starts from a whole one.
-
-    Before the drives are enabled KeyboardInterrupt is raised at once. Once the stop has begun it is not interrupted
-    by further signals.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def request(number: int, frame: FrameType | None) -> None:
-        if number == signal.SIGHUP:
-            leave_terminal()
-        if bench.stopping:
-            return
-        if not bench.enabled:
-            raise KeyboardInterrupt
-        bench.request_interrupt()
-
-    previous = {number: signal.signal(number, request) for number in end_signals()}
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+def _end_at_once(bench: Bench) -> bool:
+    """End a run between two cycles, so that the quick stop starts from a whole one; before the drives are enabled at
+    once (KeyboardInterrupt), and not at all once the stop has begun."""
+    if bench.stopping:
+        return False
+    if not bench.enabled:
+        raise KeyboardInterrupt
+    bench.request_interrupt()
+    return True

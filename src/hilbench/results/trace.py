@@ -5,6 +5,8 @@
     (1700000000.000300) vcan0 181#R8            remote frame with its data length
     (1700000000.000400) vcan0 20000080#0000000000000000   error frame: error class with CAN_ERR_FLAG
 
+Traces of others may hold CAN FD frames (``181##1`` and the data, the digit: 1 BRS, 2 ESI) and the direction (R or T).
+
 The format is that of ``candump -L`` (can-utils), which ``log2asc``, ``canplayer`` and python-can's
 ``CanutilsLogReader`` read. Each time stamp is the frame's own, cut to microseconds; one that lies before
 its predecessor's is written as it is: a clock that jumped is something a trace must show.
@@ -136,7 +138,8 @@ class TraceWriter:
 
 _LINE = re.compile(
     rb"\((?P<seconds>\d{1,11})\.(?P<fraction>\d{1,9})\) (?P<channel>\S+) "
-    rb"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(?:R(?P<length>[0-8]?)|(?P<data>(?:[0-9A-Fa-f]{2}){0,8}))(?: [RT])?"
+    rb"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(?:R(?P<length>[0-8]?)|(?P<data>(?:[0-9A-Fa-f]{2}){0,8})|"
+    rb"#(?P<fd_flags>[0-9A-Fa-f])(?P<fd_data>(?:[0-9A-Fa-f]{2}){0,64}))(?: (?P<direction>[RT]))?"
 )
 _LONGEST_LINE = 512
 
@@ -145,18 +148,28 @@ class TraceReader:
     """Reads a trace back, frame by frame; a file of any size takes the same memory.
 
     The last line of a trace that a crash cut off (it has no line end) is left out, and `torn` is then true:
-    whether its data are complete cannot be known. `channels` collects the bus names met so far.
+    whether its data are complete cannot be known. `torn_too`: one that reads
+    as a frame is taken all the same. `channels` collects the bus names met so far.
 
     Raises UnusableInputError, with file and line, on anything else that is not a classical CAN frame in
     candump's log format.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, torn_too: bool = False) -> None:
         self.path = path
         self.torn = False
+        self._torn_too = torn_too
         self.channels: set[str] = set()
 
     def __iter__(self) -> Iterator[Frame]:
+        for number, match in self.lines():
+            if match["fd_flags"] is not None:
+                found = f"'{match.group().decode().split()[2]}', a CAN FD frame"
+                raise UnusableInputError(f"{self.path}:{number}", f"{found}, expected classical CAN")
+            yield self.frame(match, number)
+
+    def lines(self) -> Iterator[tuple[int, re.Match[bytes]]]:
+        """Number and parts of each line that holds a frame, of CAN FD as well."""
         try:
             file = open(self.path, "rb")  # noqa: SIM115 (closed by the generator below)
         except OSError as error:
@@ -167,16 +180,17 @@ class TraceReader:
                 number += 1
                 if not line.endswith(b"\n"):
                     self.torn = self._is_end(file.read(1), number)
-                    return
+                    if not (self._torn_too and _LINE.fullmatch(line)):
+                        return
                 if line.strip():
-                    yield self._frame(line, number)
+                    yield number, self._match(line, number)
 
     def _is_end(self, following: bytes, number: int) -> bool:
         if following:
             raise UnusableInputError(f"{self.path}:{number}", "a line without end, expected a trace in candump format")
         return True
 
-    def _frame(self, line: bytes, number: int) -> Frame:
+    def _match(self, line: bytes, number: int) -> re.Match[bytes]:
         match = _LINE.fullmatch(line.rstrip())
         if match is None:
             found = line[:60].decode("ascii", "backslashreplace").strip()
@@ -184,13 +198,18 @@ class TraceReader:
                 f"{self.path}:{number}", f"'{found}', expected a frame such as (1700000000.000123) vcan0 181#0011AABB"
             )
         self.channels.add(match["channel"].decode("ascii", "backslashreplace"))
+        return match
+
+    def frame(self, match: re.Match[bytes], number: int) -> Frame:
+        """The frame of a line; of CAN FD with the data that it has."""
         can_id = int(match["id"], 16)
         if len(match["id"]) > 3 and not can_id & ERROR_FLAG:
             can_id |= EXTENDED_FLAG
         elif len(match["id"]) == 3 and can_id > _STANDARD_MASK:
             raise UnusableInputError(f"{self.path}:{number}", f"identifier {can_id:X}h, expected at most 7FFh")
-        if match["data"] is None:
+        held = match["data"] if match["fd_flags"] is None else match["fd_data"]
+        if held is None:
             can_id |= REMOTE_FLAG
-        data = bytes.fromhex(match["data"].decode()) if match["data"] is not None else bytes(int(match["length"] or 0))
+        data = bytes.fromhex(held.decode()) if held is not None else bytes(int(match["length"] or 0))
         nanoseconds = int(match["fraction"].ljust(9, b"0"))
         return Frame(can_id, data, int(match["seconds"]) * 1_000_000_000 + nanoseconds)

@@ -21,6 +21,7 @@ from hilbench.bench.reports.change import Change
 from hilbench.errors import UnusableInputError
 from hilbench.history.entries import remember
 from hilbench.history.web_line_priors import with_commissioned
+from hilbench.processes import finishing
 from hilbench.results.commissioned import commissioned_text
 from hilbench.results.recording import Recording
 from hilbench.results.run import Recorder, RunRecord
@@ -30,6 +31,9 @@ from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import EventLog
 from hilbench.runs.metrics import Judgement, judge
 from hilbench.topology import quantities
+
+#: What a signal waits for while a bench is left.
+_WRITING = "recording and result are written"
 
 
 @dataclass(frozen=True)
@@ -118,7 +122,8 @@ class Bench(bench.Bench):
         try:
             super().__enter__()
         except BaseException as error:
-            self._end_record(error)
+            with finishing(_WRITING):
+                self._end_record(error)
             raise
         atexit.register(self._leave_forgotten)
         return self
@@ -127,12 +132,13 @@ class Bench(bench.Bench):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         atexit.unregister(self._leave_forgotten)
-        try:
-            super().__exit__(kind, error, trace)
-        except BaseException as failure:
-            self._end_record(failure)
-            raise
-        self._end_record(error)
+        with finishing(_WRITING):
+            try:
+                super().__exit__(kind, error, trace)
+            except BaseException as failure:
+                self._end_record(failure)
+                raise
+            self._end_record(error)
 
     @property
     def folder(self) -> RunFolder | None:
