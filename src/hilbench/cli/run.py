@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -19,7 +20,7 @@ from hilbench.bench.tasks.task import MANY, Pieces
 from hilbench.cli.shown import servo_axis, web_line
 from hilbench.cli.shown.machine import Shown
 from hilbench.copies import Copy
-from hilbench.errors import UnusableInputError
+from hilbench.errors import EXIT_CRITERION_FAILED, UnusableInputError
 from hilbench.results.commissioned import commissioned_text
 from hilbench.results.result import Result, StepRecord, Timing
 from hilbench.results.run import RunOutcome, Streamed, run_experiment
@@ -45,20 +46,21 @@ def run_command(
     beside: dict[str, Copy],
     force: bool = False,
     stream: Sequence[str] = (),
+    require_criteria: bool = False,
 ) -> int:
     """Run the experiment, show it, and return the exit code; `stream`: where its samples go while it runs; `beside`:
-    copies of this process for those that run beside the bench."""
+    copies of this process for those that run beside the bench; `require_criteria`: a run that nothing judges fails."""
     with _streams(stream, loaded.config) as streams:
-        return _run(
-            loaded,
-            out,
-            participants=participants,
-            with_report=with_report,
-            as_json=as_json,
-            beside=beside,
-            force=force,
+        outcome = _run(
+            loaded, out, participants=participants, with_report=with_report, quiet=as_json, beside=beside, force=force,
             streams=streams,
-        )
+        )  # fmt: skip
+    if require_criteria and outcome.result.verdict == "completed":
+        outcome.exit_code = EXIT_CRITERION_FAILED
+        print("hilbench: nothing was judged, expected at least one criterion (--require-criteria)", file=sys.stderr)
+    if as_json:
+        print(outcome.as_json())
+    return outcome.exit_code
 
 
 @contextmanager
@@ -80,18 +82,17 @@ def _run(
     *,
     participants: Participants,
     with_report: bool,
-    as_json: bool,
+    quiet: bool,
     beside: dict[str, Copy],
     force: bool,
     streams: Sequence[Streamed],
-) -> int:
-    if as_json:
+) -> RunOutcome:
+    if quiet:
         outcome = run_experiment(loaded, out, streams=streams, participants=participants, force=force, beside=beside)
         if outcome.recorded and with_report:
             _write_report(outcome)
         _remember(outcome)
-        print(outcome.as_json())
-        return outcome.exit_code
+        return outcome
     console = Console(highlight=False)
     console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")
     if (known := commissioned_text(loaded.config.twin.priors, datetime.now(UTC))) is not None:
@@ -112,7 +113,7 @@ def _run(
             _write_report(outcome)
     show_outcome(console, outcome)
     _remember(outcome)
-    return outcome.exit_code
+    return outcome
 
 
 def _write_report(outcome: RunOutcome) -> None:
@@ -225,7 +226,8 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
         console.print(f"[red]fault[/red] {fault.source}: {fault.text}", soft_wrap=True)
     for stream in result.streams or []:
         console.print(f"stream to {stream.to}: {stream.samples - stream.dropped} samples", soft_wrap=True, markup=False)
-    verdict = "[green]passed[/green]" if result.passed else "[red]not passed[/red]"
+    words = {"passed": "[green]passed[/]", "completed": "[yellow]completed, nothing judged[/]"}
+    verdict = words.get(result.verdict, "[red]not passed[/]")
     folder = outcome.folder
     left = f"report: {folder.report}" if folder.report.exists() else f"result: {folder.result}"
     if not outcome.recorded:

@@ -22,7 +22,7 @@ from hilbench.library.entry import RunEntry, read_entry
 FILE: Final = ".runs.sqlite"
 #: How long one waits for another who writes, s.
 _PATIENCE_S: Final = 10.0
-_VERSION: Final = 1
+_VERSION: Final = 2
 #: Folders below that of the runs in which runs are looked for (sweeps have theirs deeper).
 _DEEPEST: Final = 4
 _TABLES: Final = """

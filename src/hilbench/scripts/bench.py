@@ -176,7 +176,7 @@ class Bench(bench.Bench):
                 file.close()
         if isinstance(error, AssertionError):
             self.verdicts.append(failed_or_passed("script", str(error) or "an assertion failed"))
-        elif isinstance(error, Exception | KeyboardInterrupt):
+        elif error is not None and not (isinstance(error, SystemExit) and not error.code):
             record.ending.add(error, "bench", self.fault_time_s)
         record.verdicts += self.verdicts
         outcome = record.finish(self, ())
