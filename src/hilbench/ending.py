@@ -47,7 +47,10 @@ def _code(command: Callable[[], object]) -> int:
     try:
         command()
     except SystemExit as end:
-        return end.code if isinstance(end.code, int) else 0
+        if end.code is None or isinstance(end.code, int):
+            return end.code or 0
+        _report(str(end.code))  # as Python does
+        return 1
     except OutputError as error:  # reported at the end, once, however it ended the command
         return error.exit_code
     except HilbenchError as error:
@@ -55,7 +58,7 @@ def _code(command: Callable[[], object]) -> int:
         return error.exit_code
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
-    except Exception as error:  # nobody foresaw it
+    except BaseException as error:  # nobody foresaw it
         _report(unexpected(error))
         return EXIT_BENCH_FAULT
     return 0

@@ -17,7 +17,7 @@ TRACEBACK_FOLDER: Final = "HILBENCH_TRACEBACKS"
 TRACEBACK_FILE: Final = "traceback.txt"
 
 
-def unexpected(error: Exception, file: Path | None = None) -> str:
+def unexpected(error: BaseException, file: Path | None = None) -> str:
     """What to tell of it, in one line; the traceback is added to `file`, or put into a file of its own.
 
     Where that can't be written the line says so, and the place in the code is all there is. Never raises.
@@ -31,7 +31,7 @@ def unexpected(error: Exception, file: Path | None = None) -> str:
     return f"{text}; traceback in {printable(str(kept))}"
 
 
-def _place(error: Exception) -> str:
+def _place(error: BaseException) -> str:
     """The last line of hilbench's own that the error passed."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if Path(frame.filename).is_relative_to(_SOURCES)]

@@ -32,7 +32,7 @@ def test_runs_are_listed_with_what_their_folders_say(tmp_path: Path) -> None:
     made_run(tmp_path, "web", number=3, faults=[Fault(time_s=1.0, source="operator", text="interrupted")])
     made_run(tmp_path, "web", number=4, settings={"load.web.width_m": 0.6})
     four, three, two, one = Library(tmp_path).runs(metrics=None)
-    assert [run.state for run in (one, two, three, four)] == ["failed", "fault", "interrupted", "passed"]
+    assert [run.state for run in (one, two, three, four)] == ["failed", "fault", "interrupted", "completed"]
     assert (one.bench, one.met, one.criteria, one.duration_s, one.seed) == ("web", 1, 2, 2.0, 1)
     assert (one.description, one.host, one.config) == ("made for tests", "stand7", "bench_configs/web.yaml")
     assert one.metrics == {"E_time_to_1pct_s": pytest.approx(0.11), "E_noise_pct": 0.02}
@@ -42,7 +42,7 @@ def test_runs_are_listed_with_what_their_folders_say(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_not_opened_again_until_it_has_changed(tmp_path: Path) -> None:
-    folders = [made_run(tmp_path, number=number) for number in range(20)]
+    folders = [made_run(tmp_path, number=number, criteria=[criterion("a")]) for number in range(20)]
     library = Library(tmp_path)
     assert len(library.runs()) == 20
     assert library.index.opened == 20

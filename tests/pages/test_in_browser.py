@@ -172,5 +172,5 @@ def test_the_runs_of_a_folder_are_listed_without_a_bench(browser: Browser, ran: 
     server = Server(outcome.folder.path.parent)
     page = opened(browser, server.address)
     page.wait_for_selector(f"text={outcome.folder.name}")
-    assert outcome.verdict in text(page, "#runs")
+    assert outcome.result.verdict in text(page, "#runs")
     server.end()

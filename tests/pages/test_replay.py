@@ -87,7 +87,7 @@ def test_an_ended_run_is_played_again_with_what_happened_when_it_did(client: Tes
         seen.ask(do="pace", pace=None)
         seen.until(lambda told: told["kind"] == "state" and told["ended"] is not None)
     assert seen.state["condition"] == "ENDED"
-    assert seen.state["ended"]["verdict"] == ran[1].verdict
+    assert seen.state["ended"]["verdict"] == ran[1].result.verdict
     recording = read_recording(folder.recording)
     for name in ("F_true_N", "F_sim_N", "v2_m_s"):
         largest = np.max(recording[name])

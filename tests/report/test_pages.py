@@ -29,7 +29,7 @@ T_S = np.linspace(0.0, 10.0, 2000)
 def compared(path: Path) -> Path:
     recording = Recording({"t_s": T_S, "F_true_N": 80.0 + np.sin(T_S)})
     values = [{f"noise{EVIL}": 1.5}, {f"noise{EVIL}": 2.25}]
-    runs = [ComparedRun(f"run {EVIL}", recording, metrics, passed=True) for metrics in values]
+    runs = [ComparedRun(f"run {EVIL}", recording, metrics, "passed") for metrics in values]
     return write_compare_page(runs, path)
 
 

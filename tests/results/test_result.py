@@ -60,13 +60,13 @@ def test_round_trip_with_everything(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("criteria", "faults", "passed"),
     [
-        ([], [], True),
+        ([], [], None),
         ([PASSED], [], True),
         ([PASSED, FAILED], [], False),
         ([PASSED], [Fault(time_s=None, source="node 2", text="no boot-up")], False),
     ],
 )
-def test_passed_follows(criteria: list[CriterionResult], faults: list[Fault], passed: bool) -> None:
+def test_passed_follows(criteria: list[CriterionResult], faults: list[Fault], passed: bool | None) -> None:
     assert Result.of(criteria, {}, timing(), faults).passed is passed
 
 

@@ -72,8 +72,9 @@ class Bench:
 
     `tap` sees every frame on the bus; `work_folder` keeps the processes' config and logs (a temporary folder if not
     given); `participants`: who brings the simulated hardware and the twin, this bench unless given otherwise;
-    `announce` gets what is being done, `journal` what the bench changes and no frame shows; `may_idle`: in lockstep
-    with simulated nodes any time may pass between two cycles (`hilbench.bench.lifecycle.idle`).
+    `announce` gets what is being done, and the notices unless `warn` does; `journal` what the bench changes and no
+    frame shows; `may_idle`: in lockstep with simulated nodes any time may pass between two cycles
+    (`hilbench.bench.lifecycle.idle`).
     A bench is the only master of its bus: one that has another is refused (UnusableInputError), with `force` only where
     a program of this machine claims to be the master. `bus_is_held`: whoever made this bench is inside
     `startup.held_bus` already. `copies`: of this process, by the names of those that it starts
@@ -93,6 +94,7 @@ class Bench:
         work_folder: Path | None = None,
         participants: Participants = Participants.STARTED,
         announce: Callable[[str], None] = lambda text: None,
+        warn: Callable[[str], None] | None = None,
         journal: Callable[[Change], None] = lambda change: None,
         may_idle: bool = False,
         force: bool = False,
@@ -114,7 +116,7 @@ class Bench:
         self._announce = announce
         self._may_idle = may_idle and idle.may_idle(config)
         self._resources = ExitStack()
-        self._state = BenchState(config.cycle_time_s, sample_type(config.signals)(), announce, journal)
+        self._state = BenchState(config.cycle_time_s, sample_type(config.signals)(), announce, journal, warn=warn)
         self._machine = machine_tasks(config, self._state)
         self._quantities = list(self._machine.quantities)
         self._operator = Operator(config, self._state, self._machine.reference, self._quantities)

@@ -71,9 +71,10 @@ class BenchState:
     safe_state_problems: list[str] = field(default_factory=list)
     twin: TwinState = field(default_factory=TwinState)
     exchange: Exchange | None = None
+    warn: Callable[[str], None] | None = None  #: gets the notices, in the place of `announce`
 
     def __post_init__(self) -> None:
-        self.reports = Reports(self.sample, self.announce)
+        self.reports = Reports(self.sample, self.warn or self.announce)
 
     def require_new(self) -> None:
         """Raise BenchNotRunningError for a bench that was entered before."""

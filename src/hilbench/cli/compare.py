@@ -31,7 +31,7 @@ def compare(
     if out is not None:
         write_compare_page(found, out)
     if json:
-        names = [{"name": run.name, "passed": run.passed} for run in found]
+        names = [{"name": run.name, "verdict": run.verdict} for run in found]
         print(dumps({"runs": names, "metrics": [asdict(row) for row in rows]}, indent=2))
         return
     from rich.console import Console
@@ -39,7 +39,7 @@ def compare(
 
     console, letters = Console(highlight=False), labels(found)
     for letter, run in zip(letters, found, strict=True):
-        console.print(f"{letter}  {run.name}  {'passed' if run.passed else 'not passed'}", soft_wrap=True)
+        console.print(f"{letter}  {run.name}  {run.verdict}", soft_wrap=True)
     table = Table(box=None, padding=(0, 2, 0, 0))
     table.add_column("metric")
     for heading in (*letters, *(f"{letter} − A" for letter in letters[1:])):

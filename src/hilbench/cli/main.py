@@ -118,6 +118,9 @@ def run(
     force: Annotated[
         bool, typer.Option("--force", help="run although another master is heard on the bus (not beside one of ours)")
     ] = False,
+    require_criteria: Annotated[
+        bool, typer.Option("--require-criteria", help="exit code 1 where no criterion judges the run")
+    ] = False,
     stream: Annotated[
         list[str] | None,
         typer.Option(
@@ -129,7 +132,8 @@ def run(
 ) -> None:
     """Run a bench and its experiment; leaves a run folder with recording, trace, result and report.
 
-    Exit code: 0 passed, 1 a criterion failed, 2 unusable input, 3 bench fault, 130 interrupted.
+    Exit code: 0 passed, or completed where nothing was judged, 1 a criterion failed, 2 unusable input, 3 bench fault,
+    130 interrupted.
 
     Example: hilbench run bench_configs/web_section_step.yaml --seed 7
 
@@ -162,6 +166,7 @@ def run(
             beside=beside,
             force=force,
             stream=stream or (),
+            require_criteria=require_criteria,
         )
     raise typer.Exit(code)
 

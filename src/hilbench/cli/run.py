@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -19,7 +20,7 @@ from hilbench.bench.tasks.task import MANY, Pieces
 from hilbench.cli.shown import servo_axis, web_line
 from hilbench.cli.shown.machine import Shown
 from hilbench.copies import Copy
-from hilbench.errors import UnusableInputError
+from hilbench.errors import EXIT_CRITERION_FAILED, UnusableInputError
 from hilbench.processes import finishing
 from hilbench.results.commissioned import commissioned_text
 from hilbench.results.result import Result, StepRecord, Timing
@@ -48,20 +49,21 @@ def run_command(
     beside: dict[str, Copy],
     force: bool = False,
     stream: Sequence[str] = (),
+    require_criteria: bool = False,
 ) -> int:
     """Run the experiment, show it, and return the exit code; `stream`: where its samples go while it runs; `beside`:
-    copies of this process for those that run beside the bench."""
+    copies of this process for those that run beside the bench; `require_criteria`: a run that nothing judges fails."""
     with _streams(stream, loaded.config) as streams:
-        return _run(
-            loaded,
-            out,
-            participants=participants,
-            with_report=with_report,
-            as_json=as_json,
-            beside=beside,
-            force=force,
+        outcome = _run(
+            loaded, out, participants=participants, with_report=with_report, quiet=as_json, beside=beside, force=force,
             streams=streams,
-        )
+        )  # fmt: skip
+    if require_criteria and outcome.result.verdict == "completed":
+        outcome.exit_code = EXIT_CRITERION_FAILED
+        print("hilbench: nothing was judged, expected at least one criterion (--require-criteria)", file=sys.stderr)
+    if as_json:
+        print(outcome.as_json())
+    return outcome.exit_code
 
 
 @contextmanager
@@ -83,19 +85,19 @@ def _run(
     *,
     participants: Participants,
     with_report: bool,
-    as_json: bool,
+    quiet: bool,
     beside: dict[str, Copy],
     force: bool,
     streams: Sequence[Streamed],
-) -> int:
-    if as_json:
+) -> RunOutcome:
+    if quiet:
         outcome = run_experiment(loaded, out, streams=streams, participants=participants, force=force, beside=beside)
         with finishing(_WRITING) as held:
-            code = _write_report(outcome) if outcome.recorded and with_report else outcome.exit_code
+            if outcome.recorded and with_report:
+                _write_report(outcome)
             _remember(outcome)
             outcome.end_if_asked(held)
-            print(outcome.as_json())
-        return code
+        return outcome
     console = Console(highlight=False)
     alone = participants is Participants.IN_PROCESS
     where = "in this process, on no bus: no monitor hears it" if alone else loaded.config.bus.address
@@ -114,27 +116,25 @@ def _run(
             beside=beside,
         )
         with finishing(_WRITING) as held:
-            code = outcome.exit_code
             if outcome.recorded and with_report:
                 progress.announce("write report")
-                code = _write_report(outcome)
+                _write_report(outcome)
             progress.end()
             show_outcome(console, outcome)
             _remember(outcome)
             outcome.end_if_asked(held)
-    return code
+    return outcome
 
 
-def _write_report(outcome: RunOutcome) -> int:
-    """The exit code: that of the run, whose result is there; of one without a fault also that of its report."""
+def _write_report(outcome: RunOutcome) -> None:
+    """Write it; where it can't be, the result is there all the same, and a run without a fault ends with its code."""
     from hilbench.report.html import write_report  # slow to import: not before the first SYNC
 
     try:
         write_report(outcome.folder)
     except UnusableInputError as error:
         Console(stderr=True, highlight=False).print(f"no report: {error}", soft_wrap=True, markup=False)
-        return outcome.exit_code or error.exit_code
-    return outcome.exit_code
+        outcome.exit_code = outcome.exit_code or error.exit_code
 
 
 def _remember(outcome: RunOutcome) -> None:
@@ -245,7 +245,8 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
         console.print(f"[red]fault[/red] {fault.source}: {fault.text}", soft_wrap=True)
     for stream in result.streams or []:
         console.print(f"stream to {stream.to}: {stream.samples - stream.dropped} samples", soft_wrap=True, markup=False)
-    verdict = "[green]passed[/green]" if result.passed else "[red]not passed[/red]"
+    words = {"passed": "[green]passed[/]", "completed": "[yellow]completed, nothing judged[/]"}
+    verdict = words.get(result.verdict, "[red]not passed[/]")
     folder = outcome.folder
     left = f"report: {folder.report}" if folder.report.exists() else f"result: {folder.result}"
     if not outcome.recorded:

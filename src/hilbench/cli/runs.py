@@ -25,7 +25,10 @@ NameOption = Annotated[str | None, typer.Option("--name", metavar="PATTERN", hel
 BenchOption = Annotated[str | None, typer.Option("--bench", metavar="PATTERN", help="name of the bench, with * and ?")]
 ResultOption = Annotated[
     list[str] | None,
-    typer.Option("--result", help="passed, failed, fault, interrupted, unfinished or running; repeatable"),
+    typer.Option(
+        "--result",
+        help="passed, failed, completed (nothing judged), fault, interrupted, unfinished or running; repeatable",
+    ),
 ]
 TagOption = Annotated[list[str] | None, typer.Option("--tag", help="that it has; repeatable: all of them")]
 SinceOption = Annotated[str | None, typer.Option("--since", metavar="WHEN", help="a date, or an age such as 7d")]
@@ -46,6 +49,7 @@ _COLOURS = {
     "passed": "green",
     "marginal": "yellow",
     "failed": "red",
+    "completed": "yellow",
     "error": "red",
     "fault": "red",
     "interrupted": "yellow",

@@ -42,7 +42,7 @@ def sweep(
     more. Runs on a real bus, or in real time, go one after the other.
     The workers of a cluster need this hilbench, and CONFIG and OUT under the same paths.
 
-    Exit code: 0 all passed, 1 some did not.
+    Exit code: 0 all passed, or completed where nothing was judged, 1 some did not.
 
     Example: hilbench sweep bench_configs/web_section_step.yaml --vary controllers.tension_control.bandwidth_rad_per_s=2..10:5
 
@@ -60,11 +60,13 @@ def sweep(
     _run(made, jobs or os.cpu_count() or 1, cluster, quiet=json)
     table = made.write_table()
     made.write_parquet()
-    failed = sum(not row.passed for row in made.rows.values())
+    failed = sum(row.passed is False for row in made.rows.values())
+    unjudged = sum(row.passed is None for row in made.rows.values())
     if json:
         print(dumps({"table": str(table), "runs": made.as_data()}, indent=2))
     else:
-        print(f"{len(made.rows)} runs, {failed} not passed: {table}")
+        completed = f", {unjudged} completed, nothing judged" if unjudged else ""
+        print(f"{len(made.rows)} runs, {failed} not passed{completed}: {table}")
     raise typer.Exit(EXIT_CRITERION_FAILED if failed else EXIT_PASSED)
 
 
@@ -83,7 +85,8 @@ def _run(made: Sweep, jobs: int, cluster: str | None, *, quiet: bool) -> None:
             progress.advance(task)
             progress.refresh()
             if not quiet:
-                word = "passed" if row.passed else f"exit code {row.exit_code} {row.said}".strip()
+                done = "passed" if row.passed else "completed, nothing judged"
+                word = done if row.passed is not False else f"exit code {row.exit_code} {row.said}".strip()
                 varied = ", ".join(f"{path}={value}" for path, value in row.changes.items())
                 progress.console.print(f"{row.number}: {varied}: {word}", soft_wrap=True)
 

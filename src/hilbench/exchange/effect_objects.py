@@ -1,6 +1,7 @@
 """Effects of the simulated hardware as CANopen objects.
 
-The object index of an effect stands in its row of the vocabulary, its parameters are the sub-indices in order.
+The object index of an effect stands in its row of the vocabulary, its parameters are the sub-indices in order. From
+2000h on a maker has objects of its own: one is an effect's only where the EDS file names its entries as we do.
 """
 
 from __future__ import annotations
@@ -8,9 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from canopen.objectdictionary import ODArray, ODRecord, ODVariable
+
 from hilbench.canopen.device import Cell, Device
-from hilbench.plant.effect import EffectPlace, MachineKind
+from hilbench.canopen.eds import shared_eds
+from hilbench.errors import UnusableValueError
+from hilbench.plant.effect import Effect, EffectPlace, MachineKind
 from hilbench.plant.effects import effects_of, find_effect
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import Role
+from hilbench.topology.quantities import parse_effect_path
 
 
 def effect_object(effect_id: str, parameter: str, kind: MachineKind = MachineKind.WEB_LINE) -> tuple[int, int]:
@@ -22,6 +30,36 @@ def effect_object(effect_id: str, parameter: str, kind: MachineKind = MachineKin
     raise KeyError(f"{effect_id}.{parameter}")
 
 
+def effect_place(config: BenchConfig, path: str) -> tuple[int, int, int]:
+    """Node, index and sub-index of an effect in the simulated hardware, by a ``hardware.effects…`` path.
+
+    Raises UnusableValueError where the axis is a real drive, or where its EDS file does not have the effect.
+    """
+    problem = config.path_problem(path)
+    if problem:
+        raise UnusableValueError(f"path {path!r}, expected {problem}")
+    of = parse_effect_path(path, config.machine_kind)
+    assert of.axis is not None, "effects of the hardware are effects of an axis"
+    part = config.parts_of(Role.AXIS)[of.axis - 1]
+    index, sub = effect_object(of.effect, of.parameter, config.machine_kind)
+    od = shared_eds(part.node.eds, part.node.node_id)
+    if not _is_effect(od.get(index), find_effect(of.effect, config.machine_kind)):
+        found = repr(od[index].name) if index in od else "nothing"
+        raise UnusableValueError(
+            f"path {path!r}, expected an EDS file of {part.label} with '{of.effect}' as {index:04X}h, "
+            f"{part.node.eds.name} has {found} there"
+        )
+    return part.node.node_id, index, sub
+
+
+def _is_effect(entries: ODRecord | ODArray | ODVariable | None, effect: Effect) -> bool:
+    """Whether the object at the index of an effect is that effect."""
+    if not isinstance(entries, ODRecord | ODArray):
+        return False
+    names = [entries[sub].name.partition(" [")[0] for sub in entries if sub > 0]
+    return names == [parameter.name for parameter in effect.parameters]
+
+
 def bind_effect_objects(
     device: Device, apply: Callable[[str, dict[str, float]], None], kind: MachineKind = MachineKind.WEB_LINE
 ) -> None:
@@ -30,6 +68,8 @@ def bind_effect_objects(
     for effect in effects_of(kind):
         index = effect.object_index
         if not effect.enters(EffectPlace.HARDWARE) or not device.has(index, 1):
+            continue
+        if not _is_effect(device.cell(index, 1).variable.parent, effect):
             continue
         cells = {parameter.name: device.cell(index, sub) for sub, parameter in enumerate(effect.parameters, 1)}
         for parameter in effect.parameters:

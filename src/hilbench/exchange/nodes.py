@@ -22,7 +22,7 @@ from hilbench.compiled import interpreted
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.addressing import IoMaps, declared_units, drive_settings
 from hilbench.exchange.answers import Tpdo
-from hilbench.exchange.effect_objects import effect_object
+from hilbench.exchange.effect_objects import effect_place
 from hilbench.exchange.emergencies import Emergency, EmergencyInbox
 from hilbench.exchange.measured import (
     OF_DRIVE,
@@ -38,7 +38,6 @@ from hilbench.exchange.to_each import ToEach
 from hilbench.exchange.unexpected_senders import Owned, Unexpected, UnexpectedSenders
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
-from hilbench.topology.quantities import EffectPath
 from hilbench.topology.sample import CycleSample, sample_type
 
 #: Heartbeats that may stay away before a node counts as lost (lost frames are no lost node).
@@ -540,15 +539,14 @@ class Nodes:
 
     # -- effects in the simulated hardware ---------------------------------------------------------------
 
-    def hardware_effect(self, path: EffectPath) -> float:
-        """A parameter of an effect in the simulated hardware, read by SDO."""
-        index, sub = effect_object(path.effect, path.parameter, self.config.machine_kind)
-        return float(self._sdo().sdo_read(self._effect_node(path), index, sub))
+    def hardware_effect(self, path: str) -> float:
+        """A parameter of an effect in the simulated hardware, read by SDO. Raises UnusableValueError."""
+        return float(self._sdo().sdo_read(*effect_place(self.config, path)))
 
-    def set_hardware_effect(self, path: EffectPath, value: float) -> None:
-        """Change a parameter of an effect in the simulated hardware, by SDO."""
-        index, sub = effect_object(path.effect, path.parameter, self.config.machine_kind)
-        self._sdo().sdo_write(self._effect_node(path), index, value, sub)
+    def set_hardware_effect(self, path: str, value: float) -> None:
+        """Change a parameter of an effect in the simulated hardware, by SDO. Raises UnusableValueError."""
+        node_id, index, sub = effect_place(self.config, path)
+        self._sdo().sdo_write(node_id, index, value, sub)
 
     def set_twin_effects(self, effects: str) -> None:
         """Let the twin go on with other effects in its model (JSON; "": as configured). Raises BenchFaultError."""
@@ -563,10 +561,6 @@ class Nodes:
         if _TWIN_FOUND[0] not in self._ods["virtual_io"]:
             return ""
         return str(self._sdo().sdo_read(self.config.twin.node.node_id, *_TWIN_FOUND))
-
-    def _effect_node(self, path: EffectPath) -> int:
-        assert path.axis is not None, "effects of the hardware are effects of an axis"
-        return self.config.parts_of(Role.AXIS)[path.axis - 1].node.node_id
 
     def _sdo(self) -> Master:
         assert self._master is not None, "configured before an experiment changes anything"

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final, Literal, Self
+from typing import Any, Final, Literal, Self, get_args
 
 import yaml
 
@@ -18,10 +18,8 @@ from hilbench.errors import UnusableInputError
 from hilbench.files import content
 from hilbench.results.run_folder import RunFolder
 
-State = Literal["passed", "failed", "fault", "interrupted", "unfinished", "running"]
-STATES: Final[tuple[State, ...]] = ("passed", "failed", "fault", "interrupted", "unfinished", "running")
-#: Source of the fault of a run that its operator has ended (`results.run`).
-_BY_OPERATOR: Final = "operator"
+State = Literal["passed", "failed", "completed", "fault", "interrupted", "unfinished", "running"]
+STATES: Final[tuple[State, ...]] = get_args(State)
 _TIME_IN_NAME: Final = re.compile(r"-(\d{8}-\d{6})(?:-\d+)?$")
 _TOP_LEVEL: Final = re.compile(r"^(name|description|stand|seed|pace):.*\n(?:[ \t].*\n)*", re.MULTILINE)
 _LARGEST_SEED: Final = 2**63
@@ -46,9 +44,9 @@ class Verdict:
 class RunEntry:
     """A run. `path`: of its folder, from the library's; `began_s`: since 1970, UTC; `size_bytes` of all its files.
 
-    `state`: passed; failed (a criterion); fault; interrupted; unfinished (it was cut off before it had a result), or
-    running. `met` of `criteria` criteria. `settings`: what options gave in place of the config's own values. `problem`:
-    what could not be read.
+    `state`: passed; failed (a criterion); completed (nothing was judged); fault; interrupted; unfinished (it was cut
+    off before it had a result), or running. `met` of `criteria` criteria. `settings`: what options gave in place of the
+    config's own values. `problem`: what could not be read.
     """
 
     path: str
@@ -205,7 +203,7 @@ def _of_result(result: Mapping[str, Any]) -> dict[str, Any]:
         Verdict(each["name"], _verdict(each), tuple(each.get("verifies", ())), _found(each)) for each in criteria
     ]
     return {
-        "state": _state(result["passed"], faults),
+        "state": _state(result["passed"], criteria, faults),
         "duration_s": timing["cycles"] * timing["cycle_us"] * 1e-6,
         "met": sum(bool(each["passed"]) for each in criteria),
         "criteria": len(criteria),
@@ -234,9 +232,12 @@ def _found(criterion: Mapping[str, Any]) -> str:
     return f"{known} ({criterion['limit']})"
 
 
-def _state(passed: bool, faults: Sequence[Mapping[str, Any]]) -> State:
+def _state(passed: bool, criteria: Sequence[Any], faults: Sequence[Mapping[str, Any]]) -> State:
+    """As `results.result.Result.verdict` says it."""
     if faults:
-        return "interrupted" if faults[0]["source"] == _BY_OPERATOR else "fault"
+        return "interrupted" if faults[0]["source"] == "operator" else "fault"
+    if not criteria:
+        return "completed"
     return "passed" if passed else "failed"
 
 

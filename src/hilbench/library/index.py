@@ -35,7 +35,7 @@ _OF_ANOTHER: Final = (
     sqlite3.SQLITE_FULL,
     sqlite3.SQLITE_CANTOPEN,
 )
-_VERSION: Final = 1
+_VERSION: Final = 2
 #: Folders below that of the runs in which runs are looked for (sweeps have theirs deeper).
 _DEEPEST: Final = 4
 _TABLES: Final = """

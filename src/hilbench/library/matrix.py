@@ -104,7 +104,7 @@ def _of(cells: Mapping[str, Mapping[str, Cell]], name: str, run: RunEntry) -> Ce
 
 
 def _cell(run: RunEntry, verdict: str) -> Cell:
-    if run.state in ("fault", "interrupted") and verdict in ("passed", "marginal"):
+    if run.state in ("fault", "interrupted") and verdict != "failed":
         return "fault"
     return next(cell for cell in _ORDER if cell == verdict)
 

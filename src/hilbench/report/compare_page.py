@@ -18,6 +18,7 @@ from hilbench.report.plots import Picture, drawn
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
+from hilbench.runs.criteria import RunVerdict
 from hilbench.runs.events import find_events
 from hilbench.runs.metrics import find_metric
 
@@ -32,7 +33,7 @@ class ComparedRun:
     name: str
     recording: Recording
     metrics: dict[str, float | None]
-    passed: bool
+    verdict: RunVerdict
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ def read_runs(paths: Sequence[Path]) -> list[ComparedRun]:
     for path in paths:
         folder = RunFolder.open(path)
         result = Result.read(folder.result)
-        runs.append(ComparedRun(folder.name, read_recording(folder.recording), result.metrics, result.passed))
+        runs.append(ComparedRun(folder.name, read_recording(folder.recording), result.metrics, result.verdict))
     return runs
 
 

@@ -158,7 +158,7 @@ def _facts(result: Result, recording: Recording) -> list[str]:
 
 def _summary(result: Result) -> str:
     failed = sum(not criterion.passed for criterion in result.criteria)
-    parts = ["Passed" if result.passed else "Failed"]
+    parts = [{"passed": "Passed", "completed": "Completed, nothing judged"}.get(result.verdict, "Failed")]
     if result.criteria:
         parts.append(f"{len(result.criteria) - failed} of {len(result.criteria)} criteria met")
     marginal = sum(criterion.marginal for criterion in result.criteria)

@@ -56,7 +56,7 @@
       return cell;
     }
     if (key === "began_s") return made("td", run.began);
-    if (key === "result") return made("td", run.result, `result ${run.result === PASSED ? "passed" : "failed"}`);
+    if (key === "result") return made("td", run.result, `result ${["passed", "completed"].includes(run.result) ? run.result : "failed"}`);
     if (key === "met") return made("td", run.criteria ? `${run.met}/${run.criteria}` : "", "number");
     if (key === "set") return made("td", run.set, "long note");
     return made("td", number(valueOf(at, key)), "number");
@@ -132,8 +132,10 @@
     place("trend").hidden = !name;
     if (!name) return;
     const drawn = rows.filter((at) => metrics[name][at] !== null).sort((a, b) => runs[a].began_s - runs[b].began_s);
-    const of = (wanted) => drawn.map((at) => ((runs[at].result === PASSED) === wanted ? metrics[name][at] : null));
-    const data = [drawn.map((at) => runs[at].began_s), of(true), of(false)];
+    const groups = [[PASSED, "--green"], ["completed", "--blue"], ["not passed", "--vermillion"]];
+    const group = (run) => (groups.slice(0, 2).some(([label]) => label === run.result) ? run.result : "not passed");
+    const of = ([label]) => drawn.map((at) => (group(runs[at]) === label ? metrics[name][at] : null));
+    const data = [drawn.map((at) => runs[at].began_s), ...groups.map(of)];
     if (plot) plot.destroy();
     const points = (paint) => ({ show: true, size: 5, stroke: () => colour(paint), fill: () => colour(paint) });
     const axis = { stroke: () => colour("--ink"), grid: { stroke: () => colour("--rule"), width: 1 }, ticks: { stroke: () => colour("--rule"), width: 1 }, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif" };
@@ -142,8 +144,7 @@
       width: place("plot").clientWidth || 900, height: 260, padding: [12, 14, 0, 0],
       series: [
         { label: "began" },
-        { label: PASSED, paths: () => null, points: points("--green"), stroke: () => colour("--green"), value },
-        { label: "not passed", paths: () => null, points: points("--vermillion"), stroke: () => colour("--vermillion"), value },
+        ...groups.map(([label, paint]) => ({ label, paths: () => null, points: points(paint), stroke: () => colour(paint), value })),
       ],
       axes: [axis, { ...axis, label: name, labelSize: 18, size: 68 }],
       scales: { y: { range: (u, low, high) => {

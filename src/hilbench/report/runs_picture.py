@@ -14,7 +14,7 @@ from hilbench.errors import UnusableInputError
 from hilbench.files import written_whole
 from hilbench.library.entry import RunEntry
 from hilbench.library.query import values_of
-from hilbench.report.chart import GREEN, INK, VERMILLION
+from hilbench.report.chart import BLUE, GREEN, INK, VERMILLION
 from hilbench.report.plots import Drawing, ImageFormat, Panel
 
 _HEIGHT_IN: Final = 3.2
@@ -64,8 +64,11 @@ def draw_runs(points: Sequence[Point], metric: str, over: str = BEGAN) -> Drawin
     def draw(figure: Any) -> list[Panel]:
         axes = figure.subplots()
         panel = Panel(axes)
-        for name, colour, wanted in (("passed", GREEN, True), ("not passed", VERMILLION, False)):
-            shown = [point for point in points if (point.run.state == "passed") == wanted]
+        of_state = {"passed": ("passed", GREEN), "completed": ("nothing judged", BLUE)}
+        groups: dict[tuple[str, str], list[Point]] = {}
+        for point in points:
+            groups.setdefault(of_state.get(point.run.state, ("not passed", VERMILLION)), []).append(point)
+        for (name, colour), shown in sorted(groups.items(), reverse=True):
             if shown:
                 axes.plot([_at(p, over) for p in shown], [p.value for p in shown], "o", color=colour, markersize=3.4)
                 panel.names.append((name, colour, float(np.median([p.value for p in shown]))))

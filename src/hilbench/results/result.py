@@ -8,7 +8,7 @@ from dataclasses import asdict
 from datetime import datetime
 from importlib import metadata
 from math import isfinite
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +25,7 @@ from hilbench.block import Strict
 from hilbench.json_file import JsonFile
 from hilbench.plant.effects import find_effect
 from hilbench.results.provenance import Provenance
-from hilbench.runs.criteria import CriterionResult
+from hilbench.runs.criteria import CriterionResult, RunVerdict
 from hilbench.runs.events import Event
 from hilbench.runs.metrics import Judgement, StepFigures
 from hilbench.twin.found import FoundBeside
@@ -34,6 +34,8 @@ Count = Annotated[int, Field(ge=0)]
 
 #: Libraries whose version a result depends on.
 LIBRARIES = ("numpy", "numba", "scipy", "canopen", "python-can", "asammdf", "pydantic", "matplotlib")
+#: Source of the fault of a run that its operator has ended.
+BY_OPERATOR: Final = "operator"
 _HISTOGRAM_BINS = 60
 #: Steps and events that a result holds, of a run with more the first.
 MOST_EVENTS = 500
@@ -473,7 +475,8 @@ def _largest(values: Sequence[float]) -> float | None:
 
 
 class Result(_WithOptions, JsonFile):
-    """The verdict of one run. `passed` holds exactly when every criterion does and no fault stopped the run.
+    """The verdict of one run. `passed` holds exactly when every criterion does and no fault stopped the run; null where
+    there was no criterion, and nothing was judged.
 
     `not_judged`: why a metric has no value; `steps`: every step of the run with its figures; `events`: these and all
     else that happened, the first `MOST_EVENTS` of each.
@@ -487,7 +490,7 @@ class Result(_WithOptions, JsonFile):
 
     described: ClassVar[str] = "a run's result"
 
-    passed: bool
+    passed: bool | None
     began: datetime | None = None  #: UTC
     criteria: list[CriterionResult]
     metrics: dict[str, float | None]
@@ -526,11 +529,12 @@ class Result(_WithOptions, JsonFile):
         commissioned: str | None = None,
     ) -> Self:
         """A result whose `passed` follows from its criteria and faults."""
-        passed = all(criterion.passed for criterion in criteria) and not faults
+        judgements = [criterion.of_cut_off_run() if faults else criterion for criterion in criteria]
+        holds = all(criterion.passed for criterion in judgements) if judgements else None
         return cls(
-            passed=passed,
+            passed=False if faults else holds,
             began=began,
-            criteria=list(criteria),
+            criteria=judgements,
             metrics=metrics,
             timing=timing,
             faults=list(faults),
@@ -547,6 +551,15 @@ class Result(_WithOptions, JsonFile):
             estimated=[EstimatedRecord.of(each) for each in estimated] or None,
             commissioned=commissioned,
         )
+
+    @property
+    def verdict(self) -> RunVerdict:
+        """In one word; of a file of before, too, whose `passed` is true where nothing was judged."""
+        if self.faults:
+            return "interrupted" if self.faults[0].source == BY_OPERATOR else "fault"
+        if not self.criteria:
+            return "completed"
+        return "passed" if self.passed else "failed"
 
     def all_warnings(self) -> list[str]:
         """One line for each: losses of frames, then what the bench noted, in the order of time."""

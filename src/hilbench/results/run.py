@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -39,6 +39,7 @@ from hilbench.results.keeping import Keeping
 from hilbench.results.provenance import AskedCommit, Provenance
 from hilbench.results.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
 from hilbench.results.result import (
+    BY_OPERATOR,
     Environment,
     Fault,
     FoundRecord,
@@ -73,23 +74,13 @@ class RunOutcome:
     result: Result
     exit_code: int
 
-    @property
-    def verdict(self) -> Literal["passed", "failed", "fault", "interrupted"]:
-        """What the exit code means, in one word."""
-        words: dict[int, Literal["failed", "fault", "interrupted"]] = {
-            EXIT_CRITERION_FAILED: "failed",
-            EXIT_BENCH_FAULT: "fault",
-            EXIT_INTERRUPTED: "interrupted",
-        }
-        return words.get(self.exit_code, "passed")
-
     def as_object(self) -> dict[str, Any]:
         """For a program: folder, files, exit code, verdict and what was overridden, and all that result.json has."""
         provenance = self.result.provenance
         return {
             "run": str(self.folder.path.resolve()),
             "exit_code": self.exit_code,
-            "verdict": self.verdict,
+            "verdict": self.result.verdict,
             "files": {name: str(path.resolve()) for name, path in self.folder.files().items()},
             "overridden": {each.key: each.value for each in provenance.overridden} if provenance else {},
             **self.result.model_dump(mode="json"),
@@ -285,7 +276,7 @@ class RunRecord:
         except UnusableInputError as error:
             said = "".join(f"{fault.text}; " for fault in ending.faults)
             raise BenchFaultError(f"{said}drives were stopped; then {error}") from error
-        if ending.exit_code == EXIT_PASSED and not result.passed:
+        if ending.exit_code == EXIT_PASSED and result.passed is False:
             ending.exit_code = EXIT_CRITERION_FAILED
         return RunOutcome(folder, result, ending.exit_code)
 
@@ -303,14 +294,14 @@ class Ending:
         """What goes wrong in here ends no more than this block, and is a fault of `source`."""
         try:
             yield
-        except (Exception, KeyboardInterrupt) as error:
+        except BaseException as error:
             self.add(error, source, time_s())
 
-    def add(self, error: Exception | KeyboardInterrupt, source: str, time_s: float | None) -> None:
+    def add(self, error: BaseException, source: str, time_s: float | None) -> None:
         """What went wrong, and when."""
         if isinstance(error, InterruptedByOperatorError | KeyboardInterrupt):
             when = "during start" if source == "bench" else "while the run was written"
-            self._add(EXIT_INTERRUPTED, time_s, "operator", str(error) or f"interrupted {when}")
+            self._add(EXIT_INTERRUPTED, time_s, BY_OPERATOR, str(error) or f"interrupted {when}")
         elif isinstance(error, HilbenchError):
             self._add(EXIT_BENCH_FAULT, time_s, source, str(error))
         else:  # nobody foresaw it: told like all the others, with its traceback for who mends it

@@ -10,7 +10,8 @@ from hilbench.bench.check import CheckedBench, check_bench
 from hilbench.bench.prediction.create import foreseeable
 from hilbench.bench.tasks.tension_loop import Margins, OperatingPoint, TensionLoop
 from hilbench.bench.web_line_check import check_stability, operating_point_text, stiffness_reserves
-from hilbench.errors import UnusableInputError
+from hilbench.errors import UnusableInputError, UnusableValueError
+from hilbench.exchange.effect_objects import effect_place
 from hilbench.plant.effect import MachineKind
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.found import find_metric as find_found_metric
@@ -86,9 +87,15 @@ def _check_paths(loaded: LoadedConfig, asked: list[Move]) -> None:
     """Every quantity that a step changes is one of this machine."""
     for move in asked:
         for path in move.after.values.keys() - move.before.values.keys():
+            place = loaded.document.place(move.after.place)
             problem = loaded.config.path_problem(path)
             if problem:
-                raise UnusableInputError(loaded.document.place(move.after.place), f"expected {problem}")
+                raise UnusableInputError(place, f"expected {problem}")
+            if path.startswith("hardware."):
+                try:
+                    effect_place(loaded.config, path)
+                except UnusableValueError as error:
+                    raise UnusableInputError(place, str(error)) from error
 
 
 def _check_methods(loaded: LoadedConfig) -> None:

@@ -87,6 +87,8 @@ def _text(bound: float | None) -> str:
 
 
 Verdict = Literal["passed", "marginal", "failed", "error"]
+#: Of a run; completed: to its end, without a criterion that says anything of it.
+RunVerdict = Literal["passed", "failed", "completed", "fault", "interrupted"]
 
 
 class CriterionResult(Strict):
@@ -114,6 +116,14 @@ class CriterionResult(Strict):
         if self.passed:
             return "marginal" if self.marginal else "passed"
         return "error" if self.value is None and not self.never else "failed"
+
+    def of_cut_off_run(self) -> Self:
+        """The verdict where the run did not go to its end: what holds until then says nothing of what was tested."""
+        if not self.passed:
+            return self
+        until = "" if self.value is None else f", {self.value:.6g} until then"
+        told = {"value": None, "passed": False, "marginal": False, "reason": f"not judged: the run was cut off{until}"}
+        return self.model_copy(update=told)
 
     @model_serializer(mode="wrap")
     def _without_what_says_nothing(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -33,7 +33,11 @@ _STEP_S: Final = 0.02
 #: A change within a ramp that is so many times the ramp's own is a step within it.
 _STANDS_OUT: Final = 5.0
 
+#: What the mark of a tension loop that is open for long says after its name, and that of the end of that.
+_OPEN, _CLOSED = " open for long", " closed after long"
 _MARKS: Final = {
+    "loop_open": f"{{path}}{_OPEN}",
+    "loop_closed": f"{{path}}{_CLOSED}",
     "twin_lost": "twin lost",
     "twin_back": "twin is back",
     "effect_named": "named: {path}",
@@ -85,6 +89,22 @@ class Event:
         return next((change for change in self.changes if change.path == path), None)
 
 
+def of_open_loop(event: Event) -> bool:
+    """Whether it says that a tension loop is open for long, or is no more."""
+    return event.text.endswith((_OPEN, _CLOSED))
+
+
+def open_loops(events: Sequence[Event], start_s: float, until_s: float) -> set[str]:
+    """The tension loops, as messages call them, that were open for long at any time from `start_s` to `until_s`."""
+    found: set[str] = set()
+    for event in events:
+        if event.start_s <= until_s and event.text.endswith(_OPEN):
+            found.add(event.text.removesuffix(_OPEN))
+        elif event.start_s <= start_s and event.text.endswith(_CLOSED):
+            found.discard(event.text.removesuffix(_CLOSED))
+    return found
+
+
 def find_events(channels: Channels, journal: Sequence[Event] = ()) -> list[Event]:
     """Everything that happened in a recording, in order of time, with what its journal says (`journal_events`)."""
     time_s = np.asarray(channels["t_s"], np.float64)
@@ -126,7 +146,7 @@ class EventLog:
             if change.path != MODEL_CHANGE:  # the marks say what became of it
                 self._set(change)
         elif change.what in _MARKS:
-            at_s = self._time_s(change.cycle)
+            at_s = change.value if change.what == "loop_open" else self._time_s(change.cycle)
             self._done.append(Event("mark", at_s, at_s, text=_MARKS[change.what].format(path=change.path)))
 
     def events(self) -> list[Event]:

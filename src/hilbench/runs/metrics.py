@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from hilbench.runs import found
-from hilbench.runs.events import Event, find_events
+from hilbench.runs.events import Event, find_events, of_open_loop
 from hilbench.runs.figures import finite_or_none, working_window
 from hilbench.runs.machines import servo_axis, web_line
 from hilbench.runs.machines.machine import MachineMetrics
@@ -188,14 +188,15 @@ def judge(channels: Channels, *, journal: Sequence[Event] = ()) -> Judgement:
     machine = metrics_of(kind_of(channels), shape_of(channels))
     events = find_events(channels, journal)
     time_s = np.asarray(channels["t_s"], np.float64)
-    ending = [event for event in events if not _is_its_work(event, machine)]
+    marks = [event for event in events if of_open_loop(event)]
+    ending = [event for event in events if event not in marks and not _is_its_work(event, machine)]
     events = [event for event in events if event in ending or event in journal]
     steps = [event for event in events if event.kind == "step"]
     if steps:
         judged = []
         for number, step in enumerate(steps, 1):
             part = _stretch(time_s, step.end_s, _next(ending, step.end_s))
-            judged.append(_judge(machine, channels, part, number, step))
+            judged.append(_judge(machine, Stretch(channels, part, step, marks), number))
         return Judgement(judged, events, machine)
     window = _window(machine, channels, time_s)
     if window is None:
@@ -203,7 +204,7 @@ def judge(channels: Channels, *, journal: Sequence[Event] = ()) -> Judgement:
     inside = [event.end_s for event in ending if time_s[window][0] < event.end_s < time_s[window][-1]]
     if inside:
         window = slice(int(np.searchsorted(time_s, max(inside))), window.stop)
-    return Judgement([_judge(machine, channels, window, 0, None)], events, machine)
+    return Judgement([_judge(machine, Stretch(channels, window, None, marks), 0)], events, machine)
 
 
 def _is_its_work(event: Event, machine: MachineMetrics) -> bool:
@@ -233,8 +234,7 @@ def _stretch(time_s: Array, start_s: float, until_s: float) -> slice:
     return slice(*(int(at) for at in np.searchsorted(time_s, (start_s - half_s, until_s - half_s))))
 
 
-def _judge(machine: MachineMetrics, channels: Channels, part: slice, number: int, event: Event | None) -> StepFigures:
-    stretch = Stretch(channels, part, event)
+def _judge(machine: MachineMetrics, stretch: Stretch, number: int) -> StepFigures:
     figures = {}
     for name, metric in machine.metrics.items():
         if metric.figure is not None and metric.judged(stretch):
@@ -243,4 +243,4 @@ def _judge(machine: MachineMetrics, channels: Channels, part: slice, number: int
             except UnknownFigureError as unknown:
                 figures[name] = Figure(None, str(unknown))
     start_s, until_s = (float(stretch.t_s[at]) for at in (0, -1))
-    return StepFigures(number, event, start_s, until_s, figures)
+    return StepFigures(number, stretch.event, start_s, until_s, figures)

@@ -23,7 +23,9 @@ def load_experiment(path: Path, function: str) -> Experiment:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever the file raises: it is the author's to read
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever the file raises, a SystemExit too: it is the author's to read
         raise UnusableInputError(_place(path, error), f"{type(error).__name__}: {error}") from error
     found = getattr(module, function, None)
     if not callable(found):
@@ -43,12 +45,12 @@ def run_experiment_function(bench: Bench, path: Path, function: str, judged: lis
         bench.follow(experiment(bench))
     except UnusableValueError as error:
         raise BenchFaultError(f"{_place(path, error)}: {error}") from error
-    except HilbenchError:
+    except (HilbenchError, KeyboardInterrupt):
         raise
     except AssertionError as error:
         text = f"{_place(path, error)}: {error}".rstrip(": ")
         judged.append(CriterionResult(name=name, value=0.0, limit="≥ 1", unit="", passed=False, reason=text))
-    except Exception as error:
+    except BaseException as error:  # a SystemExit ends the run as any other does
         raise BenchFaultError(f"{_place(path, error)}: {type(error).__name__}: {error}") from error
     else:
         judged.append(CriterionResult(name=name, value=1.0, limit="≥ 1", unit="", passed=True))

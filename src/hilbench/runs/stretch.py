@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.runs.events import STEP_SHARE, Event
+from hilbench.runs.events import STEP_SHARE, Event, open_loops
 from hilbench.runs.figures import (
     LEAST_SETTLED_S,
     least_stay_s,
@@ -47,15 +47,17 @@ class Stretch:
     """The signals from one step to the next event, and the figures they show; UnknownFigureError says why there is
     none.
 
-    `part`: its samples within `channels` (by signal, of equal length); `event`: the step, None for a working window.
+    `part`: its samples within `channels` (by signal, of equal length); `event`: the step, None for a working window;
+    `marks`: what else happened, in order of time.
     """
 
-    def __init__(self, channels: Channels, part: slice, event: Event | None) -> None:
+    def __init__(self, channels: Channels, part: slice, event: Event | None, marks: Sequence[Event] = ()) -> None:
         self._all, self._part = channels, part
         self._channels = {name: np.asarray(values[part], np.float64) for name, values in channels.items()}
         self.event = event
         self.t_s = self._channels["t_s"]
         self.hold_s = float(self.t_s[-1] - self.t_s[0])
+        self.open_loops = open_loops(marks, *map(float, self.t_s[[0, -1]]))  #: tension loops that were, for long
         self.sample_s = float(np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
 
     def get(self, name: str) -> Array:

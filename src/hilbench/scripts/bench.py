@@ -57,6 +57,14 @@ def failed_or_passed(name: str, reason: str = "") -> CriterionResult:
     )
 
 
+def _nowhere(text: str) -> None:
+    """What is being done is not told."""
+
+
+def _on_standard_error(text: str) -> None:
+    print(f"hilbench: {text}", file=sys.stderr)
+
+
 class Bench(bench.Bench):
     """A bench from its config file that keeps what it measured.
 
@@ -70,6 +78,8 @@ class Bench(bench.Bench):
     `bus`, `pace`, `seed` and `changes` (texts ``KEY=VALUE``) are what ``hilbench run`` takes. Raises UnusableInputError
     for a config that cannot be used, before anything is started; entering raises it for a bus that has another master
     (`force`: unless it was only heard). Steps and criteria of the file are left alone.
+
+    What an operator must know (`notices`) is told on standard error, or to `announce`.
 
     With `out`, entering makes a run folder there (`folder`), as ``hilbench run`` does, with config, trace and journal;
     leaving adds recording and result. In the result what ended the bench is a fault, but for a failed assertion, and
@@ -85,21 +95,21 @@ class Bench(bench.Bench):
         seed: int | None = None,
         changes: Sequence[str] = (),
         participants: Participants = Participants.STARTED,
-        announce: Callable[[str], None] = lambda text: None,
+        announce: Callable[[str], None] | None = None,
         force: bool = False,
         out: str | PathLike[str] | None = None,
         name: str | None = None,
     ) -> None:
         loaded = load_with_overrides(Path(config), bus=bus, pace=pace, seed=seed, changes=changes)
         runs = Path("runs" if out is None else out)
-        loaded = with_commissioned(loaded, runs, lambda text: print(f"hilbench: {text}", file=sys.stderr))
+        loaded = with_commissioned(loaded, runs, _on_standard_error)
         check_bench(loaded.config, loaded.document)
         if participants is Participants.IN_PROCESS:
             check_in_process(loaded.config)
         self._recorder = Recorder(loaded.config.signals)
         self._made = datetime.now(UTC)
         if (known := commissioned_text(loaded.config.twin.priors, self._made)) is not None:
-            announce(known)
+            (announce or _nowhere)(known)
         self._happened = EventLog(loaded.config.cycle_time_s)
         self._loaded, self._name = loaded, name
         self._out = None if out is None else Path(out)
@@ -110,7 +120,8 @@ class Bench(bench.Bench):
             loaded.config,
             observers=[self._recorder],
             participants=participants,
-            announce=announce,
+            announce=announce or _nowhere,
+            warn=announce or _on_standard_error,
             journal=self._note_change,
             may_idle=True,
             force=force,
@@ -182,7 +193,7 @@ class Bench(bench.Bench):
                 file.close()
         if isinstance(error, AssertionError):
             self.verdicts.append(failed_or_passed("script", str(error) or "an assertion failed"))
-        elif isinstance(error, Exception | KeyboardInterrupt):
+        elif error is not None and not (isinstance(error, SystemExit) and not error.code):
             record.ending.add(error, "bench", self.fault_time_s)
         record.verdicts += self.verdicts
         outcome = record.finish(self, ())

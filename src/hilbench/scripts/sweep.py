@@ -66,10 +66,12 @@ class Row:
     run: str | None = None
     metrics: dict[str, float | None] = field(default_factory=dict)
     said: str = ""
+    judged: bool = True
 
     @property
-    def passed(self) -> bool:
-        return self.exit_code == EXIT_PASSED
+    def passed(self) -> bool | None:
+        """None: it was completed, and nothing was judged."""
+        return self.exit_code == EXIT_PASSED if self.judged or self.exit_code else None
 
 
 @dataclass(frozen=True)
@@ -113,7 +115,7 @@ class _UnderWay:
         faults = " ".join(fault["text"] for fault in left.get("faults", []))
         said = "" if code in (EXIT_PASSED, EXIT_CRITERION_FAILED) else (faults or said)[:_LAST_WORDS]
         run = str(folders[-1].relative_to(folder.parents[1])) if folders else None
-        return Row(job.number, job.changes, code, run, left.get("metrics", {}), said)
+        return Row(job.number, job.changes, code, run, left.get("metrics", {}), said, bool(left.get("criteria")))
 
 
 def execute(job: Job) -> Row | None:

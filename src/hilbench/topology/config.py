@@ -35,7 +35,7 @@ from hilbench.topology.blocks import (
 )
 from hilbench.topology.misfits import misfits, whole_misfits
 from hilbench.topology.parts import DriveConfig, LoadMotorConfig, Part, PartName, Role
-from hilbench.topology.quantities import MODEL_CHANGE, TENSION_PROBE, path_problem, plain_paths
+from hilbench.topology.quantities import MODEL_CHANGE, TENSION_PROBE, parse_effect_path, path_problem, plain_paths
 from hilbench.topology.safety import SafetyConfig
 from hilbench.topology.signal_kinds import Signal
 from hilbench.topology.signals import Shape, signals_of
@@ -347,7 +347,12 @@ class BenchConfig(Block):
             return f"'twin: {{live_diagnosis: {{}}}}' for '{path}': nothing proposes changes of the model"
         if path == TENSION_PROBE and self.reel_controls and not self.tension_controls:
             return f"a loop by speeds for '{path}': loops of torques are not probed"
-        return path_problem(path, self.machine_kind, self.shape, self.loaded_axes)
+        problem = path_problem(path, self.machine_kind, self.shape, self.loaded_axes)
+        if problem or not path.startswith("hardware."):
+            return problem
+        axis = parse_effect_path(path, self.machine_kind).axis
+        part = self.parts_of(Role.AXIS)[(axis or 1) - 1]
+        return None if part.is_simulated else f"an axis of the simulated hardware, '{part.name}' is a real drive"
 
     def controller_of(self, span: int) -> str:
         """The name of the controller that keeps the tension of a span. Raises KeyError for none."""

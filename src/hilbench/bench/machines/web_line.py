@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.bench.machines.machine import MachineTasks
+from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState, TwinState
 from hilbench.bench.tasks import web_axis_cycle
 from hilbench.bench.tasks.imitated_web import imitated_web, web_load_model
@@ -55,6 +56,8 @@ from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
 #: Age of the twin's data, in cycles, up to which a line rides out that they are old where no controller says it.
 _TWIN_AGE = TensionControlConfig().twin_age_limit_cycles
+#: Cycles between two looks whether a tension loop is open.
+_LOOK_CYCLES = 50
 
 
 def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
@@ -135,6 +138,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         watches=(
             WebAlarms(trusts, state.twin, stop_on_break=config.safety.on_web_break == "stop"),
             *(CarriageStops(each) for each in model.carriages if each.station.name in config.load.measured),
+            OpenLoops(list(loops.values()), line_speed, config.safety.tension_open_s, state),
             QuietWatch("limits", limit_watch, reports),
             QuietWatch("saturation", SaturationWatch(config), reports),
         ),
@@ -462,6 +466,57 @@ def _of_stations(shape: Shape) -> list[tuple[str, str, str]]:
     """What carriages and reels have: symbol, unit, and the name of the station."""
     of_carriages = [(symbol, unit, name) for name in shape.carriages for symbol, unit in (("x", "m"), ("v", "m_s"))]
     return of_carriages + [("r", "m", name) for name in shape.reels]
+
+
+class OpenLoops(CyclicTask):
+    """Tension loops that are open for `limit_s` while tension is asked for (the line moves, or the set-point is another
+    than at the start): a notice with the cause, and marks in the journal. Looked at now and then."""
+
+    def __init__(self, loops: Sequence[TensionTask], line_speed: Reference, limit_s: float, state: BenchState) -> None:
+        self._loops, self._line_speed, self._limit_s, self._state = loops, line_speed, limit_s, state
+        self._set_points_N = [loop.set_point_N for loop in loops]
+        self._since_s: dict[TensionTask, float] = {}
+        self._told: set[TensionTask] = set()
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Look, when it is time to."""
+        if sample.cycle % _LOOK_CYCLES:
+            return
+        for loop, at_start_N in zip(self._loops, self._set_points_N, strict=True):
+            if loop.closed:
+                self._closed(loop, sample)
+            elif self._line_speed.present == 0.0 and loop.set_point_N == at_start_N:
+                self._since_s.pop(loop, None)
+            else:
+                since_s = max(self._since_s.setdefault(loop, sample.t_s), loop.opened_s)
+                if sample.t_s - since_s >= self._limit_s and loop not in self._told:
+                    self._open(loop, sample, since_s)
+
+    def _open(self, loop: TensionTask, sample: CycleSample, since_s: float) -> None:
+        self._told.add(loop)
+        name, axis = loop.names.of_loop, loop.names.axis
+        self._state.journal(Change(int(sample.cycle), "loop_open", name, since_s))
+        self._state.reports.note(
+            "tension",
+            f"{name} open for {sample.t_s - since_s:.1f} s while tension is asked for, axis {axis} follows the ratio "
+            f"of speeds: {loop.doubt}; criteria on this tension are not judged",
+            kind=name,
+        )
+
+    def _closed(self, loop: TensionTask, sample: CycleSample) -> None:
+        self._since_s.pop(loop, None)
+        if loop in self._told:
+            self._told.remove(loop)
+            self._state.journal(Change(int(sample.cycle), "loop_closed", loop.names.of_loop))
+
+    def in_pieces(self, sample: CycleSample) -> Pieces:
+        """Nothing is to be done until the next look; a loop that is closed needs none."""
+
+        def cycles() -> int:
+            busy = self._told or not all(loop.closed for loop in self._loops)
+            return -int(sample.cycle + 1) % _LOOK_CYCLES if busy else MANY
+
+        return Pieces(cycles=cycles)
 
 
 class WebAlarms(CyclicTask):

@@ -10,6 +10,8 @@ What = Literal[
     "set",
     "twin_lost",
     "twin_back",
+    "loop_open",
+    "loop_closed",
     "predicted",
     "stopping",
     "gap_seen",
@@ -31,7 +33,8 @@ class Change:
     `cycle` counts SYNCs: the change acts from the one after it. ``enabled``: the experiment's time begins;
     ``set``: the quantity `path` (`hilbench.topology.quantities`) had `before` and has `value` from now on;
     ``twin_lost``: the twin is not counted on any more; ``twin_back``: it is again, and counts the SYNCs after number
-    `value`; ``predicted``: the signal `path` was predicted to go beyond the level
+    `value`; ``loop_open``: the tension loop `path` is open since `value` s, for long; ``loop_closed``: it is closed
+    again; ``predicted``: the signal `path` was predicted to go beyond the level
     `value`, with the probability `before`; ``stopping``: the drives are brought to a stop.
     Of the diagnosis that goes on meanwhile: ``gap_seen``: model and measurement part since `value` s; ``effect_named``,
     ``effect_gone``: by the effect `path`, whose strength has `value`; ``effect_dismissed``: new data did not confirm

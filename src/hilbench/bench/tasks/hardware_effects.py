@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from hilbench.exchange.nodes import Nodes
-from hilbench.topology.quantities import parse_effect_path
 
 
 class HardwareEffects:
@@ -18,8 +17,8 @@ class HardwareEffects:
 
     def value(self, path: str) -> float:
         """Present value as the drive has it."""
-        return self._nodes.hardware_effect(parse_effect_path(path))
+        return self._nodes.hardware_effect(path)
 
     def set(self, path: str, value: float) -> None:
         """Write another value."""
-        self._nodes.set_hardware_effect(parse_effect_path(path), value)
+        self._nodes.set_hardware_effect(path, value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import inf
 from typing import Protocol
 
 import numpy as np
@@ -21,7 +22,7 @@ from hilbench.bench.tasks.web_strain_way import EnteringStrain, StrainWay, enter
 from hilbench.chain import Chained
 from hilbench.compiled import table_of
 from hilbench.exchange.exchange import Inputs
-from hilbench.topology.quantities import tension_set_point
+from hilbench.topology.quantities import tension_loop_words, tension_set_point
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
 
@@ -84,7 +85,7 @@ class LoopNames:
             command=f"v{axis}_cmd_m_s",
             before=f"x{axis}_m",
             behind=f"x{axis + 1}_m",
-            of_loop=f"tension loop of span {k}" if k else "tension loop",
+            of_loop=tension_loop_words(k),
         )
 
 
@@ -117,6 +118,7 @@ class TensionTask(CyclicTask):
         self._controller, self._damping, self._trust, self._twin = controller, damping, trust, twin
         self._reports = reports
         self._ahead = feed_forward
+        self.opened_s = -inf  #: when it was closed last, in experiment time
         #: As of `tension_cycle`; one value goes faster through `_at`.
         self.loop = np.zeros(cycle.LOOP)
         self.loop[[cycle.SET_POINT_N, cycle.MODULUS_PA, cycle.CYCLE_S]] = set_point_N, modulus_Pa, cycle_s
@@ -208,6 +210,11 @@ class TensionTask(CyclicTask):
         self._controller.assume_modulus(modulus_Pa)
 
     @property
+    def doubt(self) -> str:
+        """Why the loop is open, "" while it may be closed."""
+        return self._trust.doubt
+
+    @property
     def closed(self) -> bool:
         """Whether the loop was closed in the last cycle."""
         return bool(self._at[cycle.CLOSED] == 1.0)
@@ -272,6 +279,7 @@ class TensionTask(CyclicTask):
         closed, was_closed = self._trust.trusted, self._at[cycle.CLOSED]
         loop, axis = self._names.of_loop, self._names.axis
         if was_closed == 1.0 and not closed:
+            self.opened_s = self._sample.t_s
             self._reports.note("twin", f"{loop} open, axis {axis} follows the ratio of speeds: {self._trust.doubt}")
         elif closed and was_closed == 0.0:
             self._reports.note("twin", f"{loop} closed again: the twin is synchronized")

@@ -27,6 +27,10 @@ NEW: Final = NewBench(
             {"hold": {"duration_s": 4.0}},
             {"ramp": {"path": "speed_rad_s", "to": 0.0, "duration_s": 2.0}},
         ],
+        ("criteria",): [
+            {"name": "inertia at the end", "metric": "J_final_error_pct", "max": 2.0, "unit": "%"},
+            {"name": "no frame lost", "metric": "lost_frames", "max": 0.0},
+        ],
     },
     nodes={
         ("drives", "shaft"): 1,

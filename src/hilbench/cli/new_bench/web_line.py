@@ -32,6 +32,11 @@ NEW: Final = NewBench(
             {"hold": {"duration_s": 6.0}},
             {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 4.0}},
         ],
+        ("criteria",): [
+            {"name": "E at the end", "metric": "E_final_error_pct", "max": 2.0, "unit": "%"},
+            {"name": "true tension at its set-point", "metric": "tension_final_error_N", "max": 2.0, "unit": "N"},
+            {"name": "no frame lost", "metric": "lost_frames", "max": 0.0},
+        ],
     },
     nodes={
         ("drives", "axis1"): 1,

@@ -387,6 +387,7 @@ window.session.then((known) => {
     }
     const list = make("ul"), passed = end.criteria.filter((each) => each.passed).length;
     if (end.criteria.length) words.push(make("span", `${passed} of ${end.criteria.length} criteria passed`, "hint"));
+    if (end.verdict === "completed") words.push(make("span", "nothing judged", "hint"));
     for (const text of end.faults) list.append(make("li", text, "result failed"));
     for (const each of end.criteria.filter((criterion) => !criterion.passed))
       list.append(make("li", `${each.name}: ${each.value === null ? "no value" : `${Number(each.value.toPrecision(4))} ${each.unit}`}, expected ${each.limit}`, "result failed"));

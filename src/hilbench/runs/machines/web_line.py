@@ -14,6 +14,7 @@ from hilbench.runs.figures import SPEED_BAND, mean_velocity
 from hilbench.runs.machines.machine import NO_STEP, Estimate, MachineMetrics, nothing_to_judge, speed_metrics
 from hilbench.runs.stretch import Array, Figure, Metric, Stretch, UnknownFigureError, after_a_step, after_a_step_of
 from hilbench.topology.main_quantities.web_line import line_speed, modulus, set_point
+from hilbench.topology.quantities import tension_loop_words
 from hilbench.topology.signals import SMALLEST, Shape
 
 Number = TypeVar("Number", float, NDArray[np.float64])
@@ -32,13 +33,25 @@ def expected_v1_m_s(v2_m_s: Number, strain_prev: Number, strain: Number) -> Numb
     return v2_m_s * (1 + strain_prev) / (1 + strain)
 
 
+def _needs_loop(stretch: Stretch, number: str) -> None:
+    """Nothing is said of the tension of a span whose loop does not keep it."""
+    loop = tension_loop_words(number)
+    if loop in stretch.open_loops:
+        raise UnknownFigureError(f"the {loop} was open for long, see the warnings")
+
+
 def _tension(number: str) -> dict[str, Metric]:
     """Of the span of that number, as names have it (`Shape.numbered`)."""
     quantity = set_point(number)
     true, simulated, goal = f"F{number}_true_N", quantity.twin_signal, quantity.signal
 
-    def error(stretch: Stretch) -> Array:
-        return stretch.error(true, goal)
+    def error(stretch: Stretch, tension: str = true) -> Array:
+        _needs_loop(stretch, number)
+        return stretch.error(tension, goal)
+
+    def overshoot(stretch: Stretch) -> Figure:
+        _needs_loop(stretch, number)
+        return stretch.overshoot(true, goal, stretch.height_of(quantity))
 
     return {
         f"tension{number}_recovery_s": Metric(
@@ -52,7 +65,7 @@ def _tension(number: str) -> dict[str, Metric]:
             "%",
             "largest excess of the true tension over a new set-point beyond noise, of the step",
             f"the tension set-point did not step, or {true} is not recorded",
-            lambda s: s.overshoot(true, goal, s.height_of(quantity)),
+            overshoot,
             after_a_step_of(quantity),
         ),
         f"tension{number}_rms_error_N": Metric(
@@ -68,7 +81,7 @@ def _tension(number: str) -> dict[str, Metric]:
             "N",
             "largest simulated tension error since the step",
             _NOTHING,
-            lambda s: s.peak(s.error(simulated, goal)),
+            lambda s: s.peak(error(s, simulated)),
         ),
     }
 
@@ -78,6 +91,7 @@ def _disturbance(number: str) -> dict[str, Metric]:
     true = f"F{number}_true_N"
 
     def largest_pct(stretch: Stretch) -> Figure:
+        _needs_loop(stretch, number)
         tension_N, before_N = stretch.get(true), stretch.before(true)
         if not before_N > 0.0:
             raise UnknownFigureError(f"{true} is not above 0 before the step")
