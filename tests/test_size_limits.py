@@ -10,6 +10,7 @@ import pytest
 from tests.cli.in_process import hilbench
 
 from hilbench import strict_yaml
+from hilbench.canopen.device_configuration import read_file
 from hilbench.canopen.eds import load_eds
 from hilbench.errors import UnusableInputError
 from hilbench.plant.fmu.description import read_fmu
@@ -18,7 +19,7 @@ from hilbench.results.recording import read_recording
 from hilbench.runs.config import read_document
 from hilbench.runs.scenario import read_scenario
 
-ROOT = Path(__file__).resolve().parents[1]
+SERVO = Path(__file__).resolve().parents[1] / "eds" / "hilbench_servo.eds"
 
 
 def laughs(path: Path) -> None:
@@ -89,6 +90,7 @@ def imported(path: Path) -> None:
         ("a.eds", compact(4_294_967_295), lambda path: load_eds(path, 1), "4294967295, expected 0 to 254"),
         ("a.eds", compact(254, 1000), lambda path: load_eds(path, 1), "more than 65536 objects"),
         ("a.eds", large, lambda path: load_eds(path, 1), "larger than 4 MB"),
+        ("a.cdcf", large, lambda path: read_file(path, load_eds(SERVO, 1)), "larger than 4 MB"),
         ("a.csv", wide, read_scenario, "1000001 columns, expected at most 1000"),
         ("a.csv", large, read_scenario, "larger than 16 MB"),
         ("a.csv", wide, read_recording, "more than 4096 columns"),

@@ -296,6 +296,8 @@ DRIVE_OBJECTS = (
 
 #: Spans of the longest line whose twin the virtual I/O has objects for.
 MOST_SPANS = 16
+#: Of the longest one with an estimate at each span, for a file of its own: every other bench would read it in vain.
+MOST_SPANS_OF_LONG = 23
 #: Dancers, accumulators and reels, each with a sensor, carriages each with a force that is told ahead.
 MOST_STATIONS = 6
 
@@ -326,7 +328,7 @@ def servo() -> DeviceDescription:
     )
 
 
-def virtual_io(kind: MachineKind) -> DeviceDescription:
+def virtual_io(kind: MachineKind, *, is_long: bool = False) -> DeviceDescription:
     """The CiA-401-like device with the twin's answers as analogue inputs and the machine's boundary as outputs; its
     PDOs are at first those of the smallest machine of its kind."""
     name, product, device_type = "hilbench virtual I/O", 0x0401, 0x000C_0191
@@ -335,8 +337,9 @@ def virtual_io(kind: MachineKind) -> DeviceDescription:
     told = {signal.sub: signal for signal in smallest.told}
     tpdos = {number: Pdo() for number in range(1, 5)}
     if kind is MachineKind.WEB_LINE:
-        spans = tuple(range(1, MOST_SPANS + 1))
-        for signal in process_data(kind, Shape(MOST_SPANS + 1, (), MOST_SPANS, spans, spans)).published:
+        most = MOST_SPANS_OF_LONG if is_long else MOST_SPANS
+        spans = tuple(range(1, most + 1))
+        for signal in process_data(kind, Shape(most + 1, (), most, spans, spans)).published:
             signals.setdefault(signal.sub, signal)
         names = tuple(f"{number}" for number in range(1, MOST_STATIONS + 1))
         with_stations = process_data(kind, Shape(2, (), 1, (), (), carriages=names, measured=names, pushed=names))
@@ -346,7 +349,7 @@ def virtual_io(kind: MachineKind) -> DeviceDescription:
             if signal.sub not in signals
         }
         told = {signal.sub: signal for signal in with_stations.told}
-        longest = process_data(kind, Shape(MOST_SPANS + 1, (), MOST_SPANS, (1,), spans))
+        longest = process_data(kind, Shape(most + 1, (), most, spans if is_long else (1,), spans))
         tpdos |= {pdo.number: Pdo() for pdo in longest.sent}
     tpdos |= {
         pdo.number: Pdo(True, pdo.every, tuple((signal.index, signal.sub, 32) for signal in pdo.signals))
@@ -368,7 +371,7 @@ def virtual_io(kind: MachineKind) -> DeviceDescription:
     }
     found = {1: Entry("Errors of the model that were found, as JSON", "STRING", "ro")}
     outputs = {signal.sub: Entry(signal.text, "REAL32", "rww", 0.0, True) for signal in told.values()}
-    file_name, description = VIRTUAL_IO_FILES[kind]
+    file_name, description = LONG_VIRTUAL_IO_FILE if is_long else VIRTUAL_IO_FILES[kind]
     return DeviceDescription(
         file_name,
         description,
@@ -401,6 +404,10 @@ VIRTUAL_IO_FILES = {
         "Virtual I/O of the twin of a servo axis: estimated inertia and friction",
     ),
 }
+LONG_VIRTUAL_IO_FILE = (
+    "hilbench_virtual_io_long.eds",
+    "Virtual I/O of the twin of a web line of up to 24 driven rollers, with an estimate at each span",
+)
 
 
 def bench() -> DeviceDescription:
@@ -543,7 +550,8 @@ def _default_text(entry: Entry) -> str:
 
 def eds_files() -> dict[str, str]:
     """Text of every EDS file by its name."""
-    return {device.file_name: render(device) for device in (servo(), *map(virtual_io, MachineKind), bench())}
+    io = (*map(virtual_io, MachineKind), virtual_io(MachineKind.WEB_LINE, is_long=True))
+    return {device.file_name: render(device) for device in (servo(), *io, bench())}
 
 
 def main() -> None:

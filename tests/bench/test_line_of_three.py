@@ -28,7 +28,9 @@ from hilbench.runs.check import check_experiment
 from hilbench.runs.config import LoadedConfig, load_with_overrides
 
 EDS = Path(__file__).resolve().parents[2] / "eds"
-SERVO, VIRTUAL_IO = str(EDS / "hilbench_servo.eds"), str(EDS / "hilbench_virtual_io.eds")
+SERVO, VIRTUAL_IO, LONG_VIRTUAL_IO = (
+    str(EDS / f"hilbench_{name}.eds") for name in ("servo", "virtual_io", "virtual_io_long")
+)
 STEPS = [
     {"ramp": {"path": "line_speed_m_s", "to": 2.0, "duration_s": 1.0}},
     {"wait_until": {"condition": "loop2_closed > 0", "timeout_s": 5.0}},
@@ -277,6 +279,64 @@ def test_five_rollers_have_more_tpdos_than_a_node_has_identifiers_and_each_has_a
     text = pdo_set_dbc(five)
     assert text.count("BO_ ") == len({line for line in text.splitlines() if line.startswith("BO_ ")})
     assert "virtual_io_TPDO5" in text
+
+
+def of_rollers(folder: Path, count: int, cycle_s: float, virtual_io: str) -> LoadedConfig:
+    """A line of soft web with an estimate at each span."""
+    names = [f"axis_{k}" for k in range(1, count + 1)]
+    return loaded(
+        folder,
+        f"cycle_time_s={cycle_s}",
+        "machine.web.youngs_modulus_Pa=1e9",
+        f"machine.web.span_length_m={[20.0] * (count - 1)}",
+        "machine.rollers.radius_m=0.2",
+        f"machine.web_load=[false{', true' * (count - 1)}]",
+        f"controllers.rewind_tension.span={count - 1}",
+        drives={
+            name: {"node_id": k, "eds": SERVO, "virtual": {"node_id": 64 + k, "eds": SERVO}}
+            for k, name in enumerate(names, 1)
+        },
+        load_motors={
+            f"pull{k}": {"node_id": 32 + k, "eds": SERVO, "shaft": name} for k, name in enumerate(names[1:], 1)
+        },
+        twin={
+            "node": {"node_id": 120, "eds": virtual_io},
+            "estimate": [{"span": k, "method": "changepoint"} for k in range(1, count)],
+        },
+        criteria=[],
+        steps=[
+            STEPS[0],
+            {"hold": {"until_s": 4.0}},
+            {"step": {"path": "load.web.youngs_modulus_Pa", "to": 1.1e9}},
+            {"hold": {"duration_s": 4.0}},
+        ],
+    )
+
+
+def test_a_line_of_eight_rollers_runs_with_an_estimate_at_each_span(tmp_path: Path) -> None:
+    with pytest.raises(
+        UnusableInputError, match=r"no TPDO12 .*, expected an EDS file with 15 .*hilbench_virtual_io_long"
+    ):
+        check_experiment(of_rollers(tmp_path, 8, 0.01, VIRTUAL_IO))
+    eight = of_rollers(tmp_path, 8, 0.01, LONG_VIRTUAL_IO)
+    outcome = run_experiment(eight, tmp_path / "runs", participants=Participants.IN_PROCESS)
+    assert outcome.result.faults == []
+    for span in range(1, 8):
+        error_pct = outcome.result.metrics[f"E{span}_final_error_pct"]
+        assert error_pct is not None
+        assert abs(error_pct) < 1.0
+
+
+def test_each_value_of_24_rollers_has_a_place_and_each_pdo_an_identifier_of_its_own(tmp_path: Path) -> None:
+    bench = of_rollers(tmp_path, 24, 0.03, LONG_VIRTUAL_IO)
+    check_experiment(bench)
+    nodes = Nodes(bench.config)
+    signals = [(signal.index, signal.sub) for signal in nodes.io.data.published]
+    assert len(set(signals)) == len(signals) == 5 * 23
+    used = [pdo.cob_id for part in bench.config.parts for pdo in nodes.pdo_maps(part.name)]
+    of_twin = [pdo.cob_id for pdo in nodes.io.all]
+    assert len(set(of_twin)) == len(of_twin) == 47 + 1
+    assert all(used.count(cob_id) == 1 for cob_id in of_twin)
 
 
 def test_a_load_that_no_motor_imitates_is_noted(tmp_path: Path) -> None:

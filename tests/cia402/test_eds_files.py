@@ -22,7 +22,13 @@ from hilbench.plant.effect import EffectPlace, MachineKind
 from hilbench.plant.effects import effects_of
 
 ROOT = Path(__file__).parents[2]
-FILES = ("hilbench_servo.eds", "hilbench_virtual_io.eds", "hilbench_virtual_io_servo_axis.eds", "hilbench_bench.eds")
+FILES = (
+    "hilbench_servo.eds",
+    "hilbench_virtual_io.eds",
+    "hilbench_virtual_io_servo_axis.eds",
+    "hilbench_virtual_io_long.eds",
+    "hilbench_bench.eds",
+)
 
 
 @pytest.fixture(scope="module")

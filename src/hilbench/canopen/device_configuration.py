@@ -24,7 +24,7 @@ from hilbench.canopen.object_store import NO_DATA
 from hilbench.canopen.sdo_client import Refusal
 from hilbench.canopen.storage import NO_PARAMETERS
 from hilbench.errors import BenchFaultError, UnusableInputError
-from hilbench.files import written_whole
+from hilbench.files import content, written_whole
 
 #: (index, sub-index).
 Key = tuple[int, int]
@@ -241,7 +241,7 @@ def read_file(path: Path, od: canopen.ObjectDictionary) -> Configuration:
 
 def _read_concise(path: Path) -> list[concise_dcf.Write]:
     try:
-        return concise_dcf.decode(path.read_bytes())
+        return concise_dcf.decode(content(path, eds.MOST_BYTES))
     except OSError as error:
         raise UnusableInputError(path, f"cannot be read ({error.strerror}), expected a concise DCF") from error
     except ValueError as error:

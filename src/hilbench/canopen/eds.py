@@ -19,7 +19,7 @@ from hilbench.errors import UnusableInputError
 from hilbench.files import content
 
 #: Bytes of a file, objects in it with their entries, and the last sub-index there is (CiA 301).
-_MOST_BYTES, _MOST_OBJECTS, _LAST_SUB = 4_000_000, 65_536, 254
+MOST_BYTES, _MOST_OBJECTS, _LAST_SUB = 4_000_000, 65_536, 254
 #: Below it stand data types; 0001h to 0007h may be mapped as placeholders.
 _FIRST_OBJECT = 0x1000
 _VAR = 0x7
@@ -206,7 +206,7 @@ def _unreadable(path: Path, error: OSError) -> UnusableInputError:
 
 def _read_sections(path: Path) -> dict[str, _Section]:
     try:
-        text = content(path, _MOST_BYTES).decode("utf-8-sig", errors="replace")
+        text = content(path, MOST_BYTES).decode("utf-8-sig", errors="replace")
     except OSError as error:
         raise _unreadable(path, error) from error
     sections: dict[str, _Section] = {}

@@ -19,6 +19,7 @@ from hilbench.canopen.device_configuration import write_device
 from hilbench.canopen.identifiers import LAST_NODE, NmtCommand
 from hilbench.canopen.master import Master
 from hilbench.errors import BenchFaultError, UnusableInputError
+from hilbench.files import content
 
 # Bits of 1F80h and of an entry of 1F81h.
 _IS_MASTER, _START_ALL_AT_ONCE, _START_NO_NODE = 0x01, 0x02, 0x08
@@ -253,7 +254,7 @@ def _configuration(
     if node_id in files:
         place = files[node_id]
         try:
-            block = place.read_bytes()
+            block = content(place, eds.MOST_BYTES)
         except OSError as error:
             raise UnusableInputError(
                 place, f"cannot be read ({error.strerror}), expected the concise DCF of node {node_id} (1F22h)"

@@ -42,7 +42,10 @@ class IoMaps:
         node_id = config.twin.node.node_id
         for pdo in data.sent:
             if 0x1800 + pdo.number - 1 not in od:
-                raise KeyError(f"the virtual I/O has no TPDO{pdo.number} (object {0x1800 + pdo.number - 1:04X}h)")
+                raise KeyError(
+                    f"the virtual I/O has no TPDO{pdo.number} (object {0x1800 + pdo.number - 1:04X}h), expected an EDS "
+                    f"file with {len(data.sent) + 1} of them, such as hilbench_virtual_io_long.eds for up to 24 rollers"
+                )
         if len(data.boundary) > len(RPDOS):
             raise ValueError(f"{len(data.told)} values for the twin, expected at most {PER_PDO * len(RPDOS)}")
         return cls(

@@ -1,9 +1,9 @@
 """A web line: the tensions of its spans, what is estimated at some, and what is around the line.
 
 Sub-indices are given once and for all: span k, of a line with more than driven rollers the section behind driven
-roller k, has the five of 6403h from 5·(k - 1) + 1 on, of dancers, accumulators and
-reels station k the two from 81 + 2·(k - 1) on; sensors of these, and load cells, have those of 6413h from 3 on, forces
-on carriages that are told ahead those from 9 on.
+roller k, has the five of 6403h from 5·(k - 1) + 1 on, from the 17th on those from 101 + 5·(k - 17) on; of dancers,
+accumulators and reels station k the two from 81 + 2·(k - 1) on; sensors of these, and load cells, have those of 6413h
+from 3 on, forces on carriages that are told ahead those from 9 on.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ from hilbench.topology.signals import Shape
 
 #: Sub-indices of 6403h that each span has.
 _PER_SPAN: Final = 5
+#: So many spans stand before the stations in 6403h; the others behind them, from this one on.
+_FIRST_SPANS: Final = 16
+_FIRST_OF_FURTHER: Final = 101
 #: The first of stations in 6403h, and in 6413h.
 _FIRST_OF_STATIONS: Final = 81
 _FIRST_OF_SENSORS: Final = 3
@@ -48,7 +51,8 @@ def _span(shape: Shape, number: int) -> _Span:
     before = shape.axis_before(number)
     # Of a line with more than driven rollers a section is told once, and may have any number of spans.
     place, axis = before if shape.has_stations else number, before + 1
-    first = _PER_SPAN * (place - 1) + 1
+    further = place - 1 - _FIRST_SPANS
+    first = _PER_SPAN * (place - 1) + 1 if further < 0 else _FIRST_OF_FURTHER + _PER_SPAN * further
     return _Span(
         IoSignal(f"F{k}_sim_N", INPUTS, first, f"Simulated tension{of} [N]"),
         IoSignal(f"E{k}_sim_Pa", INPUTS, first + 1, f"Estimated Young's modulus{of} [Pa]"),
