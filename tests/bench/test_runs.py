@@ -87,6 +87,18 @@ def test_listening_and_copying_give_the_same_estimate_and_another_seed_another(t
     assert not np.array_equal(curves[0], curves[2])
 
 
+def test_the_length_of_a_run_is_one_number_in_recording_result_and_junit(tmp_path):
+    path = config(tmp_path)
+    assert run_here(path)[0] == 0
+    (folder,) = run_folders(path)
+    recorded = len(read_recording(folder / "recording.mf4"))
+    timing = json.loads((folder / "result.json").read_text())["timing"]
+    assert timing["cycles"] == recorded
+    assert f'time="{recorded * 0.002:.3f}"' in (folder / "result.xml").read_text()
+    cycles = re.findall(r"(\d+) cycles of 2 ms|cycles</t[hd]>\s*<td[^>]*>(\d+)<", (folder / "report.html").read_text())
+    assert {number for found in cycles for number in found if number} == {str(recorded)}
+
+
 def test_a_failed_criterion_is_exit_1_and_json_is_one_object(tmp_path):
     criterion = {"name": "impossible", "metric": "E_final_error_pct", "max": 0.0}
     code, out, _ = run_here(config(tmp_path, criteria=[criterion]), "--json")

@@ -12,10 +12,12 @@ from hilbench.bench.operator.operator_objects import OperatorObjects
 from hilbench.can.confinement import ControllerState
 from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus, MemoryCanBus
-from hilbench.canopen.identifiers import SYNC
+from hilbench.canopen.identifiers import SYNC, NmtCommand
 from hilbench.canopen.master import Master
+from hilbench.canopen.sdo_client import SentFrames
 from hilbench.cia402.drive import DriveGoal
 from hilbench.errors import BenchFaultError, NoAnswerError
+from hilbench.exchange.answers import Tpdo
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.nodes import Nodes
 
@@ -31,7 +33,7 @@ class Answering:
 
     def __init__(self, found: Nodes) -> None:
         self._nodes = found
-        self._waiting: list[Frame] = []
+        self.waiting: list[Frame] = []
         self.statusword = ENABLED
         self.missing: set[int] = set()
         self.further: list[Frame] = []
@@ -40,7 +42,7 @@ class Answering:
     def send(self, frames: Sequence[Frame]) -> None:
         self.sent += frames
         if any(frame.can_id == SYNC for frame in frames):
-            self._waiting += [frame for frame in [*self.further, *self._answers()] if frame.can_id not in self.missing]
+            self.waiting += [frame for frame in [*self.further, *self._answers()] if frame.can_id not in self.missing]
             self.further = []
 
     def _answers(self) -> list[Frame]:
@@ -52,7 +54,7 @@ class Answering:
         return [*answers, *(Frame(pdo.cob_id, bytes(pdo.size)) for pdo in (*io.sent, io.status))]
 
     def receive(self, timeout_s: float) -> list[Frame]:
-        taken, self._waiting = self._waiting, []
+        taken, self.waiting = self.waiting, []
         return taken
 
     def set_filters(self, identifiers: Sequence[tuple[int, int]] | None) -> None: ...
@@ -154,3 +156,67 @@ def test_what_a_stranger_has_sent_is_known_with_the_fault_of_a_drive_and_forgott
     with pytest.raises(NoAnswerError):
         bench.exchange.cycle(OUTPUTS)
     assert not bench.exchange.unexpected
+
+
+@pytest.mark.parametrize("command", [1, 2, 128, 129, 130])
+@pytest.mark.parametrize("where", ["before SYNC", "behind SYNC"])
+def test_an_nmt_command_of_somebody_else_is_known_where_the_node_answers_no_more(
+    bench: Bench, command: int, where: str
+) -> None:
+    bench.exchange.cycle(OUTPUTS)
+    nmt = Frame(0x000, bytes((command, 1)))
+    if where == "before SYNC":
+        bench.link.waiting.append(nmt)
+    else:
+        bench.link.further = [nmt]
+    bench.silence("axis1")
+    with pytest.raises(NoAnswerError, match="axis1"):
+        bench.exchange.cycle(OUTPUTS)
+    (found,) = bench.exchange.unexpected
+    assert (found.about, found.certain) == (bench.nodes.sender(bench.nodes.axes[0]), True)
+    assert found.text.startswith("NMT '")
+
+
+def test_an_nmt_command_of_somebody_else_beside_the_benchs_own_is_known_while_the_twin_comes_back(
+    bench: Bench,
+) -> None:
+    bench.exchange.cycle(OUTPUTS)
+    bench.master.nmt(NmtCommand.RESET_NODE, 32)
+    bench.link.waiting += [Frame(0x000, bytes((129, 32))), Frame(0x000, bytes((2, 1)))]
+    bench.exchange.discard_waiting()
+    bench.exchange.cycle(OUTPUTS)
+    assert [found.text for found in bench.exchange.unexpected] == ["NMT 'stop' that the bench has not sent"]
+    bench.link.further = [Frame(0x000, bytes((129, 32)))]  # the bench has sent that only once
+    bench.exchange.cycle(OUTPUTS)
+    assert [found.about for found in bench.exchange.unexpected] == [TWIN]
+
+
+@pytest.mark.parametrize("between", [200, 4050])
+def test_what_the_bench_sends_again_to_a_twin_that_comes_back_is_its_own(between: int) -> None:
+    sent = SentFrames()
+    again = [(0x620, bytes((0x2B, number, 0x14, 1, 0, 0, 0, 0))) for number in range(40)]
+    for can_id, data in again:  # configured at the start, and heard by nobody
+        sent.add(can_id, data)
+    for number in range(between):
+        sent.add(0x601, number.to_bytes(8, "little"))
+    for can_id, data in again:
+        sent.add(can_id, data)
+    for number in range(40):
+        sent.add(0x602, number.to_bytes(8, "little"))
+    assert all(sent.take(can_id, data) for can_id, data in again)
+
+
+@pytest.mark.parametrize("every", [1, 5])
+def test_a_twin_that_is_back_and_works_off_what_it_has_missed_is_no_second_sender(every: int) -> None:
+    tpdo = Tpdo(0x1A0, 2, every, TWIN)
+    tpdo.supervise(False)
+    tpdo.supervise(True)
+    surplus = []
+    for cycle in range(400):
+        tpdo.begin()
+        foreign = cycle == 300
+        for place in range(3 if (cycle < 60 and cycle % 4 == 3) or foreign else int(cycle % every == 0)):
+            tpdo.add(bytes((cycle % 256, place)), before_sync=False)
+        tpdo.end(0)
+        surplus += [cycle] * bool(tpdo.surplus)
+    assert surplus == [300]

@@ -118,6 +118,16 @@ def test_what_no_twin_has_found_does_not_enter(tmp_path: Path) -> None:
     assert not (tmp_path / "history.sqlite").exists()
 
 
+def test_the_history_of_runs_elsewhere_is_that_beside_them(
+    stand: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    History(tmp_path / "history.sqlite").add()
+    shown = json.loads(hilbench("history", "--runs", str(stand / "runs"), "--json"))
+    assert shown["file"] == str(stand / "history.sqlite")
+    assert [each["stand"] for each in shown["stands"]] == ["pilot line"]
+
+
 def test_the_history_is_shown_with_the_stand_and_the_limits_of_a_config(stand: Path) -> None:
     file = ("--file", str(stand / "history.sqlite"))
     shown = json.loads(hilbench("history", str(stand / "line.yaml"), "--json", *file))

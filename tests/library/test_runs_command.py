@@ -91,6 +91,15 @@ def test_a_trend_is_told_and_drawn(runs: Path, tmp_path: Path) -> None:
     assert [point["load.web.width_m"] for point in data["points"]] == pytest.approx([0.5, 0.6, 0.7, 0.8])
 
 
+def test_a_trend_says_how_many_runs_have_no_value(runs: Path) -> None:
+    for number in range(4, 6):
+        made_run(runs, number=number, metrics={"E_noise_pct": 0.02, "E_time_to_1pct_s": None})
+    done = hilbench("runs", "trend", "E_time_to_1pct_s", "--runs", runs)
+    assert "of 4 runs" in done.stdout
+    assert "2 runs left out, without a value of E_time_to_1pct_s or began" in done.stdout
+    assert json.loads(hilbench("runs", "trend", "E_time_to_1pct_s", "--runs", runs, "--json").stdout)["left_out"] == 2
+
+
 def test_delete_needs_a_yes_where_nobody_can_be_asked(runs: Path) -> None:
     before = names(runs)
     refused = hilbench("runs", "delete", "--result", "failed", "--runs", runs)

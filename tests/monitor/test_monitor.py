@@ -482,6 +482,14 @@ def test_a_bench_that_does_not_run_has_no_values(bench: BenchConfig, last: list[
     assert again["F_sim_N"] is not None
 
 
+def test_the_cycles_are_those_of_this_run(bench: BenchConfig) -> None:
+    picture = running(bench)
+    picture.take([Frame(0x000, b"\x80\x00")], 2.0)
+    assert picture.cycles == 1000
+    picture.take([Frame(0x000, b"\x01\x00"), *cycles(bench, 20, 80.0)], 6.0)
+    assert (picture.cycles, picture.as_data()["condition"]) == (20, "running")
+
+
 def test_sync_alone_does_not_end_an_emergency_stop(bench: BenchConfig) -> None:
     picture = running(bench)
     picture.take([*EMERGENCY_STOP, Frame(0x080, b"")], 2.0)  # the bench goes on to see whether the drives have stopped

@@ -22,7 +22,7 @@ from tests.runs.shafts import recorded_shaft
 
 from hilbench.errors import UnusableInputError
 from hilbench.report import live
-from hilbench.report.chart import BLUE, Chart, Curve, Mark
+from hilbench.report.chart import BLUE, Band, Chart, Curve, Mark
 from hilbench.report.html import write_report
 from hilbench.report.plots import Picture, drawn
 from hilbench.results.recording import Recording, write_recording
@@ -248,6 +248,36 @@ def test_the_axis_reaches_as_far_as_the_tension_does() -> None:
     assert box is not None
     bottom, top = float(box[1]), float(box[2])
     assert top < min(heights) < top + 0.1 * (bottom - top)  # the peak is inside, near the upper edge
+
+
+@pytest.mark.parametrize(("spread", "whole"), [(3.0, True), (30.0, False)])
+def test_a_band_is_shown_whole_unless_the_curves_could_not_be_read(spread: float, whole: bool) -> None:
+    t = np.linspace(0, 40, 2000)
+    values = np.where(t > 10, 10.0, 8.0)
+    band = Band(t, values - spread, values + spread, BLUE, 0.2)
+    svg = drawn(Picture("x", "", "", [Chart("y", [Curve("a", t, values, BLUE)], [band])])).svg
+    box = re.search(r'<g id="x-patch_2">\s*<path d="M [\d.]+ ([\d.]+) \s*L [\d.]+ [\d.]+ \s*L [\d.]+ ([\d.]+)', svg)
+    area = re.search(r'FillBetween.*? d="([^"]*)".*?<use [^>]* y="([\d.]+)"', svg, re.DOTALL)
+    assert box is not None
+    assert (area is not None) == whole, "its edges are beyond the axes"
+    if area is not None:
+        heights = [float(area[2]) + float(y) for y in re.findall(r"[ML] [\d.]+ (-?[\d.]+)", area[1])]
+        assert float(box[2]) < min(heights) < max(heights) < float(box[1])
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js")
+@pytest.mark.parametrize("script", ["report/live.js", "pages/static/live.js"])
+def test_the_labels_of_ticks_say_where_the_ticks_are(script: str) -> None:
+    source = (Path(live.__file__).parents[1] / script).read_text(encoding="utf-8")
+    found = re.search(r"  const decimals = .*?^  const ticks = [^\n]*\n", source, re.DOTALL | re.MULTILINE)
+    assert found is not None
+    ask = """
+    const minus = (text) => text;
+    const ask = (values, step) => ticks(null, values, 0, 0, step).join(" ");
+    console.log([ask([2.5, 5, 7.5], 2.5), ask([0.25, 0.5], 0.25), ask([0, 20], 20), ask([0.1, 0.3], 0.1)].join("|"));
+    """
+    told = subprocess.run(["node", "-e", found[0] + ask], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "2.5 5.0 7.5|0.25 0.50|0 20|0.1 0.3"
 
 
 def test_what_a_step_does_for_a_few_cycles_is_not_cut_off() -> None:

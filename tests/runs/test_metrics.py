@@ -48,6 +48,10 @@ def test_known_answers() -> None:
     assert found["tension_peak_error_N"] == pytest.approx(16)
     assert found["tension_disturbance_pct"] == pytest.approx(20)
     assert found["tension_sim_deviation_N"] == pytest.approx(0.25, rel=1e-4)
+    channels = run()
+    since = channels["t_s"] >= 15 - 1e-9
+    error_N = np.abs(channels["F_sim_N"] - channels["F_true_N"])[since]
+    assert found["tension_sim_error_N"] == pytest.approx(error_N.max())
     assert found["v1_final_m_s"] == pytest.approx(3.000145, abs=1e-6)
     assert found["v1_expected_m_s"] == pytest.approx(3.000145, abs=1e-6)
     assert found["v1_deviation_m_s"] == pytest.approx(0, abs=1e-9)
@@ -146,7 +150,7 @@ def test_a_run_in_which_nothing_moved_and_nothing_stepped_has_no_metrics() -> No
             {"E_time_to_1pct_s", "E_final_error_pct", "E_noise_pct", "E_overshoot_pct", "tension_recovery_s"},
         ),
         ("E_sim_Pa", {"E_time_to_1pct_s", "E_final_error_pct", "E_noise_pct", "E_overshoot_pct"}),
-        ("F_sim_N", {"tension_sim_deviation_N"}),
+        ("F_sim_N", {"tension_sim_deviation_N", "tension_sim_error_N"}),
         ("strain_true", {"v1_final_m_s", "v1_expected_m_s", "v1_deviation_m_s"}),
     ],
 )

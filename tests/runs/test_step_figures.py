@@ -247,6 +247,20 @@ def test_settling_noise_and_no_overshoot_of_a_first_order_response(
         assert (got["E_noise_pct"] or 0) < 100 * noise * 3
 
 
+def test_an_overshoot_in_the_noise_grows_from_nothing_and_never_jumps() -> None:
+    found = []
+    for excess in np.linspace(0.0, 0.02, 41):
+        channels = quiet(20)
+        step_E(channels, 5, 0.2, 0.1)
+        after = channels["t_s"] >= 5.5
+        channels["E_sim_Pa"][after] += 0.2 * E0 * excess * np.exp(-(channels["t_s"][after] - 5.5) / 0.1)
+        channels["E_sim_Pa"] *= 1 + 2e-4 * np.random.default_rng(1).normal(size=len(after))
+        found += figures(judge(channels), "E_overshoot_pct")
+    assert found[0] == 0.0
+    assert 0.5 < found[-1] < 2.5
+    assert np.diff(found).max() < 0.1, "0.05 % more of it are no more than that in the metric"
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     share=st.floats(0.02, 0.4),

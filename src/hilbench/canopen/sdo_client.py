@@ -20,7 +20,7 @@ from hilbench.errors import BusError
 SDO_ANSWERS: Final[can.typechecking.CanFilters] = [{"can_id": SDO_ANSWER, "can_mask": FUNCTION_CODE, "extended": False}]
 
 #: Of so many contents what was sent and not heard yet is kept, and for so long: a bus in lockstep may stand still.
-_SENT_KEPT, _SENT_KNOWN_S = 256, 60.0
+_SENT_KEPT, _SENT_KNOWN_S = 4096, 60.0
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class SentFrames:
         with self._lock:
             times_s = self._times_s
             key = can_id, data
-            times_s[key] = [*times_s.get(key, ()), time.monotonic()][-_SENT_KEPT:]
+            times_s[key] = [*times_s.pop(key, ()), time.monotonic()][-_SENT_KEPT:]  # the last sent are the last kept
             if len(times_s) > _SENT_KEPT:  # those were lost, or nobody listened
                 del times_s[next(iter(times_s))]
 

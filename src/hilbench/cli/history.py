@@ -25,7 +25,8 @@ def history(
         typer.Argument(metavar="[CONFIG]", help="bench config (YAML): its stand, history and wear_limits"),
     ] = None,
     file: Annotated[
-        Path | None, typer.Option("--file", help="history file", show_default="the config's, or history.sqlite")
+        Path | None,
+        typer.Option("--file", help="history file", show_default="the config's, or history.sqlite beside --runs"),
     ] = None,
     stand: Annotated[
         str | None, typer.Option("--stand", help="name of the stand", show_default="the config's, or all of the file")
@@ -40,7 +41,9 @@ def history(
     rebuild: Annotated[
         bool, typer.Option("--rebuild", help="first make the history anew from the run folders in --runs")
     ] = False,
-    runs: Annotated[Path, typer.Option("--runs", help="folder with the run folders, for --rebuild")] = Path("runs"),
+    runs: Annotated[
+        Path, typer.Option("--runs", help="folder with the run folders; their history lies beside it")
+    ] = Path("runs"),
     json: JsonOption = False,
 ) -> None:
     """Show what the runs of a stand have found of its machine: level, trend, changes, and when a limit is reached.
@@ -57,12 +60,12 @@ def history(
 
     from hilbench.history import entries
     from hilbench.history.quantities import quantities_of
-    from hilbench.history.store import FILE, History, history_of
+    from hilbench.history.store import History, history_beside, history_of
     from hilbench.history.told import as_data
     from hilbench.runs.config import load
 
     bench = None if config is None else load(config)[0]
-    path = file or (Path(FILE) if bench is None else history_of(bench, runs))
+    path = file or (history_beside(runs) if bench is None else history_of(bench, runs))
     stand = stand or (None if bench is None else bench.stand_name)
     limits = dict(map(_limit, limit or ()))
     problems = entries.rebuild(path, stand, runs)[1] if rebuild else []

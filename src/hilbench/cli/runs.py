@@ -319,17 +319,19 @@ def trend(
     points = points_of(found, metric, over)
     if not points:
         raise UnusableInputError(metric, f"no value in {_count(len(found))}, expected some to draw")
-    summary = summary_of(points)
+    summary, left_out = summary_of(points), len(found) - len(points)
     if out is not None:
         write_runs_picture(points, metric, over, out)
     if json:
         rows = [{"run": each.run.path, "result": each.run.state, over: each.x, metric: each.value} for each in points]
-        print(dumps({**asdict(summary), "points": rows}, indent=2))
+        print(dumps({**asdict(summary), "left_out": left_out, "points": rows}, indent=2))
         return
     typer.echo(
         f"{metric} of {_count(summary.runs)} over {over}: {summary.direction}, median {summary.median:.5g}, "
         f"{summary.least:.5g} to {summary.largest:.5g}, last {summary.newest:.5g}"
     )
+    if left_out:
+        typer.echo(f"{_count(left_out)} left out, without a value of {metric} or {over}")
     if out is not None:
         typer.echo(f"picture: {out}")
 

@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 _LOST_CYCLES = 500
 #: Answers that can be owed: a sender that owes more is as good as silent.
 _MOST_OWED = 100
+#: A sender that is back has worked off what it had missed once it has answered so many SYNCs one by one.
+_ONE_BY_ONE = 50
 
 
 @dataclass(slots=True, eq=False)
@@ -36,6 +38,7 @@ class Tpdo:
     _steady: int = 0
     _since: int = 1 << 30  # cycles since the last that was used
     _used: bytes = b""
+    _is_back: bool = False
     _before: list[bytes] = field(default_factory=list)
     _behind: list[bytes] = field(default_factory=list)
 
@@ -91,8 +94,8 @@ class Tpdo:
         return self._since
 
     def supervise(self, supervised: bool) -> None:
-        """Its sender goes away, or is back: nothing is owed from before."""
-        self.supervised = supervised
+        """Its sender goes away, or is back, and works off what it has missed: nothing is owed from before."""
+        self.supervised, self._is_back = False, supervised
         self._owed = self._steady = 0
 
     def end(self, other_syncs: int) -> None:
@@ -101,6 +104,9 @@ class Tpdo:
         if not self.supervised:
             taken = self._before + self._behind
             self._use(taken[-1] if taken else None, in_time=bool(self._behind))
+            self._steady = self._steady + 1 if len(taken) <= 1 else 0
+            if self._is_back and self._steady >= _ONE_BY_ONE:
+                self.supervised, self._steady = True, 0
         elif self.every == 1:
             self._end_of_each(other_syncs)
         else:

@@ -17,6 +17,7 @@ from hilbench.can.confinement import ControllerState
 from hilbench.can.link import Link
 from hilbench.canopen.object_store import ObjectStore
 from hilbench.chain import Chained
+from hilbench.errors import BenchFaultError
 from hilbench.exchange.emergencies import Emergency
 from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.nodes import Nodes
@@ -110,25 +111,32 @@ class Exchange:
             producer=producer,
         )
         self._plain: PlainCycles | None = None
+        self._foreign_between: list[Unexpected] = []  # among what was discarded since the last cycle, and before it
+        self._foreign_before: list[Unexpected] = []
         self.timing = sync.timing
         self.pacing = sync.pacing
         self.silent = sync.silent  #: who does not answer, and is not waited for any longer
         self.stay_alive = sync.stay_alive
         self.stand_still = sync.stand_still
-        self.discard_waiting = sync.discard_waiting
         self.emergency_stop = sync.emergency_stop
 
     def cycle(self, outputs: Mapping[str, float]) -> Inputs:
         """Outputs and SYNC onto the bus, then what the nodes answer. `outputs` as in `Nodes.encode`."""
         nodes, sync, own = self._nodes, self._sync, self._own
         nodes.unexpected = []
+        self._foreign_before, self._foreign_between = self._foreign_between, []
         if self._by_clock:
             sync.wait_for_turn()
-        if self._plain is not None and self._plain.cycle(outputs):
-            self._count()
-            return nodes
-        set_points, answers = nodes.encode(outputs), own.answers()
-        received = sync.exchange([*set_points, *answers], may_be_left_out=nodes.follow and not answers)
+        try:
+            if self._plain is not None and self._plain.cycle(outputs):
+                self._count()
+                return nodes
+            set_points, answers = nodes.encode(outputs), own.answers()
+            received = sync.exchange([*set_points, *answers], may_be_left_out=nodes.follow and not answers)
+        except BenchFaultError:
+            if sync.received:  # an answer that stays away may be a stranger's doing
+                nodes.unexpected, sync.received = nodes.foreign_among(sync.received), []
+            raise
         own.handle(received)
         nodes.decode(received, sync.before_sync, sync.gone_by)
         self._count()
@@ -141,7 +149,7 @@ class Exchange:
     def unexpected(self) -> Sequence[Unexpected]:
         """What came in the last cycle, and is not of the bench or its nodes; also where a fault of a drive has ended
         it, which may be a stranger's doing."""
-        return self._nodes.unexpected
+        return [*self._foreign_before, *self._nodes.unexpected]
 
     def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[ChainedCycles | None]:
         """See `PlainCycles.chained`."""
@@ -164,6 +172,11 @@ class Exchange:
     def use(self, made: Callable[[SyncCycle, OwnNode], PlainCycles | None]) -> None:
         """Let cycles that are plain be run by what `made` makes."""
         self._plain = made(self._sync, self._own)
+
+    def discard_waiting(self, timeout_s: float = 0.0) -> None:
+        """What waits to be read, or comes within `timeout_s`, is no answer to the last SYNC; a stranger's frames among
+        it are `unexpected` with the next cycle."""
+        self._foreign_between += self._nodes.foreign_among(self._sync.discard_waiting(timeout_s))
 
     def sync_only(self) -> None:
         """A SYNC that tells nobody anything: simulated time goes on. What comes is in the trace, and nowhere else."""

@@ -412,6 +412,10 @@ class Nodes:
         self.unexpected = self._watch.look(frames, tpdos.values()) if self._watch else []
         return data
 
+    def foreign_among(self, frames: Sequence[Frame]) -> list[Unexpected]:
+        """What is not of the bench or its nodes among frames that are not decoded."""
+        return self._watch.look(frames, ()) if self._watch else []
+
     def ages_cycles(self) -> tuple[int, ...]:
         """How many cycles old the samples in use are, of each drive; 0 where it has answered this SYNC in time."""
         return self._ages_cycles

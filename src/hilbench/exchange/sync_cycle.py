@@ -124,6 +124,7 @@ class SyncCycle:
         #: Told before the link is used for anything that is no cycle of somebody else's: by who has run the last ones.
         self.before_use: Callable[[], None] = _nobody
         self._came_between: list[Frame] = []
+        self.received: list[Frame] = []  #: what came in a cycle that a fault has ended
         self._fault_between: Exception | None = None
         self._epoch_ns = 0
         self._sync = Frame(SYNC, b"")
@@ -244,6 +245,7 @@ class SyncCycle:
             self._account_before_sync(outgoing, late)
         answers, failure = self._collect(self._due(), came)
         received, self.before_sync = late + answers, len(late)
+        self.received = received
         timing.ended_ns = time.monotonic_ns()
         timing.wait_ns += timing.ended_ns - before_ns
         timing.bits += self.last_bits
@@ -258,6 +260,7 @@ class SyncCycle:
         fault = trace_fault or failure
         if fault is not None:
             raise fault
+        self.received = []
         return received
 
     def _heartbeat_is_due(self) -> bool:
@@ -285,13 +288,13 @@ class SyncCycle:
         came, self._came_between = self._came_between, []
         return came + self._link.receive(0.0) if came else self._link.receive(0.0)
 
-    def discard_waiting(self, timeout_s: float = 0.0) -> None:
+    def discard_waiting(self, timeout_s: float = 0.0) -> list[Frame]:
         """Put what waits to be read, or comes within `timeout_s`, into the trace only: no answer to the last SYNC."""
         with self.lock:
             self.before_use()
-            self._discard_waiting(timeout_s)
+            return self._discard_waiting(timeout_s)
 
-    def _discard_waiting(self, timeout_s: float) -> None:
+    def _discard_waiting(self, timeout_s: float) -> list[Frame]:
         trace_fault = self._write_last_answers()
         came, self._came_between = self._came_between, []
         waiting = came + (self._link.receive if self.marks is None else self.marks.discard)(timeout_s)
@@ -301,6 +304,7 @@ class SyncCycle:
             self._tap.end_cycle()
         if trace_fault is not None:
             raise trace_fault
+        return list(waiting)
 
     def emergency_stop(self) -> None:
         """Stop everything on the bus at once. Raises BusError when it can't be sent."""

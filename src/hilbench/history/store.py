@@ -86,7 +86,12 @@ class Row:
 
 def history_of(config: BenchConfig, runs: Path) -> Path:
     """The history file of a bench whose run folders are made in `runs`."""
-    return config.history or runs.resolve().parent / FILE
+    return config.history or history_beside(runs)
+
+
+def history_beside(runs: Path) -> Path:
+    """The history file of run folders in `runs` whose config names no other."""
+    return runs.resolve().parent / FILE
 
 
 class History:

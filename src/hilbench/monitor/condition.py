@@ -9,6 +9,8 @@ from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.canopen.identifiers import HEARTBEAT, NMT, SYNC, NmtCommand
 
 _ALL = 0
+#: With it a bench begins.
+START_ALL = bytes((NmtCommand.START, _ALL))
 #: NMT commands with which a bench lets its nodes go: stop, enter PRE-OPERATIONAL.
 _LET_GO = (NmtCommand.STOP, NmtCommand.ENTER_PRE_OPERATIONAL)
 #: Wall time without a SYNC, or without anything of a node, after which what it said is old.

@@ -16,7 +16,7 @@ import numpy as np
 
 from hilbench.can.frame import EXTENDED_FLAG, Frame
 from hilbench.can.wire import frame_bits
-from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, SYNC, node_of
+from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, NMT, SYNC, node_of
 from hilbench.cia402 import objects
 from hilbench.cia402.object_units import si_unit
 from hilbench.cia402.state_machine import State, decode_statusword
@@ -25,7 +25,7 @@ from hilbench.doctor.scan import nmt_states
 from hilbench.exchange.addressing import declared_units
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.timeliness import Timeliness
-from hilbench.monitor.condition import SILENCE_S, BenchWatch, Condition
+from hilbench.monitor.condition import SILENCE_S, START_ALL, BenchWatch, Condition
 from hilbench.monitor.trends import trends_of
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
@@ -86,7 +86,7 @@ class BusPicture:
     """The picture of one bench; `take` adds what was heard."""
 
     config: BenchConfig
-    cycles: int = 0  #: SYNCs heard
+    cycles: int = 0  #: SYNCs heard of this run
     faults: deque[FaultNote] = field(default_factory=lambda: deque(maxlen=_FAULTS_KEPT))
     fault_count: int = 0  #: of all faults so far, also of those no longer kept
     every: int = 25  #: cycles between two points of a trend
@@ -144,7 +144,10 @@ class BusPicture:
             if frame.can_id & EXTENDED_FLAG:
                 continue
             self._watch.take(frame, self._now_s)
-            if frame.can_id == SYNC:
+            if frame.can_id == NMT and frame.data == START_ALL:  # a bench begins
+                self.cycles = 0
+                self._heard.clear()
+            elif frame.can_id == SYNC:
                 self._sync(frame)
             elif node_of(frame.can_id, EMERGENCY):
                 self._emergency(frame)

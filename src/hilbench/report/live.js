@@ -17,7 +17,11 @@
     return alpha === undefined || alpha === 1 ? text : `rgba(${part(1)},${part(3)},${part(5)},${alpha})`;
   };
   const minus = (text) => text.replace("-", "\u2212");
-  const decimals = (step) => Math.max(0, Math.min(9, Math.ceil(-Math.log10(step) - 1e-6)));
+  const decimals = (step) => {
+    let count = 0;  // as many as tell multiples of 2.5 apart, too
+    while (count < 9 && Math.abs(step * 10 ** count - Math.round(step * 10 ** count)) > 1e-6 * step * 10 ** count) count += 1;
+    return count;
+  };
   const ticks = (u, values, axis, space, step) => values.map((v) => (v === null || v === undefined ? "" : minus(v.toFixed(decimals(step)))));
 
   const plots = [];
@@ -86,8 +90,16 @@
     ctx.restore();
   };
 
-  const range = (least) => (u, low, high) => {
+  // A band is shown whole, unless it is so much wider than the curves that these could not be read.
+  const BAND_ROOM = 2;
+  const range = (least, bands) => (u, low, high) => {
     if (low === null || high === null) return [0, 1];
+    const room = BAND_ROOM * Math.max(high - low, least), [first, last] = u.series[0].idxs ?? [0, u.data[0].length - 1];
+    let bottom = low, top = high;
+    for (const edge of u.data.slice(1, 1 + 2 * bands))
+      for (const value of edge.slice(first, last + 1)) if (value != null) { bottom = Math.min(bottom, value); top = Math.max(top, value); }
+    low = Math.max(bottom, low - room);
+    high = Math.min(top, high + room);
     const half = Math.max((high - low) / 2, least / 2, Math.abs(high) * 1e-9, 1e-12) * 1.08, middle = (low + high) / 2;
     return [middle - half, middle + half];
   };
@@ -109,7 +121,7 @@
     const axis = { stroke: () => colour("--ink"), grid: { stroke: () => colour("--rule"), width: 1 }, ticks: { stroke: () => colour("--rule"), width: 1 }, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif", values: ticks };
     const u = new uPlot({
       width: place.clientWidth, height: PLOT_PX, series, bands, padding: [18, 14, 0, 0],
-      scales: { x: { time: false }, y: { range: range(plot.least) } },
+      scales: { x: { time: false }, y: { range: range(plot.least, plot.bands.length) } },
       axes: [{ ...axis, label: "time in s", labelSize: 18, size: 34 }, { ...axis, label: plot.y, labelSize: 18, size: AXIS_PX }],
       legend: { markers: { width: 2 } },
       cursor: {

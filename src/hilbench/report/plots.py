@@ -45,6 +45,8 @@ Array = NDArray[np.float64]
 _COLUMNS: Final = 700
 #: Axes whose extremes reach beyond so many times what the signals do for 99.8 % of the time are cut, and say so.
 _CUT_BEYOND: Final = 4.0
+#: Bands widen axes by so many times what the curves do, to either side (live.js has it, too).
+_BAND_ROOM: Final = 2.0
 #: What a zoom shows: from before a step to after it, s; and steps that get one on paper.
 _ZOOM_BEFORE_S: Final = 0.1
 ZOOM_AFTER_S: Final = 1.2
@@ -151,9 +153,12 @@ class Panel:
         _, _, high = envelope(band.t_s, band.high, self.columns)
         self.axes.fill_between(x, low, high, color=band.colour, alpha=band.alpha, linewidth=0)
 
-    def limits(self, curves: Sequence[Curve], least: float, marks: Sequence[Mark] = ()) -> None:
+    def limits(
+        self, curves: Sequence[Curve], least: float, marks: Sequence[Mark] = (), bands: Sequence[Band] = ()
+    ) -> None:
         """Show all that the curves do, and at least a height of `least`; what is far out is cut, and marked, but for
-        what they do at a mark: that is what the picture is looked at for."""
+        what they do at a mark: that is what the picture is looked at for. Bands are shown whole unless they are so much
+        wider that the curves could not be read."""
         shown = np.concatenate([curve.values[np.isfinite(curve.values)] for curve in curves])
         if not len(shown):
             return
@@ -164,6 +169,11 @@ class Panel:
         cut = highest - lowest > _CUT_BEYOND * max(high - low, least)
         if not cut:
             low, high = lowest, highest
+        room = _BAND_ROOM * max(high - low, least)
+        edges = np.concatenate(
+            [np.empty(0), *(edge[np.isfinite(edge)] for band in bands for edge in (band.low, band.high))]
+        )
+        low, high = max(np.min(edges, initial=low), low - room), min(np.max(edges, initial=high), high + room)
         middle, half = (low + high) / 2, max((high - low) / 2 * 1.12, least / 2, 1e-9 * abs(high), 1e-12)
         self.axes.set_ylim(middle - half, middle + half)
         if cut:
@@ -314,7 +324,7 @@ def _draw_chart(axes: Any, chart: Chart, columns: int, marks: Sequence[Mark]) ->
         panel.band(band)
     for curve in chart.curves:
         panel.line(curve)
-    panel.limits(chart.curves, chart.least, marks)
+    panel.limits(chart.curves, chart.least, marks, chart.bands)
     axes.set_xlim(*chart.extent_s)
     axes.set_ylabel(chart.y_label)
     return panel

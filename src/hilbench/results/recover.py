@@ -106,7 +106,7 @@ def _result(config: ExperimentConfig, found: Recovery, changes: list[Change]) ->
     timing = Timing(
         pace=config.pace,
         cycle_us=config.cycle_time_s * 1e6,
-        cycles=found.cycles,
+        cycles=len(found.recording),
         missed=found.missed,
         jitter_us=None,
         realtime_factor=None,

@@ -94,7 +94,8 @@ _LATE_WARNING_PCT = 1.0
 
 
 class Timing(_WithOptions):
-    """How the cycles went. `cycle_us` is the nominal cycle; `jitter_us` is None where nobody measured it.
+    """How the cycles went. `cycle_us` is the nominal cycle, `cycles` has those of the recording, without start and
+    stop of the drives; `jitter_us` is None where nobody measured it.
 
     `realtime_factor` is bus time over wall time; `bus_load_pct` the mean share of the bus' capacity in use.
     `lost_frames` were received for the bench and not read in time (None: the bus interface does not count them),

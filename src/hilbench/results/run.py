@@ -235,7 +235,7 @@ class RunRecord:
         if len(recording) >= LEAST_SAMPLES:
             with ending.kept("record"):
                 write_recording(recording, folder.recording)
-        timing = measure_timing(bench)
+        timing = measure_timing(bench, len(recording))
         judged = Judgement(())
         with ending.kept("metrics"):
             judged = judge(recording.channels, journal=self._happened.events())
@@ -334,8 +334,9 @@ def _warned(notice: Notice) -> Warned:
     )
 
 
-def measure_timing(bench: Bench) -> Timing:
-    """Counts and times of the cyclic path of a run that has ended; lateness only where SYNC had a deadline."""
+def measure_timing(bench: Bench, recorded: int) -> Timing:
+    """Counts and times of the cyclic path of a run that has ended, of which so many cycles were recorded; lateness only
+    where SYNC had a deadline."""
     config, exchange = bench.config, bench.exchange
     if exchange is None:
         return Timing(
@@ -355,7 +356,7 @@ def measure_timing(bench: Bench) -> Timing:
     return Timing(
         pace=config.pace,
         cycle_us=config.cycle_time_s * 1e6,
-        cycles=timing.cycles,
+        cycles=recorded,
         missed=exchange.pacing.missed,
         late_set_points=exchange.pacing.late_set_points if config.pace == "realtime" else None,
         jitter_us=percentiles,

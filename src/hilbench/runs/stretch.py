@@ -114,10 +114,11 @@ class Stretch:
         return trend_rms(self.t_s[part], error[part])
 
     def overshoot(self, name: str, goal: str, height: float) -> Figure:
-        """Largest excess of a signal over its goal in the direction of a step of `height`, in % of it."""
+        """Largest excess of a signal over its goal beyond noise, in the direction of a step of `height`, in % of it."""
         error = self.error(name, goal)
         excess = float(np.max(error * np.sign(height)))
-        return Figure(100 * excess / abs(height) if excess > 0 and excess > NOISE_PEAK * self.noise(error) else 0.0)
+        beyond_noise = excess - NOISE_PEAK * self.noise(error) if excess > 0 else 0.0
+        return Figure(100 * max(beyond_noise, 0.0) / abs(height))
 
     def time_in_band(self, error: Array, band: float, text: str) -> Figure:
         """Time until the error stays within the band; `text` is the band for a reader."""

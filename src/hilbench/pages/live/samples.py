@@ -14,10 +14,11 @@ import numpy as np
 
 from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
-from hilbench.canopen.identifiers import NMT, SYNC, NmtCommand
+from hilbench.canopen.identifiers import NMT, SYNC
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.exchange.nodes import Nodes
 from hilbench.library.heard_run import RunUnderWay
+from hilbench.monitor.condition import START_ALL
 from hilbench.pages.live.history import Array, History
 from hilbench.pages.live.machines.kinds import settled
 from hilbench.results.recover import CycleFrames, CycleSplitter, Decoder, take_units
@@ -29,7 +30,6 @@ from hilbench.topology.signal_kinds import TIME
 _MOST_WAITING: Final = 50_000
 #: What is told of a journal one by one.
 TOLD: Final = frozenset({"enabled", "stopping", "predicted", "gap_seen", "model_proposed", "asked"})
-_START_ALL: Final = bytes((NmtCommand.START, 0))
 
 
 #: The run on the bus of a name, if it is known.
@@ -85,7 +85,7 @@ class LiveSamples:
         """More frames, in the order in which they were heard."""
         self._read_journal()
         for frame in frames:
-            if frame.can_id == NMT and frame.data == _START_ALL:
+            if frame.can_id == NMT and frame.data == START_ALL:
                 self._start_anew()
             elif frame.can_id == SYNC and self._decoder is None:
                 self._join(frame)

@@ -178,7 +178,11 @@ window.session.then((known) => {
     for (const column of columns) for (const value of column) if (value !== null) { bottom = Math.min(bottom, value); top = Math.max(top, value); }
     return bottom <= top ? [bottom, top] : null;
   };
-  const decimals = (step) => Math.max(0, Math.min(9, Math.ceil(-Math.log10(step) - 1e-6)));
+  const decimals = (step) => {
+    let count = 0;  // as many as tell multiples of 2.5 apart, too
+    while (count < 9 && Math.abs(step * 10 ** count - Math.round(step * 10 ** count)) > 1e-6 * step * 10 ** count) count += 1;
+    return count;
+  };
   const ticks = (u, values, axis, space, step) => values.map((v) => (v === null || v === undefined ? "" : minus(v.toFixed(decimals(step)))));
 
   const axisOf = () => ({ stroke: () => colour("--ink"), grid: { stroke: () => colour("--rule"), width: 1 }, ticks: { stroke: () => colour("--rule"), width: 1 }, font: "11px system-ui, sans-serif", values: ticks });

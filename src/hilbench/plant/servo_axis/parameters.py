@@ -30,7 +30,7 @@ Phase = Annotated[FiniteFloat, Field(ge=-7.0, le=7.0)]
 class ShaftParameters(Block):
     """What the motor turns."""
 
-    inertia_kg_m2: NotNegative = Field(description="of all that turns with the motor's rotor")
+    inertia_kg_m2: NotNegative = Field(description="of what the motor turns, without its rotor (motor.inertia_kg_m2)")
     coulomb_friction_Nm: NotNegative = Field(default=0.0, description="dry friction; it holds a shaft that stands")
     viscous_friction_Nm_s_per_rad: NotNegative = Field(default=0.0, description="friction in proportion to the speed")
     unbalance_Nm: NotNegative = Field(

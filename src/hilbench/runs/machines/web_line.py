@@ -79,9 +79,15 @@ def _tension(number: str) -> dict[str, Metric]:
         ),
         f"tension{number}_sim_deviation_N": Metric(
             "N",
-            "largest simulated tension error since the step",
+            "largest deviation of the simulated tension from its set-point since the step",
             _NOTHING,
             lambda s: s.peak(error(s, simulated)),
+        ),
+        f"tension{number}_sim_error_N": Metric(
+            "N",
+            "largest deviation of the simulated tension from the true one since the step",
+            _NOTHING,
+            lambda s: s.peak(s.error(simulated, true)),
         ),
     }
 
