@@ -119,6 +119,30 @@ def test_what_a_step_will_run_into_is_a_warning_with_its_line(
     assert said in warning
 
 
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            ["machine.rollers.gear_ratio=15"],
+            "3 m/s asks for 2149 rpm of axis2, which goes up to 2000 rpm (6080h, max motor speed): it is at its limit, "
+            "expected at most 2.79 m/s",
+        ),
+        (["machine.rollers.gear_ratio=15", "drives.axis2.parameters={6080h: 3000}"], ""),
+        (
+            ["load_motors.load.parameters={607Fh: 6000000}"],
+            "3 m/s asks for 716 rpm of load, which goes up to 600 rpm (607Fh, max profile velocity)",
+        ),
+    ],
+)
+def test_a_speed_that_a_motor_cannot_turn_at_is_told_before_the_run(
+    tmp_path: Path, changes: list[str], said: str
+) -> None:
+    ramp = config_of(tmp_path, "ramp: {path: line_speed_m_s, to: 3, duration_s: 9}")
+    warnings = check(ramp, "drives.axis2.parameters={6080h: 2000}", *changes).warnings
+    assert len(warnings) == bool(said)
+    assert all(f"config.yaml:3: {said}" in warning for warning in warnings)
+
+
 def test_a_gentle_experiment_has_no_warning(tmp_path: Path) -> None:
     found = check(
         config_of(
