@@ -119,6 +119,30 @@ def test_what_a_step_will_run_into_is_a_warning_with_its_line(
     assert said in warning
 
 
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            ["machine.rollers.gear_ratio=15"],
+            "3 m/s asks for 2149 rpm of axis2, which goes up to 2000 rpm (6080h, max motor speed): it is at its limit, "
+            "expected at most 2.79 m/s",
+        ),
+        (["machine.rollers.gear_ratio=15", "drives.axis2.parameters={6080h: 3000}"], ""),
+        (
+            ["load_motors.load.parameters={607Fh: 6000000}"],
+            "3 m/s asks for 716 rpm of load, which goes up to 600 rpm (607Fh, max profile velocity)",
+        ),
+    ],
+)
+def test_a_speed_that_a_motor_cannot_turn_at_is_told_before_the_run(
+    tmp_path: Path, changes: list[str], said: str
+) -> None:
+    ramp = config_of(tmp_path, "ramp: {path: line_speed_m_s, to: 3, duration_s: 9}")
+    warnings = check(ramp, "drives.axis2.parameters={6080h: 2000}", *changes).warnings
+    assert len(warnings) == bool(said)
+    assert all(f"config.yaml:3: {said}" in warning for warning in warnings)
+
+
 def test_a_gentle_experiment_has_no_warning(tmp_path: Path) -> None:
     found = check(
         config_of(
@@ -142,6 +166,58 @@ def test_python_files_are_looked_at_before_and_what_they_ask_for_is_said_to_be_u
     assert "config.yaml:3: what 'experiment' of mine.py asks for can't be known" in note
     with pytest.raises(UnusableInputError, match="no function 'other'"):
         check(config_of(tmp_path, f"python: {{file: {tmp_path / 'mine.py'}, function: other}}"))
+
+
+def eds_with(folder: Path, *changes: str) -> str:
+    """The shipped drive's EDS file with other entries ("60C2sub1/AccessType=const"), as the one of axis 1."""
+    sections = (CONFIGS.parent / "eds" / "hilbench_servo.eds").read_text().split("\n[")
+    for change in changes:
+        name, _, entry = change.partition("/")
+        at = next(k for k, section in enumerate(sections) if section.startswith(f"{name}]"))
+        key = entry.partition("=")[0]
+        kept = [line for line in sections[at].splitlines() if not line.startswith(f"{key}=")]
+        sections[at] = "\n".join([kept[0], entry, *kept[1:], ""])
+    (folder / "drive.eds").write_text("\n[".join(sections))
+    return f"drives.axis1.eds={folder / 'drive.eds'}"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            ["60C2sub1/AccessType=const", "60C2sub1/DefaultValue=4"],
+            "takes a cycle of 2 ms: 60C2h:1 is read-only and has 4",
+        ),
+        (["60C2sub2/AccessType=ro", "60C2sub2/DefaultValue=-2"], "60C2h:2 is read-only and has -2"),
+        (["60C2sub1/HighLimit=1"], "60C2h that takes a cycle of 2 ms: 60C2h:1 goes to 1"),
+        (["6502/DefaultValue=1"], r"lacks mode 9 in 6502h \(00000001h\)"),
+        (["6060/AccessType=ro"], r"6060h:0 that takes 9 \(the mode is written to it\), which is read-only and has 0"),
+        (["6060/HighLimit=8"], r"6060h:0 that takes 9 \(the mode is written to it\), which goes to 8"),
+        (["605A/AccessType=const", "605A/DefaultValue=1"], "605Ah:0 that takes 2 .* which is read-only and has 1"),
+        (["6085/HighLimit=1000"], "6085h:0 that takes 7161972 .* which goes from 1 to 1000"),
+        (["1017/AccessType=const"], "1017h:0 that takes 100 .* which is read-only and has 0"),
+        (["1400sub2/AccessType=const", "1400sub2/DefaultValue=255"], "1400h:2 that takes 1 .* read-only and has 255"),
+        (["6064/PDOMapping=0"], r"6064h \('Position actual value'\) is not mappable by its EDS"),
+        (["60FF/AccessType=ro"], r"60FFh \('Target velocity'\) is ro by its EDS, .* can be received in a PDO"),
+        (["6041/AccessType=wo"], r"6041h \('Statusword'\) is wo by its EDS, .* can be sent in a PDO"),
+    ],
+)
+def test_a_drive_whose_eds_cannot_do_what_the_config_asks_is_refused(
+    tmp_path: Path, changes: list[str], said: str
+) -> None:
+    with pytest.raises(UnusableInputError, match=f"web_section_step.yaml:15: .*{said}"):
+        check(CONFIG, eds_with(tmp_path, *changes))
+
+
+@pytest.mark.parametrize("fixed", [("60C2sub2",), ("60C2sub1", "60C2sub2"), ("605A",)])
+def test_a_drive_that_has_what_it_is_asked_for_in_read_only_objects_runs(
+    tmp_path: Path, fixed: tuple[str, ...]
+) -> None:
+    drive = eds_with(tmp_path, "605A/DefaultValue=2", *(f"{name}/AccessType=const" for name in fixed))
+    config = load_with_overrides(CONFIG, changes=[drive]).config
+    check(CONFIG, drive)
+    with Bench(config, participants=Participants.IN_PROCESS) as bench:
+        bench.run(0.1)
 
 
 def test_a_bus_that_is_not_there_is_refused_in_one_line() -> None:

@@ -17,7 +17,7 @@ from hilbench.canopen.object_store import (
     ObjectStore,
     SdoAbort,
 )
-from hilbench.canopen.pdo import EVENT_DRIVEN_TYPES, PdoMap, bit_length
+from hilbench.canopen.pdo import EVENT_DRIVEN_TYPES, PdoMap, bit_length, received_by, sent_by
 
 _DUMMIES = range(0x0002, 0x0008)
 
@@ -163,7 +163,7 @@ class Rpdo(_Pdo):
         self.refused = 0  #: values that an object refused
 
     def _right_direction(self, variable: ODVariable) -> bool:
-        return bool(variable.access_type in ("rw", "rww", "wo"))
+        return received_by(variable)
 
     def receive(self, data: bytes) -> None:
         """Data of its frame. Too short: dropped. Too long: its beginning counts (CiA 301, 7.2.2.5.1)."""
@@ -270,8 +270,7 @@ class Tpdo(_Pdo):
         self._started = False
 
     def _right_direction(self, variable: ODVariable) -> bool:
-        # rww is a process output (CiA 306): it is received, and read back by SDO only.
-        return variable.access_type not in ("wo", "rww")
+        return sent_by(variable)
 
     def restart(self) -> None:
         """Count SYNCs anew and forget what was sent (also when OPERATIONAL is entered)."""

@@ -33,6 +33,16 @@ def bit_length(variable: ODVariable) -> int:
     return 8 * kind.width
 
 
+def received_by(variable: ODVariable) -> bool:
+    """Whether its access lets it be mapped into an RPDO."""
+    return variable.access_type in ("rw", "rww", "wo")
+
+
+def sent_by(variable: ODVariable) -> bool:
+    """Whether its access lets it be mapped into a TPDO: rww is a process output (CiA 306), read back by SDO only."""
+    return variable.access_type not in ("wo", "rww")
+
+
 class PdoMap:
     """One PDO: its COB-ID, transmission type and mapped variables in order.
 

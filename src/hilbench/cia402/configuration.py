@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from canopen.objectdictionary import ObjectDictionary
+from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 from hilbench.canopen import eds
 from hilbench.canopen.identifiers import RPDOS, TPDOS
 from hilbench.canopen.master import Master
-from hilbench.canopen.pdo import PdoMap
+from hilbench.canopen.pdo import PdoMap, received_by, sent_by
 from hilbench.cia402 import objects
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.units import DriveUnits, ObjectReader
@@ -23,6 +23,7 @@ PRODUCER_HEARTBEAT: Final = 0x1017
 RPDO_COMMUNICATION: Final = 0x1400
 TPDO_COMMUNICATION: Final = 0x1800
 _MAPPING: Final = 0x200  # from a PDO's communication parameters to its mapping
+_MAPPINGS: Final = range(RPDO_COMMUNICATION + _MAPPING, TPDO_COMMUNICATION + 2 * _MAPPING)
 
 #: The object that each mode with a cyclic set point takes it from.
 SETPOINT_OBJECTS: Final = {
@@ -106,7 +107,7 @@ def _pdo_map(
     settings: DriveSettings, od: ObjectDictionary, cob_id: int, transmission_type: int, indices: tuple[int, ...]
 ) -> PdoMap:
     try:
-        return PdoMap.from_names(od, cob_id, transmission_type, indices)
+        pdo = PdoMap.from_names(od, cob_id, transmission_type, indices)
     except KeyError:
         missing = next(index for index in indices if index not in od)
         raise UnusableInputError(
@@ -114,6 +115,15 @@ def _pdo_map(
         ) from None
     except ValueError as error:
         raise UnusableInputError(settings.name, str(error)) from error
+    allows, done = (received_by, "received") if objects.CONTROLWORD in indices else (sent_by, "sent")
+    for variable in pdo.variables:
+        if not allows(variable):
+            raise UnusableInputError(
+                settings.name,
+                f"{variable.index:04X}h ('{variable.name}') is {variable.access_type} by its EDS, expected an access "
+                f"by which it can be {done} in a PDO",
+            )
+    return pdo
 
 
 def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdos: DrivePdos) -> None:
@@ -202,54 +212,112 @@ def default_reader(od: ObjectDictionary, written: Mapping[tuple[int, int], int |
 
 def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
     """What `configure` will need and the EDS does not have, one line each; empty for a drive that can be used."""
-    needed = {(objects.MODES_OF_OPERATION, 0): "the mode is written to it"}
-    needed |= {(objects.MODES_OF_OPERATION_DISPLAY, 0): "it shows the mode", (IDENTITY, 1): "it tells the device"}
-    needed |= {(PRODUCER_HEARTBEAT, 0): "the drive's heartbeat is set by it"}
+    written: dict[tuple[int, int], tuple[int | float, str]] = {
+        (objects.MODES_OF_OPERATION, 0): (int(settings.mode), "the mode is written to it"),
+        (PRODUCER_HEARTBEAT, 0): (settings.heartbeat_ms, "the drive's heartbeat is set by it"),
+    }
     if settings.master_heartbeat is not None:
-        needed |= {(CONSUMER_HEARTBEAT, 1): "the drive watches the bench by it (master: heartbeat_ms: 0 does without)"}
-    needed |= dict.fromkeys(settings.parameters, "the config or the bench writes it")
-    communication = [RPDO_COMMUNICATION]
-    if settings.tpdo_type is not None:
-        communication += [TPDO_COMMUNICATION + number for number in range(2 if settings.has_velocity else 1)]
-    for index in communication:
-        needed |= {(index, sub): "a PDO is set up by it" for sub in (1, 2)}
-        needed |= {(index + _MAPPING, sub): "a PDO is mapped by it" for sub in (0, 1, 2)}
+        master_id, time_out_ms = settings.master_heartbeat
+        why = "the drive watches the bench by it (master: heartbeat_ms: 0 does without)"
+        written[CONSUMER_HEARTBEAT, 1] = master_id << 16 | time_out_ms, why
+    for key, value in settings.parameters.items():
+        written[key] = value, "the config or the bench writes it"
+    needed = {(objects.MODES_OF_OPERATION_DISPLAY, 0): "it shows the mode", (IDENTITY, 1): "it tells the device"}
+    pdos = drive_pdos(settings, od)
+    for communication, pdo in (
+        (RPDO_COMMUNICATION, pdos.rpdo),
+        *((TPDO_COMMUNICATION + number - 1, sent) for number, sent, _ in pdos.tpdos),
+    ):
+        needed[communication, 1] = "a PDO is set up by it"
+        written[communication, 2] = pdo.transmission_type, "a PDO is set up by it"
+        for sub, value in enumerate((len(pdo.mapping), *pdo.mapping)):
+            written[communication + _MAPPING, sub] = value, "a PDO is mapped by it"
+    needed |= {key: why for key, (_, why) in written.items()}
     found = [f"{index:04X}h:{sub} ({why})" for (index, sub), why in needed.items() if not _has(od, index, sub)]
-    supported = default_reader(od)(objects.SUPPORTED_DRIVE_MODES, 0)
+    read = default_reader(od)
+    for (index, sub), (value, why) in written.items():
+        variable = _variable(od, index, sub)
+        if variable is not None and not _takes(variable, value, read(index, sub)):
+            shown = f"{value:08X}h" if index in _MAPPINGS and sub else str(value)
+            found.append(f"{index:04X}h:{sub} that takes {shown} ({why}), which {_range_text(variable)}")
+    supported = read(objects.SUPPORTED_DRIVE_MODES, 0)
     if supported and not int(supported) & settings.mode.supported_bit:
         found.append(f"mode {int(settings.mode)} in 6502h ({int(supported):08X}h)")
+    if interpolation_period(settings, od, read) is None:
+        variables = (eds.variable(od, objects.INTERPOLATION_TIME_PERIOD, sub) for sub in (1, 2))
+        told = (f"60C2h:{each.subindex} {_range_text(each)}" for each in variables)
+        found.append(f"60C2h that takes a cycle of {settings.cycle_s * 1e3:g} ms: {', '.join(told)}")
     return found
 
 
+def _takes(variable: ODVariable | None, value: int | float, now: int | float | None) -> bool:
+    """Whether a variable can be written with a value, or has it for good; `now`: what it has, None: nobody knows."""
+    if variable is None or not variable.writable:
+        return now in (None, value)
+    return (variable.min is None or value >= variable.min) and (variable.max is None or value <= variable.max)
+
+
+def _range_text(variable: ODVariable) -> str:
+    if not variable.writable:
+        return f"is read-only and has {variable.default}"
+    limits = ((word, limit) for word, limit in (("from", variable.min), ("to", variable.max)) if limit is not None)
+    return " ".join(("goes", *(f"{word} {limit}" for word, limit in limits)))
+
+
 def _has(od: ObjectDictionary, index: int, sub: int) -> bool:
+    return _variable(od, index, sub) is not None
+
+
+def _variable(od: ObjectDictionary, index: int, sub: int) -> ODVariable | None:
     try:
-        eds.variable(od, index, sub)
+        return eds.variable(od, index, sub)
     except KeyError:
-        return False
-    return True
+        return None
+
+
+def interpolation_period(settings: DriveSettings, od: ObjectDictionary, read: ObjectReader) -> dict[int, int] | None:
+    """60C2h:1 and :2 for the cycle, of what the drive lets be written or has (`read`); empty without that object, None
+    where it can't express the cycle."""
+    variables = [_variable(od, objects.INTERPOLATION_TIME_PERIOD, sub) for sub in (1, 2)]
+    if variables[1] is None:
+        return {}
+    has = [read(objects.INTERPOLATION_TIME_PERIOD, sub) for sub in (1, 2)]
+    for exponent in (-3, -4, -5, -6):
+        value = settings.cycle_s / 10.0**exponent
+        wanted = (round(value), exponent)
+        fits = abs(value - round(value)) < 1e-6 and 0 < round(value) < 256
+        if fits and all(map(_takes, variables, wanted, has)):
+            return dict(enumerate(wanted, 1))
+    return None
 
 
 def _set_interpolation_period(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:
-    """60C2h: the cycle, in the unit in which it fits UNSIGNED8 without loss."""
-    if not _has(od, objects.INTERPOLATION_TIME_PERIOD, 2):
-        return
-    for exponent in (-3, -4, -5, -6):
-        value = settings.cycle_s / 10.0**exponent
-        if abs(value - round(value)) < 1e-6 and 0 < round(value) < 256:
-            for sub, number in ((1, round(value)), (2, exponent)):
-                master.sdo_write(settings.node_id, objects.INTERPOLATION_TIME_PERIOD, number, sub)
-            return
-    raise UnusableInputError(settings.name, f"cycle {settings.cycle_s:g} s, expected one that 60C2h can express")
+    """60C2h: the cycle, in a unit in which it fits UNSIGNED8 without loss; what is read-only is compared."""
+
+    def read(index: int, sub: int) -> int:
+        return int(master.sdo_read(settings.node_id, index, sub))
+
+    wanted = interpolation_period(settings, od, read)
+    if wanted is None:
+        has = " and ".join(str(read(objects.INTERPOLATION_TIME_PERIOD, sub)) for sub in (1, 2))
+        raise _fault(settings, f"60C2h has {has}, expected what says a cycle of {settings.cycle_s:g} s")
+    for sub, number in wanted.items():
+        if eds.variable(od, objects.INTERPOLATION_TIME_PERIOD, sub).writable:
+            master.sdo_write(settings.node_id, objects.INTERPOLATION_TIME_PERIOD, number, sub)
 
 
 def _write(
     master: Master, settings: DriveSettings, od: ObjectDictionary, index: int, sub: int, value: int | float
 ) -> None:
-    if not _has(od, index, sub):
+    variable = _variable(od, index, sub)
+    if variable is None:
         raise UnusableInputError(
             settings.name, f"the EDS lacks {index:04X}h:{sub}, expected it: it is to be set to {value}"
         )
-    master.configure(settings.node_id, {(index, sub): value})
+    if variable.writable:
+        master.configure(settings.node_id, {(index, sub): value})
+    elif (found := master.sdo_read(settings.node_id, index, sub)) != value:
+        raise _fault(settings, f"{index:04X}h:{sub} is read-only by its EDS and has {found!r}, expected {value!r}")
 
 
 def _fault(settings: DriveSettings, problem: str) -> BenchFaultError:

@@ -14,6 +14,7 @@ from hilbench.errors import UnusableInputError, UnusableValueError
 from hilbench.exchange.effect_objects import effect_place
 from hilbench.plant.effect import MachineKind
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
+from hilbench.runs.drive_check import drive_warnings
 from hilbench.runs.found import find_metric as find_found_metric
 from hilbench.runs.metrics import OF_RUNS, metrics_of
 from hilbench.runs.prospect import Move, moves
@@ -74,6 +75,7 @@ def check_experiment(loaded: LoadedConfig, *, with_margins: bool = False) -> Che
         found = CheckedExperiment(bench, None, None, warnings, list(bench.notes), inertia_reserve=reserve)
     else:
         found = _check_web(loaded, bench, asked, with_margins=with_margins)
+    found.warnings.extend(drive_warnings(loaded, asked))
     for number, step in enumerate(config.steps):
         if step.python is not None:
             found.notes.append(

@@ -1,0 +1,71 @@
+"""What the steps of an experiment ask of the drives, beside what the objects of their EDS files allow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import inf
+
+from hilbench.canopen.eds import shared_eds
+from hilbench.cia402 import objects
+from hilbench.cia402.configuration import default_reader
+from hilbench.cia402.units import RPM
+from hilbench.exchange.addressing import declared_units
+from hilbench.plant.effect import MachineKind
+from hilbench.runs.config import ExperimentConfig, LoadedConfig
+from hilbench.runs.prospect import Move
+from hilbench.topology.parts import Part, Role
+from hilbench.topology.quantities import LINE_SPEED, SPEED
+
+
+@dataclass(frozen=True)
+class _Allowed:
+    """Of a drive, in the machine's unit of position: speed per s, by which object; and acceleration per s²."""
+
+    part: Part
+    speed: float
+    by: str
+    acceleration: float
+
+
+def drive_warnings(loaded: LoadedConfig, asked: list[Move]) -> Iterator[str]:
+    """The drive that each step asks the most of, where that is more than it allows."""
+    config = loaded.config
+    allowed = [_allowed(config, part) for part in config.parts if part.role is not Role.VIRTUAL_IO]
+    slowest = min(allowed, key=lambda drive: drive.speed)
+    laziest = min(allowed, key=lambda drive: drive.acceleration)
+    path, unit = (SPEED, "rad/s") if config.machine_kind is MachineKind.SERVO_AXIS else (LINE_SPEED, "m/s")
+    for move in asked:
+        before, after = move.before.values[path], move.after.values[path]
+        if before == after:
+            continue
+        at = loaded.document.place(move.after.place)
+        if abs(after) > slowest.speed:
+            rpm = config.machine.motor_rad_per_unit(slowest.part.axis or 1) / RPM
+            yield (
+                f"{at}: {after:g} {unit} asks for {abs(after) * rpm:.0f} rpm of {slowest.part.name}, which goes up to "
+                f"{slowest.speed * rpm:.0f} rpm ({slowest.by}): it is at its limit, expected at most "
+                f"{slowest.speed:.3g} {unit}"
+            )
+        if move.duration_s > 0.0 and abs(after - before) / move.duration_s > laziest.acceleration:
+            yield (
+                f"{at}: from {before:g} to {after:g} {unit} within {move.duration_s:g} s is faster than "
+                f"{laziest.part.name} accelerates (60C5h), expected a ramp of "
+                f"{abs(after - before) / laziest.acceleration:.3g} s or more"
+            )
+
+
+def _allowed(config: ExperimentConfig, part: Part) -> _Allowed:
+    od = shared_eds(part.node.eds, part.node.node_id)
+    read, units = default_reader(od, part.node.writes), declared_units(part, od)
+    rad_per_unit = config.machine.motor_rad_per_unit(part.axis or 1)
+
+    def limit(index: int, unit_rad: float) -> float:
+        return float(read(index, 0) or inf) * unit_rad / rad_per_unit
+
+    by = {
+        "6080h, max motor speed": limit(objects.MAX_MOTOR_SPEED, RPM),
+        "607Fh, max profile velocity": limit(objects.MAX_PROFILE_VELOCITY, units.velocity_rad_s),
+    }
+    least = min(by, key=lambda name: by[name])
+    return _Allowed(part, by[least], least, limit(objects.MAX_ACCELERATION, units.acceleration_rad_s2))
