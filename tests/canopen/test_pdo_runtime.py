@@ -206,7 +206,7 @@ def test_an_invalid_rpdo_misses_nothing_and_takes_its_errors_back(dut: DeviceUnd
         pytest.param([0x12340010], 0x06020000, id="no object"),
         pytest.param([0x10180920], 0x06090011, id="no sub-index"),
         pytest.param([0x60400020], NOT_MAPPABLE, id="length is not the object's"),
-        pytest.param([0x20050001], NOT_MAPPABLE, id="a single bit"),
+        pytest.param([0x20050008], NOT_MAPPABLE, id="a BOOLEAN is one bit"),
         pytest.param([0x00040020], NOT_MAPPABLE, id="placeholder that DummyUsage forbids"),
     ],
 )
