@@ -252,3 +252,11 @@ def test_rpdo_event_timer_reports_once_and_recovers(dut: DeviceUnderTest) -> Non
 def test_default_mapping_that_the_eds_forbids_is_named(tmp_path) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(Exception, match="EDS of node 5: RPDO1 cannot have its default mapping"):
         DeviceUnderTest(tmp_path, sections=SECTIONS | mapping(0x1600, "0x20000010"))
+
+
+def test_an_rpdo_that_was_too_long_and_then_too_short_leaves_no_error_when_it_is_right(dut: DeviceUnderTest) -> None:
+    dut.nmt(1)
+    map_rpdo1(dut, 0x60400010)
+    for data in (bytes(3), bytes(1), bytes(2)):
+        dut.send(0x205, data)
+    assert dut.read(0x1001) == 0

@@ -180,6 +180,8 @@ class Rpdo(_Pdo):
             too_short = len(data) < pdo_map.size
             code = PDO_TOO_SHORT if too_short else PDO_TOO_LONG
             self._emcy.raise_error(code, COMMUNICATION_ERROR, bytes([self.number & 0xFF]), self.number)
+            if self._length_error not in (None, code):
+                self._emcy.clear_error(self._length_error, self.number)
             self._length_error = code
             if too_short:
                 return
