@@ -224,6 +224,6 @@ def test_damaged_store_is_named(tmp_path: Path, text: str) -> None:
 
 
 def test_missing_object_is_named(tmp_path: Path) -> None:
-    sections = {name: text for name, text in SECTIONS.items() if name != "1017"}
-    with pytest.raises(UnusableInputError, match="1017h is missing"):
+    sections = {name: text for name, text in SECTIONS.items() if name != "1001"}
+    with pytest.raises(UnusableInputError, match="1001h is missing"):
         DeviceUnderTest(tmp_path, sections=sections)

@@ -126,6 +126,11 @@ def test_unusable_files_are_refused_with_their_line(tmp_path: Path, text: str, m
     assert "\n" not in str(error.value)
 
 
+def test_a_limit_beyond_the_range_of_its_type_limits_nothing(tmp_path: Path) -> None:
+    od = load_eds(write(tmp_path, "[2000]\n" + var("A", U8, extra="LowLimit=-1\nHighLimit=256\n")), 1)
+    assert (variable(od, 0x2000, 0).min, variable(od, 0x2000, 0).max) == (None, None)
+
+
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(UnusableInputError, match="cannot be read"):
         load_eds(tmp_path / "none.eds", 1)

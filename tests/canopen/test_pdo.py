@@ -63,10 +63,19 @@ def test_mapping_entry() -> None:
     assert PdoMap(0x181, 1, [of_type(0x03, 0x6077), of_type(0x04, 0x6064)]).mapping == [0x60770010, 0x60640020]
 
 
-@pytest.mark.parametrize("code", [0x01, 0x09, 0x0A, 0x0F, 0x0C, 0x40])
+@pytest.mark.parametrize("code", [0x09, 0x0A, 0x0F, 0x0C, 0x40])
 def test_types_that_do_not_go_into_a_pdo(code: int) -> None:
     with pytest.raises(ValueError, match=f"data type {code:04X}h"):
         PdoMap(0x181, 1, [of_type(code)])
+
+
+def test_a_boolean_is_one_bit_and_what_follows_it_stands_at_the_next() -> None:
+    pdo = PdoMap(0x181, 1, [of_type(0x01), of_type(0x03), of_type(0x01)])
+    assert [entry & 0xFF for entry in pdo.mapping] == [1, 16, 1]
+    assert pdo.pack((1, -2, 1)) == (1 | 0xFFFE << 1 | 1 << 17).to_bytes(3, "little")
+    assert pdo.unpack(pdo.pack((1, -2, 0))) == (1, -2, 0)
+    with pytest.raises(ValueError, match="181h"):
+        pdo.pack((2, 0, 0))
 
 
 def test_more_than_8_bytes() -> None:

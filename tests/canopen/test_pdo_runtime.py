@@ -206,7 +206,7 @@ def test_an_invalid_rpdo_misses_nothing_and_takes_its_errors_back(dut: DeviceUnd
         pytest.param([0x12340010], 0x06020000, id="no object"),
         pytest.param([0x10180920], 0x06090011, id="no sub-index"),
         pytest.param([0x60400020], NOT_MAPPABLE, id="length is not the object's"),
-        pytest.param([0x20050001], NOT_MAPPABLE, id="a single bit"),
+        pytest.param([0x20050008], NOT_MAPPABLE, id="a BOOLEAN is one bit"),
         pytest.param([0x00040020], NOT_MAPPABLE, id="placeholder that DummyUsage forbids"),
     ],
 )
@@ -252,3 +252,11 @@ def test_rpdo_event_timer_reports_once_and_recovers(dut: DeviceUnderTest) -> Non
 def test_default_mapping_that_the_eds_forbids_is_named(tmp_path) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(Exception, match="EDS of node 5: RPDO1 cannot have its default mapping"):
         DeviceUnderTest(tmp_path, sections=SECTIONS | mapping(0x1600, "0x20000010"))
+
+
+def test_an_rpdo_that_was_too_long_and_then_too_short_leaves_no_error_when_it_is_right(dut: DeviceUnderTest) -> None:
+    dut.nmt(1)
+    map_rpdo1(dut, 0x60400010)
+    for data in (bytes(3), bytes(1), bytes(2)):
+        dut.send(0x205, data)
+    assert dut.read(0x1001) == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from tests.conformance.virtual_bus import SERVO_EDS, VirtualBus, under_test
 
 from hilbench.can.frame import REMOTE_FLAG, Frame
 from hilbench.canopen.object_store import SEQUENCE_NUMBER, UNKNOWN_COMMAND
-from hilbench.conformance.examine import examine
+from hilbench.conformance.examine import CASES, examine
 from hilbench.conformance.record import Verdict
 from hilbench.errors import BenchFaultError
 
@@ -144,3 +145,47 @@ def test_a_device_that_does_not_come_back_from_its_reset_is_told_in_one_line() -
         BenchFaultError, match=r"node 5 can't be examined: boot-up message: expected 705 00, seen no 705"
     ):
         examine(under_test(bus, store=True), ["EMCY"])
+
+
+def test_what_a_device_without_a_mappable_object_cannot_do_is_not_applicable(tmp_path: Path) -> None:
+    text = SERVO_EDS.read_text().replace("PDOMapping=1", "PDOMapping=0")
+    text = re.sub(
+        r"(?<=DefaultValue=\$NODEID\+)0x[0-9A-F]+(?=\nPDOMapping)", lambda id_: hex(int(id_[0], 16) | 0x80000000), text
+    )
+    eds = tmp_path / "nothing_mappable.eds"
+    eds.write_text(text)
+    results = {
+        result.number: result
+        for result in examine(under_test(VirtualBus(eds), eds=eds), {"PDO"})
+        if result.group == "PDO"
+    }
+    assert len(results) > 20
+    for number in (23, 24, 26):
+        assert (results[number].verdict, results[number].reason[:34]) == (
+            Verdict.NOT_APPLICABLE,
+            "no object from 2000h on may be map",
+        )
+
+
+def test_a_case_that_fails_unexpectedly_is_one_case(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(_dut: object) -> None:
+        raise IndexError("bytes index out of range")
+
+    monkeypatch.setitem(CASES, "SYNC 1", fails)  # type: ignore[arg-type] # a Mapping to others
+    results = {
+        result.number: result for result in examine(under_test(VirtualBus()), {"SYNC"}) if result.group == "SYNC"
+    }
+    assert (results[1].verdict, results[1].reason) == (
+        Verdict.FAILED,
+        "unexpected IndexError: bytes index out of range",
+    )
+    assert len(results) > 1
+
+
+def test_a_history_with_errors_is_no_failure() -> None:
+    bus = VirtualBus()
+    for code in (0x4000, 0x3000):
+        bus.device.emergency(code, 1)
+        bus.device.clear_emergency(code)
+    results = [result for result in examine(under_test(bus), {"OD"}) if "1003h" in result.reason]
+    assert results == []

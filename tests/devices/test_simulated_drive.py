@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from canopen.profiles.p402 import BaseNode402
 from canopen.sdo import SdoAbortedError
-from tests.cia402.every_mode import INCREMENTS, eds_file
+from tests.cia402.every_mode import INCREMENTS, eds_file, eds_text
 from tests.cia402.stand_in import EDS as OWN
 
 from canopen import Network
@@ -187,6 +187,29 @@ def test_a_file_of_no_drive_is_refused_in_one_line(tmp_path: Path) -> None:
 def test_a_pdo_without_its_mapping_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(UnusableInputError, match=r"every_mode.eds: object 1600h is missing, a PDO with 1400h needs it"):
         SimulatedDrive(eds_file(tmp_path, 0x1600), 5, "virtual:x")
+
+
+def test_drives_without_conditional_objects_or_with_odd_default_maps_are_mapped_and_enabled(tmp_path: Path) -> None:
+    text = eds_text(0x1005, 0x1017)
+    text = _default(text, "1600sub2", "0")  # an entry that counts and is empty
+    text = _default(text, "1800sub1", "$NODEID+0x80000180")
+    text = _default(text, "1A00sub2", "0x20770010")  # of no object, in a PDO that is not valid
+    file = tmp_path / "drive.eds"
+    file.write_text(text)
+    with driven(file) as (drive, node):
+        cob_id = node.sdo[0x1800][1].raw
+        with pytest.raises(SdoAbortedError, match="0x06020000"):
+            node.sdo[0x1800][1].raw = cob_id & ~0x80000000
+        node.sdo[0x1A00][0].raw = 0
+        node.sdo[0x1A00][1].raw = 0x60410010
+        node.sdo[0x1A00][0].raw = 1
+        node.sdo[0x1800][1].raw = cob_id & ~0x80000000
+        enable(node, 3)
+        assert drive.state is State.OPERATION_ENABLED
+
+
+def _default(text: str, section: str, value: str) -> str:
+    return re.sub(rf"(\[{section}\][^\[]*?DefaultValue=)[^\n]*", rf"\g<1>{value}", text)
 
 
 def test_identity_is_the_headers_where_its_objects_have_no_value(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import canopen
 from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.canopen.clock import Clock
+from hilbench.canopen.data_types import UNSIGNED32
 from hilbench.canopen.device_pdo import RPDO_TIMED_OUT, Rpdo, Tpdo
 from hilbench.canopen.emcy import COMMUNICATION_ERROR, EmergencyProducer
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
@@ -43,8 +44,7 @@ SYNC_LENGTH = 0x8240
 
 _WITHOUT_TOP_BIT = 0x7FFFFFFF  #: of 1005h: it means nothing there
 
-#: Error register, COB-ID of SYNC, producer heartbeat time.
-_NEEDED = (0x1001, 0x1005, 0x1017)
+_ERROR_REGISTER = 0x1001
 
 _COMMUNICATION_AREA = (0x1000, 0x1FFF)
 _ALL_AREAS = (0x1000, 0x9FFF)
@@ -72,9 +72,8 @@ class Device:
         self.on_emergency_stop: Callable[[], None] | None = None
         self._clock = clock
         self._store = ObjectStore(od)
-        for index in _NEEDED:
-            if (index, 0) not in self._store:
-                raise UnusableInputError(f"EDS of node {node_id}", f"object {index:04X}h is missing, a device needs it")
+        if not self.has(_ERROR_REGISTER):
+            raise UnusableInputError(f"EDS of node {node_id}", "object 1001h is missing, a device needs it")
         self._check_pdo_objects(od)
         self._storage = Storage(self._store, store)
         self._sdo = DeviceSdoServer(node_id, self._store, self._reply)
@@ -310,6 +309,8 @@ class Device:
             try:
                 pdo.compile()
             except (SdoAbort, ValueError) as error:
+                if not pdo.valid:
+                    continue  # it has no map until one is written
                 # Writes are checked one by one, so this is what the device starts with.
                 raise UnusableInputError(
                     f"EDS of node {self.node_id}", f"{pdo} cannot have its default mapping: {error}"
@@ -331,7 +332,7 @@ class Device:
     # -- SYNC objects ------------------------------------------------------------------------------------
 
     def _restrict_sync_objects(self) -> None:
-        self._sync_cob = self.cell(0x1005)
+        self._sync_cob = self._store.conditional(0x1005, UNSIGNED32, SYNC)
         self._sync_counter = self.cell(0x1019) if self.has(0x1019) else None
         self._sync_cob.on_write = self._check_sync_cob
         if self._sync_counter is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from canopen.objectdictionary import ODVariable
 
@@ -85,9 +85,16 @@ class _Pdo:
         """Build the codec anew from the mapping object."""
         self.compiled = self.parameters()
         count = min(self._count.value, len(self._entries))
-        cells = [self._mapped(entry.value) for entry in self._entries[:count]]
-        self.cells = cells
+        # An empty entry of a default mapping carries nothing; none can be written among those that count.
+        self.cells = cells = self._mapped_cells(entry.value for entry in self._entries[:count] if entry.value)
         self.map = PdoMap(self.cob_id, self.transmission_type, [cell.variable for cell in cells]) if cells else None
+
+    def _mapped_cells(self, entries: Iterable[int]) -> list[Cell]:
+        """Those that mapping entries name, of eight bytes at most. Raises SdoAbort."""
+        cells = [self._mapped(entry) for entry in entries]
+        if sum(bit_length(cell.variable) for cell in cells) > 64:
+            raise SdoAbort(PDO_LENGTH)
+        return cells
 
     def _mapped(self, entry: int) -> Cell:
         """The cell that a mapping entry names. Raises SdoAbort."""
@@ -122,6 +129,7 @@ class _Pdo:
             return
         if is_restricted(value) or (self.valid and value & COB_ID != self.cob_id):
             raise SdoAbort(INVALID_VALUE)
+        self._mapped_cells(entry.value for entry in self._entries[: self._count.value] if entry.value)
 
     def _check_type(self, value: int) -> None:
         if 240 < value not in EVENT_DRIVEN_TYPES:
@@ -135,9 +143,7 @@ class _Pdo:
         self._only_while_invalid(value)
         if value > len(self._entries):
             raise SdoAbort(PDO_LENGTH)
-        cells = [self._mapped(entry.value) for entry in self._entries[:value]]
-        if sum(bit_length(cell.variable) for cell in cells) > 64:
-            raise SdoAbort(PDO_LENGTH)
+        self._mapped_cells(entry.value for entry in self._entries[:value])
 
     def _check_entry(self, value: int) -> None:
         self._only_while_invalid(value)
@@ -174,6 +180,8 @@ class Rpdo(_Pdo):
             too_short = len(data) < pdo_map.size
             code = PDO_TOO_SHORT if too_short else PDO_TOO_LONG
             self._emcy.raise_error(code, COMMUNICATION_ERROR, bytes([self.number & 0xFF]), self.number)
+            if self._length_error not in (None, code):
+                self._emcy.clear_error(self._length_error, self.number)
             self._length_error = code
             if too_short:
                 return

@@ -14,7 +14,7 @@ from pathlib import Path
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
 import canopen
-from hilbench.canopen.data_types import NODE_ID, Value, data_type
+from hilbench.canopen.data_types import INTEGER64, NODE_ID, Value, data_type
 from hilbench.errors import UnusableInputError
 from hilbench.files import content
 
@@ -384,8 +384,18 @@ def _take_values(path: Path, section: _Section, target: ODVariable, node_id: int
         except ValueError:
             if kind.width is None and attribute == "default":
                 continue  # DOMAIN and OCTET_STRING: makers write anything here, and nothing depends on it
+            if attribute in ("min", "max") and _is_number(text, node_id):
+                continue  # beyond the type's range, such as 65536 of an UNSIGNED16: it limits nothing
             place = f"{path}:{section.lines.get(key, section.line)}"
             raise UnusableInputError(
                 place, f"{key} of [{section.name}] is '{text}', expected a value of data type {kind.code:04X}h"
             ) from None
         setattr(target, attribute, value)
+
+
+def _is_number(text: str, node_id: int) -> bool:
+    try:
+        data_type(INTEGER64).parse(text, node_id)
+    except ValueError:
+        return False
+    return True

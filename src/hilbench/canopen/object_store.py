@@ -120,6 +120,15 @@ class ObjectStore:
         except KeyError:
             raise KeyError(f"no object {index:04X}h sub {sub} in the EDS") from None
 
+    def conditional(self, index: int, code: int, default: Value) -> Cell:
+        """The cell of an object that a device may lack (CiA 301): without it the default counts, and nobody on the bus
+        reads or writes it."""
+        if (index, 0) in self:
+            return self.cell(index)
+        variable = ODVariable(f"{index:04X}h", index)
+        variable.data_type, variable.default = code, default
+        return Cell(variable)
+
     def requested(self, index: int, sub: int) -> Cell:
         """The cell that a request names. Raises SdoAbort when there is none."""
         cell = self._cells.get((index, sub))

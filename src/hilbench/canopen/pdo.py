@@ -10,7 +10,7 @@ from canopen.objectdictionary import ODVariable
 
 import canopen
 from hilbench.canopen import eds
-from hilbench.canopen.data_types import BOOLEAN, STRUCT_CODES, data_type
+from hilbench.canopen.data_types import STRUCT_CODES, data_type
 
 #: Transmission types (CiA 301, table of 1400h/1800h sub 2).
 EVENT_DRIVEN_TYPES = (254, 255)
@@ -24,13 +24,12 @@ def mapping_value(variable: ODVariable) -> int:
 def bit_length(variable: ODVariable) -> int:
     """Length of a mapped variable in bits. Raises ValueError for types that can't be mapped here."""
     kind = data_type(variable.data_type or 0)
-    if kind.width is None or not kind.is_number or kind.code == BOOLEAN:
-        # A BOOLEAN is a single bit in a PDO (CiA 301, 7.4.7); this codec moves whole bytes.
+    if kind.pdo_bits is None or not kind.is_number:
         raise ValueError(
             f"{variable.index:04X}h sub {variable.subindex} ('{variable.name}') has data type "
-            f"{variable.data_type:04X}h, expected an integer of 8 to 64 bits or a REAL"
+            f"{variable.data_type:04X}h, expected a BOOLEAN, an integer of 8 to 64 bits or a REAL"
         )
-    return 8 * kind.width
+    return kind.pdo_bits
 
 
 def received_by(variable: ODVariable) -> bool:
@@ -52,7 +51,8 @@ class PdoMap:
     """
 
     def __init__(self, cob_id: int, transmission_type: int, variables: Sequence[ODVariable]) -> None:
-        size = sum(bit_length(variable) for variable in variables) // 8
+        self._bits = [bit_length(variable) for variable in variables]
+        size = (sum(self._bits) + 7) // 8
         if size > 8:
             raise ValueError(f"PDO {cob_id:03X}h maps {size} bytes, expected at most 8")
         kinds = [data_type(variable.data_type or 0) for variable in variables]
@@ -62,9 +62,9 @@ class PdoMap:
         self.size = size
         self._layout = struct.Struct("<" + "".join(STRUCT_CODES.get(kind.code, f"{kind.width}s") for kind in kinds))
         self.kinds = tuple(kinds)
-        #: Integers of 24, 40, 48 and 56 bits, which struct does not know: where they stand.
-        self._odd = tuple((place, kind) for place, kind in enumerate(kinds) if kind.code not in STRUCT_CODES)
-        self.unpack: Callable[[bytes], tuple[Any, ...]] = self._unpack_odd if self._odd else self._layout.unpack
+        #: BOOLEAN (one bit, CiA 301, 7.4.7) and integers of 24, 40, 48 and 56 bits: struct does not know them.
+        self._odd = any(kind.code not in STRUCT_CODES for kind in kinds)
+        self.unpack: Callable[[bytes], tuple[Any, ...]] = self._unpack_bits if self._odd else self._layout.unpack
 
     @classmethod
     def from_names(
@@ -83,22 +83,29 @@ class PdoMap:
     def pack(self, values: Sequence[int | float]) -> bytes:
         """The frame's data. Raises ValueError for a value that does not fit its object."""
         try:
-            return self._layout.pack(*self._with_odd_as_bytes(values)) if self._odd else self._layout.pack(*values)
+            return self._pack_bits(values) if self._odd else self._layout.pack(*values)
         except (struct.error, OverflowError) as error:
             names = ", ".join(variable.name for variable in self.variables)
             raise ValueError(f"PDO {self.cob_id:03X}h ({names}) cannot carry {tuple(values)}: {error}") from error
 
-    def _unpack_odd(self, data: bytes) -> tuple[Any, ...]:
-        values = list(self._layout.unpack(data))
-        for place, kind in self._odd:
-            values[place] = kind.decode(values[place])
+    def _unpack_bits(self, data: bytes) -> tuple[Any, ...]:
+        if len(data) != self.size:
+            raise struct.error(f"{len(data)} bytes for PDO {self.cob_id:03X}h, expected {self.size}")
+        values, rest = [], int.from_bytes(data, "little")
+        for kind, bits in zip(self.kinds, self._bits, strict=True):
+            values.append(kind.decode((rest & ((1 << bits) - 1)).to_bytes(kind.width or 0, "little")))
+            rest >>= bits
         return tuple(values)
 
-    def _with_odd_as_bytes(self, values: Sequence[int | float]) -> list[Any]:
-        encoded: list[Any] = list(values)
-        for place, kind in self._odd:
-            encoded[place] = kind.encode(encoded[place])
-        return encoded
+    def _pack_bits(self, values: Sequence[int | float]) -> bytes:
+        packed, at = 0, 0
+        for kind, bits, value in zip(self.kinds, self._bits, values, strict=True):
+            number = int.from_bytes(kind.encode(value), "little")
+            if number >> bits:
+                raise OverflowError(f"{value} takes more than {bits} bit")
+            packed |= number << at
+            at += bits
+        return packed.to_bytes(self.size, "little")
 
     @property
     def mapping(self) -> list[int]:

@@ -150,6 +150,10 @@ def _examine(dut: DeviceUnderTest, case: Case) -> CaseResult:
         verdict, reason = Verdict.NOT_ALLOWED, str(error)
     except CaseEndedError:
         verdict, reason = Verdict.FAILED, "the case could not go on"
+    except (BenchFaultError, UnusableInputError):
+        raise  # the bus is lost: there is nothing to go on with
+    except Exception as error:  # of one case: the others are examined all the same
+        verdict, reason = Verdict.FAILED, f"unexpected {type(error).__name__}: {error}"
     wrong = [step for step in dut.steps if not step.ok]
     if wrong:
         first = wrong[0]

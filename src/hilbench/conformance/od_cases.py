@@ -107,6 +107,8 @@ def _tell_of_makers(dut: DeviceUnderTest, found: list[Entry]) -> None:
 
 
 def _write_back(dut: DeviceUnderTest, entry: Entry, data: bytes) -> None:
+    if entry.key == (_ERROR_HISTORY, 0):
+        data = bytes(len(data))  # the one value that may be written (CiA 301, 7.5.2.4): it clears the history
     answer = dut.try_to_write(*entry.key, data)
     dut.check(f"write {entry} back", "taken", taken_text(answer), answer == b"")
 

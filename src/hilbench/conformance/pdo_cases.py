@@ -243,14 +243,24 @@ def _mapped_pdos(dut: DeviceUnderTest) -> list[int]:
     found = []
     for base in (RPDO, TPDO):
         try:
+            carried = _carried(dut, base)[0]
             index = _opened(dut, base)
-        except NotApplicableError:
+        except NotApplicableError as error:
+            dut.notes.append(str(error))
             continue
-        entry = next(entry for entry in dut.eds.entries(0x2000) if _may_carry(entry, base))
-        map_objects(dut, index, [entry.mapping])
+        map_objects(dut, index, [carried.mapping])
         found.append(index)
     if not found:
-        raise NotApplicableError("no mapping can be written by the EDS file")
+        raise NotApplicableError(dut.notes[-1])
+    return found
+
+
+def _carried(dut: DeviceUnderTest, base: int) -> list[Entry]:
+    """What a PDO may carry. Raises NotApplicableError for a device that has nothing of the kind."""
+    found = [entry for entry in dut.eds.entries(0x2000) if _may_carry(entry, base)]
+    if not found:
+        what = "an RPDO" if base == RPDO else "a TPDO"
+        raise NotApplicableError(f"no object from 2000h on may be mapped to {what} by the EDS file")
     return found
 
 
@@ -302,7 +312,11 @@ def objects_too_long(dut: DeviceUnderTest) -> None:
     examined = 0
     for index in _each_opened(dut):
         base = TPDO if index >= TPDO else RPDO
-        longest = max((e for e in dut.eds.entries(0x2000) if _may_carry(e, base)), key=lambda e: e.mapping & 0xFF)
+        try:
+            longest = max(_carried(dut, base), key=lambda e: e.mapping & 0xFF)
+        except NotApplicableError as error:
+            dut.notes.append(str(error))
+            continue
         needed = _LARGEST_PDO // (longest.mapping & 0xFF) + 1
         places = max(entry.sub for entry in dut.eds.entries(index + MAPPING, index + MAPPING))
         if places < needed:
@@ -320,7 +334,7 @@ def objects_too_long(dut: DeviceUnderTest) -> None:
                 f"{needed} × {longest}", "refused", str(refused), str(refused).startswith(f"abort {PDO_LENGTH:08X}h")
             )
     if not examined:
-        raise NotApplicableError("no PDO has places for more than eight bytes")
+        raise NotApplicableError(dut.notes[-1])
 
 
 def maps(dut: DeviceUnderTest, base: int, kinds: tuple[str, ...], mappable: bool, taken: bool) -> None:
