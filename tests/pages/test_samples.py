@@ -12,11 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
 from hilbench.library.heard_run import RunUnderWay
 from hilbench.pages.live.history import History
+from hilbench.pages.live.listener import told
 from hilbench.pages.live.machines.kinds import panel_of
 from hilbench.pages.live.samples import LiveSamples
+from hilbench.results.journal import append_to_journal
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.run import RunOutcome
 from hilbench.results.trace import TraceReader
@@ -122,6 +125,13 @@ def test_the_events_of_a_run_are_those_of_its_journal(going_on: GoingOn) -> None
     assert "line speed 0 → 3 m/s" in said
     assert "set-point 80 → 90 N" in said
     assert [change.what for _, change in going_on.samples.told()] == ["enabled", "stopping"]
+
+
+def test_a_tension_loop_that_is_open_for_long_is_a_warning_of_the_page(going_on: GoingOn) -> None:
+    append_to_journal(going_on.folder / "journal.log", Change(20, "loop_open", "tension loop", 0.01))
+    going_on.go_on(1, len(going_on.frames))
+    (entry,) = [told(change, t_s) for t_s, change in going_on.samples.told() if change.what == "loop_open"]
+    assert (entry.weight, entry.text) == ("warning", "tension loop open for long while tension is asked for")
 
 
 def test_the_next_run_is_another_one(going_on: GoingOn) -> None:

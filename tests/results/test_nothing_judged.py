@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -10,6 +11,10 @@ from xml.etree import ElementTree
 import pytest
 from tests.bench.whole_runs import config, run_folders
 from tests.cli.in_process import hilbench
+
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.results.result import Result
+from hilbench.scripts.bench import Bench
 
 SHORT = [{"hold": {"duration_s": 0.1}}]
 BUS_LOAD = [{"name": "bus load", "metric": "bus_load_pct", "max": 100.0}]
@@ -53,6 +58,23 @@ def test_a_python_step_that_leaves_the_program_is_a_fault_and_no_criterion_passe
     (criterion,) = result["criteria"]
     assert (criterion["passed"], criterion["value"]) == (False, None)
     assert criterion["reason"].startswith("not judged: the run was cut off, ")
+
+
+@pytest.mark.parametrize(("code", "passed"), [(0, None), (None, None), (7, False), ("enough", False)])
+def test_a_script_that_leaves_the_program_with_an_error_is_a_fault(
+    tmp_path: Path, code: int | str | None, passed: bool | None
+) -> None:
+    path = config(tmp_path)
+
+    def script() -> None:
+        with Bench(path, participants=Participants.IN_PROCESS, out=tmp_path / "runs") as bench:
+            bench.run(0.1)
+            sys.exit(code)
+
+    with pytest.raises(SystemExit):
+        script()
+    (folder,) = run_folders(path)
+    assert Result.read(folder / "result.json").passed is passed
 
 
 @pytest.mark.parametrize("ends", ["sys.exit(0)", "sys.exit(7)", "raise BaseException('enough')"])

@@ -29,7 +29,9 @@ from hilbench.topology.signal_kinds import TIME
 #: Of what comes before the first SYNC, the drives' answers say their units.
 _MOST_WAITING: Final = 50_000
 #: What is told of a journal one by one.
-TOLD: Final = frozenset({"enabled", "stopping", "predicted", "gap_seen", "model_proposed", "asked"})
+TOLD: Final = frozenset(
+    {"enabled", "stopping", "loop_open", "loop_closed", "predicted", "gap_seen", "model_proposed", "asked"}
+)
 
 
 #: The run on the bus of a name, if it is known.
