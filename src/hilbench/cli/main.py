@@ -102,7 +102,7 @@ def run(
         typer.Option(
             "--in-process",
             help="simulated hardware and twin in this process: the same frames and recording, faster, but on no bus: "
-            "no monitor hears them; in real time they wait for SYNC, and nothing comes late",
+            "no monitor hears them; in real time they wait for SYNC, and no answer comes late",
         ),
     ] = False,
     report: Annotated[

@@ -23,7 +23,7 @@ class Pacing:
 
     period_ns: int
     deadline_ns: int = 0  #: when the next SYNC is due; 0 before the first
-    missed: int = 0  #: cycles that were not run: their SYNC went out, or was due, while something else was done
+    missed: int = 0  #: cycles that were not run when they were due: something else was done
     late_set_points: int = 0  #: cycles whose set points came behind their SYNC, or were left out
     lateness_ns: array[int] = field(default_factory=partial(array, "q"))  #: of every SYNC that was sent, 8 bytes each
 
@@ -47,12 +47,14 @@ def advance(pacing: Pacing, sent_ns: int) -> None:
 
 
 def advance_in_step(pacing: Pacing, sent_ns: int) -> None:
-    """The same beside participants that wait for SYNC: no cycle of theirs is missed, and the deadlines move on.
+    """The same beside participants that wait for SYNC: the deadlines move on by what is late by whole periods and more.
 
-    What is made up for is less than a period.
+    None of their cycles is left out; missed are those that the clock would have had. What is made up for is less than a
+    period.
     """
     late_ns = sent_ns - pacing.deadline_ns
     pacing.lateness_ns.append(late_ns)
+    pacing.missed += max(0, late_ns // pacing.period_ns)
     pacing.deadline_ns += pacing.period_ns + (late_ns if late_ns >= pacing.period_ns else 0)
 
 

@@ -2,7 +2,8 @@
 
 Nothing runs beside the bench: the devices are served whenever it looks for frames or has sent a request. In lockstep
 that changes no value: each participant acts on SYNC and on the frames it receives, whoever calls it. In real time SYNC
-goes by the clock and the devices by SYNC: no answer is late, and no cycle missed.
+goes by the clock and the devices by SYNC: no answer is late, and a cycle that is missed is one of the clock, not of the
+devices.
 """
 
 from __future__ import annotations

@@ -155,7 +155,8 @@ class ModelChanges(CyclicTask):
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Keep the sample for the next chunk."""
         if self._process is not None:
-            cycle, late = sample.cycle + self._exchange.pacing.missed, any(inputs.ages_cycles())
+            gone_by = 0 if self._exchange.in_step else self._exchange.pacing.missed  # for the plant
+            cycle, late = sample.cycle + gone_by, any(inputs.ages_cycles())
             self._rows.append(self._pack(*self._row(sample), cycle, late))
 
     # -- the diagnosis ---------------------------------------------------------------------------------------
