@@ -23,7 +23,7 @@ from hilbench.canopen.identifiers import (
     NmtCommand,
 )
 from hilbench.canopen.pdo import PdoMap
-from hilbench.canopen.sdo_client import Refusal, SdoClient
+from hilbench.canopen.sdo_client import Refusal, SdoClient, no_answer
 from hilbench.errors import BenchFaultError, BusError
 
 
@@ -250,5 +250,5 @@ class Master(SdoClient):
         if isinstance(error, canopen.SdoAbortedError):
             reason = str(Refusal(error.code))
         else:
-            reason = f"no answer within {self._timeout_s:g} s"
+            reason = no_answer(error, self._timeout_s)
         return BenchFaultError(f"{self._place(node_id, variable)}: {doing} it: {reason}")

@@ -33,6 +33,12 @@ class Refusal:
         return f"abort {self.code:08X}h ({canopen.SdoAbortedError.CODES.get(self.code, 'unknown code')})"
 
 
+def no_answer(error: Exception, timeout_s: float) -> str:
+    """Why a transfer has failed without an abort: nothing came, or something else than the answer."""
+    text = str(error).rstrip(".")
+    return f"no answer within {timeout_s:g} s" if text.startswith("No SDO response") else f"wrong answer: {text}"
+
+
 #: None: no answer.
 Answer = bytes | Refusal | None
 

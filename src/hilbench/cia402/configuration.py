@@ -230,14 +230,25 @@ def _has(od: ObjectDictionary, index: int, sub: int) -> bool:
 
 
 def _set_interpolation_period(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:
-    """60C2h: the cycle, in the unit in which it fits UNSIGNED8 without loss."""
-    if not _has(od, objects.INTERPOLATION_TIME_PERIOD, 2):
+    """60C2h: the cycle, in the unit in which it fits UNSIGNED8 without loss; of what can't be written it is the
+    device's own.
+    """
+    period = objects.INTERPOLATION_TIME_PERIOD
+    if not _has(od, period, 2):
         return
-    for exponent in (-3, -4, -5, -6):
+    fixed = {
+        sub: int(master.sdo_read(settings.node_id, period, sub))
+        for sub in (1, 2)
+        if eds.variable(od, period, sub).access_type in ("ro", "const")
+    }
+    for exponent in (fixed[2],) if 2 in fixed else (-3, -4, -5, -6):
         value = settings.cycle_s / 10.0**exponent
         if abs(value - round(value)) < 1e-6 and 0 < round(value) < 256:
             for sub, number in ((1, round(value)), (2, exponent)):
-                master.sdo_write(settings.node_id, objects.INTERPOLATION_TIME_PERIOD, number, sub)
+                if sub not in fixed:
+                    master.sdo_write(settings.node_id, period, number, sub)
+                elif fixed[sub] != number:
+                    raise _fault(settings, f"60C2h:{sub} is {fixed[sub]} and can't be written, expected {number}")
             return
     raise UnusableInputError(settings.name, f"cycle {settings.cycle_s:g} s, expected one that 60C2h can express")
 
