@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -254,3 +255,22 @@ def test_objects_that_are_not_answered_are_listed_and_the_others_read(tmp_path: 
         notifier.stop()
     assert set(found.refused) == {(0x1001, 0), (0x1005, 0)}
     assert (0x1000, 0) in found.values
+
+
+def test_storing_may_take_longer_than_other_answers(tmp_path: Path) -> None:
+    file = tmp_path / "device.eds"
+    file.write_text(eds_text(), encoding="ascii")
+
+    def answer(message: can.Message) -> None:
+        if message.arbitration_id == 0x600 + NODE:
+            time.sleep(0.3)
+            data = b"\x60" + bytes(message.data[1:4]) + bytes(4)
+            theirs.send(can.Message(arbitration_id=0x580 + NODE, data=data, is_extended_id=False))
+
+    with can.Bus(interface="virtual", channel="slow-flash") as theirs:
+        notifier = can.Notifier(theirs, [answer])
+        master = Master(can.Bus(interface="virtual", channel="slow-flash"), 0.1)
+        master.add(NODE, load_eds(file, NODE), "axis 1")
+        master.sdo_write(NODE, 0x1010, int.from_bytes(b"save", "little"), 1)
+        master.close()
+        notifier.stop()
