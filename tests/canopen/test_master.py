@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import canopen
 from hilbench.can.frame import Frame
 from hilbench.canopen.clock import MonotonicClock
 from hilbench.canopen.device import Device
+from hilbench.canopen.device_configuration import read_device
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.identifiers import NmtCommand, NmtState
@@ -228,3 +230,47 @@ def test_canopens_client_reads_writes_maps_and_transfers_blocks(rig: Rig) -> Non
             assert stream.read() == data
     finally:
         network.disconnect()
+
+
+def test_objects_that_are_not_answered_are_listed_and_the_others_read(tmp_path: Path) -> None:
+    """1001h is not answered at all, 1005h by the value of another object."""
+    file = tmp_path / "device.eds"
+    file.write_text(eds_text(), encoding="ascii")
+    od = load_eds(file, NODE)
+
+    def answer(message: can.Message) -> None:
+        mux = bytes(message.data[1:4])
+        if message.arbitration_id == 0x600 + NODE and message.data[0] == 0x40 and mux != b"\x01\x10\0":
+            said = b"\0\x20\0" if mux == b"\x05\x10\0" else mux
+            theirs.send(can.Message(arbitration_id=0x580 + NODE, data=b"\x43" + said + bytes(4), is_extended_id=False))
+
+    with can.Bus(interface="virtual", channel="odd-answers") as theirs:
+        notifier = can.Notifier(theirs, [answer])
+        master = Master(can.Bus(interface="virtual", channel="odd-answers"), 0.2)
+        master.add(NODE, od, "axis 1")
+        found = read_device(master, NODE, od)
+        with pytest.raises(BenchFaultError, match=r"1005h.*reading it: wrong answer: Node returned a value for 0x2000"):
+            master.sdo_read(NODE, 0x1005)
+        master.close()
+        notifier.stop()
+    assert set(found.refused) == {(0x1001, 0), (0x1005, 0)}
+    assert (0x1000, 0) in found.values
+
+
+def test_storing_may_take_longer_than_other_answers(tmp_path: Path) -> None:
+    file = tmp_path / "device.eds"
+    file.write_text(eds_text(), encoding="ascii")
+
+    def answer(message: can.Message) -> None:
+        if message.arbitration_id == 0x600 + NODE:
+            time.sleep(0.3)
+            data = b"\x60" + bytes(message.data[1:4]) + bytes(4)
+            theirs.send(can.Message(arbitration_id=0x580 + NODE, data=data, is_extended_id=False))
+
+    with can.Bus(interface="virtual", channel="slow-flash") as theirs:
+        notifier = can.Notifier(theirs, [answer])
+        master = Master(can.Bus(interface="virtual", channel="slow-flash"), 0.1)
+        master.add(NODE, load_eds(file, NODE), "axis 1")
+        master.sdo_write(NODE, 0x1010, int.from_bytes(b"save", "little"), 1)
+        master.close()
+        notifier.stop()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 from canopen.profiles.p402 import BaseNode402
@@ -153,6 +155,18 @@ def run_cycles(link: Link, drive: Drive, count: int) -> None:
             frames.update({frame.can_id: frame.data for frame in link.receive(0.01)})
         drive.decode(frames)
         link.send(drive.encode())
+
+
+def test_a_drive_whose_60c2_is_constant_is_configured_by_what_it_has(
+    bus: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    head, exponent, rest = EDS.read_text().partition("[60C2sub2]")
+    file = tmp_path / "constant.eds"
+    file.write_text(head + exponent + rest.replace("AccessType=rw", "AccessType=const", 1))
+    monkeypatch.setattr(sys.modules[__name__], "EDS", file)
+    with hosted(bus), mastered(bus) as master:
+        csv("axis 1", 1).configure(master)
+        assert (master.sdo_read(1, 0x60C2, 1), master.sdo_read(1, 0x60C2, 2)) == (2, -3)
 
 
 def test_our_master_configures_and_drives_it(bus: Bus) -> None:

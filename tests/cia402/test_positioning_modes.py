@@ -37,6 +37,12 @@ class TestProfilePosition:
         assert drive.seconds(0.06) & REACHED
         assert drive.read(0x6064) == pytest.approx(3 * INCREMENTS, abs=20)
 
+    def test_a_profile_velocity_of_zero_moves_nothing(self, drive: EveryMode) -> None:
+        drive.write(0x6081, 0)
+        set_point(drive, 2.0)
+        assert drive.seconds(1.0) & REACHED == 0
+        assert drive.read(0x6064) == 0
+
     def test_one_set_point_can_wait_and_a_third_is_not_taken(self, drive: EveryMode) -> None:
         set_point(drive, 2.0)
         assert set_point(drive, -1.0) & ACKNOWLEDGED

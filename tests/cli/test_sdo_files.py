@@ -11,7 +11,8 @@ import pytest
 from canopen.objectdictionary import import_od
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.cli.drives import bus, sdo
+from tests.cli.drives import EDS, bus, sdo
+from tests.cli.in_process import hilbench
 from tests.tiers import slow
 
 from hilbench.canopen import concise_dcf
@@ -59,6 +60,21 @@ def test_the_settings_of_one_node_are_given_to_another(bus: str, tmp_path: Path)
     assert "(185h)" not in sdo(bus, "read", 5, "1800:1").stdout
     assert "40000185h" in sdo(bus, "read", 5, "1800:1").stdout
     assert "5000" in sdo(bus, "read", 5, "6085").stdout
+
+
+def test_what_a_device_has_already_counts_as_there_though_it_refuses_it(bus: str, tmp_path: Path) -> None:
+    file = tmp_path / "same.bin"
+    file.write_bytes(concise_dcf.encode([Write(0x1018, 2, struct.pack("<I", 0x402))]))
+    loaded = sdo(bus, "load", 5, file, "--store")
+    assert (loaded.returncode, loaded.stdout[:22]) == (0, "node 5: 1 of 1 objects"), loaded.stdout
+
+
+def test_an_unusable_file_of_the_eds_folder_is_named(bus: str, tmp_path: Path) -> None:
+    (tmp_path / "good.eds").write_text(EDS.read_text())
+    (tmp_path / "odd.eds").write_text("hello")
+    read = hilbench("sdo", "read", "5", "target_torque", "--bus", bus, "--eds", str(tmp_path))
+    assert read.returncode == 0
+    assert "odd.eds:1: 'hello' found, expected [section] or key=value" in read.stderr
 
 
 def test_what_a_device_refuses_is_said_by_object(bus: str, tmp_path: Path) -> None:

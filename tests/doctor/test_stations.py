@@ -22,6 +22,7 @@ from hilbench.canopen.sdo_client import Refusal, SdoClient
 from hilbench.doctor.bench_subject import expected_nodes
 from hilbench.doctor.check_stations import check_heard, check_node
 from hilbench.doctor.findings import Check, Finding, Level
+from hilbench.doctor.scan import scan
 from hilbench.doctor.stations import ExpectedNode, NodeAnswers, ask
 from hilbench.errors import BusError
 from hilbench.exchange.nodes import Nodes
@@ -179,6 +180,26 @@ def test_a_silent_node(bus: MemoryBus, nodes: list[ExpectedNode]) -> None:
     (ours,) = examine(bus, nodes[1])
     assert ours.level is Level.ERROR
     assert "hilbench simulate-hardware CONFIG" in ours.advice
+
+
+def test_a_scan_finds_a_node_that_answers_after_a_tenth_of_a_second() -> None:
+    memory = MemoryBus()
+    theirs = memory.open_python_can()
+
+    def answer(message: can.Message) -> None:
+        if message.arbitration_id == 0x609:
+            data = b"\x43" + bytes(message.data[1:4]) + bytes(4)
+            late = can.Message(arbitration_id=0x589, data=data, is_extended_id=False)
+            threading.Timer(0.12, theirs.send, [late]).start()
+
+    notifier = can.Notifier(theirs, [answer])
+    link = memory.open_link()
+    with SdoClient(memory.open_python_can(), timeout_s=1.0) as reader:
+        found = scan(link, reader, [], 0.0, 127)
+    notifier.stop()
+    link.close()
+    theirs.shutdown()
+    assert [station.node_id for station in found.stations] == [9]
 
 
 def test_a_bus_that_is_lost_is_no_silent_node() -> None:

@@ -23,7 +23,7 @@ from hilbench.canopen.identifiers import (
     NmtCommand,
 )
 from hilbench.canopen.pdo import PdoMap
-from hilbench.canopen.sdo_client import Refusal, SdoClient
+from hilbench.canopen.sdo_client import Refusal, SdoClient, no_answer
 from hilbench.errors import BenchFaultError, BusError
 
 
@@ -159,7 +159,7 @@ class Master(SdoClient):
         try:
             self.download(node_id, index, sub, data)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
-            raise self._fault(node_id, variable, f"writing {value!r} to", error) from error
+            raise self._fault(node_id, variable, f"writing {value!r} to", error, self._time_out_s(index)) from error
         self.written[node_id, index, sub] = data
 
     def configure(self, node_id: int, writes: Mapping[tuple[int, int], Any]) -> None:
@@ -246,9 +246,11 @@ class Master(SdoClient):
             f"{self._names[node_id]} (node {node_id}), {variable.index:04X}h sub {variable.subindex} '{variable.name}'"
         )
 
-    def _fault(self, node_id: int, variable: ODVariable, doing: str, error: Exception) -> BenchFaultError:
+    def _fault(
+        self, node_id: int, variable: ODVariable, doing: str, error: Exception, time_out_s: float | None = None
+    ) -> BenchFaultError:
         if isinstance(error, canopen.SdoAbortedError):
             reason = str(Refusal(error.code))
         else:
-            reason = f"no answer within {self._timeout_s:g} s"
+            reason = no_answer(error, time_out_s or self._timeout_s)
         return BenchFaultError(f"{self._place(node_id, variable)}: {doing} it: {reason}")

@@ -19,6 +19,10 @@ from hilbench.errors import BusError
 #: For a bus on which nothing is wanted but answers.
 SDO_ANSWERS: Final[can.typechecking.CanFilters] = [{"can_id": SDO_ANSWER, "can_mask": FUNCTION_CODE, "extended": False}]
 
+#: Store and restore parameters.
+_STORED: Final = (0x1010, 0x1011)
+_STORED_S: Final = 10.0
+
 #: Of so many contents what was sent and not heard yet is kept, and for so long: a bus in lockstep may stand still.
 _SENT_KEPT, _SENT_KNOWN_S = 4096, 60.0
 
@@ -31,6 +35,12 @@ class Refusal:
 
     def __str__(self) -> str:
         return f"abort {self.code:08X}h ({canopen.SdoAbortedError.CODES.get(self.code, 'unknown code')})"
+
+
+def no_answer(error: Exception, timeout_s: float) -> str:
+    """Why a transfer has failed without an abort: nothing came, or something else than the answer."""
+    text = str(error).rstrip(".")
+    return f"no answer within {timeout_s:g} s" if text.startswith("No SDO response") else f"wrong answer: {text}"
 
 
 #: None: no answer.
@@ -130,7 +140,15 @@ class SdoClient:
     def download(self, node_id: int, index: int, sub: int, data: bytes) -> None:
         """Write an object. Raises as `upload`."""
         with self._transfer(node_id) as client:
-            client.download(index, sub, data)
+            client.RESPONSE_TIMEOUT = self._time_out_s(index)
+            try:
+                client.download(index, sub, data)
+            finally:
+                client.RESPONSE_TIMEOUT = self._timeout_s
+
+    def _time_out_s(self, index: int) -> float:
+        """How long the answer to a write may take: what goes into a device's flash memory takes longer."""
+        return max(self._timeout_s, _STORED_S) if index in _STORED else self._timeout_s
 
     def receive_only_answers(self) -> None:
         """From now on only SDO answers are received: the cyclic traffic is somebody else's to read."""

@@ -19,6 +19,8 @@ CHANGE_ON_SET_POINT: Final = 1 << 9
 
 #: Of a drive without a ramp (6083h, 6084h = 0).
 _AT_ONCE_RAD_S2: Final = 1e9
+#: Of a motion that is not to move (6081h = 0): its target is never reached.
+_NO_SPEED_RAD_S: Final = 1e-12
 
 
 class _SetPoint(NamedTuple):
@@ -102,7 +104,7 @@ class ProfilePosition(Mode):
         else:
             target_rad = firmware.angle_rad(asked)
         limits = ProfileLimits(
-            min(firmware.profile_velocity_rad_s, firmware.velocity_limit_rad_s) or firmware.standstill_rad_s,
+            min(firmware.profile_velocity_rad_s, firmware.velocity_limit_rad_s) or _NO_SPEED_RAD_S,
             firmware.acceleration_rad_s2 or _AT_ONCE_RAD_S2,
             firmware.deceleration_rad_s2 or _AT_ONCE_RAD_S2,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -85,8 +86,13 @@ def node_and_eds(
     with SdoClient(open_python_can(bus), _TIMEOUT_S) as reader:
         if reader.read(node_id, 0x1000) is None:
             raise BenchFaultError(f"no answer from node {node_id} on {bus} to an SDO read of 1000h")
-        found = find_eds(reader, node_id, eds)
+        found = find_eds(reader, node_id, eds, left_out)
     return node_id, "node", None if found is None else load_eds(found, node_id)
+
+
+def left_out(error: UnusableInputError) -> None:
+    """Say that a file of a folder cannot be used."""
+    print(f"hilbench: left out: {error}", file=sys.stderr)
 
 
 def is_the_bench(node: str, config: ExperimentConfig | None) -> bool:

@@ -51,6 +51,7 @@ def drift(
     from rich.console import Console
 
     from hilbench.bench.check import check_bench
+    from hilbench.cli.attach import left_out
     from hilbench.doctor.asked import ask_stand, last_run
     from hilbench.doctor.drift import drifts
     from hilbench.doctor.eds_match import eds_files
@@ -77,7 +78,7 @@ def drift(
         None if last is None else last.data,
         None if last is None else last.config,
         fresh=fresh,
-        files=[file for folder in folders for file in eds_files(folder)],
+        files=[file for folder in folders for file in eds_files(folder, left_out)],
     )
     written = _write(config, found, write or ())
     if json:

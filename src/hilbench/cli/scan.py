@@ -51,12 +51,12 @@ def scan(
     from hilbench.canopen.lss_master import shown as address_of
     from hilbench.canopen.mastery import master_of
     from hilbench.canopen.sdo_client import SdoClient
-    from hilbench.cli.attach import MASTER_ID, config_and_bus
+    from hilbench.cli.attach import MASTER_ID, config_and_bus, left_out
     from hilbench.doctor.eds_match import EdsFile, eds_files, identity
     from hilbench.doctor.scan import scan as scan_bus
 
     bench, address = config_and_bus(config, bus)
-    files = eds_files(eds)
+    files = eds_files(eds, left_out)
     if bench is not None:
         named = {part.node.eds: part.node.node_id for part in bench.parts}
         files = [EdsFile(path, identity(load_eds(path, node_id))) for path, node_id in named.items()] + files

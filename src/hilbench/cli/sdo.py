@@ -153,10 +153,15 @@ class _UnknownObject:
         return f"{self.index:04X}h:{self.sub}"
 
     def read(self) -> bytes:
-        answer = self.reader.read(self.node_id, self.index, self.sub)
-        if isinstance(answer, bytes):
-            return answer
-        reason = "no answer" if answer is None else str(answer)
+        from canopen import SdoAbortedError, SdoCommunicationError
+        from hilbench.canopen.sdo_client import Refusal, no_answer
+
+        try:
+            return self.reader.upload(self.node_id, self.index, self.sub)
+        except SdoAbortedError as error:
+            reason = str(Refusal(error.code))
+        except SdoCommunicationError as error:
+            reason = no_answer(error, _TIMEOUT_S)
         raise BenchFaultError(f"node {self.node_id}, {self.key}: reading it: {reason}")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,22 +50,24 @@ def default(od: canopen.ObjectDictionary, index: int, sub: int) -> int | None:
     return int(value) if isinstance(value, int) else None
 
 
-def eds_files(folder: Path) -> list[EdsFile]:
-    """The EDS and DCF files of a folder, by name; those that cannot be used are no files of a device."""
+def eds_files(folder: Path, left_out: Callable[[UnusableInputError], None]) -> list[EdsFile]:
+    """The EDS and DCF files of a folder, by name; `left_out` is told of those that cannot be used."""
     found = []
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         if path.suffix.lower() in _SUFFIXES:
             try:
                 found.append(EdsFile(path, identity(eds.load_eds(path, 1))))
-            except UnusableInputError:
-                continue
+            except UnusableInputError as error:
+                left_out(error)
     return found
 
 
-def find_eds(reader: SdoClient, node_id: int, folder: Path) -> Path | None:
-    """The file that fits a device which answers: that of its revision before any other."""
+def find_eds(
+    reader: SdoClient, node_id: int, folder: Path, left_out: Callable[[UnusableInputError], None]
+) -> Path | None:
+    """The file that fits a device which answers: that of its revision before any other; as `eds_files`."""
     found = read_identity(reader, node_id)
-    fitting = [file for file in eds_files(folder) if file.fits(found)]
+    fitting = [file for file in eds_files(folder, left_out) if file.fits(found)]
     fitting.sort(key=lambda file: not file.is_of_revision(found[_REVISION]))
     return fitting[0].path if fitting else None
 
