@@ -281,7 +281,10 @@ def interpolation_period(settings: DriveSettings, od: ObjectDictionary, read: Ob
     variables = [_variable(od, objects.INTERPOLATION_TIME_PERIOD, sub) for sub in (1, 2)]
     if variables[1] is None:
         return {}
-    has = [read(objects.INTERPOLATION_TIME_PERIOD, sub) for sub in (1, 2)]
+    has = [
+        None if variable is None or variable.writable else read(objects.INTERPOLATION_TIME_PERIOD, sub)
+        for sub, variable in enumerate(variables, 1)
+    ]
     for exponent in (-3, -4, -5, -6):
         value = settings.cycle_s / 10.0**exponent
         wanted = (round(value), exponent)
