@@ -27,7 +27,7 @@ import numpy as np
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
-from hilbench.diagnosis.imitated import imitation_of
+from hilbench.diagnosis.emulated import emulation_of
 from hilbench.results.recording import Recording
 from hilbench.results.run import Recorder
 from hilbench.runs.config import ExperimentConfig, load
@@ -126,7 +126,7 @@ def run(case: Case) -> Case:
         recording = recorded(config)
         case.time_s = float(recording.time_s[int(np.argmax(np.diff(recording["E_true_Pa"]) != 0.0)) + 1])
         began = time.perf_counter()
-        found = diagnose(recording, config.web_line, "the bench", imitation=imitation_of(config))
+        found = diagnose(recording, config.web_line, "the bench", emulation=emulation_of(config))
         case.seconds = round(time.perf_counter() - began, 1)
     except Exception as error:  # a case that fails is a row of the table, not the end of the run
         case.problem = f"{type(error).__name__}: {error}"

@@ -10,7 +10,7 @@ A row passes when the run ended with the expected exit code and said the expecte
 from the fault until every drive shows by its statusword (PDO, or SDO after an emergency stop) that it stands or has no
 power. "Kept" are the samples of the recording, recovered from the trace where the run was cut off.
 
-Rows in real time run with cycles of 10 ms, the time-outs of a slow bench and a softer web (the load motor can't imitate
+Rows in real time run with cycles of 10 ms, the time-outs of a slow bench and a softer web (the load motor can't emulate
 a stiff one over such a cycle): what is tested is the fault, not this machine. A row that fails while more than 2 % of
 the cycles were missed is made again, up to three times; when it still does, it is marked "busy". Exit code 1 when a row
 does not pass.

@@ -5,7 +5,7 @@
 Each run is drawn from its seed: a speed, the true E of the web (the twin starts from the model's), an experiment (a
 step of E, of the tension set-point, or a faster or slower ramp), what is hidden from the model (dry friction, a torque
 scale, or nothing), and a warning level around what the experiment will reach (standard deviation 5 % of a tension, 0.3
-N·m of a torque). Of a servo axis: the inertia, dry and viscous friction of the imitated shaft (the twin starts from the
+N·m of a torque). Of a servo axis: the inertia, dry and viscous friction of the emulated shaft (the twin starts from the
 model's), a ramp of the speed, one behind a step of the inertia, or one that reverses, and a level of the torque. Of a
 line of two spans: as of one, in either span (a ramp: of the last roller's torque), with another E in each. The
 forecast is the last one a second before the experiment moves; the run says whether the level was

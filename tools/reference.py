@@ -288,7 +288,7 @@ def effects_page() -> str:
         "# Effects",
         "",
         "What a model may lack. Every effect is in the one model kernel, neutral until it is given parameters. The "
-        "ids stand in `effects:` of a model, of `load:` (hidden in the imitated web) and of `hardware:` (hidden in "
+        "ids stand in `effects:` of a model, of `load:` (hidden in the emulated web) and of `hardware:` (hidden in "
         "the simulated axes), in the paths of steps (`load.effects.elasticity_drift.rate_per_s`, "
         "`hardware.effects.coulomb_friction.axis1.force_N`), and in what `hilbench diagnose` names. Values lie "
         "between *least* and *largest*; at the *neutral* ones the effect is not there.",

@@ -67,7 +67,7 @@ def test_the_loops_of_a_drive_are_made_other_ones_under_way(tmp_path: Path) -> N
         assert found[1] > found[0] + 0.005
 
 
-def test_a_splice_comes_into_the_imitated_web_when_it_is_asked_for(tmp_path: Path) -> None:
+def test_a_splice_comes_into_the_emulated_web_when_it_is_asked_for(tmp_path: Path) -> None:
     with Bench(config(tmp_path), participants=Participants.IN_PROCESS) as running:
         running.ramp("line_speed_m_s", 1.0, 0.4)
         running.run(0.5)

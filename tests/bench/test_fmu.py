@@ -1,4 +1,4 @@
-"""Benches with FMUs in them: what they imitate, what a check says, and what one that fails does to a run."""
+"""Benches with FMUs in them: what they emulate, what a check says, and what one that fails does to a run."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_a_check_says_what_it_found_in_the_fmu(tmp_path: Path) -> None:
     said = hilbench("check", path)
     assert said.returncode == 0, said.stderr
     assert "FMU mass.fmu: mass, FMI 3 co-simulation, made by tests; 2 inputs, 5 outputs, 5 parameters" in said.stdout
-    assert "speed [rad/s] follow the motion, pull [N.m] are imitated; travel_m is travel" in said.stdout
+    assert "speed [rad/s] follow the motion, pull [N.m] are emulated; travel_m is travel" in said.stdout
     assert "communication steps of 3 ms where 2 ms are asked for" in said.stdout
     assert "no step can change it: kind (failure)" in said.stdout
     assert "FMU mass.fmu" in json.loads(hilbench("check", path, "--json").stdout)["fmus"][0]
@@ -106,7 +106,7 @@ def test_a_spring_that_is_an_fmu_pulls_the_axis_back(tmp_path: Path) -> None:
     left = run_experiment(loaded, tmp_path / "runs", participants=Participants.IN_PROCESS)
     recording = read_recording(left.folder.recording)
     turned = recording["x1_rad"] - recording["x1_rad"][0]
-    # Imitated with the delay of the bus made good by prediction; less than a cycle's turn is left.
+    # Emulated with the delay of the bus made good by prediction; less than a cycle's turn is left.
     np.testing.assert_allclose(recording["tau_load_cmd_Nm"][50:], -2.0 * turned[50:], atol=0.05)
     assert turned[-1] > 1.0
 

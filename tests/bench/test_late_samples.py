@@ -12,7 +12,7 @@ from tests.bench.whole_runs import config
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.machines.servo_axis import shaft_load_model
-from hilbench.bench.tasks.imitated_web import web_load_model
+from hilbench.bench.tasks.emulated_web import web_load_model
 from hilbench.report.html import write_report
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment
@@ -135,10 +135,10 @@ def shaft_torques(gone_s: list[float], late: set[int]) -> tuple[np.ndarray, np.n
     for k, t in enumerate(times_s):
         position = 20.0 * t - 15.0 / np.pi * np.sin(np.pi * t)
         told += model.update((position,), (20.0 - 15.0 * np.cos(np.pi * t),), late=k in late)
-    lead_s, imitated_less_real = 0.004, 0.048 - 0.0395
+    lead_s, emulated_less_real = 0.004, 0.048 - 0.0395
     acceleration = 15.0 * np.pi * np.sin(np.pi * (times_s + lead_s))
     speed = 20.0 - 15.0 * np.cos(np.pi * (times_s + lead_s))
-    return np.array(told), -imitated_less_real * acceleration - 0.15 - 0.004 * speed
+    return np.array(told), -emulated_less_real * acceleration - 0.15 - 0.004 * speed
 
 
 def odd_samples(kind: str, cycles: int) -> tuple[list[float], set[int]]:
@@ -177,7 +177,7 @@ def odd_samples(kind: str, cycles: int) -> tuple[list[float], set[int]]:
         "SYNC jitters",
     ],
 )
-def test_a_shaft_is_imitated_over_the_time_that_has_gone_by_between_its_samples(kind: str) -> None:
+def test_a_shaft_is_emulated_over_the_time_that_has_gone_by_between_its_samples(kind: str) -> None:
     torque, expected = shaft_torques(*odd_samples(kind, 2000))
     assert np.ptp(expected) > 0.5
     # What is held for a while, or predicted over a gap, is off by what the torque changes meanwhile.

@@ -13,7 +13,7 @@ import yaml
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
-from hilbench.bench.tasks.imitated_web import web_load_model
+from hilbench.bench.tasks.emulated_web import web_load_model
 from hilbench.canopen.identifiers import SYNC
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.nodes import Nodes
@@ -194,7 +194,7 @@ def test_e_of_one_span_steps_and_is_found_while_the_other_stays(tmp_path: Path) 
     assert found["F1_true_N"][at] == pytest.approx(found["F1_true_N"][at - 1], rel=0.01)
 
 
-def test_the_imitated_spans_have_what_the_config_says_of_each(tmp_path: Path) -> None:
+def test_the_emulated_spans_have_what_the_config_says_of_each(tmp_path: Path) -> None:
     hidden = [{"effect": "elasticity_shift", "span": 2, "parameters": {"relative_change": 0.1}}]
     given = loaded(tmp_path, load={"web": {"youngs_modulus_Pa": [8.0e9, 9.0e9]}, "effects": hidden})
     web = web_load_model(given.config)
@@ -339,7 +339,7 @@ def test_each_value_of_24_rollers_has_a_place_and_each_pdo_an_identifier_of_its_
     assert all(used.count(cob_id) == 1 for cob_id in of_twin)
 
 
-def test_a_load_that_no_motor_imitates_is_noted(tmp_path: Path) -> None:
+def test_a_load_that_no_motor_emulates_is_noted(tmp_path: Path) -> None:
     notes = check_experiment(loaded(tmp_path, "machine.web_load=true")).notes
     assert any("unwind" in note and "no load motor on its shaft" in note for note in notes)
 

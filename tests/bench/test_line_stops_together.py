@@ -12,7 +12,7 @@ import pytest
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle import in_process
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.tasks.imitated_web import imitated_web
+from hilbench.bench.tasks.emulated_web import emulated_web
 from hilbench.bench.tasks.limits import LimitTripError
 from hilbench.can.frame import Frame
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
@@ -85,7 +85,7 @@ class Stand:
     def web(self, given: LoadedConfig) -> tuple[np.ndarray, np.ndarray]:
         """Tensions (n, K) and speeds at the web (n, N) that the true motion makes, at each of its steps."""
         model = given.config.web_line
-        follower = SpanFollower(imitated_web(model, given.config.load))
+        follower = SpanFollower(emulated_web(model, given.config.load))
         per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, model.axis_count + 1)])
         tensions, speeds = [], []
         for duration_s, angles in self.motion:
@@ -97,7 +97,7 @@ class Stand:
     def line_with_stations(self, given: LoadedConfig) -> tuple[np.ndarray, np.ndarray]:
         """The same of a line with stations, with the ways of its axes at the web (n, N), m."""
         model = given.config.web_line
-        follower = LineFollower(imitated_web(model, given.config.load))
+        follower = LineFollower(emulated_web(model, given.config.load))
         per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, model.axis_count + 1)])
         tensions, ways = [], []
         for duration_s, angles in self.motion:

@@ -1,4 +1,4 @@
-"""Benches whose web runs over more than driven rollers: load motors imitate dancers, accumulators and reels as well."""
+"""Benches whose web runs over more than driven rollers: load motors emulate dancers, accumulators and reels as well."""
 
 from __future__ import annotations
 
@@ -260,7 +260,7 @@ def test_the_flywheel_of_a_reel_is_that_of_the_web_that_is_on_it(tmp_path: Path)
     assert flywheel[0] == pytest.approx((0.5 + wound_kg_m2) / 25.0 - 0.0005)
 
 
-def test_the_check_tells_how_stiff_a_web_each_load_motor_can_imitate(tmp_path: Path) -> None:
+def test_the_check_tells_how_stiff_a_web_each_load_motor_can_emulate(tmp_path: Path) -> None:
     checked = check_experiment(dancer(tmp_path))
     assert set(checked.stiffness_reserves) == {"load_press", "load_outfeed"}
     assert checked.stiffness_reserve == min(checked.stiffness_reserves.values()) > 1.0

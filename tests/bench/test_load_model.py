@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from tests.bench.bench_nodes import shipped
 
-from hilbench.bench.tasks.imitated_web import web_load_model
+from hilbench.bench.tasks.emulated_web import web_load_model
 from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.plant.measured_motion import HasFollowed
-from hilbench.plant.web_line.imitation import lead_s
+from hilbench.plant.web_line.emulation import lead_s
 from hilbench.plant.web_line.sizes import least_way_m
 from hilbench.runs.config import load
 from hilbench.topology.blocks import LoadConfig
@@ -148,7 +148,7 @@ def test_drives_that_were_off_start_with_the_web_as_it_was_at_first() -> None:
     assert line.tension_N == pytest.approx(UPSTREAM_N, rel=1e-6)
 
 
-def test_an_effect_of_the_imitated_machine_is_set_and_read_by_its_path() -> None:
+def test_an_effect_of_the_emulated_machine_is_set_and_read_by_its_path() -> None:
     line = Line()
     without_Nm = line.settle()
     assert line.model.value(FORCE) == 0.0

@@ -58,7 +58,7 @@ def test_changes_of_a_running_bench_are_recovered_with_the_run(tmp_path: Path) -
     process.communicate(timeout=60)
     assert said[:3] == [
         "tension set-point 95 N: set",
-        "E of the imitated web 9000 N/mm²: set",
+        "E of the emulated web 9000 N/mm²: set",
         "line speed 0.6 m/s: set",
     ]
     assert json.loads(read.stdout)["value"] == 95.0

@@ -113,16 +113,16 @@ def test_tensions_are_kept_by_the_torques_of_the_reels_and_a_diagnosis_says_that
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("imitated", [0.85, 1.0, 1.2])
+@pytest.mark.parametrize("emulated", [0.85, 1.0, 1.2])
 def test_the_twin_of_reels_in_torque_mode_has_E_and_tensions_from_the_load_cells(
-    tmp_path: Path, imitated: float
+    tmp_path: Path, emulated: float
 ) -> None:
     """From rest, while the line speeds up and slows down, and as the web becomes another."""
     believed_Pa, stepped_s = 0.16e9, 2.5
     ramp = "{ramp: {path: line_speed_m_s, to: %s, duration_s: 1.0}}"
-    step = f"{{step: {{path: load.web.youngs_modulus_Pa, to: {0.9 * imitated * believed_Pa}}}}}"
+    step = f"{{step: {{path: load.web.youngs_modulus_Pa, to: {0.9 * emulated * believed_Pa}}}}}"
     steps = f"[{ramp % 1.5}, {{hold: {{until_s: {stepped_s}}}}}, {step}, {{hold: {{until_s: 3.5}}}}, {ramp % 0.8}]"
-    first = f"load.web.youngs_modulus_Pa={imitated * believed_Pa}"
+    first = f"load.web.youngs_modulus_Pa={emulated * believed_Pa}"
     outcome = run(tmp_path, f"steps={steps}", "criteria=[]", first)
     assert outcome.result.faults == []
     found = {name: np.asarray(values) for name, values in read_recording(outcome.folder.recording).channels.items()}

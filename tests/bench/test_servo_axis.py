@@ -1,4 +1,4 @@
-"""A second kind of machine on the same bench: one shaft, whose inertia and friction a load motor imitates."""
+"""A second kind of machine on the same bench: one shaft, whose inertia and friction a load motor emulates."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def refused(changes: Sequence[str], match: str, config: Path = CONFIG) -> None:
         check_experiment(load_with_overrides(config, changes=changes))
 
 
-def test_the_twin_finds_the_imitated_inertia_and_friction_and_a_step_of_it() -> None:
+def test_the_twin_finds_the_emulated_inertia_and_friction_and_a_step_of_it() -> None:
     with bench() as running:
         running.ramp("speed_rad_s", 5.0, duration_s=0.5)
         swing(running, 4.0)
@@ -75,7 +75,7 @@ def test_the_drive_feels_the_flywheel_and_the_friction_that_are_not_there() -> N
     assert torques[0.8] - torques[0.2] == pytest.approx(0.6, abs=0.03)
 
 
-def test_an_effect_hidden_in_the_stand_changes_what_the_drive_reports_and_not_what_is_imitated() -> None:
+def test_an_effect_hidden_in_the_stand_changes_what_the_drive_reports_and_not_what_is_emulated() -> None:
     with bench() as running:
         running.run(0.2)
         running.set("hardware.effects.torque_offset.axis1.offset_Nm", 0.5)
@@ -150,7 +150,7 @@ def test_the_shipped_experiment_passes_with_processes_of_its_own(tmp_path: Path)
 
 @pytest.mark.slow
 def test_in_real_time_the_run_comes_to_its_end_whatever_the_machine_does_beside_it(tmp_path: Path) -> None:
-    """How late samples are is up to the computer; that the imitation bears it is up to the bench."""
+    """How late samples are is up to the computer; that the emulation bears it is up to the bench."""
     experiment = tmp_path / "realtime.yaml"
     experiment.write_text(
         f"include: {CONFIG}\nname: realtime\npace: realtime\n"
@@ -186,9 +186,9 @@ def test_a_value_of_the_machine_that_is_wrong_is_the_one_thing_that_is_said() ->
     assert "'machine.drives.torque_limit_Nm' is -3, expected: " in line
 
 
-def test_check_refuses_an_inertia_that_the_load_motor_can_not_imitate_at_the_step_that_asks_for_it() -> None:
-    refused(["load.shaft.inertia_kg_m2=0.2"], r"load.shaft.inertia_kg_m2=0.2: .*can't imitate an inertia of 0.2 kg·m²")
-    refused(["steps.2.step.to=0.2"], r"can't imitate an inertia of 0.2 kg·m² over a cycle of 2 ms")
+def test_check_refuses_an_inertia_that_the_load_motor_can_not_emulate_at_the_step_that_asks_for_it() -> None:
+    refused(["load.shaft.inertia_kg_m2=0.2"], r"load.shaft.inertia_kg_m2=0.2: .*can't emulate an inertia of 0.2 kg·m²")
+    refused(["steps.2.step.to=0.2"], r"can't emulate an inertia of 0.2 kg·m² over a cycle of 2 ms")
 
 
 def test_check_refuses_what_belongs_to_another_kind_of_machine() -> None:

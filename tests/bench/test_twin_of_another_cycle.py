@@ -86,7 +86,7 @@ def test_the_loop_works_on_it_as_on_a_twin_whose_config_has_the_cycle_of_the_ben
         error = np.asarray(found["E_sim_Pa"]) / np.asarray(found["E_true_Pa"]) - 1.0
         largest.append((np.max(np.abs(off_N)[settled]), np.max(np.abs(error)[settled])))
         assert np.all(np.asarray(found["loop_closed"])[settled])
-    # At cycles of 4 ms load motors imitate a web that is up to 1 % another one while the line speeds up.
+    # At cycles of 4 ms load motors emulate a web that is up to 1 % another one while the line speeds up.
     assert np.array(largest[1]) == pytest.approx(largest[0], abs=0.5, rel=0.5)
     assert largest[1][1] < 0.015
     assert texts(result) == [f"{SAID}: 4 ms"]

@@ -25,7 +25,7 @@ PERIOD_S, SECONDS, NOISE = 0.005, 30.0, 0.05
 class Analytic:
     """One signal that is a formula of a parameter vector, measured with white noise of a known size."""
 
-    imitation = None
+    emulation = None
     every = 1
     narrower = None
 

@@ -9,14 +9,14 @@ from typing import Any
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
-from hilbench.diagnosis.imitated import imitation_of
+from hilbench.diagnosis.emulated import emulation_of
 from hilbench.results.recording import Recording
 from hilbench.results.run import Recorder
 from hilbench.runs.config import ExperimentConfig, load
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 SHIPPED, HIDDEN = CONFIGS / "servo_axis.yaml", CONFIGS / "hidden_shaft_friction.yaml"
-#: Where what acts in the drive, its torque or encoder is hidden; what a load motor can't imitate.
+#: Where what acts in the drive, its torque or encoder is hidden; what a load motor can't emulate.
 IN_THE_STAND = frozenset(
     {
         "torque_ripple",
@@ -59,4 +59,4 @@ def recorded(config: ExperimentConfig) -> Recording:
 
 def diagnosed(config: ExperimentConfig) -> Diagnosis:
     """Of a run, as the command does it."""
-    return diagnose(recorded(config), config.machine, "the bench", imitation=imitation_of(config))
+    return diagnose(recorded(config), config.machine, "the bench", emulation=emulation_of(config))

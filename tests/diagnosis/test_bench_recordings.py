@@ -1,4 +1,4 @@
-"""The bench's own recordings: a load motor imitated the web, late, and the diagnosis knows how."""
+"""The bench's own recordings: a load motor emulated the web, late, and the diagnosis knows how."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tests.plant.models import effect, model
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
-from hilbench.diagnosis.imitated import imitation_beside, imitation_of
+from hilbench.diagnosis.emulated import emulation_beside, emulation_of
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.predictor import predictor_for
 from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.emulation import Emulation
 from hilbench.plant.web_line.rig import CoupledMotor
 from hilbench.results.recording import Recording, write_recording
 from hilbench.results.run import Recorder
@@ -64,7 +64,7 @@ def bench(steps: Steps, seed: int = 1, **changes: Any) -> tuple[ExperimentConfig
 
 
 def diagnosed(config: ExperimentConfig, recording: Recording) -> Diagnosis:
-    return diagnose(recording, config.web_line, "the bench", imitation=imitation_of(config))
+    return diagnose(recording, config.web_line, "the bench", emulation=emulation_of(config))
 
 
 def acted_s(recording: Recording) -> float:
@@ -123,7 +123,7 @@ def test_a_bench_without_noise_is_predicted_to_the_resolution_of_its_drives() ->
     config, recording = bench(steps, hardware={**demo().hardware.model_dump(), **quiet})
     hidden = effect("elasticity_step", time_s=acted_s(recording), relative_change=0.15)
     plant = config.web_line.with_effects(EffectEntry.model_validate(hidden))
-    predictor = predictor_for(plant, measured_from(recording, plant, "the bench"), imitation_of(config))
+    predictor = predictor_for(plant, measured_from(recording, plant, "the bench"), emulation_of(config))
     left = predictor.measured - predictor.predict(lay.pack(plant)[None])[0]
     for name, residual in zip(predictor.names, left[:, predictor.rows], strict=True):
         # A unit of torque is 5 mN·m, one of position 0.24 µm; a web that is there would be off by 0.1 N·m.
@@ -131,21 +131,21 @@ def test_a_bench_without_noise_is_predicted_to_the_resolution_of_its_drives() ->
 
 
 @pytest.mark.slow
-def test_a_web_that_is_there_is_not_predicted_as_an_imitated_one() -> None:
+def test_a_web_that_is_there_is_not_predicted_as_an_emulated_one() -> None:
     item = EffectEntry.model_validate(effect("elasticity_step", time_s=6.1, relative_change=0.1))
     recording = hidden_recording(model(), [item], duration_s=12.0, seed=3)
     plain = diagnose(recording, model(), "a machine")
-    with_bench = diagnose(recording, model(), "a machine", imitation=Imitation(0.002, (CoupledMotor(axis=2),)))
+    with_bench = diagnose(recording, model(), "a machine", emulation=Emulation(0.002, (CoupledMotor(axis=2),)))
     assert plain.effects == with_bench.effects
     assert [e.effect for e in plain.effects] == ["elasticity_step"]
 
 
-def test_the_run_folder_says_how_the_web_was_imitated(tmp_path: Path) -> None:
-    assert imitation_beside(tmp_path / "recording.mf4") is None
+def test_the_run_folder_says_how_the_web_was_emulated(tmp_path: Path) -> None:
+    assert emulation_beside(tmp_path / "recording.mf4") is None
     data = demo().model_dump()
     data["load_motors"]["load"]["motor"]["current_loop_time_constant_s"] = 0.002
     config_files.dump(ExperimentConfig.model_validate(data), tmp_path / "config.yaml")
-    found = imitation_beside(tmp_path / "recording.mf4")
+    found = emulation_beside(tmp_path / "recording.mf4")
     assert found is not None
     assert found.cycle_s == 0.002
     assert found.load_motors[0].motor.current_loop_time_constant_s == 0.002
@@ -159,4 +159,4 @@ def test_the_command_of_the_readme_names_the_step_of_the_demo(tmp_path: Path) ->
     done = hilbench("diagnose", tmp_path / "recording.csv.gz", "--model", DEMO)
     assert done.returncode == 0, done.stderr
     assert "elasticity_step" in done.stdout
-    assert "imitated" in done.stdout
+    assert "emulated" in done.stdout

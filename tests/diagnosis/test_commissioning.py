@@ -11,7 +11,7 @@ from tests.independent_line.line import Line, Loops, effect
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis.commissioning import Commissioned, commissioned
-from hilbench.diagnosis.imitated import imitation_of
+from hilbench.diagnosis.emulated import emulation_of
 from hilbench.estimation.web_line.config import ModelErrorsConfig
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording, read_recording
@@ -62,7 +62,7 @@ def measured(
     outcome = run_experiment(LoadedConfig(config, loaded.document), folder, participants=Participants.IN_PROCESS)
     assert outcome.exit_code == 0, outcome.result.faults
     recording, errors = read_recording(outcome.folder.recording), config.twin.model_errors
-    found = commissioned(recording, config.machine, path, imitation_of(config), errors, modulus_pct)
+    found = commissioned(recording, config.machine, path, emulation_of(config), errors, modulus_pct)
     return {(one.effect, one.axis or one.section): one for one in found}  # type: ignore[misc]
 
 

@@ -15,7 +15,7 @@ from tests.plant.models import effect, lone_axis, model
 from hilbench.diagnosis import axis_next_experiment
 from hilbench.diagnosis.axis_next_experiment import AxisReach
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, NamedEffect, Unobservable, Value
-from hilbench.diagnosis.imitated import imitation_of
+from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.next_experiment import LONGEST_S, duration_s, write_steps
 from hilbench.diagnosis.web_next_experiment import Reach, moves, propose
 from hilbench.plant.effect import MachineKind
@@ -181,7 +181,7 @@ def test_no_move_asks_more_than_the_machine_has_done_nor_takes_longer_than_may_b
 def test_what_is_written_is_an_experiment_that_the_bench_of_the_config_can_run(tmp_path: Path) -> None:
     config = Path("bench_configs/hidden_friction.yaml")
     bench = load_with_overrides(config).config
-    found = replace(left_open(model(FRICTION), tied=["strain_offset"]), imitation=imitation_of(bench))
+    found = replace(left_open(model(FRICTION), tied=["strain_offset"]), emulation=emulation_of(bench))
     proposed = propose(found, REACH)
     assert proposed is not None
     assert proposed.duration_s <= LONGEST_S

@@ -148,11 +148,11 @@ def test_the_command_names_what_a_servo_bench_hides_and_shows_the_gap_close(tmp_
     assert done.returncode == 0, done.stderr
     assert "named: " in done.stdout
     assert "coulomb_friction" in done.stdout
-    assert "shaft imitated by a load motor" in done.stdout
+    assert "shaft emulated by a load motor" in done.stdout
     assert "tension" not in done.stdout
     page = (tmp_path / "diagnosis.html").read_text(encoding="utf-8")
     assert "N·m" in page
-    assert "the shaft was imitated by a load motor" in page
+    assert "the shaft was emulated by a load motor" in page
     for word in (" web ", "tension", "m/s<"):
         assert word not in page
     extended = load_machine(tmp_path / "model_extended.yaml")

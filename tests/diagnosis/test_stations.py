@@ -13,7 +13,7 @@ from tests.cli.in_process import hilbench
 from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.diagnosis.imitated import imitation_of
+from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.predictor import choice, predictor_for
 from hilbench.diagnosis.proposals import Proposer
@@ -25,8 +25,8 @@ from hilbench.errors import UnusableInputError
 from hilbench.plant.effects import STATION_EFFECTS, find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.imitation import Imitation
-from hilbench.plant.web_line.line_imitation import simulate_imitated_line
+from hilbench.plant.web_line.emulation import Emulation
+from hilbench.plant.web_line.line_emulation import simulate_emulated_line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor
 from hilbench.results.recording import Recording, read_recording
@@ -43,10 +43,10 @@ def machine(config: Path) -> ModelParameters:
     return load(config)[0].web_line
 
 
-def imitation(config: Path) -> Imitation:
+def emulation(config: Path) -> Emulation:
     model = machine(config)
     axes = [axis for axis in range(1, model.axis_count + 1) if model.carries_web_load(axis)]
-    return Imitation(CYCLE_S, tuple(CoupledMotor(axis=axis) for axis in axes))
+    return Emulation(CYCLE_S, tuple(CoupledMotor(axis=axis) for axis in axes))
 
 
 def commands(axes: int, duration_s: float) -> np.ndarray:
@@ -64,7 +64,7 @@ def recorded(config: Path, entry: EffectEntry | None = None, seed: int = 1, dura
     told, sensors = commands(model.axis_count, duration_s), load(config)[0].load.measured
     boundary = np.tile([model.upstream_strain, model.boundary.downstream_tension_N], (len(told), 1))
     true = model if entry is None else model.with_effects(entry)
-    run = simulate_imitated_line(imitation(config), true, lay.pack(true), told, boundary, sensors)
+    run = simulate_emulated_line(emulation(config), true, lay.pack(true), told, boundary, sensors)
     channels = {"t_s": np.arange(len(told)) * CYCLE_S, "strain_prev": boundary[:, 0], "F_next_N": boundary[:, 1]}
     for k in range(model.axis_count):
         channels |= {f"v{k + 1}_cmd_m_s": told[:, k], f"v{k + 1}_m_s": run.v_m_s[:, k], f"x{k + 1}_m": run.x_m[:, k]}
@@ -86,7 +86,7 @@ def searched(config: Path, data: Measured) -> Selection:
     """What a search among the effects of stations, and friction and inertia of axes, finds."""
     model = machine(config)
     others = [find_effect(name) for name in ("coulomb_friction", "viscous_friction", "inertia_mismatch")]
-    predictor = choice(model, data, imitation(config)).predictor
+    predictor = choice(model, data, emulation(config)).predictor
     space = Space(model, predictor, data.period_s)
     return Search(space, Proposer(model, data, [*others, *STATION_EFFECTS]), lambda _text, _share: None).run()
 
@@ -97,7 +97,7 @@ def test_a_right_model_leaves_the_noise_and_another_more(config: Path) -> None:
     hidden = of_station("carriage_coulomb_friction", station, 15.0)
     model, right = machine(config), machine(config).with_effects(hidden)
     data = measured_from(recorded(config, hidden), model, "the bench")
-    predictor = predictor_for(model, data, imitation(config))
+    predictor = predictor_for(model, data, emulation(config))
     assert any(f"x_{station}_meas_m" in name for name in predictor.names)
     signals = [predictor.names.index(f"tau{axis}_Nm") for axis in range(1, model.axis_count + 1)]
     left, more = (
@@ -121,7 +121,7 @@ def test_a_force_that_a_bench_has_told_a_carriage_is_no_effect(tmp_path: Path) -
     assert np.ptp(data.forces_N["dancer"]) > 20.0
 
     def left_Nm(data: Measured) -> float:
-        predictor = predictor_for(model, data, imitation_of(given.config))
+        predictor = predictor_for(model, data, emulation_of(given.config))
         rest = predictor.measured - predictor.predict(lay.pack(model)[None])[0]
         return float(rest[predictor.names.index("tau2_Nm"), predictor.rows].std())
 
@@ -165,7 +165,7 @@ def test_nothing_is_named_of_a_line_that_is_the_model() -> None:
 def test_recordings_that_no_bench_has_made_are_refused_in_one_line() -> None:
     recording = recorded(DANCER)
     without = Recording({name: values for name, values in recording.channels.items() if name != "tau_load_cmd_Nm"})
-    with pytest.raises(UnusableInputError, match="expected a recording of a bench that imitates it"):
+    with pytest.raises(UnusableInputError, match="expected a recording of a bench that emulates it"):
         measured_from(without, machine(DANCER), "a stand")
     under_way = Recording({name: values[400:] for name, values in recording.channels.items()})
     with pytest.raises(UnusableInputError, match="under way at the first row"):

@@ -19,10 +19,10 @@ from hilbench.estimation.servo_axis.inertia import (
 )
 from hilbench.estimation.servo_axis.offline import ShaftRecording, track
 from hilbench.plant.motor_port import MotorMode, MotorPort
-from hilbench.plant.sampled_shaft import imitation_delay_s
+from hilbench.plant.sampled_shaft import emulation_delay_s
 from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.imitation import ImitatedShaft
+from hilbench.plant.servo_axis.emulation import EmulatedShaft
 from hilbench.plant.servo_axis.offline import simulate
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters, ShaftParameters
 from hilbench.plant.servo_axis.rig import ServoRig
@@ -307,15 +307,15 @@ def test_unbalance_is_found_where_it_is_looked_for() -> None:
     assert abs(found.inertia_kg_m2[-1] - 0.048) < 2.5 * found.deviation_kg_m2[-1]
 
 
-def imitated(inertia: float, commands: np.ndarray, seed: int, step_row: int | None = None) -> ShaftRecording:
-    """The bench: a real shaft of 0.032 kg·m² on which a load motor imitates another one, of 0.06 from `step_row` on."""
+def emulated(inertia: float, commands: np.ndarray, seed: int, step_row: int | None = None) -> ShaftRecording:
+    """The bench: a real shaft of 0.032 kg·m² on which a load motor emulates another one, of 0.06 from `step_row` on."""
     sensors = SensorParameters(torque_noise_Nm=NOISE_NM, velocity_noise_rad_s=0.0025, encoder_rad_per_count=ENCODER_RAD)
     real = ServoRigParameters.matching(
         axis(), ShaftParameters(inertia_kg_m2=0.031, coulomb_friction_Nm=0.05), None, sensors
     )
     ports = [MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.TORQUE)]
-    rig, shaft = ServoRig(real, ports, seed), ImitatedShaft(axis(inertia), real, CYCLE_S)
-    lead = imitation_delay_s(sampled_shaft(real, CYCLE_S))
+    rig, shaft = ServoRig(real, ports, seed), EmulatedShaft(axis(inertia), real, CYCLE_S)
+    lead = emulation_delay_s(sampled_shaft(real, CYCLE_S))
     shaft.reset([ports[0].position_rad])
     positions, torques, waiting = [], [], 0.0
     for row, command in enumerate(commands):
@@ -331,23 +331,23 @@ def imitated(inertia: float, commands: np.ndarray, seed: int, step_row: int | No
     return ShaftRecording(CYCLE_S, commands, np.array(positions), np.array(torques))
 
 
-def test_step_of_the_inertia_that_a_load_motor_imitates_is_found() -> None:
+def test_step_of_the_inertia_that_a_load_motor_emulates_is_found() -> None:
     """The experiment of the bench: 0.048, then 0.06."""
     step = round(3.1 / CYCLE_S)
-    found = track(axis(), InertiaConfig(), imitated(0.048, sine(6.0), 4, step))
+    found = track(axis(), InertiaConfig(), emulated(0.048, sine(6.0), 4, step))
     assert found.inertia_kg_m2[step - 1] == pytest.approx(0.048, rel=0.01)
     late = found.inertia_kg_m2[step + round(0.3 / CYCLE_S) :]
     assert np.abs(late / 0.06 - 1.0).max() < 0.01
     assert found.also["coulomb_friction_Nm"][0][-1] == pytest.approx(0.2, abs=0.03)
 
 
-def test_corners_that_a_load_motor_imitates_late_do_not_make_the_shaft_heavier() -> None:
+def test_corners_that_a_load_motor_emulates_late_do_not_make_the_shaft_heavier() -> None:
     """What it does late, and what the filter of the motion says late, goes together with the acceleration."""
     t = np.arange(round(2.5 / CYCLE_S)) * CYCLE_S
     ramps = np.interp(t, [0.0, 0.6, 1.2, 1.8, 2.4], [0.0, 25.0, 5.0, 25.0, 5.0])
     off, scores = [], []
     for seed, inertia in enumerate(np.linspace(0.046, 0.053, 6)):
-        found = track(axis(), InertiaConfig(), imitated(inertia, ramps, seed))
+        found = track(axis(), InertiaConfig(), emulated(inertia, ramps, seed))
         off.append(found.inertia_kg_m2[-1] / inertia - 1.0)
         scores.append((found.inertia_kg_m2[-1] - inertia) / found.deviation_kg_m2[-1])
     assert abs(np.mean(off)) < 0.006

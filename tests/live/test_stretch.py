@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.imitated import imitation_of
+from hilbench.diagnosis.emulated import emulation_of
 from hilbench.live.stretch import Stretch
 from hilbench.live.web_line.machine import LiveLine
 from hilbench.live.web_line.stretch import packed
 from hilbench.live.window import Window
-from hilbench.plant.web_line.imitation import Imitation, simulate_imitated
+from hilbench.plant.web_line.emulation import Emulation, simulate_emulated
 from hilbench.plant.web_line.offline import start_state
 from hilbench.runs.config import load_with_overrides
 
@@ -29,9 +29,9 @@ RAMP_S = (14.0, 15.0)
 
 
 @cache
-def imitation() -> Imitation:
-    found = imitation_of(CONFIG)
-    assert isinstance(found, Imitation)
+def emulation() -> Emulation:
+    found = emulation_of(CONFIG)
+    assert isinstance(found, Emulation)
     return found
 
 
@@ -48,7 +48,7 @@ def stretch(taken: Array, F_next_N: Array, late: Rows) -> Stretch:
     told, noise = commands(), np.random.default_rng(4)
     boundary = np.column_stack([np.full(len(told), MODEL.upstream_strain), F_next_N])
     p = packed(MODEL)
-    run = simulate_imitated(imitation(), MODEL, p, start_state(p, MODEL), taken, boundary)
+    run = simulate_emulated(emulation(), MODEL, p, start_state(p, MODEL), taken, boundary)
     nominal_N = MODEL.boundary.downstream_tension_N
     channels = {"t_s": np.arange(len(told)) * CYCLE_S, "strain_prev": boundary[:, 0]}
     channels |= {
@@ -64,7 +64,7 @@ def stretch(taken: Array, F_next_N: Array, late: Rows) -> Stretch:
     window = Window(list(channels), len(told), CYCLE_S)
     rows = np.column_stack([*channels.values(), np.arange(len(told)), late])
     window.add(len(told) - 1, rows.tobytes())
-    return Stretch.of(LiveLine(MODEL, imitation(), CYCLE_S), window, MODEL, round(FIRST_S / CYCLE_S), len(told), 0)
+    return Stretch.of(LiveLine(MODEL, emulation(), CYCLE_S), window, MODEL, round(FIRST_S / CYCLE_S), len(told), 0)
 
 
 def left_by_the_right_model(found: Stretch) -> dict[str, float]:

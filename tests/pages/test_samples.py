@@ -102,7 +102,7 @@ def test_a_run_that_is_joined_under_way_has_its_time_and_its_set_points(going_on
         compare(going_on, recording, name, 1e-6)
 
 
-def test_what_is_imitated_is_not_shown_before_it_is_right(going_on: GoingOn, ran: Ran) -> None:
+def test_what_is_emulated_is_not_shown_before_it_is_right(going_on: GoingOn, ran: Ran) -> None:
     middle = len(going_on.frames) // 4
     going_on.go_on(1, middle, heard=False)
     going_on.go_on(middle, len(going_on.frames))

@@ -1,4 +1,4 @@
-"""What a bench does cycle by cycle, in plain calls of the rig and of what its load motors imitate."""
+"""What a bench does cycle by cycle, in plain calls of the rig and of what its load motors emulate."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.parameters import EffectEntry
-from hilbench.plant.web_line.imitation import lead_s
+from hilbench.plant.web_line.emulation import lead_s
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, TestRig
@@ -27,7 +27,7 @@ def cycle_by_cycle(
     sensors: Sequence[str] = (),
     inputs: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> np.ndarray:
-    """Positions, torques, tensions, then outputs `sensors` of the imitated `web`, a row for each row (N,) of commands,
+    """Positions, torques, tensions, then outputs `sensors` of the emulated `web`, a row for each row (N,) of commands,
     m/s: the torque of what was measured goes out with the next SYNC. `inputs` (n,): told to it in each row.
 
     effects: of the mechanics of the rig.

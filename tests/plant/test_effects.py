@@ -301,7 +301,7 @@ def test_unbalance_of_a_geared_roller_is_the_ripple_of_the_motor_that_has_its_an
     np.testing.assert_allclose(one.F_N, other.F_N, atol=1e-5)
 
 
-def test_a_load_motor_imitates_unbalance_by_the_angle_of_the_roller() -> None:
+def test_a_load_motor_emulates_unbalance_by_the_angle_of_the_roller() -> None:
     plain, unbalanced = (SpanFollower(model(*entries)) for entries in ((), (effect("unbalance", 2, **UNBALANCE),)))
     for x_m in (0.03, 0.3, 0.9):
         torques = []
@@ -311,7 +311,7 @@ def test_a_load_motor_imitates_unbalance_by_the_angle_of_the_roller() -> None:
         assert torques[1] - torques[0] == pytest.approx(4.0 * np.sin(x_m / 0.2 + 0.7) / 5.0)
 
 
-def test_effects_of_a_roller_are_imitated_only_where_a_load_motor_is() -> None:
+def test_effects_of_a_roller_are_emulated_only_where_a_load_motor_is() -> None:
     def problem(effect_id: str, axis: int | None, place: EffectPlace) -> str | None:
         return effect_problem(effect_id, axis, place, 3, (2,))
 

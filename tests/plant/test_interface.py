@@ -1,4 +1,4 @@
-"""What holds for every machine behind the interface: closed models, simulated hardware, imitated machines."""
+"""What holds for every machine behind the interface: closed models, simulated hardware, emulated machines."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hilbench.plant.interface import Follower, Machine, Plant, Quantity, checked
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.servo_axis.axis import ServoAxis
-from hilbench.plant.servo_axis.imitation import ImitatedShaft
+from hilbench.plant.servo_axis.emulation import EmulatedShaft
 from hilbench.plant.servo_axis.parameters import ServoRigParameters
 from hilbench.plant.servo_axis.rig import ServoRig
 from hilbench.plant.web_line.line import Line
@@ -50,8 +50,8 @@ def servo_rig() -> ServoRig:
     return ServoRig(made, [MotorPort(), MotorPort()], seed=3)
 
 
-def imitated_shaft() -> ImitatedShaft:
-    return ImitatedShaft(
+def emulated_shaft() -> EmulatedShaft:
+    return EmulatedShaft(
         servo.axis(inertia_kg_m2=0.06, unbalance_Nm=0.1), ServoRigParameters.matching(servo.axis()), CYCLE_S
     )
 
@@ -70,7 +70,7 @@ PLANTS: dict[str, Callable[[], Plant]] = {
 FOLLOWERS: dict[str, Callable[[], Follower]] = {
     "span": lambda: SpanFollower(model(*SLIPS)),
     "three spans": lambda: SpanFollower(line_of(4, *SLIPS)),
-    "shaft": imitated_shaft,
+    "shaft": emulated_shaft,
 }
 MACHINES: dict[str, Callable[[], Machine]] = {**PLANTS, **FOLLOWERS}
 every_machine = pytest.mark.parametrize("made", MACHINES.values(), ids=MACHINES)
@@ -260,7 +260,7 @@ def test_duration_that_is_no_multiple_of_the_sample_time_is_refused(made: Callab
 
 
 @every_follower
-def test_reset_brings_an_imitated_machine_back_to_the_start_at_any_place(made: Callable[[], Follower]) -> None:
+def test_reset_brings_an_emulated_machine_back_to_the_start_at_any_place(made: Callable[[], Follower]) -> None:
     machine, fresh = made(), made()
     axes = machine.describe().axes
     move(machine, [3.0] * 20)

@@ -205,7 +205,7 @@ def test_prediction_is_what_comes_when_the_speeds_stay() -> None:
     assert follower.tension_N[0] != predicted[0]
 
 
-def test_web_torque_holds_tension_difference_and_imitated_friction() -> None:
+def test_web_torque_holds_tension_difference_and_emulated_friction() -> None:
     follower = SpanFollower(model(web_load=[False, True]))
     assert follower.web_torque_Nm(1, 3.0) == 0.0
     assert follower.web_torque_Nm(2, 3.0) == pytest.approx((70.0 - 80.0) / RAD_PER_M)
@@ -253,7 +253,7 @@ def test_web_that_has_torn_pulls_no_more_until_it_is_whole_again() -> None:
     assert follower.outputs() == whole
 
 
-def test_effect_that_no_torque_can_imitate_is_refused() -> None:
+def test_effect_that_no_torque_can_emulate_is_refused() -> None:
     follower = SpanFollower(model())
     with pytest.raises(ValueError, match="effect 'backlash' here, expected one of coulomb_friction"):
         follower.set_effect("backlash", 2, gap_rad=0.01)

@@ -1,4 +1,4 @@
-"""The simulated hardware: shafts, load motor, sensors, and how much can be imitated on it."""
+"""The simulated hardware: shafts, load motor, sensors, and how much can be emulated on it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hilbench.plant.parameters import EffectEntry, LoadMotorParameters
 from hilbench.plant.sampled_shaft import (
     LinearLaw,
     SampledShaft,
-    imitation_delay_s,
+    emulation_delay_s,
     largest_stable,
     spectral_radius_under,
 )
@@ -104,7 +104,7 @@ def test_noise_does_not_depend_on_the_block_size() -> None:
 
 
 def largest_inertia_ratio(shaft: SampledShaft) -> float:
-    """Largest stable imitated over real inertia, by tau = -J_e·(v_k - v_{k-1})/T."""
+    """Largest stable emulated over real inertia, by tau = -J_e·(v_k - v_{k-1})/T."""
 
     def radius(ratio: float) -> float:
         per_rate = np.array([ratio * shaft.inertia_kg_m2 / shaft.cycle_s])
@@ -114,8 +114,8 @@ def largest_inertia_ratio(shaft: SampledShaft) -> float:
     return largest_stable(radius, 100.0)
 
 
-def imitate_inertia(ratio: float) -> np.ndarray:
-    """Speed of shaft 2 after a nudge, with inertia imitated over the bus: set points act one cycle later."""
+def emulate_inertia(ratio: float) -> np.ndarray:
+    """Speed of shaft 2 after a nudge, with inertia emulated over the bus: set points act one cycle later."""
     bench, ports = stand()
     ports[1].mode, ports[2].mode = MotorMode.VELOCITY, MotorMode.TORQUE
     ports[1].setpoint = 1e-3
@@ -129,9 +129,9 @@ def imitate_inertia(ratio: float) -> np.ndarray:
     return np.array(speeds) - 1e-3
 
 
-def test_inertia_can_be_imitated_up_to_the_computed_limit_and_not_beyond() -> None:
+def test_inertia_can_be_emulated_up_to_the_computed_limit_and_not_beyond() -> None:
     limit = largest_inertia_ratio(sampled_shaft(model()))
-    below, above = imitate_inertia(0.97 * limit), imitate_inertia(1.03 * limit)
+    below, above = emulate_inertia(0.97 * limit), emulate_inertia(1.03 * limit)
     assert np.abs(below[-200:]).max() < 0.1 * np.abs(below[:200]).max()
     assert np.abs(above[-200:]).max() > 10 * np.abs(above[:200]).max()
 
@@ -143,8 +143,8 @@ def test_without_control_loops_only_as_much_inertia_as_there_is(delay: int) -> N
     assert largest_inertia_ratio(shaft) == pytest.approx(1.0, rel=2e-3)
 
 
-def imitate_web(lead_s: float) -> np.ndarray:
-    """Tension while the load motor imitates the web at standstill and then at 1 m/s."""
+def emulate_web(lead_s: float) -> np.ndarray:
+    """Tension while the load motor emulates the web at standstill and then at 1 m/s."""
     parameters = model(web_load=[False, True])
     ports = [MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.TORQUE)]
     bench = TestRig(RigParameters.matching(parameters, [CoupledMotor(axis=2)]), ports)
@@ -160,13 +160,13 @@ def imitate_web(lead_s: float) -> np.ndarray:
     return np.array(tensions)
 
 
-def test_the_web_can_be_imitated_only_with_the_delay_made_good() -> None:
+def test_the_web_can_be_emulated_only_with_the_delay_made_good() -> None:
     parameters = model()
     shaft = sampled_shaft(parameters)
     web = parameters.youngs_modulus_Pa(1) * parameters.section_m2(1) / parameters.span_length_m(1) / RAD_PER_M**2
-    lead = imitation_delay_s(shaft)
+    lead = emulation_delay_s(shaft)
     assert spectral_radius(shaft, web) > 1.0
     assert spectral_radius(shaft, web, lead) < 1.0
     assert largest_stiffness_Nm_per_rad(shaft) < web < 0.5 * largest_stiffness_Nm_per_rad(shaft, lead)
-    assert np.ptp(imitate_web(0.0)[-300:]) > 50.0
-    assert np.ptp(imitate_web(lead)[-300:]) < 5.0
+    assert np.ptp(emulate_web(0.0)[-300:]) > 50.0
+    assert np.ptp(emulate_web(lead)[-300:]) < 5.0

@@ -17,7 +17,7 @@ SPEED_rad_s, SWING_rad_s, SWINGS_Hz = 60.0, 20.0, 1.0
 
 
 def recorded_shaft(duration_s: float = 20.0, share: float = 0.25, seed: int = 1) -> Recording:
-    """The imitated inertia steps by a share of its value at 8 s; the shaft follows its command to 0.1 rad/s."""
+    """The emulated inertia steps by a share of its value at 8 s; the shaft follows its command to 0.1 rad/s."""
     t = DT_S * np.arange(round(duration_s / DT_S) + 1)
     noise = np.random.default_rng(seed)
     after = t >= STEP_S - DT_S / 2

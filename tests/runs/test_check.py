@@ -89,7 +89,7 @@ def test_what_the_steps_make_of_e_is_looked_at(tmp_path: Path) -> None:
         "hold: {duration_s: 12}",
         f"table: {{file: {table}}}",
     ):
-        with pytest.raises(UnusableInputError, match=r"config.yaml:3: the load motor can't imitate so stiff a web"):
+        with pytest.raises(UnusableInputError, match=r"config.yaml:3: the load motor can't emulate so stiff a web"):
             check(config_of(tmp_path, step), *([RAMPING] if "hold" in step else []))
 
 

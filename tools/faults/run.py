@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "bench_configs" / "web_section_step.yaml"
 CLI = [sys.executable, "-m", "hilbench.cli"]
 AT_SPEED_S = 1.0  # the ramp is over
-#: Real time: cycle, E of the web that can be imitated over it, time-outs and periods of heartbeats.
+#: Real time: cycle, E of the web that can be emulated over it, time-outs and periods of heartbeats.
 SLOW_CYCLE_S, SOFT_PA = 0.01, 2.0e9
 PATIENT = {"cycle_timeout_s": 1.0, "missing_cycles": 50, "supervisor_timeout_s": 2.0}
 PATIENT_MASTER = {"heartbeat_ms": 400, "node_heartbeat_ms": 400, "boot_timeout_s": 60.0}

@@ -46,14 +46,14 @@ def _of_load(load: FmuLoadConfig, config: BenchConfig) -> list[str]:
     named: Mapping[str, Variable] = found.outputs | found.parameters
     lines = [
         load.description().summary,
-        f"load model: {_names(motion)} follow the motion, {_names(found.torques)} are imitated"
+        f"load model: {_names(motion)} follow the motion, {_names(found.torques)} are emulated"
         + "".join(f"; {ours} is {theirs.name}" for ours, theirs in named.items()),
         *_unit_findings([*motion, *found.torques, *(named[ours] for ours in named if unit_of_name(ours) != "1")]),
         *step_findings(load, config.cycle_time_s),
     ]
     if not load.description().can_roll_back:
         lines.append(
-            "its torques can't be predicted over the delay of the imitation: what it imitates acts later, and the loop "
+            "its torques can't be predicted over the delay of the emulation: what it emulates acts later, and the loop "
             "of machine and shaft is less stable"
         )
     fixed = [f"{ours} ({theirs.name})" for ours, theirs in found.parameters.items() if not theirs.settable]

@@ -7,12 +7,12 @@ from math import inf
 
 import numpy as np
 
-from hilbench.bench.tasks.imitated_web import imitated_web
+from hilbench.bench.tasks.emulated_web import emulated_web
 from hilbench.bench.tasks.tension_loop import Moduli, OperatingPoint, TensionLoop
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.addressing import declared_units
 from hilbench.exchange.nodes import Nodes
-from hilbench.plant.sampled_shaft import imitation_delay_s
+from hilbench.plant.sampled_shaft import emulation_delay_s
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
 from hilbench.plant.web_line.stability import largest_stiffness_Nm_per_rad, sampled_shaft
@@ -73,11 +73,11 @@ def _unmatched_loads(config: BenchConfig) -> list[str]:
         if part.is_simulated and pulled and axis not in loaded:
             notes.append(
                 f"{part.name}: machine: web_load says that the web loads axis {axis}, and no load motor on its shaft "
-                f"imitates that: the twin simulates a load that is not there"
+                f"emulates that: the twin simulates a load that is not there"
             )
         if axis in loaded and not pulled:
             notes.append(
-                f"{part.name}: the load motor on its shaft has no web to imitate, as machine: web_load says that the "
+                f"{part.name}: the load motor on its shaft has no web to emulate, as machine: web_load says that the "
                 f"web does not load axis {axis}"
             )
     return notes
@@ -107,7 +107,7 @@ def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
 def start_point(config: BenchConfig) -> OperatingPoint:
     """The tension loop when the drives are enabled, with the E that the twin begins with."""
     model, spans = config.web_line, range(1, config.shape.spans + 1)
-    web = imitated_web(model, config.load)
+    web = emulated_web(model, config.load)
     moduli_Pa, estimates_Pa = (tuple(map(of.youngs_modulus_Pa, spans)) for of in (web, model))
     return OperatingPoint(moduli_Pa, 0.0, (1.0,) * len(spans), estimates_Pa)
 
@@ -122,7 +122,7 @@ def check_stability(config: BenchConfig, document: Document, point: OperatingPoi
         share = stiffness_reserve(config, point)
         raise UnusableInputError(
             document.place(where),
-            f"the load motor can't imitate so stiff a web over {cycle} ({operating_point_text(point)}): the loop of "
+            f"the load motor can't emulate so stiff a web over {cycle} ({operating_point_text(point)}): the loop of "
             f"web and sampled shaft is by itself stable up to {100 * share:.0f} % of it, expected a shorter cycle, a "
             f"heavier axis {' or '.join(map(str, config.loaded_axes))}, or a softer or longer web",
         )
@@ -161,7 +161,7 @@ def _check_stiffness(config: BenchConfig, document: Document, point: OperatingPo
         if reserve < 1.0:
             raise UnusableInputError(
                 document.place(where),
-                f"the load motor of axis {axis} can't imitate so stiff a web over a cycle of "
+                f"the load motor of axis {axis} can't emulate so stiff a web over a cycle of "
                 f"{config.cycle_time_s * 1e3:g} ms ({operating_point_text(point)}): it is stable up to "
                 f"{100 * reserve:.0f} % of it where the rollers beside it stand still, expected a shorter cycle, a "
                 f"heavier axis {axis}, or a softer or longer web beside it",
@@ -169,7 +169,7 @@ def _check_stiffness(config: BenchConfig, document: Document, point: OperatingPo
 
 
 def stiffness_reserves(config: BenchConfig, point: OperatingPoint) -> dict[int, float]:
-    """By axis the largest stiffness of a web that its load motor imitates stably by itself, over that of the imitated.
+    """By axis the largest stiffness of a web that its load motor emulates stably by itself, over that of the emulated.
 
     Of driven rollers alone, which swing against each other, each is held by what the stiffest of their modes has; with
     other rollers between them by the spans beside it. Empty without load motors.
@@ -188,7 +188,7 @@ def stiffness_reserves(config: BenchConfig, point: OperatingPoint) -> dict[int, 
     for axis in loaded:
         shaft = sampled_shaft(model, axis, cycle_s=config.cycle_time_s)
         asked_Nm_per_rad = held_N_per_m[axis] / model.motor_rad_per_m(axis) ** 2
-        reserves[axis] = largest_stiffness_Nm_per_rad(shaft, imitation_delay_s(shaft)) / asked_Nm_per_rad
+        reserves[axis] = largest_stiffness_Nm_per_rad(shaft, emulation_delay_s(shaft)) / asked_Nm_per_rad
     return reserves
 
 
@@ -204,8 +204,8 @@ def spans_beside(model: ModelParameters, axis: int) -> tuple[int, ...]:
 
 
 def _stiffness_of_spans(config: BenchConfig, point: OperatingPoint) -> list[float]:
-    """E·S/L of each imitated span, N/m."""
-    web = imitated_web(config.web_line, config.load)
+    """E·S/L of each emulated span, N/m."""
+    web = emulated_web(config.web_line, config.load)
     return [
         modulus_Pa * web.section_m2(span) / (web.span_length_m(span) * factor)
         for span, (modulus_Pa, factor) in enumerate(zip(point.moduli_Pa, point.length_factors, strict=True), 1)

@@ -123,7 +123,7 @@ def _measured(
     """Run the plan and fit its recording. Raises as `hilbench.diagnosis.live.run_bench`."""
     from hilbench.bench.lifecycle.participants import Participants
     from hilbench.diagnosis.commissioning import commissioned
-    from hilbench.diagnosis.imitated import imitation_of
+    from hilbench.diagnosis.emulated import emulation_of
     from hilbench.diagnosis.live import completed
     from hilbench.results.recording import read_recording
     from hilbench.results.run import run_experiment
@@ -135,9 +135,9 @@ def _measured(
     )
     folder, config = completed(outcome).folder, loaded.config
     progress.announce("fit the recording", 0.5)
-    recording, imitation = read_recording(folder.recording), imitation_of(config)
+    recording, emulation = read_recording(folder.recording), emulation_of(config)
     errors = config.twin.model_errors
-    return folder, commissioned(recording, config.machine, folder.recording, imitation, errors, known_pct)
+    return folder, commissioned(recording, config.machine, folder.recording, emulation, errors, known_pct)
 
 
 def _table(found: list[Commissioned]) -> Table:

@@ -16,9 +16,9 @@ from hilbench.cli.progress import ProgressDisplay
 from hilbench.diagnosis import axis_next_experiment, machines, web_next_experiment
 from hilbench.diagnosis.comparison import Run, compared
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, diagnose
-from hilbench.diagnosis.imitated import imitation_beside, imitation_of
+from hilbench.diagnosis.emulated import emulation_beside, emulation_of
 from hilbench.diagnosis.live import LiveGap, live_gap, run_bench
-from hilbench.diagnosis.machines import AnyImitation
+from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.next_experiment import NextExperiment, Step, write_steps
 from hilbench.errors import BenchFaultError, UnusableInputError
@@ -115,8 +115,8 @@ def diagnose_command(
             progress.announce("read the recording", 0.0)
             recording = read_rows(source)
             report_unknown(recording, source)
-            imitation = _imitation(source, config)
-            diagnosis = diagnose(recording, model, source, progress.announce, imitation)
+            emulation = _emulation(source, config)
+            diagnosis = diagnose(recording, model, source, progress.announce, emulation)
             found = _Found(diagnosis, None if config is None else model_path)
             found.proposed = _proposed(diagnosis, recording, source)
         files = None if out is None else _write(found, source, out)
@@ -174,13 +174,13 @@ def _against(source: Path, before: Path, model_path: Path | None, progress: Prog
         progress.announce(f"read {path}", 0.0)
         recording = read_rows(path)
         report_unknown(recording, path)
-        runs.append(Run(recording, path, _imitation(path, config)))
+        runs.append(Run(recording, path, _emulation(path, config)))
     return _Found(compared(runs[0], runs[1], model, progress.announce), model_path if config else None, against=before)
 
 
-def _imitation(recording: Path, config: BenchConfig | None) -> AnyImitation | None:
-    """How web or shaft was imitated, if a bench made the recording: by the config of its run, else the model's."""
-    return imitation_beside(recording) or (None if config is None else imitation_of(config))
+def _emulation(recording: Path, config: BenchConfig | None) -> AnyEmulation | None:
+    """How web or shaft was emulated, if a bench made the recording: by the config of its run, else the model's."""
+    return emulation_beside(recording) or (None if config is None else emulation_of(config))
 
 
 def _on_the_bench(
@@ -196,8 +196,8 @@ def _on_the_bench(
     observer, announce = progress.of_run("run the bench", 0.0)
     first = run_bench(loaded, model, runs, observers=[observer], announce=announce)
     before = live_gap(first)
-    recording, imitation = first.folder.recording, imitation_of(loaded.config)
-    diagnosis = diagnose(read_recording(recording), model, recording, progress.announce, imitation)
+    recording, emulation = first.folder.recording, emulation_of(loaded.config)
+    diagnosis = diagnose(read_recording(recording), model, recording, progress.announce, emulation)
     found = _Found(diagnosis, config, [before])
     found.proposed = _proposed(diagnosis, read_recording(recording), recording)
     steps: list[Step] = []
@@ -207,7 +207,7 @@ def _on_the_bench(
         observer, announce = progress.of_run(f"run the bench with {found.proposed.moves}", 0.0)
         again = run_bench(loaded, model, runs, more_steps=steps, observers=[observer], announce=announce)
         before, recording = live_gap(again), again.folder.recording
-        diagnosis = diagnose(read_recording(recording), model, recording, progress.announce, imitation)
+        diagnosis = diagnose(read_recording(recording), model, recording, progress.announce, emulation)
         found.diagnosis, found.live = diagnosis, [before]
         found.proposed = _proposed(diagnosis, read_recording(recording), recording)
     if not diagnosis.effects:
@@ -315,7 +315,7 @@ def as_data(shown: _Found, files: _Files | None, next_experiment: Path | None = 
         "repairs": [asdict(repair) for repair in found.repairs],
         "missing_channels": found.missing_channels,
         "predicted_on": found.predicted_on,
-        "imitation_cycle_s": None if found.imitation is None else found.imitation.cycle_s,
+        "emulation_cycle_s": None if found.emulation is None else found.emulation.cycle_s,
         "next_experiment": None if next_experiment is None else str(next_experiment),
         "rounds": shown.rounds,
         "live": [
@@ -358,9 +358,9 @@ def _show(console: Console, found: Diagnosis, against: Path | None) -> None:
         sizes = [f"{k} {v.value:.3g} ({v.ci95[0]:.3g} to {v.ci95[1]:.3g})" for k, v in effect.parameters.items()]
         what = f"{effect.effect} of axis {effect.axis}: {', '.join(sizes)}"
         console.print(f"not the model's, and corrected for: {what}", soft_wrap=True)
-    if found.imitation is not None:
-        every = f"every {1e3 * found.imitation.cycle_s:g} ms"
-        console.print(f"a bench's recording: {found.imitation.part} imitated by a load motor, {every}")
+    if found.emulation is not None:
+        every = f"every {1e3 * found.emulation.cycle_s:g} ms"
+        console.print(f"a bench's recording: {found.emulation.part} emulated by a load motor, {every}")
     if found.effects:
         console.print(_effects_table(found, changes=against is not None))
         for effect in found.effects:

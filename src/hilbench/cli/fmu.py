@@ -24,7 +24,7 @@ def export(
     ] = False,
     load: Annotated[
         bool,
-        typer.Option("--load", help="what load motors imitate of it: speeds go in, torques come out"),
+        typer.Option("--load", help="what load motors emulate of it: speeds go in, torques come out"),
     ] = False,
     fmi: Annotated[int, typer.Option("--fmi", min=2, max=3, help="version of FMI")] = 3,
 ) -> None:

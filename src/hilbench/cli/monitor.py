@@ -57,7 +57,7 @@ def monitor(
     It may be started before the bench and stay when it has ended; while no bench runs it says STALE, ENDED or E-STOP
     instead of values. It sends nothing but what a key asks for and a second one confirms: e emergency stop, and a key
     for each quantity of the machine that can be changed (of a web line v line speed, t tension set-point, m E of the
-    imitated web; of a servo axis v speed, m inertia, f friction). Where the bench has it, p makes, allows or refuses a
+    emulated web; of a servo axis v speed, m inertia, f friction). Where the bench has it, p makes, allows or refuses a
     probe, and c a proposed change of the twin's model. w shows what would come if the speed, the set-point or E went to
     another value. What somebody does stands in the journal of the run, with who it was.
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
-from hilbench.plant.servo_axis.imitated_run import ImitatedRun, ShaftImitation, simulate_imitated
+from hilbench.plant.servo_axis.emulated_run import EmulatedRun, ShaftEmulation, simulate_emulated
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 
 Array = NDArray[np.float64]
@@ -28,11 +28,11 @@ _TURN: Final = 2.0 * np.pi
 class AxisFreeRun:
     """Torque of the drive. The motion follows the commands too closely to say more of the shaft than the torque."""
 
-    def __init__(self, model: ServoAxisParameters, data: Measured, imitation: ShaftImitation) -> None:
-        """`data` needs commands; a row each cycle of the imitation."""
-        self.imitation = imitation
+    def __init__(self, model: ServoAxisParameters, data: Measured, emulation: ShaftEmulation) -> None:
+        """`data` needs commands; a row each cycle of the emulation."""
+        self.emulation = emulation
         self._model, self._data = model, data
-        self._commands = imitation.as_taken(data.commands_m_s[:, 0])
+        self._commands = emulation.as_taken(data.commands_m_s[:, 0])
         self.names = ("tau1_Nm",)
         self.measured = data.tau_Nm[1][None]
         self.every = 1
@@ -78,5 +78,5 @@ class AxisFreeRun:
         """(B, P) to (B, 1, n)."""
         return self._run(parameters).tau_Nm[:, None, :]
 
-    def _run(self, parameters: Array) -> ImitatedRun:
-        return simulate_imitated(self.imitation, self._model, parameters, self._commands, self._start)
+    def _run(self, parameters: Array) -> EmulatedRun:
+        return simulate_emulated(self.emulation, self._model, parameters, self._commands, self._start)

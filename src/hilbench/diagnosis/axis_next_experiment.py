@@ -79,7 +79,7 @@ def propose(found: Diagnosis, reach: AxisReach) -> NextExperiment | None:
     questions = list(
         questions_of(found, lambda axis: machines.sizes(model, axis, reach.top, reach.torque_Nm, _PERIOD_S))
     )
-    exact = found.imitation is not None
+    exact = found.emulation is not None
     noise_Nm = found.gap.noise_floor if exact else max(found.gap.noise_floor, found.gap.after)
     every = 1 if exact else round(_APART_S / _PERIOD_S)
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.fit_beside_rest import firsts, weights
-from hilbench.diagnosis.machines import AnyImitation
+from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.predictor import choice
@@ -89,7 +89,7 @@ def commissioned(
     recording: Recording,
     model: Machine,
     place: str | Path,
-    imitation: AnyImitation | None,
+    emulation: AnyEmulation | None,
     errors: ModelErrorsConfig,
     modulus_pct: float,
 ) -> list[Commissioned]:
@@ -100,7 +100,7 @@ def commissioned(
     which nothing moves, too.
     """
     data = measured_from(recording, model, place)
-    predictor = choice(model, data, imitation).predictor
+    predictor = choice(model, data, emulation).predictor
     space, proposer = Space(model, predictor, data.period_s), Proposer(model, data)
     terms = [term for term in proposer.plain() if term.effect.id in (*MEASURED, *_BESIDE) and has_own(term, model)]
     terms += [*_loops(model, proposer), *_once_a_turn(proposer)]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis import axis_comparison, machines, web_comparison
 from hilbench.diagnosis.diagnosis import Diagnosis
-from hilbench.diagnosis.machines import AnyImitation
+from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.noise import rms
 from hilbench.errors import UnusableInputError
@@ -34,7 +34,7 @@ class Run:
 
     recording: Recording
     place: str | Path
-    imitation: AnyImitation | None = None  #: how web or shaft was imitated, if the recording is a bench's
+    emulation: AnyEmulation | None = None  #: how web or shaft was emulated, if the recording is a bench's
 
 
 def compared(
@@ -51,8 +51,8 @@ def compared(
         model = _lone_axis(after, before)
     now, then = (measured_from(run.recording, model, run.place) for run in (after, before))
     _check_together(now, then, after.place, before.place)
-    if not machines.is_lone(model) or all(each.imitated and each.commands_m_s.size for each in (now, then)):
-        found = web_comparison.changes(model, now, then, (after.imitation, before.imitation), announce)
+    if not machines.is_lone(model) or all(each.emulated and each.commands_m_s.size for each in (now, then)):
+        found = web_comparison.changes(model, now, then, (after.emulation, before.emulation), announce)
     else:
         found = axis_comparison.changes(model, now, then, announce)
     repairs = [replace(repair, text=f"{before.place}: {repair.text}") for repair in then.repairs]
@@ -66,8 +66,8 @@ def _check_together(now: Measured, then: Measured, place: str | Path, other: str
             raise UnusableInputError(
                 place, f"{what} of axes {sorted(here)} where {other} has {sorted(there)}, expected the same channels"
             )
-    if now.imitated != then.imitated:
-        made, other_made = ("with", "without") if now.imitated else ("without", "with")
+    if now.emulated != then.emulated:
+        made, other_made = ("with", "without") if now.emulated else ("without", "with")
         raise UnusableInputError(
             place, f"{made} a load motor and {other} {other_made} one, expected two recordings of one machine"
         )

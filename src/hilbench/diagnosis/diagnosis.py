@@ -15,7 +15,7 @@ from hilbench.diagnosis import machines
 from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, untold_beside
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_profile
 from hilbench.diagnosis.fit_beside_rest import stated_uncertainty, weights
-from hilbench.diagnosis.machines import AnyImitation
+from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.misfit import Condition, Misfit, astray, largest_ratio, located, misfits, ratios
@@ -168,7 +168,7 @@ class Diagnosis:
     after: Array
     held_out: NDArray[np.bool_]
     simulations: int
-    imitation: AnyImitation | None = None  #: how web or shaft was imitated, of a bench's recording
+    emulation: AnyEmulation | None = None  #: how web or shaft was emulated, of a bench's recording
     predicted_on: str = ""  #: what the prediction is driven by, and why, for a person
     nuisance: list[NamedEffect] = field(default_factory=list)  #: found beside the effects and corrected for
     laws: list[SparseLaw] = field(default_factory=list)  #: proposals for what no effect explains, no names
@@ -189,24 +189,24 @@ def diagnose(
     model: Machine,
     place: str | Path,
     announce: Announce = lambda text, share: None,
-    imitation: AnyImitation | None = None,
+    emulation: AnyEmulation | None = None,
 ) -> Diagnosis:
     """Diagnose one recording. Raises UnusableInputError, one line, where it can't be used.
 
-    `imitation`: how the bench imitated web or shaft, if the recording is a bench's; by default as benches do it.
+    `emulation`: how the bench emulated web or shaft, if the recording is a bench's; by default as benches do it.
     """
     announce("simulate the model", 0.02)
-    return diagnosed(measured_from(recording, model, place), model, announce, imitation)
+    return diagnosed(measured_from(recording, model, place), model, announce, emulation)
 
 
 def diagnosed(
     data: Measured,
     model: Machine,
     announce: Announce = lambda text, share: None,
-    imitation: AnyImitation | None = None,
+    emulation: AnyEmulation | None = None,
 ) -> Diagnosis:
     """Diagnose what was taken from a recording."""
-    chosen = choice(model, data, imitation)
+    chosen = choice(model, data, emulation)
     if chosen.simpler is not None:
         found = _predicted_by(chosen.simpler, model, data, announce)
         if found.verdict != "unknown":
@@ -298,7 +298,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         after=final.residual,
         held_out=test,
         simulations=space.simulations,
-        imitation=predictor.imitation,
+        emulation=predictor.emulation,
         predicted_on=chosen.basis,
         nuisance=[
             *_nuisance(space.model, chosen, effects),

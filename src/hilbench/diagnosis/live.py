@@ -83,7 +83,7 @@ def _of_a_shaft(recording: Recording) -> tuple[LiveFigure, ...]:
         LiveFigure("speed_error_rms_rad_s", "speed less its command, rms, rad/s", rms(error_rad_s[works])),
         LiveFigure(
             "friction_deviation_mean_Nm",
-            "estimated less imitated dry friction, mean, N·m",
+            "estimated less emulated dry friction, mean, N·m",
             float(np.mean(friction_Nm[works])),
         ),
         LiveFigure("J_bias_pct", "bias of the inertia, %", 100.0 * float(np.mean(ratio[works]) - 1.0)),

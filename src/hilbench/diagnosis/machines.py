@@ -15,17 +15,17 @@ from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.servo_axis import layout as shaft_layout
 from hilbench.plant.servo_axis import sizes as shaft_sizes
 from hilbench.plant.servo_axis.effects import ShaftEffect
-from hilbench.plant.servo_axis.imitated_run import ShaftImitation
+from hilbench.plant.servo_axis.emulated_run import ShaftEmulation
 from hilbench.plant.servo_axis.inverse import required_torque_Nm as shaft_torque_Nm
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.emulation import Emulation
 from hilbench.plant.web_line.inverse import required_torque_Nm
 from hilbench.plant.web_line.sizes import machine_sizes
 
 Array = NDArray[np.float64]
-#: How a bench imitated a machine with its load motors.
-AnyImitation = Imitation | ShaftImitation
+#: How a bench emulated a machine with its load motors.
+AnyEmulation = Emulation | ShaftEmulation
 
 #: The unit of a speed, in a channel's name and as a person writes it, by that of the position.
 _RATES: Final = {"m": ("m_s", "m/s"), "rad": ("rad_s", "rad/s")}

@@ -100,7 +100,7 @@ class Measured:
     x_m: dict[int, Array]
     v_m_s: dict[int, Array]
     missing: list[str] = field(default_factory=list)
-    imitated: bool = False  #: a load motor stood for the web
+    emulated: bool = False  #: a load motor stood for the web
     left_out: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  #: (n,), or none: see `usable`
     repairs: list[Repair] = field(default_factory=list)  #: what was wrong with the rows, and is mended
     F_N: dict[int, Array] = field(default_factory=dict)  #: measured tensions, by span
@@ -136,8 +136,8 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
     """Check and take what is needed. Raises UnusableInputError, one line, for what can't be diagnosed."""
     web = not machines.is_lone(model)
     commands = [machines.speed_channel(model, axis, "_cmd") for axis in range(1, model.axis_count + 1)]
-    imitated = any(_LOAD_MOTOR.fullmatch(name) and bool(np.any(v)) for name, v in recording.channels.items())
-    free = web or (imitated and model.drives is not None)  # run with the drives' loops, which know their limits
+    emulated = any(_LOAD_MOTOR.fullmatch(name) and bool(np.any(v)) for name, v in recording.channels.items())
+    free = web or (emulated and model.drives is not None)  # run with the drives' loops, which know their limits
     if TIME not in recording:
         raise UnusableInputError(
             place, f"channel {TIME} missing, expected beside {', '.join(recording.channels)}: {_MAPPED}"
@@ -154,10 +154,10 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
     )
     recording = found.recording
     period_s = _period_s(recording.time_s, place)
-    if machines.has_stations(model) and not (imitated and all(name in recording for name in commands)):
+    if machines.has_stations(model) and not (emulated and all(name in recording for name in commands)):
         raise UnusableInputError(
             place,
-            "a model with 'stations', expected a recording of a bench that imitates it, with the commands of all axes",
+            "a model with 'stations', expected a recording of a bench that emulates it, with the commands of all axes",
         )
     if web and model.drives is None:
         raise UnusableInputError(place, "a model with a web and no 'drives', expected the drives' control loops")
@@ -207,7 +207,7 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         x_m=x,
         v_m_s=v,
         missing=[name for name in wanted if name not in there],
-        imitated=imitated,
+        emulated=emulated,
         left_out=found.left_out,
         repairs=found.repairs,
         F_N=channels(tensions),
@@ -312,7 +312,7 @@ def _check_plausible(measured: Measured, model: Machine, place: str | Path) -> N
     if isinstance(model, ModelParameters) and model.span_count:
         _check_boundary(measured, model, place)
     _check_torques(measured, model, place)
-    if not measured.imitated:
+    if not measured.emulated:
         _check_driven(measured, model, place)
     moves = [_way(x, measured.period_s) for x in measured.x_m.values()]
     moves += [float(np.max(np.abs(v))) * measured.duration_s for v in speeds.values()]

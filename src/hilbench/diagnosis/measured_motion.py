@@ -150,7 +150,7 @@ class OnMeasuredMotion:
         self._model, self._data = model, data
         self.arm = arm
         self.names = ("tau1_Nm",)
-        self.imitation = None
+        self.emulation = None
         self._period_s = data.period_s
         if wider is not None and corner_hz is None:
             corner_hz = 0.5 * wider.corner_hz

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.axis_free_run import AxisFreeRun
 from hilbench.diagnosis.coupling import Arm
-from hilbench.diagnosis.machines import AnyImitation
+from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion, coupled_motion
 from hilbench.diagnosis.misfit import Condition
@@ -18,9 +18,9 @@ from hilbench.diagnosis.web_line.free_run import FreeRun
 from hilbench.diagnosis.web_line.loop_check import Loop
 from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion
 from hilbench.plant.model_file import Machine
-from hilbench.plant.servo_axis.imitated_run import ShaftImitation
+from hilbench.plant.servo_axis.emulated_run import ShaftEmulation
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
-from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.emulation import Emulation
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
@@ -57,8 +57,8 @@ class Predictor(Protocol):
         """(signals,): what a signal may be off by beside its noise."""
 
     @property
-    def imitation(self) -> AnyImitation | None:
-        """How a load motor imitated web or shaft; None where they were there."""
+    def emulation(self) -> AnyEmulation | None:
+        """How a load motor emulated web or shaft; None where they were there."""
 
     @property
     def narrower(self) -> Predictor | None:
@@ -84,28 +84,28 @@ class Choice:
     simpler: Choice | None = None  #: to be believed instead where it leaves nothing unexplained
 
 
-def choice(model: Machine, data: Measured, imitation: AnyImitation | None = None) -> Choice:
+def choice(model: Machine, data: Measured, emulation: AnyEmulation | None = None) -> Choice:
     """A free run where the drives' loops are those of the model; else on measured motion, which needs none.
 
     A recording with neither both positions nor both torques is run freely, with the loops that it shows. Where it has
-    a load motor the web was imitated: as `imitation` says, or as benches do it by default, by one load motor at the
+    a load motor the web was emulated: as `emulation` says, or as benches do it by default, by one load motor at the
     last roller. What happened in its cycles can't be told from rows between them.
     """
     commands = "the recorded commands"
     if isinstance(model, ServoAxisParameters):
-        shaft = imitation if isinstance(imitation, ShaftImitation) else None
-        if not data.imitated and (beside := coupled_motion(model, data)) is not None and beside.arm is not None:
+        shaft = emulation if isinstance(emulation, ShaftEmulation) else None
+        if not data.emulated and (beside := coupled_motion(model, data)) is not None and beside.arm is not None:
             gravity = "; gravity goes with the angles of both" if beside.arm is Arm.CARRIED else ""
             return Choice(beside, f"measured motion of an axis {beside.arm}, below {beside.corner_hz:.2g} Hz{gravity}")
-        if not data.imitated or not data.commands_m_s.size:
+        if not data.emulated or not data.commands_m_s.size:
             return Choice(OnMeasuredMotion(model, data), "measured motion of a lone axis")
-        shaft = shaft or ShaftImitation(data.period_s, ServoRigParameters.matching(model))
+        shaft = shaft or ShaftEmulation(data.period_s, ServoRigParameters.matching(model))
         if not _is_cycle(data.period_s / shaft.cycle_s) or round(data.period_s / shaft.cycle_s) != 1:
             return Choice(OnMeasuredMotion(model, data), "measured motion: there is not a row each cycle")
         return Choice(AxisFreeRun(model, data, shaft), commands)
     if model.web is None:
         return Choice(OnMeasuredMotion(model, data), "measured motion of a lone axis")
-    return _web_choice(model, data, imitation if isinstance(imitation, Imitation) else None)
+    return _web_choice(model, data, emulation if isinstance(emulation, Emulation) else None)
 
 
 def _is_cycle(cycles: float) -> bool:
@@ -113,13 +113,13 @@ def _is_cycle(cycles: float) -> bool:
     return cycles > 0.5 and abs(cycles - round(cycles)) <= _UNEVEN_CYCLES
 
 
-def _web_choice(model: ModelParameters, data: Measured, imitation: Imitation | None) -> Choice:
+def _web_choice(model: ModelParameters, data: Measured, emulation: Emulation | None) -> Choice:
     commands = "the recorded commands"
-    if data.imitated:
-        imitation = imitation or Imitation.usual(model, data.period_s)
-        if not _is_cycle(data.period_s / imitation.cycle_s):
+    if data.emulated:
+        emulation = emulation or Emulation.usual(model, data.period_s)
+        if not _is_cycle(data.period_s / emulation.cycle_s):
             return Choice(FreeRun(model, data), commands)
-        return Choice(FreeRun(model, data, imitation), commands)
+        return Choice(FreeRun(model, data, emulation), commands)
     if not set(data.x_m) | set(data.v_m_s) >= set(range(1, model.axis_count + 1)):
         return Choice(FreeRun(model, data), commands)
     motion = LineOnMeasuredMotion(model, data)
@@ -144,6 +144,6 @@ def _blind(motion: LineOnMeasuredMotion) -> str:
     )
 
 
-def predictor_for(model: Machine, data: Measured, imitation: AnyImitation | None = None) -> Predictor:
+def predictor_for(model: Machine, data: Measured, emulation: AnyEmulation | None = None) -> Predictor:
     """The way to predict that `choice` chooses, of an axis by itself."""
-    return choice(model, replace(data, other_rad=None), imitation).predictor
+    return choice(model, replace(data, other_rad=None), emulation).predictor

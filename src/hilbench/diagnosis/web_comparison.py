@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Value, concluded, rounded
-from hilbench.diagnosis.machines import AnyImitation
+from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.noise import NORMAL_95
 from hilbench.diagnosis.predictor import Choice, choice
@@ -43,8 +43,8 @@ class _Side:
     selection: Selection
 
     @classmethod
-    def of(cls, model: Machine, data: Measured, imitation: AnyImitation | None, announce: Announce) -> _Side:
-        chosen = choice(model, data, imitation)
+    def of(cls, model: Machine, data: Measured, emulation: AnyEmulation | None, announce: Announce) -> _Side:
+        chosen = choice(model, data, emulation)
         space = Space(model, chosen.predictor, data.period_s)
         search = Search(space, Proposer(model, data), announce, space.predictor.every)
         return cls(space, chosen, data, search.run())
@@ -65,16 +65,16 @@ def changes(
     model: Machine,
     now: Measured,
     then: Measured,
-    imitations: tuple[AnyImitation | None, AnyImitation | None],
+    emulations: tuple[AnyEmulation | None, AnyEmulation | None],
     announce: Announce,
 ) -> Diagnosis:
-    """What differs in `now` from `then`, of a machine that is simulated; `imitations` of both, in that order."""
-    before = _Side.of(model, then, imitations[1], lambda text, share: announce(f"before: {text}", 0.4 * share))
+    """What differs in `now` from `then`, of a machine that is simulated; `emulations` of both, in that order."""
+    before = _Side.of(model, then, emulations[1], lambda text, share: announce(f"before: {text}", 0.4 * share))
     was = extended(model, [term for term in before.terms if not _by_the_clock(term)])
-    after = _Side.of(was, now, imitations[0], lambda text, share: announce(f"after: {text}", 0.4 + 0.3 * share))
+    after = _Side.of(was, now, emulations[0], lambda text, share: announce(f"after: {text}", 0.4 + 0.3 * share))
     found = concluded(after.space, after.choice, now, after.selection, announce)
     if found.verdict == "unknown" and was != model:  # what has gone may hide what has come
-        alone = _Side.of(model, now, imitations[0], lambda text, share: announce(f"alone: {text}", 0.7 + 0.25 * share))
+        alone = _Side.of(model, now, emulations[0], lambda text, share: announce(f"alone: {text}", 0.7 + 0.25 * share))
         other = concluded(alone.space, alone.choice, now, alone.selection, announce)
         if other.verdict != "unknown":
             return _changed(other, _Joint.of(before, alone, kept=False), _lacked(before, before.terms))

@@ -26,7 +26,7 @@ from hilbench.diagnosis.next_experiment import (
 )
 from hilbench.diagnosis.web_line.free_run import FreeRun
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.emulation import Emulation
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
 from hilbench.results.recording import Recording
@@ -106,7 +106,7 @@ def _told(
 ) -> Array:
     """What steps tell of each question."""
     data = _as_measured(steps, model, reach)
-    predictor = FreeRun(model, data, found.imitation if isinstance(found.imitation, Imitation) else None)
+    predictor = FreeRun(model, data, found.emulation if isinstance(found.emulation, Emulation) else None)
     sigma = np.array([noise.get(name, 0.0) for name in predictor.names])
     sigma = np.where(sigma > 0.0, sigma, predictor.tolerances)
     kept = np.flatnonzero(sigma > 0.0)

@@ -1,7 +1,7 @@
 """How often each participant's answer to SYNC came late, so that its last one stood for longer than a cycle.
 
 In real time an answer that is not there shortly before the next SYNC is not waited for. Some of that is ridden out (the
-load model and the controllers know that a sample is old), more of it is a disturbance of its own: the imitated web is a
+load model and the controllers know that a sample is old), more of it is a disturbance of its own: the emulated web is a
 stiff spring, and a cycle more of delay in it is negative damping.
 """
 

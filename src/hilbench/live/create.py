@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from hilbench.diagnosis.imitated import imitation_of
+from hilbench.diagnosis.emulated import emulation_of
 from hilbench.live.servo_axis.machine import LiveShaft
 from hilbench.live.servo_axis.warm_up import warm_up as warm_up_shaft
 from hilbench.live.session import Session
 from hilbench.live.web_line.machine import LiveLine
 from hilbench.live.web_line.warm_up import warm_up as warm_up_line
-from hilbench.plant.servo_axis.imitated_run import ShaftImitation
-from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.servo_axis.emulated_run import ShaftEmulation
+from hilbench.plant.web_line.emulation import Emulation
 from hilbench.topology.config import BenchConfig
 
 
@@ -17,14 +17,14 @@ def session_of(config: BenchConfig) -> Session:
     """Its session, with all that it runs compiled and loaded. The config asks for one."""
     live, cycle_s = config.twin.live_diagnosis, config.cycle_time_s
     assert live is not None, "it is started where there is one"
-    imitation = imitation_of(config) if config.load_motors else None
+    emulation = emulation_of(config) if config.load_motors else None
     names = [signal.name for signal in config.signals]
     if config.machine_kind is LiveShaft.kind:
-        assert imitation is None or isinstance(imitation, ShaftImitation), "of a shaft"
-        of_shaft = LiveShaft(config.servo_axis, imitation, cycle_s)
+        assert emulation is None or isinstance(emulation, ShaftEmulation), "of a shaft"
+        of_shaft = LiveShaft(config.servo_axis, emulation, cycle_s)
         warm_up_shaft(names, of_shaft, live, cycle_s)
         return Session(names, of_shaft, live, cycle_s)
-    assert imitation is None or isinstance(imitation, Imitation), "of a web"
-    of_line = LiveLine(config.web_line, imitation, cycle_s, config.shape.estimated)
+    assert emulation is None or isinstance(emulation, Emulation), "of a web"
+    of_line = LiveLine(config.web_line, emulation, cycle_s, config.shape.estimated)
     warm_up_line(names, of_line, live, cycle_s)
     return Session(names, of_line, live, cycle_s)

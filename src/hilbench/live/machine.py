@@ -8,7 +8,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.machines import AnyImitation
+from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured
 from hilbench.live.window import Window
 from hilbench.plant.effect import MachineKind
@@ -46,8 +46,8 @@ class LiveMachine(Protocol):
         """The model."""
 
     @property
-    def imitation(self) -> AnyImitation | None:
-        """How load motors imitate what is not there; None where it is there."""
+    def emulation(self) -> AnyEmulation | None:
+        """How load motors emulate what is not there; None where it is there."""
 
     @property
     def needed(self) -> tuple[str, ...]:

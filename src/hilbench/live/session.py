@@ -207,7 +207,7 @@ class Session:
             # It began before them. What may have set in since is looked for only where nothing else is left: at each of
             # many times that takes as long as all the rest.
             settled = case.lacking < self._longest
-            found = diagnosed(replace(data, settled=settled), before, imitation=self._machine.imitation)
+            found = diagnosed(replace(data, settled=settled), before, emulation=self._machine.emulation)
         except UnusableInputError as error:
             self._say("ended", case.begun, f"can't be diagnosed: {error}")
             self._rest_until_it_ends()

@@ -32,7 +32,7 @@ class Stretch:
         """The cycles from `first` to before `end`; `begun` as in `LiveMachine.data_of`. Raises UnusableInputError for
         what can't be diagnosed."""
         data = machine.data_of(window, model, first, end, begun)
-        return cls(data, choice(model, data, machine.imitation).predictor)
+        return cls(data, choice(model, data, machine.emulation).predictor)
 
     @property
     def deviations(self) -> Array:

@@ -21,7 +21,7 @@ Rows = NDArray[np.bool_]
 ROW, _LEARNED, _KNOWN = 3, 40, 8
 #: Share by which the rest is more than the noise of the torque alone where nothing is wrong.
 _MORE = 1.15
-#: Share of a usual torque by which a level may be off where nothing is wrong: acceleration, imitation, drives.
+#: Share of a usual torque by which a level may be off where nothing is wrong: acceleration, emulation, drives.
 _TOLERATED = 0.008
 #: Standard deviations of a level, and how many times its usual size the rest, from which a piece parts.
 _LEVELS, _ROUGHER = 6.0, 1.8

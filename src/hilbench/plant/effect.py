@@ -37,13 +37,13 @@ class EffectPlace(StrEnum):
     """Where an effect can be hidden, by the config's key for it."""
 
     HARDWARE = "hardware"  #: in the simulated drives, shafts and gears
-    LOAD = "load"  #: in what a load motor imitates: the machine, and what acts on a roller from outside
+    LOAD = "load"  #: in what a load motor emulates: the machine, and what acts on a roller from outside
 
 
 #: Where in a machine an effect is: number of a section between two axes, or name of a station.
 Section = int | str
 
-#: What acts on a roller: the simulated hardware can have it, and a load motor on the roller's shaft can imitate it.
+#: What acts on a roller: the simulated hardware can have it, and a load motor on the roller's shaft can emulate it.
 AT_A_ROLLER = frozenset({Domain.ROLLER_RESISTANCE, Domain.ROLLER_TORQUE})
 _DOMAINS: Mapping[EffectPlace, frozenset[Domain]] = {
     EffectPlace.HARDWARE: AT_A_ROLLER

@@ -620,8 +620,8 @@ def find_effect(effect_id: str, kind: MachineKind = MachineKind.WEB_LINE) -> Eff
         raise KeyError(f"unknown effect '{effect_id}', {expected}") from None
 
 
-#: What a load motor imitates there, for a message.
-_IMITATED_OF_A_LINE = "an effect of the web or a roller's resistance"
+#: What a load motor emulates there, for a message.
+_EMULATED_OF_A_LINE = "an effect of the web or a roller's resistance"
 
 
 def effect_problem(
@@ -648,8 +648,8 @@ def effect_problem(
         if place is EffectPlace.HARDWARE:
             expected = "expected one of the axes; the web is the load model's"
             return f"effect '{effect_id}' in the simulated hardware, {expected}"
-        imitated = "a resistance of the shaft" if kind is MachineKind.SERVO_AXIS else _IMITATED_OF_A_LINE
-        return f"{imitated}; {effect_id} belongs in 'hardware:'"
+        emulated = "a resistance of the shaft" if kind is MachineKind.SERVO_AXIS else _EMULATED_OF_A_LINE
+        return f"{emulated}; {effect_id} belongs in 'hardware:'"
     if place is EffectPlace.LOAD and effect.domain in AT_A_ROLLER and loaded is not None and axis not in loaded:
         where, motor = " or ".join(map(str, loaded)) or "none", "a load motor" if len(loaded) > 1 else "the load motor"
         return f"{effect_id} of axis {where}, where {motor} is; other axes' in 'hardware:'"

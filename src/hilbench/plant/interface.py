@@ -2,7 +2,7 @@
 
 Three kinds of object speak it. A closed model (`Plant`) has drives and mechanics, turns with set points at its motor
 ports, and is what a twin simulates. Simulated hardware is a `Plant` too: shafts with load motors and sensors, without
-the machine that the load motors imitate. A `Follower` is that imitated machine: measured positions of the driven axes
+the machine that the load motors emulate. A `Follower` is that emulated machine: measured positions of the driven axes
 go in, torques for the load motors come out.
 
 Names are those of the part and its number, with the unit last: `x1_m`, `v2_m_s`, `tau1_Nm`, `F1_N`, `strain1`;
@@ -157,7 +157,7 @@ class Plant(Machine, Protocol):
 
 @runtime_checkable
 class Follower(Machine, Protocol):
-    """A machine that is not there, imitated by load motors: it follows measured positions of the driven axes.
+    """A machine that is not there, emulated by load motors: it follows measured positions of the driven axes.
 
     Positions (N,) and speeds (N,) are of all driven axes, in the machine's unit and that per second.
     """
@@ -169,7 +169,7 @@ class Follower(Machine, Protocol):
         """The axes are now at `positions`, `duration_s` (above 0) after the last call."""
 
     def load_torques_Nm(self, axes: Sequence[int], speeds: Sequence[float], lead_s: float) -> list[float]:
-        """Torque at the shaft of a load motor on each of `axes` (counted from 1) that imitates the machine there.
+        """Torque at the shaft of a load motor on each of `axes` (counted from 1) that emulates the machine there.
 
         `speeds` are the measured ones of all axes. The machine is predicted by `lead_s`, with the axes going on as in
         the last cycle: the torque acts so much later than the motion was measured.

@@ -1,6 +1,6 @@
 """One shaft with a load motor whose torque is computed from its motion over a sampled bus: is that loop stable?
 
-Linear model: the axis' velocity PI (sampled), both current loops, and a law of imitation that is evaluated once per bus
+Linear model: the axis' velocity PI (sampled), both current loops, and a law of emulation that is evaluated once per bus
 cycle on measured motion and acts whole cycles later. Its monodromy over one bus cycle is built exactly (matrix
 exponential between samples); stable means that every eigenvalue lies inside the unit circle, except those at 1:
 standstill is possible at any angle.
@@ -43,7 +43,7 @@ class SampledShaft:
 
 @dataclass(frozen=True, slots=True)
 class LinearLaw:
-    """A law of imitation with n numbers of memory z; y is the motion (position, velocity) at SYNC:
+    """A law of emulation with n numbers of memory z; y is the motion (position, velocity) at SYNC:
 
     torque = from_memory·z + from_motion·y, then z becomes memory·z + motion·y.
     """
@@ -54,7 +54,7 @@ class LinearLaw:
     from_motion: Matrix  #: (2,) N·m/rad, N·m·s/rad
 
 
-def imitation_delay_s(shaft: SampledShaft) -> float:
+def emulation_delay_s(shaft: SampledShaft) -> float:
     """Mean time from measured motion to the load motor's torque: cycles, half the hold, and the current loop."""
     return (shaft.delay_cycles + 0.5) * shaft.cycle_s + shaft.load_current_loop_time_constant_s
 
@@ -84,7 +84,7 @@ def largest_stable(radius: Callable[[float], float], most: float) -> float:
 
 @cache
 def _between_syncs(shaft: SampledShaft, memory: int) -> Matrix:
-    """The drive's samples of a bus cycle; the same whatever is imitated, and most of the work."""
+    """The drive's samples of a bus cycle; the same whatever is emulated, and most of the work."""
     size = _LAW + memory + shaft.delay_cycles
     drive = _continuous(shaft, size) @ _velocity_loop(shaft, size)
     return np.asarray(np.linalg.matrix_power(drive, round(shaft.cycle_s / shaft.sample_time_s)))

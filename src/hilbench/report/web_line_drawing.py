@@ -30,7 +30,7 @@ from hilbench.topology.signals import shape_of
 
 _TITLE: Final = "The line"
 _CAPTION: Final = (
-    "What the web runs over, in its direction; the tensions of the imitated web are means over the last second at "
+    "What the web runs over, in its direction; the tensions of the emulated web are means over the last second at "
     "working speed, with their set-points. Dot: driven; ring: a load motor on the shaft. Not to scale."
 )
 #: Sizes in units of the drawing, which is as wide as the line is long.

@@ -57,7 +57,7 @@ def from_frames(config: BenchConfig, frames: Sequence[Frame], reader: Reader) ->
 
 
 def _with_asked(config: BenchConfig, recording: Recording, reader: Reader) -> Recording:
-    """The recording with what no frame shows: set-points, E of the imitated web."""
+    """The recording with what no frame shows: set-points, E of the emulated web."""
     channels = dict(recording.channels)
     for path, signal in foreseeable(config).items():
         if path in OPERATOR_OBJECTS and np.isnan(channels[signal][-1]):

@@ -1,8 +1,8 @@
 """What a run that was cut off (``kill -9``, power, a full disk) could not write, rebuilt from what it left.
 
 The trace has every frame up to the last cycle or two, so what was measured and commanded is decoded from it as the
-bench did, by the same nodes, and the tasks of the machine run on it again: what the load motor imitated is computed
-anew from the measured motion. What no frame says (when the experiment began, set-points, changes of the imitated
+bench did, by the same nodes, and the tasks of the machine run on it again: what the load motor emulated is computed
+anew from the measured motion. What no frame says (when the experiment began, set-points, changes of the emulated
 machine) is in the journal. Commands come back as the drives
 were told them, in their units' resolution; all else is exactly what the run had.
 """

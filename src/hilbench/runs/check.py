@@ -43,12 +43,12 @@ class CheckedExperiment:
     """What the check found."""
 
     bench: CheckedBench
-    #: Stiffest web that the load motor could imitate by itself, over the stiffest asked for; None: there is no web.
+    #: Stiffest web that the load motor could emulate by itself, over the stiffest asked for; None: there is no web.
     stiffness_reserve: float | None
     worst: Worst | None  #: None where margins were not asked for
     warnings: list[str]  #: what will happen that hardly anybody means to happen
     notes: list[str]  #: what can be run, and will not be good; what can't be known
-    inertia_reserve: float | None = None  #: largest inertia that can be imitated, over the largest asked for
+    inertia_reserve: float | None = None  #: largest inertia that can be emulated, over the largest asked for
     #: `stiffness_reserve` of each load motor, by its name.
     stiffness_reserves: Mapping[str, float] = field(default_factory=dict)
 
@@ -178,7 +178,7 @@ def _check_web(
         )
     if reserve < 1.0:
         notes.append(
-            "the load motor imitates so stiff a web only with the active damping of axis 1 (swing_damping_ratio)"
+            "the load motor emulates so stiff a web only with the active damping of axis 1 (swing_damping_ratio)"
         )
     named = {config.load_motor_of(axis): value for axis, value in reserves.items()}
     return CheckedExperiment(bench, reserve, worst, warnings, notes, stiffness_reserves=named)

@@ -60,7 +60,7 @@ class Changed:
     def __str__(self) -> str:
         """For a table or the edge of a picture: ``E +20.7 %``, ``set-point 80 → 95 N``."""
         known = find_quantity(self.path)
-        if known is not None and known.imitated and self.before and self.after is not None:
+        if known is not None and known.emulated and self.before and self.after is not None:
             return f"{known.short} {100 * (self.after / self.before - 1):+.3g} %".replace("-", "−")
         name, unit = (self.path.split("effects.", 1)[-1], "") if known is None else (known.short, known.unit)
         after = f"{_text(self.after)} {unit}".strip()
@@ -196,13 +196,13 @@ def journal_events(changes: Iterable[Change], cycle_time_s: float) -> list[Event
 
 
 def signal_events(t_s: ArrayLike, values: ArrayLike, path: str) -> list[Event]:
-    """Steps and ramps of a recorded quantity. Of one that is imitated steps only, as it may drift by itself."""
+    """Steps and ramps of a recorded quantity. Of one that is emulated steps only, as it may drift by itself."""
     quantity = find_quantity(path)
     time_s, data = np.asarray(t_s, np.float64), np.asarray(values, np.float64)
     largest = float(np.max(np.abs(data), initial=0.0, where=np.isfinite(data)))
     with np.errstate(divide="ignore", invalid="ignore"):
         changes = np.diff(data)
-        drifts = quantity is not None and quantity.imitated
+        drifts = quantity is not None and quantity.emulated
         least = STEP_SHARE * np.abs(data[:-1]) if drifts else np.full(len(changes), 1e-9 * largest)
         moved = np.flatnonzero(np.abs(changes) > least) + 1
     events = []

@@ -22,7 +22,7 @@ _LOAD_EFFECT = "load.effects."
 @dataclass(frozen=True)
 class State:
     """What has been asked for, from `time_s` of the experiment on. `values`: by path (`bench.quantities`);
-    `effects`: those of the imitated web that stand in the config beside the ones that a path changes."""
+    `effects`: those of the emulated web that stand in the config beside the ones that a path changes."""
 
     time_s: float
     place: Location  #: of the step in the config
@@ -41,7 +41,7 @@ class State:
 
     @property
     def load_effects(self) -> dict[tuple[str, int | None, int | None], dict[str, float]]:
-        """Values given for effects in the imitated mechanics that a path changes, by effect, axis and section."""
+        """Values given for effects in the emulated mechanics that a path changes, by effect, axis and section."""
         changed: dict[tuple[str, int | None, int | None], dict[str, float]] = {}
         for path, value in self.values.items():
             if path.startswith(_LOAD_EFFECT):
@@ -61,7 +61,7 @@ class Move:
 
 def _start_values(config: ExperimentConfig) -> dict[str, float]:
     if config.machine_kind is MachineKind.SERVO_AXIS:
-        shaft = config.imitated_shaft()
+        shaft = config.emulated_shaft()
         return {
             quantities.SPEED: 0.0,
             quantities.SHAFT_INERTIA: shaft.inertia_kg_m2,

@@ -1,8 +1,8 @@
-"""What the steps of an experiment ask of a servo axis: inertias that can be imitated, speeds and torques in limits."""
+"""What the steps of an experiment ask of a servo axis: inertias that can be emulated, speeds and torques in limits."""
 
 from __future__ import annotations
 
-from hilbench.bench.servo_axis_check import check_imitated_inertia, imitable_inertias_kg_m2
+from hilbench.bench.servo_axis_check import check_emulated_inertia, imitable_inertias_kg_m2
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import LoadedConfig
 from hilbench.runs.prospect import Move, start_of
@@ -12,7 +12,7 @@ from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, 
 
 def check_shaft(loaded: LoadedConfig, asked: list[Move]) -> tuple[list[str], float]:
     """What an operator should know of the steps' speeds and torques, and the largest inertia that the load motor can
-    imitate, over the largest that is asked for. Raises UnusableInputError at the step that asks for one it cannot."""
+    emulate, over the largest that is asked for. Raises UnusableInputError at the step that asks for one it cannot."""
     config, document = loaded.config, loaded.document
     limits, inertias = config.safety.limits, [start_of(config).values[SHAFT_INERTIA]]
     warnings: list[str] = []
@@ -21,7 +21,7 @@ def check_shaft(loaded: LoadedConfig, asked: list[Move]) -> tuple[list[str], flo
         before, after, at = move.before.values, move.after.values, document.place(move.after.place)
         inertia = after[SHAFT_INERTIA]
         if inertia != before[SHAFT_INERTIA]:
-            check_imitated_inertia(config, document, inertia, move.after.place)
+            check_emulated_inertia(config, document, inertia, move.after.place)
             inertias.append(inertia)
         way_rad_s = abs(after[SPEED] - before[SPEED])
         if way_rad_s:

@@ -144,12 +144,12 @@ class Stretch:
         return float(values[self._part.start]) - float(values[max(before, 0)])
 
     def is_step_of(self, quantity: MainQuantity) -> bool:
-        """Whether its step is one of this quantity. Who imitates the machine may change it unheard: what is recorded
+        """Whether its step is one of this quantity. Who emulates the machine may change it unheard: what is recorded
         shows that, beyond the drift that such a quantity may have."""
         if self.event is None:
             return False
         height = self.height_of(quantity)
-        if not quantity.imitated:
+        if not quantity.emulated:
             return self.event.of(quantity.path) is not None and bool(height)
         values = self._all.get(quantity.signal)
         return values is not None and abs(height) > STEP_SHARE * abs(float(values[self._part.start]))

@@ -47,7 +47,7 @@ def operating_points(config: ExperimentConfig, asked: list[Move]) -> dict[Operat
 
 
 def _modulus_Pa(state: State, span: int) -> float:
-    """E of a span (from 1) of the imitated web, with its effects."""
+    """E of a span (from 1) of the emulated web, with its effects."""
     modulus_Pa = state.values.get(modulus_of_span(span), state.values[YOUNGS_MODULUS])
     for effect, parameters in _effects_in(state, span):
         modulus_Pa *= _elasticity_factor(effect, parameters, state.time_s)
@@ -55,7 +55,7 @@ def _modulus_Pa(state: State, span: int) -> float:
 
 
 def _length_factor(state: State, span: int) -> float:
-    """Of a span (from 1) of the imitated web."""
+    """Of a span (from 1) of the emulated web."""
     effects = _effects_in(state, span)
     return prod(1.0 + p["relative_change"] for effect, p in effects if effect == "span_length_error")
 

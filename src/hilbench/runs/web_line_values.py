@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hilbench.bench.tasks.imitated_web import imitated_web
+from hilbench.bench.tasks.emulated_web import emulated_web
 from hilbench.runs.config import ExperimentConfig
 from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, is_modulus, moduli
 
 
 def start_moduli_Pa(config: ExperimentConfig) -> dict[str, float]:
-    """E of the imitated web at the start, by path: of all spans (that of the first) and, of several, of each."""
-    web = imitated_web(config.web_line, config.load)
+    """E of the emulated web at the start, by path: of all spans (that of the first) and, of several, of each."""
+    web = emulated_web(config.web_line, config.load)
     of_each = {path: web.youngs_modulus_Pa(span) for span, path in enumerate(moduli(config.shape), 1)}
     return {YOUNGS_MODULUS: web.youngs_modulus_Pa(1)} | of_each
 

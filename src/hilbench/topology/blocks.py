@@ -123,7 +123,7 @@ class HardwareConfig(Block):
 
 
 class LoadShaftConfig(Block):
-    """Where the imitated shaft differs from the model; what is not given is as in `machine:`."""
+    """Where the emulated shaft differs from the model; what is not given is as in `machine:`."""
 
     inertia_kg_m2: Positive | None = Field(default=None, description="of all that turns, the motor's rotor included")
     coulomb_friction_Nm: NotNegative | None = Field(default=None, description="dry friction")
@@ -134,18 +134,18 @@ class LoadShaftConfig(Block):
 
 
 class LoadConfig(Block):
-    """The load-model task: the machine that the load motor imitates."""
+    """The load-model task: the machine that the load motor emulates."""
 
     web: LoadWebConfig = LoadWebConfig()
     shaft: LoadShaftConfig = LoadShaftConfig()
-    effects: list[HiddenEffect] = Field(default=[], description="hidden in the imitated mechanics")
+    effects: list[HiddenEffect] = Field(default=[], description="hidden in the emulated mechanics")
     fmu: FmuLoadConfig | None = Field(
-        default=None, description="an FMU that the load motors imitate, in the place of what `machine:` describes"
+        default=None, description="an FMU that the load motors emulate, in the place of what `machine:` describes"
     )
     measured: list[str] = Field(
         default=[],
         description="dancers and accumulators, by their names, with a sensor of their position, reels with one of "
-        "their radius, idlers that are load cells: imitated as the machine is, its value is the signal x_NAME_meas_m, "
+        "their radius, idlers that are load cells: emulated as the machine is, its value is the signal x_NAME_meas_m, "
         "r_NAME_meas_m or F_NAME_meas_N",
     )
 

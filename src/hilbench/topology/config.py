@@ -92,7 +92,7 @@ class BenchConfig(Block):
         min_length=1, description="of the machine's driven axes, in the order of the machine, by the names they get"
     )
     load_motors: dict[PartName, LoadMotorConfig] = Field(
-        default={}, description="motors that imitate the machine's pull, by the names they get"
+        default={}, description="motors that emulate the machine's pull, by the names they get"
     )
     hardware: HardwareConfig = HardwareConfig()
     load: LoadConfig = LoadConfig()
@@ -158,7 +158,7 @@ class BenchConfig(Block):
         if isinstance(machine, ModelParameters):
             self.rig_parameters()  # raises ValueError for a load motor that is too heavy
         else:
-            self.servo_rig_parameters(), self.imitated_shaft()  # raise ValueError for what can't be built
+            self.servo_rig_parameters(), self.emulated_shaft()  # raise ValueError for what can't be built
         samples_per(self.cycle_time_s, self.drive_parameters.sample_time_s)  # raises ValueError for what is no multiple
         return self
 
@@ -241,7 +241,7 @@ class BenchConfig(Block):
         hidden = [ShaftEffect.model_validate(entry.model_dump()) for entry in given]
         return ServoRigParameters.matching(self.servo_axis, hardware.shaft, load_motor.motor, hardware.sensors, hidden)
 
-    def imitated_shaft(self) -> ServoAxisParameters:
+    def emulated_shaft(self) -> ServoAxisParameters:
         """The truth of a run: the servo axis without the model's effects, with what `load:` changes and hides.
 
         Raises ValueError for less inertia than the motor's rotor has.

@@ -73,7 +73,7 @@ class DriveConfig(DeviceConfig):
 
 
 class LoadMotorConfig(DeviceConfig):
-    """A load motor: it imitates the machine's pull on the shaft of an axis."""
+    """A load motor: it emulates the machine's pull on the shaft of an axis."""
 
     shaft: str = Field(description="the drive, by its name under `drives:`, on whose shaft the motor sits")
     motor: LoadMotorParameters = LoadMotorParameters(inertia_kg_m2=0.0005)

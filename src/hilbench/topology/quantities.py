@@ -3,7 +3,7 @@
 `line_speed_m_s`, `tension_control.set_point_N`, `load.web.youngs_modulus_Pa`, `load.web.broken` (1: the web
 has torn and pulls no more; 0: it is whole), `tension_control.probe` (1: a probe is wanted; 0: none),
 `twin.model_change` (the word on a change of the twin's model that the diagnosis beside the run proposes, 1: go on with
-it, 0: do not), and any parameter of any effect, hidden in the imitated mechanics or in the simulated hardware:
+it, 0: do not), and any parameter of any effect, hidden in the emulated mechanics or in the simulated hardware:
 `load.effects.elasticity_drift.rate_per_s`, `hardware.effects.coulomb_friction.axis1.force_N`. On a line of several
 spans a set-point has the number of its span: `tension_control.span2.set_point_N`; E and the effects of a span are
 those of all spans, or with its number of one: `load.web.span2.youngs_modulus_Pa`,
@@ -142,7 +142,7 @@ def is_plain(path: str) -> bool:
 
 @dataclass(frozen=True)
 class EffectPath:
-    """One parameter of one effect, in the imitated mechanics (`load`) or the simulated `hardware`."""
+    """One parameter of one effect, in the emulated mechanics (`load`) or the simulated `hardware`."""
 
     place: str
     effect: str
@@ -249,7 +249,7 @@ def all_paths() -> Iterator[str]:
 
 
 def is_of_load(path: str) -> bool:
-    """Whether a quantity belongs to the imitated mechanics."""
+    """Whether a quantity belongs to the emulated mechanics."""
     return path.startswith("load.")
 
 

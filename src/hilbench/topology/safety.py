@@ -29,7 +29,7 @@ class Limit(Block):
 class LimitsConfig(Block):
     """Levels of warning (noted in the result) and trip (the bench goes to the safe state)."""
 
-    tension_N: Limit = Field(default=Limit(warning=300.0, trip=400.0), description="of the imitated web")
+    tension_N: Limit = Field(default=Limit(warning=300.0, trip=400.0), description="of the emulated web")
     torque_Nm: Limit = Field(default=Limit(warning=10.0, trip=15.0), description="of any drive, motor side")
     speed_m_s: Limit = Field(default=Limit(warning=8.0, trip=10.0), description="of either axis, at the web")
     speed_rad_s: Limit = Field(default=Limit(warning=80.0, trip=100.0), description="of a servo axis, motor side")

@@ -51,8 +51,8 @@ _SERVO_AXIS: Final = (
         Per.AXIS,
     ),
     *TWIN_SIGNALS,
-    SignalKind("J_true_kg_m2", "kg·m²", "inertia of the imitated shaft", "truth"),
-    SignalKind("coulomb_true_Nm", "N·m", "dry friction of the imitated shaft", "truth"),
+    SignalKind("J_true_kg_m2", "kg·m²", "inertia of the emulated shaft", "truth"),
+    SignalKind("coulomb_true_Nm", "N·m", "dry friction of the emulated shaft", "truth"),
     *BUS_SIGNALS,
 )
 

@@ -1,4 +1,4 @@
-"""What a bench config has of a web line beside its machine: the imitated web, the loops of tensions and positions, what
+"""What a bench config has of a web line beside its machine: the emulated web, the loops of tensions and positions, what
 is estimated."""
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ ONE_CONTROLLER = "one controller between two driven rollers: one axis can keep o
 
 
 class LoadWebConfig(Block):
-    """Where the imitated web differs from the model; what is not given is as in `machine:`."""
+    """Where the emulated web differs from the model; what is not given is as in `machine:`."""
 
     youngs_modulus_Pa: Modulus | list[Modulus] | None = Field(
-        default=None, description="Young's modulus E of the imitated web: one, or a list of the spans'"
+        default=None, description="Young's modulus E of the emulated web: one, or a list of the spans'"
     )
     span_length_m: Length | list[Length] | None = Field(default=None, description="free web between two driven rollers")
 

@@ -1,4 +1,4 @@
-"""Paths of the quantities that each span of an imitated web has, on a line of several."""
+"""Paths of the quantities that each span of an emulated web has, on a line of several."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 
 from hilbench.topology.signals import Shape
 
-#: E of the imitated web, in all spans.
+#: E of the emulated web, in all spans.
 YOUNGS_MODULUS = "load.web.youngs_modulus_Pa"
 
 _MODULUS = re.compile(r"load\.web\.span([1-9]\d{0,3})\.youngs_modulus_Pa")

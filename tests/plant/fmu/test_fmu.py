@@ -126,7 +126,7 @@ def test_load_torques_are_predicted_and_the_fmu_stays_where_it_is(tmp_path: Path
     assert machine.load_torques_Nm([1], [50.0], 0.0) == before
 
 
-def test_an_fmu_that_cannot_be_taken_back_imitates_what_is_now(tmp_path: Path) -> None:
+def test_an_fmu_that_cannot_be_taken_back_emulates_what_is_now(tmp_path: Path) -> None:
     machine = follower(build_fmu(tmp_path / "mass.fmu", rollback=False))
     machine.reset([0.0])
     machine.follow([0.1], CYCLE_S)

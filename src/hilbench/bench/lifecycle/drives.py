@@ -113,7 +113,7 @@ class Drives:
     def _stop_together(self) -> None:
         """Bring the rollers of a line to rest in the ratio of their speeds, which keeps the strain of every span.
 
-        The load motors go on imitating the web meanwhile. What goes wrong here leaves the rest to the quick stop: a
+        The load motors go on emulating the web meanwhile. What goes wrong here leaves the rest to the quick stop: a
         fault of one drive must not keep the others from going on in ratio.
         """
         state, config = self._state, self._nodes.config

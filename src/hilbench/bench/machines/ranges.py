@@ -26,10 +26,10 @@ from hilbench.topology.web_line_quantities import YOUNGS_MODULUS
 OPERATOR_OBJECTS: Final = {
     LINE_SPEED: (1, "Line speed [m/s]"),
     TENSION_SET_POINT: (2, "Tension set-point [N]"),
-    YOUNGS_MODULUS: (3, "Modulus of the imitated web [Pa]"),
+    YOUNGS_MODULUS: (3, "Modulus of the emulated web [Pa]"),
     SPEED: (4, "Speed of the shaft [rad/s]"),
-    SHAFT_INERTIA: (5, "Inertia of the imitated shaft [kg.m2]"),
-    SHAFT_COULOMB_FRICTION: (6, "Dry friction of the imitated shaft [N.m]"),
+    SHAFT_INERTIA: (5, "Inertia of the emulated shaft [kg.m2]"),
+    SHAFT_COULOMB_FRICTION: (6, "Dry friction of the emulated shaft [N.m]"),
     TENSION_PROBE: (7, "Probe of the tension [0 or 1]"),
     MODEL_CHANGE: (8, "Proposed change of the twin's model: 1 go on with it, 0 do not"),
     **web_line_ranges.OF_EACH_SPAN,
@@ -54,7 +54,7 @@ def _highest(limit: Limit) -> float:
 
 
 def _of_web_line(config: BenchConfig) -> dict[str, tuple[float, float]]:
-    """Line speed (m/s), tension set-point (N), Young's modulus of the imitated web (Pa)."""
+    """Line speed (m/s), tension set-point (N), Young's modulus of the emulated web (Pa)."""
     limits = config.safety.limits
     speed_m_s, ratio = _highest(limits.speed_m_s), min(_highest(limits.estimate_ratio), _LARGEST_RATIO)
     moduli_Pa = web_line_ranges.moduli_Pa(config)
@@ -69,7 +69,7 @@ def _of_web_line(config: BenchConfig) -> dict[str, tuple[float, float]]:
 
 
 def _of_servo_axis(config: BenchConfig) -> dict[str, tuple[float, float]]:
-    """Speed (rad/s), inertia (kg·m²) and dry friction (N·m) of the imitated shaft."""
+    """Speed (rad/s), inertia (kg·m²) and dry friction (N·m) of the emulated shaft."""
     limits, model = config.safety.limits, config.servo_axis
     speed_rad_s, ratio = _highest(limits.speed_rad_s), min(_highest(limits.estimate_ratio), _LARGEST_RATIO)
     return {

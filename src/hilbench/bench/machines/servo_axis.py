@@ -1,4 +1,4 @@
-"""A servo axis: its drive follows a speed, the load motor imitates the inertia and friction that are not there."""
+"""A servo axis: its drive follows a speed, the load motor emulates the inertia and friction that are not there."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from hilbench.bench.tasks.watches import QuietWatch
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.fmu.follower import FmuFollower
 from hilbench.plant.interface import Follower
-from hilbench.plant.sampled_shaft import imitation_delay_s
-from hilbench.plant.servo_axis.imitation import ImitatedShaft
+from hilbench.plant.sampled_shaft import emulation_delay_s
+from hilbench.plant.servo_axis.emulation import EmulatedShaft
 from hilbench.plant.servo_axis.stability import sampled_shaft
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import SPEED
@@ -39,12 +39,12 @@ def shaft_load_model(config: BenchConfig, report: Callable[[str], None] = print)
     `report` gets what an FMU in it logs.
     """
     real, cycle_s = config.servo_rig_parameters(effects=()), config.cycle_time_s
-    machine: Follower = ImitatedShaft(config.imitated_shaft(), real, cycle_s)
+    machine: Follower = EmulatedShaft(config.emulated_shaft(), real, cycle_s)
     if config.load.fmu is not None:
         truths = [quantity.name for quantity in machine.describe().outputs]
         machine = FmuFollower(config.load.fmu, config.machine_kind, "rad", 1, cycle_s, truths, report)
     return LoadModel(
-        machine, [1], cycle_s, imitation_delay_s(sampled_shaft(real, cycle_s)), _LEAST_WAY_RAD, config.load.effects
+        machine, [1], cycle_s, emulation_delay_s(sampled_shaft(real, cycle_s)), _LEAST_WAY_RAD, config.load.effects
     )
 
 
@@ -95,7 +95,7 @@ class ShaftLoadTask(LoadTask):
         self._at = PlacesIn(["x1_rad", "v1_rad_s", *(command for _, command in self._commands)])
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
-        """Let the imitated shaft follow the measured motion; the truth of the run is recorded."""
+        """Let the emulated shaft follow the measured motion; the truth of the run is recorded."""
         late = inputs.axes_late
         if self.model.follow_in(sample.reals, self._at.of(sample), late=late) is None:
             self.follow(sample, (sample.x1_rad,), (sample.v1_rad_s,), late=late)

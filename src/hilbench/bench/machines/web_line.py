@@ -1,5 +1,5 @@
 """A web line of N driven rollers: the last axis leads at line speed, the others follow the one behind them, with the
-tension of the span between kept where there is a controller; load motors imitate the web."""
+tension of the span between kept where there is a controller; load motors emulate the web."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState, TwinState
 from hilbench.bench.tasks import web_axis_cycle
-from hilbench.bench.tasks.imitated_web import imitated_web, web_load_model
+from hilbench.bench.tasks.emulated_web import emulated_web, web_load_model
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
@@ -116,7 +116,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     watch = [TensionWatch(watched, model, config.twin, state.twin, cycle_s)] if watched else []
     moved = _rest_movement(config, leading, [each for each in reversed(axes) if not isinstance(each, PositionTask)])
     probing = [_probing(config, state, of_spans, line_speed, moved)] if of_spans else []
-    sensors = sensors_at_start(imitated_web(model, config.load), config.shape)
+    sensors = sensors_at_start(emulated_web(model, config.load), config.shape)
     boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N, sensors)
     load = WebLoadTask(config, partial(reports.note, "load model"))
     limit_watch = LimitWatch(limits, model, cycle_s, config.shape)
@@ -404,7 +404,7 @@ class FollowingAxis(_AxisWithoutLoop):
 
 
 class WebLoadTask(LoadTask):
-    """The load motors pull at the shafts of their axes as the imitated web would."""
+    """The load motors pull at the shafts of their axes as the emulated web would."""
 
     def __init__(self, config: BenchConfig, report: Callable[[str], None]) -> None:
         super().__init__(list(config.load_motors), web_load_model(config, report))

@@ -19,14 +19,14 @@ OF_EACH_SPAN: Final = {
         for span in range(1, _MOST_SPANS + 1)
     },
     **{
-        modulus_of_span(span): (_FIRST_MODULUS + span, f"Modulus of the imitated web in span {span} [Pa]")
+        modulus_of_span(span): (_FIRST_MODULUS + span, f"Modulus of the emulated web in span {span} [Pa]")
         for span in range(1, _MOST_SPANS + 1)
     },
 }
 
 
 def moduli_Pa(config: BenchConfig) -> dict[str, float]:
-    """E of the model by the paths of the imitated one: of all spans (that of the first) and, of several, of each."""
+    """E of the model by the paths of the emulated one: of all spans (that of the first) and, of several, of each."""
     model, spans = config.web_line, config.shape.spans
     of_each = {modulus_of_span(span): model.youngs_modulus_Pa(span) for span in range(1, spans + 1)}
     return {YOUNGS_MODULUS: model.youngs_modulus_Pa(1)} | (of_each if spans > 1 else {})

@@ -2,7 +2,7 @@
 
 2200h of node `master: node_id` holds the present values as REAL32, SI, each quantity at the sub-index that
 `hilbench.bench.machines.ranges` gives it: of a web line sub 1 the line speed (m/s), sub 2 the tension set-point (N),
-sub 3 Young's modulus of the imitated web (Pa); by 1018h the node is known as a bench. A write is a request: what is in
+sub 3 Young's modulus of the emulated web (Pa); by 1018h the node is known as a bench. A write is a request: what is in
 range is applied between two cycles and answered with the next one, so that it is in the trace, in lockstep too. A
 refusal is an abort code of CiA 301.
 """

@@ -118,19 +118,19 @@ class ShaftLook:
 
 
 class _FoundInertia:
-    """Of which imitated inertia the estimate is: at an even speed the twin can't find one that was changed."""
+    """Of which emulated inertia the estimate is: at an even speed the twin can't find one that was changed."""
 
     def __init__(self) -> None:
         self._estimate_kg_m2 = self._of_kg_m2 = 0.0
 
-    def share_to_find(self, estimate_kg_m2: float, imitated_kg_m2: float | None) -> float:
-        """How many times the estimate the inertia is that the bench has the load motor imitate now; None: not known."""
-        if imitated_kg_m2 is None:
+    def share_to_find(self, estimate_kg_m2: float, emulated_kg_m2: float | None) -> float:
+        """How many times the estimate the inertia is that the bench has the load motor emulate now; None: not known."""
+        if emulated_kg_m2 is None:
             return 1.0
-        share = imitated_kg_m2 / self._of_kg_m2 if self._of_kg_m2 else 1.0
+        share = emulated_kg_m2 / self._of_kg_m2 if self._of_kg_m2 else 1.0
         changed_kg_m2 = self._estimate_kg_m2 * share
         if abs(estimate_kg_m2 - changed_kg_m2) <= abs(estimate_kg_m2 - self._estimate_kg_m2):
-            self._estimate_kg_m2, self._of_kg_m2 = estimate_kg_m2, imitated_kg_m2
+            self._estimate_kg_m2, self._of_kg_m2 = estimate_kg_m2, emulated_kg_m2
             return 1.0
         return share
 

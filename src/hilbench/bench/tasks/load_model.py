@@ -1,7 +1,7 @@
-"""The load-model task: the machine that the load motors imitate, from the measured motion of the axes.
+"""The load-model task: the machine that the load motors emulate, from the measured motion of the axes.
 
 Torque emulation: a load motor applies what the machine does to the shaft; inertia that is there stays real (the
-stand's flywheel), because imitating an inertia by torque over a sampled bus is stable only below the real one
+stand's flywheel), because emulating an inertia by torque over a sampled bus is stable only below the real one
 (`hilbench.plant.sampled_shaft`).
 """
 
@@ -25,7 +25,7 @@ Places = NDArray[np.int64]
 
 
 class LoadModel:
-    """Imitated machine on measured motion → torque set points of the load motors (N·m at their shafts).
+    """Emulated machine on measured motion → torque set points of the load motors (N·m at their shafts).
 
     The torque acts later than the motion was measured (by `lead_s`), so the machine is predicted over that delay:
     without it the loop of web and sampled shaft is unstable on the demonstrator (`hilbench.plant.web_line.stability`).
@@ -128,7 +128,7 @@ class LoadModel:
         return [true[name] for name in self._names]
 
     def value(self, path: str) -> float:
-        """Present value of a quantity of the imitated mechanics. Raises ValueError for an unknown path."""
+        """Present value of a quantity of the emulated mechanics. Raises ValueError for an unknown path."""
         if is_plain(path):
             return self.machine.parameter(_parameter(path))
         return self._effect_value(parse_effect_path(path, self._kind))

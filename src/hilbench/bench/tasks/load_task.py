@@ -18,7 +18,7 @@ class LoadTask(CyclicTask):
         self._commands = [(motor, f"tau_{motor}_cmd_Nm") for motor in motors]
 
     def owns(self, path: str) -> bool:
-        """Whether a quantity is one of the imitated mechanics."""
+        """Whether a quantity is one of the emulated mechanics."""
         return is_of_load(path)
 
     def value(self, path: str) -> float:

@@ -1,7 +1,7 @@
 """The tension loops as one linear sampled system: how stable it is, and with what margins.
 
 Deviations from the steady state, at the web: all axes with their velocity PI (sampled) and current loop, the load
-motors that imitate the web with their delay and prediction, the twin's simulation of the axes and of the web, and the
+motors that emulate the web with their delay and prediction, the twin's simulation of the axes and of the web, and the
 bench's tension controllers with their active damping, each at the instants at which it acts. One bus cycle is one
 matrix, built exactly (matrix exponentials between the drives' samples). Not in it: limits, friction, what the
 synchronizer does to E meanwhile (the estimate is a given number), noise.
@@ -17,12 +17,12 @@ from math import exp, inf, log, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.tasks.imitated_web import imitated_web
+from hilbench.bench.tasks.emulated_web import emulated_web
 from hilbench.bench.tasks.swing_damping import DampingGains, SwingPlant, damping_gains
 from hilbench.bench.tasks.tension_control import TensionController, strains_around
 from hilbench.plant.matrix_exponential import matrix_exponential
 from hilbench.plant.parameters import per_item
-from hilbench.plant.web_line.imitation import lead_s
+from hilbench.plant.web_line.emulation import lead_s
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.config import BenchConfig
 
@@ -45,7 +45,7 @@ class OperatingPoint:
 
     moduli_Pa: Moduli
     line_speed_m_s: float
-    length_factors: tuple[float, ...]  #: of the imitated spans, by what the load model's are
+    length_factors: tuple[float, ...]  #: of the emulated spans, by what the load model's are
     estimates_Pa: Moduli
 
 
@@ -83,7 +83,7 @@ def state_names(config: BenchConfig, under_way: Mapping[int, int]) -> list[str]:
     """What is in the system: axes and spans by their numbers, load motors by that of their axis.
 
     `under_way`: by controlled span, commands of the damping that are kept. Speeds, forces and integrals of the drives,
-    forces of load motors, ways since the last SYNC, tensions of the imitated web at it; the same in the twin; commands
+    forces of load motors, ways since the last SYNC, tensions of the emulated web at it; the same in the twin; commands
     that act, and those on their way; what controllers and damping keep.
     """
     axes, spans = range(1, config.shape.axes + 1), range(1, config.shape.spans + 1)
@@ -154,8 +154,8 @@ class TensionLoop:
 
     @cached_property
     def _lengths_m(self) -> dict[int, float]:
-        """Of the imitated spans."""
-        web = imitated_web(self.config.web_line, self.config.load)
+        """Of the emulated spans."""
+        web = emulated_web(self.config.web_line, self.config.load)
         return {j: web.span_length_m(j) * self.point.length_factors[j - 1] for j in range(1, web.span_count + 1)}
 
     def _stiffness_N_per_m(self, span: int) -> float:
@@ -248,7 +248,7 @@ class TensionLoop:
         return tick
 
     def _webs(self, duration_s: float, before: Mapping[int, Matrix]) -> dict[int, Matrix]:
-        """Tensions of the imitated web `duration_s` after those `before`, by the ways since the last SYNC: rollers go
+        """Tensions of the emulated web `duration_s` after those `before`, by the ways since the last SYNC: rollers go
         on as in that cycle."""
         share, found = duration_s / self.config.cycle_time_s, {}
         for j, web in before.items():

@@ -91,7 +91,7 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
 
 
 class LoadCells(CyclicTask):
-    """What the load cells of the imitated line tell: the mean of the tensions on both sides of their idlers."""
+    """What the load cells of the emulated line tell: the mean of the tensions on both sides of their idlers."""
 
     def __init__(self, model: ModelParameters, shape: Shape) -> None:
         rows = {roller.name: row for row, roller in enumerate(model.line_rollers)}

@@ -1,4 +1,4 @@
-"""A servo axis: one shaft, and a load motor that imitates a larger flywheel than the one that is there."""
+"""A servo axis: one shaft, and a load motor that emulates a larger flywheel than the one that is there."""
 
 from __future__ import annotations
 

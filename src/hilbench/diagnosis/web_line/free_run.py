@@ -19,9 +19,9 @@ from hilbench.diagnosis.web_tensions import tension_names
 from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.driving_force import driving_force_N
-from hilbench.plant.web_line.imitation import Imitation, simulate_imitated
+from hilbench.plant.web_line.emulation import Emulation, simulate_emulated
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
-from hilbench.plant.web_line.line_imitation import simulate_imitated_line
+from hilbench.plant.web_line.line_emulation import simulate_emulated_line
 from hilbench.plant.web_line.offline import Simulation, simulate, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import section_model
@@ -62,8 +62,8 @@ _STRAIGHT: Final = 0.25
 class FreeRun:
     """The closed model run on the recorded commands; positions as their mean and the differences of neighbours.
 
-    All encoders share the clock: their common error is not the one of their differences. With an `imitation` the web is
-    the one that a load motor imitates: late, and without the noise of its sensors. With `loops` drives have those
+    All encoders share the clock: their common error is not the one of their differences. With an `emulation` the web is
+    the one that a load motor emulates: late, and without the noise of its sensors. With `loops` drives have those
     instead of the model's.
     """
 
@@ -71,16 +71,16 @@ class FreeRun:
         self,
         model: ModelParameters,
         data: Measured,
-        imitation: Imitation | None = None,
+        emulation: Emulation | None = None,
         loops: Sequence[Loop] = (),
     ) -> None:
         self._model = model
         self._loops = loops
-        self.imitation = imitation
-        self._cycle_s = _FINE_S if imitation is None else imitation.cycle_s
+        self.emulation = emulation
+        self._cycle_s = _FINE_S if emulation is None else emulation.cycle_s
         self._boundary, self._forces_N = data.boundary, data.forces_N
         self._period_s = data.period_s
-        self._commands = [data.commands_m_s if imitation is None else imitation.as_taken(data.commands_m_s)]
+        self._commands = [data.commands_m_s if emulation is None else emulation.as_taken(data.commands_m_s)]
         rows: list[Array] = []
         names: list[str] = []
         for axis in sorted(data.tau_Nm):
@@ -111,7 +111,7 @@ class FreeRun:
         rows += [data.sensors_m[name].measured_m for name in self._sensors]
         self._torques = sorted(data.tau_Nm)
         self.names, self.measured = tuple(names), np.array(rows)
-        unrounded = imitation is not None and imitation.resolution_m_s is None
+        unrounded = emulation is not None and emulation.resolution_m_s is None
         believed = _UNROUNDED_TOLERANCE if unrounded else _TOLERANCE
         self.tolerances = np.array([believed * self._stretch_m(name) for name in names])
         if self._sensors:
@@ -237,7 +237,7 @@ class FreeRun:
         if abs(whole * self._cycle_s - data.period_s) > 1e-9 or whole < 2:
             return
         fine = between(self._commands[0], whole)
-        held = self._commands if self.imitation is None else self._commands * whole
+        held = self._commands if self.emulation is None else self._commands * whole
         options = [held, [np.ascontiguousarray(fine[:, k, :]) for k in range(whole)]]
         errors = []
         for option in options:
@@ -346,15 +346,15 @@ class FreeRun:
         if whole > 1:
             commands = np.stack(self._commands, axis=1).reshape(-1, commands.shape[1])
             boundary = np.repeat(boundary, whole, axis=0)
-        if self.imitation is None:
+        if self.emulation is None:
             run = simulate(parameters, self._starts(parameters), commands, boundary, self._period_s / whole)
         elif self._model.stations is None:
             start = self._starts(parameters)
-            run = simulate_imitated(self.imitation, self._model, parameters, start, commands, boundary)
+            run = simulate_emulated(self.emulation, self._model, parameters, start, commands, boundary)
         else:
             forces_N = {name: np.repeat(told_N, whole) for name, told_N in self._forces_N.items()}
-            given = self.imitation, self._model, parameters, commands, boundary, self._sensors, forces_N
-            run = simulate_imitated_line(*given)
+            given = self.emulation, self._model, parameters, commands, boundary, self._sensors, forces_N
+            run = simulate_emulated_line(*given)
         if whole == 1:
             return run
         rows = {name: getattr(run, name)[..., ::whole, :] for name in ("x_m", "v_m_s", "tau_Nm", "F_N", "strain")}

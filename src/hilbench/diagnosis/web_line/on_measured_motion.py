@@ -71,7 +71,7 @@ class LineOnMeasuredMotion:
 
     def __init__(self, model: ModelParameters, data: Measured) -> None:
         self._model, self._data = model, data
-        self.imitation = None
+        self.emulation = None
         self.exact = True
         self.narrower = None
         self._torques = sorted(data.tau_Nm)

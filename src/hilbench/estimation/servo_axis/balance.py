@@ -49,13 +49,13 @@ _EXCITED = 2.0
 _STANDSTILL_RAD_S = 0.2
 #: Below this one, dry friction may be another than above (Stribeck), by as much as its greatest.
 _LOW_SPEED_RAD_S = 2.0
-#: How fast sticking is over when it turns again: a load motor that imitates friction turns it late, and the jump of the
-#: acceleration then goes through the filter of the inertia that it imitates.
+#: How fast sticking is over when it turns again: a load motor that emulates friction turns it late, and the jump of the
+#: acceleration then goes through the filter of the inertia that it emulates.
 _AFTER_STANDSTILL_S = 0.02
-#: Share of the accelerating torque that counts as noise: what is imitated follows it only so well.
+#: Share of the accelerating torque that counts as noise: what is emulated follows it only so well.
 _SHAKING = 0.01
 #: How fast an acceleration that was not foreseen is known again: till then that of the filter is behind the motion, and
-#: so is what a load motor imitates. Torque that goes with it is noise; it would make the shaft seem heavier.
+#: so is what a load motor emulates. Torque that goes with it is noise; it would make the shaft seem heavier.
 _FORESEEN_AGAIN_S = 0.02
 #: Share of the acceleration up to which it was.
 _FORESEEN = 0.05

@@ -31,7 +31,7 @@ from hilbench.estimation.web_line.blocks import SAME_SPEED
 #: Blocks that say what was before, and how many are enough.
 _BEFORE, _ENOUGH = 60, 24
 #: Blocks after that of the change that are left out: a shaft that was hit is on no line, nor is a load motor that
-#: imitates a web some cycles late.
+#: emulates a web some cycles late.
 _HIT = 1
 #: A change that is worth an explanation: over the noise of a block, and relative to the tension.
 _CHANGED_NOISES, _CHANGED = 6.0, 0.02

@@ -19,7 +19,7 @@ from hilbench.live.window import Window
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.model_file import Machine
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.imitated_run import ShaftImitation
+from hilbench.plant.servo_axis.emulated_run import ShaftEmulation
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.servo_axis.sizes import machine_sizes
 
@@ -36,7 +36,7 @@ _FOLLOWED: Final = 4
 
 
 class LiveShaft:
-    """A `LiveMachine` whose twin estimates the inertia. `imitation`: how the load motor imitates what is not there."""
+    """A `LiveMachine` whose twin estimates the inertia. `emulation`: how the load motor emulates what is not there."""
 
     kind = MachineKind.SERVO_AXIS
     speeds = ("v1_rad_s",)
@@ -44,8 +44,8 @@ class LiveShaft:
     moves = 0.5  #: rad/s
     estimated = ("J_sim_kg_m2",)
 
-    def __init__(self, model: ServoAxisParameters, imitation: ShaftImitation | None, cycle_s: float) -> None:
-        self.configured, self.imitation = model, imitation
+    def __init__(self, model: ServoAxisParameters, emulation: ShaftEmulation | None, cycle_s: float) -> None:
+        self.configured, self.emulation = model, emulation
         self.usual_Nm = np.array([machine_sizes(model).force_N])
         self._cycle_s = cycle_s
 

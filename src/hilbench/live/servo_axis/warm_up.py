@@ -34,7 +34,7 @@ def warm_up(names: Sequence[str], machine: LiveShaft, config: LiveDiagnosisConfi
     channels["tau1_Nm"] += _NOISE_Nm * np.random.default_rng(0).standard_normal(count)
     for name in names:
         if name.startswith("tau_") and name.endswith("_cmd_Nm"):
-            channels[name] += 1.0  # a load motor imitates
+            channels[name] += 1.0  # a load motor emulates
     for name, value in zip(machine.estimated, machine.estimate_of(machine.configured), strict=True):
         channels[name] += value
     rows = np.column_stack([channels[name] for name in names])
@@ -45,4 +45,4 @@ def warm_up(names: Sequence[str], machine: LiveShaft, config: LiveDiagnosisConfi
     window.add(count - 1, Samples.of(count - 1, rows).rows)
     with suppress(UnusableInputError):  # of made-up data nothing has to come
         data = machine.data_of(window, machine.configured, 0, count, 0)
-        diagnosed(data, machine.configured, imitation=machine.imitation)
+        diagnosed(data, machine.configured, emulation=machine.emulation)

@@ -25,7 +25,7 @@ from hilbench.plant.web_line.span import SpanFollower
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
-#: Cycles after one in which the plant was not measured in which what is imitated still catches up.
+#: Cycles after one in which the plant was not measured in which what is emulated still catches up.
 _CATCHES_UP = 4
 #: Lengths of the longest span after which the web that was found in it, of unknown strain, has left: exp(-5) of it is
 #: less than what a level may be off by.

@@ -15,7 +15,7 @@ from hilbench.live.web_line.gap import ModelGap, exchanged_m
 from hilbench.live.window import Window
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.model_file import Machine
-from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.emulation import Emulation
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
 
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 class LiveLine:
-    """A `LiveMachine` whose twin estimates E. `imitation`: how the web is imitated, None where it is there;
+    """A `LiveMachine` whose twin estimates E. `emulation`: how the web is emulated, None where it is there;
     `spans`: in which E is estimated, None for all of them."""
 
     kind = MachineKind.WEB_LINE
@@ -32,11 +32,11 @@ class LiveLine:
     def __init__(
         self,
         model: ModelParameters,
-        imitation: Imitation | None,
+        emulation: Emulation | None,
         cycle_s: float,
         spans: Sequence[int] | None = None,
     ) -> None:
-        self.configured, self.imitation = model, imitation
+        self.configured, self.emulation = model, emulation
         self._spans = tuple(range(1, model.span_count + 1) if spans is None else spans)
         axes = range(1, model.axis_count + 1)
         self.speeds = tuple(f"v{axis}_m_s" for axis in axes)
@@ -96,7 +96,7 @@ class LiveLine:
     def data_of(self, window: Window, model: Machine, first: int, end: int, begun: int) -> Measured:
         """What a diagnosis takes from these cycles, of what has begun in cycle `begun`: until then the web was strained
         as by the model. Raises UnusableInputError for what can't be diagnosed."""
-        return stretch.data_of(window, models.line(model), self.imitation, (begun, first, end), self._cycle_s)
+        return stretch.data_of(window, models.line(model), self.emulation, (begun, first, end), self._cycle_s)
 
     def packed(self, model: Machine) -> Array:
         """(P,): as a predictor takes it."""

@@ -16,7 +16,7 @@ from hilbench.live.web_line.gap import exchanged_m
 from hilbench.live.web_line.models import numbered
 from hilbench.live.window import Window
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.emulation import Emulation
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.span import SpanFollower
 
@@ -62,7 +62,7 @@ def quiet_cycle(window: Window, model: ModelParameters, first: int, end: int, cy
 def data_of(
     window: Window,
     model: ModelParameters,
-    imitation: Imitation | None,
+    emulation: Emulation | None,
     cycles: tuple[int, int, int],
     cycle_s: float,
 ) -> Measured:
@@ -81,17 +81,17 @@ def data_of(
     )
     if np.all(measured):
         return data
-    pushed = _pushed(data, model, imitation, measured)
+    pushed = _pushed(data, model, emulation, measured)
     left_out = data.left_out.copy()
     left_out[list(pushed)] = True
     return replace(data, pushed=pushed, left_out=left_out)
 
 
-def _pushed(data: Measured, model: ModelParameters, imitation: Imitation | None, measured: Rows) -> tuple[int, ...]:
+def _pushed(data: Measured, model: ModelParameters, emulation: Emulation | None, measured: Rows) -> tuple[int, ...]:
     """Rows at which rollers have left their way at once, behind rows that were not `measured` in time (n,): a load
     motor goes on with the torque that it has as long as the bench does not hear from it, and that pushes the rollers.
     """
-    predictor = choice(model, data, imitation).predictor
+    predictor = choice(model, data, emulation).predictor
     away = [place for place, name in enumerate(predictor.names) if _AWAY.fullmatch(name)]
     if not away:  # on measured motion: whatever made the rollers move so
         return ()

@@ -1,7 +1,7 @@
 """Samples of a bench that runs, cycle by cycle, from the frames on its bus.
 
 Frames become samples by what recovers a run from its trace (`hilbench.results.recover.Decoder`). What no frame shows,
-set-points and what is imitated, is in the journal of the run, where its folder is on this machine; else it is unknown.
+set-points and what is emulated, is in the journal of the run, where its folder is on this machine; else it is unknown.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class LiveSamples:
         self._cycle = 0
         self._simulates_anew = False
         self._from_start = from_start
-        self._first_row: Array | None = None  # of a run that was joined under way, until what is imitated is right
+        self._first_row: Array | None = None  # of a run that was joined under way, until what is emulated is right
 
     @property
     def cycle(self) -> int:

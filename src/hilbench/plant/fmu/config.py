@@ -49,7 +49,7 @@ class FmuBlock(Block):
 
 
 class FmuLoadConfig(FmuBlock):
-    """`load: fmu:`, an FMU that load motors imitate: motion of the driven axes goes in, torques come out."""
+    """`load: fmu:`, an FMU that load motors emulate: motion of the driven axes goes in, torques come out."""
 
     positions: list[VariableName] = Field(
         default=[], description="inputs: measured position of each driven axis, in the machine's unit (m or rad)"
@@ -68,7 +68,7 @@ class FmuLoadConfig(FmuBlock):
     )
 
     def problems(self, axes: int, load_motors: int | None, unit: str) -> Iterator[str]:
-        """Why an FMU can't be imitated so, on a machine with so many axes and load motors, with positions in `unit`."""
+        """Why an FMU can't be emulated so, on a machine with so many axes and load motors, with positions in `unit`."""
         if not self.positions and not self.speeds:
             yield "'fmu.positions' or 'fmu.speeds': the inputs that take the motion"
         for key, names in (("positions", self.positions), ("speeds", self.speeds)):
@@ -102,7 +102,7 @@ def _find(description: FmuDescription, name: str, causality: str, unit: str) -> 
 
 
 class LoadVariables:
-    """The variables of an FMU that load motors imitate."""
+    """The variables of an FMU that load motors emulate."""
 
     def __init__(
         self,

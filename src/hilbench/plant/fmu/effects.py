@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class WithoutEffects:
-    """The part of a machine, or of what a load motor imitates, that takes effects: here it takes none."""
+    """The part of a machine, or of what a load motor emulates, that takes effects: here it takes none."""
 
     def set_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float

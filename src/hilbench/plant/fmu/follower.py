@@ -1,4 +1,4 @@
-"""An FMU that load motors imitate: a `Follower` of any kind of machine, by the names that the config maps."""
+"""An FMU that load motors emulate: a `Follower` of any kind of machine, by the names that the config maps."""
 
 from __future__ import annotations
 

@@ -34,8 +34,8 @@ def effect_problem(effect_id: str, axis: int | None) -> str | None:
         return str(error.args[0])
 
 
-def imitated_effect_problem(effect_id: str, axis: int | None) -> str | None:
-    """Why a load motor cannot imitate an effect on the shaft, in one line, or None."""
+def emulated_effect_problem(effect_id: str, axis: int | None) -> str | None:
+    """Why a load motor cannot emulate an effect on the shaft, in one line, or None."""
     return vocabulary.effect_problem(effect_id, axis, EffectPlace.LOAD, 1, (1,), KIND)
 
 

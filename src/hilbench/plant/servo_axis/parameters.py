@@ -125,7 +125,7 @@ class ServoRigParameters(Block):
         sensors: SensorParameters | None = None,
         effects: Sequence[ShaftEffect] = (),
     ) -> ServoRigParameters:
-        """The stand on which a model's drive turns `shaft`; without one, the model's, so that nothing is imitated.
+        """The stand on which a model's drive turns `shaft`; without one, the model's, so that nothing is emulated.
 
         The load motor's inertia is then taken off the shaft. Raises ValueError for a model without drives, or with less
         inertia than the load motor.

@@ -1,6 +1,6 @@
 """The simulated hardware of a servo axis: the shaft that there is, the load motor on it, and their sensors.
 
-What the load motor imitates (`hilbench.plant.servo_axis.imitation`) is not in it.
+What the load motor emulates (`hilbench.plant.servo_axis.emulation`) is not in it.
 """
 
 from __future__ import annotations

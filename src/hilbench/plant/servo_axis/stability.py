@@ -1,6 +1,6 @@
-"""How much inertia a load motor can imitate on a servo axis over a sampled bus.
+"""How much inertia a load motor can emulate on a servo axis over a sampled bus.
 
-The imitation feeds the acceleration back, filtered and predicted: a loop of gain (J_i − J_r)/J_r with the delay of the
+The emulation feeds the acceleration back, filtered and predicted: a loop of gain (J_i − J_r)/J_r with the delay of the
 bus in it. `hilbench.plant.sampled_shaft` has the loop, this module the law.
 """
 
@@ -12,11 +12,11 @@ from hilbench.plant.parameters import per_item
 from hilbench.plant.sampled_shaft import (
     LinearLaw,
     SampledShaft,
-    imitation_delay_s,
+    emulation_delay_s,
     largest_stable,
     spectral_radius_under,
 )
-from hilbench.plant.servo_axis.imitation import FILTER_CYCLES
+from hilbench.plant.servo_axis.emulation import FILTER_CYCLES
 from hilbench.plant.servo_axis.parameters import ServoRigParameters
 from hilbench.plant.servo_axis.tracking_filter import gains, transition
 
@@ -41,8 +41,8 @@ def sampled_shaft(rig: ServoRigParameters, cycle_s: float) -> SampledShaft:
     )
 
 
-def imitation_law(inertia_kg_m2: float, cycle_s: float, filter_s: float, lead_s: float) -> LinearLaw:
-    """Inertia beyond the real one as `hilbench.plant.servo_axis.imitation` brings it: its memory is the motion."""
+def emulation_law(inertia_kg_m2: float, cycle_s: float, filter_s: float, lead_s: float) -> LinearLaw:
+    """Inertia beyond the real one as `hilbench.plant.servo_axis.emulation` brings it: its memory is the motion."""
     gain, forward = gains(cycle_s, filter_s), transition(cycle_s)
     memory = forward - np.outer(gain, forward[0])
     acceleration = -inertia_kg_m2 * transition(lead_s)[_ACCELERATION]
@@ -51,9 +51,9 @@ def imitation_law(inertia_kg_m2: float, cycle_s: float, filter_s: float, lead_s:
 
 
 def spectral_radius(shaft: SampledShaft, inertia_kg_m2: float, filter_cycles: float = FILTER_CYCLES) -> float:
-    """Greatest magnitude of the loop's eigenvalues while so much inertia beyond the real one is imitated."""
-    filter_s, lead_s = filter_cycles * shaft.cycle_s, imitation_delay_s(shaft)
-    return spectral_radius_under(shaft, imitation_law(inertia_kg_m2, shaft.cycle_s, filter_s, lead_s))
+    """Greatest magnitude of the loop's eigenvalues while so much inertia beyond the real one is emulated."""
+    filter_s, lead_s = filter_cycles * shaft.cycle_s, emulation_delay_s(shaft)
+    return spectral_radius_under(shaft, emulation_law(inertia_kg_m2, shaft.cycle_s, filter_s, lead_s))
 
 
 def imitable_inertia_kg_m2(shaft: SampledShaft, filter_cycles: float = FILTER_CYCLES) -> tuple[float, float]:

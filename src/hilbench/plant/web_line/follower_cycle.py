@@ -1,4 +1,4 @@
-"""A cycle of a web that load motors imitate, compiled: how far it has to follow, the web there, the torques of the web
+"""A cycle of a web that load motors emulate, compiled: how far it has to follow, the web there, the torques of the web
 ahead, and what is true."""
 
 from __future__ import annotations

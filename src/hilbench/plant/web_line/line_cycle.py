@@ -1,4 +1,4 @@
-"""A cycle of a line with stations that load motors imitate, compiled: how far it has to follow, the line there, the
+"""A cycle of a line with stations that load motors emulate, compiled: how far it has to follow, the line there, the
 torques of the line ahead, and what is true. As `follower_cycle`, of a `LineFollower`."""
 
 from __future__ import annotations

@@ -206,7 +206,7 @@ class LineFollower(Line):
         """Torques at the shafts of load motors on `axes`, of the line `lead_s` ahead; `speeds` (N,) of the driven
         rollers, m/s. A load motor turns as fast as the axis' motor.
 
-        They imitate the web and the roller's resistance: (r/i)·(F_next - F - R(v)). F is the tension of the span before
+        They emulate the web and the roller's resistance: (r/i)·(F_next - F - R(v)). F is the tension of the span before
         the roller, F_next that of the span behind it; of a reel one of them, with its present radius in the place of
         the nominal.
         """

@@ -159,12 +159,12 @@ class SpanFollower:
         return self._pull(axes, lead_s)
 
     def web_torque_Nm(self, axis: int, v_m_s: float) -> float:
-        """Torque at the motor of `axis` that imitates the web and the roller's resistance: (r/i)·(F_next - F - R(v)).
+        """Torque at the motor of `axis` that emulates the web and the roller's resistance: (r/i)·(F_next - F - R(v)).
 
         F is the tension of the span before roller `axis` (of the first: the upstream one), F_next that of the span
         behind it (of the last: the downstream one), as they are now; `v_m_s`: speed of the roller. Dry friction turns
-        over linearly within ±`laws.FRICTION_WIDTH_M_S`: imitated by a torque it must not flip with the noise of v.
-        Inertia and gear effects can't be imitated by it.
+        over linearly within ±`laws.FRICTION_WIDTH_M_S`: emulated by a torque it must not flip with the noise of v.
+        Inertia and gear effects can't be emulated by it.
         """
         self._speeds[axis - 1] = v_m_s
         return self._pull((axis,), None)[0]
@@ -339,7 +339,7 @@ class SpanFollower:
     ) -> None:
         """Give an effect these parameters from now on; the strain stays.
 
-        Raises ValueError for an effect that is unknown or cannot be imitated, or a wrong axis, span, slot or parameter.
+        Raises ValueError for an effect that is unknown or cannot be emulated, or a wrong axis, span, slot or parameter.
         """
         strain = self._strain_of_lengths()
         set_effect(self._p, effect_id, axis, section, slot, parameters, self._description.effects)

@@ -1,4 +1,4 @@
-"""How stiff a web a load motor can imitate over a sampled bus before the loop through it goes unstable.
+"""How stiff a web a load motor can emulate over a sampled bus before the loop through it goes unstable.
 
 The web is a spring at the shaft, tau = -k·(x + lead·x'), on the loop of `hilbench.plant.sampled_shaft`: the delay works
 as negative damping of about k·(delay - lead).
@@ -28,7 +28,7 @@ def sampled_shaft(model: ModelParameters, axis: int = 2, **changes: float) -> Sa
 
 
 def spectral_radius(shaft: SampledShaft, stiffness_Nm_per_rad: float, lead_s: float = 0.0) -> float:
-    """Greatest magnitude of the loop's eigenvalues over one bus cycle while a spring is imitated."""
+    """Greatest magnitude of the loop's eigenvalues over one bus cycle while a spring is emulated."""
     return spectral_radius_under(shaft, _spring(shaft, stiffness_Nm_per_rad, lead_s))
 
 

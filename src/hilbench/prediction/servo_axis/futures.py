@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import per_item
-from hilbench.plant.sampled_shaft import imitation_delay_s
+from hilbench.plant.sampled_shaft import emulation_delay_s
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.imitation import steepest_Nm_s_per_rad
+from hilbench.plant.servo_axis.emulation import steepest_Nm_s_per_rad
 from hilbench.plant.servo_axis.kernel import look as look_at
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.stability import sampled_shaft
@@ -60,7 +60,7 @@ class ShaftPresent:
 
 @dataclass(frozen=True)
 class ShaftCourses:
-    """What is asked for at each of T times (T,): speed, rad/s; inertia of the imitated shaft over the
+    """What is asked for at each of T times (T,): speed, rad/s; inertia of the emulated shaft over the
     present one; its dry friction beyond the present one, N·m."""
 
     speed_rad_s: Array
@@ -76,7 +76,7 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
     """Draws and runs the futures of one servo axis.
 
     `watched`: its quantities in the kernel's order; `real`: the stand as it is believed to be, beside which the load
-    motor imitates; `cycle_s`: between two measurements. What `prepare` returns may be run by any thread. Raises
+    motor emulates; `cycle_s`: between two measurements. What `prepare` returns may be run by any thread. Raises
     ValueError for a model without drives.
     """
 
@@ -98,7 +98,7 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         kp = per_item(model.drives.velocity_kp_Nm_s_per_rad, 1)
         self._kp = kp * (1.0 + self._p.item(lay.place("drive_gain")))
         self._real = lay.pack(real.axis, real.load_motor)
-        self._steepest = steepest_Nm_s_per_rad(self._real, imitation_delay_s(sampled_shaft(real, cycle_s)))
+        self._steepest = steepest_Nm_s_per_rad(self._real, emulation_delay_s(sampled_shaft(real, cycle_s)))
         self._inputs = lay.new_inputs(self._p)
         lay.motor_inputs(self._inputs)[:, loops.IN_MODE] = MotorMode.VELOCITY
 

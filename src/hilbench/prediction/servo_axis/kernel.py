@@ -1,8 +1,8 @@
 """Futures of a servo axis: the plant's kernel behind the set points to come, compiled.
 
 The closed loop of shaft and drive at one coarse step: the drive's loop samples once per step, the mechanics are
-integrated by the plant's own kernel, with every effect that the model has; what the load motor then has to imitate is
-the law of `hilbench.plant.servo_axis.imitation`.
+integrated by the plant's own kernel, with every effect that the model has; what the load motor then has to emulate is
+the law of `hilbench.plant.servo_axis.emulation`.
 
 Vectors as in `hilbench.plant.servo_axis.layout`. B futures, T steps; the quantities that are watched, Q = 3, in this
 order: torques of the axis' motor as its drive reports it and of the load motor (N·m), speed of the axis (rad/s).
@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, MATRIX, REAL, TABLE, VECTOR, compiled, entry_point, inlined
 from hilbench.plant import drive_loops as loops
-from hilbench.plant.servo_axis import imitation, kernel
+from hilbench.plant.servo_axis import emulation, kernel
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.imitation import load_torque_Nm
+from hilbench.plant.servo_axis.emulation import load_torque_Nm
 from hilbench.plant.servo_axis.layout import Vector
 from hilbench.prediction import judging
 from hilbench.prediction.judging import TallyVectors, keep, of_table, see
@@ -58,8 +58,8 @@ def _watched(p: Vector, real: Vector, steepest: float, s: Vector, u: Vector, out
     kernel.report(p, s, out, 0)
     q[Q_TORQUE], q[Q_SPEED] = out[lay.O_TORQUE], out[lay.O_V]
     now_s, a = s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S], kernel.acceleration_rad_s2(p, s, u)
-    imitated = load_torque_Nm(p, real, now_s, s[lay.S_X], s[lay.S_V], a, steepest)
-    q[Q_LOAD_TORQUE] = loops.clip(imitated, real[lay.P_LOOPS + loops.LOOPS_SIZE + loops.LIMIT_NM])
+    emulated = load_torque_Nm(p, real, now_s, s[lay.S_X], s[lay.S_V], a, steepest)
+    q[Q_LOAD_TORQUE] = loops.clip(emulated, real[lay.P_LOOPS + loops.LOOPS_SIZE + loops.LIMIT_NM])
 
 
 @compiled
@@ -128,7 +128,7 @@ def _entry_point(sources: int) -> Run:
     return futures
 
 
-#: run_futures(parameters, those of the stand as it is believed to be, slope of the imitated dry friction at standstill,
+#: run_futures(parameters, those of the stand as it is believed to be, slope of the emulated dry friction at standstill,
 #: states (B, S), drawn (B, DRAWN), courses (T, COURSES), state, inputs, observed, quantities, table of the tally
 #: (`Tally.table`), measurements in a step, steps in a row).
-run_futures = _entry_point(kernel.source_number(imitation.__file__, judging.__file__, __file__))
+run_futures = _entry_point(kernel.source_number(emulation.__file__, judging.__file__, __file__))

@@ -71,7 +71,7 @@ class LinePresent:
 
 @dataclass(frozen=True)
 class LineCourses:
-    """What is asked for at the start of each of T steps: line speed (T,), m/s; set-points (T, K), N; E of the imitated
+    """What is asked for at the start of each of T steps: line speed (T,), m/s; set-points (T, K), N; E of the emulated
     web in each span over the present one (T, K)."""
 
     line_speed_m_s: Array

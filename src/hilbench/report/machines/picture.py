@@ -110,7 +110,7 @@ def lines(label: str, *shown: Line, si_per_unit: float = 1.0, least: float = 0.0
 
 
 def estimate(quantity: MainQuantity) -> MakeChart:
-    """Axes with what the twin estimates of a quantity of the imitated machine, its truth with the band that a criterion
+    """Axes with what the twin estimates of a quantity of the emulated machine, its truth with the band that a criterion
     goes by, and two standard deviations where the twin states one; at least as high as that band. Where nothing tells
     it, the legend says that it is the model's."""
     scale, signal, deviation = quantity.si_per_shown, quantity.twin_signal, quantity.twin_deviation

@@ -62,7 +62,7 @@ _PICTURES: Final = (
     RunPicture(
         "inertia",
         "Inertia of the shaft",
-        f"Inertia of the imitated shaft {_BAND}, and the twin’s estimate with a band of ±2 standard deviations where "
+        f"Inertia of the emulated shaft {_BAND}, and the twin’s estimate with a band of ±2 standard deviations where "
         "the twin states one.",
         (estimate(INERTIA),),
         zoomed=True,
@@ -70,14 +70,14 @@ _PICTURES: Final = (
     RunPicture(
         "friction",
         "Dry friction of the shaft",
-        f"Dry friction of the imitated shaft {_BAND}, and the twin’s estimate.",
+        f"Dry friction of the emulated shaft {_BAND}, and the twin’s estimate.",
         (estimate(FRICTION),),
         zoomed=True,
     ),
     RunPicture(
         "load",
         "Torque of the load motor",
-        "Torque of the load motor, which imitates the inertia and friction that are not there, and its command.",
+        "Torque of the load motor, which emulates the inertia and friction that are not there, and its command.",
         (
             lines(
                 "torque in N·m",

@@ -137,10 +137,10 @@ def _velocities(shape: Shape) -> RunPicture:
     ]
     fine = (
         "velocity of axis 1 minus line speed (axis 2), and what mass conservation asks for at the strain of the "
-        "imitated web once it is steady."
+        "emulated web once it is steady."
         if last == 2
         else "what each axis turns faster than the one behind it, and what mass conservation asks for at the strains "
-        "of the imitated web once they are steady."
+        "of the emulated web once they are steady."
     )
     return RunPicture(
         "velocities",
@@ -176,7 +176,7 @@ def _elasticity(number: str) -> RunPicture:
     return RunPicture(
         f"elasticity{number}",
         f"Young’s modulus in span {number}" if number else "Young’s modulus",
-        f"Young’s modulus of the imitated web with a band of ±{100 * ESTIMATE_BAND:g} % (grey), and the "
+        f"Young’s modulus of the emulated web with a band of ±{100 * ESTIMATE_BAND:g} % (grey), and the "
         "twin’s, with a band of ±2 standard deviations where the twin states one.",
         (estimate(modulus(number)),),
         with_reference="PID: what the published tracking simulation makes of the same measurements.",
@@ -189,7 +189,7 @@ def _tension(number: str) -> RunPicture:
     return RunPicture(
         f"tension{number}",
         f"Web tension in span {number}" if number else "Web tension",
-        "Tension of the imitated web, tension simulated by the twin (the virtual sensor that the controller sees),"
+        "Tension of the emulated web, tension simulated by the twin (the virtual sensor that the controller sees),"
         " and set-point.",
         (
             lines(
@@ -217,7 +217,7 @@ def _stations(shape: Shape) -> list[RunPicture]:
         simulated = [Line(f"{symbol}_{name}_sim_m", "simulated", VERMILLION, 1.2) for name in names]
         wanted = [Line(f"{symbol}_{name}_ref_m", "set-point", INK, 0.9, (4.0, 2.0)) for name in names]
         text = (
-            f"{title} of the imitated line, as the twin has them without or with a sensor"
+            f"{title} of the emulated line, as the twin has them without or with a sensor"
             f"{', and set-points where a controller keeps them' if symbol == 'x' else ''}."
         )
         if names:

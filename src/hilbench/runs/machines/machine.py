@@ -48,7 +48,7 @@ def nothing_to_judge(machine: str) -> str:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A property of the imitated machine that the twin estimates."""
+    """A property of the emulated machine that the twin estimates."""
 
     quantity: MainQuantity
     machine: str  #: what has to run

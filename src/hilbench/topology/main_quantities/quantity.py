@@ -31,8 +31,8 @@ class MainQuantity:
     of: str = ""  #: what it is a set-point of; "" for what is meant itself
     shown_unit: str = ""  #: in which a person gives it; the SI unit if not given
     si_per_shown: float = 1.0
-    #: A property of the imitated machine: it may drift by itself, and a step of it is a share of its value.
-    imitated: bool = False
+    #: A property of the emulated machine: it may drift by itself, and a step of it is a share of its value.
+    emulated: bool = False
 
     @property
     def in_unit(self) -> str:

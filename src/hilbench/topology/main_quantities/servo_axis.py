@@ -1,4 +1,4 @@
-"""A servo axis: the speed of its shaft, and the imitated inertia and dry friction."""
+"""A servo axis: the speed of its shaft, and the emulated inertia and dry friction."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hilbench.topology.main_quantities.quantity import MainQuantity
 SPEED: Final = MainQuantity("speed_rad_s", "speed of the shaft", "speed", "rad/s", "v1_cmd_rad_s", "v")
 INERTIA: Final = MainQuantity(
     "load.shaft.inertia_kg_m2",
-    "inertia of the imitated shaft",
+    "inertia of the emulated shaft",
     "J",
     "kg·m²",
     "J_true_kg_m2",
@@ -18,16 +18,16 @@ INERTIA: Final = MainQuantity(
     "J_sd_kg_m2",
     shown_unit="kg·cm²",
     si_per_shown=1e-4,
-    imitated=True,
+    emulated=True,
 )
 FRICTION: Final = MainQuantity(
     "load.shaft.coulomb_friction_Nm",
-    "dry friction of the imitated shaft",
+    "dry friction of the emulated shaft",
     "friction",
     "N·m",
     "coulomb_true_Nm",
     "f",
     "coulomb_sim_Nm",
-    imitated=True,
+    emulated=True,
 )
 QUANTITIES: Final = (INERTIA, FRICTION, SPEED)

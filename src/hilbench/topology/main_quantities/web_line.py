@@ -37,7 +37,7 @@ def modulus(number: str = "") -> MainQuantity:
     of = f" in span {number}" if number else ""
     return MainQuantity(
         modulus_of_span(int(number)) if number else YOUNGS_MODULUS,
-        f"E of the imitated web{of}",
+        f"E of the emulated web{of}",
         f"E{number}",
         "Pa",
         f"E{number}_true_Pa",
@@ -46,7 +46,7 @@ def modulus(number: str = "") -> MainQuantity:
         f"E{number}_sd_Pa",
         shown_unit="N/mm²",
         si_per_shown=1e6,
-        imitated=True,
+        emulated=True,
     )
 
 

@@ -80,7 +80,7 @@ _KICK_NOISE_SHARE: Final = 1e-3  #: of a limit: what else is in a torque
 _MAY_BE_S: Final = 3.0
 #: Deviations of E by which it is another one in the next section, and the error of that, as a share.
 _BOOKED, _BOOKED_OFF = 3.0, 0.35
-_IMITATED_SHARE: Final = 0.25  #: error of the size of a kick that load motors imitate
+_EMULATED_SHARE: Final = 0.25  #: error of the size of a kick that load motors emulate
 #: For how long from the start on, and after a change, E is corrected as it is found; and with which time constant after
 #: that, so that what comes faster than a drift is seen as evidence first.
 _LEARNS_S, _FOLLOWS_S = 1.0, 1.0
@@ -111,7 +111,7 @@ class Found(NamedTuple):
 
 class LineUnknowns:
     """Of a line with stations, whose axes answer once a cycle; `measured`: names of stations with a sensor; `torqued`:
-    axes whose torque is told to them, and so says nothing of the web; `imitated`: whether load motors pull as the web
+    axes whose torque is told to them, and so says nothing of the web; `emulated`: whether load motors pull as the web
     would."""
 
     def __init__(
@@ -121,9 +121,9 @@ class LineUnknowns:
         measured: Sequence[str],
         torqued: Sequence[int] = (),
         *,
-        imitated: bool = False,
+        emulated: bool = False,
     ) -> None:
-        self._imitated = imitated
+        self._emulated = emulated
         self.varied = VariedLine(model, measured)
         self._model = model
         pulled = [axis for axis in range(1, model.axis_count + 1) if model.carries_web_load(axis)]
@@ -363,12 +363,12 @@ class LineUnknowns:
         return corrected
 
     def _refresh_loads(self) -> None:
-        """Bring loads up to what is followed. A load motor in the place of a reel imitates what its web pulls, but has
+        """Bring loads up to what is followed. A load motor in the place of a reel emulates what its web pulls, but has
         the flywheel that the reel had at the start."""
         self.varied.refresh_load_slopes()
         speeds = self._rad_per_m * self.varied.line.v_m_s
         before, self._speeds_rad_s = self._speeds_rad_s, speeds
-        if self._imitated and before is not None:
+        if self._emulated and before is not None:
             lacking_kg_m2 = self._inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2
             self._loads[:, -1] += lacking_kg_m2 * (speeds - before) / self._followed_s
 
@@ -456,7 +456,7 @@ class LineUnknowns:
         for began_s, place, kick in list(self._may_be):
             if time_s - began_s > _MAY_BE_S:
                 self._may_be.remove((began_s, place, kick))
-            elif kick.sure and not self._imitated:
+            elif kick.sure and not self._emulated:
                 self._kicked(time_s, began_s, place, kick)
                 return True
             elif (handed_on := self._handed_on(began_s, place, kick)) is not None:
@@ -466,13 +466,13 @@ class LineUnknowns:
 
     def _handed_on(self, began_s: float, place: int, kick: Kick) -> Kick | None:
         """The kick, where torques tell since then of the section behind what web of the strain that it makes does
-        there: it is booked as E. Of one that load motors imitate, some cycles late, not even the sign is known but by
+        there: it is booked as E. Of one that load motors emulate, some cycles late, not even the sign is known but by
         that."""
         changed, deviation = self._booked_behind(place, self._at(began_s))
         would_be, share = -changed / (1.0 + changed), kick.share
-        if self._imitated:
+        if self._emulated:
             share = copysign(share, would_be)
-            kick = replace(kick, share=share, deviation=max(kick.deviation, _IMITATED_SHARE * abs(share)))
+            kick = replace(kick, share=share, deviation=max(kick.deviation, _EMULATED_SHARE * abs(share)))
         off = abs(would_be - share)
         told = abs(changed) > _BOOKED * deviation and off < 3.0 * kick.deviation + _BOOKED_OFF * abs(share)
         return kick if told else None

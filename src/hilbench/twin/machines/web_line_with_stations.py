@@ -48,8 +48,8 @@ class LineWithStationsTwin:
         self.shift_span = 0
         self.refused, self.synchronized = False, False
         self.torque_shift_Nm, self.torque_undecided = 0.0, False
-        imitated = bool(shape.load_motors)
-        self._unknowns = LineUnknowns(model, cycle_s, shape.measured, shape.torqued, imitated=imitated)
+        emulated = bool(shape.load_motors)
+        self._unknowns = LineUnknowns(model, cycle_s, shape.measured, shape.torqued, emulated=emulated)
         self._model = model
         self._shape = shape
         self._told = told

@@ -17,6 +17,6 @@ def panel_of(config: BenchConfig) -> Panel:
 
 
 def settled(config: BenchConfig, names: Sequence[str], first: Array, last: Array) -> bool:
-    """Whether what is imitated, simulated on the motion since the sample `first` (N,), is right in the sample `last`,
+    """Whether what is emulated, simulated on the motion since the sample `first` (N,), is right in the sample `last`,
     wherever it was taken to begin."""
     return config.machine_kind is MachineKind.SERVO_AXIS or web_line.settled(config, names, first, last)

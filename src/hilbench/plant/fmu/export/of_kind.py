@@ -10,12 +10,12 @@ from hilbench.plant.web_line.parameters import ModelParameters
 
 
 def exported(machine: ModelParameters | ServoAxisParameters, *, drives: bool, load: bool) -> ExportedMachine:
-    """With the loops of its drives, or without; or (`load`) what its load motors imitate, on measured motion.
+    """With the loops of its drives, or without; or (`load`) what its load motors emulate, on measured motion.
 
     Raises ValueError, which says what is expected instead, for what can't be exported.
     """
     if isinstance(machine, ServoAxisParameters):
         if load:
-            raise ValueError("another kind for --load: what load motors imitate of a shaft is no machine by itself")
+            raise ValueError("another kind for --load: what load motors emulate of a shaft is no machine by itself")
         return servo_axis.exported_axis(machine, drives=drives)
     return line.exported_load(machine) if load else line.exported_line(machine, drives=drives)

@@ -1,4 +1,4 @@
-"""A web line as an FMU: the line with or without its drives, and its web as load motors imitate it."""
+"""A web line as an FMU: the line with or without its drives, and its web as load motors emulate it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: in
     """The web of driven rollers on their measured motion: state `s` as `web_line.span_kernel.roll_on` has it.
 
     `u`: speeds of the N rollers, strain of the web that enters, tension behind the line. `out`: tension, strain and E
-    of the K spans, then the torque at each motor that imitates web and resistance (see `SpanFollower.web_torque_Nm`).
+    of the K spans, then the torque at each motor that emulates web and resistance (see `SpanFollower.web_torque_Nm`).
     """
     n, k = int(p[lay.W_AXES]), int(p[lay.W_SPANS])
     strain_prev, f_next = u[n], u[n + 1]
@@ -122,7 +122,7 @@ def exported_line(model: ModelParameters, *, drives: bool) -> ExportedMachine:
 
 
 def exported_load(model: ModelParameters) -> ExportedMachine:
-    """The web of a line on the motion of its rollers: speeds in, tensions and the torques that imitate it out.
+    """The web of a line on the motion of its rollers: speeds in, tensions and the torques that emulate it out.
 
     Raises ValueError for a model without a web, or with stations.
     """
@@ -146,7 +146,7 @@ def exported_load(model: ModelParameters) -> ExportedMachine:
                 output(Quantity(name, unit, f"{what} of the web in span {number}"), place * k + number - 1)
             )
     for axis in range(1, n + 1):
-        what = f"at the motor of axis {axis}: imitates the web and the roller's resistance"
+        what = f"at the motor of axis {axis}: emulates the web and the roller's resistance"
         variables.append(output(Quantity(f"tau_load{axis}_Nm", "N·m", what), 3 * k + axis - 1))
     variables += _moduli(model, layout)
     return ExportedMachine(

@@ -1,4 +1,4 @@
-"""A whole recording of an imitated web in one call, against the rig and the imitated web cycle by cycle."""
+"""A whole recording of an emulated web in one call, against the rig and the emulated web cycle by cycle."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import offline
-from hilbench.plant.web_line.imitation import Imitation, simulate_imitated
+from hilbench.plant.web_line.emulation import Emulation, simulate_emulated
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor
 from hilbench.plant.web_line.span import SpanFollower
@@ -35,8 +35,8 @@ def test_recording_in_one_call_is_what_the_bench_does_cycle_by_cycle(
     commands = np.column_stack([v * (1.0 + 1e-5 * k) for k in range(n)])
     boundary = np.tile([parameters.upstream_strain, parameters.boundary.downstream_tension_N], (rows, 1))
     p = lay.pack(parameters)
-    imitation = Imitation(CYCLE_S, tuple(CoupledMotor(axis=axis) for axis in load_axes))
-    found = simulate_imitated(imitation, parameters, p, offline.start_state(p, parameters), commands, boundary)
+    emulation = Emulation(CYCLE_S, tuple(CoupledMotor(axis=axis) for axis in load_axes))
+    found = simulate_emulated(emulation, parameters, p, offline.start_state(p, parameters), commands, boundary)
     expected = cycle_by_cycle(SpanFollower(parameters), parameters, load_axes, commands, CYCLE_S)
     # Positions to rounding; a tension is E·S/L of that.
     np.testing.assert_allclose(found.x_m, expected[:, :n], rtol=0, atol=1e-9)

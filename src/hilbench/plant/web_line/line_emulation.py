@@ -1,6 +1,6 @@
-"""A line with idlers, dancers, accumulators and reels that load motors imitate, whole recordings in one compiled call.
+"""A line with idlers, dancers, accumulators and reels that load motors emulate, whole recordings in one compiled call.
 
-As `imitation`, with the line of `line_follower` in the place of the web: its driven rollers are held to the motion that
+As `emulation`, with the line of `line_follower` in the place of the web: its driven rollers are held to the motion that
 the rig shows at each SYNC, what has no motor moves by itself.
 """
 
@@ -16,7 +16,7 @@ from hilbench.compiled import COUNT, CUBE, INDICES, MATRIX, REAL, VECTOR, compil
 from hilbench.plant.sampling import on_all_cores, samples_per
 from hilbench.plant.web_line import kernel, laws, line_follower, line_kernel, places, reels
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.imitation import Imitation, lead_s, of_axes, rig_inputs, stands_of
+from hilbench.plant.web_line.emulation import Emulation, lead_s, of_axes, rig_inputs, stands_of
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.line_kernel import ACCELERATION_S, gained_m_s, turn
 from hilbench.plant.web_line.offline import Simulation, start_state
@@ -65,7 +65,7 @@ def _run(
     samples: int, cycle_s: float, lead_s: float, step_s: float, pushed: Rows, forces: Vector, more: Vector, out: Vector,
     at: int,
 ) -> None:  # fmt: skip
-    """Row by row observe the rig, follow the line on it, and advance; as `imitation._rows`.
+    """Row by row observe the rig, follow the line on it, and advance; as `emulation._rows`.
 
     The rig of N axes: `p`, `s`, `u`, `w`; the line: parameters `web`, state `line`, `line_u`, `line_w`, its driven
     rollers at `rows` (N,). Room for a `guess` of its state, for mean speeds, speeds, accelerations and loads (4, N),
@@ -147,8 +147,8 @@ def _entry_point(sources: int) -> Callable[..., None]:
 _simulate = _entry_point(kernel.source_number(str(line_kernel.__file__), __file__))
 
 
-def simulate_imitated_line(
-    imitation: Imitation,
+def simulate_emulated_line(
+    emulation: Emulation,
     model: ModelParameters,
     parameters: Vector,
     commands: NDArray[np.float64],
@@ -156,16 +156,16 @@ def simulate_imitated_line(
     sensors: Sequence[str] = (),
     forces_N: Mapping[str, NDArray[np.float64]] = MappingProxyType({}),
 ) -> Simulation:
-    """Simulate recorded velocity commands, from rest, on the rig of a model with stations that load motors imitate.
+    """Simulate recorded velocity commands, from rest, on the rig of a model with stations that load motors emulate.
 
     parameters: (P,) or (B, P) of the model from `layout.pack`, with effects: those of the axes are in the mechanics,
-    others in what is imitated. commands (n, N) m/s at the web, boundary (n, 2) upstream strain and downstream tension
+    others in what is emulated. commands (n, N) m/s at the web, boundary (n, 2) upstream strain and downstream tension
     (N), a row each cycle; `sensors`: stations by name; `forces_N`: by station (n,), on carriages that are told a force.
     Motion and torques of the result are those of the axes.
     Raises ValueError for a cycle that is no multiple of the drives' sample time.
     """
     many = np.array(np.atleast_2d(parameters))
-    stands = stands_of(imitation, model, many)
+    stands = stands_of(emulation, model, many)
     layout, of_line = Layout.of(stands[0]), Layout.of(many[0])
     starts = np.zeros((len(many), layout.state_size))
     lines = np.array([start_state(one, model) for one in many])
@@ -179,10 +179,10 @@ def simulate_imitated_line(
     per_m = np.array([model.motor_rad_per_m(axis) for axis in axes])
     pulls = np.array([float(model.carries_web_load(axis)) for axis in axes]) / per_m
     rows = np.array(lay.driven_rows(many[0]), np.int64)
-    told, samples = np.array(_rows_of(model, sensors), np.int64), samples_per(imitation.cycle_s, _sample_s(many))
+    told, samples = np.array(_rows_of(model, sensors), np.int64), samples_per(emulation.cycle_s, _sample_s(many))
     out = np.empty((len(many), len(commands), layout.output_size + 2 * of_line.spans + len(told)))
     at_motors, limits = np.ascontiguousarray(commands * per_m), np.ascontiguousarray(boundary, dtype=np.float64)
-    lead, longest_s = lead_s(model, imitation.cycle_s), line_follower.step_s(model)
+    lead, longest_s = lead_s(model, emulation.cycle_s), line_follower.step_s(model)
 
     stations = {each.station.name: each.station for each in model.carriages}
     pushed, bases = np.array(_rows_of(model, [*forces_N]), np.int64), np.array([stations[k].force_N for k in forces_N])
@@ -191,7 +191,7 @@ def simulate_imitated_line(
     def run(share: slice) -> None:
         _simulate(
             stands[share], starts[share], inputs.copy(), layout.new_work(), many[share], lines[share],
-            of_line.new_inputs(), of_line.new_work(), rows, told, pulls, at_motors, limits, samples, imitation.cycle_s,
+            of_line.new_inputs(), of_line.new_work(), rows, told, pulls, at_motors, limits, samples, emulation.cycle_s,
             lead, longest_s, pushed, forces, bases, out[share],
         )  # fmt: skip
 

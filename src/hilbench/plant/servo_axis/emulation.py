@@ -1,10 +1,10 @@
-"""The shaft that a load motor imitates, from the measured position of the one that there is.
+"""The shaft that a load motor emulates, from the measured position of the one that there is.
 
     τ_load = −(J_i − J_r)·a − R_i(v) + R_r(v) + U_i(φ) − U_r(φ)
 
 makes a shaft of inertia J_r, friction R_r and unbalance U_r behave like one of J_i, R_i and U_i. The torque acts later
 than the motion was measured, so position, speed and acceleration are predicted over that lead. How much inertia can be
-imitated is a question of stability: `hilbench.plant.servo_axis.stability`.
+emulated is a question of stability: `hilbench.plant.servo_axis.stability`.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion, ahead_s,
 from hilbench.plant.parameters import per_item
 from hilbench.plant.servo_axis import kernel, laws, tracking_filter
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.effects import IDS, imitated_effect_problem
+from hilbench.plant.servo_axis.effects import IDS, emulated_effect_problem
 from hilbench.plant.servo_axis.layout import Vector
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.shaft import Shaft
 from hilbench.plant.servo_axis.tracking_filter import TrackingFilter, gains, later, transition
 from hilbench.plant.servo_axis.tracking_filter import follow as follow_position
 
-#: Time constant of the filter of the acceleration, in bus cycles: longer ones allow more inertia, and imitate it worse.
+#: Time constant of the filter of the acceleration, in bus cycles: longer ones allow more inertia, and emulate it worse.
 FILTER_CYCLES = 2.5
 #: Dry friction changes its sign over so much speed that its slope is this share of J_r/lead: a torque that is late by
 #: `lead` can damp with π/2 times that before it swings.
@@ -52,10 +52,10 @@ _LEAST_LEAD_S = 1e-3
 Table = NDArray[np.int64]
 Matrix = NDArray[np.float64]
 
-# Rows of the table: parameters of the imitated shaft and of the real one, inputs of the first, its filtered motion, and
+# Rows of the table: parameters of the emulated shaft and of the real one, inputs of the first, its filtered motion, and
 # its own figures; of a shaft on measured motion then those of that, `transition` and `gains` of a cycle, `transition`
 # until the torque acts, torques of the load motors (M,), and where is measured and shown.
-_IMITATED, _REAL, _INPUTS, _FILTERED, _OWN = range(5)
+_EMULATED, _REAL, _INPUTS, _FILTERED, _OWN = range(5)
 _MOTION, _WAYS, _POSITIONS, _SPEEDS, _FORWARD, _GAINS, _FORWARD_AHEAD, _TORQUES, _VALUES, _AT = range(5, 15)
 #: Own figures: its time, the acceleration beyond which no motor turns it; a cycle, and how much later than measured
 #: torques act, as a rule; the time that has gone by where it was another.
@@ -67,31 +67,31 @@ NOTHING, FOLLOWED, ANOTHER_TIME = range(3)
 
 @inlined
 def load_torque_Nm(
-    imitated: Vector, real: Vector, time_s: float, x: float, v: float, a: float, steepest: float
+    emulated: Vector, real: Vector, time_s: float, x: float, v: float, a: float, steepest: float
 ) -> float:
-    """Torque that makes the real shaft, at x, v, a at a time, the imitated one.
+    """Torque that makes the real shaft, at x, v, a at a time, the emulated one.
 
     steepest: N·m·s/rad, slope of the dry friction at standstill.
     """
-    inertia = laws.inertia_kg_m2(imitated, time_s) - laws.inertia_kg_m2(real, time_s)
-    smooth = laws.smooth_friction_Nm(imitated, v) - laws.smooth_friction_Nm(real, v)
-    dry = laws.dry_friction_Nm(imitated, v) - laws.dry_friction_Nm(real, v)
+    inertia = laws.inertia_kg_m2(emulated, time_s) - laws.inertia_kg_m2(real, time_s)
+    smooth = laws.smooth_friction_Nm(emulated, v) - laws.smooth_friction_Nm(real, v)
+    dry = laws.dry_friction_Nm(emulated, v) - laws.dry_friction_Nm(real, v)
     limited = min(max(steepest * v, -abs(dry)), abs(dry)) * (1.0 if dry > 0.0 else -1.0)
-    unbalance = laws.unbalance_Nm(imitated, x) - laws.unbalance_Nm(real, x)
+    unbalance = laws.unbalance_Nm(emulated, x) - laws.unbalance_Nm(real, x)
     return unbalance - inertia * a - smooth - limited
 
 
 @compiled
 def _torque_ahead_Nm(table: Table, forward: Matrix, lead_s: float, speed_rad_s: float) -> float:
-    """`ImitatedShaft.load_torques_Nm`; `forward` (4, 4): the `transition` of that time."""
-    imitated, real, inputs = floats(table, _IMITATED, (1,)), floats(table, _REAL, (1,)), floats(table, _INPUTS, (1,))
+    """`EmulatedShaft.load_torques_Nm`; `forward` (4, 4): the `transition` of that time."""
+    emulated, real, inputs = floats(table, _EMULATED, (1,)), floats(table, _REAL, (1,)), floats(table, _INPUTS, (1,))
     motion, own = floats(table, _FILTERED, (1,)), floats(table, _OWN, (1,))
     position, a, jerk = later(motion, forward, 0), later(motion, forward, 2), later(motion, forward, 3)
     # No motor turns the shaft faster: more is a sample of another instant than it was taken for.
     a = min(max(a, -own[_MOST_RAD_S2]), own[_MOST_RAD_S2])
     v = speed_rad_s + lead_s * (a - 0.5 * lead_s * jerk)
     steepest = _SLOPE_SHARE * real[lay.P_INERTIA] / max(lead_s, _LEAST_LEAD_S)
-    return float(load_torque_Nm(imitated, real, own[_TIME_S], position, v, a, steepest) + inputs[lay.U_TORQUE_NM])
+    return float(load_torque_Nm(emulated, real, own[_TIME_S], position, v, a, steepest) + inputs[lay.U_TORQUE_NM])
 
 
 def _entry_points(sources: int) -> tuple[Callable[[Table, Matrix, float, float], float], Function]:
@@ -141,28 +141,28 @@ def most_rad_s2(real: ServoRigParameters) -> float:
 
 
 def steepest_Nm_s_per_rad(real: Vector, lead_s: float) -> float:
-    """Slope of the imitated dry friction at standstill on the stand with these parameters (P,)."""
+    """Slope of the emulated dry friction at standstill on the stand with these parameters (P,)."""
     return _SLOPE_SHARE * real.item(lay.P_INERTIA) / max(lead_s, _LEAST_LEAD_S)
 
 
-class ImitatedShaft:
+class EmulatedShaft:
     """A `Follower`: measured positions of the shaft in, torque of the load motor on it out.
 
-    imitated: the machine that is not there, its drive aside. real: the stand as it is believed to be; what is hidden
+    emulated: the machine that is not there, its drive aside. real: the stand as it is believed to be; what is hidden
     in the real one is not known here, so `effects` of the stand do not count.
     """
 
     def __init__(
         self,
-        imitated: ServoAxisParameters,
+        emulated: ServoAxisParameters,
         real: ServoRigParameters,
         cycle_s: float,
         *,
         filter_cycles: float = FILTER_CYCLES,
     ) -> None:
-        of_shaft = tuple(e for e in imitated.effects if imitated_effect_problem(e.effect, e.axis) is None)
+        of_shaft = tuple(e for e in emulated.effects if emulated_effect_problem(e.effect, e.axis) is None)
         known = real.axis.model_copy(update={"effects": ()})
-        self._machine = Shaft(imitated.model_copy(update={"effects": of_shaft}), None, (), 1)
+        self._machine = Shaft(emulated.model_copy(update={"effects": of_shaft}), None, (), 1)
         self._real = lay.pack(known, real.load_motor)
         self._filter = TrackingFilter(filter_cycles * cycle_s)
         self._cycle_s = cycle_s
@@ -180,7 +180,7 @@ class ImitatedShaft:
             Quantity("v1_rad_s", "rad/s", "speed of the shaft"),
             Quantity("a1_rad_s2", "rad/s²", "acceleration of the shaft"),
         )
-        effects = tuple(effect_id for effect_id in IDS if imitated_effect_problem(effect_id, 1) is None)
+        effects = tuple(effect_id for effect_id in IDS if emulated_effect_problem(effect_id, 1) is None)
         of_machine = self._machine.describe()
         return PlantDescription(
             kind=of_machine.kind,
@@ -245,26 +245,26 @@ class ImitatedShaft:
             case (np.ndarray() as motion, float() as time_s):
                 self._filter.motion[:], self._own[_TIME_S] = motion, time_s
             case _:
-                raise ValueError("a state of another machine, expected one of an equal imitated shaft")
+                raise ValueError("a state of another machine, expected one of an equal emulated shaft")
 
     def parameter(self, name: str) -> float:
-        """Present value of what is imitated. Raises ValueError for an unknown name."""
+        """Present value of what is emulated. Raises ValueError for an unknown name."""
         return self._machine.parameter(name)
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Imitate another value from now on. Raises ValueError for an unknown name or an impossible value."""
+        """Emulate another value from now on. Raises ValueError for an unknown name or an impossible value."""
         self._stale = True
         self._machine.set_parameter(name, value)
 
     def set_input(self, name: str, value: float) -> None:
-        """Torque from outside that is imitated as well. Raises as `Shaft.set_input`."""
+        """Torque from outside that is emulated as well. Raises as `Shaft.set_input`."""
         self._stale = True
         self._machine.set_input(name, value)
 
     def set_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
-        """Imitate an effect of the shaft from now on. Raises ValueError, also for effects of drive and motor."""
+        """Emulate an effect of the shaft from now on. Raises ValueError, also for effects of drive and motor."""
         self._check(effect_id, axis)
         self._stale = True
         self._machine.set_effect(effect_id, axis, section=section, slot=slot, **parameters)
@@ -272,22 +272,22 @@ class ImitatedShaft:
     def clear_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0
     ) -> None:
-        """Imitate it no more. Raises as `set_effect`."""
+        """Emulate it no more. Raises as `set_effect`."""
         self._check(effect_id, axis)
         self._stale = True
         self._machine.clear_effect(effect_id, axis, section=section, slot=slot)
 
     def _check(self, effect_id: str, axis: int | None) -> None:
-        problem = imitated_effect_problem(effect_id, axis)
+        problem = emulated_effect_problem(effect_id, axis)
         if problem:
             raise ValueError(problem)
 
 
 class ShaftInStep(CompiledInStep):
-    """An `ImitatedShaft` on measured motion, in one call a cycle; see `hilbench.plant.measured_motion.InStep`. Of what
+    """An `EmulatedShaft` on measured motion, in one call a cycle; see `hilbench.plant.measured_motion.InStep`. Of what
     it is now it shows nothing: all that is asked of it are parameters."""
 
-    def __init__(self, shaft: ImitatedShaft, motion: MeasuredMotion, motors: int) -> None:
+    def __init__(self, shaft: EmulatedShaft, motion: MeasuredMotion, motors: int) -> None:
         self._shaft, self._motion, torques_Nm = shaft, motion, np.zeros(motors)
         shaft._own[_CYCLE_S], shaft._own[_LEAD_S] = shaft._cycle_s, motion.ahead_s
         forward, gain = transition(shaft._cycle_s), gains(shaft._cycle_s, shaft._filter.filter_s)

@@ -1,4 +1,4 @@
-"""A whole recording of an imitated line with stations in one call, against the rig and the line cycle by cycle."""
+"""A whole recording of an emulated line with stations in one call, against the rig and the line cycle by cycle."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import pytest
 
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.emulation import Emulation
+from hilbench.plant.web_line.line_emulation import simulate_emulated_line
 from hilbench.plant.web_line.line_follower import LineFollower
-from hilbench.plant.web_line.line_imitation import simulate_imitated_line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor
 from hilbench.runs.config import load
@@ -78,9 +78,9 @@ def test_recording_in_one_call_is_what_the_bench_does_cycle_by_cycle(
     n, k = parameters.axis_count, parameters.span_count
     commands = speeds(ROWS, n)
     boundary = np.tile([parameters.upstream_strain, parameters.boundary.downstream_tension_N], (ROWS, 1))
-    imitation = Imitation(CYCLE_S, tuple(CoupledMotor(axis=axis) for axis in load_axes))
-    given = imitation, parameters, lay.pack(parameters), commands, boundary, list(sensors), forces_N
-    found = simulate_imitated_line(*given)
+    emulation = Emulation(CYCLE_S, tuple(CoupledMotor(axis=axis) for axis in load_axes))
+    given = emulation, parameters, lay.pack(parameters), commands, boundary, list(sensors), forces_N
+    found = simulate_emulated_line(*given)
     of_axes = [entry for entry in parameters.effects if entry.axis is not None]
     of_line = [entry for entry in parameters.effects if entry.axis is None]
     line = LineFollower(parameters.model_copy(update={"effects": tuple(of_line)}))

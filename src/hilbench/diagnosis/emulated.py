@@ -1,4 +1,4 @@
-"""How the machine of a bench's recording was imitated: from the bench config that made it."""
+"""How the machine of a bench's recording was emulated: from the bench config that made it."""
 
 from __future__ import annotations
 
@@ -6,30 +6,30 @@ from contextlib import suppress
 from pathlib import Path
 
 from hilbench.canopen.eds import shared_eds
-from hilbench.diagnosis.machines import AnyImitation
+from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.addressing import declared_units
 from hilbench.plant.effect import MachineKind
-from hilbench.plant.servo_axis.imitated_run import ShaftImitation
-from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.servo_axis.emulated_run import ShaftEmulation
+from hilbench.plant.web_line.emulation import Emulation
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
 
 
-def imitation_of(config: BenchConfig) -> AnyImitation | None:
-    """How the bench of this config imitates its machine; None without a load motor. Without its EDS files it is not
+def emulation_of(config: BenchConfig) -> AnyEmulation | None:
+    """How the bench of this config emulates its machine; None without a load motor. Without its EDS files it is not
     known what its drives round to."""
     resolution = None
     with suppress(UnusableInputError):  # a run folder that was brought here from another machine
         resolution = tuple(_resolution(config, axis) for axis in range(1, len(config.drives) + 1))
     if config.machine_kind is MachineKind.WEB_LINE:
-        return Imitation(config.cycle_time_s, config.rig_parameters().load_motors, resolution)
+        return Emulation(config.cycle_time_s, config.rig_parameters().load_motors, resolution)
     if not config.load_motors:
         return None
     stand = config.servo_rig_parameters(effects=())
-    return ShaftImitation(config.cycle_time_s, stand, None if resolution is None else resolution[0])
+    return ShaftEmulation(config.cycle_time_s, stand, None if resolution is None else resolution[0])
 
 
 def _resolution(config: BenchConfig, axis: int) -> float:
@@ -39,10 +39,10 @@ def _resolution(config: BenchConfig, axis: int) -> float:
     return units.velocity_rad_s / config.machine.motor_rad_per_unit(axis)
 
 
-def imitation_beside(recording: Path) -> AnyImitation | None:
+def emulation_beside(recording: Path) -> AnyEmulation | None:
     """By the config in the run folder that a recording lies in; None if it lies in no run folder.
 
     Raises UnusableInputError for a config that can't be read.
     """
     folder = RunFolder(recording.parent)
-    return imitation_of(load(folder.config)[0]) if folder.config.is_file() else None
+    return emulation_of(load(folder.config)[0]) if folder.config.is_file() else None

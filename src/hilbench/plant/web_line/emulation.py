@@ -1,7 +1,7 @@
-"""A web that a load motor imitates, whole recordings in one compiled call: the stand's mechanics under the load model.
+"""A web that a load motor emulates, whole recordings in one compiled call: the stand's mechanics under the load model.
 
 What the bench does each cycle (`hilbench.bench.tasks.load_model`): the web is followed on the rollers' positions at
-SYNC, its tension is predicted over the delay of the imitation, and the load motor gets the torque with the next SYNC.
+SYNC, its tension is predicted over the delay of the emulation, and the load motor gets the torque with the next SYNC.
 Between them the axes turn under their drives and the load motor, without a web. Noise and resolution are left out.
 """
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, CUBE, MATRIX, REAL, VECTOR, compiled, entry_point, inlined
 from hilbench.plant.motor_port import MotorMode
-from hilbench.plant.sampled_shaft import imitation_delay_s
+from hilbench.plant.sampled_shaft import emulation_delay_s
 from hilbench.plant.sampling import on_all_cores, samples_per
 from hilbench.plant.web_line import kernel, laws
 from hilbench.plant.web_line import layout as lay
@@ -29,10 +29,10 @@ from hilbench.plant.web_line.stability import sampled_shaft
 
 
 @dataclass(frozen=True)
-class Imitation:
-    """How a bench imitates the web: its cycle, the load motors on shafts of axes, and whole units of set points."""
+class Emulation:
+    """How a bench emulates the web: its cycle, the load motors on shafts of axes, and whole units of set points."""
 
-    #: What is imitated, for a person.
+    #: What is emulated, for a person.
     part: ClassVar[str] = "web"
 
     cycle_s: float
@@ -41,7 +41,7 @@ class Imitation:
     resolution_m_s: tuple[float, ...] | None = None
 
     @classmethod
-    def usual(cls, model: ModelParameters, cycle_s: float) -> Imitation:
+    def usual(cls, model: ModelParameters, cycle_s: float) -> Emulation:
         """Of a bench of which nothing is known: a load motor at the last roller or, with stations, wherever the web
         pulls."""
         axes = range(1, model.axis_count + 1)
@@ -61,7 +61,7 @@ def lead_s(model: ModelParameters, cycle_s: float) -> float:
 
     Raises ValueError for a model without drives.
     """
-    return imitation_delay_s(sampled_shaft(model, cycle_s=cycle_s))
+    return emulation_delay_s(sampled_shaft(model, cycle_s=cycle_s))
 
 
 @inlined
@@ -138,10 +138,10 @@ def _rows(
             torques[j] = (behind_N - (tension[i - 1] if i > 0 else upstream_N)) * pull_Nm_per_N
 
 
-SimulateImitated = Callable[..., None]
+SimulateEmulated = Callable[..., None]
 
 
-def _entry_point(sources: int) -> SimulateImitated:
+def _entry_point(sources: int) -> SimulateEmulated:
     """The compiled function; `sources` as in the kernel."""
 
     @entry_point(MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, MATRIX, MATRIX, COUNT, REAL, REAL, CUBE)
@@ -182,18 +182,18 @@ def _entry_point(sources: int) -> SimulateImitated:
 _simulate_rows = _entry_point(kernel.source_number(spans.__file__, __file__))
 
 
-def simulate_imitated(
-    imitation: Imitation,
+def simulate_emulated(
+    emulation: Emulation,
     model: ModelParameters,
     parameters: Vector,
     state: Vector,
     commands: NDArray[np.float64],
     boundary: NDArray[np.float64],
 ) -> Simulation:
-    """Simulate recorded velocity commands on the rig of a model of N axes and K spans, the web imitated by load motors.
+    """Simulate recorded velocity commands on the rig of a model of N axes and K spans, the web emulated by load motors.
 
     parameters: (P,) or (B, P) of the model from `layout.pack`, with effects: those of the axes are in the mechanics,
-    those of the web in what is imitated. state: (S,) or (B, S) of the model, not changed; its strains are the imitated
+    those of the web in what is emulated. state: (S,) or (B, S) of the model, not changed; its strains are the emulated
     web's. commands (n, N) m/s at the web, boundary (n, 2) upstream strain and downstream tension (N), a row each cycle.
     Torques and motion of the result are those of the axes; its `state` is the given one.
     Raises ValueError for a cycle that is no multiple of the drives' sample time, or shapes that do not fit.
@@ -203,21 +203,21 @@ def simulate_imitated(
     n = model.axis_count
     if commands.ndim != 2 or commands.shape[1] != n or np.shape(boundary) != (len(commands), 2):
         raise ValueError(f"commands {commands.shape}, boundary {np.shape(boundary)}, expected (n, {n}) and (n, 2)")
-    stands = stands_of(imitation, model, many)
+    stands = stands_of(emulation, model, many)
     layout = Layout.of(stands[0])
     starts, followers = _start(layout, stands, many, states, boundary[0])
     inputs = rig_inputs(layout, n, layout.motor_states(starts[0])[n:, lay.SM_TORQUE_NM])
     rows = np.ascontiguousarray(commands * layout.motor_rows(stands[0])[:n, lay.M_RAD_PER_M])
     limits = np.ascontiguousarray(boundary, dtype=np.float64)
-    samples = samples_per(imitation.cycle_s, many[0, lay.W_SAMPLE_TIME_S])
+    samples = samples_per(emulation.cycle_s, many[0, lay.W_SAMPLE_TIME_S])
     of_rig, k = layout.output_size, Layout.of(many[0]).spans
     out = np.empty((len(many), len(rows), of_rig + 2 * k))
-    lead = lead_s(model, imitation.cycle_s)
+    lead = lead_s(model, emulation.cycle_s)
 
     def run(share: slice) -> None:
         _simulate_rows(
             stands[share], starts[share], inputs.copy(), layout.new_work(), many[share], followers[share],
-            spans.new_follower_work(Layout.of(many[0])), rows, limits, samples, imitation.cycle_s, lead, out[share],
+            spans.new_follower_work(Layout.of(many[0])), rows, limits, samples, emulation.cycle_s, lead, out[share],
         )  # fmt: skip
 
     on_all_cores(run, len(many))
@@ -244,13 +244,13 @@ def of_axes(layout: Layout, axes: int, out: Vector) -> tuple[Vector, Vector, Vec
     return x, v, tau
 
 
-def stands_of(imitation: Imitation, model: ModelParameters, many: Vector) -> Vector:
+def stands_of(emulation: Emulation, model: ModelParameters, many: Vector) -> Vector:
     """(B, P): the stands of models (B, P), with what the models' effects make of axes and drives."""
     plain = model.model_copy(update={"effects": ()})
     # Their rotors are part of the inertia that the model gives the rollers.
     load_motors = [
         coupled.model_copy(update={"motor": coupled.motor.model_copy(update={"inertia_kg_m2": 0.0})})
-        for coupled in imitation.load_motors
+        for coupled in emulation.load_motors
     ]
     template = pack_rig(RigParameters.matching(plain, load_motors))
     stands = np.tile(template, (len(many), 1))

@@ -1,4 +1,4 @@
-"""The web that load motors imitate: what of a config makes it, and the load model of it."""
+"""The web that load motors emulate: what of a config makes it, and the load model of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.plant.fmu.follower import FmuFollower
 from hilbench.plant.interface import Follower
 from hilbench.plant.pairing import play
-from hilbench.plant.web_line.imitation import lead_s
+from hilbench.plant.web_line.emulation import lead_s
 from hilbench.plant.web_line.line_follower import follower_of
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_way_m
@@ -17,7 +17,7 @@ from hilbench.topology.blocks import LoadConfig
 from hilbench.topology.config import BenchConfig
 
 
-def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
+def emulated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
     """The truth of the run: the model's machine without the model's effects, with what `load:` changes and hides.
 
     The strains around the line stay the model's: they do not follow a change of E in a span.
@@ -35,7 +35,7 @@ def web_load_model(config: BenchConfig, report: Callable[[str], None] = print) -
     model, cycle_s, load_axes = config.web_line, config.cycle_time_s, config.loaded_axes
     machine: Follower
     if config.load.fmu is None:
-        machine = follower_of(imitated_web(model, config.load))
+        machine = follower_of(emulated_web(model, config.load))
     else:
         truths = [quantity.name for quantity in follower_of(model).describe().outputs]
         kind, unit = config.machine_kind, model.position_unit

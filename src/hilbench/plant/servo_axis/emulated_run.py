@@ -1,7 +1,7 @@
-"""A shaft that a load motor imitates, whole recordings in one compiled call: the stand under its load model.
+"""A shaft that a load motor emulates, whole recordings in one compiled call: the stand under its load model.
 
-What the bench does each cycle (`hilbench.bench.tasks.load_model` with `hilbench.plant.servo_axis.imitation`): the
-motion at SYNC is filtered and predicted over the delay of the imitation, and the load motor gets the torque with the
+What the bench does each cycle (`hilbench.bench.tasks.load_model` with `hilbench.plant.servo_axis.emulation`): the
+motion at SYNC is filtered and predicted over the delay of the emulation, and the load motor gets the torque with the
 next SYNC. Noise and resolution are left out.
 """
 
@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from hilbench.compiled import COUNT, CUBE, MATRIX, REAL, VECTOR, entry_point
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.motor_port import MotorMode
-from hilbench.plant.sampled_shaft import imitation_delay_s
+from hilbench.plant.sampled_shaft import emulation_delay_s
 from hilbench.plant.sampling import on_all_cores, samples_per
-from hilbench.plant.servo_axis import imitation, kernel, laws
+from hilbench.plant.servo_axis import emulation, kernel, laws
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import find
-from hilbench.plant.servo_axis.imitation import FILTER_CYCLES, load_torque_Nm, most_rad_s2, steepest_Nm_s_per_rad
+from hilbench.plant.servo_axis.emulation import FILTER_CYCLES, load_torque_Nm, most_rad_s2, steepest_Nm_s_per_rad
 from hilbench.plant.servo_axis.layout import Vector
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.stability import sampled_shaft
@@ -35,10 +35,10 @@ _EFFECTS = slice(lay.P_EFFECTS, lay.P_LOOPS)
 
 
 @dataclass(frozen=True)
-class ShaftImitation:
-    """How a bench imitates a shaft: its cycle, the stand as it believes it to be, whole units of set points."""
+class ShaftEmulation:
+    """How a bench emulates a shaft: its cycle, the stand as it believes it to be, whole units of set points."""
 
-    #: What is imitated, for a person.
+    #: What is emulated, for a person.
     part: ClassVar[str] = "shaft"
 
     cycle_s: float
@@ -61,7 +61,7 @@ def _compiled_rows(sources: int) -> Rows:
     @entry_point(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, COUNT, REAL, MATRIX, VECTOR, MATRIX, *[REAL] * 3, CUBE)
     def rows(
         p: Vector,
-        imitated: Vector,
+        emulated: Vector,
         believed: Vector,
         s: Vector,
         u: Vector,
@@ -87,9 +87,9 @@ def _compiled_rows(sources: int) -> Rows:
             for row in range(commands.shape[0]):
                 kernel.report(p[b], state, observed, 0)
                 fed = 0.0
-                if laws.has_feed_forward(imitated[b]):
+                if laws.has_feed_forward(emulated[b]):
                     a = kernel.acceleration_rad_s2(p[b], state, u)
-                    fed = laws.fed_forward_Nm(imitated[b], row * cycle_s, observed[lay.O_V], a, state[lay.S_DIRECTION])
+                    fed = laws.fed_forward_Nm(emulated[b], row * cycle_s, observed[lay.O_V], a, state[lay.S_DIRECTION])
                 out[b, row, 0], out[b, row, 1] = observed[lay.O_X], observed[lay.O_V]
                 out[b, row, 2] = observed[lay.O_TORQUE] - fed
                 if row > 0:
@@ -101,18 +101,18 @@ def _compiled_rows(sources: int) -> Rows:
                 u[drive], u[load] = commands[row], torque
                 # The torque of what was measured at this SYNC goes out with the next.
                 torque = load_torque_Nm(
-                    imitated[b], believed, row * cycle_s, predicted[0], speed, acceleration, steepest
+                    emulated[b], believed, row * cycle_s, predicted[0], speed, acceleration, steepest
                 )
                 kernel.go_on(p[b], state, u, samples)
 
     return rows
 
 
-_simulate_rows = _compiled_rows(kernel.source_number(imitation.__file__, __file__))
+_simulate_rows = _compiled_rows(kernel.source_number(emulation.__file__, __file__))
 
 
 @dataclass(frozen=True, slots=True)
-class ImitatedRun:
+class EmulatedRun:
     """What the drive reports; arrays (B, n), at each SYNC."""
 
     x_rad: Vector
@@ -120,14 +120,14 @@ class ImitatedRun:
     tau_Nm: Vector
 
 
-def simulate_imitated(
-    bench: ShaftImitation,
+def simulate_emulated(
+    bench: ShaftEmulation,
     model: ServoAxisParameters,
     parameters: Vector,
     commands_rad_s: NDArray[np.float64],
     start: tuple[float, float] = (0.0, 0.0),
-) -> ImitatedRun:
-    """Simulate recorded velocity commands on the stand, on which a load motor imitates the shaft of a model.
+) -> EmulatedRun:
+    """Simulate recorded velocity commands on the stand, on which a load motor emulates the shaft of a model.
 
     parameters: (B, P) of the model from `layout.pack`, with effects: they act on the stand itself, as much as they
     would in the model. commands_rad_s (n,): one each cycle. start: position (rad) and speed (rad/s) in the first row.
@@ -135,12 +135,12 @@ def simulate_imitated(
     """
     many = np.atleast_2d(np.ascontiguousarray(parameters))
     believed = lay.pack(bench.stand.axis.model_copy(update={"effects": ()}), bench.stand.load_motor)
-    stands, imitated = _stands(believed, many), _imitated(many)
+    stands, emulated = _stands(believed, many), _emulated(many)
     states = np.array([_started(stand, *start) for stand in stands])
     inputs = lay.new_inputs(believed)
     lay.motor_inputs(inputs)[:, loops.IN_MODE] = MotorMode.VELOCITY, MotorMode.TORQUE
     samples = samples_per(bench.cycle_s, believed.item(lay.P_SAMPLE_TIME_S))
-    lead_s = imitation_delay_s(sampled_shaft(bench.stand, bench.cycle_s))
+    lead_s = emulation_delay_s(sampled_shaft(bench.stand, bench.cycle_s))
     rows = np.ascontiguousarray(commands_rad_s, dtype=np.float64)
     out = np.empty((len(many), len(rows), 3))
     step, gain = transition(bench.cycle_s), gains(bench.cycle_s, FILTER_CYCLES * bench.cycle_s)
@@ -148,12 +148,12 @@ def simulate_imitated(
 
     def run(share: slice) -> None:
         _simulate_rows(
-            stands[share], imitated[share], believed, states[share], inputs.copy(), rows, samples, bench.cycle_s, step,
+            stands[share], emulated[share], believed, states[share], inputs.copy(), rows, samples, bench.cycle_s, step,
             gain, transition(lead_s), lead_s, steepest, most, out[share],
         )  # fmt: skip
 
     on_all_cores(run, len(many))
-    return ImitatedRun(out[..., 0], out[..., 1], out[..., 2])
+    return EmulatedRun(out[..., 0], out[..., 1], out[..., 2])
 
 
 def _stands(believed: Vector, many: Vector) -> Vector:
@@ -169,8 +169,8 @@ def _stands(believed: Vector, many: Vector) -> Vector:
     return stands
 
 
-def _imitated(many: Vector) -> Vector:
-    """(B, P): what is imitated, without what acts on the stand itself; a step of the inertia and feed-forward stay."""
+def _emulated(many: Vector) -> Vector:
+    """(B, P): what is emulated, without what acts on the stand itself; a step of the inertia and feed-forward stay."""
     shafts = many.copy()
     neutral = many[0].copy()
     lay.write_entries(neutral, ())
