@@ -200,7 +200,7 @@ def test_the_command_prints_the_agreed_object_and_writes_page_and_model(tmp_path
     page = (out / "diagnosis.html").read_text()
     assert "viscous_friction" in page
     assert page.count("<svg") == 2
-    assert "Against what it depends on" in page
+    assert "Residual against operating point" in page
 
 
 @pytest.mark.parametrize(

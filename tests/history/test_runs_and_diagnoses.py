@@ -108,7 +108,7 @@ def test_friction_that_is_there_is_in_the_history_of_a_plain_run(tmp_path: Path)
     # What friction may have changed by itself within the run is in it: 15 % of what was found.
     assert found.sd < hypot(0.5, 0.15 * found.value)
     page = next(tmp_path.glob("runs/*/report.html")).read_text(encoding="utf-8")
-    assert "What the twin estimates of its model" in page
+    assert "Estimated model errors" in page
     assert "coefficient_N_s_per_m" in page
 
 

@@ -449,7 +449,7 @@ ENDS = [
     ([], "STALE", "no SYNC for 3 s, nothing of the bench either"),
     ([Frame(0x000, b"\x80\x00")], "ENDED", "the bench has let its nodes go"),
     ([Frame(0x000, b"\x02\x00")], "ENDED", "the bench has let its nodes go"),
-    ([*EMERGENCY_STOP], "E-STOP", "an emergency stop was heard"),
+    ([*EMERGENCY_STOP], "E-STOP", "an emergency stop was received"),
     ([Frame(0x000, b"\x80\x01")], "STALE", "nothing of the bench"),  # one node's own affair
 ]
 
@@ -535,7 +535,7 @@ def test_the_frames_of_a_whole_run_are_waited_for_run_and_ended(tmp_path: Path) 
         picture.take([frame], 1e-9 * frame.time_ns)
         if picture.as_data()["condition"] != seen[-1]:
             seen.append(picture.as_data()["condition"])
-    assert seen == ["not heard", "running", "ENDED"]
+    assert seen == ["not received", "running", "ENDED"]
 
 
 def test_the_dashboard_says_it_instead_of_old_values(bench: BenchConfig, patient: None) -> None:
@@ -546,7 +546,7 @@ def test_the_dashboard_says_it_instead_of_old_values(bench: BenchConfig, patient
     async def watch() -> list[tuple[str, ...]]:
         seen = []
         async with dashboard.run_test(size=(110, 36)) as pilot:
-            heard = ([], "not heard"), (cycles(bench, 100, 80.0), "running"), ([*EMERGENCY_STOP], "E-STOP")
+            heard = ([], "not received"), (cycles(bench, 100, 80.0), "running"), ([*EMERGENCY_STOP], "E-STOP")
             for frames, said in heard:
                 theirs.send(frames)
                 while not str(dashboard.query_one("#condition", Static).render()).startswith(said):
@@ -558,7 +558,7 @@ def test_the_dashboard_says_it_instead_of_old_values(bench: BenchConfig, patient
         return seen
 
     before, runs, stopped = asyncio.run(asyncio.wait_for(watch(), 60.0))
-    assert before == ("tension: not heard", "-", "-")
+    assert before == ("tension: not received", "-", "-")
     assert runs[0].startswith("tension: 178.0 N")
     assert runs[1:] == ("OPERATION ENABLED", "1.000")
     assert stopped == ("tension: E-STOP", "E-STOP", "-")

@@ -303,7 +303,7 @@ def test_a_twin_does_not_join_by_positions_of_two_instants(late_at: int, monkeyp
 
 
 @pytest.mark.slow
-def test_a_simulation_that_went_astray_is_not_called_synchronized_and_goes_on_from_where_the_line_is(
+def test_a_simulation_that_went_diverged_is_not_called_synchronized_and_goes_on_from_where_the_line_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     bus, off_N, in_step = OnTheBus(monkeypatch), list[float](), list[bool]()
@@ -314,9 +314,9 @@ def test_a_simulation_that_went_astray_is_not_called_synchronized_and_goes_on_fr
         bus.sync(k * CYCLE_S, k * CYCLE_S, TENSION_N + noise_N)
         off_N.append(abs(bus.shown[1] - TENSION_N))
         in_step.append(bus.machine.in_use.synchronized)
-    astray = np.array(off_N) > 10.0
-    assert np.count_nonzero(astray) > 100
-    assert np.count_nonzero(astray & in_step) <= 0.25 / CYCLE_S + 1
+    diverged = np.array(off_N) > 10.0
+    assert np.count_nonzero(diverged) > 100
+    assert np.count_nonzero(diverged & in_step) <= 0.25 / CYCLE_S + 1
     assert in_step[-1]
     assert off_N[-1] < 1.0
 

@@ -46,8 +46,8 @@ def master_at_work(heard: Received, claimed_by: str | None, master_id: int) -> s
     """What tells of another master: the program that has claimed the bus, or else what was heard. None: nothing."""
     signs = ", ".join(heard.signs_of_master(master_id))
     if claimed_by is not None:
-        return f"{claimed_by}; heard: {signs or 'nothing of it'}"
-    return f"heard {signs}; no program of this machine has claimed the bus" if signs else None
+        return f"{claimed_by}; received: {signs or 'nothing of it'}"
+    return f"received {signs}; no program of this machine has claimed the bus" if signs else None
 
 
 def sort_by_node(frames: Iterable[Frame]) -> Received:

@@ -58,7 +58,7 @@ def mastery(
             if signs:
                 raise UnusableInputError(
                     str(bus),
-                    f"another master is at work, heard {', '.join(signs)}; no program of this machine has said that "
+                    f"another master is at work, received {', '.join(signs)}; no program of this machine has said that "
                     "it is the one; expected a bus without, or --force",
                 )
             _refuse_answers(bus, {node_id: f"{part}, simulated; or --no-start" for node_id, part in brings.items()})

@@ -61,7 +61,7 @@ def new(
     kind: Annotated[MachineKind, typer.Option("--kind", help="of the machine")] = MachineKind.WEB_LINE,
     defaults: Annotated[bool, typer.Option("--defaults", help="ask nothing: what would be suggested")] = False,
 ) -> None:
-    """Ask its way to a bench of simulated drives, check it, and write it with a comment at every key that needs one.
+    """Configuration wizard: write a checked bench of simulated drives, with a comment at every key that needs one.
 
     Each answer is checked as it is given, and asked for again when it can't be used.
 

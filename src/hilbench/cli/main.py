@@ -102,7 +102,7 @@ def run(
         typer.Option(
             "--in-process",
             help="simulated hardware and twin in this process: the same frames and recording, faster, but on no bus: "
-            "no monitor hears them; in real time they wait for SYNC, and no answer comes late",
+            "no monitor receives them; in real time they wait for SYNC, and no answer comes late",
         ),
     ] = False,
     report: Annotated[
@@ -116,7 +116,7 @@ def run(
         ),
     ] = False,
     force: Annotated[
-        bool, typer.Option("--force", help="run although another master is heard on the bus (not beside one of ours)")
+        bool, typer.Option("--force", help="run although another master is on the bus (not beside one of ours)")
     ] = False,
     require_criteria: Annotated[
         bool, typer.Option("--require-criteria", help="exit code 1 where no criterion judges the run")
@@ -387,7 +387,7 @@ def sync(
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="runs of a bench at a time")] = 1,
     json: Annotated[bool, typer.Option("--json", help="print the figures as JSON, nothing else")] = False,
 ) -> None:
-    """Compare synchronizers: time to 1 %, overshoot, noise, bias, honesty, cost, and the bound.
+    """Compare synchronizers: time to 1 %, overshoot, noise, bias, coverage of intervals, cost, and the bound.
 
     On a recording every method sees the same samples. With a bench config each method has a run of its own, with real
     processes and frames and the tension loop closed on its twin.

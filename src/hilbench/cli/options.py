@@ -39,6 +39,6 @@ EdsOption = Annotated[
 NodeArgument = Annotated[str, typer.Argument(metavar="NODE", help="node id, or with --config its name: axis1, bench")]
 ForceOption = Annotated[
     bool,
-    typer.Option("--force", help="also beside a master (a running bench, or one that is heard): you answer for it"),
+    typer.Option("--force", help="also beside a master (a running bench, or one received): you answer for it"),
 ]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="run folder")]

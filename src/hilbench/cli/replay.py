@@ -35,7 +35,7 @@ def replay(
     """Send a trace onto a bus in its own time, or let the twin work on a recording as if it were live.
 
     Onto a bus goes what nodes said; what they were told only with --commands. A bus with a master (a bench that runs,
-    or one that is heard) is left alone.
+    or one received) is left alone.
 
     Example: hilbench replay runs/web_section_step-20260101-120000 --bus socketcan:vcan0
 

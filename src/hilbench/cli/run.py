@@ -100,7 +100,7 @@ def _run(
         return outcome
     console = Console(highlight=False)
     alone = participants is Participants.IN_PROCESS
-    where = "in this process, on no bus: no monitor hears it" if alone else loaded.config.bus.address
+    where = "in this process, on no bus: no monitor receives it" if alone else loaded.config.bus.address
     console.print(f"[bold]{loaded.config.name}[/bold]  {where}; {loaded.config.pace}")
     if (known := commissioned_text(loaded.config.twin.priors, datetime.now(UTC))) is not None:
         console.print(known, soft_wrap=True, markup=False)
@@ -211,7 +211,7 @@ class Progress:
     def _rows(self, sample: CycleSample) -> list[tuple[str, str]]:
         factor = max(0.0, sample.t_s) / max(1e-3, time.monotonic() - self._started_s)
         return [
-            ("t", f"{sample.t_s:6.2f} s ({factor:.1f} x real time)"),
+            ("t", f"{sample.t_s:6.2f} s (real-time factor {factor:.1f})"),
             ("cycle", f"{sample.cycle:.0f}"),
             *((row.heading(sample), row.text(sample)) for row in self._shown.live),
             ("bus load", f"{100 * sample.bus_bits / self._bits_per_cycle:.0f} %"),
@@ -287,7 +287,7 @@ def _figure(step: StepRecord, metric: str) -> str:
 def _timing_line(timing: Timing) -> str:
     parts = [f"{timing.cycles} cycles of {timing.cycle_us / 1000:g} ms, {timing.pace}"]
     if timing.realtime_factor is not None:
-        parts.append(f"{timing.realtime_factor:.1f} x real time")
+        parts.append(f"real-time factor {timing.realtime_factor:.1f}")
     if timing.jitter_us is not None:
         jitter = timing.jitter_us
         if timing.late_set_points:

@@ -34,7 +34,7 @@ def scan(
 ) -> None:
     """Show who is on the bus: node id, NMT state, drive state, identity, firmware, EDS file. Writes nothing.
 
-    While another master is at work on the bus (a bench, or one that is heard) it only listens. With --config, nodes of
+    While another master is at work on the bus (a bench, or one received) it only listens. With --config, nodes of
     the bench that are missing, or are other devices than their EDS files say, give exit code 1.
 
     Example: hilbench scan --bus socketcan:can0

@@ -79,7 +79,7 @@ def write(
 ) -> None:
     """Write an object and read it back; a value with a unit ("0.5 N·m", "10 rad/s") is converted to device units.
 
-    A bus with a master (a running bench, or one that is heard) is left alone; what a bench itself has for its operator,
+    A bus with a master (a running bench, or one received) is left alone; what a bench itself has for its operator,
     2200h of node "bench", can be written.
 
     Example: hilbench sdo write 1 quick_stop_deceleration "75 rad/s²" --bus socketcan:can0

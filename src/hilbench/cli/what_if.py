@@ -51,7 +51,7 @@ def what_if(
     bus: BusOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Look ahead: tension, torques and speeds to come, with bands, if something were asked for; nothing is moved.
+    """Predict tension, torques and speeds by Monte Carlo if something were asked for, with bands; nothing is moved.
 
     The futures start from what the run's recording has, or the trace of a run that still goes on; of a config, from
     what is heard on the bus of the bench that runs by it, whose folder may be elsewhere. The rest of the experiment is

@@ -18,7 +18,7 @@ from hilbench.diagnosis.fit_beside_rest import stated_uncertainty, weights
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
-from hilbench.diagnosis.misfit import Condition, Misfit, astray, largest_ratio, located, misfits, ratios
+from hilbench.diagnosis.misfit import Condition, Misfit, beyond_noise, largest_ratio, located, misfits, ratios
 from hilbench.diagnosis.noise import NORMAL_95, Whitening, floor, rms
 from hilbench.diagnosis.predictor import Choice, choice
 from hilbench.diagnosis.proposals import Proposer
@@ -254,7 +254,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
     unexplained = [m for m in after if m.significant]
     found = misfits(names, before[torques] / scale, rows, conditions)
     if predictor.exact:
-        unexplained += _astray(space, final)
+        unexplained += _beyond_noise(space, final)
         unknown = bool(unexplained) or max(ratios(final.residual, rows, floors).values()) > largest_ratio(rows)
     else:
         # Of a fit to all rows, and of one to the others on those held out: it has to hold where it was not made.
@@ -327,13 +327,13 @@ def _without_other(effect: Effect) -> Unobservable:
     return Unobservable(effect.id, 1, None, effect.parameter(effect.strength[0]).unit, OTHER_HELD)
 
 
-def _astray(space: Space, final: Fit) -> list[Misfit]:
+def _beyond_noise(space: Space, final: Fit) -> list[Misfit]:
     """The signals beside the torques (positions, speeds, tensions) that are not where the model has them."""
     predictor = space.predictor
     others = [k for k, name in enumerate(predictor.names) if not name.startswith("tau")]
     floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
     believed = np.hypot(floors, predictor.tolerances)
-    return astray(predictor.names, final.residual, predictor.rows, believed, others)
+    return beyond_noise(predictor.names, final.residual, predictor.rows, believed, others)
 
 
 def _nuisance(model: Machine, chosen: Choice, effects: list[NamedEffect]) -> list[NamedEffect]:

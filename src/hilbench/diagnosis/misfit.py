@@ -32,7 +32,7 @@ _LARGEST_RATIO, _RMS_ERRORS = 1.05, 3.0
 #: 1 + 2·Σρ², with their correlations ρ = 56, 28, 8, 1 in 70.
 _OF_FLOOR: Final = 1.0 + 2.0 * (56.0**2 + 28.0**2 + 8.0**2 + 1.0) / 70.0**2
 #: Times what a signal that is no torque is believed to from which its prediction is wrong.
-_MOST_ASTRAY: Final = 2.0
+_MOST_BEYOND_NOISE: Final = 2.0
 #: Highest frequency in Hz, or order of a turn, of a peak; the lowest order (what takes more than two turns does not
 #: come from the turning); and the lowest of both in cycles over the recording.
 _HIGHEST: Final = 64.0
@@ -193,7 +193,7 @@ def largest_ratio(rows: NDArray[np.bool_]) -> float:
     return max(_LARGEST_RATIO, 1.0 + _RMS_ERRORS * float(np.sqrt((1.0 + _OF_FLOOR) / (2.0 * count))))
 
 
-def astray(
+def beyond_noise(
     names: Sequence[str], residual: Array, rows: NDArray[np.bool_], believed: Array, signals: Sequence[int]
 ) -> list[Misfit]:
     """Signals, by their numbers, whose residual (signals, n) is more than they are believed to (signals,), as an rms.
@@ -205,7 +205,7 @@ def astray(
         left = float(np.sqrt(np.mean(residual[k, rows] ** 2)))
         ratio = left / max(float(believed[k]), 1e-300)
         detail = f"rms {left:.2g}, {ratio:.2g} times what it is known to"
-        found.append(Misfit(names[k], "in all", detail, ratio, _MOST_ASTRAY, "always"))
+        found.append(Misfit(names[k], "in all", detail, ratio, _MOST_BEYOND_NOISE, "always"))
     return [one for one in found if one.significant]
 
 

@@ -25,7 +25,7 @@ def check_heard(
         level = error if expected else warning
         findings.append(level(Check.OTHER_MASTER, bus, master, "no other master on the bus", advice))
     else:
-        findings.append(ok(Check.OTHER_MASTER, bus, "none heard"))
+        findings.append(ok(Check.OTHER_MASTER, bus, "none received"))
     known = {node.node_id for node in expected} | {master_id}
     strangers = {node_id: ids for node_id, ids in heard.nodes.items() if node_id not in known}
     if strangers:
@@ -36,7 +36,7 @@ def check_heard(
         advice = "give it its place under drives: or load_motors: in the config, or take it off the bus"
         findings.append(warning(Check.STRANGERS, bus, found, "only the nodes of the config", advice))
     else:
-        findings.append(ok(Check.STRANGERS, bus, "no node that is not in the config was heard"))
+        findings.append(ok(Check.STRANGERS, bus, "no node that is not in the config was received"))
     return findings
 
 
@@ -57,7 +57,7 @@ def _silent(node: ExpectedNode) -> Finding:
         command = "twin" if node.part.startswith("virtual") else "simulate-hardware"
         advice = f"start it: hilbench {command} CONFIG (or leave out --no-start, and end what runs of the others)"
     else:
-        advice = f"check its power, node id {node.node_id}, bit rate and cable; what is heard: candump -t d INTERFACE"
+        advice = f"check its power, node id {node.node_id}, bit rate and cable; listen: candump -t d INTERFACE"
     return error(Check.NODE_ANSWERS, node.subject, found, "an answer", advice)
 
 

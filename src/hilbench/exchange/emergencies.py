@@ -30,7 +30,7 @@ _CLASSES = {
 _OF_TWIN = {int(problem): problem.name.lower().replace("_", " ") for problem in Problem} | {
     TORQUE_SHIFT: "shift of friction or torque offset of axis {axis}",
     OTHER_CYCLE: "SYNC comes by another cycle than the twin's config has",
-    UNDECIDED: "torque of axis {axis} has changed: E, or a shift of friction or offset; another tension would tell",
+    UNDECIDED: "ambiguous torque change on axis {axis} (E, friction or offset); another tension would decide",
 }
 #: Codes that the bench acts on: these are never too many.
 ACTED_ON = frozenset({int(Problem.WEB_BREAK), int(Problem.SLIP)})
@@ -73,7 +73,7 @@ class Emergency:
 
     def __str__(self) -> str:
         if self.code == 0:
-            return f"EMCY 0000h: {_meaning(self.cleared)} is over" if self.cleared else "EMCY 0000h: no error any more"
+            return f"EMCY cleared: {_meaning(self.cleared)}" if self.cleared else "EMCY 0000h: no error any more"
         if self.code == OTHER_CYCLE:
             return f"EMCY {self.code:04X}h: {_meaning(self.code)}: {1e3 * self.size:.4g} ms"
         size = f", {self.size:+.3g} N·m" if self.code == TORQUE_SHIFT else ""

@@ -20,7 +20,7 @@ SILENCE_S = 1.0
 class Condition(Enum):
     """In the words of the monitor."""
 
-    NOT_HEARD = "not heard"
+    NOT_HEARD = "not received"
     RUNNING = "running"
     STALE = "STALE"
     ENDED = "ENDED"
@@ -67,7 +67,7 @@ class BenchWatch:
         """The condition with what is known of it."""
         condition = self.condition(now_s)
         if condition is Condition.EMERGENCY_STOP:
-            return f"{condition.value}: an emergency stop was heard, nodes are not started again yet"
+            return f"{condition.value}: an emergency stop was received, nodes are not started again yet"
         if condition is Condition.ENDED:
             return f"{condition.value}: the bench has let its nodes go"
         if condition is Condition.STALE:

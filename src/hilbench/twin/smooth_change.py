@@ -1,7 +1,7 @@
 """What is shown while one model goes over into another, without steps that are of the change.
 
 Between two models that follow the same web there is a difference, of which more and more is shown. It jumps where they
-take a late sample, or some cycles without measurement, differently, or where the one that is left goes astray. Such a
+take a late sample, or some cycles without measurement, differently, or where the one that is left diverges. Such a
 jump is shown as a slope: what both models do is followed at once, the rest by no more than a small step in each cycle.
 A difference that goes to and fro with a roller changes by less than that, and is shown as it is.
 """

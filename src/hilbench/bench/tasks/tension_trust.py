@@ -46,9 +46,9 @@ class TwinSignals:
 _AGE_LIMIT, _REFUSES_CYCLES, _LOWEST_N, _HIGHEST_N, _DEVIATION_PCT, _FIGURES = range(6)
 #: Places in a sample: age in cycles, status, tension in N, E and its deviation in Pa.
 _AGE, _STATUS, _TENSION_N, _MODULUS_PA, _DEVIATION_PA, _PLACES = range(6)
-TOLD, _ASTRAY_CYCLES, _UNSURE_CYCLES, _REFUSED_BY_WATCH, _STATE = range(5)
+TOLD, _DIVERGED_CYCLES, _UNSURE_CYCLES, _REFUSED_BY_WATCH, _STATE = range(5)
 #: What `judged` says.
-TRUSTED, _OLD, _ASTRAY, _NO_WEB, _OUTSIDE, _UNSURE = range(6)
+TRUSTED, _OLD, _DIVERGED, _NO_WEB, _OUTSIDE, _UNSURE = range(6)
 
 
 @compiled
@@ -60,10 +60,10 @@ def judged(figures: Vector, state: Vector, values: Vector, words: Places, at: Pl
         return _OLD
     status = words[at[_STATUS]]
     synchronized = status & SYNCHRONIZED != 0
-    astray = status & TRANSFER_REFUSED != 0 and not synchronized
-    state[_ASTRAY_CYCLES] = state[_ASTRAY_CYCLES] + 1.0 if astray else 0.0
-    if state[_ASTRAY_CYCLES] > figures[_REFUSES_CYCLES]:
-        return _ASTRAY
+    diverged = status & TRANSFER_REFUSED != 0 and not synchronized
+    state[_DIVERGED_CYCLES] = state[_DIVERGED_CYCLES] + 1.0 if diverged else 0.0
+    if state[_DIVERGED_CYCLES] > figures[_REFUSES_CYCLES]:
+        return _DIVERGED
     if not (np.isfinite(tension_N) and LEAST_MODULUS_Pa <= modulus_Pa <= LARGEST_MODULUS_Pa):
         return _NO_WEB
     if not figures[_LOWEST_N] <= tension_N <= figures[_HIGHEST_N]:
@@ -143,7 +143,7 @@ class TwinTrust:
         tension_N, modulus_Pa = getattr(sample, self._signals.tension), getattr(sample, self._signals.modulus)
         if found == _OLD:
             return f"the twin's data are more than {config.twin_age_limit_cycles} cycles old"
-        if found == _ASTRAY:
+        if found == _DIVERGED:
             return f"what was measured is not what the twin simulates, for {_REFUSES_S:g} s now"
         if found == _NO_WEB:
             return f"the twin's data are no web's: tension {tension_N:g} N, E {modulus_Pa:g} Pa"

@@ -328,11 +328,11 @@ class Tracking:
         return self._t.item(cycle.REFUSED) != 0.0
 
     @property
-    def astray(self) -> bool:
+    def diverged(self) -> bool:
         """Whether it is the simulation that is not plausible: measured states were refused for long, and until the web
         that was in the span had left it: nothing that was measured wrongly then is in it any more."""
         t = self._t
-        lasts = t.item(cycle.REFUSED) * self._cycle_s > cycle.ASTRAY_S
+        lasts = t.item(cycle.REFUSED) * self._cycle_s > cycle.DIVERGED_S
         return lasts and t.item(cycle.REFUSED_M) > anomalies.PASSED_SPANS * self._balance.span_length_m
 
     @property

@@ -41,7 +41,7 @@ _ALL_AT_ONCE = 0.002
 LARGEST_STRAIN = 0.5
 #: A measured state that is refused for longer is no jump of an encoder, nor a web whose new E is not found yet: the
 #: simulation is not what was measured, s.
-ASTRAY_S = 0.25
+DIVERGED_S = 0.25
 
 # Stages of a cycle; what `run` returns is the stage at which Python has to do something, or DONE.
 COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(8)
@@ -431,7 +431,7 @@ def handed_back_strain(t: Vector, strain: float) -> float:
 def is_synchronized(t: Vector, most_pct: float) -> bool:
     """Whether E is known as well as `most_pct`, the web in the span is the one that was measured, and the simulated web
     is strained as that."""
-    known = t[PROBLEM] == 0.0 and t[STRAIN_UNCERTAINTY] == 0.0 and t[REFUSED] * t[CYCLE_S] <= ASTRAY_S
+    known = t[PROBLEM] == 0.0 and t[STRAIN_UNCERTAINTY] == 0.0 and t[REFUSED] * t[CYCLE_S] <= DIVERGED_S
     return bool(known and t[OWN_DEVIATION_PA] <= 0.01 * most_pct * t[MODULUS_PA])
 
 

@@ -135,7 +135,7 @@ class Listener:
         if self.history.generation != self._generation:
             self._generation = self.history.generation
             self._folder = self._ended = None
-            self.events.add(Entry(None, "monitor", "a run is heard"))
+            self.events.add(Entry(None, "monitor", "a run is received"))
         if self._samples.run is not None:
             self._folder = self._samples.run.folder
         self._note_faults()

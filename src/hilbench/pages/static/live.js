@@ -359,7 +359,7 @@ window.session.then((known) => {
     const badge = $("condition");
     const condition = state.bus_problem ? "NO BUS" : state.condition.toUpperCase();
     setText(badge, isReplay ? `REPLAY: ${state.running ? "the bench ran" : condition}` : condition);
-    badge.className = "badge" + (state.running ? " running" : ["ENDED", "not heard"].includes(state.condition) ? "" : " over");
+    badge.className = "badge" + (state.running ? " running" : ["ENDED", "not received"].includes(state.condition) ? "" : " over");
     setText($("clock"), state.t_s === null ? "" : `t = ${minus(state.t_s.toFixed(2))} s`);
     const why = state.bus_problem || (state.running || state.condition === "ENDED" ? "" : state.condition_text);
     $("why").hidden = !why;

@@ -78,7 +78,7 @@ class Estimate:
             ),
             f"{symbol}_overshoot_pct": Metric(
                 "%",
-                f"largest excess of the estimate over the new {name} beyond noise, of the step",
+                f"largest excess of the estimate over the new {name} beyond noise, % of the step",
                 f"{name} did not step, or {self.signal} is not recorded",
                 lambda s: s.overshoot(self.signal, self.quantity.signal, s.height_of(self.quantity)),
                 after_a_step_of(self.quantity),
@@ -126,7 +126,7 @@ def speed_metrics(speed: MainQuantity, follower: str, measured: str) -> dict[str
         ),
         "speed_overshoot_pct": Metric(
             "%",
-            f"largest excess of {follower} over the new {speed.title} beyond noise, of the step",
+            f"largest excess of {follower} over the new {speed.title} beyond noise, % of the step",
             absent,
             lambda s: s.overshoot(measured, speed.signal, s.height_of(speed)),
             after_a_step_of(speed),

@@ -63,7 +63,7 @@ def _tension(number: str) -> dict[str, Metric]:
         ),
         f"tension{number}_overshoot_pct": Metric(
             "%",
-            "largest excess of the true tension over a new set-point beyond noise, of the step",
+            "largest excess of the true tension over a new set-point beyond noise, % of the step",
             f"the tension set-point did not step, or {true} is not recorded",
             overshoot,
             after_a_step_of(quantity),

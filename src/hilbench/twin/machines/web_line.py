@@ -23,7 +23,7 @@ from hilbench.estimation.web_line.tracking import (
     Known,
     Tracking,
 )
-from hilbench.estimation.web_line.tracking_cycle import ASTRAY_S, LARGEST_STRAIN, as_if_stretched
+from hilbench.estimation.web_line.tracking_cycle import DIVERGED_S, LARGEST_STRAIN, as_if_stretched
 from hilbench.estimation.web_line.unknown_webs import UnknownWebs, creeps_per_N, unknown_webs
 from hilbench.estimation.web_line.unmodelled_effects import priors_behind
 from hilbench.plant.motor_port import MotorPort
@@ -261,12 +261,12 @@ class WebLineTwin:
         return True
 
     def _bring_back(self, time_s: float, positions_m: Sequence[float], torques_Nm: Sequence[float]) -> None:
-        """Let a simulation that went astray go on from where the machine is; a span whose measured strain no web has,
+        """Let a simulation that diverged go on from where the machine is; a span whose measured strain no web has,
         strained as upstream."""
         last, self._last_at = self._last_at, (time_s, positions_m)
         others = self._others
-        astray = any(each.tracking.astray for each in self._all) or (others is not None and others.astray)
-        if last is None or not (astray or self._must_come_back):
+        diverged = any(each.tracking.diverged for each in self._all) or (others is not None and others.diverged)
+        if last is None or not (diverged or self._must_come_back):
             return
         self._must_come_back = False
         speeds = [(x - then) / (time_s - last[0]) for x, then in zip(positions_m, last[1], strict=True)]
@@ -466,9 +466,9 @@ class _OtherSpans:
         self._running = True
 
     @property
-    def astray(self) -> bool:
-        """As `Tracking.astray`."""
-        return self._refused_s > ASTRAY_S and self._refused_m > self._passed_m
+    def diverged(self) -> bool:
+        """As `Tracking.diverged`."""
+        return self._refused_s > DIVERGED_S and self._refused_m > self._passed_m
 
     def strain(self, span: int) -> float:
         """Of the web in one of these spans, as measured."""
