@@ -40,8 +40,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE, EDS = ROOT / "docs" / "faults.md", ROOT / "eds"
 #: What a tension may be off its set-point, and a speed, at the end of a hold.
 TENSION_SHARE, SPEED_SHARE = 0.05, 0.01
-#: A hold lasts until a tension has settled, within these: three times the web passes, and its loop goes.
-SHORTEST_HOLD_S, LONGEST_HOLD_S = 4.0, 12.0
+#: A hold lasts until a tension has settled, within these: six time constants of web and loop.
+SHORTEST_HOLD_S, LONGEST_HOLD_S = 4.0, 15.0
 #: What of EMCY messages is false where the web is whole; that E or a shift has changed the torque (FF18h) is true.
 ALARMS = ("web break", "slip", "slack", "FF17h")
 TRUE = ("FF18h", "EMCY 0000h")
@@ -107,7 +107,7 @@ def drawn(seed: int) -> dict[str, Any]:
 
     names = [f"axis{k}" for k in range(1, axes + 1)]
     bandwidths = [between(1.0, 8.0) for _ in range(1, axes)]
-    settles_s = 3.0 * max((axes - 1) * span_m / speed_m_s, *(1.0 / each for each in bandwidths))
+    settles_s = 6.0 * max((axes - 1) * span_m / speed_m_s, *(1.0 / each for each in bandwidths))
     hold = {"hold": {"duration_s": round(min(max(settles_s, SHORTEST_HOLD_S), LONGEST_HOLD_S), 1)}}
     return {
         "name": f"random_{seed}",
