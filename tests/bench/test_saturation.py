@@ -43,6 +43,33 @@ def test_a_step_of_the_line_speed_that_no_drive_can_follow_is_no_web_break(speed
         assert codes == ["EMCY FF12h", "EMCY 0000h"]
 
 
+def test_a_light_web_on_drives_that_are_quick_beside_the_cycle_breaks_when_it_breaks_and_not_in_a_ramp() -> None:
+    """Their torque at SYNC is a third less than what accelerates the rollers in the mean of a cycle of 5 ms."""
+    running = bench(
+        "cycle_time_s=0.005",
+        "machine.web.youngs_modulus_Pa=0.9e9",
+        "machine.drives.velocity_kp_Nm_s_per_rad=7",
+        "machine.drives.velocity_ki_Nm_per_rad=150",
+        "machine.boundary.upstream_tension_N=7",
+        "machine.boundary.downstream_tension_N=5",
+        "controllers.tension_control.set_point_N=6",
+        "controllers.tension_control.bandwidth_rad_per_s=2",
+    )
+
+    def run() -> None:
+        with running:
+            running.ramp("line_speed_m_s", 3.0, 2.0)
+            running.run(1.0)
+            assert running.last.F_sim_N == pytest.approx(running.last.F_true_N, rel=0.02)
+            running.step("load.web.broken", 1.0)
+            running.run(1.0)
+
+    with pytest.raises(BenchFaultError, match="web break"):
+        run()
+    assert running.fault_time_s is not None
+    assert 3.0 < running.fault_time_s < 3.5
+
+
 def test_a_line_too_heavy_for_its_drives_runs_at_their_limit_and_says_so_once() -> None:
     with bench("machine.rollers.inertia_kg_m2=100") as running:
         running.ramp("line_speed_m_s", 0.3, 0.5)

@@ -103,11 +103,21 @@ def test_what_the_steps_make_of_e_is_looked_at(tmp_path: Path) -> None:
             ["safety.limits.tension_N.warning=90", "safety.limits.tension_N.trip=100"],
             "tension right behind this step of E 156.3 N is beyond the trip level 100 N",
         ),
-        (["set: {path: line_speed_m_s, to: 3}"], [], r"3 m/s at once asks for 112 N·m of axis 1, which has 9 N·m"),
+        (["set: {path: line_speed_m_s, to: 3}"], [], r"3 m/s at once asks for 112 N·m of axis 2, which has 9 N·m"),
         (
             ["ramp: {path: line_speed_m_s, to: 3, duration_s: 4}"],
             ["machine.rollers.inertia_kg_m2=100"],
-            "within 4 s asks for 75 N·m of axis 1, which has 9 N·m: it is at its limit and there no sooner than 33 s",
+            "within 4 s asks for 75.4 N·m of axis 2, which has 9 N·m: it is at its limit and there no sooner than 35 s",
+        ),
+        (
+            ["ramp: {path: line_speed_m_s, to: 3, duration_s: 4}"],
+            ["drives.axis2.parameters={6072h: 200}"],
+            "from 0 to 3 m/s within 4 s asks for 1.32 N·m of axis 2, which has 1 N·m",
+        ),
+        (
+            ["ramp: {path: line_speed_m_s, to: 3, duration_s: 4}"],
+            ["machine.boundary.downstream_tension_N=0", "machine.drives.torque_limit_Nm=4"],
+            "from 0 to 3 m/s within 4 s asks for 4.12 N·m of axis 2, which has 4 N·m",
         ),
     ],
 )

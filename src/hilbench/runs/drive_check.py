@@ -12,6 +12,7 @@ from hilbench.cia402.configuration import default_reader
 from hilbench.cia402.units import RPM
 from hilbench.exchange.addressing import declared_units
 from hilbench.plant.effect import MachineKind
+from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.prospect import Move
 from hilbench.topology.parts import Part, Role
@@ -69,3 +70,11 @@ def _allowed(config: ExperimentConfig, part: Part) -> _Allowed:
     }
     least = min(by, key=lambda name: by[name])
     return _Allowed(part, by[least], least, limit(objects.MAX_ACCELERATION, units.acceleration_rad_s2))
+
+
+def torque_limit_Nm(config: ExperimentConfig, part: Part) -> float:
+    """What the drive of an axis gives at most: its motor's limit in the machine's model, or less by 6072h."""
+    od = shared_eds(part.node.eds, part.node.node_id)
+    limit = default_reader(od, part.node.writes)(objects.MAX_TORQUE, 0) or inf
+    of_motor_Nm = per_item(config.drive_parameters.torque_limit_Nm, part.axis or 1)
+    return min(of_motor_Nm, limit * declared_units(part, od).torque_Nm)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from hilbench.bench.servo_axis_check import check_emulated_inertia, imitable_inertias_kg_m2
-from hilbench.plant.parameters import per_item
 from hilbench.runs.config import LoadedConfig
+from hilbench.runs.drive_check import torque_limit_Nm
 from hilbench.runs.prospect import Move, start_of
 from hilbench.runs.web_line_check import beyond
+from hilbench.topology.parts import Role
 from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SPEED
 
 
@@ -16,7 +17,7 @@ def check_shaft(loaded: LoadedConfig, asked: list[Move]) -> tuple[list[str], flo
     config, document = loaded.config, loaded.document
     limits, inertias = config.safety.limits, [start_of(config).values[SHAFT_INERTIA]]
     warnings: list[str] = []
-    most_Nm = per_item(config.drive_parameters.torque_limit_Nm, 1)
+    most_Nm = torque_limit_Nm(config, config.parts_of(Role.AXIS)[0])
     for move in asked:
         before, after, at = move.before.values, move.after.values, document.place(move.after.place)
         inertia = after[SHAFT_INERTIA]

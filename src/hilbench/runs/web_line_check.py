@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from math import inf, prod
+from math import copysign, expm1, inf, isfinite, nan, prod
 
 from hilbench.bench.tasks.tension_loop import Moduli, OperatingPoint
 from hilbench.bench.web_line_check import alike
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
+from hilbench.runs.drive_check import torque_limit_Nm
 from hilbench.runs.prospect import Move, State, start_of
 from hilbench.runs.web_force_check import beyond_cylinders
 from hilbench.strict_yaml import Location
+from hilbench.topology.parts import Role
+from hilbench.topology.quantities import tension_set_point
 from hilbench.topology.safety import Limit
 from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span
 
@@ -164,15 +167,22 @@ def _too_fast(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
     """An acceleration, or a jump, that takes more torque than a drive has."""
     drives, model = config.web_line.drives, config.web_line
     assert drives is not None, "a bench's model has drives"
-    way_m_s = abs(move.after.line_speed_m_s - move.before.line_speed_m_s)
+    gained_m_s = move.after.line_speed_m_s - move.before.line_speed_m_s
     longest_s, named, needed_Nm, limit_Nm = 0.0, 0, 0.0, inf
-    for axis in range(1, model.axis_count + 1):
-        rad_per_m, most_Nm = model.motor_rad_per_m(axis), per_item(drives.torque_limit_Nm, axis)
+    for part in config.parts_of(Role.AXIS):
+        axis = part.axis or 1
+        rad_per_m, most_Nm, mass_kg = model.motor_rad_per_m(axis), torque_limit_Nm(config, part), model.mass_kg(axis)
+        kp = per_item(drives.velocity_kp_Nm_s_per_rad, axis)
+        pull_N = _pull_N(config, axis, move.after)
         if move.duration_s > 0.0:
-            asks_Nm = model.mass_kg(axis) * way_m_s / move.duration_s / rad_per_m
+            # Set points go in steps: right behind each of them the velocity loop asks for more than the mean.
+            settled = kp * rad_per_m**2 / mass_kg * config.cycle_time_s
+            peak = settled / -expm1(-settled) if settled else 1.0
+            asks_Nm = abs(mass_kg * gained_m_s * peak / move.duration_s + pull_N) / rad_per_m
         else:
-            asks_Nm = per_item(drives.velocity_kp_Nm_s_per_rad, axis) * way_m_s * rad_per_m
-        at_least_s = model.mass_kg(axis) * way_m_s / (most_Nm * rad_per_m)
+            peak, asks_Nm = 1.0, kp * abs(gained_m_s) * rad_per_m
+        left_N = most_Nm * rad_per_m - pull_N * copysign(1.0, gained_m_s)
+        at_least_s = mass_kg * abs(gained_m_s) * peak / left_N if left_N > 0.0 else inf
         if asks_Nm > most_Nm and at_least_s > longest_s:
             longest_s, named, needed_Nm, limit_Nm = at_least_s, axis, asks_Nm, most_Nm
     if named:
@@ -182,3 +192,15 @@ def _too_fast(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
             f"{needed_Nm:.3g} N·m of axis {named}, which has {limit_Nm:g} N·m: it is at its limit and there no sooner "
             f"than {longest_s:.2g} s later, expected a ramp of more than that"
         )
+
+
+def _pull_N(config: ExperimentConfig, axis: int, state: State) -> float:
+    """By how much more the web pulls back at an axis than on, where the tensions beside it are asked for; else 0."""
+    model, around = config.web_line, config.web_line.boundary
+    if config.shape.has_stations or not model.carries_web_load(axis):
+        return 0.0
+    paths = (tension_set_point(config.shape.numbered(span)) for span in range(1, model.span_count + 1))
+    of_spans_N = (state.values.get(path, nan) for path in paths)
+    tensions_N = [around.upstream_tension_N, *of_spans_N, around.downstream_tension_N]
+    pull_N = tensions_N[axis - 1] - tensions_N[axis]
+    return pull_N if isfinite(pull_N) else 0.0

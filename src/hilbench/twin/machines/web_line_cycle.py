@@ -73,8 +73,8 @@ _ENDS = {_DONE: WENT_ON, _LOOK: LOOK, _WITHOUT: MISSED}
 #: Parameters, state, inputs, scratch space and outputs of the line, among those of the first tracking.
 _LINE = _OWN + cycle.LINE_ROW
 #: Figures: by how much ways may differ, drive samples of a cycle, its length; of a method that is Python's what it
-#: takes the strain upstream for beyond what is told.
-_LEAST_WAY_M, _SAMPLES, _CYCLE_S, _INPUT_STRAIN = range(4)
+#: takes the strain upstream for beyond what is told; whether torques are corrected for their ripple.
+_LEAST_WAY_M, _SAMPLES, _CYCLE_S, _INPUT_STRAIN, _RIPPLES = range(5)
 #: Of each span (K, 6): from which deviation E counts as known; whether a method that is Python's tells all apart;
 #: strain of the web that enters; residual of the torque; its shift and whether it is undecided, as they were reported.
 _KNOWN_PCT, _SEPARABLE, _STRAIN_BEFORE, _RESIDUAL_NM, _SHIFT_NM, _UNDECIDED = range(6)
@@ -114,13 +114,14 @@ def _measured(table: Places) -> bool:
         return False
     if not comes_steadily(steady, x_m[1]):
         return False
-    if len(x_m) > 2:  # as `WebLineTwin.compare`
+    if figures[_RIPPLES] != 0.0:  # as `WebLineTwin.compare`
         torques_Nm, p, s = floats(table, _TORQUES, (1,)), floats(table, _LINE, (1,)), floats(table, _LINE + 1, (1,))
         line_vectors.put_torque_ripples(p, s, integers(table, _MOTORS, (1,)), int(figures[_SAMPLES]), torques_Nm)
         for axis in range(len(x_m)):
             torques_Nm[axis] += measured[_MEASURED_SIZE * axis + _TORQUE]
-        of_rollers = floats(table, _OF_ROLLERS, (1,))
-        rollers.take(floats(table, _ROLLERS, (1, 2)), of_rollers, x_m, torques_Nm, figures[_CYCLE_S])
+        if len(x_m) > 2:
+            of_rollers = floats(table, _OF_ROLLERS, (1,))
+            rollers.take(floats(table, _ROLLERS, (1, 2)), of_rollers, x_m, torques_Nm, figures[_CYCLE_S])
     return True
 
 
@@ -142,8 +143,10 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
                 _show(table)
         torque_Nm, centre_m = measured[_MEASURED_SIZE * (k + 1) + _TORQUE], nan
         spans[k, _RESIDUAL_NM] = torque_Nm - t[cycle.SHIFT_NM] - shown[at]
+        if floats(table, _FIGURES, (1,))[_RIPPLES] != 0.0:
+            torque_Nm = torques_Nm[k + 1]
         if len(spans) > 1:
-            torque_Nm = torques_Nm[k + 1] + rollers.force_behind_N(masses_kg, of_rollers, k + 2) / rad_per_m[k + 1]
+            torque_Nm += rollers.force_behind_N(masses_kg, of_rollers, k + 2) / rad_per_m[k + 1]
             centre_m = rollers.centre_m(masses_kg, of_rollers, k + 2)
         torque_sim_Nm = _torque_of_motors_Nm(shown, rad_per_m, k)
         strain_behind = nan
@@ -302,8 +305,8 @@ class EstimatedSpan:
 class LineInVectors:
     """A `WebLineTwin` that goes on in vectors; see `machine.InVectors`.
 
-    `estimated` (K,): of all spans; `rad_per_m` (N,): of the motors, at the web; `passage`: None where nobody looks for
-    other web.
+    `estimated` (K,): of all spans; `rad_per_m` (N,): of the motors, at the web; `ripples`: torques are corrected for
+    their ripple; `passage`: None where nobody looks for other web.
     """
 
     def __init__(
@@ -315,6 +318,7 @@ class LineInVectors:
         rad_per_m: Sequence[float],
         least_way_m: float,
         cycle_s: float,
+        ripples: bool,
         of_rollers: Rollers,
         passage: Passage | None,
         vectors: MachineVectors,
@@ -324,7 +328,7 @@ class LineInVectors:
         self._estimated, self._passage, self._values = estimated, passage, vectors.values
         ways, positions_m = pairing_of_axes.vectors(len(rad_per_m))
         self._positions_m = positions_m
-        self._figures = np.array([least_way_m, float(line.samples), cycle_s, 0.0])
+        self._figures = np.array([least_way_m, float(line.samples), cycle_s, 0.0, float(ripples)])
         known = [(each.tracking.config.synchronized_pct, each.residual_Nm) for each in estimated]
         self._spans = np.array([(pct, 1.0, 0.0, residual_Nm, nan, nan) for pct, residual_Nm in known])
         self._said = np.zeros(_STATUS + 1)

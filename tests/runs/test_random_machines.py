@@ -1,0 +1,17 @@
+"""`check` of a random machine beside its run (tools/random_machines.py); all of them stand in docs/faults.md."""
+
+from __future__ import annotations
+
+import pytest
+from tools.random_machines import Case, drawn, in_short, tried
+
+
+@pytest.mark.parametrize(("seed", "told"), [(9, True), (14, False)])
+def test_what_check_tells_of_a_machine_is_what_its_run_shows_and_a_whole_web_is_not_broken(
+    seed: int, told: bool
+) -> None:
+    case = tried(Case(str(seed), in_short(drawn(seed))))
+    assert not case.refused
+    assert case.agrees
+    assert bool(case.warned) == told
+    assert not case.alarm
