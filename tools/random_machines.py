@@ -84,7 +84,7 @@ def drawn(seed: int) -> dict[str, Any]:
     roller_kg_m2 = float(f"{2 * pi * 7850 * width_m * between(0.004, 0.015) * radius_m**3:.3g}")
     rotor_kg_m2 = float(f"{roller_kg_m2 / gear**2 * between(0.05, 1.0):.3g}")
     inertia_kg_m2 = roller_kg_m2 / gear**2 + rotor_kg_m2
-    # A web as stiff as load motors can imitate at this cycle, or softer, as far as materials are.
+    # A web as stiff as load motors can emulate at this cycle, or softer, as far as materials are.
     swing_rad_s = between(0.03, 0.3) / cycle_s
     stiffness_N = inertia_kg_m2 * (gear / radius_m) ** 2 * swing_rad_s**2 * span_m
     modulus_Pa = float(f"{min(max(stiffness_N / (width_m * thickness_m), 0.1e9), 200e9):.3g}")
