@@ -51,7 +51,7 @@ def test_a_signal_while_results_are_written_waits_for_them_and_is_told(tmp_path,
     outcome = run_experiment(loaded, tmp_path / "runs", participants=Participants.IN_PROCESS, announce=announce)
     assert outcome.exit_code == 130
     assert len(read_recording(outcome.folder.recording)) > 1000
-    assert result_of(outcome.folder.path).passed, "the experiment was over, and is judged"
+    assert result_of(outcome.folder.path).verdict == "completed", "the experiment was over"
     assert outcome.folder.junit.exists()
     stopping, writing = capfd.readouterr().err.splitlines()
     assert stopping.startswith(f"hilbench: {number.name} waits: the drives are brought to a stop (for 0.")

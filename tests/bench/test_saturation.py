@@ -40,7 +40,7 @@ def test_a_step_of_the_line_speed_that_no_drive_can_follow_is_no_web_break(speed
         assert sum("axis 1 is at its limit" in text for text in said) == 1
         assert sum("axis 2 has left its limit" in text for text in said) == 1
         codes = [notice.text[:10] for notice in running.notices if "EMCY" in notice.text]
-        assert codes == ["EMCY FF12h", "EMCY 0000h"]
+        assert codes == ["EMCY FF12h", "EMCY clear"]
 
 
 def test_a_light_web_on_drives_that_are_quick_beside_the_cycle_breaks_when_it_breaks_and_not_in_a_ramp() -> None:

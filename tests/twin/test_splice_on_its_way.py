@@ -72,6 +72,16 @@ def test_a_web_of_another_e_is_followed_while_it_comes_in_and_when_it_is_there(c
         assert np.max(np.abs(told[f"F{span}_sim_N"] - told[f"F{span}_true_N"])[late]) < 1.0
 
 
+@pytest.mark.parametrize("speed_m_s", [2.0, 3.5])
+def test_after_a_long_hold_a_step_of_e_is_no_web_that_comes_in(speed_m_s: float) -> None:
+    both = BesideALine(line_model(*LENGTHS_M), EstimationConfig(splices=True))
+    both.go(1.0, speed_m_s)
+    both.go(12.05)
+    both.line.set_parameter("span1.youngs_modulus_Pa", 1.05 * OLD_PA)
+    both.go(15.0)
+    assert error(both.table(), 1, 12.3, 15.0) < 0.01
+
+
 @pytest.mark.parametrize("change", [0.12, *slow(-0.08, -0.15)])
 def test_in_the_next_span_it_is_expected_and_not_found_anew(change: float) -> None:
     told = passage(change, ENDLESS_M)

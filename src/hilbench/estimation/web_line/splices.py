@@ -36,8 +36,9 @@ Vector = NDArray[np.float64]
 #: Time between two looks, s, and the most and the fewest blocks that are looked at.
 _LOOK_S = 0.1
 _MOST, _FEWEST = 400, 40
-#: Blocks that have to lie before a joint and behind it, and how many places are tried.
-_BEFORE, _BEHIND, _PLACES = 15, 2, 60
+#: Blocks that have to lie before a joint and behind it. Places are tried at each of the last blocks, as a step that is
+#: looked for some blocks beside its place is taken for other web, and at some before them.
+_BEFORE, _BEHIND, _LATEST, _EARLIER = 15, 2, 90, 15
 #: Twice the logarithm of the likelihood: something has changed; one explanation is better than another; it may have.
 _CHANGED, _BETTER, _SUSPECTED = 45.0, 16.0, 25.0
 #: Way of a joint through the span, in lengths, before which it is not told from a step, and up to which what is known
@@ -240,8 +241,7 @@ class SpliceFinder:
         noise = 1.4826 * float(np.median(np.abs(np.diff(compliances)))) / 2.0**0.5
         if not noise > 0.0:
             return None
-        places = np.linspace(_BEFORE, len(ways_m) - _BEHIND - 1, min(_PLACES, len(ways_m) - _BEFORE - _BEHIND))
-        fronts_m = 0.5 * (ways_m[places.astype(int)] + ways_m[places.astype(int) + 1])
+        fronts_m = _fronts_m(ways_m)
         motion = _known_ways(speeds_m_s, accelerating)
         fits = self._fits(ways_m, compliances, motion, fronts_m, noise)
         # What none of them explains, as a roller that a step has hit, counts as noise.
@@ -331,6 +331,14 @@ class SpliceFinder:
             of_piece, acts, seems = share * self._length_m / length_m, share, share * left
         self._joint = Joint(found.front_m, 1.0 / (1.0 + of_piece) - 1.0, length_m)
         return Entered(self._joint, (1.0 + acts) / (1.0 + seems))
+
+
+def _fronts_m(ways_m: Array) -> Array:
+    """Where a joint may have come in, between blocks, (m,)."""
+    latest = np.arange(max(len(ways_m) - _BEHIND - _LATEST, _BEFORE), len(ways_m) - _BEHIND)
+    earlier = np.linspace(_BEFORE, latest[0], min(_EARLIER, int(latest[0]) - _BEFORE), endpoint=False).astype(int)
+    before = np.concatenate([earlier, latest])
+    return np.asarray(0.5 * (ways_m[before] + ways_m[before + 1]))
 
 
 def _known_ways(speeds_m_s: Array, accelerating: Array) -> Array:
