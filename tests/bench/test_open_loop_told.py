@@ -14,7 +14,7 @@ from hilbench.scripts.bench import Bench
 
 #: A deviation of E that no twin has.
 NEVER = {"tension_control": {"twin_deviation_limit_pct": 1e-6}}
-SHORT_LIMIT = {"tension_open_s": 1.0}
+SHORT_LIMIT = {"loop_open_s": 1.0}
 TOLD = "tension loop open for 1.0 s while tension is asked for, axis 1 follows the ratio of speeds: the deviation of E"
 MOVING = [
     {"ramp": {"path": "line_speed_m_s", "to": 2.0, "duration_s": 0.4}},

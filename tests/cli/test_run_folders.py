@@ -120,7 +120,7 @@ def test_compare_says_what_differs(run_folder: Path, tmp_path: Path) -> None:
     done = hilbench("compare", run_folder, other, "--out", tmp_path / "compare.html", "--json")
     assert done.returncode == 0, done.stderr
     data = json.loads(done.stdout)
-    assert [entry["passed"] for entry in data["runs"]] == [False, False]
+    assert [entry["verdict"] for entry in data["runs"]] == ["failed", "failed"]
     rows = {row["metric"]: row for row in data["metrics"]}
     first, second = rows["tension_final_error_N"]["values"]
     assert (second, rows["tension_final_error_N"]["differences"]) == (7.0, [7.0 - first])

@@ -131,7 +131,7 @@ def test_a_tension_loop_that_is_open_for_long_is_a_warning_of_the_page(going_on:
     append_to_journal(going_on.folder / "journal.log", Change(20, "loop_open", "tension loop", 0.01))
     going_on.go_on(1, len(going_on.frames))
     (entry,) = [told(change, t_s) for t_s, change in going_on.samples.told() if change.what == "loop_open"]
-    assert (entry.weight, entry.text) == ("warning", "tension loop open for long while tension is asked for")
+    assert (entry.weight, entry.text) == ("warning", "tension loop open for long")
 
 
 def test_the_next_run_is_another_one(going_on: GoingOn) -> None:

@@ -122,11 +122,6 @@ def tension_set_point(number: str) -> str:
     return f"tension_control.span{number}.set_point_N" if number else TENSION_SET_POINT
 
 
-def tension_loop_words(number: str) -> str:
-    """What messages call the loop of a span's tension; `number` as of `tension_set_point`."""
-    return f"tension loop of span {number}" if number else "tension loop"
-
-
 def span_of_set_point(path: str) -> str | None:
     """The number of the span in the path of a set-point of a tension, "" where it has none; None for another path."""
     found = _NUMBERED_SET_POINT.fullmatch(path)

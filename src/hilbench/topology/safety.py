@@ -62,10 +62,10 @@ class SafetyConfig(Block):
         default=50.0, ge=0.01, le=1e5, description="deceleration of a quick stop of a servo axis, motor side"
     )
     limits: LimitsConfig = LimitsConfig()
-    tension_open_s: PositiveFloat = Field(
+    loop_open_s: PositiveFloat = Field(
         default=5.0,
-        description="a tension loop open for so long while the line moves, or its set-point was changed: a warning, "
-        "and criteria on the tension are not judged",
+        description="a loop open for so long while the machine moves, or its set-point was changed: a warning, "
+        "and criteria on what it controls are not judged",
     )
     on_web_break: Literal["stop", "warn"] = Field(default="stop", description="when the twin reports a web break")
     on_predicted_limit: Literal["warn", "stop", "slow_down"] = Field(

@@ -121,3 +121,8 @@ WEB_LINE: Final = (
     ),
     *BUS_SIGNALS,
 )
+
+
+def tension_loop_words(number: str) -> str:
+    """What messages call the loop of a span's tension; `number` as of `quantities.tension_set_point`."""
+    return f"tension loop of span {number}" if number else "tension loop"

@@ -138,7 +138,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         watches=(
             WebAlarms(trusts, state.twin, stop_on_break=config.safety.on_web_break == "stop"),
             *(CarriageStops(each) for each in model.carriages if each.station.name in config.load.measured),
-            OpenLoops(list(loops.values()), line_speed, config.safety.tension_open_s, state),
+            OpenLoops(list(loops.values()), line_speed, config.safety.loop_open_s, state),
             QuietWatch("limits", limit_watch, reports),
             QuietWatch("saturation", SaturationWatch(config), reports),
         ),

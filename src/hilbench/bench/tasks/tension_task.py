@@ -22,9 +22,10 @@ from hilbench.bench.tasks.web_strain_way import EnteringStrain, StrainWay, enter
 from hilbench.chain import Chained
 from hilbench.compiled import table_of
 from hilbench.exchange.exchange import Inputs
-from hilbench.topology.quantities import tension_loop_words, tension_set_point
+from hilbench.topology.quantities import tension_set_point
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
+from hilbench.topology.web_line_signals import tension_loop_words
 
 Vector = NDArray[np.float64]
 

@@ -231,8 +231,8 @@ def told(change: Change, t_s: float) -> Entry:
     words: dict[str, tuple[str, str, Weight]] = {
         "enabled": ("bench", "drives enabled", "note"),
         "stopping": ("bench", "the drives are brought to a stop", "note"),
-        "loop_open": ("tension", f"{change.path} open for long while tension is asked for", "warning"),
-        "loop_closed": ("tension", f"{change.path} closed after long", "note"),
+        "loop_open": ("controller", f"{change.path} open for long", "warning"),
+        "loop_closed": ("controller", f"{change.path} closed after long", "note"),
         "predicted": ("prediction", f"{change.path} beyond {change.value:.6g} is expected", "warning"),
         "gap_seen": ("live diagnosis", f"model and measurement part since t = {change.value:.3f} s", "warning"),
         "model_proposed": ("live diagnosis", f"another model is proposed: {change.path}", "warning"),

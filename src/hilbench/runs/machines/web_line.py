@@ -14,8 +14,8 @@ from hilbench.runs.figures import SPEED_BAND, mean_velocity
 from hilbench.runs.machines.machine import NO_STEP, Estimate, MachineMetrics, nothing_to_judge, speed_metrics
 from hilbench.runs.stretch import Array, Figure, Metric, Stretch, UnknownFigureError, after_a_step, after_a_step_of
 from hilbench.topology.main_quantities.web_line import line_speed, modulus, set_point
-from hilbench.topology.quantities import tension_loop_words
 from hilbench.topology.signals import SMALLEST, Shape
+from hilbench.topology.web_line_signals import tension_loop_words
 
 Number = TypeVar("Number", float, NDArray[np.float64])
 
