@@ -155,7 +155,7 @@ def test_whatever_breaks_in_mid_run_the_drives_stop_and_the_result_says_what(
     assert State.OPERATION_ENABLED not in stand.states
     if not for_good:
         assert stand.fastest_rad_s < AT_REST_RAD_S
-        assert result.timing.cycles > 100
+        assert result.timing.cycles >= 49  # a step may come at 0.1 s
 
 
 @pytest.mark.parametrize(

@@ -117,7 +117,7 @@ def test_who_was_there_before_the_run_sees_it_from_its_first_sample(browser: Bro
     server = Server(path, "--pace", "realtime")
     anna, errors = opened(browser, server.address), []
     anna.on("pageerror", lambda error: errors.append(str(error)))
-    until(anna, "document.body.dataset.condition === 'not heard'")
+    until(anna, "document.body.dataset.condition === 'not received'")
     anna.wait_for_timeout(500)  # plots without a sample are drawn
     run = start(path, "--pace", "realtime")
     until(anna, RUNNING)

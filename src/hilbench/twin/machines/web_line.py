@@ -46,7 +46,7 @@ from hilbench.twin.machines.web_section import WebSection
 _LARGEST_STEP = 0.005
 #: Share of a cycle, in time constants of the velocity loop, from which the torque is corrected for its ripple: what it
 #: is at SYNC in a ramp is less than its mean by half of that share.
-_RIPPLES_FROM = 0.1
+_RIPPLES_FROM = 0.2
 
 
 def boundary(model: ModelParameters) -> dict[str, float]:
