@@ -14,7 +14,6 @@ import json
 import pwd
 import selectors
 import socket
-import struct
 import sys
 import threading
 import time
@@ -25,6 +24,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from hilbench.can.protocol import peer
 from hilbench.errors import BusError, UnusableInputError
 
 MASTER = "master"
@@ -244,8 +244,7 @@ def _ask(name: str, answer_s: float) -> Holder | None:
             return None
         except OSError:  # so many are waiting already
             return Holder(place, role, pid=0, uid=-1)
-        credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("=iII"))
-        pid, uid, _ = struct.unpack("=iII", credentials)
+        pid, uid = peer(connection)
         try:
             said = json.loads(connection.recv(_ANSWER_BYTES))
         except (OSError, ValueError):  # it was stopped (SIGSTOP), or is ending

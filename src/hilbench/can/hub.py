@@ -19,7 +19,6 @@ import os
 import select
 import signal
 import socket
-import struct
 import sys
 import time
 from collections import deque
@@ -529,11 +528,7 @@ class Hub:
         """Whose stations there are, as the kernel knows them."""
         from hilbench.can.claims import command_line  # only where somebody is told
 
-        pids = {
-            struct.unpack("=i", client.connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 4))[0]
-            for client in self._clients.values()
-            if client.joined
-        }
+        pids = {protocol.peer(client.connection)[0] for client in self._clients.values() if client.joined}
         return ", ".join(f"{command_line(pid) or 'a program'} (process {pid})" for pid in sorted(pids))
 
     def _statistics(self) -> dict[str, Any]:

@@ -101,11 +101,16 @@ def log_path(folder: Path, channel: str) -> Path:
     return folder / f"{channel}.log"
 
 
-def peer_user(connection: socket.socket) -> int:
-    """User id of the process at the other end (SO_PEERCRED: as the kernel saw it connect or listen)."""
+def peer(connection: socket.socket) -> tuple[int, int]:
+    """Process and user id at the other end (SO_PEERCRED: as the kernel saw it connect or listen)."""
     credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("=iII"))
-    _pid, uid, _gid = struct.unpack("=iII", credentials)
-    return int(uid)
+    pid, uid, _gid = struct.unpack("=iII", credentials)
+    return int(pid), int(uid)
+
+
+def peer_user(connection: socket.socket) -> int:
+    """User id of the process at the other end."""
+    return peer(connection)[1]
 
 
 def may_join(connection: socket.socket) -> bool:
