@@ -172,14 +172,14 @@ def _too_fast(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
     for part in config.parts_of(Role.AXIS):
         axis = part.axis or 1
         rad_per_m, most_Nm, mass_kg = model.motor_rad_per_m(axis), torque_limit_Nm(config, part), model.mass_kg(axis)
-        kp = per_item(drives.velocity_kp_Nm_s_per_rad, axis)
         pull_N = _pull_N(config, axis, move.after)
         if move.duration_s > 0.0:
             # Set points go in steps: right behind each of them the velocity loop asks for more than the mean.
-            settled = kp * rad_per_m**2 / mass_kg * config.cycle_time_s
+            settled = model.velocity_loop_per_s(axis) * config.cycle_time_s
             peak = settled / -expm1(-settled) if settled else 1.0
             asks_Nm = abs(mass_kg * gained_m_s * peak / move.duration_s + pull_N) / rad_per_m
         else:
+            kp = per_item(drives.velocity_kp_Nm_s_per_rad, axis)
             peak, asks_Nm = 1.0, kp * abs(gained_m_s) * rad_per_m
         left_N = most_Nm * rad_per_m - pull_N * copysign(1.0, gained_m_s)
         at_least_s = mass_kg * abs(gained_m_s) * peak / left_N if left_N > 0.0 else inf

@@ -232,6 +232,11 @@ class ModelParameters(Block):
         """i/r: motor angle per metre of web; also web force per motor torque."""
         return self.gear_ratio(axis) / self.radius_m(axis)
 
+    def velocity_loop_per_s(self, axis: int) -> float:
+        """How fast the velocity loop of an axis follows a set point: kp/J at the motor, 0 without drives."""
+        kp = per_item(self.drives.velocity_kp_Nm_s_per_rad, axis) if self.drives else 0.0
+        return kp * self.motor_rad_per_m(axis) ** 2 / self.mass_kg(axis)
+
     def motor_rad_per_unit(self, axis: int) -> float:
         """Motor angle per unit of the axis' position: `motor_rad_per_m`."""
         return self.motor_rad_per_m(axis)

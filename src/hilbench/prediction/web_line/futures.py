@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import interpreted
 from hilbench.plant.motor_port import MotorMode
-from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.offline import start_state
@@ -92,9 +91,7 @@ def step_s(model: ModelParameters, horizon_s: float) -> float:
         around = [span for span in (axis - 1, axis) if 1 <= span <= model.span_count]
         spring_N_per_m = sum(model.stiffness_N(span) / model.span_length_m(span) for span in around)
         carried = spring_N_per_m if model.carries_web_load(axis) else 0.0
-        loop = per_item(model.drives.velocity_kp_Nm_s_per_rad, axis) * model.motor_rad_per_m(axis) ** 2
-        mass_kg = model.mass_kg(axis)
-        fastest_per_s = max(fastest_per_s, sqrt(carried / mass_kg), loop / mass_kg)
+        fastest_per_s = max(fastest_per_s, sqrt(carried / model.mass_kg(axis)), model.velocity_loop_per_s(axis))
     return whole_step_s(fastest_per_s, horizon_s, _LONGEST_STEP_S)
 
 
