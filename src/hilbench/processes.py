@@ -13,9 +13,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from hilbench.copies import Copy
 from hilbench.errors import BenchFaultError
@@ -195,6 +196,17 @@ def stop_request() -> Callable[[], bool]:
 
 
 @contextmanager
+def _handled_by(handler: Callable[[int, Any], None]) -> Iterator[Mapping[signal.Signals, Any]]:
+    """Meanwhile the signals that ask the process to end are this handler's; yields those they had before."""
+    before = {number: signal.signal(number, handler) for number in end_signals()}
+    try:
+        yield before
+    finally:
+        for number, other in before.items():
+            signal.signal(number, other)
+
+
+@contextmanager
 def end_requests() -> Iterator[Callable[[], bool]]:
     """Meanwhile the signals that ask the process to end only leave word: a function says whether one has come."""
     asked = threading.Event()
@@ -204,12 +216,8 @@ def end_requests() -> Iterator[Callable[[], bool]]:
             leave_terminal()
         asked.set()
 
-    before = {number: signal.signal(number, ask) for number in end_signals()}
-    try:
+    with _handled_by(ask):
         yield asked.is_set
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 class HeldSignals:
@@ -255,13 +263,11 @@ def finishing(what: str, at_once: Callable[[], bool] = lambda: False) -> Iterato
     outer = signal.getsignal(signal.SIGINT)
     main = threading.current_thread() is threading.main_thread()
     held = outer if main and isinstance(outer, HeldSignals) else HeldSignals()
-    before = {number: signal.signal(number, held) for number in end_signals()} if main and held is not outer else {}
-    try:
-        with held.doing(what, at_once):
-            yield held
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    handled: AbstractContextManager[Mapping[signal.Signals, Any]] = nullcontext({})
+    if main and held is not outer:
+        handled = _handled_by(held)
+    with handled as before, held.doing(what, at_once):
+        yield held
     if before and held.asked is not None:
         handler = before[signal.Signals(held.asked)]
         (handler if callable(handler) else signal.default_int_handler)(held.asked, None)

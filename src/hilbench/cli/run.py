@@ -59,7 +59,7 @@ def run_command(
             streams=streams,
         )  # fmt: skip
     if require_criteria and outcome.result.verdict == "completed":
-        outcome.exit_code = EXIT_CRITERION_FAILED
+        outcome.exit_code = outcome.exit_code or EXIT_CRITERION_FAILED
         print("hilbench: nothing was judged, expected at least one criterion (--require-criteria)", file=sys.stderr)
     if as_json:
         print(outcome.as_json())

@@ -17,9 +17,10 @@ import yaml
 from hilbench.errors import UnusableInputError
 from hilbench.files import content
 from hilbench.results.run_folder import RunFolder
+from hilbench.results.verdict import RunVerdict, verdict_of
 
-State = Literal["passed", "failed", "completed", "fault", "interrupted", "unfinished", "running"]
-STATES: Final[tuple[State, ...]] = get_args(State)
+State = RunVerdict | Literal["unfinished", "running"]
+STATES: Final[tuple[State, ...]] = (*get_args(RunVerdict), "unfinished", "running")
 _TIME_IN_NAME: Final = re.compile(r"-(\d{8}-\d{6})(?:-\d+)?$")
 _TOP_LEVEL: Final = re.compile(r"^(name|description|stand|seed|pace):.*\n(?:[ \t].*\n)*", re.MULTILINE)
 _LARGEST_SEED: Final = 2**63
@@ -203,7 +204,7 @@ def _of_result(result: Mapping[str, Any]) -> dict[str, Any]:
         Verdict(each["name"], _verdict(each), tuple(each.get("verifies", ())), _found(each)) for each in criteria
     ]
     return {
-        "state": _state(result["passed"], criteria, faults),
+        "state": verdict_of(faults[0]["source"] if faults else None, judged=bool(criteria), passed=result["passed"]),
         "duration_s": timing["cycles"] * timing["cycle_us"] * 1e-6,
         "met": sum(bool(each["passed"]) for each in criteria),
         "criteria": len(criteria),
@@ -230,15 +231,6 @@ def _found(criterion: Mapping[str, Any]) -> str:
     value = criterion["value"]
     known = criterion.get("reason") or "no value" if value is None else f"{value:.5g} {criterion['unit']}".strip()
     return f"{known} ({criterion['limit']})"
-
-
-def _state(passed: bool, criteria: Sequence[Any], faults: Sequence[Mapping[str, Any]]) -> State:
-    """As `results.result.Result.verdict` says it."""
-    if faults:
-        return "interrupted" if faults[0]["source"] == "operator" else "fault"
-    if not criteria:
-        return "completed"
-    return "passed" if passed else "failed"
 
 
 def _commit(git: Mapping[str, Any] | None) -> str:

@@ -20,7 +20,7 @@ SILENCE_S = 1.0
 class Condition(Enum):
     """In the words of the monitor."""
 
-    NOT_HEARD = "not received"
+    NOT_RECEIVED = "not received"
     RUNNING = "running"
     STALE = "STALE"
     ENDED = "ENDED"
@@ -60,7 +60,7 @@ class BenchWatch:
         if self._ended is not None:
             return self._ended
         if self._sync_s is None:
-            return Condition.NOT_HEARD
+            return Condition.NOT_RECEIVED
         return Condition.RUNNING if now_s - self._sync_s <= SILENCE_S else Condition.STALE
 
     def text(self, now_s: float) -> str:
@@ -74,6 +74,6 @@ class BenchWatch:
             alive = self._master_s is not None and now_s - self._master_s <= SILENCE_S
             why = "the bench pauses" if alive else "nothing of the bench either"
             return f"{condition.value}: no SYNC for {now_s - (self._sync_s or 0.0):.0f} s, {why}"
-        if condition is Condition.NOT_HEARD:
+        if condition is Condition.NOT_RECEIVED:
             return f"{condition.value}: no SYNC on this bus yet (a run --in-process is on none)"
         return str(condition.value)

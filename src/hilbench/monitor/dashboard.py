@@ -318,7 +318,7 @@ class Dashboard(App[None]):
         self.query_one(f"#{trend.signal}", Sparkline).data = [value - least for value in values]
         picture = self._picture
         if not values:
-            now = Condition.NOT_HEARD.value
+            now = Condition.NOT_RECEIVED.value
         elif picture.twin_is_heard:
             number = partial(_number, digits=_digits(max(map(abs, values))))
             now = f"{number(values[-1])} {trend.unit}  ({number(least)} to {number(max(values))})"
@@ -361,7 +361,7 @@ def _row(node: NodePicture, condition: Condition) -> tuple[str, ...]:
         return "-" if value is None else f"{value:.3f}"
 
     statusword = "-" if node.statusword is None else f"{node.statusword:04X}h"
-    over = condition not in (Condition.RUNNING, Condition.NOT_HEARD)
+    over = condition not in (Condition.RUNNING, Condition.NOT_RECEIVED)
     instead = condition.value if over else Condition.STALE.value if node.stale else "-"
     states = (node.nmt_state or (Condition.STALE.value if node.stale else "-"), node.drive_state or instead, statusword)
     return (str(node.node_id), node.part, *states, number(node.velocity_rad_s), number(node.torque_Nm))

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from datetime import datetime
 from importlib import metadata
 from math import isfinite
-from typing import Annotated, Any, ClassVar, Final, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +25,8 @@ from hilbench.block import Strict
 from hilbench.json_file import JsonFile
 from hilbench.plant.effects import find_effect
 from hilbench.results.provenance import Provenance
-from hilbench.runs.criteria import CriterionResult, RunVerdict
+from hilbench.results.verdict import RunVerdict, verdict_of
+from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import Event
 from hilbench.runs.metrics import Judgement, StepFigures
 from hilbench.twin.found import FoundBeside
@@ -34,8 +35,6 @@ Count = Annotated[int, Field(ge=0)]
 
 #: Libraries whose version a result depends on.
 LIBRARIES = ("numpy", "numba", "scipy", "canopen", "python-can", "asammdf", "pydantic", "matplotlib")
-#: Source of the fault of a run that its operator has ended.
-BY_OPERATOR: Final = "operator"
 _HISTOGRAM_BINS = 60
 #: Steps and events that a result holds, of a run with more the first.
 MOST_EVENTS = 500
@@ -555,12 +554,9 @@ class Result(_WithOptions, JsonFile):
 
     @property
     def verdict(self) -> RunVerdict:
-        """In one word; of a file of before, too, whose `passed` is true where nothing was judged."""
-        if self.faults:
-            return "interrupted" if self.faults[0].source == BY_OPERATOR else "fault"
-        if not self.criteria:
-            return "completed"
-        return "passed" if self.passed else "failed"
+        """In one word."""
+        source = self.faults[0].source if self.faults else None
+        return verdict_of(source, judged=bool(self.criteria), passed=self.passed)
 
     def all_warnings(self) -> list[str]:
         """One line for each: losses of frames, then what the bench noted, in the order of time."""

@@ -39,7 +39,6 @@ from hilbench.results.keeping import Keeping
 from hilbench.results.provenance import AskedCommit, Provenance
 from hilbench.results.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
 from hilbench.results.result import (
-    BY_OPERATOR,
     Environment,
     Fault,
     FoundRecord,
@@ -53,6 +52,7 @@ from hilbench.results.result import (
 )
 from hilbench.results.run_folder import RunFolder
 from hilbench.results.trace import TraceWriter
+from hilbench.results.verdict import BY_OPERATOR
 from hilbench.runs import config as config_files
 from hilbench.runs.check import check_experiment
 from hilbench.runs.config import LoadedConfig
@@ -64,6 +64,9 @@ from hilbench.runs.metrics import Judgement, judge
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signal_kinds import Signal
 from hilbench.unexpected import unexpected
+
+#: What a signal waits for once a run has ended.
+WRITING = "recording and result are written"
 
 
 @dataclass
@@ -173,7 +176,7 @@ def run_experiment(
             copies=waiting,
         )
         kept = record.ending.kept("bench", lambda: bench.fault_time_s)
-        with finishing("recording and result are written", partial(_end_at_once, bench)) as held:
+        with finishing(WRITING, partial(_end_at_once, bench)) as held:
             with record.journal, kept, record.trace, bench:
                 announce("run the experiment")
                 foresight = Foresight(config)

@@ -87,8 +87,6 @@ def _text(bound: float | None) -> str:
 
 
 Verdict = Literal["passed", "marginal", "failed", "error"]
-#: Of a run; completed: to its end, without a criterion that says anything of it.
-RunVerdict = Literal["passed", "failed", "completed", "fault", "interrupted"]
 
 
 class CriterionResult(Strict):

@@ -24,16 +24,13 @@ from hilbench.history.web_line_priors import with_commissioned
 from hilbench.processes import finishing
 from hilbench.results.commissioned import commissioned_text
 from hilbench.results.recording import Recording
-from hilbench.results.run import Recorder, RunRecord
+from hilbench.results.run import WRITING, Recorder, RunRecord
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load_with_overrides
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import EventLog
 from hilbench.runs.metrics import Judgement, judge
 from hilbench.topology import quantities
-
-#: What a signal waits for while a bench is left.
-_WRITING = "recording and result are written"
 
 
 @dataclass(frozen=True)
@@ -133,7 +130,7 @@ class Bench(bench.Bench):
         try:
             super().__enter__()
         except BaseException as error:
-            with finishing(_WRITING):
+            with finishing(WRITING):
                 self._end_record(error)
             raise
         atexit.register(self._leave_forgotten)
@@ -143,7 +140,7 @@ class Bench(bench.Bench):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         atexit.unregister(self._leave_forgotten)
-        with finishing(_WRITING):
+        with finishing(WRITING):
             try:
                 super().__exit__(kind, error, trace)
             except BaseException as failure:
