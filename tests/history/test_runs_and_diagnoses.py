@@ -6,6 +6,7 @@ import json
 import re
 from math import hypot
 from pathlib import Path
+from shutil import copytree
 
 import numpy as np
 import pytest
@@ -169,11 +170,12 @@ def test_a_diagnosis_of_a_run_adds_its_effects_and_stays_in_the_run_folder(tmp_p
 
 def test_the_history_can_be_made_again_from_the_run_folders(stand: Path, tmp_path: Path) -> None:
     before, again = stand / "history.sqlite", tmp_path / "again.sqlite"
-    broken = stand / "runs" / "broken"
+    runs = Path(copytree(stand / "runs", tmp_path / "runs"))
+    broken = runs / "broken"
     broken.mkdir()
     (broken / "config.yaml").write_text("name: [")
     (broken / "recording.mf4").write_text("")
-    words = ("--rebuild", "--runs", str(stand / "runs"), "--file", str(again), "--json")
+    words = ("--rebuild", "--runs", str(runs), "--file", str(again), "--json")
     made = json.loads(hilbench("history", *words))
     assert len(made["notes"]) == 1
     assert "broken/config.yaml" in made["notes"][0]
