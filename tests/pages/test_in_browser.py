@@ -113,7 +113,8 @@ def test_a_run_is_watched_changed_and_stopped_by_two(browser: Browser, tmp_path:
 
 
 def test_who_was_there_before_the_run_sees_it_from_its_first_sample(browser: Browser, tmp_path: Path) -> None:
-    path = config(tmp_path, steps=ENDLESS)
+    # a browser that starts beside it may hold up a real-time run for longer than the 25 cycles that a stand allows
+    path = config(tmp_path, steps=ENDLESS, safety={"missing_cycles": 1000})
     server = Server(path, "--pace", "realtime")
     anna, errors = opened(browser, server.address), []
     anna.on("pageerror", lambda error: errors.append(str(error)))
