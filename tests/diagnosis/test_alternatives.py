@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from tests.diagnosis.analytic import Axis
+from tests.diagnosis.analytic import Axis, Ringing
 from tests.plant.models import effect, model
 
 from hilbench.diagnosis.alternatives import Alternatives
@@ -43,3 +43,18 @@ def test_orders_of_a_web_are_tried_at_the_nearest_whole_number_as_well() -> None
     orders = [term.values["order"] for term in candidates if term.place == Place("torque_ripple", 1)]
     assert 6.0 in orders
     assert any(0.0 < abs(order - 6.0) < 0.1 for order in orders)
+
+
+def test_a_ramp_that_becomes_a_step_when_another_term_goes_has_columns_of_its_own() -> None:
+    """A gradual change has a coordinate more than the sudden one that takes its place."""
+    web = Ringing(time_s=10.0, change=9.0)
+    proposer = web.proposer()
+    steps = Steps(web.space, proposer)
+    offered = steps.candidates(steps.fit_of([]))
+    ramp = next(term for term in offered.candidates if term.effect.id == "elasticity_ramp")
+    step = next(term for term in offered.candidates if term.effect.id == "elasticity_step")
+    ramp = ramp.at(ramp.coordinates({**ramp.values, "time_s": 9.975, "duration_s": 0.05, "relative_change": 9.0}))
+    nothing = step.at(step.coordinates({**step.values, "time_s": 3.0, "relative_change": 0.001}))
+    current = fit(web.space, offered.whitening, [nothing, ramp])
+    found, _, _ = Alternatives(steps).tested(current, steps.candidates(current))
+    assert [term.effect.id for term in found.terms] == ["elasticity_step"]

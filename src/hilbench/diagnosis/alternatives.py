@@ -5,7 +5,7 @@ Such others are tied with it; where one explains more it takes the term's place,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -84,7 +84,10 @@ class Alternatives:
             }
             if evidence[term.key]["criterion_gain"] <= 0.0:
                 offered = self._steps.candidates(without)
-                return self.tested(self._steps.again(without, offered.whitening), offered)
+                current = self._steps.again(without, offered.whitening)
+                # a gradual change may have become a sudden one there, which has fewer coordinates
+                own = self._space.point(current.terms, current.residual).derivatives
+                return self.tested(current, replace(offered, own=own))
             # The others as they are: fitted without the term they may have run far off.
             left = self._space.residual(rest)
             others = self._steps.ranked(offered, left, self._own_without(offered, current.terms, k), _ALTERNATIVES)
