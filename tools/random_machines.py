@@ -8,14 +8,15 @@
 A machine is drawn from its seed: two to four driven rollers, their sizes and gears, web, tensions, cycle time and line
 speed, motors and drives to fit. It runs in lockstep in one process: up to speed, a step of Young's modulus, down again.
 The web is whole and nothing is hidden, so that an EMCY of a break, slip, slack web or shift (FF13h to FF17h) is a false
-alarm. What happens in a run: a fault, a warning level, a drive at its limit, or tension or speed off at the end of a
-hold. What `check` says of margins is of loops, and none of this run; a run whose tension loop is open at the end of a
-hold says nothing of its tension.
+alarm. What happens in a run: a fault, a warning level, a drive at its limit for 0.1 s or longer, or tension or speed
+off at the end of a hold. Small margins of a loop that `check` tells may show as any of these, and need not; a run whose
+tension loop is open at the end of a hold says nothing of its tension.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections import Counter
 from dataclasses import dataclass
@@ -44,9 +45,12 @@ TENSION_SHARE, SPEED_SHARE = 0.05, 0.01
 SHORTEST_HOLD_S, LONGEST_HOLD_S = 4.0, 15.0
 #: What of EMCY messages is false where the web is whole; that E or a shift has changed the torque (FF18h) is true.
 ALARMS = ("web break", "slip", "slack", "FF17h")
-TRUE = ("FF18h", "EMCY 0000h")
+TRUE = ("FF18h", "EMCY cleared: ambiguous")
 #: What of the warnings is of the loop's margins.
 MARGINS = "the tension loop rings"
+#: A drive that is at its limit for less altogether, s, is in a transient, of which `check` says nothing.
+AT_LIMIT_S = 0.1
+LIMITED = re.compile(r"(?P<drive>.+) has left its limit: at it for (?P<total_s>\S+) s")
 
 
 @dataclass(frozen=True)
@@ -64,8 +68,8 @@ class Case:
 
     @property
     def agrees(self) -> bool:
-        """Whether what happened was told, and only then."""
-        return bool(self.warned) == bool(self.happened)
+        """Whether what happened was told, and only then; small margins alone need not show in a short run."""
+        return bool(self.warned or self.margins) if self.happened else not self.warned
 
 
 def drawn(seed: int) -> dict[str, Any]:
@@ -223,10 +227,15 @@ def tried(case: Case) -> Case:
 def _seen(result: Result) -> list[str]:
     """Faults and warnings of a run; a loop that opens is told by whether it was ever closed."""
     told = [f"{each.source}: {each.text}" for each in result.faults]
+    ended = [found for each in result.warnings or () if (found := LIMITED.match(each.text))]
+    brief = {found["drive"] for found in ended if float(found["total_s"]) < AT_LIMIT_S}
+    brief -= {found["drive"] for found in ended if float(found["total_s"]) >= AT_LIMIT_S}
     return told + [
         f"{each.source}: {each.text}"
         for each in result.warnings or ()
-        if not each.text.startswith("tension loop") and not any(word in each.text for word in TRUE)
+        if not each.text.startswith("tension loop")
+        and not any(word in each.text for word in TRUE)
+        and not any(each.text.startswith((f"{drive} is at its limit", f"{drive} has left")) for drive in brief)
     ]
 
 
@@ -273,10 +282,10 @@ def table(cases: list[Case]) -> str:
         "machines": len(cases),
         "refused by `check`": len(cases) - len(ran),
         "run": len(ran),
-        "nothing told, nothing happened": sum(case.agrees and not case.warned for case in ran),
-        "told, and happened": sum(case.agrees and bool(case.warned) for case in ran),
+        "nothing told, nothing happened": sum(case.agrees and not case.happened for case in ran),
+        "told, and happened": sum(case.agrees and bool(case.happened) for case in ran),
         "told, did not happen": sum(bool(case.warned) and not case.happened for case in ran),
-        "not told, happened": sum(not case.warned and bool(case.happened) for case in ran),
+        "not told, happened": sum(not case.agrees and bool(case.happened) for case in ran),
         "`check` and run agree": f"{100 * agree / len(ran):.1f} %" if ran else "–",
         "margins told": sum(bool(case.margins) for case in ran),
         "false alarms of break, slip, slack web or shift": len(alarms),

@@ -15,3 +15,18 @@ def test_what_check_tells_of_a_machine_is_what_its_run_shows_and_a_whole_web_is_
     assert case.agrees
     assert bool(case.warned) == told
     assert not case.alarm
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(8, id="a single block of the torque is off before E steps"),
+        pytest.param(55, id="other web is suspected when it is long through"),
+        pytest.param(118, id="a ramp takes many times the tension"),
+    ],
+)
+def test_a_whole_web_neither_breaks_nor_slips(seed: int) -> None:
+    case = tried(Case(str(seed), in_short(drawn(seed))))
+    assert not case.refused
+    assert not case.alarm

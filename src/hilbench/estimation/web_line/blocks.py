@@ -37,8 +37,9 @@ ENDS = 3
     WEB_PER_PA,
     VELOCITY_M_S,
     DURATION_S,
+    ACCELERATES_N,  # what accelerates the roller
     _FIRST,
-) = range(14)
+) = range(15)
 _FIRST_AT, _LAST, _LAST_AT = _FIRST + ENDS, _FIRST + 2 * ENDS, _FIRST + 3 * ENDS
 _SIZE = _FIRST + 4 * ENDS
 
@@ -106,7 +107,8 @@ def _complete(s: Array, velocity_m_s: float) -> None:
     else:
         gained_m_s = velocity_m_s - s[_FIRST]
         cycles = s[_LAST_AT + ENDS - 1] - s[_FIRST_AT]
-    s[FORCE_N] = s[_FORCE_SUM_N] / count - s[_MASS_KG] * gained_m_s / (cycles * s[_CYCLE_S])
+    s[ACCELERATES_N] = s[_MASS_KG] * gained_m_s / (cycles * s[_CYCLE_S])
+    s[FORCE_N] = s[_FORCE_SUM_N] / count - s[ACCELERATES_N]
     s[WEB_PER_PA] = s[_WEB_SUM] / count
     s[VELOCITY_M_S] = velocity_m_s
     s[DURATION_S] = s[_LASTED] * s[_CYCLE_S]
@@ -124,5 +126,7 @@ def new_state(mass_kg: float, cycle_s: float) -> Array:
     """State of what collects the balances of axis 2. `mass_kg`: at the web, of what is behind the span."""
     s = np.zeros(_SIZE)
     s[_MASS_KG], s[_CYCLE_S] = mass_kg, cycle_s
-    s[_CYCLES] = max(2, round(BLOCK_S / cycle_s))
+    cycles = max(2, round(BLOCK_S / cycle_s))
+    # Where the middle ones of the speeds count these have to be apart: an acceleration over one cycle is mostly noise.
+    s[_CYCLES] = max(cycles, 2 * ENDS) if cycles > ENDS else cycles
     return s

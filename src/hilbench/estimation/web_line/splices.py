@@ -260,7 +260,11 @@ class SpliceFinder:
                 return None
             self._joint = None
             return Entered(None, relative_change=1.0 / (1.0 + fits[kind].share) - 1.0)
-        return self._entered(fits[kind], (float(ways_m[-1]) - fits[kind].front_m) / self._length_m)
+        way = (float(ways_m[-1]) - fits[kind].front_m) / self._length_m
+        if self._joint is None and way > _THROUGH:  # found too late: all of the span is that web, whose E is known
+            self._forget_before(fits[kind].front_m)
+            return None
+        return self._entered(fits[kind], way)
 
     def _fits(
         self, ways_m: Array, compliances: Array, motion: Array, fronts_m: Array, noise: float
