@@ -29,7 +29,7 @@ import numpy as np
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.runs.config import ExperimentConfig, load_with_overrides
-from hilbench.runs.foresight import Foresight
+from hilbench.runs.look_ahead import LookAhead
 from hilbench.topology.sample import CycleSample
 
 CONFIGS = Path(__file__).resolve().parents[1] / "bench_configs"
@@ -204,10 +204,10 @@ def run(seed: int, machine: str = "web_line") -> Case:
     """The run of a seed."""
     config, experiment, hidden, signal = DRAWN[machine](seed)
     waits = next(number for number, step in enumerate(config.steps) if step.hold and step.hold.until_s == MOVES_S)
-    foresight, largest = Foresight(config), Largest(signal)
+    look_ahead, largest = LookAhead(config), Largest(signal)
     with Bench(config, observers=[largest], participants=Participants.IN_PROCESS) as bench:
         for number, step in enumerate(config.steps[: waits + 1]):
-            bench.foresee(foresight.plan(number, bench.time_s))
+            bench.foresee(look_ahead.plan(number, bench.time_s))
             if number < waits:
                 step.run(bench, [])
         bench.run(MOVES_S - LEAD_S - bench.time_s)
@@ -220,7 +220,7 @@ def run(seed: int, machine: str = "web_line") -> Case:
         largest.size = 0.0
         config.steps[waits].run(bench, [])
         for number, step in enumerate(config.steps[waits + 1 :], waits + 1):
-            bench.foresee(foresight.plan(number, bench.time_s))
+            bench.foresee(look_ahead.plan(number, bench.time_s))
             step.run(bench, [])
     assert level is not None, "it was drawn"
     return Case(seed, experiment, hidden, signal, level, probability, largest.size > level)

@@ -32,7 +32,7 @@ from hilbench.report.plots import Picture, drawn
 from hilbench.results.recording import Recording
 from hilbench.results.run import Recorder
 from hilbench.runs.config import load_with_overrides
-from hilbench.runs.foresight import Foresight
+from hilbench.runs.look_ahead import LookAhead
 from hilbench.topology.sample import CycleSample
 
 CONFIGS = Path(__file__).resolve().parents[1] / "bench_configs"
@@ -59,7 +59,7 @@ class Outlooks:
 def run(path: Path) -> tuple[Recording, list[Outlook]]:
     """A shipped experiment."""
     config = load_with_overrides(path, bus="embedded").config
-    recorder, outlooks, foresight = Recorder(config.signals), Outlooks(), Foresight(config)
+    recorder, outlooks, look_ahead = Recorder(config.signals), Outlooks(), LookAhead(config)
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(
             config, observers=[recorder, outlooks], participants=Participants.IN_PROCESS, work_folder=Path(folder)
@@ -67,7 +67,7 @@ def run(path: Path) -> tuple[Recording, list[Outlook]]:
         outlooks.bench = bench
         with bench:
             for number, step in enumerate(config.steps):
-                bench.foresee(foresight.plan(number, bench.time_s))
+                bench.foresee(look_ahead.plan(number, bench.time_s))
                 step.run(bench, [])
     return recorder.recording(datetime.now(UTC), ""), outlooks.found
 

@@ -26,7 +26,7 @@ from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.tension_control import TensionController, control
 from hilbench.bench.tasks.tension_cycle import LOOP, MODULUS_PA, SET_POINT_N
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
-from hilbench.bench.tasks.web_strain_way import StrainWay
+from hilbench.bench.tasks.web_strain_trajectory import StrainTrajectory
 from hilbench.bench.tasks.web_winding_control import ROUNDED, CarriageForce, ReelMechanics, ReelTension, eased
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.parameters import per_item
@@ -257,7 +257,9 @@ def film(duration_s: float = 2.0, *, feed_forward: bool = True, modulus_error: f
     strains = model.upstream_strain, model.downstream_strain
     controllers = {span: TensionController.of_model(configs[span], model, strains) for span in spans}
     ways = {
-        span: StrainWay(configs[span].set_point_rise_s, FILM_CYCLE_S, model.span_length_m(span), model.section_m2(span))
+        span: StrainTrajectory(
+            configs[span].set_point_rise_s, FILM_CYCLE_S, model.span_length_m(span), model.section_m2(span)
+        )
         for span in spans
     }
     loops = {span: KnownTension(FILM_N, moduli[span]) for span in spans}

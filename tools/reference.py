@@ -25,7 +25,7 @@ from hilbench.runs import found
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.config_text import json_schema
 from hilbench.runs.metrics import OF_RUNS, OF_STEPS
-from hilbench.runs.stretch import Metric
+from hilbench.runs.segment import Metric
 from hilbench.topology.quantities import PLAIN_PATHS, permitted
 from hilbench.topology.signal_kinds import Signal
 from hilbench.topology.signals import SMALLEST, signals_of

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.tasks.tension_feed_forward import RollerForces, StrainWay
+from hilbench.bench.tasks.tension_feed_forward import RollerForces, StrainTrajectory
 from hilbench.results.recording import read_recording
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides
@@ -56,7 +56,7 @@ def test_a_ramp_of_the_line_speed_leaves_the_tensions() -> None:
 
 
 def test_a_set_point_goes_its_way_smoothly_and_arrives() -> None:
-    way = StrainWay(0.4, CYCLE_S, 4.0, 3e-5)
+    way = StrainTrajectory(0.4, CYCLE_S, 4.0, 3e-5)
     way.reset(80.0 / (9e9 * 3e-5))
     found = []
     for _ in range(200):
@@ -73,7 +73,7 @@ def test_a_set_point_goes_its_way_smoothly_and_arrives() -> None:
 @pytest.mark.parametrize("behind_m_s", [3.0, 0.0, -3.0])
 def test_a_roller_before_a_span_lets_in_what_the_way_of_the_strain_needs_in_both_directions(behind_m_s: float) -> None:
     """By what comes into the span and goes out of it, unstretched, at the strains of where it comes from."""
-    way, length_m, others = StrainWay(0.4, CYCLE_S, 4.0, 3e-5), 4.0, 3e-4
+    way, length_m, others = StrainTrajectory(0.4, CYCLE_S, 4.0, 3e-5), 4.0, 3e-4
     way.reset(80.0 / (9e9 * 3e-5))
     material_m = length_m / (1.0 + 80.0 / (9e9 * 3e-5))
     for _ in range(400):
@@ -86,7 +86,7 @@ def test_a_roller_before_a_span_lets_in_what_the_way_of_the_strain_needs_in_both
 
 
 def test_a_change_of_E_leaves_the_strain_and_only_then_goes_back_to_the_set_point() -> None:
-    way = StrainWay(0.4, CYCLE_S, 4.0, 3e-5)
+    way = StrainTrajectory(0.4, CYCLE_S, 4.0, 3e-5)
     way.reset(90.0 / (9e9 * 3e-5))
     way.update(90.0, 10.8e9)
     assert way.tension_N(10.8e9) == pytest.approx(90.0 * 1.2, rel=1e-3)
@@ -101,16 +101,16 @@ def test_a_roller_that_is_told_its_force_keeps_its_speed() -> None:
     forces = RollerForces(mass_kg, kp, ki, 1e9, CYCLE_S)
     forces.lead_m_s(0.0, 0.0)
     speed_m_s = integral_N = 0.0
-    way_m, way_alone_m, alone_m_s, alone_N = 0.0, 0.0, 0.0, 0.0
+    travel_m, way_alone_m, alone_m_s, alone_N = 0.0, 0.0, 0.0, 0.0
     for _ in range(200):
         lead_m_s = forces.lead_m_s(0.0, force_N)
         for _ in range(100):
             step_s = CYCLE_S / 100
             integral_N += ki * (lead_m_s - speed_m_s) * step_s
             speed_m_s += (kp * (lead_m_s - speed_m_s) + integral_N - force_N) / mass_kg * step_s
-            way_m += speed_m_s * step_s
+            travel_m += speed_m_s * step_s
             alone_N -= ki * alone_m_s * step_s
             alone_m_s += (-kp * alone_m_s + alone_N - force_N) / mass_kg * step_s
             way_alone_m += alone_m_s * step_s
     assert way_alone_m == pytest.approx(-force_N / ki, rel=0.01)
-    assert abs(way_m) < 0.03 * abs(way_alone_m)
+    assert abs(travel_m) < 0.03 * abs(way_alone_m)

@@ -125,13 +125,13 @@ def test_samples_that_stay_a_cycle_old_are_predicted_over_that_cycle_too() -> No
         assert np.max(np.abs(torques(ages, told=told)[110:] - in_time)) < 0.025 * swing
 
 
-def shaft_torques(gone_s: list[float], late: set[int]) -> tuple[np.ndarray, np.ndarray]:
+def shaft_torques(elapsed_s: list[float], late: set[int]) -> tuple[np.ndarray, np.ndarray]:
     """Torques of the load motor of a shaft that swings between 5 and 35 rad/s, and those that they should be.
 
-    `gone_s`: time of the shaft between two samples; `late`: samples that are known to be of an earlier cycle.
+    `elapsed_s`: time of the shaft between two samples; `late`: samples that are known to be of an earlier cycle.
     """
     model = shaft_load_model(load(SERVO)[0])
-    told, times_s = [], np.concatenate([[0.0], np.cumsum(gone_s)])
+    told, times_s = [], np.concatenate([[0.0], np.cumsum(elapsed_s)])
     for k, t in enumerate(times_s):
         position = 20.0 * t - 15.0 / np.pi * np.sin(np.pi * t)
         told += model.update((position,), (20.0 - 15.0 * np.cos(np.pi * t),), late=k in late)

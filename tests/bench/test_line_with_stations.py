@@ -292,10 +292,10 @@ def test_a_reel_change_at_full_speed_leaves_all_tensions_within_3_percent() -> N
         assert np.max(np.abs(found[f"F{span}_true_N"][running] / 80.0 - 1.0)) < 0.03
     assert np.min(found["v1_m_s"][running]) == pytest.approx(0.0, abs=1e-3)
     # What the accumulator gave, four strands of its way, is what did not come from the unwinder meanwhile.
-    way_m = found["x_store_true_m"]
-    assert np.min(way_m) < way_m[0] - 1.0
+    travel_m = found["x_store_true_m"]
+    assert np.min(travel_m) < travel_m[0] - 1.0
     end = np.flatnonzero(running)[-1]
-    assert way_m[end] == pytest.approx(0.65, abs=0.03)
+    assert travel_m[end] == pytest.approx(0.65, abs=0.03)
     assert found["x_store_ref_m"][end] == 0.65
 
 

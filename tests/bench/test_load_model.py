@@ -14,7 +14,7 @@ from hilbench.bench.tasks.emulated_web import web_load_model
 from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.plant.measured_motion import HasFollowed
 from hilbench.plant.web_line.emulation import lead_s
-from hilbench.plant.web_line.sizes import least_way_m
+from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.runs.config import load
 from hilbench.topology.blocks import LoadConfig
 from hilbench.topology.quantities import WEB_BROKEN
@@ -208,7 +208,7 @@ def test_in_one_call_the_web_does_what_it_does_by_its_parts(seed: int) -> None:
     """Positions of one instant and not, late ones, cycles that are missing, another E, a web that tears."""
     whole, parts = LineInOneCall(), Line()
     config, web = parts.config, parts.model.machine
-    least_m = least_way_m(config.web_line)
+    least_m = least_travel_m(config.web_line)
     lead = lead_s(config.web_line, CYCLE_S)
     parts.model = LoadModel(ByItsParts(web), config.loaded_axes, CYCLE_S, lead, least_m)  # type: ignore[arg-type]
     random = Random(seed)

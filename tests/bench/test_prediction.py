@@ -27,7 +27,7 @@ from hilbench.results.recording import read_recording
 from hilbench.results.result import Result
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import load_with_overrides
-from hilbench.runs.foresight import Foresight
+from hilbench.runs.look_ahead import LookAhead
 from hilbench.topology.sample import CycleSample, sample_type
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
@@ -187,11 +187,11 @@ def test_a_change_of_the_modulus_is_foreseen_as_the_twin_will_find_it(span: int)
     config = load_with_overrides(CONFIGS / "line_two_spans.yaml", changes=changes).config
     tensions: list[float] = []
     seen = SimpleNamespace(sample=lambda sample: tensions.append(getattr(sample, f"F{span}_true_N")))
-    foresight = Foresight(config)
+    look_ahead = LookAhead(config)
     with Bench(config, observers=[seen], participants=Participants.IN_PROCESS) as bench:
-        bench.foresee(foresight.plan(0, 0.0))
+        bench.foresee(look_ahead.plan(0, 0.0))
         config.steps[0].run(bench, [])
-        bench.foresee(foresight.plan(1, bench.time_s))
+        bench.foresee(look_ahead.plan(1, bench.time_s))
         bench.run(2.5 - bench.time_s)
         assert bench.prediction is not None
         outlook = bench.prediction.outlook

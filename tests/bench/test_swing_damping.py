@@ -29,7 +29,7 @@ DEMONSTRATOR = SwingPlant(
     sample_time_s=0.001,
     torque_limit_N=225.0,
     cycle_s=0.002,
-    least_way_m=1e-4,
+    least_travel_m=1e-4,
 )
 #: Heavier rollers on a foil, with stiffer drives and a faster bus.
 OTHER = SwingPlant(
@@ -45,7 +45,7 @@ OTHER = SwingPlant(
     sample_time_s=0.001,
     torque_limit_N=500.0,
     cycle_s=0.001,
-    least_way_m=1e-4,
+    least_travel_m=1e-4,
 )
 Command = Callable[[float, float], float]
 

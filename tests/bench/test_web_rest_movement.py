@@ -139,10 +139,10 @@ def test_an_operator_is_asked_first_and_may_end_it(tmp_path: Path) -> None:
 
 
 def movement_of(
-    axes: int, way_m: float, pulled_m: np.ndarray, positions_m: Positions
+    axes: int, travel_m: float, pulled_m: np.ndarray, positions_m: Positions
 ) -> tuple[RestMovement, SimpleNamespace, list[SimpleNamespace]]:
     leader, moved = SimpleNamespace(creep_m_s=0.0), [SimpleNamespace(pull_m_s=0.0) for _ in range(axes)]
-    return RestMovement(leader, moved, positions_m, way_m, pulled_m, CYCLE_S), leader, moved
+    return RestMovement(leader, moved, positions_m, travel_m, pulled_m, CYCLE_S), leader, moved
 
 
 def line_model(name: str, **changes: object) -> ModelParameters:
@@ -153,18 +153,20 @@ def line_model(name: str, **changes: object) -> ModelParameters:
 SHIPPED_LINES = ["web_section_step.yaml", "line_two_spans.yaml", "line_three_spans.yaml"]
 
 
-@pytest.mark.parametrize("way_m", [0.2e-3, 1e-3])
+@pytest.mark.parametrize("travel_m", [0.2e-3, 1e-3])
 @pytest.mark.parametrize("tension_N", [0.0, 20.0, 500.0])
 @pytest.mark.parametrize("name", SHIPPED_LINES)
-def test_rollers_that_nothing_holds_go_no_farther_than_is_permitted(name: str, tension_N: float, way_m: float) -> None:
+def test_rollers_that_nothing_holds_go_no_farther_than_is_permitted(
+    name: str, tension_N: float, travel_m: float
+) -> None:
     model = line_model(name)
-    pulled_m = pulls_m(model, [tension_N] * model.span_count, way_m)
-    movement, leader, axes = movement_of(model.axis_count, way_m, pulled_m, lambda _: [0.0] * model.axis_count)
-    ways_m = np.zeros((round(15.0 / CYCLE_S), len(axes)))
-    for way in ways_m:
+    pulled_m = pulls_m(model, [tension_N] * model.span_count, travel_m)
+    movement, leader, axes = movement_of(model.axis_count, travel_m, pulled_m, lambda _: [0.0] * model.axis_count)
+    travels_m = np.zeros((round(15.0 / CYCLE_S), len(axes)))
+    for way in travels_m:
         movement.go_on()
         way[:] = [(leader.creep_m_s + axis.pull_m_s) * CYCLE_S for axis in axes]
-    assert np.abs(np.cumsum(ways_m, axis=0)).max() <= way_m
+    assert np.abs(np.cumsum(travels_m, axis=0)).max() <= travel_m
     movement.end()
     assert leader.creep_m_s == 0.0
     assert all(isnan(axis.pull_m_s) for axis in axes)

@@ -436,15 +436,15 @@ class Shift:
 
     def run(self) -> BenchOutcome:
         """All of it; of a machine with reels as many of these as it takes."""
-        began, gone_s, cycles = time.process_time(), 0.0, 0
+        began, elapsed_s, cycles = time.process_time(), 0.0, 0
         while not self.ended:
-            part_s = min(self.machine.reel_s or self.until_s, self.until_s - gone_s)
-            self.scored.offset_s = gone_s
-            gone_s += self._run_bench(part_s, self.seed + round(gone_s))
-            if self.machine.once or gone_s >= self.until_s - 1.0:
+            part_s = min(self.machine.reel_s or self.until_s, self.until_s - elapsed_s)
+            self.scored.offset_s = elapsed_s
+            elapsed_s += self._run_bench(part_s, self.seed + round(elapsed_s))
+            if self.machine.once or elapsed_s >= self.until_s - 1.0:
                 break
-        cycles = round(gone_s / self.config.cycle_time_s)
-        return self._outcome(gone_s, 1e6 * (time.process_time() - began) / max(cycles, 1))
+        cycles = round(elapsed_s / self.config.cycle_time_s)
+        return self._outcome(elapsed_s, 1e6 * (time.process_time() - began) / max(cycles, 1))
 
     def _run_bench(self, until_s: float, seed: int) -> float:
         """Until it has stopped, or was ended; returns how long that was, s."""

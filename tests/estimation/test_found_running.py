@@ -100,9 +100,9 @@ def at_rest(share_of_tension: float, moved_mm: float = 0.0) -> Measurements:
     speeds = np.outer(3.0 * np.clip((t_s - AT_REST_S) / RAMP_S, 0.0, 1.0), [1.0, 1.0])
     leader, axes = SimpleNamespace(creep_m_s=0.0), [SimpleNamespace(pull_m_s=0.0) for _ in range(2)]
     if moved_mm:
-        way_m = 1e-3 * moved_mm
-        pulled_m = pulls_m(plant, [80.0], way_m)
-        movement = RestMovement(leader, axes, lambda _: (0.0, 0.0), way_m, pulled_m, CYCLE_S)
+        travel_m = 1e-3 * moved_mm
+        pulled_m = pulls_m(plant, [80.0], travel_m)
+        movement = RestMovement(leader, axes, lambda _: (0.0, 0.0), travel_m, pulled_m, CYCLE_S)
         for row in np.flatnonzero((t_s >= 1.0) & (t_s < 9.0)):
             movement.go_on()
             speeds[row] += [leader.creep_m_s + axis.pull_m_s for axis in axes]

@@ -22,13 +22,13 @@ def unknowns(rate_N_per_m: float = 0.0) -> Unknowns:
     return Unknowns(start, parameters, rates, np.array([_OFFSET_N]), np.zeros(1), np.zeros(1), np.zeros(1))
 
 
-def let_pass(filtered: Unknowns, windows: int, way_m: float = 0.0) -> None:
+def let_pass(filtered: Unknowns, windows: int, travel_m: float = 0.0) -> None:
     """So many windows: the change of the parameter, and the offset, are others within a shift."""
     prior = np.zeros((len(filtered.mean),) * 2)
     changes, offset = 2, filtered.first_offset
     prior[changes, changes], prior[offset, offset] = _PARAMETER**2, _OFFSET_N**2
     left = np.where(np.diag(prior) > 0.0, np.exp(-0.03 * windows / _SHIFT_S), 1.0)
-    filtered.grow(left, (1.0 - np.outer(left, left)) * prior, way_m)
+    filtered.grow(left, (1.0 - np.outer(left, left)) * prior, travel_m)
 
 
 def look(filtered: Unknowns, innovation_N: float, *, learns: bool = True) -> np.ndarray:
@@ -98,7 +98,7 @@ def test_what_goes_on_changing_with_the_way_is_followed_without_delay() -> None:
     filtered, rate_N_per_m, errors_N = unknowns(rate_N_per_m=1.0), 0.5, []
     at_N = 0.0
     for window in range(400):
-        let_pass(filtered, 1, way_m=0.05)
+        let_pass(filtered, 1, travel_m=0.05)
         state_N = rate_N_per_m * 0.05 * window
         at_N += filtered.update(
             np.array([state_N - at_N]), np.array([[0.0, 1.0]]), np.array([_NOISE_N**2]), _JUMPS

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.emulated import emulation_of
-from hilbench.live.stretch import Stretch
+from hilbench.live.segment import Segment
 from hilbench.live.web_line.machine import LiveLine
-from hilbench.live.web_line.stretch import packed
+from hilbench.live.web_line.segment import packed
 from hilbench.live.window import Window
 from hilbench.plant.web_line.emulation import Emulation, simulate_emulated
 from hilbench.plant.web_line.offline import start_state
@@ -42,7 +42,7 @@ def commands() -> Array:
     return np.column_stack([speed, speed])
 
 
-def stretch(taken: Array, F_next_N: Array, late: Rows) -> Stretch:
+def segment(taken: Array, F_next_N: Array, late: Rows) -> Segment:
     """Of a line that takes these commands (n, 2) beside this tension (n,), while nobody knows of either; `late` (n,):
     SYNCs whose answers came late."""
     told, noise = commands(), np.random.default_rng(4)
@@ -64,10 +64,10 @@ def stretch(taken: Array, F_next_N: Array, late: Rows) -> Stretch:
     window = Window(list(channels), len(told), CYCLE_S)
     rows = np.column_stack([*channels.values(), np.arange(len(told)), late])
     window.add(len(told) - 1, rows.tobytes())
-    return Stretch.of(LiveLine(MODEL, emulation(), CYCLE_S), window, MODEL, round(FIRST_S / CYCLE_S), len(told), 0)
+    return Segment.of(LiveLine(MODEL, emulation(), CYCLE_S), window, MODEL, round(FIRST_S / CYCLE_S), len(told), 0)
 
 
-def left_by_the_right_model(found: Stretch) -> dict[str, float]:
+def left_by_the_right_model(found: Segment) -> dict[str, float]:
     """Mean square of what it leaves, by signal, in units of what a right model leaves."""
     scaled = found.residual(packed(MODEL)) / found.deviations[:, None]
     means = np.mean(scaled[:, found.predictor.rows] ** 2, axis=1)
@@ -82,9 +82,9 @@ def test_commands_that_are_taken_a_cycle_late_put_off_the_way_and_nothing_else()
     behind = np.flatnonzero(late) + 1
     taken[behind] = told[behind - 1]
     calm_N = np.full(len(told), MODEL.boundary.downstream_tension_N)
-    left = left_by_the_right_model(stretch(taken, calm_N, late))
+    left = left_by_the_right_model(segment(taken, calm_N, late))
     assert max(left.values()) < 1.2, left
-    unknown = left_by_the_right_model(stretch(taken, calm_N, np.zeros_like(late)))
+    unknown = left_by_the_right_model(segment(taken, calm_N, np.zeros_like(late)))
     assert max(unknown.values()) > 10.0, "without late answers nothing excuses it"
 
 
@@ -95,7 +95,7 @@ def test_what_has_pushed_the_rollers_while_the_bench_was_not_heard_is_followed_o
     push = round(17.0 / CYCLE_S)
     F_next_N[push : push + 10] += 60.0
     late[push - 4 : push] = True
-    found = stretch(told, F_next_N, late)
+    found = segment(told, F_next_N, late)
     assert len(found.data.pushed) == 1
     assert abs(found.data.pushed[0] + round(FIRST_S / CYCLE_S) - push) < 20
     left = left_by_the_right_model(found)

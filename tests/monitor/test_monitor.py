@@ -27,7 +27,7 @@ from hilbench.monitor import condition
 from hilbench.monitor import picture as picture_of
 from hilbench.monitor.changes import ChangeRequests, Foreseen
 from hilbench.monitor.dashboard import Dashboard
-from hilbench.monitor.deeds import Deeds
+from hilbench.monitor.operator_journal import OperatorJournal
 from hilbench.monitor.picture import BusPicture
 from hilbench.monitor.trends import trends_of
 from hilbench.plant.effect import MachineKind
@@ -99,10 +99,15 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def dashboard_of(
-    bench: BenchConfig, bus: MemoryBus, link: MemoryLink | None = None, deeds: Deeds | None = None
+    bench: BenchConfig, bus: MemoryBus, link: MemoryLink | None = None, operator_journal: OperatorJournal | None = None
 ) -> Dashboard:
     changes = ChangeRequests(bench, lambda: SdoClient(bus.open_python_can(), 30.0))
-    return Dashboard(BusPicture(bench), link or bus.open_link(), changes, deeds or Deeds(Path("none"), "memory", 1))
+    return Dashboard(
+        BusPicture(bench),
+        link or bus.open_link(),
+        changes,
+        operator_journal or OperatorJournal(Path("none"), "memory", 1),
+    )
 
 
 def test_the_dashboard_shows_it_and_sends_nothing(bench: BenchConfig, patient: None) -> None:
@@ -281,7 +286,7 @@ def test_what_somebody_does_at_the_terminal_stands_in_the_journal_with_who_it_wa
     ours, theirs = bus.open_link(), bus.open_link()
     folder = RunFolder.create(tmp_path, "run")
     folder.journal.touch()
-    dashboard = dashboard_of(bench, bus, ours, Deeds(tmp_path, ours.channel, bench.cycle_ns))
+    dashboard = dashboard_of(bench, bus, ours, OperatorJournal(tmp_path, ours.channel, bench.cycle_ns))
 
     async def act() -> None:
         async with dashboard.run_test(size=(110, 36)) as pilot:

@@ -14,7 +14,7 @@ import pytest
 
 from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
-from hilbench.library.heard_run import RunUnderWay
+from hilbench.library.live_run import LiveRun
 from hilbench.pages.live.history import History
 from hilbench.pages.live.listener import told
 from hilbench.pages.live.machines.kinds import panel_of
@@ -63,7 +63,7 @@ def going_on(ran: Ran, tmp_path: Path) -> Iterator[GoingOn]:
     channel = lines[0].split()[1].decode()
     (folder / "trace.log").write_bytes(lines[0])
     history = History(panel_of(loaded.config).signals, loaded.config.cycle_time_s)
-    samples = LiveSamples(loaded.config, history, partial(RunUnderWay.on, tmp_path / "runs"), channel)
+    samples = LiveSamples(loaded.config, history, partial(LiveRun.on, tmp_path / "runs"), channel)
     with open(folder / "trace.log", "ab") as trace:
         fcntl.flock(trace, fcntl.LOCK_EX)  # as a bench holds it
         yield GoingOn(folder, frames, lines, channel, samples, history)

@@ -20,7 +20,7 @@ from hilbench.canopen.emergency_stop import EMERGENCY_STOP
 from hilbench.canopen.sdo_client import SdoClient
 from hilbench.errors import BusError
 from hilbench.exchange.nodes import Nodes
-from hilbench.library.heard_run import RunUnderWay
+from hilbench.library.live_run import LiveRun
 from hilbench.monitor.changes import ChangeRequests
 from hilbench.pages.access import Access
 from hilbench.pages.live.controls import Controls
@@ -45,7 +45,7 @@ class Place:
         self.bench = bench
         self.bus = MemoryBus()
         self.far: MemoryLink = self.bus.open_link()
-        self.listener = Listener(bench, self.bus.open_link, partial(RunUnderWay.on, runs))
+        self.listener = Listener(bench, self.bus.open_link, partial(LiveRun.on, runs))
         changes = ChangeRequests(bench, lambda: SdoClient(self.bus.open_python_can(), PATIENCE_S))
         self.controls = Controls(self.listener, changes)
         self.access = Access("127.0.0.1", 8321)
@@ -317,7 +317,7 @@ def test_a_bus_that_is_just_being_made_is_joined_a_moment_later(tmp_path: Path) 
             raise refused.pop()
         return bus.open_link()
 
-    listener = Listener(load_with_overrides(SHIPPED, pace="realtime").config, join, partial(RunUnderWay.on, tmp_path))
+    listener = Listener(load_with_overrides(SHIPPED, pace="realtime").config, join, partial(LiveRun.on, tmp_path))
     listener.start()
     assert listener.state()["bus_problem"] == ""
     listener.close()

@@ -18,7 +18,7 @@ from hilbench.plant.pairing import play
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_follower import Handover, LineFollower, LinesTogether
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.sizes import least_way_m
+from hilbench.plant.web_line.sizes import least_travel_m
 
 CYCLE_S = 0.003
 LINES = {"dancer": dancer_line, "idlers": guided_line, "reels": winding_line}
@@ -62,15 +62,15 @@ def test_together_they_do_what_each_does_alone(model: Callable[[], ModelParamete
 def test_they_go_on_from_a_motion_that_is_put(model: Callable[[], ModelParameters]) -> None:
     axes = model().axis_count
     first, second = LineFollower(model()), LineFollower(model())
-    ways = motion(axes, 200, 2)
-    for x in ways[:100]:
+    travels = motion(axes, 200, 2)
+    for x in travels[:100]:
         first.follow(x, CYCLE_S)
     together = LinesTogether([second])
     together.motions[0] = first.motion
     together.put()
     assert second.tension_N == pytest.approx(first.tension_N, rel=1e-9)
     second.memory[:] = first.memory
-    for x in ways[100:]:
+    for x in travels[100:]:
         first.follow(x, CYCLE_S)
         second.follow(x, CYCLE_S)
     assert second.tension_N == pytest.approx(first.tension_N, rel=1e-6)
@@ -108,7 +108,7 @@ class ByItsParts:
 def load_models(model: ModelParameters) -> tuple[LoadModel, LoadModel]:
     """The same with a line that follows in one call, and with one that does not; load motors on all axes but the
     first."""
-    least_m = least_way_m(model)
+    least_m = least_travel_m(model)
     own = None if isfinite(least_m) else play("m", CYCLE_S)
     axes = range(2, model.axis_count + 1)
     lines = LineFollower(model), ByItsParts(LineFollower(model))

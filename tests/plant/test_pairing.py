@@ -6,7 +6,7 @@ from math import nan
 
 import pytest
 
-from hilbench.plant.pairing import OwnWays, Pairing, play
+from hilbench.plant.pairing import OwnTravels, Pairing, play
 
 WAY_M = 0.006  #: of a cycle, 2 ms at 3 m/s
 
@@ -33,8 +33,8 @@ def test_position_that_is_no_number_is_of_no_instant(place: int) -> None:
 
 
 def test_axes_that_stand_may_differ_by_the_least_way() -> None:
-    for least_way_m, alike in ((1e-4, True), (1e-5, False)):
-        pairing = Pairing(least_way_m)
+    for least_travel_m, alike in ((1e-4, True), (1e-5, False)):
+        pairing = Pairing(least_travel_m)
         pairing.update(0.0, 0.0)
         assert pairing.update(0.0, 5e-5) is alike
 
@@ -49,8 +49,8 @@ def test_after_cycles_that_nobody_has_counted_a_position_that_is_a_cycle_old_is_
 
 def test_a_line_that_speeds_up_from_rest_is_followed() -> None:
     pairing = Pairing(1e-5)
-    ways = [5.0 * (0.002 * cycle) ** 2 / 2.0 for cycle in range(400)]
-    assert all(pairing.update(way, 1.0005 * way) for way in ways)
+    travels = [5.0 * (0.002 * cycle) ** 2 / 2.0 for cycle in range(400)]
+    assert all(pairing.update(way, 1.0005 * way) for way in travels)
 
 
 CYCLE_S = 0.003
@@ -58,9 +58,9 @@ CYCLE_S = 0.003
 OWN_M = (0.006, 0.0, 0.0035)
 
 
-def under_way() -> OwnWays:
+def under_way() -> OwnTravels:
     """Two cycles on, with these ways."""
-    axes = OwnWays(3, play("m", CYCLE_S))
+    axes = OwnTravels(3, play("m", CYCLE_S))
     for cycles in range(3):
         assert axes.update(*(cycles * way for way in OWN_M))
     return axes

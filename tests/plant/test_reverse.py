@@ -31,29 +31,29 @@ def moved_tensions(x_m: np.ndarray, lengths_m: tuple[float, ...], other: slice, 
     web."""
     spans = [deque([(length / (1.0 + STRAIN_PREV), STIFFNESS_N)]) for length in lengths_m]
     tensions = np.empty((len(x_m), len(spans)))
-    for row, ways_m in enumerate(np.diff(x_m, axis=0, append=x_m[-1:])):
+    for row, travels_m in enumerate(np.diff(x_m, axis=0, append=x_m[-1:])):
         for k, (span, length) in enumerate(zip(spans, lengths_m, strict=True)):
             tensions[row, k] = (length - sum(m for m, _ in span)) / sum(m / stiff for m, stiff in span)
-        for roller, way_m in enumerate(ways_m):
+        for roller, travel_m in enumerate(travels_m):
             before, behind = roller - 1, roller if roller < len(spans) else -1
-            comes_from, goes_to = (before, behind) if way_m >= 0.0 else (behind, before)
-            going, left = [], abs(way_m)
+            comes_from, goes_to = (before, behind) if travel_m >= 0.0 else (behind, before)
+            going, left = [], abs(travel_m)
             if comes_from < 0:
-                strain = STRAIN_PREV if way_m >= 0.0 else STRAIN_NEXT
-                is_other = way_m >= 0.0 and other.start <= row < other.stop
+                strain = STRAIN_PREV if travel_m >= 0.0 else STRAIN_NEXT
+                is_other = travel_m >= 0.0 and other.start <= row < other.stop
                 going, left = [(left / (1.0 + strain), STIFFNESS_N * (1.0 + change if is_other else 1.0))], 0.0
             while left > 1e-15:
                 source = spans[comes_from]
-                m, stiff = source.pop() if way_m >= 0.0 else source.popleft()
+                m, stiff = source.pop() if travel_m >= 0.0 else source.popleft()
                 stretched = max(m, 1e-18) * (1.0 + tensions[row, comes_from] / stiff)
                 share = min(left / stretched, 1.0)
                 going.append((m * share, stiff))
                 left -= stretched * share
                 if share < 1.0:
                     rest = (m * (1.0 - share), stiff)
-                    source.append(rest) if way_m >= 0.0 else source.appendleft(rest)
+                    source.append(rest) if travel_m >= 0.0 else source.appendleft(rest)
             if goes_to >= 0:
-                spans[goes_to].extendleft(going) if way_m >= 0.0 else spans[goes_to].extend(going)
+                spans[goes_to].extendleft(going) if travel_m >= 0.0 else spans[goes_to].extend(going)
     return tensions
 
 

@@ -62,15 +62,15 @@ def test_a_line_whose_spans_differ_solves_the_equations_of_the_design_in_each() 
 
     def forces(v: np.ndarray, unstretched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tensions and rates; the tensions enter linearly by creep and damping."""
-        stretch = lengths / unstretched
+        segment = lengths / unstretched
 
         def rates(f: np.ndarray) -> np.ndarray:
-            out = v[1:] * (1.0 - creep * (f - np.append(f[1:], 70.0))) / stretch
+            out = v[1:] * (1.0 - creep * (f - np.append(f[1:], 70.0))) / segment
             return np.asarray(np.concatenate([[v[0] / (1.0 + strain_prev)], out[:-1]]) - out)
 
         def residual(f: np.ndarray) -> np.ndarray:
-            growth = -stretch * rates(f) / unstretched
-            return np.asarray(stiff * (stretch - 1.0 - np.array(OFFSETS) + damping * growth) - f)
+            growth = -segment * rates(f) / unstretched
+            return np.asarray(stiff * (segment - 1.0 - np.array(OFFSETS) + damping * growth) - f)
 
         base = residual(np.zeros(3))
         f = np.linalg.solve(np.column_stack([residual(unit) - base for unit in np.eye(3)]), -base)

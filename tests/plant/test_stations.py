@@ -257,8 +257,8 @@ def test_what_a_reel_has_lost_in_section_is_the_web_that_it_gave(
     rollers = {"radius_m": [radius_m, 0.2], "inertia_kg_m2": 1.0, "gear_ratio": 1.0}
     line = line_with(*stations, lengths=[1.0], rollers=rollers, web={"thickness_m": thickness_m})
     machine = Line(line)
-    way_m = 2.0 * pi * radius_m * turns
-    machine.set_state({"x1_m": way_m})
+    travel_m = 2.0 * pi * radius_m * turns
+    machine.set_state({"x1_m": travel_m})
     radius = machine.outputs()["r_unwinder_m"]
     assert radius == pytest.approx(radius_m - turns * thickness_m)
     # Web given by the turns with their mean radius, times thickness: the ring that is gone.

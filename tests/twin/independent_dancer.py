@@ -70,8 +70,8 @@ class IndependentDancer(SpeedDriven):
         return np.concatenate([speeds, pushes / self._masses, [moves, lifts], carried[:-1] - carried[1:]])
 
     def _motors(self) -> tuple[Array, Array]:
-        ways, speeds = self._y[:_ROLLERS], self._y[_ROLLERS : 2 * _ROLLERS]
-        return self._per_m * ways[_DRIVEN], self._per_m * speeds[_DRIVEN]
+        travels, speeds = self._y[:_ROLLERS], self._y[_ROLLERS : 2 * _ROLLERS]
+        return self._per_m * travels[_DRIVEN], self._per_m * speeds[_DRIVEN]
 
     def outputs(self) -> dict[str, float]:
         """Tensions, and where the dancer stands."""

@@ -46,7 +46,7 @@ def test_within_a_second_the_twin_is_in_step_with_a_sync_of_another_period(
 ) -> None:
     period_s = 1e-3 * period_ms
     twin, in_step = OnTheBus(monkeypatch), OnTheBus(monkeypatch, period_s)
-    in_step.machine.go_by(period_s)  # a config refuses what is no multiple of the drives' sample time
+    in_step.machine.set_cycle_time(period_s)  # a config refuses what is no multiple of the drives' sample time
     late = np.random.default_rng(1)
     found: list[tuple[float, float]] = []
     for time_s in syncs(LASTS_S, lambda _: period_s):
@@ -72,7 +72,7 @@ def test_a_bench_whose_sync_comes_before_its_drives_are_enabled_is_started_with_
     period_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     twin, in_step = OnTheBus(monkeypatch), OnTheBus(monkeypatch, period_s)
-    in_step.machine.go_by(period_s)
+    in_step.machine.set_cycle_time(period_s)
     noise = np.random.default_rng(4)
     for time_s in syncs(0.6, lambda _: period_s):
         twin.sync(0.0, time_s - 0.6, enabled=False)
@@ -151,7 +151,7 @@ def test_a_machine_of_any_kind_goes_on_with_cycles_of_another_length(config: str
     machine = new_machine(setup.model, setup.twin, setup.shape, setup.cycle_s, around.__getitem__)
     time_s = 0.0
     for cycle_s in (setup.cycle_s, 1.05 * setup.cycle_s, 2.0 * setup.cycle_s, setup.cycle_s):
-        machine.go_by(cycle_s)
+        machine.set_cycle_time(cycle_s)
         for _ in range(50):
             before = measured_by(machine, setup.model, time_s)
             time_s += cycle_s

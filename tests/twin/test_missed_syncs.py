@@ -51,10 +51,10 @@ class Clock(MonotonicClock):
 def motion(time_s: float, tension_N: float = TENSION_N) -> list[tuple[float, float]]:
     """Both axes' position (rad) and torque (N·m) of a line that starts from rest, with this tension in its web."""
     pull_N = tension_N - MODEL.boundary.downstream_tension_N
-    way_m = 0.5 * ACCELERATION_M_S2 * time_s**2
+    travel_m = 0.5 * ACCELERATION_M_S2 * time_s**2
     force_N = MeasuredBalance(MODEL).mass_kg * ACCELERATION_M_S2
     pulls_N = (force_N - pull_N, force_N + pull_N)
-    return [(way_m * MODEL.motor_rad_per_m(k), pulls_N[k - 1] / MODEL.motor_rad_per_m(k)) for k in (1, 2)]
+    return [(travel_m * MODEL.motor_rad_per_m(k), pulls_N[k - 1] / MODEL.motor_rad_per_m(k)) for k in (1, 2)]
 
 
 def driven_machine() -> TwinMachine:
@@ -271,8 +271,8 @@ def test_a_twin_joins_by_measurements_of_two_cycles_in_a_row(monkeypatch: pytest
     for k, answers in enumerate((2, 1, 2, 2), 500):
         assert not released
         bus.sync(k * CYCLE_S, k * CYCLE_S, answers=answers)
-    way_m = motion(503 * CYCLE_S)[0][0] - motion(502 * CYCLE_S)[0][0]
-    assert released == pytest.approx([way_m, way_m])
+    travel_m = motion(503 * CYCLE_S)[0][0] - motion(502 * CYCLE_S)[0][0]
+    assert released == pytest.approx([travel_m, travel_m])
 
 
 @pytest.mark.parametrize("late_at", [0, *slow(1, 2)])
@@ -326,8 +326,8 @@ def test_a_line_that_runs_in_reverse_until_its_encoders_show_no_web_is_not_synch
 
     def in_reverse(cycle: int) -> list[tuple[float, float]]:
         """At -10 m/s; a thousandth of the web slips in the drawn direction."""
-        way_m = -10.0 * cycle * CYCLE_S
-        return [(way * MODEL.motor_rad_per_m(k), 0.0) for k, way in ((1, way_m), (2, 1.001 * way_m))]
+        travel_m = -10.0 * cycle * CYCLE_S
+        return [(way * MODEL.motor_rad_per_m(k), 0.0) for k, way in ((1, travel_m), (2, 1.001 * travel_m))]
 
     machine.release(in_reverse(0), in_reverse(1))
     for cycle in range(2, 5000):

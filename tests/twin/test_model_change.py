@@ -39,16 +39,16 @@ class Line:
 
     def __init__(self, twin: ChangeableMachine) -> None:
         self.twin = twin
-        self.way_m = 0.0
+        self.travel_m = 0.0
         self.shown_N: list[float] = []
         twin.reset()
         before = self.measured()
-        self.way_m += SPEED_M_S * CYCLE_S
+        self.travel_m += SPEED_M_S * CYCLE_S
         twin.release(before, self.measured())
 
     def measured(self) -> list[tuple[float, float]]:
         torque_Nm = (80.0 - 70.0 + 5.0) / RAD_PER_M
-        return [(self.way_m * RAD_PER_M, 0.0), (self.way_m * RAD_PER_M, torque_Nm)]
+        return [(self.travel_m * RAD_PER_M, 0.0), (self.travel_m * RAD_PER_M, torque_Nm)]
 
     def run(self, duration_s: float) -> None:
         twin = self.twin
@@ -58,7 +58,7 @@ class Line:
             twin.compare(cycle * CYCLE_S, self.measured())
             twin.listen()
             twin.step(CYCLE_S)
-            self.way_m += SPEED_M_S * CYCLE_S
+            self.travel_m += SPEED_M_S * CYCLE_S
             self.shown_N.append(twin.published()[0])
 
 

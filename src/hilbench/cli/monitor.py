@@ -92,12 +92,12 @@ def monitor(
         from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
         from hilbench.monitor.changes import PATIENCE_S, ChangeRequests
         from hilbench.monitor.dashboard import Dashboard
-        from hilbench.monitor.deeds import Deeds
+        from hilbench.monitor.operator_journal import OperatorJournal
 
-        deeds = Deeds(runs or Path("runs"), link.channel, loaded.cycle_ns)
+        operator_journal = OperatorJournal(runs or Path("runs"), link.channel, loaded.cycle_ns)
         changes = ChangeRequests(loaded, lambda: SdoClient(open_python_can(address, SDO_ANSWERS), PATIENCE_S))
         resources.callback(changes.close)
-        Dashboard(picture, link, changes, deeds).run()
+        Dashboard(picture, link, changes, operator_journal).run()
 
 
 def _serve(

@@ -21,7 +21,7 @@ CLOCKS_DIFFER = 1e-3
 #: Rows whose stamps are further from a period than this share of it are not told by their stamps alone.
 _ODD = 0.5
 #: Way in a period from which it counts time, m: many steps of an encoder.
-_LEAST_WAY_M = 1e-5
+_LEAST_TRAVEL_M = 1e-5
 #: Rows beside a gap from which the way of a period is taken (median), and stamps that tell whether all have moved.
 _BESIDE = 3
 _AROUND = 10
@@ -51,26 +51,26 @@ def row_times(stamps_s: Array, positions_m: Array) -> RowTimes:
     nominal_s = float(np.median(steps_s)) if len(steps_s) else 0.0
     if nominal_s <= 0.0:
         return RowTimes(nominal_s, stamps_s - stamps_s[:1], np.arange(len(stamps_s)), even=True)
-    way_m = np.diff(positions_m.mean(axis=1))
-    periods = np.concatenate([[0], np.cumsum(_periods_gone(stamps_s / nominal_s, way_m))])
+    travel_m = np.diff(positions_m.mean(axis=1))
+    periods = np.concatenate([[0], np.cumsum(_periods_gone(stamps_s / nominal_s, travel_m))])
     if _smoother_in_stamps(stamps_s, positions_m.mean(axis=1), np.diff(periods), nominal_s):
         return RowTimes(nominal_s, stamps_s - stamps_s[0], periods, even=False)
     period_s = _period_s(stamps_s, periods)
     return RowTimes(period_s, periods * period_s, periods, even=True)
 
 
-def _periods_gone(stamps: Array, way_m: Array) -> Counts:
+def _periods_gone(stamps: Array, travel_m: Array) -> Counts:
     """Periods between neighbouring rows (n - 1,): one, but for stamps, in periods, that are odd; there by the way, and
     at rest by how far the stamps of the rows around have moved: one that was read late has moved alone."""
     steps = np.diff(stamps)
     gone = np.ones(len(steps), np.int64)
     for row in np.flatnonzero(np.abs(steps - 1.0) > _ODD):
-        beside = (way_m[max(row - _BESIDE, 0) : row], way_m[row + 1 : row + 1 + _BESIDE])
+        beside = (travel_m[max(row - _BESIDE, 0) : row], travel_m[row + 1 : row + 1 + _BESIDE])
         usual_m = float(np.mean([np.median(side) for side in beside if len(side)]))
-        by_way = float(way_m[row]) / usual_m if abs(usual_m) > _LEAST_WAY_M else 0.0
-        whole = round(by_way)
+        by_travel = float(travel_m[row]) / usual_m if abs(usual_m) > _LEAST_TRAVEL_M else 0.0
+        whole = round(by_travel)
         # A ramp that bends in the gap makes its way no whole number.
-        if whole >= 1 and abs(by_way - whole) <= _WHOLE * np.sqrt(whole):
+        if whole >= 1 and abs(by_travel - whole) <= _WHOLE * np.sqrt(whole):
             gone[row] = whole
         else:
             before, after = stamps[max(row + 1 - _AROUND, 0) : row + 1], stamps[row + 1 : row + 1 + _AROUND]
@@ -81,12 +81,12 @@ def _periods_gone(stamps: Array, way_m: Array) -> Counts:
 
 def _smoother_in_stamps(stamps_s: Array, position_m: Array, gone: Counts, nominal_s: float) -> bool:
     """Whether the moving axes have a steadier speed by the stamps than by even periods."""
-    way_m, steps = np.diff(position_m), np.diff(stamps_s) / nominal_s
-    used = np.abs(way_m) > _LEAST_WAY_M
+    travel_m, steps = np.diff(position_m), np.diff(stamps_s) / nominal_s
+    used = np.abs(travel_m) > _LEAST_TRAVEL_M
     pairs = used[1:] & used[:-1] & (gone[1:] == 1) & (gone[:-1] == 1)
     if pairs.sum() < _AROUND:
         return False
-    rough_m = [float(np.median(np.abs(np.diff(way_m / parts))[pairs])) for parts in (gone, steps)]
+    rough_m = [float(np.median(np.abs(np.diff(travel_m / parts))[pairs])) for parts in (gone, steps)]
     return rough_m[1] < _SMOOTHER * rough_m[0]
 
 

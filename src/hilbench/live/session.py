@@ -24,7 +24,7 @@ from hilbench.diagnosis.noise import floor, rms
 from hilbench.errors import UnusableInputError
 from hilbench.live import models
 from hilbench.live.machine import SHORT, LiveMachine
-from hilbench.live.stretch import Stretch, shows_in_torque
+from hilbench.live.segment import Segment, shows_in_torque
 from hilbench.live.watch import ROW, Piece, Watch
 from hilbench.live.window import Window
 from hilbench.plant.model_file import Machine
@@ -232,15 +232,15 @@ class Session:
             for entry in added:
                 kept = [other for other in self._in_use.effects if other != entry]
                 options.append(models.with_entries(self._configured, kept))
-        stretch = Stretch.of(self._machine, self._window, before, first, end, begun)
+        segment = Segment.of(self._machine, self._window, before, first, end, begun)
         for option in options:
-            if self._is_noise(stretch, option):
+            if self._is_noise(segment, option):
                 return option
         return None
 
-    def _is_noise(self, stretch: Stretch, model: Machine) -> bool:
+    def _is_noise(self, segment: Segment, model: Machine) -> bool:
         """Whether a model leaves nothing but noise of the torques."""
-        predictor, (residual, _) = stretch.predictor, self._fitted(stretch, model)
+        predictor, (residual, _) = segment.predictor, self._fitted(segment, model)
         torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
         floors = {k: predictor.floor(k) for k in torques}
         if max(ratios(residual, predictor.rows, floors).values()) > largest_ratio(predictor.rows):
@@ -289,34 +289,34 @@ class Session:
             return
         new = self._machine.with_estimate(case.candidate, self._estimate)
         try:
-            stretch = Stretch.of(self._machine, self._window, new, first, end, case.begun)
+            segment = Segment.of(self._machine, self._window, new, first, end, case.begun)
         except UnusableInputError as error:
             self._say("ended", case.begun, f"can't be tried: {error}")
             self._begin_anew()
             return
-        before = stretch.residual(self._machine.packed(self._machine.with_estimate(self._in_use, self._estimate)))
-        (_, old_cost), (after, new_cost) = (self._fitted(stretch, model) for model in (self._in_use, case.candidate))
+        before = segment.residual(self._machine.packed(self._machine.with_estimate(self._in_use, self._estimate)))
+        (_, old_cost), (after, new_cost) = (self._fitted(segment, model) for model in (self._in_use, case.candidate))
         gain = old_cost - new_cost
         # A change that many samples make certain may still be one that nobody would see: of an effect that the model
         # has, a little more or less, put down to another one.
-        if gain > _DECISIVE and shows_in_torque(stretch, before, after):
-            self._decide(case, self._gap(case.candidate, first, end, stretch.predictor.rows))
+        if gain > _DECISIVE and shows_in_torque(segment, before, after):
+            self._decide(case, self._gap(case.candidate, first, end, segment.predictor.rows))
         elif gain < 0.0 or end - first >= _TRIALS * length:
             self._say("dismissed", case.begun, "on new data the model in use is as good as the changed one: it stays")
             self._begin_anew()
 
-    def _fitted(self, stretch: Stretch, model: Machine) -> tuple[Array, float]:
-        """Residual (signals, n) and cost of a model on a stretch, with the estimate that suits it best there: in so far
+    def _fitted(self, segment: Segment, model: Machine) -> tuple[Array, float]:
+        """Residual (signals, n) and cost of a model on a segment, with the estimate that suits it best there: in so far
         as it is not far from what was known before model and measurement parted."""
         count = len(self._estimate)
         changes = np.vstack([np.zeros(count), _STEP * np.eye(count)])
-        rows, scale = stretch.predictor.rows, stretch.deviations[:, None]
-        here, *there = ((stretch.residual(self._changed(model, change)) / scale)[:, rows].ravel() for change in changes)
+        rows, scale = segment.predictor.rows, segment.deviations[:, None]
+        here, *there = ((segment.residual(self._changed(model, change)) / scale)[:, rows].ravel() for change in changes)
         slopes = (np.array(there) - here) / _STEP
         best = -np.linalg.solve(slopes @ slopes.T + np.eye(count) / _SURE**2, slopes @ here)
         best = np.clip(best, -0.5, 1.0)
-        residual = stretch.residual(self._changed(model, best))
-        return residual, stretch.misfit(residual) + float(np.sum((best / _SURE) ** 2))
+        residual = segment.residual(self._changed(model, best))
+        return residual, segment.misfit(residual) + float(np.sum((best / _SURE) ** 2))
 
     def _changed(self, model: Machine, shares: Array) -> Array:
         """A model whose estimate is more by these shares (M,) of what it is, as a predictor takes it."""

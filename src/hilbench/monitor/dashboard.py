@@ -27,7 +27,7 @@ from hilbench.canopen.emergency_stop import EMERGENCY_STOP, send_emergency_stop
 from hilbench.errors import BusError, UnusableInputError
 from hilbench.monitor.changes import ChangeRequests
 from hilbench.monitor.condition import Condition
-from hilbench.monitor.deeds import Deeds
+from hilbench.monitor.operator_journal import OperatorJournal
 from hilbench.monitor.picture import BusPicture, NodePicture
 from hilbench.monitor.recent import RecentFrames
 from hilbench.monitor.trends import Trend
@@ -158,9 +158,11 @@ class Dashboard(App[None]):
         ("q", "quit", "quit"),
     ]
 
-    def __init__(self, picture: BusPicture, link: Link, changes: ChangeRequests, deeds: Deeds) -> None:
+    def __init__(
+        self, picture: BusPicture, link: Link, changes: ChangeRequests, operator_journal: OperatorJournal
+    ) -> None:
         super().__init__()
-        self._deeds = deeds
+        self._operator_journal = operator_journal
         self._picture = picture
         self._link = link
         self._changes = changes
@@ -268,7 +270,7 @@ class Dashboard(App[None]):
     def _note(self, text: str, value: float = 0.0) -> None:
         """Into the journal; not in the dashboard's own thread, a trace may be long."""
         try:
-            self._deeds.note(text, value)
+            self._operator_journal.note(text, value)
         except UnusableInputError as error:
             self.call_from_thread(self._say, str(error))
 

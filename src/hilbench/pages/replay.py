@@ -16,12 +16,12 @@ from starlette.websockets import WebSocket
 
 from hilbench.block import Strict
 from hilbench.errors import HilbenchError, UnusableInputError
-from hilbench.library.heard_run import RunUnderWay
+from hilbench.library.live_run import LiveRun
 from hilbench.library.query import Library
+from hilbench.pages.live.control_lock import ControlLock
 from hilbench.pages.live.controls import Said, Viewer
 from hilbench.pages.live.listener import Listener
 from hilbench.pages.live.played import FAST, PlayedTrace
-from hilbench.pages.live.seat import Seat
 from hilbench.pages.live.viewer import Viewers
 from hilbench.pages.templates_of import page
 from hilbench.results.journal import JournalReader
@@ -44,7 +44,7 @@ class Playing:
     """What viewers may ask of a run that is played again."""
 
     def __init__(self, trace: PlayedTrace) -> None:
-        self.seat = Seat()
+        self.control_lock = ControlLock()
         self._trace = trace
 
     def as_data(self) -> dict[str, Any]:
@@ -107,7 +107,7 @@ def _played(folder: RunFolder) -> tuple[Listener, Playing]:
             raise UnusableInputError(file.name, f"not in {folder.name}, expected that of an ended run")
     config, _ = load(folder.config)
     trace = PlayedTrace(folder, config.cycle_time_s)
-    run = RunUnderWay(folder, JournalReader(folder.journal), is_played=True)
+    run = LiveRun(folder, JournalReader(folder.journal), is_played=True)
     listener = Listener(config, lambda: trace, lambda channel: run, trace.clock_s)
     listener.start()
     return listener, Playing(trace)

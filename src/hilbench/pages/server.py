@@ -17,7 +17,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
 from hilbench.errors import UnusableInputError
-from hilbench.library.heard_run import RunUnderWay
+from hilbench.library.live_run import LiveRun
 from hilbench.monitor.changes import PATIENCE_S, ChangeRequests
 from hilbench.pages import replay
 from hilbench.pages import runs as runs_pages
@@ -117,7 +117,7 @@ def _listening(host: str, port: int) -> Iterator[socket.socket]:
 @contextmanager
 def _bench(config: BenchConfig, runs: Path) -> Iterator[Viewers]:
     address = config.bus_address.as_it_runs  # asked each time: another run may have made the bus anew
-    listener = Listener(config, lambda: open_link(address()), partial(RunUnderWay.on, runs))
+    listener = Listener(config, lambda: open_link(address()), partial(LiveRun.on, runs))
     changes = ChangeRequests(config, lambda: SdoClient(open_python_can(address(), SDO_ANSWERS), PATIENCE_S))
     listener.start()
     try:

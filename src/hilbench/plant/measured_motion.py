@@ -16,50 +16,50 @@ from numpy.typing import NDArray
 from hilbench.chain import Chained
 from hilbench.compiled import FLAG, VECTOR, compiled, entry_point, number_of_sources
 from hilbench.plant import pairing
-from hilbench.plant.pairing import Pairing, Vector, own_ways, paired
+from hilbench.plant.pairing import Pairing, Vector, own_travels, paired
 
 #: So many cycles that a sample is late by are made good by prediction; an older one has too little in it.
 MOST_PREDICTED_CYCLES = 3.0
 #: A sample that is not whole cycles after the last one is so many parts of a cycle after it.
 _PARTS = 1000.0
-#: What `gone_s` goes by: which way tells cycles, in the unit of the positions; a cycle, s; the axis that is counted by,
-#: from 0; cycles since the instant of the positions that the machine is at; that axis' position and speed there; how
-#: much later torques act, s; whether the axes go ways of their own, which say it all.
-_LEAST_WAY, _CYCLE_S, _AXIS, _BEHIND, _POSITION, _SPEED, _LEAD_S, _OWN, _SIZE = range(9)
+#: What `elapsed_s` goes by: which travel shows cycles, in the unit of the positions; a cycle, s; the axis that is
+#: counted by, from 0; cycles since the instant of the positions that the machine is at; that axis' position and speed
+#: there; how much later torques act, s; whether the axes travel independently, which shows it all.
+_LEAST_TRAVEL, _CYCLE_S, _AXIS, _BEHIND, _POSITION, _SPEED, _LEAD_S, _OWN, _SIZE = range(9)
 
 
 @compiled
-def _own_gone_s(m: Vector, ways: Vector, positions: Vector, late: bool) -> float:
+def _own_elapsed_s(m: Vector, travels: Vector, positions: Vector, late: bool) -> float:
     gone = 0.0
     if late:
-        pairing.miss_own(ways)
-    elif own_ways(ways, positions):
-        gone = ways[pairing.OWN_GONE]
-    m[_BEHIND] = ways[pairing.OWN_BEHIND]
+        pairing.miss_own(travels)
+    elif own_travels(travels, positions):
+        gone = travels[pairing.OWN_GONE]
+    m[_BEHIND] = travels[pairing.OWN_BEHIND]
     return float(gone * m[_CYCLE_S])
 
 
 @compiled
-def gone_s(m: Vector, ways: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
+def elapsed_s(m: Vector, travels: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
     """A cycle on, with these positions and speeds (N,): the time in s by which the machine has to follow; 0 where they
-    are not of one instant (`ways`: of `paired`, or `own_ways`), `late`, or of the instant at which it is already."""
+    are not of one instant (`travels`: of `paired`, or `own_travels`), `late`, or of the instant it is at already."""
     if m[_OWN] != 0.0:
-        return _own_gone_s(m, ways, positions, late)
+        return _own_elapsed_s(m, travels, positions, late)
     m[_BEHIND] += 1.0
     if late:
-        pairing.miss(ways)
+        pairing.miss(travels)
         return 0.0
-    if not paired(ways, positions, m[_LEAST_WAY]):
+    if not paired(travels, positions, m[_LEAST_TRAVEL]):
         return 0.0
     axis, cycle_s = int(m[_AXIS]), m[_CYCLE_S]
-    way, of_a_cycle = positions[axis] - m[_POSITION], 0.5 * (speeds[axis] + m[_SPEED]) * cycle_s
-    if abs(of_a_cycle) <= m[_LEAST_WAY]:
+    travel, of_a_cycle = positions[axis] - m[_POSITION], 0.5 * (speeds[axis] + m[_SPEED]) * cycle_s
+    if abs(of_a_cycle) <= m[_LEAST_TRAVEL]:
         cycles = max(m[_BEHIND], 1.0)
         duration_s = cycles * cycle_s
     else:
-        parts = max(np.rint(_PARTS * way / of_a_cycle), 0.0) if np.isfinite(way / of_a_cycle) else _PARTS
+        parts = max(np.rint(_PARTS * travel / of_a_cycle), 0.0) if np.isfinite(travel / of_a_cycle) else _PARTS
         cycles = np.rint(parts / _PARTS)
-        whole = cycles == 0.0 or abs(way - cycles * of_a_cycle) <= m[_LEAST_WAY]
+        whole = cycles == 0.0 or abs(travel - cycles * of_a_cycle) <= m[_LEAST_TRAVEL]
         duration_s = (cycles if whole else parts / _PARTS) * cycle_s
     m[_SPEED] = speeds[axis]
     # One cycle ahead of what is counted there may be: a SYNC that was sent late, and the next one on time.
@@ -99,8 +99,8 @@ def _entry_points(
     """For Python; `sources` as in `compiled.number_of_sources`."""
 
     @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, FLAG)
-    def gone(m: Vector, ways: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
-        return gone_s(m, ways, positions, speeds, late) if sources >= 0 else 0.0
+    def gone(m: Vector, travels: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
+        return elapsed_s(m, travels, positions, speeds, late) if sources >= 0 else 0.0
 
     @entry_point(VECTOR)
     def ahead(m: Vector) -> float:
@@ -116,39 +116,39 @@ class MeasuredMotion:
     """The motion of N axes, from cycle to cycle.
 
     `counted`: the axis, from 0, whose way counts cycles; `lead_s`: how much later than it was measured what follows
-    from it acts; `least_way`, in the unit of the positions: what is measured well enough to count cycles by it;
+    from it acts; `least_travel`, in the unit of the positions: what is measured well enough to count cycles by it;
     `own_play`: of axes that go ways of their own, by how much that of a cycle may differ from the one before.
     """
 
     def __init__(
-        self, axes: int, counted: int, cycle_s: float, lead_s: float, least_way: float, own_play: float | None = None
+        self, axes: int, counted: int, cycle_s: float, lead_s: float, least_travel: float, own_play: float | None = None
     ) -> None:
-        self.state = np.zeros(_SIZE)  #: of `gone_s`
-        self.state[[_LEAST_WAY, _CYCLE_S, _AXIS, _LEAD_S]] = least_way, cycle_s, counted, lead_s
+        self.state = np.zeros(_SIZE)  #: of `elapsed_s`
+        self.state[[_LEAST_TRAVEL, _CYCLE_S, _AXIS, _LEAD_S]] = least_travel, cycle_s, counted, lead_s
         self.state[_OWN] = own_play is not None
-        self._pairing = Pairing(least_way)
-        self.ways, self.positions = self._pairing.vectors(axes)
+        self._pairing = Pairing(least_travel)
+        self.travels, self.positions = self._pairing.vectors(axes)
         if own_play is not None:
-            self.ways = pairing.own_ways_state(axes, own_play)
+            self.travels = pairing.own_travels_state(axes, own_play)
         self.speeds = np.zeros(axes)
         self._format = f"={axes}d"
 
     def begin(self, positions: Sequence[float], speeds: Sequence[float]) -> None:
         """The machine is at these positions."""
         if self.state[_OWN]:
-            pairing.forget_own_ways(self.ways)
-            self.gone_s(positions, speeds, late=False)
+            pairing.forget_own_travels(self.travels)
+            self.elapsed_s(positions, speeds, late=False)
         else:
             self._pairing.reset()
             self._pairing.update(*positions)
         axis = int(self.state[_AXIS])
         self.state[[_BEHIND, _POSITION, _SPEED]] = 0.0, positions[axis], speeds[axis]
 
-    def gone_s(self, positions: Sequence[float], speeds: Sequence[float], *, late: bool) -> float:
-        """`gone_s` with these, which are measured now."""
+    def elapsed_s(self, positions: Sequence[float], speeds: Sequence[float], *, late: bool) -> float:
+        """`elapsed_s` with these, which are measured now."""
         pack_into(self._format, self.positions.data, 0, *positions)
         pack_into(self._format, self.speeds.data, 0, *speeds)
-        return _gone(self.state, self.ways, self.positions, self.speeds, late)
+        return _gone(self.state, self.travels, self.positions, self.speeds, late)
 
     @property
     def ahead_s(self) -> float:
@@ -176,7 +176,7 @@ class InStep(Protocol):
         """Of the load motors (M,), as it has followed last."""
 
     def follow(self, values: Vector, places: NDArray[np.int64], *, late: bool) -> HasFollowed:
-        """Let it follow, by `gone_s`, positions (N,) and speeds (N,) at the first places of `values`, and put there
+        """Let it follow, by `elapsed_s`, positions (N,) and speeds (N,) at the first places of `values`, and put there
         torques of the load motors (M,), N·m, predicted by `ahead_s`, at the next ones, then what it is now: a place,
         and which output of its description, of each that is asked for."""
 

@@ -45,26 +45,26 @@ def pairing_state(rollers: int) -> Vector:
 
 
 @compiled
-def paired(state: Vector, positions: Vector, least_way: float) -> bool:
+def paired(state: Vector, positions: Vector, least_travel: float) -> bool:
     """Whether positions (N,) are of one instant; see `Pairing`."""
     state[_CYCLES] += 1.0
     count = len(positions)
     if state[_STARTED] != 0.0:
         longest, shortest, total = 0.0, np.inf, 0.0
         for k in range(count):
-            way = abs(positions[k] - state[_LAST + k])
-            total += way
-            if way > longest:
-                longest = way
-            if way < shortest:
-                shortest = way
-        way = longest / state[_CYCLES]
+            travel = abs(positions[k] - state[_LAST + k])
+            total += travel
+            if travel > longest:
+                longest = travel
+            if travel < shortest:
+                shortest = travel
+        travel = longest / state[_CYCLES]
         if state[_WAY] >= 0.0:
-            way = min(way, max(_LONGER * state[_WAY], least_way))
-        if not np.isfinite(total) or longest - shortest > max(least_way, _ALIKE * way):
+            travel = min(travel, max(_LONGER * state[_WAY], least_travel))
+        if not np.isfinite(total) or longest - shortest > max(least_travel, _ALIKE * travel):
             state[_UNPAIRED] += 1.0
             return False
-        state[_WAY] = way
+        state[_WAY] = travel
     for k in range(count):
         state[_LAST + k] = positions[k]
     state[_STARTED], state[_CYCLES] = 1.0, 0.0
@@ -73,19 +73,19 @@ def paired(state: Vector, positions: Vector, least_way: float) -> bool:
 
 #: What `comes_steadily` remembers: how much further than before it may have come in a cycle, m; the last position and
 #: whether there is one; the way of a cycle and whether it is known; cycles since without a position.
-_MOST_M, _LAST_M, _HAS_LAST, _WAY_M, _HAS_WAY, STEADY_MISSED, _STEADY_SIZE = range(7)
+_MOST_M, _LAST_M, _HAS_LAST, _TRAVEL_M, _HAS_TRAVEL, STEADY_MISSED, _STEADY_SIZE = range(7)
 
 
 @compiled
 def comes_steadily(state: Vector, x_m: float) -> bool:
-    """Whether a position is one cycle after the last, and after those missed since; see `SteadyWay`."""
-    cycles, last_m, before_m = state[STEADY_MISSED] + 1.0, state[_LAST_M], state[_WAY_M]
-    had_last, had_way = state[_HAS_LAST] != 0.0, state[_HAS_WAY] != 0.0
+    """Whether a position is one cycle after the last, and after those missed since; see `SteadyTravel`."""
+    cycles, last_m, before_m = state[STEADY_MISSED] + 1.0, state[_LAST_M], state[_TRAVEL_M]
+    had_last, had_travel = state[_HAS_LAST] != 0.0, state[_HAS_TRAVEL] != 0.0
     state[_LAST_M], state[_HAS_LAST], state[STEADY_MISSED] = x_m, 1.0, 0.0
     if not had_last:
         return True
-    state[_WAY_M], state[_HAS_WAY] = (x_m - last_m) / cycles, 1.0
-    return bool(not had_way or abs(state[_WAY_M] - before_m) <= state[_MOST_M] * cycles + _ALIKE * abs(before_m))
+    state[_TRAVEL_M], state[_HAS_TRAVEL] = (x_m - last_m) / cycles, 1.0
+    return bool(not had_travel or abs(state[_TRAVEL_M] - before_m) <= state[_MOST_M] * cycles + _ALIKE * abs(before_m))
 
 
 @compiled
@@ -95,42 +95,42 @@ def miss(state: Vector) -> None:
 
 
 @compiled
-def _fits(ways: Vector, usual: Vector, plays: Vector, gone: float) -> bool:
+def _fits(travels: Vector, usual: Vector, plays: Vector, gone: float) -> bool:
     """Whether these are ways of so many cycles, at any acceleration of a machine."""
     fits = True
-    for k in range(len(ways)):
-        fits &= abs(ways[k] - gone * usual[k]) <= _ALIKE * abs(usual[k]) + gone * gone * plays[k]
+    for k in range(len(travels)):
+        fits &= abs(travels[k] - gone * usual[k]) <= _ALIKE * abs(usual[k]) + gone * gone * plays[k]
     return fits
 
 
 @compiled
-def _agree(ways: Vector, usual: Vector, plays: Vector, gone: float, fastest: int) -> bool:
+def _agree(travels: Vector, usual: Vector, plays: Vector, gone: float, fastest: int) -> bool:
     """Whether all axes have gone as far as the fastest, which tells how all were accelerated: after many cycles one
     that is a cycle further would else pass for one that was accelerated more."""
     if usual[fastest] == 0.0:
         return True
-    cycles, spare = ways[fastest] / usual[fastest], max(_APART * gone, 1.0)
+    cycles, spare = travels[fastest] / usual[fastest], max(_APART * gone, 1.0)
     agree = True
-    for k in range(len(ways)):
-        agree &= abs(ways[k] - cycles * usual[k]) <= _ALIKE * abs(usual[k]) + spare * plays[k]
+    for k in range(len(travels)):
+        agree &= abs(travels[k] - cycles * usual[k]) <= _ALIKE * abs(usual[k]) + spare * plays[k]
     return agree
 
 
 @compiled
-def whole_cycles(ways: Vector, usual: Vector, plays: Vector, told: float) -> float:
+def whole_cycles(travels: Vector, usual: Vector, plays: Vector, told: float) -> float:
     """See `cycles_gone`; -1 where they disagree."""
     fastest = 0
     for k in range(1, len(usual)):
         if abs(usual[k]) > abs(usual[fastest]):
             fastest = k
-    by_way = told
+    by_travel = told
     if usual[fastest] != 0.0:
-        by_way = max(np.rint(ways[fastest] / usual[fastest]), 0.0)
+        by_travel = max(np.rint(travels[fastest] / usual[fastest]), 0.0)
     tells = _ALIKE * abs(usual[fastest]) > plays[fastest]
-    if not tells and _fits(ways, usual, plays, told) and _agree(ways, usual, plays, told, fastest):
+    if not tells and _fits(travels, usual, plays, told) and _agree(travels, usual, plays, told, fastest):
         return told
-    agree = _fits(ways, usual, plays, by_way) and _agree(ways, usual, plays, by_way, fastest)
-    return by_way if agree else -1.0
+    agree = _fits(travels, usual, plays, by_travel) and _agree(travels, usual, plays, by_travel, fastest)
+    return by_travel if agree else -1.0
 
 
 #: What `own_ways` remembers: cycles since positions were taken, and how many were refused since; cycles between the
@@ -140,8 +140,8 @@ def whole_cycles(ways: Vector, usual: Vector, plays: Vector, told: float) -> flo
 _SINCE, _REFUSED, OWN_GONE, OWN_BEHIND, _HAS_POSITIONS, _HAS_USUAL, _OF_AXES = range(7)
 
 
-def own_ways_state(axes: int, play: float) -> Vector:
-    """What `own_ways` remembers of so many axes: nothing yet."""
+def own_travels_state(axes: int, play: float) -> Vector:
+    """What `own_travels` remembers of so many axes: nothing yet."""
     state: Vector = np.zeros(_OF_AXES + 4 * axes)
     state[_OF_AXES + 3 * axes :] = play
     return state
@@ -155,20 +155,20 @@ def miss_own(state: Vector) -> None:
 
 
 @compiled
-def own_ways(state: Vector, positions: Vector) -> bool:
-    """Whether positions (N,) are of one instant; see `OwnWays`."""
+def own_travels(state: Vector, positions: Vector) -> bool:
+    """Whether positions (N,) are of one instant; see `OwnTravels`."""
     miss_own(state)
     n = len(positions)
     last, usual = state[_OF_AXES : _OF_AXES + n], state[_OF_AXES + n : _OF_AXES + 2 * n]
-    ways, plays = state[_OF_AXES + 2 * n : _OF_AXES + 3 * n], state[_OF_AXES + 3 * n :]
+    travels, plays = state[_OF_AXES + 2 * n : _OF_AXES + 3 * n], state[_OF_AXES + 3 * n :]
     if state[_HAS_POSITIONS] == 0.0:
         state[OWN_BEHIND] = 0.0
     else:
         for k in range(n):
-            ways[k] = positions[k] - last[k]
+            travels[k] = positions[k] - last[k]
         gone = state[_SINCE]
         if state[_HAS_USUAL] != 0.0:
-            gone = whole_cycles(ways, usual, plays, state[_SINCE])
+            gone = whole_cycles(travels, usual, plays, state[_SINCE])
         if gone < 0.0 and state[_REFUSED] < _MOST_REFUSED:
             state[_REFUSED] += 1.0
             return False
@@ -178,7 +178,7 @@ def own_ways(state: Vector, positions: Vector) -> bool:
         state[OWN_GONE] = gone
         if gone > 0.0:
             for k in range(n):
-                usual[k] = ways[k] / gone
+                usual[k] = travels[k] / gone
             state[_HAS_USUAL] = 1.0
     for k in range(n):
         last[k] = positions[k]
@@ -186,7 +186,7 @@ def own_ways(state: Vector, positions: Vector) -> bool:
     return True
 
 
-def forget_own_ways(state: Vector) -> None:
+def forget_own_travels(state: Vector) -> None:
     """The next positions are taken as they are."""
     state[:_OF_AXES] = 0.0
 
@@ -196,7 +196,7 @@ class _Compiled(NamedTuple):
 
     paired: Callable[[Vector, Vector, float], bool]
     comes_steadily: Callable[[Vector, float], bool]
-    own_ways: Callable[[Vector, Vector], bool]
+    own_travels: Callable[[Vector, Vector], bool]
     whole_cycles: Callable[[Vector, Vector, Vector, float], float]
 
 
@@ -204,8 +204,8 @@ def _entry_points(sources: int) -> _Compiled:
     """For Python; `sources` as in `compiled.number_of_sources`."""
 
     @entry_point(VECTOR, VECTOR, REAL)
-    def paired_once(state: Vector, positions: Vector, least_way: float) -> bool:
-        return paired(state, positions, least_way) if sources >= 0 else False
+    def paired_once(state: Vector, positions: Vector, least_travel: float) -> bool:
+        return paired(state, positions, least_travel) if sources >= 0 else False
 
     @entry_point(VECTOR, REAL)
     def comes_once(state: Vector, x_m: float) -> bool:
@@ -213,28 +213,28 @@ def _entry_points(sources: int) -> _Compiled:
 
     @entry_point(VECTOR, VECTOR)
     def own_once(state: Vector, positions: Vector) -> bool:
-        return own_ways(state, positions) if sources >= 0 else False
+        return own_travels(state, positions) if sources >= 0 else False
 
     @entry_point(VECTOR, VECTOR, VECTOR, REAL)
-    def whole(ways: Vector, usual: Vector, plays: Vector, told: float) -> float:
-        return whole_cycles(ways, usual, plays, told) if sources >= 0 else -1.0
+    def whole(travels: Vector, usual: Vector, plays: Vector, told: float) -> float:
+        return whole_cycles(travels, usual, plays, told) if sources >= 0 else -1.0
 
     return _Compiled(paired_once, comes_once, own_once, whole)
 
 
-_paired, _comes_steadily, _own_ways, _whole_cycles = _entry_points(number_of_sources(__file__))
+_paired, _comes_steadily, _own_travels, _whole_cycles = _entry_points(number_of_sources(__file__))
 
 
 class Pairing:
     """Compares the ways of all axes since their positions were last of one instant.
 
-    Ways that differ by no more than `least_way` (m, or rad of a rotary machine) are alike. What was once taken for
+    Ways that differ by no more than `least_travel` (m, or rad of a rotary machine) are alike. What was once taken for
     positions of one instant is what all later ones are compared with: if it was not, none will ever be. So after a
     pause, in which the ways grow long, they may differ by no more than before it.
     """
 
-    def __init__(self, least_way: float) -> None:
-        self._least_way = least_way
+    def __init__(self, least_travel: float) -> None:
+        self._least_travel = least_travel
         self._format, self._state, self._positions = "", pairing_state(0), np.zeros(0)
 
     @property
@@ -261,10 +261,10 @@ class Pairing:
         """Whether this cycle's positions of all rollers, in m at the web, are of one instant."""
         self.vectors(len(positions_m))
         pack_into(self._format, self._positions.data, 0, *positions_m)
-        return _paired(self._state, self._positions, self._least_way)
+        return _paired(self._state, self._positions, self._least_travel)
 
 
-class SteadyWay:
+class SteadyTravel:
     """Whether a roller has come as far as in the cycle before, or as it can have been accelerated since.
 
     On a bus that is late a position may be that of the cycle before, or two cycles on: as a speed that would be an
@@ -277,7 +277,7 @@ class SteadyWay:
 
     def reset(self) -> None:
         """The next positions are taken as they are."""
-        self.state[_HAS_LAST] = self.state[_HAS_WAY] = self.state[STEADY_MISSED] = 0.0
+        self.state[_HAS_LAST] = self.state[_HAS_TRAVEL] = self.state[STEADY_MISSED] = 0.0
 
     def miss(self) -> None:
         """A cycle without a position of its own."""
@@ -288,7 +288,7 @@ class SteadyWay:
         return _comes_steadily(self.state, x_m)
 
 
-class OwnWays:
+class OwnTravels:
     """`Pairing` of axes that turn at speeds of their own, as dancers, accumulators and reels let them: each is compared
     with its own way of a cycle, which must say the same number of cycles of all.
 
@@ -297,11 +297,11 @@ class OwnWays:
 
     def __init__(self, axes: int, of_a_cycle: float) -> None:
         """`of_a_cycle`: by how much a way may differ, see `play`."""
-        self._state, self._positions = own_ways_state(axes, of_a_cycle), np.zeros(axes)
+        self._state, self._positions = own_travels_state(axes, of_a_cycle), np.zeros(axes)
 
     def reset(self) -> None:
         """The next positions are taken as they are."""
-        forget_own_ways(self._state)
+        forget_own_travels(self._state)
 
     @property
     def gone(self) -> int:
@@ -320,7 +320,7 @@ class OwnWays:
     def update(self, *positions: float) -> bool:
         """Whether this cycle's positions of all axes, in the machine's unit, are of one instant."""
         self._positions[:] = positions
-        return _own_ways(self._state, self._positions)
+        return _own_travels(self._state, self._positions)
 
 
 def play(position_unit: str, cycle_s: float) -> float:
@@ -329,12 +329,12 @@ def play(position_unit: str, cycle_s: float) -> float:
     return _ON_ITS_WAY[position_unit] * cycle_s**2
 
 
-def cycles_gone(ways: Sequence[float], usual: Sequence[float], plays: Sequence[float], told: int) -> int | None:
+def cycles_gone(travels: Sequence[float], usual: Sequence[float], plays: Sequence[float], told: int) -> int | None:
     """How many cycles all axes have gone on.
 
     ways: of each axis since it was last measured; usual: those of one cycle before that; plays: see `play`; told: how
     many cycles by some clock. Axes that are too slow to say it have gone as many as the clock says, unless they can't
     have come so far in that time. None where they disagree, or have gone a way that is none of whole cycles.
     """
-    found = _whole_cycles(np.array(ways), np.array(usual), np.array(plays), float(told))
+    found = _whole_cycles(np.array(travels), np.array(usual), np.array(plays), float(told))
     return None if found < 0.0 else int(found)

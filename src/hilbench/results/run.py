@@ -58,8 +58,8 @@ from hilbench.runs.check import check_experiment
 from hilbench.runs.config import LoadedConfig
 from hilbench.runs.criteria import Criterion, CriterionResult, evaluate
 from hilbench.runs.events import EventLog
-from hilbench.runs.foresight import Foresight
 from hilbench.runs.found import metrics as found_metrics
+from hilbench.runs.look_ahead import LookAhead
 from hilbench.runs.metrics import Judgement, judge
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signal_kinds import Signal
@@ -179,9 +179,9 @@ def run_experiment(
         with finishing(WRITING, partial(_end_at_once, bench)) as held:
             with record.journal, kept, record.trace, bench:
                 announce("run the experiment")
-                foresight = Foresight(config)
+                look_ahead = LookAhead(config)
                 for number, step in enumerate(config.steps):
-                    bench.foresee(foresight.plan(number, bench.time_s))
+                    bench.foresee(look_ahead.plan(number, bench.time_s))
                     step.run(bench, record.verdicts)
             outcome = record.finish(bench, config.criteria, streams)
             outcome.end_if_asked(held)

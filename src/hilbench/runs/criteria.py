@@ -11,7 +11,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 from hilbench.block import Block, Strict
 from hilbench.runs.figures import LEAST_SETTLED_S
 from hilbench.runs.metrics import METRICS, Judgement, find_metric, reasons
-from hilbench.runs.stretch import Figure, Metric
+from hilbench.runs.segment import Figure, Metric
 from hilbench.suggest import did_you_mean
 
 

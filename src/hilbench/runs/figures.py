@@ -1,7 +1,7 @@
 """Figures of recorded signals, by themselves: pure functions on one-dimensional arrays over one time base `t_s` (s,
 strictly increasing).
 
-The *settled part* of a signal is the end of a stretch, without what is left of the transient (`settled_part`).
+The *settled part* of a signal is the end of a segment, without what is left of the transient (`settled_part`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _AT_THE_LIMIT: Final = 0.9
 
 
 def working_window(t_s: ArrayLike, command: ArrayLike) -> slice | None:
-    """Samples of the longest stretch (in time) in which the command of the speed is the run's largest, within 0.1 %.
+    """Samples of the longest segment (in time) in which the command of the speed is the run's largest, within 0.1 %.
 
     None if the machine never ran.
     """
@@ -57,10 +57,10 @@ def last_step(true_value: ArrayLike) -> int | None:
 
 
 def settled_part(t_s: ArrayLike, values: ArrayLike) -> slice:
-    """The end of a stretch without its transient: at most the last `SETTLED_S`, at least the last `LEAST_SETTLED_S`.
+    """The end of a segment without its transient: at most the last `SETTLED_S`, at least the last `LEAST_SETTLED_S`.
 
     Where the transient ends is decided by the marginal standard error rule: cut off is what makes the standard error
-    of the mean of the rest least, up to half of the stretch (White, An effective truncation heuristic for bias
+    of the mean of the rest least, up to half of the segment (White, An effective truncation heuristic for bias
     reduction in simulation output, Simulation 69(6), 1997).
     """
     time_s, data = np.asarray(t_s, np.float64), np.asarray(values, np.float64)
@@ -82,7 +82,7 @@ def _truncation(data: Array, latest: int) -> int:
 
 
 def still_settling(t_s: ArrayLike, values: ArrayLike) -> bool:
-    """Whether the settled part of a short stretch still has some of the transient: as much was cut off as may be, and
+    """Whether the settled part of a short segment still has some of the transient: as much was cut off as may be, and
     the first third of the rest is far more uneven about its straight-line trend than the last.
     """
     time_s, data = np.asarray(t_s, np.float64), np.asarray(values, np.float64)

@@ -16,7 +16,7 @@ from typing import Final
 from hilbench.bench.reports.found import FoundEffect, ModelChange
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
-from hilbench.runs.stretch import Metric
+from hilbench.runs.segment import Metric
 
 COUNT: Final = "found.count"
 _NAME: Final = re.compile(r"(found|gone)\.([a-z_]+)(?:\.([a-z]+)[1-9]\d{0,3})?\.(\w+)")

@@ -2,7 +2,7 @@
 
 Arrays are one-dimensional, over one time base `t_s` (s, strictly increasing). Every step of every quantity is judged
 on its own (`judge`), from the moment it acts to the next step, ramp or end of a ramp. A run without a step is
-judged over its *working window*: the longest stretch in which the machine runs at its working speed
+judged over its *working window*: the longest segment in which the machine runs at its working speed
 (`hilbench.runs.figures.working_window`), or in which it moves at all where ramps are its work.
 A figure that a step cannot have is None and says why; nothing is put in its place.
 """
@@ -22,7 +22,7 @@ from hilbench.runs.events import Event, find_events, of_open_loop
 from hilbench.runs.figures import finite_or_none, working_window
 from hilbench.runs.machines import servo_axis, web_line
 from hilbench.runs.machines.machine import MachineMetrics
-from hilbench.runs.stretch import Array, Channels, Figure, Metric, Stretch, UnknownFigureError
+from hilbench.runs.segment import Array, Channels, Figure, Metric, Segment, UnknownFigureError
 from hilbench.topology.signals import SMALLEST, Shape, kind_of, shape_of
 
 #: What the smallest machine of each kind has of its steps.
@@ -106,7 +106,7 @@ def kind_of_figures(names: Iterable[str]) -> str:
 
 @dataclass(frozen=True)
 class StepFigures:
-    """A stretch of a run that is judged on its own, with its figures by metric.
+    """A segment of a run that is judged on its own, with its figures by metric.
 
     `number` counts the steps from 1; it is 0, and `event` None, for the working window of a run without steps.
     A metric that such a step has not (overshoot of E when friction steps) is left out.
@@ -195,8 +195,8 @@ def judge(channels: Channels, *, journal: Sequence[Event] = ()) -> Judgement:
     if steps:
         judged = []
         for number, step in enumerate(steps, 1):
-            part = _stretch(time_s, step.end_s, _next(ending, step.end_s))
-            judged.append(_judge(machine, Stretch(channels, part, step, marks), number))
+            part = _segment(time_s, step.end_s, _next(ending, step.end_s))
+            judged.append(_judge(machine, Segment(channels, part, step, marks), number))
         return Judgement(judged, events, machine)
     window = _window(machine, channels, time_s)
     if window is None:
@@ -204,7 +204,7 @@ def judge(channels: Channels, *, journal: Sequence[Event] = ()) -> Judgement:
     inside = [event.end_s for event in ending if time_s[window][0] < event.end_s < time_s[window][-1]]
     if inside:
         window = slice(int(np.searchsorted(time_s, max(inside))), window.stop)
-    return Judgement([_judge(machine, Stretch(channels, window, None, marks), 0)], events, machine)
+    return Judgement([_judge(machine, Segment(channels, window, None, marks), 0)], events, machine)
 
 
 def _is_its_work(event: Event, machine: MachineMetrics) -> bool:
@@ -229,18 +229,18 @@ def _next(events: Sequence[Event], after_s: float) -> float:
     return min(times, default=np.inf)
 
 
-def _stretch(time_s: Array, start_s: float, until_s: float) -> slice:
+def _segment(time_s: Array, start_s: float, until_s: float) -> slice:
     half_s = float(np.median(np.diff(time_s))) / 2
     return slice(*(int(at) for at in np.searchsorted(time_s, (start_s - half_s, until_s - half_s))))
 
 
-def _judge(machine: MachineMetrics, stretch: Stretch, number: int) -> StepFigures:
+def _judge(machine: MachineMetrics, segment: Segment, number: int) -> StepFigures:
     figures = {}
     for name, metric in machine.metrics.items():
-        if metric.figure is not None and metric.judged(stretch):
+        if metric.figure is not None and metric.judged(segment):
             try:
-                figures[name] = metric.figure(stretch)
+                figures[name] = metric.figure(segment)
             except UnknownFigureError as unknown:
                 figures[name] = Figure(None, str(unknown))
-    start_s, until_s = (float(stretch.t_s[at]) for at in (0, -1))
-    return StepFigures(number, stretch.event, start_s, until_s, figures)
+    start_s, until_s = (float(segment.t_s[at]) for at in (0, -1))
+    return StepFigures(number, segment.event, start_s, until_s, figures)

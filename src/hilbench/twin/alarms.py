@@ -12,10 +12,10 @@ class Alarms:
     """One alarm for each problem; a condition that comes and goes is one alarm."""
 
     def __init__(self, cycle_s: float) -> None:
-        self.go_by(cycle_s)
+        self.set_cycle_time(cycle_s)
         self._left: dict[Problem, int] = {}
 
-    def go_by(self, cycle_s: float) -> None:
+    def set_cycle_time(self, cycle_s: float) -> None:
         """A cycle is so long from now on."""
         self._quiet_cycles = max(1, round(_QUIET_S / cycle_s))
 

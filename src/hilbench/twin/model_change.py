@@ -90,7 +90,7 @@ class ChangeableMachine:
         self._candidate, self._coming = None, None
         if self._beside is None:
             self._candidate = make()
-            self._candidate.go_by(self._cycle_s)
+            self._candidate.set_cycle_time(self._cycle_s)
         else:
             self._coming = self._beside(make)
         self._before, self._released = None, False
@@ -136,16 +136,16 @@ class ChangeableMachine:
         """Whether a measured state was not plausible and was not taken over in the last cycle."""
         return self._current.refused
 
-    def doubt(self, *, doubted: bool) -> None:
+    def freeze_adaptation(self, *, frozen: bool) -> None:
         """Whether nobody knows how long a cycle is."""
         for machine in self._machines:
-            machine.doubt(doubted=doubted)
+            machine.freeze_adaptation(frozen=frozen)
 
-    def go_by(self, cycle_s: float) -> None:
+    def set_cycle_time(self, cycle_s: float) -> None:
         """Each cycle is so long from the next on, whichever model is in use."""
         self._cycle_s = cycle_s
         for machine in self._machines:
-            machine.go_by(cycle_s)
+            machine.set_cycle_time(cycle_s)
 
     def keep(self) -> None:
         """What is known now was found with cycles of the right length."""
@@ -216,7 +216,7 @@ class ChangeableMachine:
         self._current.plant.step(duration_s)
         if self._coming is not None and self._coming.done():
             self._candidate, self._coming = self._coming.result(), None
-            self._candidate.go_by(self._cycle_s)
+            self._candidate.set_cycle_time(self._cycle_s)
         candidate = self._candidate
         if candidate is not None and self._released:
             self._pass_set_points(candidate)

@@ -213,7 +213,7 @@ class ClockedTwinRun(_TwinRun):
         self._answers, self._axes = answers, OtherAxes(application.listeners, answers)
         super().__init__(answers, self._axes, application)
         self._axes.join()
-        self._ways = deque[list[float]](maxlen=2)  # positions at the last SYNCs
+        self._travels = deque[list[float]](maxlen=2)  # positions at the last SYNCs
 
     @property
     def came(self) -> Sequence[bytes]:
@@ -225,7 +225,7 @@ class ClockedTwinRun(_TwinRun):
         if self._awaits:
             outcome = self._answers.await_others(self._axes, timeout_s)
             if outcome == ANSWERED:
-                self._ways.append(self._axes.positions_rad)
+                self._travels.append(self._axes.positions_rad)
                 self._go_on()
             return outcome != OTHER
         outcome = self._answers.await_sync(timeout_s) if self._machine.stays() else OTHER
@@ -240,5 +240,5 @@ class ClockedTwinRun(_TwinRun):
 
     def end(self) -> None:
         """See `plain.host.PacketRun`."""
-        self._application.went_by(self._ways)
+        self._application.went_by(self._travels)
         super().end()

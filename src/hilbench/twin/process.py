@@ -26,8 +26,8 @@ from hilbench.topology.process_data.of_kind import process_data
 from hilbench.topology.signals import Shape
 from hilbench.twin import virtual_io
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
-from hilbench.twin.axis_ways import AxisWays
 from hilbench.twin.bus_clock import BusClock
+from hilbench.twin.cycles_by_travel import CyclesByTravel
 from hilbench.twin.found import as_text
 from hilbench.twin.machines.kinds import boundary, new_machine, warm_up
 from hilbench.twin.machines.machine import (
@@ -118,7 +118,7 @@ class TwinApplication:
         in_lockstep = isinstance(setup.clock, SyncClock)
         self._clock = None if in_lockstep else BusClock(setup.cycle_s, setup.clock.now_ns, device, say)
         self._skipped = 0  # cycles that by the clock the axes have gone, less the SYNCs that came
-        self._ways = AxisWays(setup.model, setup.cycle_s)
+        self._travels = CyclesByTravel(setup.model, setup.cycle_s)
         self._said = (0, 0, 0)  # with the last SYNC of a plain cycle
         self._in_vectors: InVectors | None = None
         self.leaves_vectors = False  #: what is in vectors has to go on in objects
@@ -140,7 +140,7 @@ class TwinApplication:
         self._measured_before = None
         self._reports.reset()
         self._pending = self._released = False
-        self._ways.reset()
+        self._travels.reset()
         self._time_s = 0.0
         self._publish()
 
@@ -171,7 +171,7 @@ class TwinApplication:
             self._measured_before = None
         self._skipped = self._skipped + heard.skipped if self._released else 0
         if heard.apart is not heard.were_apart:
-            self._machine.doubt(doubted=heard.apart)
+            self._machine.freeze_adaptation(frozen=heard.apart)
         if heard.cycle_ns is not None:
             self._go_by(heard.cycle_ns * 1e-9)
             self._clock.tell(heard.cycle_ns)
@@ -194,9 +194,9 @@ class TwinApplication:
     def _go_by(self, cycle_s: float) -> None:
         """From here on that is a cycle, by which SYNC comes; for a while it did not."""
         self._cycle_s = cycle_s
-        self._machine.go_by(cycle_s)
-        self._reports.go_by(cycle_s)
-        self._ways = AxisWays(self._model, cycle_s)
+        self._machine.set_cycle_time(cycle_s)
+        self._reports.set_cycle_time(cycle_s)
+        self._travels = CyclesByTravel(self._model, cycle_s)
         self._measured_before, self._skipped = None, 0
 
     def _catch_up(self) -> bool:
@@ -208,11 +208,11 @@ class TwinApplication:
         skipped, now = self._skipped, None if measured is None else [position for position, _ in measured]
         if skipped:
             if now is None:  # the next measurement will tell
-                self._ways.update(None, 1)
+                self._travels.update(None, 1)
                 return True
-            skipped = self._ways.gone(now, 1 + skipped) - 1
+            skipped = self._travels.gone(now, 1 + skipped) - 1
             self._skipped = 0
-        self._ways.update(now, 1 + skipped)
+        self._travels.update(now, 1 + skipped)
         if 0 < skipped <= _MOST_SKIPPED:
             for _ in range(skipped):
                 self._machine.miss()  # what is measured next is not one cycle after the last
@@ -270,7 +270,7 @@ class TwinApplication:
     def went_by(self, positions_rad: Iterable[Sequence[float]]) -> None:
         """Where the axes were at the last SYNCs, one cycle after the other: as of `_catch_up`."""
         for now in positions_rad:
-            self._ways.update(now, 1)
+            self._travels.update(now, 1)
 
     @property
     def listeners(self) -> Sequence[AxisListener]:
@@ -418,7 +418,7 @@ class TwinApplication:
         else:
             self._released, self._was_held = False, True
             self._measured_before = None
-            self._ways.reset()
+            self._travels.reset()
         self._measured = list(self._nothing)
         for drive in self._drives:
             drive.publish()
@@ -445,10 +445,10 @@ class TwinApplication:
     def _waits_for_set_points(self, before: list[Measured], measured: list[Measured]) -> bool:
         """Whether an axis moves whose virtual drive, just enabled, has not been told so yet: it would brake. Not for
         ever: an axis may be turned by something else."""
-        ways = [now - then for (then, _), (now, _) in zip(before, measured, strict=True)]
+        travels = [now - then for (then, _), (now, _) in zip(before, measured, strict=True)]
         brakes = any(
             port.mode is MotorMode.VELOCITY and port.setpoint == 0.0 and abs(way) > _MOVES_RAD_S * self._cycle_s
-            for port, way in zip(self._ports, ways, strict=True)
+            for port, way in zip(self._ports, travels, strict=True)
         )
         self._waited_s = self._waited_s + self._cycle_s if brakes else 0.0
         return brakes and self._waited_s <= _LONGEST_WAIT_S

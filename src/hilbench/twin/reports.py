@@ -32,10 +32,10 @@ class Reports:
             alarms.reset()
         self._forget()
 
-    def go_by(self, cycle_s: float) -> None:
+    def set_cycle_time(self, cycle_s: float) -> None:
         """A cycle is so long from now on."""
         for alarms in self._alarms.values():
-            alarms.go_by(cycle_s)
+            alarms.set_cycle_time(cycle_s)
 
     def update(self) -> None:
         """Behind each comparison: say what has begun or ended with it."""

@@ -34,9 +34,9 @@ from hilbench.bench.tasks.web_carriage_force import CarriageForceTask
 from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.bench.tasks.web_positions import CarriageStops, PositionTask
 from hilbench.bench.tasks.web_reel_torque import LoadCells, ReelTorqueTask
-from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelWay
+from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelTravel
 from hilbench.bench.tasks.web_rest_movement import RestMovement, pulls_m
-from hilbench.bench.tasks.web_strain_way import EnteringStrain, StrainWay
+from hilbench.bench.tasks.web_strain_trajectory import EnteringStrain, StrainTrajectory
 from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.chain import Chained, Function, never
 from hilbench.compiled import table_of
@@ -74,7 +74,9 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     }
     sections = section_model(model)
     ways = {
-        axis: StrainWay(control.set_point_rise_s, cycle_s, sections.span_length_m(axis), sections.section_m2(axis))
+        axis: StrainTrajectory(
+            control.set_point_rise_s, cycle_s, sections.span_length_m(axis), sections.section_m2(axis)
+        )
         for axis, control in by_axis.items()
         if control.feed_forward == "twin"
     }
@@ -179,17 +181,17 @@ def _rest_movement(
 ) -> RestMovement | None:
     """Of a line of driven rollers `axes`, in its direction; None where none is permitted."""
     controls, model = config.tension_controls, config.web_line
-    way_mm = max((control.probes.at_rest_mm for control in controls.values()), default=0.0)
-    if way_mm == 0.0:
+    travel_mm = max((control.probes.at_rest_mm for control in controls.values()), default=0.0)
+    if travel_mm == 0.0:
         return None
     usual_N = max(control.set_point_N for control in controls.values())
     set_points_N = [
         controls[span].set_point_N if span in controls else usual_N for span in range(1, model.span_count + 1)
     ]
     positions_m = attrgetter(*(f"x{axis}_m" for axis in range(1, model.axis_count + 1)))
-    way_m = 1e-3 * way_mm
-    pulled_m = pulls_m(model, set_points_N, way_m)
-    return RestMovement(leading, axes, positions_m, way_m, pulled_m, config.cycle_time_s)
+    travel_m = 1e-3 * travel_mm
+    pulled_m = pulls_m(model, set_points_N, travel_m)
+    return RestMovement(leading, axes, positions_m, travel_m, pulled_m, config.cycle_time_s)
 
 
 def _tension_task(
@@ -226,7 +228,7 @@ def _ways(config: BenchConfig, section: int) -> Callable[[CycleSample], tuple[fl
     if not reels.keys() & {section, section + 1}:
         return None
     before, behind = (
-        ReelWay(reels[axis]) if axis in reels else attrgetter(f"x{axis}_m") for axis in (section, section + 1)
+        ReelTravel(reels[axis]) if axis in reels else attrgetter(f"x{axis}_m") for axis in (section, section + 1)
     )
     return lambda sample: (before(sample), behind(sample))
 

@@ -18,7 +18,7 @@ from hilbench.bench.tasks.swing_damping import SwingPlant, damping_gains
 from hilbench.bench.tasks.tension_control import TensionController, strains_around
 from hilbench.bench.tasks.tension_feed_forward import RollerForces
 from hilbench.bench.tasks.web_limits import limited
-from hilbench.bench.tasks.web_strain_way import way_per_s
+from hilbench.bench.tasks.web_strain_trajectory import trajectory_per_s
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Outlook, Watched
 from hilbench.prediction.plan import Asked, Move
@@ -69,7 +69,7 @@ class LineLook:
         self._torques = [f"tau{k}_Nm" for k in axes]
         self._commands = [f"v{k}_cmd_m_s" for k in axes]
         self._tensions = [f"F{shape.numbered(span)}_sim_N" for span in spans]
-        #: E of each span by its path; that of all spans is a move of each (`hilbench.runs.foresight`).
+        #: E of each span by its path; that of all spans is a move of each (`hilbench.runs.look_ahead`).
         self._moduli = [modulus_of_span(span) if shape.spans > 1 else YOUNGS_MODULUS for span in spans]
         known = shape.numbered(shape.estimated[0])
         self._modulus, self._modulus_sd = f"E{known}_sim_Pa", f"E{known}_sd_Pa"
@@ -202,7 +202,7 @@ class LineLook:
                 row[kernel.G_DAMPING_LIMIT_M_S] = plant.limit_m_s
                 row[kernel.G_LENGTH_M] = model.span_length_m(span)
                 if control.feed_forward == "twin":
-                    row[kernel.G_WAY_PER_S] = way_per_s(control.set_point_rise_s)
+                    row[kernel.G_TRAJECTORY_PER_S] = trajectory_per_s(control.set_point_rise_s)
             return found
 
         return gains

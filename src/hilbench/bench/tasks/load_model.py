@@ -35,7 +35,7 @@ class LoadModel:
     is told by way and speed, where the axes turn: of a drive that has missed a SYNC, or of a SYNC that the bench has
     sent late, no frame says so.
 
-    `load_axes`: on which axis' shaft each load motor is, counted from 1; `least_way`, in the machine's unit of
+    `load_axes`: on which axis' shaft each load motor is, counted from 1; `least_travel`, in the machine's unit of
     position: what is measured well enough to count cycles by it; `effects`: those the machine has at the start;
     `own_play`: as `MeasuredMotion`, of a machine whose axes turn at speeds of their own.
     """
@@ -46,7 +46,7 @@ class LoadModel:
         load_axes: Sequence[int],
         cycle_s: float,
         lead_s: float,
-        least_way: float,
+        least_travel: float,
         effects: Iterable[EffectEntry] = (),
         own_play: float | None = None,
     ) -> None:
@@ -57,7 +57,7 @@ class LoadModel:
         self._load_axes = tuple(load_axes)
         self._running = False
         counted = self._load_axes[0] - 1 if self._load_axes else 0
-        self._motion = MeasuredMotion(description.axes, counted, cycle_s, lead_s, least_way, own_play)
+        self._motion = MeasuredMotion(description.axes, counted, cycle_s, lead_s, least_travel, own_play)
         self._in_step = machine.in_step(self._motion, self._load_axes) if isinstance(machine, FollowsInStep) else None
         self._torques_Nm = [0.0] * len(self._load_axes)
         self._is_ahead = False  # `_in_step`, of these torques
@@ -89,7 +89,7 @@ class LoadModel:
         else:
             if self._is_ahead and self._in_step is not None:
                 self._torques_Nm, self._is_ahead = self._in_step.torques_Nm, False
-            duration_s = self._motion.gone_s(positions, speeds, late=late)
+            duration_s = self._motion.elapsed_s(positions, speeds, late=late)
             if not duration_s > 0.0:
                 return self._torques_Nm
             self.machine.follow(positions, duration_s)

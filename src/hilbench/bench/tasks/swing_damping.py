@@ -33,7 +33,7 @@ from hilbench.plant import pairing
 from hilbench.plant.pairing import paired, pairing_state
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.sizes import least_way_m
+from hilbench.plant.web_line.sizes import least_travel_m
 
 Vector = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class SwingPlant:
     sample_time_s: float  #: of the drives
     torque_limit_N: float  #: of axis 1
     cycle_s: float
-    least_way_m: float  #: by which positions of one instant may differ
+    least_travel_m: float  #: by which positions of one instant may differ
     delay_cycles: int = 1  #: from measuring to the start of a command's hold
 
     @classmethod
@@ -92,7 +92,7 @@ class SwingPlant:
             sample_time_s=drives.sample_time_s,
             torque_limit_N=per_item(drives.torque_limit_Nm, span) * ratios[0],
             cycle_s=cycle_s,
-            least_way_m=least_way_m(model),
+            least_travel_m=least_travel_m(model),
         )
 
     @property
@@ -147,7 +147,7 @@ def _under_way(plant: SwingPlant) -> list[float]:
 
 #: Of the vectors of `damp`. Plant: span, strains upstream and downstream, limit of the command, cycle, by how much ways
 #: may differ, E that the gains are for.
-_LENGTH_M, _UPSTREAM, _DOWNSTREAM, _LIMIT_M_S, _CYCLE_S, _LEAST_WAY_M, _MODULUS_PA = range(7)
+_LENGTH_M, _UPSTREAM, _DOWNSTREAM, _LIMIT_M_S, _CYCLE_S, _LEAST_TRAVEL_M, _MODULUS_PA = range(7)
 #: Gains: those of `DampingGains`, then how many are pending, and these.
 _RATE, _ELONGATION, _FADES, _PENDING, _GAINS = range(5)
 #: State: cycles since the last positions that were taken, whether there are any, they, the web in the span unstretched,
@@ -162,13 +162,13 @@ def has_changed(plant: Vector, modulus_Pa: float) -> bool:
 
 
 @compiled
-def _elongated_m(plant: Vector, s: Vector, way1_m: float, way2_m: float) -> float:
+def _elongated_m(plant: Vector, s: Vector, travel1_m: float, travel2_m: float) -> float:
     """How much longer the span's web has become, ΔL = L·Δε, by what came in and went out unstretched: forward at
     roller 1 and 2, in reverse at 2 and 1. The balance forgets an error of the strain within L/v.
     """
     strain = s[_STRAIN]
-    came_in_m = way1_m / (1.0 + (plant[_UPSTREAM] if way1_m >= 0.0 else strain))
-    went_out_m = way2_m / (1.0 + (strain if way2_m >= 0.0 else plant[_DOWNSTREAM]))
+    came_in_m = travel1_m / (1.0 + (plant[_UPSTREAM] if travel1_m >= 0.0 else strain))
+    went_out_m = travel2_m / (1.0 + (strain if travel2_m >= 0.0 else plant[_DOWNSTREAM]))
     s[_UNSTRETCHED_M] += came_in_m - went_out_m
     s[_STRAIN] = plant[_LENGTH_M] / s[_UNSTRETCHED_M] - 1.0
     return float(plant[_LENGTH_M] * (s[_STRAIN] - strain))
@@ -178,14 +178,14 @@ def _elongated_m(plant: Vector, s: Vector, way1_m: float, way2_m: float) -> floa
 def damp(plant: Vector, gains: Vector, ways: Vector, s: Vector, positions_m: Vector, planned_m_s: float) -> float:
     """`SwingDamping.velocity` on its vectors (`ways`: of `paired`); positions (2,)."""
     s[_CYCLES] += 1.0
-    if not paired(ways, positions_m, plant[_LEAST_WAY_M]):
+    if not paired(ways, positions_m, plant[_LEAST_TRAVEL_M]):
         return float(s[_COMMANDS])
-    way1_m, way2_m, cycles = positions_m[0] - s[_X1_M], positions_m[1] - s[_X2_M], s[_CYCLES]
+    travel1_m, travel2_m, cycles = positions_m[0] - s[_X1_M], positions_m[1] - s[_X2_M], s[_CYCLES]
     started = s[_STARTED] != 0.0
     s[_X1_M], s[_X2_M], s[_CYCLES], s[_STARTED] = positions_m[0], positions_m[1], 0.0, 1.0
     if not started:
         return 0.0
-    rate_m_s = _elongated_m(plant, s, way1_m, way2_m) / (cycles * plant[_CYCLE_S])
+    rate_m_s = _elongated_m(plant, s, travel1_m, travel2_m) / (cycles * plant[_CYCLE_S])
     rate_m_s -= planned_m_s
     s[_ELONGATION_M] *= exp(-gains[_FADES] * cycles * plant[_CYCLE_S])
     s[_ELONGATION_M] += rate_m_s * cycles * plant[_CYCLE_S]
@@ -230,7 +230,7 @@ class SwingDamping:
         self._ratio = damping_ratio
         self._sent = len(_under_way(plant))
         strains = (plant.upstream_strain, plant.downstream_strain)
-        figures = plant.span_length_m, *strains, plant.limit_m_s, plant.cycle_s, plant.least_way_m, modulus_Pa
+        figures = plant.span_length_m, *strains, plant.limit_m_s, plant.cycle_s, plant.least_travel_m, modulus_Pa
         self._figures = np.array(figures)
         self._gains = np.zeros(_GAINS + self._sent)
         self._state = np.zeros(_COMMANDS + self._sent)

@@ -89,18 +89,18 @@ NOTHING, TENSION, MODULUS, CHANGE = 0.0, 1.0, 2.0, 3.0
 
 @compiled
 def stretch(
-    unstretched_m: Vector, strains: Vector, lengths_m: Vector, ways_m: Vector, before: float, behind: float
+    unstretched_m: Vector, strains: Vector, lengths_m: Vector, travels_m: Vector, before: float, behind: float
 ) -> None:
-    """Mass conservation: web in the spans (K,), unstretched, and its strains, after the rollers have gone `ways_m`
+    """Mass conservation: web in the spans (K,), unstretched, and its strains, after the rollers have gone `travels_m`
     (K + 1,); `before`, `behind`: strains of the web around the line. Web passes a roller with the strain of where it
     comes from."""
     count = len(lengths_m)
-    came_m = ways_m[0] / (1.0 + (before if ways_m[0] >= 0.0 else strains[0]))
+    came_m = travels_m[0] / (1.0 + (before if travels_m[0] >= 0.0 else strains[0]))
     for k in range(count):
         strain = strains[k]
-        if ways_m[k + 1] < 0.0:
+        if travels_m[k + 1] < 0.0:
             strain = strains[k + 1] if k + 1 < count else behind
-        went_m = ways_m[k + 1] / (1.0 + strain)
+        went_m = travels_m[k + 1] / (1.0 + strain)
         unstretched_m[k] += came_m - went_m
         came_m = went_m
     for k in range(count):
@@ -125,9 +125,9 @@ def sticking_N(p: Vector, axis: int) -> float:
 
 
 @compiled
-def _kept_of_a_turn(radius_m: float, way_m: float) -> float:
+def _kept_of_a_turn(radius_m: float, travel_m: float) -> float:
     """What a mean over so much way keeps, at most, of the amplitude of a swing that comes once a turn."""
-    return min(1.0, 2.0 * radius_m / way_m) if way_m > 0.0 else 1.0
+    return min(1.0, 2.0 * radius_m / travel_m) if travel_m > 0.0 else 1.0
 
 
 @compiled

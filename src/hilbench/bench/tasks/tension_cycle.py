@@ -13,11 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.tasks import swing_damping, tension_control, tension_trust, web_strain_way
+from hilbench.bench.tasks import swing_damping, tension_control, tension_trust, web_strain_trajectory
 from hilbench.bench.tasks.swing_damping import damp, has_changed
 from hilbench.bench.tasks.tension_control import control
 from hilbench.bench.tasks.tension_trust import TOLD, TRUSTED, judged
-from hilbench.bench.tasks.web_strain_way import entering_strain, shown_m_s, way_tension_N, way_velocity
+from hilbench.bench.tasks.web_strain_trajectory import (
+    entering_strain,
+    shown_m_s,
+    trajectory_tension_N,
+    trajectory_velocity,
+)
 from hilbench.chain import GOES_ON, Function
 from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, compiled, entry_point, floats, integers, number_of_sources
 from hilbench.plant import pairing
@@ -101,8 +106,8 @@ def _control(table: Table, loop: Vector, values: Vector, words: Places, at: Plac
         strain = entering_strain(
             entering, integers(table, _ENTERING_AT, (1,)), values, behind_m_s >= 0.0, loop[FRESH] != 0.0
         )
-        set_point_N = way_tension_N(way, loop[MODULUS_PA])
-        around_m_s, planned_m_s = way_velocity(way, behind_m_s, strain), shown_m_s(way)
+        set_point_N = trajectory_tension_N(way, loop[MODULUS_PA])
+        around_m_s, planned_m_s = trajectory_velocity(way, behind_m_s, strain), shown_m_s(way)
         lead_m_s = floats(table, _LEADS, (1,))[0]
     loop[SPEED_M_S] = control(
         floats(table, _CONTROLLER, (1,)),
@@ -156,7 +161,10 @@ def _entry_point(sources: int) -> Function:
 #: run(stage, table of `Vectors`): GOES_ON, or what is Python's.
 run = _entry_point(
     number_of_sources(
-        *(str(module.__file__) for module in (pairing, web_strain_way, swing_damping, tension_control, tension_trust)),
+        *(
+            str(module.__file__)
+            for module in (pairing, web_strain_trajectory, swing_damping, tension_control, tension_trust)
+        ),
         __file__,
     )
 )
@@ -178,6 +186,6 @@ def in_order(
 ) -> tuple[NDArray[Any], ...]:
     """The vectors of the table: figures and state of `control`, those of `damp`, the loop, `SPEEDS` of the axis behind
     the span, a sample as `reals` and `wholes` with the places in it, figures, state and places of `judged`; of a loop
-    with a feed-forward `web_strain_way`, what enters the span with the places of that, and the lead of the axis."""
+    with a feed-forward `web_strain_trajectory`, what enters the span with the places of that, and the axis' lead."""
     nothing = np.zeros(0)
     return (*controller, *damping, loop, leader, *sample, *trust, *(ahead or (nothing, nothing, nothing, nothing)))

@@ -26,11 +26,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.tasks import web_strain_way
+from hilbench.bench.tasks import web_strain_trajectory
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.task import CyclicTask, Outputs, Pieces
 from hilbench.bench.tasks.tension_cycle import MODULUS_PA, SET_POINT_N, SHIFT_N
-from hilbench.bench.tasks.web_strain_way import StrainWay, lengthening_m_s2, way_tension_N, way_update
+from hilbench.bench.tasks.web_strain_trajectory import (
+    StrainTrajectory,
+    lengthening_m_s2,
+    trajectory_tension_N,
+    trajectory_update,
+)
 from hilbench.chain import GOES_ON, Chained, Function, never
 from hilbench.compiled import (
     COUNT,
@@ -81,7 +86,7 @@ def _pull_N(table: Table, way: float, sign: float) -> float:
     if way < 0.0:
         return 0.0
     row = _WAYS + 2 * int(way)
-    return sign * way_tension_N(floats(table, row, (1,)), floats(table, row + 1, (1,))[MODULUS_PA])
+    return sign * trajectory_tension_N(floats(table, row, (1,)), floats(table, row + 1, (1,))[MODULUS_PA])
 
 
 def _entry_point(sources: int) -> Function:
@@ -93,7 +98,7 @@ def _entry_point(sources: int) -> Function:
             return GOES_ON
         for row in range(_WAYS, len(table), 2):
             loop = floats(table, row + 1, (1,))
-            way_update(floats(table, row, (1,)), loop[SET_POINT_N] + loop[SHIFT_N], loop[MODULUS_PA])
+            trajectory_update(floats(table, row, (1,)), loop[SET_POINT_N] + loop[SHIFT_N], loop[MODULUS_PA])
         own, rollers, leads_m_s = (
             floats(table, _OWN, (1,)),
             floats(table, _ROLLERS, (1, 2)),
@@ -118,7 +123,7 @@ def _entry_point(sources: int) -> Function:
     return plan
 
 
-_plan = _entry_point(number_of_sources(str(web_strain_way.__file__), __file__))
+_plan = _entry_point(number_of_sources(str(web_strain_trajectory.__file__), __file__))
 _lead_once = interpreted(_lead_m_s)
 
 
@@ -182,7 +187,7 @@ class FeedForwardTask(CyclicTask):
         cycle_s: float,
         line_speed: Reference,
         loops: Mapping[int, Goal],
-        ways: Mapping[int, StrainWay],
+        ways: Mapping[int, StrainTrajectory],
     ) -> None:
         self._line_speed = line_speed
         self._loops, self._ways = loops, ways

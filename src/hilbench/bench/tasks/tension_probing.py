@@ -193,7 +193,7 @@ class Probing(CyclicTask):
         self._moves = movement is not None
         if movement is not None:
             movement.begin(sample)
-            what = f"the rollers move by up to {1e3 * movement.way_m:g} mm for up to {_LONGEST_AT_REST_S:g} s"
+            what = f"the rollers move by up to {1e3 * movement.travel_m:g} mm for up to {_LONGEST_AT_REST_S:g} s"
         else:
             what = f"tension set-point ±{self._size_N:.3g} N for {self._config.duration_s:g} s"
         self._note(f"{what}, {self._known(sample)}")

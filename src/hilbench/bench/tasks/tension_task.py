@@ -18,7 +18,7 @@ from hilbench.bench.tasks.task import MANY, CyclicTask, OfSample, Outputs, Piece
 from hilbench.bench.tasks.tension_control import TensionController
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_trust import TwinSignals, TwinTrust
-from hilbench.bench.tasks.web_strain_way import EnteringStrain, StrainWay, entering_vectors
+from hilbench.bench.tasks.web_strain_trajectory import EnteringStrain, StrainTrajectory, entering_vectors
 from hilbench.chain import Chained
 from hilbench.compiled import table_of
 from hilbench.exchange.exchange import Inputs
@@ -49,7 +49,7 @@ class Leader(Protocol):
 class FeedForward:
     """What a loop has ahead of its controller; strains: of the web around the span; `leads`: of the rollers."""
 
-    way: StrainWay
+    way: StrainTrajectory
     strain_before: EnteringStrain
     strain_behind: EnteringStrain
     leads: FeedForwardTask

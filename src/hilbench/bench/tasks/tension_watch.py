@@ -42,7 +42,7 @@ from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans, section_model
-from hilbench.plant.web_line.sizes import least_way_m
+from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.plant.web_line.stations import CarriageStation, Idler, Reel
 from hilbench.topology.sample import CycleSample
 from hilbench.twin.virtual_io import MODEL_CHANGING
@@ -70,7 +70,7 @@ _LOOK = GOES_ON + 1
 #: behind the line; a cycle in s; a way by which positions may differ; strain behind the line; whether a block has
 #: begun, and the web is where the rollers are.
 _CYCLES, _COUNTED, _BEGAN, _PAIRED, _COMMAND_M_S, _CHANGED, _NEXT_SUM_N = range(7)
-_CYCLE_S, _WAY_M, _DOWNSTREAM, _HAS, _HAS_WEB, _LINE_SIZE = range(7, 13)
+_CYCLE_S, _TRAVEL_M, _DOWNSTREAM, _HAS, _HAS_WEB, _LINE_SIZE = range(7, 13)
 #: Of an axis, when a block began and since: position, speed, sum of torques; its limit.
 _AT_M, _AT_M_S, _SUM_NM, _LIMIT_NM, _BEGUN_SIZE = range(5)
 #: Of the axes' positions: now, the last that were of one instant, and the ways since.
@@ -134,10 +134,10 @@ def _add(values: Vector, words: Places, at: Places, begun: Matrix, line: Vector,
 def _follow(values: Vector, at: Places, line: Vector, ways: Vector, positions: Matrix, web: Matrix) -> None:
     """The web by mass conservation, where the positions are of one instant."""
     axes = positions.shape[1]
-    now_m, last_m, way_m = positions[_NOW_M], positions[_LAST_M], positions[_WAY]
+    now_m, last_m, travel_m = positions[_NOW_M], positions[_LAST_M], positions[_WAY]
     for j in range(axes):
         now_m[j] = values[at[3 * j]]
-    if not paired(ways, now_m, line[_WAY_M]):
+    if not paired(ways, now_m, line[_TRAVEL_M]):
         return
     of_line = at[_OF_AXIS * axes :]
     if line[_HAS_WEB] == 0.0:  # at rest, and strained as the web upstream
@@ -147,9 +147,9 @@ def _follow(values: Vector, at: Places, line: Vector, ways: Vector, positions: M
         line[_HAS_WEB] = 1.0
     else:
         for j in range(axes):
-            way_m[j] = now_m[j] - last_m[j]
+            travel_m[j] = now_m[j] - last_m[j]
         before, behind = values[of_line[_PREV_AT]], line[_DOWNSTREAM]
-        bounds.stretch(web[_UNSTRETCHED_M], web[_STRAIN], web[_LENGTH_M], way_m, before, behind)
+        bounds.stretch(web[_UNSTRETCHED_M], web[_STRAIN], web[_LENGTH_M], travel_m, before, behind)
     for j in range(axes):
         last_m[j] = now_m[j]
     for k in range(axes - 1):
@@ -266,7 +266,7 @@ class TensionWatch(CyclicTask):
         self._begun[_LIMIT_NM] = _AT_LIMIT * np.array(limits_Nm)
         self._line, self._ways = np.zeros(_LINE_SIZE), pairing_state(axes)
         self._line[_CYCLES] = max(1, round(_BLOCK_S / cycle_s))
-        self._line[[_CYCLE_S, _WAY_M, _DOWNSTREAM]] = cycle_s, least_way_m(model), model.downstream_strain
+        self._line[[_CYCLE_S, _TRAVEL_M, _DOWNSTREAM]] = cycle_s, least_travel_m(model), model.downstream_strain
         self._web = np.zeros((_WEB_SIZE, axes - 1))
         self._web[_LENGTH_M] = [sections.span_length_m(k) for k in range(1, axes)]
         self._figures = np.array([_figures(model, sections, loop, errors) for loop in loops])

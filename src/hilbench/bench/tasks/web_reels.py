@@ -46,19 +46,19 @@ class ReelSpeeds(CyclicTask):
             setattr(sample, command, outputs[reel.drive])
 
 
-class ReelWay:
+class ReelTravel:
     """Way of the web at a reel, m, from cycle to cycle by its radius."""
 
     def __init__(self, reel: MeasuredReel) -> None:
         self._reel = reel
         self._position = f"x{reel.axis}_m"
         self._at_m: float | None = None
-        self._way_m = 0.0
+        self._travel_m = 0.0
 
     def __call__(self, sample: CycleSample) -> float:
         """Up to the last sample."""
         position_m: float = getattr(sample, self._position)
         if self._at_m is not None:
-            self._way_m += (position_m - self._at_m) * self._reel.ratio(sample)
+            self._travel_m += (position_m - self._at_m) * self._reel.ratio(sample)
         self._at_m = position_m
-        return self._way_m
+        return self._travel_m

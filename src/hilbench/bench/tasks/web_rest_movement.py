@@ -52,7 +52,7 @@ class PulledRoller(Protocol):
     pull_m_s: float  #: of this one alone; nan: there is no movement
 
 
-def pulls_m(model: ModelParameters, set_points_N: Sequence[float], way_m: float) -> Array:
+def pulls_m(model: ModelParameters, set_points_N: Sequence[float], travel_m: float) -> Array:
     """By how much each roller (N,) is told to go further for the change of the tensions, or as much of it as the
     permitted way allows; `set_points_N`: of the spans (N - 1,).
 
@@ -67,7 +67,7 @@ def pulls_m(model: ModelParameters, set_points_N: Sequence[float], way_m: float)
         for axis, pulled in enumerate(pulled_N.tolist(), 1)
     ]
     move_m = np.insert(np.cumsum(longer_m), 0, 0.0)
-    told_m, most_m = move_m - gives_way_m, _PULL * way_m
+    told_m, most_m = move_m - gives_way_m, _PULL * travel_m
     least_m, largest_m = float(told_m.min()), float(told_m.max())
     if largest_m - least_m > 2.0 * most_m:
         return np.asarray(2.0 * most_m / (largest_m - least_m) * (told_m - 0.5 * (least_m + largest_m)), np.float64)
@@ -83,11 +83,11 @@ class RestMovement:
         leader: LeadingRoller,
         axes: Sequence[PulledRoller],
         positions_m: Positions,
-        way_m: float,
+        travel_m: float,
         pulled_m: Array,
         cycle_s: float,
     ) -> None:
-        self.way_m = way_m
+        self.travel_m = travel_m
         self._leader = leader
         self._axes = tuple(axes)
         self._positions_m = positions_m
@@ -105,7 +105,7 @@ class RestMovement:
     def is_beyond(self, sample: CycleSample) -> bool:
         """Whether a roller is further from where it stood than is permitted."""
         now_m = self._positions_m(sample)
-        return max(abs(now - then) for now, then in zip(now_m, self._stood_m, strict=True)) > self.way_m
+        return max(abs(now - then) for now, then in zip(now_m, self._stood_m, strict=True)) > self.travel_m
 
     def go_on(self) -> None:
         """Speeds of the next cycle."""
@@ -113,7 +113,7 @@ class RestMovement:
         half, within_s = divmod(gone_s + 0.5 * _HALF_S, _HALF_S)  # from the middle of forth on
         since_s = gone_s if half == 0 else within_s
         self._cycles += 1
-        speed_m_s = _FORTH * self.way_m / (_HALF_S - _EDGE_S)
+        speed_m_s = _FORTH * self.travel_m / (_HALF_S - _EDGE_S)
         share = min(1.0, min(since_s, _HALF_S - within_s) / _EDGE_S)
         self._leader.creep_m_s = speed_m_s * share * (1.0 if half % 2 == 0 else -1.0)
         before, goal = _goal(half - 1), _goal(half)

@@ -429,8 +429,8 @@ class FilterInputs:
 
     def _accelerated_rad(self, sample: ShaftSample, cycles: int) -> float:
         """What the position can be off by in so many cycles because the shaft is accelerated otherwise than before."""
-        way_rad = 0.5 * self._largest_change_rad_s2 * (cycles * sample.cycle_s) ** 2
-        return way_rad + _slack(self._position.state, cycles)
+        travel_rad = 0.5 * self._largest_change_rad_s2 * (cycles * sample.cycle_s) ** 2
+        return travel_rad + _slack(self._position.state, cycles)
 
     def _off_rad(self, sample: ShaftSample, cycles: int) -> float:
         return abs(sample.position_rad - self._motion.predicted(cycles * sample.cycle_s).item(0))

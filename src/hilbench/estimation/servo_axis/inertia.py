@@ -102,8 +102,8 @@ def _jump_odds(v: BankVectors) -> float:
 
 
 @compiled
-def _tell(v: BankVectors, inertia_kg_m2: float, told: Array) -> None:
-    """What is known, into `told`; `inertia_kg_m2`: the model's.
+def _state_estimate(v: BankVectors, inertia_kg_m2: float, stated: Array) -> None:
+    """What is known, into `stated`; `inertia_kg_m2`: the model's.
 
     The inertia stays what it was as far as the mixture is not surer: a jump that is only probable moves the deviation,
     which is that about what is told, and no noise of a hypothesis that has just been born.
@@ -111,16 +111,16 @@ def _tell(v: BankVectors, inertia_kg_m2: float, told: Array) -> None:
     mean, odds = v.out[0, kalman.BETA], _jump_odds(v)
     unseen = max(odds / (1.0 + odds) - _LEFT_OUT, 0.0)
     deviation = sqrt(v.out[1, kalman.BETA] ** 2 + unseen * v.settings[bank.JUMP_VARIANCE])
-    beta = inertia_kg_m2 / told[INERTIA] if told[INERTIA] > 0.0 else mean
+    beta = inertia_kg_m2 / stated[INERTIA] if stated[INERTIA] > 0.0 else mean
     apart = deviation * min(hypot(_CAUTION, deviation / (mean * v.figures[_SEPARABLE])), 1.0)
     beta = min(max(beta, mean - apart), mean + apart)
-    told[INERTIA] = inertia_kg_m2 / beta
+    stated[INERTIA] = inertia_kg_m2 / beta
     share = hypot(deviation, beta - mean) / beta
-    told[DEVIATION] = told[INERTIA] * hypot(share, v.figures[_UNMODELLED])
-    told[SEPARABLE] = 1.0 if share < v.figures[_SEPARABLE] else 0.0
-    told[VISCOUS] = v.out[0, kalman.Q + 1] + v.figures[OF_MODEL + 1]
-    told[COULOMB] = v.out[0, kalman.Q + 2] + v.figures[OF_MODEL + 2]
-    told[VISCOUS_SD], told[COULOMB_SD] = v.out[1, kalman.Q + 1], v.out[1, kalman.Q + 2]
+    stated[DEVIATION] = stated[INERTIA] * hypot(share, v.figures[_UNMODELLED])
+    stated[SEPARABLE] = 1.0 if share < v.figures[_SEPARABLE] else 0.0
+    stated[VISCOUS] = v.out[0, kalman.Q + 1] + v.figures[OF_MODEL + 1]
+    stated[COULOMB] = v.out[0, kalman.Q + 2] + v.figures[OF_MODEL + 2]
+    stated[VISCOUS_SD], stated[COULOMB_SD] = v.out[1, kalman.Q + 1], v.out[1, kalman.Q + 2]
 
 
 @merged
@@ -144,7 +144,7 @@ NOT_NEXT, MISLED, TAKEN = range(3)
 
 @compiled
 def take_next(
-    inputs: InputVectors, v: BankVectors, position_rad: float, torque_Nm: float, ripple_Nm: float, told: Array
+    inputs: InputVectors, v: BankVectors, position_rad: float, torque_Nm: float, ripple_Nm: float, stated: Array
 ) -> int:
     """`InertiaEstimator.update` of a sample as `balance.take_next` has them."""
     if not balance.take_next(inputs, position_rad, torque_Nm, ripple_Nm):
@@ -153,7 +153,7 @@ def take_next(
     v.settings[bank.LOG_JUMP], v.settings[bank.LOG_DRIFT] = v.figures[_LOG_JUMP], v.figures[_LOG_DRIFT]
     if not _step(v, inputs.u):
         return MISLED
-    _tell(v, inputs.u[kalman.INERTIA_KG_M2], told)
+    _state_estimate(v, inputs.u[kalman.INERTIA_KG_M2], stated)
     return TAKEN
 
 
@@ -164,11 +164,11 @@ def _entry_points(sources: int) -> tuple[Next, Callable[[Places], bool], Callabl
     """For Python, with the table of an estimator; `sources` as in the kernel."""
 
     @entry_point(TABLE, REAL, REAL, REAL, VECTOR)
-    def next_once(table: Places, position_rad: float, torque_Nm: float, ripple_Nm: float, told: Array) -> int:
+    def next_once(table: Places, position_rad: float, torque_Nm: float, ripple_Nm: float, stated: Array) -> int:
         if sources < 0:
             return NOT_NEXT
         inputs, v = balance.of_table(table, 0), of_table(table, _BANK_ROW)
-        return take_next(inputs, v, position_rad, torque_Nm, ripple_Nm, told)
+        return take_next(inputs, v, position_rad, torque_Nm, ripple_Nm, stated)
 
     @entry_point(TABLE)
     def step_once(table: Places) -> bool:
@@ -178,17 +178,17 @@ def _entry_points(sources: int) -> tuple[Next, Callable[[Places], bool], Callabl
         return _step(v, inputs.u)
 
     @entry_point(TABLE, REAL, VECTOR)
-    def tell_once(table: Places, inertia_kg_m2: float, told: Array) -> None:
+    def state_once(table: Places, inertia_kg_m2: float, stated: Array) -> None:
         if sources >= 0:
             v = of_table(table, _BANK_ROW)
-            _tell(v, inertia_kg_m2, told)
+            _state_estimate(v, inertia_kg_m2, stated)
 
-    return next_once, step_once, tell_once
+    return next_once, step_once, state_once
 
 
 #: The files of what is compiled here, beside those of the kernel.
 SOURCES = (*balance.SOURCES, *(str(module.__file__) for module in (kalman, correction, bank)), __file__)
-_take_next, _step_once, _tell_once = _entry_points(kernel.source_number(*SOURCES))
+_take_next, _step_once, _state_once = _entry_points(kernel.source_number(*SOURCES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,10 +239,10 @@ class InertiaEstimator:
         self._bank = BankVectors(self._z, self._p, self._records, self._settings, places, work, self._out, figures)
         self._cycle_s = 0.0  # that the priors of a birth are of
         #: What is told, by INERTIA and so on.
-        self.told = np.zeros(COULOMB_SD + 1)
+        self.stated = np.zeros(COULOMB_SD + 1)
         self._begin()
         self._gather()
-        self._tell()
+        self._state_estimate()
 
     def _gather(self) -> None:
         """The vectors of what there is now, and where they stand."""
@@ -262,7 +262,7 @@ class InertiaEstimator:
         deviation = 0.01 * self._config.initial_deviation_pct
         kalman.new_filter(self._z, self._p, 0, deviation, self._inputs.priors)
         self._records[0, bank.ALIVE] = 1.0
-        self._settings[_QUIET_S] = self.told[INERTIA] = 0.0
+        self._settings[_QUIET_S] = self.stated[INERTIA] = 0.0
         self._out[0] = self._z[:, 0]
         self._out[1] = np.sqrt(np.diag(self._p[:, :, 0]))
         self._lose(lost=True)  # the motion, not what is known of the shaft
@@ -270,13 +270,13 @@ class InertiaEstimator:
     def _lose(self, *, lost: bool) -> None:
         self._inputs.vectors.s[LOST] = lost
 
-    def _tell(self) -> None:
-        _tell_once(self.table, self._inputs.inertia_kg_m2, self.told)
+    def _state_estimate(self) -> None:
+        _state_once(self.table, self._inputs.inertia_kg_m2, self.stated)
 
     def update(self, sample: ShaftSample) -> ShaftEstimate:
         """One step of every hypothesis, and the births of the next."""
         measured = sample.position_rad, sample.torque_Nm, sample.ripple_Nm
-        return self.go_on_from(_take_next(self.table, *measured, self.told), sample)
+        return self.go_on_from(_take_next(self.table, *measured, self.stated), sample)
 
     def go_on_from(self, stage: int, sample: ShaftSample) -> ShaftEstimate:
         """What is Python's part of a cycle, behind `take_next`."""
@@ -285,7 +285,7 @@ class InertiaEstimator:
         elif stage == MISLED:
             self._begin()
         if stage != TAKEN:
-            self._tell()
+            self._state_estimate()
         return self.estimate
 
     def _update(self, sample: ShaftSample) -> None:
@@ -333,7 +333,7 @@ class InertiaEstimator:
             now[:] = then
         self._inputs.interrupt()
         self._lose(lost=True)
-        self._tell()
+        self._state_estimate()
         return self.estimate
 
     def _kept(self) -> Known:
@@ -347,13 +347,13 @@ class InertiaEstimator:
         variances += added * np.maximum(1.0 - variances / bound, 0.0)
         variance = self._out[1, kalman.BETA] ** 2
         self._out[1, kalman.BETA] = sqrt(variance + added * max(1.0 - variance / bound, 0.0))
-        self._tell()
+        self._state_estimate()
         return self.estimate
 
     @property
     def estimate(self) -> ShaftEstimate:
         """As of the last cycle."""
-        inertia, deviation_kg_m2, separable = self.told[: SEPARABLE + 1].tolist()
+        inertia, deviation_kg_m2, separable = self.stated[: SEPARABLE + 1].tolist()
         values = self._out[0, kalman.Q :] + self._bank.figures[OF_MODEL:]
         deviations, priors = self._out[1, kalman.Q :].tolist(), self._inputs.priors.tolist()
         rows = zip(_NAMES, values.tolist(), deviations, priors, strict=True)

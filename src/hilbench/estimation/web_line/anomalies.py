@@ -31,7 +31,7 @@ LEAST_SHARE = 0.125
 #: Force that accelerates the roller, over the tension that the strain promises, from which nothing is judged: of a mass
 #: known to a tenth it takes a fifth of this from the tension, and a web with that left of it seems broken.
 _ACCELERATES = 4.0
-#: Change of the ratio against what it was so many blocks before, the median of three, from which something has happened.
+#: Change of the ratio against that of so many blocks before (a median of three) from which something happened.
 _CHANGED, _BEFORE = 0.05, 12
 #: Blocks after which a change that is there at once is there, and a single block that is off is in no ratio any more.
 _SETTLED = 2

@@ -91,18 +91,18 @@ def weigh(
     F_next_N: float,
     behind_N: float,
     strain_next: float,
-    crept_prev: float,
+    creep_ratio_prev: float,
     duration_s: float,
 ) -> None:
     """The balance at this SYNC into the state, `duration_s` after the last; positions at the web, torque at the motor.
 
     `behind_N`, `strain_next`: tension and strain of the web behind roller 2; of several rollers as one the tension is
-    not `F_next_N`, which is behind the last of them. `crept_prev`: as in `put_boundary`."""
+    not `F_next_N`, which is behind the last of them. `creep_ratio_prev`: as in `put_boundary`."""
     s, velocity_m_s = balance.s, 0.0
     if s[STARTED] == _FOLLOWS:
         follow_to(balance.web, x1_m, x2_m, duration_s)
         velocity_m_s = (x2_m - s[_BEFORE_M]) / duration_s
-    put_boundary(balance.web, strain_prev, behind_N, strain_next, crept_prev)
+    put_boundary(balance.web, strain_prev, behind_N, strain_next, creep_ratio_prev)
     s[STARTED] = _FOLLOWS
     s[_BEFORE_M] = x2_m
     s[X2_M] = x2_m

@@ -21,7 +21,7 @@ _KEPT_EVERY: Final = 0.05
 
 class _Kept(NamedTuple):
     time_s: float
-    way_m: float
+    travel_m: float
     lost_m: float
 
 
@@ -35,20 +35,20 @@ class CarriageSlip:
     def reset(self) -> None:
         """Nothing is known of what was before."""
         self._kept: deque[_Kept] = deque()
-        self._way_m = self._lost_m = 0.0
+        self._travel_m = self._lost_m = 0.0
         self.since_s = inf  #: when no web slipped yet; inf where none does
         self._told_m = 0.0  # way until it slipped
 
     def take(self, time_s: float, before_m: float, behind_m: float, room_m: float) -> None:
         """Until now went so much in by the roller before the section, out by that behind it, and the web between them
         became so much longer by its carriage, each since the last call."""
-        self._way_m += abs(behind_m)
+        self._travel_m += abs(behind_m)
         self._lost_m += before_m - behind_m - room_m
-        while len(self._kept) > 1 and self._kept[1].way_m <= self._way_m - self._length_m:
+        while len(self._kept) > 1 and self._kept[1].travel_m <= self._travel_m - self._length_m:
             self._kept.popleft()
-        if not self._kept or self._way_m - self._kept[-1].way_m >= _KEPT_EVERY * self._length_m:
+        if not self._kept or self._travel_m - self._kept[-1].travel_m >= _KEPT_EVERY * self._length_m:
             self._judge()
-            self._kept.append(_Kept(time_s, self._way_m, self._lost_m))
+            self._kept.append(_Kept(time_s, self._travel_m, self._lost_m))
 
     def allow(self) -> None:
         """What seems lost until now is what the web, which has become another one, has been stretched by."""
@@ -59,10 +59,10 @@ class CarriageSlip:
             return
         if self.since_s == inf:
             if any(self._is_lost(each, _SLIPS, self._unsure_m) for each in self._kept):
-                self.since_s, self._told_m = self._kept[0].time_s, self._way_m
-        elif self._way_m - self._told_m > self._length_m and not self._is_lost(self._kept[0], _ENDS, 0.0):
+                self.since_s, self._told_m = self._kept[0].time_s, self._travel_m
+        elif self._travel_m - self._told_m > self._length_m and not self._is_lost(self._kept[0], _ENDS, 0.0):
             self.since_s = inf
 
     def _is_lost(self, since: _Kept, strains: float, unsure_m: float) -> bool:
-        most_m = strains * self._strain * (self._way_m - since.way_m) + unsure_m
+        most_m = strains * self._strain * (self._travel_m - since.travel_m) + unsure_m
         return abs(self._lost_m - since.lost_m) > most_m

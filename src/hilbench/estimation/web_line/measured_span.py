@@ -10,7 +10,7 @@ from hilbench.estimation.web_line.balance import MeasuredBalance
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.splices import Piece
 
-_as_if_stretched = interpreted(cycle.as_if_stretched)
+_as_if_stretched = interpreted(cycle.equivalent_strain)
 
 
 class MeasuredSpan:
@@ -35,18 +35,18 @@ class MeasuredSpan:
         return self.strain * self.series_factor / self._t.item(cycle.END_FACTOR)
 
     @property
-    def crept(self) -> float:
+    def creep_ratio(self) -> float:
         """Share by which less web leaves the span than the roller behind it turns, as it creeps."""
-        return self._t.item(cycle.CREPT)
+        return self._t.item(cycle.CREEP_RATIO)
 
     @property
-    def handed_on_strain(self) -> float:
-        """With which the next span gets it; see `tracking_cycle.handed_on_strain`."""
-        return _as_if_stretched(self.leaving_strain, self.crept)
+    def outlet_strain(self) -> float:
+        """With which the next span gets it; see `tracking_cycle.outlet_strain`."""
+        return _as_if_stretched(self.leaving_strain, self.creep_ratio)
 
     @property
-    def handed_back_strain(self) -> float:
-        """With which the span before gets it in reverse; see `tracking_cycle.handed_back_strain`."""
+    def reverse_outlet_strain(self) -> float:
+        """With which the span before gets it in reverse; see `tracking_cycle.reverse_outlet_strain`."""
         return self.strain * self.series_factor
 
     @property

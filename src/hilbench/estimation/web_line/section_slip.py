@@ -93,7 +93,7 @@ class SectionSlip:
     def _begin(self) -> None:
         """A new block."""
         self._count, self._sums_N = 0, np.zeros(2)
-        self._way_m = self._lasted_s = 0.0
+        self._travel_m = self._lasted_s = 0.0
 
     def suspend(self) -> None:
         """The measurement can't be used: what was before says nothing any more."""
@@ -106,23 +106,23 @@ class SectionSlip:
         self._corrected_N += change_N
 
     def take(
-        self, time_s: float, tension_N: float, followed_N: float, way_m: float, duration_s: float, *, steady: bool
+        self, time_s: float, tension_N: float, followed_N: float, travel_m: float, duration_s: float, *, steady: bool
     ) -> None:
         """Means since the last call: the tension that the torques show, and that of the followed line by the model's E;
         the way of the web meanwhile. Nothing is judged across what is not `steady`."""
-        self._corrected_N *= exp(-abs(way_m) / self._length_m)
+        self._corrected_N *= exp(-abs(travel_m) / self._length_m)
         if not steady:
             self.suspend()
             return
         self._count += 1
         self._sums_N += (tension_N, followed_N - self._corrected_N)
-        self._way_m += way_m
+        self._travel_m += travel_m
         self._lasted_s += duration_s
-        if abs(self._way_m) < _BLOCK_SHARE * self._length_m:
+        if abs(self._travel_m) < _BLOCK_SHARE * self._length_m:
             return
         block = self._block
         block[blocks.FORCE_N], block[blocks.WEB_PER_PA] = self._sums_N / self._count
-        block[blocks.VELOCITY_M_S], block[blocks.DURATION_S] = self._way_m / self._lasted_s, self._lasted_s
+        block[blocks.VELOCITY_M_S], block[blocks.DURATION_S] = self._travel_m / self._lasted_s, self._lasted_s
         self._begins_s.append(time_s - self._lasted_s)
         self._say(_BLOCK)
         self._begin()

@@ -43,21 +43,21 @@ _BEFORE, _BEHIND, _LATEST, _EARLIER = 15, 2, 90, 15
 _CHANGED, _BETTER, _SUSPECTED = 45.0, 16.0, 25.0
 #: Way of a joint through the span, in lengths, before which it is not told from a step, and up to which what is known
 #: of it gets better.
-_LEAST_WAY, _THROUGH = 0.12, 1.0
+_LEAST_TRAVEL, _THROUGH = 0.12, 1.0
 #: A short piece is taken to be so long, m, and no softer or stiffer than this share of the span allows.
 _SHORT_M, _LEAST_SHARE = 0.3, 0.5
 
 
 #: What is added up of a block: so many cycles of so many, forces, h (`balance`) as it seems, positions of the roller
 #: before the span; its first speed.
-COUNT, CYCLES, _FORCES_N, _WEBS, _WAYS_M, _FIRST_M_S = range(6)
+COUNT, CYCLES, _FORCES_N, _WEBS, _TRAVELS_M, _FIRST_M_S = range(6)
 _SIZE = 6
 
 
 @compiled
 def interrupt(s: Vector) -> None:
     """A new block begins; s: what is added up."""
-    s[COUNT] = s[_FORCES_N] = s[_WEBS] = s[_WAYS_M] = s[_FIRST_M_S] = 0.0
+    s[COUNT] = s[_FORCES_N] = s[_WEBS] = s[_TRAVELS_M] = s[_FIRST_M_S] = 0.0
 
 
 @compiled
@@ -68,7 +68,7 @@ def collect(s: Vector, force_N: float, web_per_Pa: float, velocity_m_s: float, b
         s[_FIRST_M_S] = velocity_m_s
     s[_FORCES_N] += force_N
     s[_WEBS] += web_per_Pa
-    s[_WAYS_M] += before_m
+    s[_TRAVELS_M] += before_m
     s[COUNT] += 1.0
     return bool(s[COUNT] >= s[CYCLES])
 
@@ -220,15 +220,15 @@ class SpliceFinder:
             return None
         if not _collect(self.state, now.force_N, now.web_per_Pa * seeming, now.velocity_m_s, before_m):
             return None
-        count, _, force_N, web, way_m, first_m_s = self.state.tolist()
+        count, _, force_N, web, travel_m, first_m_s = self.state.tolist()
         gained_N = self._mass_kg * (now.velocity_m_s - first_m_s) / ((count - 1) * self._block_s / count)
         tension_N = force_N / count - gained_N
-        way_m, web = way_m / count, web / count
+        travel_m, web = travel_m / count, web / count
         _interrupt(self.state)
         if not tension_N > 0.0:
             self._blocks.clear()
             return None
-        self._blocks.append((way_m, web / tension_N, now.velocity_m_s, gained_N / tension_N))
+        self._blocks.append((travel_m, web / tension_N, now.velocity_m_s, gained_N / tension_N))
         self._blocks_seen += 1
         if self._blocks_seen % self._every or len(self._blocks) < _FEWEST:
             return None
@@ -237,19 +237,19 @@ class SpliceFinder:
     def _look(self) -> Entered | None:
         blocks = np.array(self._blocks)
         self._choose_since(blocks)
-        ways_m, compliances, speeds_m_s, accelerating = blocks[blocks[:, 0] > self._since_m].T
+        travels_m, compliances, speeds_m_s, accelerating = blocks[blocks[:, 0] > self._since_m].T
         noise = 1.4826 * float(np.median(np.abs(np.diff(compliances)))) / 2.0**0.5
         if not noise > 0.0:
             return None
-        fronts_m = _fronts_m(ways_m)
+        fronts_m = _fronts_m(travels_m)
         motion = _known_ways(speeds_m_s, accelerating)
-        fits = self._fits(ways_m, compliances, motion, fronts_m, noise)
+        fits = self._fits(travels_m, compliances, motion, fronts_m, noise)
         # What none of them explains, as a roller that a step has hit, counts as noise.
         total = float(np.sum(_without(compliances, motion) ** 2)) / noise**2
         rest = (total - max(fit.gain for fit in fits.values())) / len(compliances)
-        inside_yet = [fit.gain for fit in fits.values() if ways_m[-1] - fit.front_m < _THROUGH * self._length_m]
+        inside_yet = [fit.gain for fit in fits.values() if travels_m[-1] - fit.front_m < _THROUGH * self._length_m]
         self.suspects = max(inside_yet, default=0.0) > _SUSPECTED * max(rest, 1.0)
-        told = {kind for kind, fit in fits.items() if self._can_be_told(kind, fit, float(ways_m[-1]))}
+        told = {kind for kind, fit in fits.items() if self._can_be_told(kind, fit, float(travels_m[-1]))}
         if not self._decide({kind: fit.gain / max(rest, 1.0) for kind, fit in fits.items()}, told):
             return None
         kind = self._kind
@@ -260,14 +260,14 @@ class SpliceFinder:
                 return None
             self._joint = None
             return Entered(None, relative_change=1.0 / (1.0 + fits[kind].share) - 1.0)
-        way = (float(ways_m[-1]) - fits[kind].front_m) / self._length_m
+        way = (float(travels_m[-1]) - fits[kind].front_m) / self._length_m
         if self._joint is None and way > _THROUGH:  # found too late: all of the span is that web, whose E is known
             self._forget_before(fits[kind].front_m)
             return None
         return self._entered(fits[kind], way)
 
     def _fits(
-        self, ways_m: Array, compliances: Array, motion: Array, fronts_m: Array, noise: float
+        self, travels_m: Array, compliances: Array, motion: Array, fronts_m: Array, noise: float
     ) -> dict[_Kind, _Fit]:
         """The best of a + b·shape + what else may be, of each kind; motion (n, k): as of `_known_ways`."""
         values, rows, best = (
@@ -275,7 +275,7 @@ class SpliceFinder:
             np.ascontiguousarray(motion.T),
             np.zeros((_SHAPES, _BEST)),
         )
-        _explain_all(ways_m / self._length_m, values, rows, fronts_m / self._length_m, best)
+        _explain_all(travels_m / self._length_m, values, rows, fronts_m / self._length_m, best)
         mean, fits = float(values.mean()), {}
         for kind, (explained, place, change, of_shape) in zip(_Kind, best.tolist(), strict=True):
             share = change / (mean - change * of_shape)
@@ -285,7 +285,7 @@ class SpliceFinder:
     def _can_be_told(self, kind: _Kind, fit: _Fit, now_m: float) -> bool:
         """Whether an explanation is one of a web, and its joint so far in that a step would look otherwise."""
         softer, stiffer = _SHARES[kind]
-        return stiffer < fit.share < softer and now_m - fit.front_m > _LEAST_WAY * self._length_m
+        return stiffer < fit.share < softer and now_m - fit.front_m > _LEAST_TRAVEL * self._length_m
 
     def _decide(self, gains: Mapping[_Kind, float], told: Set[_Kind]) -> bool:
         """Which of the explanations it is, by their gains, of those that can be told; whether there is something to
@@ -337,12 +337,12 @@ class SpliceFinder:
         return Entered(self._joint, (1.0 + acts) / (1.0 + seems))
 
 
-def _fronts_m(ways_m: Array) -> Array:
+def _fronts_m(travels_m: Array) -> Array:
     """Where a joint may have come in, between blocks, (m,)."""
-    latest = np.arange(max(len(ways_m) - _BEHIND - _LATEST, _BEFORE), len(ways_m) - _BEHIND)
+    latest = np.arange(max(len(travels_m) - _BEHIND - _LATEST, _BEFORE), len(travels_m) - _BEHIND)
     earlier = np.linspace(_BEFORE, latest[0], min(_EARLIER, int(latest[0]) - _BEFORE), endpoint=False).astype(int)
     before = np.concatenate([earlier, latest])
-    return np.asarray(0.5 * (ways_m[before] + ways_m[before + 1]))
+    return np.asarray(0.5 * (travels_m[before] + travels_m[before + 1]))
 
 
 def _known_ways(speeds_m_s: Array, accelerating: Array) -> Array:

@@ -205,11 +205,11 @@ class Tracking:
         )
         self._delay_finder = delay.new_finder(self._cycle_s)
 
-    def doubt(self, *, doubted: bool) -> None:
+    def freeze_adaptation(self, *, frozen: bool) -> None:
         """Whether nobody knows how long a cycle is: the web is followed by its ways, and nothing is learned."""
-        self._t[cycle.DOUBTED] = doubted
+        self._t[cycle.FROZEN] = frozen
 
-    def go_by(self, cycle_s: float, known: Known) -> None:
+    def set_cycle_time(self, cycle_s: float, known: Known) -> None:
         """A cycle is so long from the next on; goes on from what was known, with the strain as it is measured."""
         self._cycle_s = self._t[cycle.CYCLE_S] = cycle_s
         self._blocks = blocks.new_state(self._balance.mass_kg, cycle_s)
@@ -218,7 +218,7 @@ class Tracking:
         self._look_anew()
         self._go_back(known)
         if self._errors is not None:
-            self._errors.go_by(cycle_s)
+            self._errors.set_cycle_time(cycle_s)
         self.use(self._method)
         self._forget(cycle.SUSPEND)
         if self._search.is_on:  # what has been seen of the web was seen with another cycle
@@ -230,7 +230,7 @@ class Tracking:
         t, c = self._t, cycle
         self._balance.reset()
         self._forget(c.NEW_WEB)
-        t[c.MISSED_S] = t[c.MEASURED] = t[c.RUNS] = t[c.REFUSED] = t[c.REFUSED_M] = t[c.CREPT] = t[c.FOUND] = 0.0
+        t[c.MISSED_S] = t[c.MEASURED] = t[c.RUNS] = t[c.REFUSED] = t[c.REFUSED_M] = t[c.CREEP_RATIO] = t[c.FOUND] = 0.0
         if self._known_change is not None:
             self._known_change.reset()
         if self._errors is not None:
@@ -410,16 +410,16 @@ class Tracking:
         F_next_N: float,
         centre_m: float | None = None,
         strain_next: float | None = None,
-        crept_prev: float = 0.0,
+        creep_ratio_prev: float = 0.0,
     ) -> None:
         """Take what was measured at the instant that the line has been simulated to; updates the line.
 
         `centre_m`: of the centre of mass, where roller 2 stands for several; `strain_next`: of the web behind the span,
-        without it as the model has it at F_next; `crept_prev`: `crept` of the span before.
+        without it as the model has it at F_next; `creep_ratio_prev`: `creep_ratio` of the span before.
         """
         self._balance.begin(x1_m, x2_m, strain_prev)
         others = (nan if centre_m is None else centre_m, nan if strain_next is None else strain_next)
-        values = (x1_m, x2_m, torque_Nm, self._axis2.torque_Nm, strain_prev, F_next_N, *others, crept_prev)
+        values = (x1_m, x2_m, torque_Nm, self._axis2.torque_Nm, strain_prev, F_next_N, *others, creep_ratio_prev)
         stage = cycle.run_vectors(cycle.COMPARE, tuple(map(float, values)), self._table)
         if stage == cycle.DONE:
             self.has_gone_on()

@@ -98,9 +98,9 @@ COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(
     CORRECTED_N,  # the same force without that
     REBASED_PA,  # by which E is another one, as more is known to be no tension
     MOVED,  # what the motors show is another one
-    CREPT,  # share by which the web leaves the span slower than the roller turns
+    CREEP_RATIO,  # share by which the web leaves the span slower than the roller turns
     FOUND,  # the strain of the web has just been found: the simulation had a guess
-    DOUBTED,  # how long a cycle is, nobody knows: nothing is learned
+    FROZEN,  # how long a cycle is, nobody knows: nothing is learned
 ) = range(51)
 SIZE = 51
 
@@ -149,14 +149,14 @@ def compare(
     F_next_N: float,
     centre_m: float,
     strain_next: float,
-    crept_prev: float,
+    creep_ratio_prev: float,
 ) -> int:
     """Take what was measured at the instant that the line has been simulated to; the stage that is next: HOLD,
     FOUND_WEB or UPDATE.
 
     `torque_Nm`, `torque_sim_Nm`: measured and simulated; `centre_m`: of the centre of mass, where roller 2 stands for
-    several, else NaN; `strain_next`: of the web behind the span, NaN where that is the end of the line; `crept_prev`:
-    share by which the web is pulled back over roller 1 (`CREPT` of the span before).
+    several, else NaN; `strain_next`: of the web behind the span, NaN where that is the end of the line;
+    `creep_ratio_prev`: share by which the web is pulled back over roller 1 (`CREEP_RATIO` of the span before).
     """
     t, now = v.t, v.balance.s
     torque_Nm -= t[SHIFT_NM]
@@ -167,9 +167,9 @@ def compare(
     if isnan(strain_next):
         strain_next = laws.downstream_strain(v.balance.p, F_next_N)
     duration_s = t[CYCLE_S] + t[MISSED_S]
-    around = strain_prev, F_next_N, behind_N, strain_next, crept_prev
+    around = strain_prev, F_next_N, behind_N, strain_next, creep_ratio_prev
     balance.weigh(v.balance, x1_m, x2_m, torque_Nm, *around, duration_s)
-    t[CREPT] = creep_per_N * (v.balance.web.tension[0] - behind_N) if creep_per_N != 0.0 else 0.0
+    t[CREEP_RATIO] = creep_per_N * (v.balance.web.tension[0] - behind_N) if creep_per_N != 0.0 else 0.0
     if not isnan(centre_m):
         now[balance.X2_M] = centre_m
     force_N, web_per_Pa, velocity_m_s = now[balance.FORCE_N], now[balance.WEB_PER_PA], now[balance.VELOCITY_M_S]
@@ -186,7 +186,7 @@ def compare(
     t[NOW_N] = _without_errors(v, force_N)
     t[RESIDUAL_NM] = torque_Nm - torque_sim_Nm
     problem = plausibility.find_problem(v.plausibility, torque_Nm, web_per_Pa, velocity_m_s)
-    if problem != 0 or t[DOUBTED] != 0.0:
+    if problem != 0 or t[FROZEN] != 0.0:
         _see_no_change_across(v)
     elif not t[STRAIN_UNCERTAINTY] > 0.0:  # one that is found under way says nothing yet
         problem = _look_at_web(v, web_per_Pa, velocity_m_s)
@@ -207,7 +207,7 @@ def compare(
             )
         else:
             delay.forget(v.delay_line)
-    usable = paired and problem == 0 and not moved and t[DOUBTED] == 0.0
+    usable = paired and problem == 0 and not moved and t[FROZEN] == 0.0
     if t[STRAIN_UNCERTAINTY] > 0.0:
         _transport_out(t, velocity_m_s)
     if t[STRAIN_UNCERTAINTY] > 0.0:
@@ -389,12 +389,12 @@ def run(
     F_next_N: float,
     centre_m: float,
     strain_next: float,
-    crept_prev: float,
+    creep_ratio_prev: float,
 ) -> int:
     """A cycle from `stage` on; arguments as of `compare`, which are read there alone. The stage at which Python has
     to do something (HOLD, FOUND_WEB, UPDATE of another method than the bank, SHIFT), or DONE."""
     if stage == COMPARE:
-        around = strain_prev, F_next_N, centre_m, strain_next, crept_prev
+        around = strain_prev, F_next_N, centre_m, strain_next, creep_ratio_prev
         stage = compare(v, x1_m, x2_m, torque_Nm, torque_sim_Nm, *around)
         if stage == UPDATE and v.t[BANK] != 0.0:
             update(v)
@@ -408,21 +408,21 @@ def run(
 
 
 @compiled
-def handed_on_strain(t: Vector, strain: float) -> float:
+def outlet_strain(t: Vector, strain: float) -> float:
     """With which the next span gets the web of one of which `strain` is measured: all of it pulls alike, and each piece
     has its strain. By creep less web comes than the roller's turning tells, as if it were stretched more."""
-    return float(as_if_stretched(strain * t[SERIES_FACTOR] / t[END_FACTOR], t[CREPT]))
+    return float(equivalent_strain(strain * t[SERIES_FACTOR] / t[END_FACTOR], t[CREEP_RATIO]))
 
 
 @inlined
-def as_if_stretched(strain: float, crept: float) -> float:
+def equivalent_strain(strain: float, creep_ratio: float) -> float:
     """Strain of web of which, unstretched, as little comes as of this one by creep over a roller: less, by the share
-    `crept`, than that turns."""
-    return strain if crept == 0.0 else (1.0 + strain) / (1.0 - crept) - 1.0
+    `creep_ratio`, than that turns."""
+    return strain if creep_ratio == 0.0 else (1.0 + strain) / (1.0 - creep_ratio) - 1.0
 
 
 @inlined
-def handed_back_strain(t: Vector, strain: float) -> float:
+def reverse_outlet_strain(t: Vector, strain: float) -> float:
     """With which the span before gets the web of one of which `strain` is measured, in reverse."""
     return float(strain * t[SERIES_FACTOR])
 

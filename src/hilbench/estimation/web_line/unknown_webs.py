@@ -73,7 +73,7 @@ class UnknownWebs:
             self._before[span] = span - 1 if forwards else span + 1
         if forwards:
             rate += self._a[span] + (self._b[span - 1] if span > 0 else 0.0)
-        decay = exp(-rate * self._way_m(span, velocity_m_s, duration_s) / self._lengths_m[span])
+        decay = exp(-rate * self._travel_m(span, velocity_m_s, duration_s) / self._lengths_m[span])
         row *= decay
         entering = self._entering(span)
         if entering is not None:
@@ -81,7 +81,7 @@ class UnknownWebs:
         if forwards and span + 1 < len(self.shares):
             row += (1.0 - decay) / rate * self._b[span] * self.shares[span + 1]
 
-    def _way_m(self, span: int, velocity_m_s: float, duration_s: float) -> float:
+    def _travel_m(self, span: int, velocity_m_s: float, duration_s: float) -> float:
         if abs(velocity_m_s) >= SLOW_M_S:
             return abs(velocity_m_s) * duration_s
         self._to_and_fro[span, 0] += velocity_m_s * duration_s

@@ -27,7 +27,7 @@ _TWICE = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
+class Posterior:
     """What was known once of all states (n + p + q + m,): covariance and mean."""
 
     covariance: Vector
@@ -92,13 +92,13 @@ class Unknowns:
         return float(self._sums[unknown] @ self.mean)
 
     @property
-    def belief(self) -> Belief:
+    def posterior(self) -> Posterior:
         """What is known now, for `put_back`."""
-        return Belief(self.covariance.copy(), self.mean.copy())
+        return Posterior(self.covariance.copy(), self.mean.copy())
 
-    def of_unknowns(self, belief: Belief) -> tuple[Vector, Vector]:
+    def of_unknowns(self, posterior: Posterior) -> tuple[Vector, Vector]:
         """Covariance (n, n) and mean (n,) of the unknowns."""
-        return self._sums @ belief.covariance @ self._sums.T, self._sums @ belief.mean
+        return self._sums @ posterior.covariance @ self._sums.T, self._sums @ posterior.mean
 
     def take_changes(self, share: float) -> Vector:
         """Corrections (n,) by so much of the changes of the parameters."""
@@ -133,7 +133,7 @@ class Unknowns:
         found = self.mean[at] + taken
         return float(found @ np.linalg.solve(self.covariance[np.ix_(at, at)], found)) if found.any() else 0.0
 
-    def put_back(self, earlier: Belief, taken: NDArray[np.bool_], variances: Vector) -> None:
+    def put_back(self, earlier: Posterior, taken: NDArray[np.bool_], variances: Vector) -> None:
         """Of the offsets, and of the unknowns that are `taken` (n,), is known what was known earlier, no more and no
         less; of the others these variances (n,)."""
         back = np.concatenate([self._of_states(taken), np.ones(len(self.mean) - self._first_rate, bool)])
@@ -148,11 +148,11 @@ class Unknowns:
         """Rows of unknowns (n, …), and behind them those of the parameters (p, …) once more."""
         return np.concatenate([of_unknowns, of_unknowns[self.parameters]])
 
-    def grow(self, left: Vector, growth: Vector, way_m: float) -> None:
+    def grow(self, left: Vector, growth: Vector, travel_m: float) -> None:
         """Time goes by, and so much web: of what is known of the states so much is `left` (n + p + q + m,), as shares,
         and what they may have changed by has this covariance (n + p + q + m, n + p + q + m)."""
         goes_on = np.diag(left)
-        goes_on[self._with_rate, np.arange(self._first_rate, self.first_offset)] = way_m
+        goes_on[self._with_rate, np.arange(self._first_rate, self.first_offset)] = travel_m
         self.covariance = goes_on @ self.covariance @ goes_on.T + growth
         self.mean = goes_on @ self.mean
 

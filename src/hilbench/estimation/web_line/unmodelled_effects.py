@@ -222,7 +222,7 @@ class UnmodelledEffects:
         """A cycle is missing, or can't be used: no mean goes across."""
         _interrupt(self.state)
 
-    def go_by(self, cycle_s: float) -> None:
+    def set_cycle_time(self, cycle_s: float) -> None:
         """A cycle is so long from the next on: what is known stays."""
         self._set_cycle(cycle_s)
         self.interrupt()

@@ -12,9 +12,9 @@ from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.errors import UnusableInputError
 from hilbench.live.machine import SHORT
 from hilbench.live.models import why_not_carried
+from hilbench.live.segment import Segment
 from hilbench.live.servo_axis import models
 from hilbench.live.servo_axis.gap import ShaftGap
-from hilbench.live.stretch import Stretch
 from hilbench.live.window import Window
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.model_file import Machine
@@ -89,11 +89,11 @@ class LiveShaft:
 
     def estimate_in(self, window: Window, model: Machine, known: Array, first: int, end: int) -> Array:
         """By the torques of its accelerations, beside a constant one and one in proportion to the speed."""
-        stretch = Stretch.of(self, window, self.with_estimate(model, known), first, end, first)
+        segment = Segment.of(self, window, self.with_estimate(model, known), first, end, first)
         here, there = (
-            stretch.residual(self.packed(self.with_estimate(model, known * (1.0 + share))))[0] for share in (0.0, _STEP)
+            segment.residual(self.packed(self.with_estimate(model, known * (1.0 + share))))[0] for share in (0.0, _STEP)
         )
-        rows, speed = stretch.predictor.rows, stretch.data.commands_m_s[:, 0]
+        rows, speed = segment.predictor.rows, segment.data.commands_m_s[:, 0]
         columns = np.column_stack([(there - here) / _STEP, np.ones(len(here)), speed])[rows]
         share = -float(np.linalg.lstsq(columns, here[rows], rcond=None)[0][0])
         return np.asarray(known * (1.0 + float(np.clip(share, -_MOST, _MOST))))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis.measured import Measured
 from hilbench.live.machine import SHORT
 from hilbench.live.models import why_not_carried
-from hilbench.live.web_line import models, stretch
+from hilbench.live.web_line import models, segment
 from hilbench.live.web_line.gap import ModelGap, exchanged_m
 from hilbench.live.window import Window
 from hilbench.plant.effect import MachineKind
@@ -83,11 +83,11 @@ class LiveLine:
 
     def followed_from(self, window: Window, first: int) -> int:
         """Until all of its web is another one."""
-        return first - stretch.rows_of_way(window, self.configured, first, exchanged_m(self.configured)) - SHORT
+        return first - segment.rows_of_way(window, self.configured, first, exchanged_m(self.configured)) - SHORT
 
     def quiet_cycle(self, window: Window, first: int, end: int) -> int | None:
         """The first cycle before which, for a while, neither speeds nor tensions change; None where there is none."""
-        return stretch.quiet_cycle(window, self.configured, first, end, self._cycle_s)
+        return segment.quiet_cycle(window, self.configured, first, end, self._cycle_s)
 
     def estimate_in(self, window: Window, model: Machine, known: Array, first: int, end: int) -> Array:
         """As it is known: what a line lacks looks like another E too often."""
@@ -96,8 +96,8 @@ class LiveLine:
     def data_of(self, window: Window, model: Machine, first: int, end: int, begun: int) -> Measured:
         """What a diagnosis takes from these cycles, of what has begun in cycle `begun`: until then the web was strained
         as by the model. Raises UnusableInputError for what can't be diagnosed."""
-        return stretch.data_of(window, models.line(model), self.emulation, (begun, first, end), self._cycle_s)
+        return segment.data_of(window, models.line(model), self.emulation, (begun, first, end), self._cycle_s)
 
     def packed(self, model: Machine) -> Array:
         """(P,): as a predictor takes it."""
-        return stretch.packed(models.line(model))
+        return segment.packed(models.line(model))

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from hilbench.bench.reports.found import CHUNK_CYCLES, Samples
 from hilbench.diagnosis.measured import SHORTEST_S
 from hilbench.errors import UnusableInputError
+from hilbench.live.segment import Segment
 from hilbench.live.session import Session
-from hilbench.live.stretch import Stretch
 from hilbench.live.watch import ROW
 from hilbench.live.web_line.gap import exchanged_m
 from hilbench.live.web_line.machine import LiveLine
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 #: Noise of its torques, N·m.
 _NOISE_Nm = 0.05
-#: What the line did before the stretch that is diagnosed, and that, s.
+#: What the line did before the segment that is diagnosed, and that, s.
 _BEFORE_S, _STRETCH_S = 2.0, SHORTEST_S + 0.5
 
 
@@ -51,8 +51,8 @@ def warm_up(names: Sequence[str], machine: LiveLine, config: LiveDiagnosisConfig
         chunk = np.column_stack([channels[name][end - CHUNK_CYCLES : end] for name in names])
         session.samples(Samples.of(end - 1, chunk))
     with suppress(UnusableInputError):  # of made-up data nothing has to come
-        stretch = Stretch.of(machine, _window(channels, cycle_s), model, first, count, 0)
-        stretch.residual(machine.packed(model))
+        segment = Segment.of(machine, _window(channels, cycle_s), model, first, count, 0)
+        segment.residual(machine.packed(model))
 
 
 def _window(channels: Mapping[str, Array], cycle_s: float) -> Window:

@@ -14,9 +14,9 @@ from pydantic import Field, FiniteFloat, StringConstraints, TypeAdapter, Validat
 from hilbench.block import Strict
 from hilbench.errors import HilbenchError
 from hilbench.monitor.changes import Answered, ChangeRequests
+from hilbench.pages.live.control_lock import ControlLock
 from hilbench.pages.live.courses import courses
 from hilbench.pages.live.listener import Listener
-from hilbench.pages.live.seat import Seat
 
 _NAME: Final = r"^[^\x00-\x1f\x7f<>]{1,32}$"
 Name = Annotated[str, StringConstraints(pattern=_NAME, strip_whitespace=True)]
@@ -95,8 +95,8 @@ class Said(NamedTuple):
 class Controls:
     """Does what viewers ask for, says what became of it, and who it was into the journal."""
 
-    def __init__(self, listener: Listener, changes: ChangeRequests, seat: Seat | None = None) -> None:
-        self.seat = seat or Seat()
+    def __init__(self, listener: Listener, changes: ChangeRequests, control_lock: ControlLock | None = None) -> None:
+        self.control_lock = control_lock or ControlLock()
         self._listener = listener
         self._changes = changes
         self._looking = asyncio.Lock()
@@ -137,14 +137,16 @@ class Controls:
         if isinstance(action, Take):
             return self._take(viewer, action.name)
         if isinstance(action, Give):
-            name = self.seat.name
-            if not self.seat.give_back(viewer.secret):
+            name = self.control_lock.name
+            if not self.control_lock.give_back(viewer.secret):
                 return Said("control is not yours to give back", False)
             self._listener.note(viewer.named(name), "control given back")
             return Said("control given back", True)
-        if not self.seat.use(viewer.secret):
-            return Said(f"control is with {self.seat.name}" if self.seat.name else "take control first", False)
-        return await self._change(viewer.named(self.seat.name), action)
+        if not self.control_lock.use(viewer.secret):
+            return Said(
+                f"control is with {self.control_lock.name}" if self.control_lock.name else "take control first", False
+            )
+        return await self._change(viewer.named(self.control_lock.name), action)
 
     def _stop(self, viewer: Viewer, name: str) -> Said:
         try:
@@ -155,9 +157,9 @@ class Controls:
         return Said("emergency stop sent", True)
 
     def _take(self, viewer: Viewer, name: str) -> Said:
-        held = self.seat.is_of(viewer.secret)
-        if not self.seat.take(viewer.secret, name):
-            return Said(f"control is with {self.seat.name}", False)
+        held = self.control_lock.is_of(viewer.secret)
+        if not self.control_lock.take(viewer.secret, name):
+            return Said(f"control is with {self.control_lock.name}", False)
         if not held:
             self._listener.note(viewer.named(name), "control taken")
         return Said("you control", True)

@@ -46,12 +46,12 @@ class PlayedTrace:
     def receive(self, timeout_s: float) -> list[Frame]:
         """What has come since the last call; waits for `timeout_s` where that is nothing."""
         asked_s = self._now()
-        gone_s, self._asked_s = asked_s - self._asked_s, asked_s
+        elapsed_s, self._asked_s = asked_s - self._asked_s, asked_s
         last = self._cycles + _MOST_CYCLES - 1
         if isinf(self.pace) and not self._over:
             self._played_s = last * self._cycle_s
         else:
-            self._played_s += gone_s * (1.0 if isinf(self.pace) else self.pace)
+            self._played_s += elapsed_s * (1.0 if isinf(self.pace) else self.pace)
             if not self._over:
                 self._played_s = min(self._played_s, last * self._cycle_s)
         frames = list(self._due())

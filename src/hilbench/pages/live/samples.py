@@ -17,7 +17,7 @@ from hilbench.can.frame import Frame
 from hilbench.canopen.identifiers import NMT, SYNC
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.exchange.nodes import Nodes
-from hilbench.library.heard_run import RunUnderWay
+from hilbench.library.live_run import LiveRun
 from hilbench.monitor.condition import START_ALL
 from hilbench.pages.live.history import Array, History
 from hilbench.pages.live.machines.kinds import settled
@@ -35,7 +35,7 @@ TOLD: Final = frozenset(
 
 
 #: The run on the bus of a name, if it is known.
-FindRun = Callable[[str], RunUnderWay | None]
+FindRun = Callable[[str], LiveRun | None]
 
 
 class LiveSamples:
@@ -58,7 +58,7 @@ class LiveSamples:
         Decoder(config, self._nodes, None, self._rows.append)  # compiles, or loads, what each cycle runs
 
     def _begin(self, *, from_start: bool) -> None:
-        self.run: RunUnderWay | None = None  #: the folder of the run that is heard
+        self.run: LiveRun | None = None  #: the folder of the run that is heard
         self.log = EventLog(self._config.cycle_time_s)  #: what its journal says
         self.problem = ""  #: why there are no samples any more
         self._changes: list[Change] = []

@@ -13,10 +13,10 @@ from typing import Any, Final, Protocol
 import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from hilbench.pages.live.control_lock import ControlLock
 from hilbench.pages.live.controls import Said, Viewer
 from hilbench.pages.live.history import LEVELS, Stretches
 from hilbench.pages.live.listener import Listener
-from hilbench.pages.live.seat import Seat
 
 #: How often stretches are sent, and the state, s.
 _TICK_S: Final = 0.05
@@ -46,7 +46,7 @@ def packed(level: int, generation: int, stretches: Stretches) -> bytes:
 class Asked(Protocol):
     """Who does what viewers ask for."""
 
-    seat: Seat
+    control_lock: ControlLock
 
     def as_data(self) -> dict[str, Any]:
         """What can be asked for."""
@@ -87,7 +87,7 @@ class Viewers:
         else:
             self._secrets.append(secret := secrets.token_hex(16))
         self._present[secret] = self._present.get(secret, 0) + 1
-        self._controls.seat.comes(secret)
+        self._controls.control_lock.comes(secret)
         tasks = {asyncio.create_task(self._send(socket, secret))}
         try:
             await self._receive(socket, Viewer(secret, socket.client.host if socket.client else "?"), tasks)
@@ -97,7 +97,7 @@ class Viewers:
             self._present[secret] -= 1
             if not self._present[secret]:
                 del self._present[secret]
-                self._controls.seat.leaves(secret)
+                self._controls.control_lock.leaves(secret)
 
     async def _receive(self, socket: WebSocket, viewer: Viewer, tasks: set[asyncio.Task[None]]) -> None:
         """`tasks`: what is done for the viewer, the sending of what is new among it."""
@@ -179,8 +179,8 @@ class Viewers:
             await asyncio.sleep(_TICK_S)
 
     def _state(self, secret: str) -> dict[str, Any]:
-        seat = self._controls.seat
-        control = {"name": seat.name, "mine": seat.is_of(secret), "left_s": seat.left_s}
+        control_lock = self._controls.control_lock
+        control = {"name": control_lock.name, "mine": control_lock.is_of(secret), "left_s": control_lock.left_s}
         return {**self._listener.state(), "control": control, "viewers": len(self._present)}
 
 

@@ -17,8 +17,8 @@ _ROUNDING = 1e-6
 class FmuState:
     """A state that the FMU's process keeps, for as long as this is there."""
 
-    def __init__(self, process: FmuProcess, number: int, due_s: float, gone_s: float, pushed: list[float]) -> None:
-        self.number, self.due_s, self.gone_s, self.pushed = number, due_s, gone_s, pushed
+    def __init__(self, process: FmuProcess, number: int, due_s: float, elapsed_s: float, pushed: list[float]) -> None:
+        self.number, self.due_s, self.elapsed_s, self.pushed = number, due_s, elapsed_s, pushed
         finalize(self, _drop, process, number)
 
 
@@ -54,7 +54,7 @@ class FmuModel:
         self._given: dict[Variable, float] = {}  # with each start
         self._known: dict[Variable, float] = {}
         self._pending: dict[Variable, float] = {}  # with the next step
-        self._due_s = self._gone_s = 0.0  # since the last step; the FMU's own time
+        self._due_s = self._elapsed_s = 0.0  # since the last step; the FMU's own time
         self._pushed = [0.0] * len(self._in)
         self.values: list[float] = []
 
@@ -69,7 +69,7 @@ class FmuModel:
         self._process.ask("start", time_s, references, [each.own(value) for each, value in self._given.items()])
         self._known = dict(self._given)
         self._pending.clear()
-        self._due_s, self._gone_s = 0.0, time_s
+        self._due_s, self._elapsed_s = 0.0, time_s
         self._pushed = [0.0] * len(self._in)
         self._look()
 
@@ -106,8 +106,8 @@ class FmuModel:
             references.append(variable.reference)
             own.append(variable.own(value))
         self._pending.clear()
-        self.values = self._si(self._process.ask("steps", references, own, self._gone_s, step_s, count, self._out))
-        self._gone_s += count * step_s
+        self.values = self._si(self._process.ask("steps", references, own, self._elapsed_s, step_s, count, self._out))
+        self._elapsed_s += count * step_s
 
     def ahead(self, inputs: Sequence[float], duration_s: float) -> list[float]:
         """The outputs `duration_s` later with these inputs; the FMU stays where it is.
@@ -118,11 +118,11 @@ class FmuModel:
             return self.values
         own = self._own(inputs)
         if self._step_s is None:
-            (values,) = self._process.ask("attempt", self._in, own, self._gone_s, duration_s, 1, self._out)
+            (values,) = self._process.ask("attempt", self._in, own, self._elapsed_s, duration_s, 1, self._out)
             return self._si(values)
         place = (self._due_s + duration_s) / self._step_s
         count = max(1, floor(place - _ROUNDING) + 1)
-        found = self._process.ask("attempt", self._in, own, self._gone_s, self._step_s, count, self._out)
+        found = self._process.ask("attempt", self._in, own, self._elapsed_s, self._step_s, count, self._out)
         after, share = self._si(found[-1]), place - (count - 1)
         before = self._si(found[-2]) if count > 1 else self.values
         return [low + share * (high - low) for low, high in zip(before, after, strict=True)]
@@ -155,12 +155,12 @@ class FmuModel:
         if not self.can_roll_back:
             raise ValueError("the FMU can't hand its state out, expected one with canGetAndSetFMUstate")
         number = self._process.ask("take_state")
-        return FmuState(self._process, number, self._due_s, self._gone_s, list(self._pushed))
+        return FmuState(self._process, number, self._due_s, self._elapsed_s, list(self._pushed))
 
     def give_state(self, state: FmuState) -> None:
         """Go on from a state of this FMU."""
         self._process.ask("give_state", state.number)
-        self._due_s, self._gone_s, self._pushed = state.due_s, state.gone_s, list(state.pushed)
+        self._due_s, self._elapsed_s, self._pushed = state.due_s, state.elapsed_s, list(state.pushed)
         self._look()
 
     def close(self) -> None:

@@ -31,7 +31,7 @@ from hilbench.compiled import (
 from hilbench.plant import measured_motion, pairing
 from hilbench.plant.in_step import CompiledInStep
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
-from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion, ahead_s, gone_s
+from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion, ahead_s, elapsed_s
 from hilbench.plant.parameters import per_item
 from hilbench.plant.servo_axis import kernel, laws, tracking_filter
 from hilbench.plant.servo_axis import layout as lay
@@ -105,11 +105,11 @@ def _entry_points(sources: int) -> tuple[Callable[[Table, Matrix, float, float],
     def follow(late: int, table: Table) -> int:
         if sources < 0 or len(table) == 0:
             return NOTHING
-        counted, ways, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
+        counted, travels, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
         speeds, values, at = floats(table, _SPEEDS, (1,)), floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
         own, torques = floats(table, _OWN, (1,)), floats(table, _TORQUES, (1,))
         x[0], speeds[0] = values[at[0]], values[at[1]]
-        duration_s = gone_s(counted, ways, x, speeds, late != 0)
+        duration_s = elapsed_s(counted, travels, x, speeds, late != 0)
         if not duration_s > 0.0:
             return NOTHING
         lead_s = ahead_s(counted)
@@ -291,7 +291,7 @@ class ShaftInStep(CompiledInStep):
         self._shaft, self._motion, torques_Nm = shaft, motion, np.zeros(motors)
         shaft._own[_CYCLE_S], shaft._own[_LEAD_S] = shaft._cycle_s, motion.ahead_s
         forward, gain = transition(shaft._cycle_s), gains(shaft._cycle_s, shaft._filter.filter_s)
-        of_motion = motion.state, motion.ways, motion.positions, motion.speeds
+        of_motion = motion.state, motion.travels, motion.positions, motion.speeds
         kept = *shaft._kept, *of_motion, forward, gain, transition(motion.ahead_s), torques_Nm
         super().__init__(_follow, FOLLOWED, torques_Nm, kept)
 

@@ -177,12 +177,12 @@ def _follow_pieces(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: floa
     noinline()
     n, m, k = places.counts(p)
     pieces, strain_prev = places.pieces(n, m, k), laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
-    way = motion.web_way_m(p, w[0])
-    splice_laws.let_splice_in(p, s, pieces, t, h, way, w[n], strain_prev)
+    travel = motion.web_travel_m(p, w[0])
+    splice_laws.let_splice_in(p, s, pieces, t, h, travel, w[n], strain_prev)
     web_m = 0.0
     for j in range(k):
         web_m += w[4 * n + j]
-    splice_laws.forget_passed(s, pieces, way, strain_prev, web_m)
+    splice_laws.forget_passed(s, pieces, travel, strain_prev, web_m)
     _set_blur(w, n, m, k, h)
 
 

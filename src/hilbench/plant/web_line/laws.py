@@ -161,7 +161,7 @@ def web_speed_m_s(p: Vector, axis: int, x_m: float, v_m_s: float) -> float:
 
 
 @inlined
-def eccentric_way_m(p: Vector, axis: int, x_m: float, end_m: float) -> float:
+def eccentric_travel_m(p: Vector, axis: int, x_m: float, end_m: float) -> float:
     """What the web goes beyond what a roller turns from x to the end: `web_speed_m_s` integrated."""
     if p[axis + _ECCENTRICITY_M] == 0.0:
         return 0.0

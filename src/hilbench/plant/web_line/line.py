@@ -152,8 +152,8 @@ class Line(SimulatedLine):
             return factor
         n, k, y = self._layout.axes, self._layout.spans, self._layout.y(self._state)
         stretch = 1.0 + float(laws.upstream_strain(self._p, self._inputs[lay.U_STRAIN_PREV], time_s))
-        way_m = float(motion.web_way_m(self._p, y[0]))
-        return factor * spliced_spans(self._state, way_m, stretch, y[4 * n : 4 * n + k].tolist())[span - 1].factor
+        travel_m = float(motion.web_travel_m(self._p, y[0]))
+        return factor * spliced_spans(self._state, travel_m, stretch, y[4 * n : 4 * n + k].tolist())[span - 1].factor
 
     @property
     def tension_N(self) -> Vector:

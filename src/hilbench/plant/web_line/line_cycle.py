@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from hilbench.chain import Function
 from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers
 from hilbench.plant import measured_motion, pairing
-from hilbench.plant.measured_motion import ahead_s, gone_s, take, tell
+from hilbench.plant.measured_motion import ahead_s, elapsed_s, take, tell
 from hilbench.plant.web_line import kernel, line_kernel, line_vectors, places
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
@@ -55,10 +55,10 @@ def _entry_point(sources: int) -> Function:
         if sources < 0 or len(table) == 0:
             return NOTHING
         values, at = floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
-        motion, ways, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
+        motion, travels, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
         speeds = floats(table, line_kernel.SPEEDS, (1,))
         take(values, at, x, speeds)
-        duration_s = gone_s(motion, ways, x, speeds, late != 0)
+        duration_s = elapsed_s(motion, travels, x, speeds, late != 0)
         if not duration_s > 0.0:
             return NOTHING
         line_kernel.follow_alone(table, x, floats(table, _FURTHER, (1,)), duration_s)

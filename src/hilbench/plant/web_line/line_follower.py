@@ -330,7 +330,7 @@ class LineInStep(CompiledInStep):
         further = np.zeros(len(motion.positions))
         outputs = line.places_of_outputs
         shown = np.zeros(len(line.describe().outputs))
-        kept = *pulled, motion.state, motion.ways, motion.positions, further, *outputs, shown
+        kept = *pulled, motion.state, motion.travels, motion.positions, further, *outputs, shown
         super().__init__(line_cycle.follow, line_cycle.FOLLOWED, pulled[-1], kept)
 
     @property

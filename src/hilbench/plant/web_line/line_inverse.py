@@ -43,7 +43,7 @@ def _parts(n: int) -> tuple[int, int, int, int, int, int]:
 
 @inlined
 def _rates(
-    p: Vector, s: Vector, n: int, t: float, strain_prev: float, next_N: float, w: Vector, way_m: float, blur_m: float
+    p: Vector, s: Vector, n: int, t: float, strain_prev: float, next_N: float, w: Vector, travel_m: float, blur_m: float
 ) -> None:
     """Tensions and rates of the spans, in the scratch space `w`; `s`: pieces of other web."""
     speed, tension, rate, length_rate, material, steps = _parts(n)
@@ -52,7 +52,7 @@ def _rates(
     if splice_laws.has_splice(p, s, 0):
         splice_laws.spliced_span_rates(
             p, s, 0, first, k, t, strain_prev, next_N, strain_next, w, steps, speed, material, length_rate, tension,
-            rate, way_m, blur_m,
+            rate, travel_m, blur_m,
         )  # fmt: skip
     else:
         laws.span_rates(
@@ -102,11 +102,11 @@ def _required(sources: int) -> Required:
             downstream = boundary[row, 1]
             for i in range(n):
                 w[speed + i] = laws.web_speed_m_s(p, lay.W_SIZE + i * lay.A_SIZE, xs[row, i], vs[row, i])
-            way = xs[row, 0]
+            travel = xs[row, 0]
             if splice_laws.has_splice(p, s, 0):
                 blur = max(abs(vs[row, 0]) * period_s, lay.LEAST_BLUR_M)
-                splice_laws.let_splice_in(p, s, 0, t, period_s, way, vs[row, 0], strain_prev)
-            _rates(p, s, n, t, strain_prev, downstream, w, way, blur)
+                splice_laws.let_splice_in(p, s, 0, t, period_s, travel, vs[row, 0], strain_prev)
+            _rates(p, s, n, t, strain_prev, downstream, w, travel, blur)
             for j in range(k):
                 F_N[row, j] = w[tension + j]
                 scale = laws.length_factor(p, first_span + j * lay.SP_SIZE)
@@ -124,11 +124,11 @@ def _required(sources: int) -> Required:
             # exact, whatever the period.
             for i in range(n):
                 axis = lay.W_SIZE + i * lay.A_SIZE
-                gone = xs[row + 1, i] - xs[row, i] + laws.eccentric_way_m(p, axis, xs[row, i], xs[row + 1, i])
+                gone = xs[row + 1, i] - xs[row, i] + laws.eccentric_travel_m(p, axis, xs[row, i], xs[row + 1, i])
                 w[speed + i] = gone / period_s
             for j in range(k):
                 begin[j] = w[material + j]
-            _rates(p, s, n, t, strain_prev, downstream, w, way, blur)
+            _rates(p, s, n, t, strain_prev, downstream, w, travel, blur)
             for j in range(k):
                 first[j] = w[rate + j]
                 w[material + j] = begin[j] + period_s * first[j]

@@ -48,7 +48,7 @@ def web(
             blur = w[places.part(n, m, k, lay.SPLICE_BLUR)]
             splice_laws.spliced_span_rates(
                 p, s, pieces, first, k, t, strain_prev, f_next, strain_next, w, steps, speed, material, length_rate,
-                tension, rate, web_way_m(p, w[y]), blur,
+                tension, rate, web_travel_m(p, w[y]), blur,
             )  # fmt: skip
         else:
             laws.span_rates(
@@ -57,9 +57,9 @@ def web(
 
 
 @inlined
-def web_way_m(p: Vector, x_m: float) -> float:
+def web_travel_m(p: Vector, x_m: float) -> float:
     """Way of the web at the first roller, which is at x."""
-    return reels.web_way_m(p, places.axis(0), x_m) if reels.is_reel(p, places.axis(0)) else x_m
+    return reels.web_travel_m(p, places.axis(0), x_m) if reels.is_reel(p, places.axis(0)) else x_m
 
 
 @inlined

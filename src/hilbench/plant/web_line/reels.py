@@ -26,7 +26,7 @@ def radius_ratio(p: Vector, axis: int, x_m: float) -> float:
 
 
 @inlined
-def web_way_m(p: Vector, axis: int, x_m: float) -> float:
+def web_travel_m(p: Vector, axis: int, x_m: float) -> float:
     """Way of the web since the start, m, of a reel at x: its radius over the way, summed up."""
     return x_m * (1.0 + p[axis + lay.A_RADIUS_SHARE] + 0.5 * p[axis + lay.A_REEL_SLOPE_PER_M] * x_m)
 

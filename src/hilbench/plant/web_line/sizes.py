@@ -14,7 +14,7 @@ from hilbench.plant.web_line.stations import Reel
 _ALIKE_SHARE: Final = 5e-4
 
 
-def least_way_m(model: ModelParameters) -> float:
+def least_travel_m(model: ModelParameters) -> float:
     """Way at the web that is measured well enough to tell cycles by it: a share of the smallest roller.
 
     inf where a dancer, an accumulator or a reel lets the rollers turn at speeds of their own: no way tells anything.

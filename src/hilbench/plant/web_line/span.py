@@ -362,7 +362,7 @@ class SpansInStep(CompiledInStep):
     def __init__(self, web: SpanFollower, motion: MeasuredMotion, axes: Sequence[int]) -> None:
         self._web, torques_Nm = web, np.zeros(len(axes))
         of_web = web._p, web._state, web._ahead, web._work, web._v, web._boundary, web._tension, web._tension_ahead
-        of_motion = motion.state, motion.ways, motion.positions, motion.speeds
+        of_motion = motion.state, motion.travels, motion.positions, motion.speeds
         kept = *of_web, web._pulled_by(axes), torques_Nm, web._shown, *of_motion
         super().__init__(follower_cycle.follow, follower_cycle.FOLLOWED, torques_Nm, kept)
 

@@ -281,11 +281,15 @@ def follow_to(web: SpanVectors, x1_m: float, x2_m: float, duration_s: float) -> 
 
 
 @compiled
-def put_boundary(web: SpanVectors, strain_prev: float, f_next_N: float, strain_next: float, crept_prev: float) -> None:
-    """What the neighbouring sections do from now on; tensions are those that come with it. `crept_prev`: share by which
-    the web before the line pulls what passes the first roller back over it. What enters has that in its strain; in
-    reverse so much more leaves than the roller turns."""
-    web.boundary[2], web.boundary[3] = strain_next, crept_prev
+def put_boundary(
+    web: SpanVectors, strain_prev: float, f_next_N: float, strain_next: float, creep_ratio_prev: float
+) -> None:
+    """Set what the neighbouring sections do from now on; tensions are those that come with it.
+
+    `creep_ratio_prev`: share by which the web before the line pulls what passes the first roller back over it. What
+    enters has that in its strain; in reverse so much more leaves than the roller turns.
+    """
+    web.boundary[2], web.boundary[3] = strain_next, creep_ratio_prev
     if web.boundary[0] != strain_prev or web.boundary[1] != f_next_N:
         web.boundary[0] = strain_prev
         web.boundary[1] = f_next_N
@@ -328,9 +332,9 @@ def first_spliced(web: SpanVectors) -> tuple[bool, float, float]:
     if not web.s[pieces + lay.PIECES_COUNT] > 0.0:
         return False, 1.0, 1.0
     stretch = 1.0 + laws.upstream_strain(web.p, web.boundary[0], web.s[0])
-    way_m, unstretched_m = web.s[POSITIONS], web.s[POSITIONS + 2]
-    factor = splice_laws.series_factor(web.s, pieces, way_m, 0.0, unstretched_m, stretch)
-    at_end = 1.0 + splice_laws.change_at(web.s, pieces, way_m, unstretched_m, stretch, lay.LEAST_BLUR_M)
+    travel_m, unstretched_m = web.s[POSITIONS], web.s[POSITIONS + 2]
+    factor = splice_laws.series_factor(web.s, pieces, travel_m, 0.0, unstretched_m, stretch)
+    at_end = 1.0 + splice_laws.change_at(web.s, pieces, travel_m, unstretched_m, stretch, lay.LEAST_BLUR_M)
     return True, factor, at_end
 
 

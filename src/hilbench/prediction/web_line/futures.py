@@ -221,7 +221,7 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         error_N, strains = present.set_points_N - present.tensions_N, self._strains(present)
         commands = np.append(present.commands_m_s[:-1], present.line_speed_m_s)
         around = commands[1:].copy()
-        ahead = gains[:, kernel.G_WAY_PER_S] > 0.0
+        ahead = gains[:, kernel.G_TRAJECTORY_PER_S] > 0.0
         # On the way of a set-point it is where the web is: how far it has come is told by nothing else.
         error_N[ahead] = 0.0
         entering = np.concatenate(([present.upstream_strain], strains[:-1]))
@@ -230,7 +230,7 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         ratios = np.where(around >= 0.0, (1.0 + entering) / (1.0 + strains), (1.0 + strains) / (1.0 + behind))
         around[ahead] *= ratios[ahead]
         kept[:, kernel.C_INTEGRAL_M_S] = around - commands[:-1] - gains[:, kernel.G_KP] * error_N
-        kept[:, kernel.C_STRAIN] = kept[:, kernel.C_WAY_STRAIN] = strains
+        kept[:, kernel.C_STRAIN] = kept[:, kernel.C_TRAJECTORY_STRAIN] = strains
         return np.tile(np.append(kept.reshape(-1), np.full(k + 1, np.nan)), (self._futures, 1))
 
     def _strains(self, present: LinePresent) -> Array:

@@ -51,7 +51,7 @@ G_ELONGATION_PER_S: Final = 5
 G_FADES: Final = 6  #: what is left of the elongation after a step
 G_SENT: Final = 7  #: of the damping's last command
 G_DAMPING_LIMIT_M_S: Final = 8
-G_WAY_PER_S: Final = 9  #: rate of the poles on which a set-point goes its way (feed-forward); 0: there is none
+G_TRAJECTORY_PER_S: Final = 9  #: rate of the poles on which a set-point goes its way (feed-forward); 0: there is none
 G_LENGTH_M: Final = 10  #: of the span
 _G_WAY_LEFT: Final = 11  # what a step leaves of the way
 G_SIZE: Final = 12
@@ -62,8 +62,8 @@ C_INTEGRAL_M_S: Final = 0
 C_ELONGATION_M: Final = 1
 C_STRAIN: Final = 2  #: in the last step
 C_DAMPING_M_S: Final = 3  #: last command of the damping
-C_WAY_STRAIN: Final = 4  #: on the way of the set-point, with its rate and that one's
-C_WAY_PER_S: Final = 5
+C_TRAJECTORY_STRAIN: Final = 4  #: on the way of the set-point, with its rate and that one's
+C_TRAJECTORY_PER_S: Final = 5
 C_WAY_PER_S2: Final = 6
 C_SHOWN_M_S: Final = 7  #: by how much the span was to lengthen in the last step
 C_SIZE: Final = 8
@@ -88,13 +88,13 @@ def _strain(p: Vector, w: Vector, n: int, m: int, k: int, j: int) -> float:
 def _go_way(c: Vector, at: int, rate_per_s: float, left: float, goal: float, h: float) -> None:
     """The strain that is wanted in a span, a step further on its way to `goal`: three equal poles, of which `left` is
     left after it."""
-    off = c[at + C_WAY_STRAIN] - goal
-    slope = c[at + C_WAY_PER_S] + rate_per_s * off
-    bend = 0.5 * (c[at + C_WAY_PER_S2] + 2.0 * rate_per_s * c[at + C_WAY_PER_S] + rate_per_s * rate_per_s * off)
+    off = c[at + C_TRAJECTORY_STRAIN] - goal
+    slope = c[at + C_TRAJECTORY_PER_S] + rate_per_s * off
+    bend = 0.5 * (c[at + C_WAY_PER_S2] + 2.0 * rate_per_s * c[at + C_TRAJECTORY_PER_S] + rate_per_s * rate_per_s * off)
     off = (off + (slope + bend * h) * h) * left
     sloping = (slope + 2.0 * bend * h) * left
-    c[at + C_WAY_STRAIN] = goal + off
-    c[at + C_WAY_PER_S] = sloping - rate_per_s * off
+    c[at + C_TRAJECTORY_STRAIN] = goal + off
+    c[at + C_TRAJECTORY_PER_S] = sloping - rate_per_s * off
     c[at + C_WAY_PER_S2] = 2.0 * bend * left - 2.0 * rate_per_s * sloping + rate_per_s * rate_per_s * off
 
 
@@ -132,13 +132,13 @@ def _plan(
     pull_N = 0.0  # of the web behind a roller
     for j in range(k, -1, -1):
         here_N = 0.0  # of the web before it
-        if j < k and g[row * k + j, G_WAY_PER_S] > 0.0:
+        if j < k and g[row * k + j, G_TRAJECTORY_PER_S] > 0.0:
             acceleration -= g[row * k + j, G_LENGTH_M] * c[C_SIZE * j + C_WAY_PER_S2]
-        if j > 0 and g[row * k + j - 1, G_WAY_PER_S] > 0.0:
+        if j > 0 and g[row * k + j - 1, G_TRAJECTORY_PER_S] > 0.0:
             at = C_SIZE * (j - 1)
-            rate_per_s, left = g[row * k + j - 1, G_WAY_PER_S], g[row * k + j - 1, _G_WAY_LEFT]
+            rate_per_s, left = g[row * k + j - 1, G_TRAJECTORY_PER_S], g[row * k + j - 1, _G_WAY_LEFT]
             _go_way(c, at, rate_per_s, left, set_point[i, j - 1] / known[i, j - 1], h)
-            here_N = c[at + C_WAY_STRAIN] * known[i, j - 1]
+            here_N = c[at + C_TRAJECTORY_STRAIN] * known[i, j - 1]
         ahead[j] = _lead(leads, j, c, C_SIZE * k + j, acceleration, here_N - pull_N)
         pull_N = here_N
     for j in range(k + 1):
@@ -204,9 +204,9 @@ def _set_points(
         if j < k and g[row * k + j, G_KP] != 0.0:
             at = C_SIZE * j
             strain, around, goal_N = _strain(p, w, n, m, k, j), speed, set_point[i, j]
-            if g[row * k + j, G_WAY_PER_S] > 0.0:
-                wanted, goal_N = 1.0 + c[at + C_WAY_STRAIN], c[at + C_WAY_STRAIN] * known[i, j]
-                lengthening = g[row * k + j, G_LENGTH_M] * c[at + C_WAY_PER_S]
+            if g[row * k + j, G_TRAJECTORY_PER_S] > 0.0:
+                wanted, goal_N = 1.0 + c[at + C_TRAJECTORY_STRAIN], c[at + C_TRAJECTORY_STRAIN] * known[i, j]
+                lengthening = g[row * k + j, G_LENGTH_M] * c[at + C_TRAJECTORY_PER_S]
                 if command >= 0.0:
                     entering = _strain(p, w, n, m, k, j - 1) if j > 0 else u[lay.U_STRAIN_PREV]
                     around = (command - lengthening / wanted) * (1.0 + entering) / wanted
@@ -217,8 +217,8 @@ def _set_points(
                     around = command * wanted / (1.0 + entering) - lengthening / wanted
             error_N = goal_N - known[i, j] * strain
             speed, command = _command(c, at, g, row * k + j, speed, around, error_N, strain, w[4 * n + k + j], h)
-            if g[row * k + j, G_WAY_PER_S] > 0.0:
-                c[at + C_SHOWN_M_S] = g[row * k + j, G_LENGTH_M] * c[at + C_WAY_PER_S]
+            if g[row * k + j, G_TRAJECTORY_PER_S] > 0.0:
+                c[at + C_SHOWN_M_S] = g[row * k + j, G_LENGTH_M] * c[at + C_TRAJECTORY_PER_S]
         ratio = p[places.motor(n, j) + lay.M_RAD_PER_M]
         u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = (command + ahead[j]) * ratio
 
@@ -406,7 +406,7 @@ def _entry_point(sources: int) -> Run:
     ) -> None:
         tally = of_table(table)
         for row in range(g.shape[0]):
-            g[row, _G_WAY_LEFT] = exp(-g[row, G_WAY_PER_S] * p[lay.W_SAMPLE_TIME_S])
+            g[row, _G_WAY_LEFT] = exp(-g[row, G_TRAJECTORY_PER_S] * p[lay.W_SAMPLE_TIME_S])
         for b in range(start.shape[0] if sources >= 0 else 0):
             s[:] = start[b]
             c[:] = integrals[b]

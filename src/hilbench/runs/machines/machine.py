@@ -9,12 +9,12 @@ from math import isinf
 import numpy as np
 
 from hilbench.runs.figures import ESTIMATE_BAND, noise_pct, still_settling
-from hilbench.runs.stretch import (
+from hilbench.runs.segment import (
     NOISE_PEAK,
     Array,
     Figure,
     Metric,
-    Stretch,
+    Segment,
     UnknownFigureError,
     after_a_step,
     after_a_step_of,
@@ -32,7 +32,7 @@ class MachineMetrics:
     """The metrics of a kind of machine.
 
     The command of `speed` says when the machine works; where its ramps are the work itself (`moves_always`), they end
-    no stretch. `together`: groups of figures of one step, that whose last one is the largest.
+    no segment. `together`: groups of figures of one step, that whose last one is the largest.
     """
 
     speed: MainQuantity
@@ -85,36 +85,36 @@ class Estimate:
             ),
         }
 
-    def _error(self, stretch: Stretch) -> Array:
+    def _error(self, segment: Segment) -> Array:
         """Relative."""
-        if isinf(stretch.last(self.quantity.twin_deviation)):
+        if isinf(segment.last(self.quantity.twin_deviation)):
             raise UnknownFigureError(f"nothing tells {self.quantity.short}: the twin’s is that of its model")
-        estimate, true = stretch.get(self.signal), stretch.get(self.quantity.signal)
+        estimate, true = segment.get(self.signal), segment.get(self.quantity.signal)
         if not true.all():
             raise UnknownFigureError(f"the true {self.quantity.short} is 0")
         return np.asarray(estimate / true - 1, np.float64)
 
-    def _final(self, stretch: Stretch) -> Figure:
-        error = self._error(stretch)
-        return Figure(abs(100 * float(np.mean(error[stretch.settled(error)]))))
+    def _final(self, segment: Segment) -> Figure:
+        error = self._error(segment)
+        return Figure(abs(100 * float(np.mean(error[segment.settled(error)]))))
 
-    def _noise(self, stretch: Stretch) -> Figure:
-        error = self._error(stretch)
-        part = stretch.settled(error)
-        if still_settling(stretch.t_s, error):
-            raise UnknownFigureError(f"the estimate still settles at the end of the hold of {stretch.hold_s:.3g} s")
-        signals = stretch.get(self.signal)[part], stretch.get(self.quantity.signal)[part]
-        return Figure(noise_pct(stretch.t_s[part], *signals))
+    def _noise(self, segment: Segment) -> Figure:
+        error = self._error(segment)
+        part = segment.settled(error)
+        if still_settling(segment.t_s, error):
+            raise UnknownFigureError(f"the estimate still settles at the end of the hold of {segment.hold_s:.3g} s")
+        signals = segment.get(self.signal)[part], segment.get(self.quantity.signal)[part]
+        return Figure(noise_pct(segment.t_s[part], *signals))
 
 
 def speed_metrics(speed: MainQuantity, follower: str, measured: str) -> dict[str, Metric]:
     """How a velocity follows a step of the speed: `measured` is its signal, `follower` its name."""
     absent = f"the {speed.title} did not step, or {measured} is not recorded"
 
-    def settling(stretch: Stretch) -> Figure:
-        error = stretch.error(measured, speed.signal)
-        band = max(_SPEED_BAND * abs(stretch.height_of(speed)), NOISE_PEAK * stretch.noise(error))
-        return stretch.time_in_band(error, band, f"{band:.3g} {speed.unit}")
+    def settling(segment: Segment) -> Figure:
+        error = segment.error(measured, speed.signal)
+        band = max(_SPEED_BAND * abs(segment.height_of(speed)), NOISE_PEAK * segment.noise(error))
+        return segment.time_in_band(error, band, f"{band:.3g} {speed.unit}")
 
     return {
         "speed_settling_s": Metric(

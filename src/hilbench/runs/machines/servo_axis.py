@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Final
 
 from hilbench.runs.machines.machine import Estimate, MachineMetrics, nothing_to_judge, speed_metrics
-from hilbench.runs.stretch import Array, Metric, Stretch
+from hilbench.runs.segment import Array, Metric, Segment
 from hilbench.topology.main_quantities.servo_axis import FRICTION, INERTIA, SPEED
 
 _NOTHING: Final = nothing_to_judge("shaft")
 
 
-def _speed_error(stretch: Stretch) -> Array:
-    return stretch.error("v1_rad_s", SPEED.signal)
+def _speed_error(segment: Segment) -> Array:
+    return segment.error("v1_rad_s", SPEED.signal)
 
 
 _FOLLOWING: Final = {

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hilbench.runs.figures import SPEED_BAND, mean_velocity
 from hilbench.runs.machines.machine import NO_STEP, Estimate, MachineMetrics, nothing_to_judge, speed_metrics
-from hilbench.runs.stretch import Array, Figure, Metric, Stretch, UnknownFigureError, after_a_step, after_a_step_of
+from hilbench.runs.segment import Array, Figure, Metric, Segment, UnknownFigureError, after_a_step, after_a_step_of
 from hilbench.topology.main_quantities.web_line import line_speed, modulus, set_point
 from hilbench.topology.signals import SMALLEST, Shape
 from hilbench.topology.web_line_signals import tension_loop_words
@@ -33,10 +33,10 @@ def expected_v1_m_s(v2_m_s: Number, strain_prev: Number, strain: Number) -> Numb
     return v2_m_s * (1 + strain_prev) / (1 + strain)
 
 
-def _needs_loop(stretch: Stretch, number: str) -> None:
+def _needs_loop(segment: Segment, number: str) -> None:
     """Nothing is said of the tension of a span whose loop does not keep it."""
     loop = tension_loop_words(number)
-    if loop in stretch.open_loops:
+    if loop in segment.open_loops:
         raise UnknownFigureError(f"the {loop} was open for long, see the warnings")
 
 
@@ -45,13 +45,13 @@ def _tension(number: str) -> dict[str, Metric]:
     quantity = set_point(number)
     true, simulated, goal = f"F{number}_true_N", quantity.twin_signal, quantity.signal
 
-    def error(stretch: Stretch, tension: str = true) -> Array:
-        _needs_loop(stretch, number)
-        return stretch.error(tension, goal)
+    def error(segment: Segment, tension: str = true) -> Array:
+        _needs_loop(segment, number)
+        return segment.error(tension, goal)
 
-    def overshoot(stretch: Stretch) -> Figure:
-        _needs_loop(stretch, number)
-        return stretch.overshoot(true, goal, stretch.height_of(quantity))
+    def overshoot(segment: Segment) -> Figure:
+        _needs_loop(segment, number)
+        return segment.overshoot(true, goal, segment.height_of(quantity))
 
     return {
         f"tension{number}_recovery_s": Metric(
@@ -96,9 +96,9 @@ def _disturbance(number: str) -> dict[str, Metric]:
     """Of the span of that number."""
     true = f"F{number}_true_N"
 
-    def largest_pct(stretch: Stretch) -> Figure:
-        _needs_loop(stretch, number)
-        tension_N, before_N = stretch.get(true), stretch.before(true)
+    def largest_pct(segment: Segment) -> Figure:
+        _needs_loop(segment, number)
+        tension_N, before_N = segment.get(true), segment.before(true)
         if not before_N > 0.0:
             raise UnknownFigureError(f"{true} is not above 0 before the step")
         return Figure(float(np.max(np.abs(tension_N / before_N - 1.0)) * 100.0))
@@ -113,24 +113,24 @@ def _mass(span: int, shape: Shape) -> dict[str, Metric]:
     entering = "strain_prev" if span == 1 else f"strain{shape.numbered(span - 1)}_true"
     signals = (f"x{span}_m", f"x{span + 1}_m", entering, f"strain{shape.numbered(span)}_true")
 
-    def velocities_m_s(stretch: Stretch) -> tuple[float, float]:
+    def velocities_m_s(segment: Segment) -> tuple[float, float]:
         """Mean velocity of the roller before the span, and what mass conservation asks of it."""
-        speed = np.abs(stretch.get(command))
-        before_m, behind_m, strain_prev, strain = map(stretch.get, signals)
-        part = stretch.settled(strain)
+        speed = np.abs(segment.get(command))
+        before_m, behind_m, strain_prev, strain = map(segment.get, signals)
+        part = segment.settled(strain)
         if speed[part].max() == 0:
             raise UnknownFigureError("the line stands still")
         if np.ptp(speed[part]) > SPEED_BAND * speed[part].max():
             raise UnknownFigureError("the line speed changes")
-        t_s = stretch.t_s[part]
+        t_s = segment.t_s[part]
         behind_m_s = mean_velocity(t_s, behind_m[part])
         if behind_m_s < 0.0:
             raise UnknownFigureError("the line runs in reverse")
         asked_m_s = expected_v1_m_s(behind_m_s, float(np.mean(strain_prev[part])), float(np.mean(strain[part])))
         return mean_velocity(t_s, before_m[part]), asked_m_s
 
-    def deviation(stretch: Stretch) -> Figure:
-        is_m_s, asked_m_s = velocities_m_s(stretch)
+    def deviation(segment: Segment) -> Figure:
+        is_m_s, asked_m_s = velocities_m_s(segment)
         return Figure(is_m_s - asked_m_s)
 
     v, behind = f"v{span}", f"v{span + 1}"

@@ -8,29 +8,33 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.topology.blocks import MachineParameters, TwinConfig
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_shape import forces_at_start, sensors_at_start
-from hilbench.twin.machines.machine import Told, TwinMachine, VectorMachine
+from hilbench.twin.machines.machine import BoundaryInputs, TwinMachine, VectorMachine
 
 _WARM_UP_CYCLES = 100
 
 
-def maker(model: MachineParameters) -> Callable[[TwinConfig, Shape, float, Told], TwinMachine]:
+def maker(model: MachineParameters) -> Callable[[TwinConfig, Shape, float, BoundaryInputs], TwinMachine]:
     """How the machine of a model is made (`new_machine`). What it is made of has been imported then."""
     if isinstance(model, ServoAxisParameters):
         from hilbench.twin.machines.servo_axis import ServoAxisTwin
 
-        return lambda config, _, cycle_s, told: ServoAxisTwin(model, config, cycle_s, told)
+        return lambda config, _, cycle_s, boundary_inputs: ServoAxisTwin(model, config, cycle_s, boundary_inputs)
     if model.stations is not None:
         from hilbench.twin.machines.web_line_with_stations import LineWithStationsTwin
 
-        return lambda config, shape, cycle_s, told: LineWithStationsTwin(model, config, shape, cycle_s, told)
+        return lambda config, shape, cycle_s, boundary_inputs: LineWithStationsTwin(
+            model, config, shape, cycle_s, boundary_inputs
+        )
     from hilbench.twin.machines.web_line import WebLineTwin
 
-    return lambda config, _, cycle_s, told: WebLineTwin(model, config, cycle_s, told)
+    return lambda config, _, cycle_s, boundary_inputs: WebLineTwin(model, config, cycle_s, boundary_inputs)
 
 
-def new_machine(model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s: float, told: Told) -> TwinMachine:
-    """The machine of a model; `told`: what the bench last said of its boundary."""
-    return maker(model)(config, shape, cycle_s, told)
+def new_machine(
+    model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s: float, boundary_inputs: BoundaryInputs
+) -> TwinMachine:
+    """The machine of a model; `boundary_inputs`: what the bench last said of its boundary."""
+    return maker(model)(config, shape, cycle_s, boundary_inputs)
 
 
 def boundary(model: MachineParameters, shape: Shape) -> Mapping[str, float]:

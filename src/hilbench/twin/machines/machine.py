@@ -18,7 +18,7 @@ from hilbench.twin.found import FoundBeside
 #: Position in rad and torque in N·m of one axis, at the motor.
 Measured = tuple[float, float]
 #: What the bench last said of the machine's boundary, by the name of the signal (6413h).
-Told = Callable[[str], float]
+BoundaryInputs = Callable[[str], float]
 
 
 class TwinMachine(Protocol):
@@ -67,11 +67,11 @@ class TwinMachine(Protocol):
     def reset(self) -> None:
         """Start anew with what is assumed at the start, at rest."""
 
-    def doubt(self, *, doubted: bool) -> None:
+    def freeze_adaptation(self, *, frozen: bool) -> None:
         """Whether nobody knows how long a cycle is, as SYNC does not come as often as was believed: what is measured
         is followed then, and nothing is learned from it."""
 
-    def go_by(self, cycle_s: float) -> None:
+    def set_cycle_time(self, cycle_s: float) -> None:
         """Each cycle is so long from the next on. Goes on from what was known when it was last but one said to `keep`
         it, and from where the machine is now."""
 

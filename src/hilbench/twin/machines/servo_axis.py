@@ -20,7 +20,7 @@ from hilbench.processes import log
 from hilbench.topology.blocks import TwinConfig
 from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines import servo_axis_cycle as cycle
-from hilbench.twin.machines.machine import MachineVectors, Measured, Told
+from hilbench.twin.machines.machine import BoundaryInputs, MachineVectors, Measured
 from hilbench.twin.machines.servo_axis_cycle import ShaftInVectors
 
 #: Above this speed the plant runs already when the twin joins.
@@ -35,14 +35,14 @@ class ServoAxisTwin:
     torque_shift_Nm = 0.0
     torque_undecided = False
 
-    def __init__(self, model: ServoAxisParameters, config: TwinConfig, cycle_s: float, told: Told) -> None:
+    def __init__(self, model: ServoAxisParameters, config: TwinConfig, cycle_s: float, stated: BoundaryInputs) -> None:
         self.ports = (MotorPort(),)
         self.plant: ServoAxis = (
             FmuAxis(model, self.ports, log) if isinstance(model, FmuAxisParameters) else ServoAxis(model, self.ports)
         )
         self._model = model
         self._config = config
-        self._cycle_s, self._doubted = cycle_s, False
+        self._cycle_s, self._frozen = cycle_s, False
         self._limit_Nm = per_item(model.drives.torque_limit_Nm, 1) if model.drives else inf
         self.reset()
 
@@ -87,18 +87,18 @@ class ServoAxisTwin:
         self._plausibility = Plausibility(self._limit_Nm, 0.0, 0.0, cycle_s)
         self._torque_before_Nm: float | None = None  # simulated
 
-    def doubt(self, *, doubted: bool) -> None:
+    def freeze_adaptation(self, *, frozen: bool) -> None:
         """See `TwinMachine`."""
-        self._doubted = doubted
+        self._frozen = frozen
 
-    def go_by(self, cycle_s: float) -> None:
+    def set_cycle_time(self, cycle_s: float) -> None:
         """Each cycle is so long from the next on; see `TwinMachine`."""
         self.plant.lock_to(cycle_s)
         self._set_cycle(cycle_s)
         self._estimate = self._estimator.go_back(self._kept[0])
 
     def keep(self) -> None:
-        """What is known now, for `go_by`."""
+        """What is known now, for `set_cycle_time`."""
         self._kept = self._kept[-1], self._estimator.known()
 
     def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
@@ -123,7 +123,7 @@ class ServoAxisTwin:
         simulated_Nm = self.ports[0].torque_Nm
         self._residual_Nm = torque_Nm - simulated_Nm
         self.problem = self._plausibility.problem(torque_Nm, 1.0, position_rad)
-        if self.problem is not None or self._doubted:
+        if self.problem is not None or self._frozen:
             self._torque_before_Nm = None
             self._estimate = self._estimator.hold(self._cycle_s)
             return True
@@ -205,14 +205,14 @@ class ServoAxisTwin:
     def published(self) -> tuple[float, ...]:
         """Inertia, dry friction, deviation of the inertia, simulated torque, its residual; deviation of the dry
         friction, viscous friction, its deviation."""
-        found, told = self._estimate, self._estimator.told
+        found, stated = self._estimate, self._estimator.stated
         return (
             found.inertia_kg_m2,
             self._found[_COULOMB],
             found.deviation_kg_m2,
             self.ports[0].torque_Nm,
             self._residual_Nm,
-            told.item(COULOMB_SD),
+            stated.item(COULOMB_SD),
             self._found[_VISCOUS],
-            told.item(VISCOUS_SD),
+            stated.item(VISCOUS_SD),
         )

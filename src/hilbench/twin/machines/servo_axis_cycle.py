@@ -62,14 +62,14 @@ def _ripple_Nm(said: Vector, out: Vector, simulated_Nm: float) -> float:
 
 @compiled
 def _simulate(
-    p: Vector, s: Vector, out: Vector, said: Vector, told: Vector, figures: Vector, position_rad: float
+    p: Vector, s: Vector, out: Vector, said: Vector, stated: Vector, figures: Vector, position_rad: float
 ) -> None:
     """`ServoAxisTwin._simulate`; `figures`: those of the bank."""
     if figures[inertia.PRIORS + 1] > 0.0:
-        said[VISCOUS] = told[inertia.VISCOUS]
+        said[VISCOUS] = stated[inertia.VISCOUS]
     if figures[inertia.PRIORS + 2] > 0.0:
-        said[COULOMB] = told[inertia.COULOMB]
-    p[lay.P_INERTIA] = told[inertia.INERTIA] / laws.inertia_factor(p, s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S])
+        said[COULOMB] = stated[inertia.COULOMB]
+    p[lay.P_INERTIA] = stated[inertia.INERTIA] / laws.inertia_factor(p, s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S])
     p[lay.P_COULOMB], p[lay.P_VISCOUS] = max(said[COULOMB], 0.0), max(said[VISCOUS], 0.0)
     s[lay.S_X], speed = position_rad, s[lay.S_V]
     s[lay.S_DIRECTION] = 1.0 if speed > 0.0 else (-1.0 if speed < 0.0 else 0.0)
@@ -77,27 +77,27 @@ def _simulate(
 
 
 @compiled
-def _publish(values: Vector, at: Places, told: Vector, said: Vector, torque_Nm: float) -> None:
+def _publish(values: Vector, at: Places, stated: Vector, said: Vector, torque_Nm: float) -> None:
     """`ServoAxisTwin.published`."""
-    values[at[_PUBLISHED]] = told[inertia.INERTIA]
+    values[at[_PUBLISHED]] = stated[inertia.INERTIA]
     values[at[_PUBLISHED + 1]] = said[COULOMB]
-    values[at[_PUBLISHED + 2]] = told[inertia.DEVIATION]
+    values[at[_PUBLISHED + 2]] = stated[inertia.DEVIATION]
     values[at[_PUBLISHED + 3]] = torque_Nm
     values[at[_PUBLISHED + 4]] = said[RESIDUAL_NM]
-    values[at[_PUBLISHED + 5]] = told[inertia.COULOMB_SD]
+    values[at[_PUBLISHED + 5]] = stated[inertia.COULOMB_SD]
     values[at[_PUBLISHED + 6]] = said[VISCOUS]
-    values[at[_PUBLISHED + 7]] = told[inertia.VISCOUS_SD]
+    values[at[_PUBLISHED + 7]] = stated[inertia.VISCOUS_SD]
 
 
 @compiled
-def _status(told: Vector, problem: float, known: float) -> int:
+def _status(stated: Vector, problem: float, known: float) -> int:
     """`TwinApplication._status` of a machine that is released, with the model that it was configured with."""
     status = RUNNING
     if problem != 0.0:
         status |= HOLDING
-    elif told[inertia.DEVIATION] <= known * told[inertia.INERTIA]:
+    elif stated[inertia.DEVIATION] <= known * stated[inertia.INERTIA]:
         status |= SYNCHRONIZED
-    if told[inertia.SEPARABLE] == 0.0:
+    if stated[inertia.SEPARABLE] == 0.0:
         status |= NOT_SEPARABLE
     return status
 
@@ -110,7 +110,7 @@ def _entry_point(sources: int) -> Callable[[int, Places], int]:
         if sources < 0 or stage < 0:
             return stage
         out, shown = floats(table, _OUT, (1,)), floats(table, _SHOWN, (1,))
-        measured, said, told = floats(table, _MEASURED, (1,)), floats(table, _SAID, (1,)), floats(table, _TOLD, (1,))
+        measured, said, stated = floats(table, _MEASURED, (1,)), floats(table, _SAID, (1,)), floats(table, _TOLD, (1,))
         figures, whole, at = floats(table, _FIGURES, (1,)), integers(table, _WHOLE, (1,)), integers(table, _AT, (1,))
         position_rad, torque_Nm = measured[_POSITION], measured[_TORQUE]
         if stage == _COMPARE:
@@ -120,17 +120,17 @@ def _entry_point(sources: int) -> Callable[[int, Places], int]:
                 return HOLD
             said[_RIPPLE_NM] = _ripple_Nm(said, out, shown[_TORQUE])
             inputs, of_bank = balance.of_table(table, _INPUTS), inertia.of_table(table, _BANK)
-            found = take_next(inputs, of_bank, position_rad, torque_Nm, said[_RIPPLE_NM], told)
+            found = take_next(inputs, of_bank, position_rad, torque_Nm, said[_RIPPLE_NM], stated)
             if found != inertia.TAKEN:
                 return NOT_NEXT if found == inertia.NOT_NEXT else _MISLED
             stage = _SIMULATE
         p, s = floats(table, _P, (1,)), floats(table, _S, (1,))
         if stage == _SIMULATE:
-            _simulate(p, s, out, said, told, floats(table, _BANK + 7, (1,)), position_rad)
+            _simulate(p, s, out, said, stated, floats(table, _BANK + 7, (1,)), position_rad)
         rig_cycle.step(table, int(figures[_SAMPLES]), floats(table, _SILENCE, (1,)))
-        _publish(floats(table, _VALUES, (1,)), at, told, said, shown[_TORQUE])
+        _publish(floats(table, _VALUES, (1,)), at, stated, said, shown[_TORQUE])
         said[_STATUS] = whole[at[_STATUS_AT]]
-        whole[at[_STATUS_AT]] = _status(told, said[PROBLEM], figures[_KNOWN])
+        whole[at[_STATUS_AT]] = _status(stated, said[PROBLEM], figures[_KNOWN])
         whole[at[_NUMBER]] = (whole[at[_NUMBER]] + 1) % _NUMBERS
         return _DONE if said[PROBLEM] == 0.0 and said[_PROBLEM_BEFORE] == 0.0 else _LOOK
 
@@ -181,7 +181,7 @@ class ShaftInVectors:
         own = figures, self._said, vectors.measured, vectors.values, vectors.whole, at
         self._own: tuple[NDArray[Any], ...] = (
             *(*shaft.vectors, shaft.silence, *own),
-            *(of_torque.state, estimator.told),
+            *(of_torque.state, estimator.stated),
         )
         self._take_table()
 

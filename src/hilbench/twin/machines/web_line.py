@@ -23,22 +23,22 @@ from hilbench.estimation.web_line.tracking import (
     Known,
     Tracking,
 )
-from hilbench.estimation.web_line.tracking_cycle import DIVERGED_S, LARGEST_STRAIN, as_if_stretched
+from hilbench.estimation.web_line.tracking_cycle import DIVERGED_S, LARGEST_STRAIN, equivalent_strain
 from hilbench.estimation.web_line.unknown_webs import UnknownWebs, creeps_per_N, unknown_webs
 from hilbench.estimation.web_line.unmodelled_effects import priors_behind
 from hilbench.plant.motor_port import MotorPort
-from hilbench.plant.pairing import Pairing, SteadyWay
+from hilbench.plant.pairing import Pairing, SteadyTravel
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.sizes import least_way_m
+from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.plant.web_line.span import SpanFollower
 from hilbench.topology.signals import Shape
 from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines import web_line_cycle
-from hilbench.twin.machines.machine import MachineVectors, Measured, Told
+from hilbench.twin.machines.machine import BoundaryInputs, MachineVectors, Measured
+from hilbench.twin.machines.splice_tracker import SpliceTracker
 from hilbench.twin.machines.web_line_cycle import EstimatedSpan, LineInVectors
 from hilbench.twin.machines.web_line_errors import as_effects
-from hilbench.twin.machines.web_passage import Passage
 from hilbench.twin.machines.web_section import WebSection
 
 #: By how much another model may change a tension from one cycle to the next, as a share of a usual one.
@@ -62,7 +62,9 @@ class WebLineTwin:
     not know has been transported out of the line.
     """
 
-    def __init__(self, model: ModelParameters, config: EstimationConfig, cycle_s: float, told: Told) -> None:
+    def __init__(
+        self, model: ModelParameters, config: EstimationConfig, cycle_s: float, boundary_inputs: BoundaryInputs
+    ) -> None:
         axes, spans = range(1, model.axis_count + 1), range(1, model.span_count + 1)
         self.ports = tuple(MotorPort() for _ in axes)
         self._model = model
@@ -93,9 +95,9 @@ class WebLineTwin:
         self._joined = joined if looks else []
         others = [span for span in spans if span not in methods]
         self._others = _OtherSpans(model, others, config.transfer.strain_limit) if others else None
-        self._told = told
+        self._boundary_inputs = boundary_inputs
         self._metres_per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in axes]
-        self._pairing = Pairing(least_way_m(model))
+        self._pairing = Pairing(least_travel_m(model))
         self._last_at: tuple[float, Sequence[float]] | None = None  # while it may have to be brought back
         self._must_come_back = False
         self._set_cycle(cycle_s)
@@ -104,28 +106,28 @@ class WebLineTwin:
 
     def _set_cycle(self, cycle_s: float) -> None:
         self._cycle_s = cycle_s
-        self._passage = Passage(self._joined, cycle_s) if self._joined else None
+        self._splice_tracker = SpliceTracker(self._joined, cycle_s) if self._joined else None
         # What is measured is a torque a cycle, while the set points of a ramp go in steps: where drives have followed
         # them well before the next, as on the longer cycles of several spans, the mean is another one.
         self._ripples = self._several or self._model.velocity_loop_per_s(2) * cycle_s > _RIPPLES_FROM
-        self._steady = SteadyWay(cycle_s)  # of the axis behind the first of the spans at which E is found
+        self._steady = SteadyTravel(cycle_s)  # of the axis behind the first of the spans at which E is found
 
-    def doubt(self, *, doubted: bool) -> None:
+    def freeze_adaptation(self, *, frozen: bool) -> None:
         """See `TwinMachine`."""
         for each in self._all:
-            each.tracking.doubt(doubted=doubted)
+            each.tracking.freeze_adaptation(frozen=frozen)
 
-    def go_by(self, cycle_s: float) -> None:
+    def set_cycle_time(self, cycle_s: float) -> None:
         """Each cycle is so long from the next on; see `TwinMachine`."""
         self.plant.lock_to(cycle_s)
         self._set_cycle(cycle_s)
         for each, known in zip(self._all, self._kept[0], strict=True):
             each.tracking.span.put_pieces(())
-            each.tracking.go_by(cycle_s, known)
+            each.tracking.set_cycle_time(cycle_s, known)
         self._last_at, self._must_come_back = None, True  # where the wrong cycles have led it
 
     def keep(self) -> None:
-        """What is known now, for `go_by`."""
+        """What is known now, for `set_cycle_time`."""
         self._kept = self._kept[-1], [each.tracking.known() for each in self._all]
 
     @property
@@ -195,13 +197,13 @@ class WebLineTwin:
             each.residual_Nm = 0.0
         self._start_anew()
         at_rest = [0.0] * len(self.ports)
-        self.plant.set_state(_states(self._told("strain_prev"), at_rest, at_rest, at_rest))
+        self.plant.set_state(_states(self._boundary_inputs("strain_prev"), at_rest, at_rest, at_rest))
 
     def _start_anew(self) -> None:
         """What is measured has no past."""
         self._rollers.reset()
-        if self._passage is not None:
-            self._passage.reset()
+        if self._splice_tracker is not None:
+            self._splice_tracker.reset()
         if self._others is not None:
             self._others.reset()
         self._last_at, self._must_come_back = None, False
@@ -217,7 +219,12 @@ class WebLineTwin:
         at_rest = [0.0] * len(self.ports)
         torques = [torque for _, torque in now]
         self.plant.set_state(
-            _states(self._told("strain_prev"), positions, speeds if moves else at_rest, torques if moves else at_rest)
+            _states(
+                self._boundary_inputs("strain_prev"),
+                positions,
+                speeds if moves else at_rest,
+                torques if moves else at_rest,
+            )
         )
         known_at_rest = self._known_at_rest and not under_way
         unknown = UNKNOWN_STRAIN if moves else 0.0 if known_at_rest else UNKNOWN_AT_REST
@@ -241,7 +248,7 @@ class WebLineTwin:
         if not self._steady.update(positions_m[self._all[0].span]):
             self._go_without()
             return False
-        strain_prev, F_next_N = self._told("strain_prev"), self._told("F_next_N")
+        strain_prev, F_next_N = self._boundary_inputs("strain_prev"), self._boundary_inputs("F_next_N")
         torques_Nm = [torque_Nm for _, torque_Nm in measured]
         others = self._others
         measured_Nm = torques_Nm
@@ -256,8 +263,8 @@ class WebLineTwin:
             less_Nm = each.tracking.torque_shift_Nm, self.ports[each.span].torque_Nm
             self._compare(each, positions_m, torques_Nm, strain_prev, F_next_N)
             each.residual_Nm = measured_Nm[each.span] - less_Nm[0] - less_Nm[1]
-        if self._passage is not None:
-            self._passage.update(positions_m[self._all[0].span - 1 :])
+        if self._splice_tracker is not None:
+            self._splice_tracker.update(positions_m[self._all[0].span - 1 :])
         if others is not None and self._transfer.strain:
             others.transfer(self.plant)
         if self.refused or self._must_come_back:
@@ -276,7 +283,7 @@ class WebLineTwin:
             return
         self._must_come_back = False
         speeds = [(x - then) / (time_s - last[0]) for x, then in zip(positions_m, last[1], strict=True)]
-        states = _states(self._told("strain_prev"), positions_m, speeds, torques_Nm)
+        states = _states(self._boundary_inputs("strain_prev"), positions_m, speeds, torques_Nm)
         strains = {each.span: each.tracking.span.strain for each in self._all}
         if others is not None:
             strains |= others.strains
@@ -289,25 +296,25 @@ class WebLineTwin:
             return strain_prev
         before = self._estimated.get(span - 1)
         if before is not None:
-            return before.tracking.span.handed_on_strain
+            return before.tracking.span.outlet_strain
         assert self._others is not None, "a span is estimated, or among the others"
-        return interpreted(as_if_stretched)(self._others.strain(span - 1), self._others.crept(span - 1))
+        return interpreted(equivalent_strain)(self._others.strain(span - 1), self._others.creep_ratio(span - 1))
 
-    def _crept_before(self, span: int) -> float:
+    def _creep_ratio_before(self, span: int) -> float:
         """Share by which less web comes over the roller before a span than that turns, in reverse more."""
         if span == 1:
             return 0.0
         before = self._estimated.get(span - 1)
         if before is not None:
-            return before.tracking.span.crept
+            return before.tracking.span.creep_ratio
         assert self._others is not None, "a span is estimated, or among the others"
-        return self._others.crept(span - 1)
+        return self._others.creep_ratio(span - 1)
 
     def _strain_behind(self, span: int) -> float | None:
         """Strain of the web behind a span, which enters it in reverse, as last measured; None behind the line."""
         behind = self._estimated.get(span + 1)
         if behind is not None:
-            return behind.tracking.span.handed_back_strain
+            return behind.tracking.span.reverse_outlet_strain
         return None if self._others is None or span == len(self.ports) - 1 else self._others.strain(span + 1)
 
     def _compare(
@@ -322,8 +329,8 @@ class WebLineTwin:
         torque_Nm, centre_m = torques_Nm[span], None
         if self._several:
             torque_Nm, centre_m = each.section.measured_torque_Nm(torques_Nm), each.section.centre_m
-        strain_before, crept = self._strain_before(span, strain_prev), self._crept_before(span)
-        around = strain_before, F_next_N, centre_m, self._strain_behind(span), crept
+        strain_before, creep_ratio = self._strain_before(span, strain_prev), self._creep_ratio_before(span)
+        around = strain_before, F_next_N, centre_m, self._strain_behind(span), creep_ratio
         tracking.compare(positions_m[span - 1], positions_m[span], torque_Nm, *around)
         rad_per_m = 1.0 / self._metres_per_rad[span]
         tracking.look_for_known_change(self.ports[span].setpoint / rad_per_m)
@@ -348,7 +355,9 @@ class WebLineTwin:
     def listen(self) -> None:
         """Take over what is around the web now."""
         first = self._all[0].tracking
-        self.plant.set_boundary(first.upstream_strain(self._told("strain_prev")), self._told("F_next_N"))
+        self.plant.set_boundary(
+            first.upstream_strain(self._boundary_inputs("strain_prev")), self._boundary_inputs("F_next_N")
+        )
 
     def found(self) -> Sequence[FoundBeside]:
         """What the methods of all spans know of errors of the model."""
@@ -376,11 +385,11 @@ class WebLineTwin:
             self._steady,
             self.plant.step_in_vectors(self._cycle_s),
             [self._model.motor_rad_per_m(axis) for axis in range(1, self._model.axis_count + 1)],
-            least_way_m(self._model),
+            least_travel_m(self._model),
             self._cycle_s,
             self._ripples,
             self._rollers,
-            self._passage,
+            self._splice_tracker,
             vectors,
             otherwise,
         )
@@ -462,12 +471,12 @@ class _OtherSpans:
             web.follow(positions_m, cycle_s)
         else:
             web.reset(positions_m, strain=[strain_prev] * (len(positions_m) - 1))
-        ways_m = [x - then for x, then in zip(positions_m, self._last_m, strict=True)] if self._running else []
-        way_m = abs(ways_m[0]) if ways_m else 0.0
-        if self.webs is not None and ways_m:
+        travels_m = [x - then for x, then in zip(positions_m, self._last_m, strict=True)] if self._running else []
+        travel_m = abs(travels_m[0]) if travels_m else 0.0
+        if self.webs is not None and travels_m:
             for span in self._spans:
-                self.webs.move(span - 1, ways_m[span] / cycle_s, cycle_s)
-        self._refused_m = self._refused_m + way_m if self.refused else 0.0
+                self.webs.move(span - 1, travels_m[span] / cycle_s, cycle_s)
+        self._refused_m = self._refused_m + travel_m if self.refused else 0.0
         self._refused_s = self._refused_s + cycle_s if self.refused else 0.0
         self._last_m = positions_m
         self._running = True
@@ -481,7 +490,7 @@ class _OtherSpans:
         """Of the web in one of these spans, as measured."""
         return float(self._web.strain[span - 1])
 
-    def crept(self, span: int) -> float:
+    def creep_ratio(self, span: int) -> float:
         """Share by which less web leaves one of these spans than the roller behind it turns, as it creeps."""
         tensions, behind_N = self._web.tension_N, self._behind_N
         if span < len(tensions):

@@ -44,15 +44,18 @@ _SETTLED_S: Final = 0.5
 
 
 class SectionWatch:
-    """Of a line whose N driven rollers answer once a cycle. `told`: the span by whose number each section is told, by
-    the axis before it; `unknowns`: what the line that is followed is corrected by; `measured`: names of stations with a
-    sensor; `sensed_length_m`: of the section behind an axis, with its carriage where its sensor says."""
+    """Detector of web breaks, slip and slack of a line whose N driven rollers answer once a cycle.
+
+    `span_of`: the span whose number each section has in reports, by the axis before it; `unknowns`: what the line that
+    is followed is corrected by; `measured`: names of stations with a sensor; `sensed_length_m`: of the section behind
+    an axis, with its carriage where its sensor says.
+    """
 
     def __init__(
         self,
         model: ModelParameters,
         cycle_s: float,
-        told: Mapping[int, int],
+        span_of: Mapping[int, int],
         unknowns: Sequence[Unknown],
         measured: Sequence[str],
         sensed_length_m: Callable[[int], float],
@@ -61,12 +64,12 @@ class SectionWatch:
         self._sensed_length_m = sensed_length_m
         self._model, self._cycle_s = model, cycle_s
         self._cycles = max(round(BLOCK_S / cycle_s), 2 * ENDS)
-        self._spans = {axis: [k for k, of in enumerate(before) if of == axis] for axis in told}
+        self._spans = {axis: [k for k, of in enumerate(before) if of == axis] for axis in span_of}
         self._axes = axes = range(1, model.axis_count + 1)
         carried = [model.carries_web_load(axis) for axis in axes]
         #: Sections behind which every roller is loaded: of the others no torque tells the tension.
-        self._seen = [axis for axis in told if all(carried[axis:])]
-        self._told = told
+        self._seen = [axis for axis in span_of if all(carried[axis:])]
+        self._span_of = span_of
         self._per_m = np.array([model.motor_rad_per_m(axis) for axis in axes])
         self._length_m = {axis: sum(model.span_length_m(k + 1) for k in spans) for axis, spans in self._spans.items()}
         self._usual_N = [model.upstream_strain * model.stiffness_N(spans[-1] + 1) for spans in self._spans.values()]
@@ -84,7 +87,7 @@ class SectionWatch:
         self._low = dict.fromkeys(self._seen, False)  # in the block before
         self._torn = dict.fromkeys(self._seen, False)
         self._doubt_s = dict.fromkeys(self._seen, 0.0)
-        self._slack = dict.fromkeys(self._told, False)
+        self._slack = dict.fromkeys(self._span_of, False)
         #: What the encoders promise of a section is not so, though it was until then; and the tension by the torques.
         self._belied_since_s: dict[int, float] = {}
         self._belied = dict.fromkeys(self._seen, False)  # in the block before
@@ -112,13 +115,13 @@ class SectionWatch:
         self._promised_N = [0.0] * len(self._spans)
         self._followed_N = dict.fromkeys(self._slips, 0.0)
         self._tightest_N = [0.0] * len(self._spans)
-        self._way_m: list[Vector] = []
+        self._travel_m: list[Vector] = []
 
     @property
     def problems(self) -> dict[int, Problem | None]:
         """What is wrong with each section, by the span by which it is told."""
         found: dict[int, Problem | None] = {}
-        for axis, span in self._told.items():
+        for axis, span in self._span_of.items():
             found[span] = Problem.SLACK if self._slack[axis] else None
             if self._torn.get(axis, False):
                 found[span] = Problem.WEB_BREAK
@@ -172,13 +175,13 @@ class SectionWatch:
         for at, spans in enumerate(self._spans.values()):
             self._promised_N[at] += of_spans_N[spans[-1]]
             self._tightest_N[at] = max(self._tightest_N[at], min(of_spans_N[spans[0] : spans[-1] + 1]))
-        self._way_m.append(np.array(positions_m))
+        self._travel_m.append(np.array(positions_m))
         self._differences_Nm -= np.asarray(torques_Nm) + line.load_torques_Nm(self._axes, line.v_m_s.tolist(), 0.0)
         self._collected += 1
         if self._collected > self._cycles:
             self._judge(time_s, line, inertia_kg_m2)
             self._look_for_lost_web(time_s, followed, swings)
-            self._judged_m = self._way_m[-1]
+            self._judged_m = self._travel_m[-1]
             self.interrupt()
 
     def corrected(self, followed: VariedLine) -> None:
@@ -195,7 +198,7 @@ class SectionWatch:
         """A block is complete."""
         lows = zip(self._spans, self._tightest_N, self._usual_N, strict=True)
         self._slack = {axis: tightest_N <= SLACK * usual_N for axis, tightest_N, usual_N in lows}
-        speeds = np.diff(np.array(self._way_m), axis=0) / self._cycle_s
+        speeds = np.diff(np.array(self._travel_m), axis=0) / self._cycle_s
         gained_m_s = _middle(speeds[-ENDS:]) - _middle(speeds[:ENDS])
         gained_m_s2 = gained_m_s / ((len(speeds) - ENDS) * self._cycle_s)
         ratios = np.array([line.radius_ratio(axis) for axis in range(1, len(gained_m_s2) + 1)])
@@ -219,20 +222,20 @@ class SectionWatch:
         )
         if self._judged_m is None or self._time_s < _SETTLED_S:
             return
-        ways_m = self._way_m[-1] - self._judged_m
+        travels_m = self._travel_m[-1] - self._judged_m
         for axis, slip in self._carriage_slips.items():
             if swings:
                 slip.allow()
-            into_m, out_m = (float(ways_m[of - 1]) * followed.line.radius_ratio(of) for of in (axis, axis + 1))
+            into_m, out_m = (float(travels_m[of - 1]) * followed.line.radius_ratio(of) for of in (axis, axis + 1))
             slip.take(time_s, into_m, out_m, self._lengths_m[axis] - before_m.get(axis, self._lengths_m[axis]))
 
     def _look_for_slip(self, time_s: float, axis: int, is_N: float, ratio: float, *, steady: bool) -> None:
         """In a block; `ratio`: radius of the roller behind the section over that at the start."""
         if axis not in self._slips or self._judged_m is None or self._time_s < _SETTLED_S:
             return
-        way_m = float(self._way_m[-1][axis] - self._judged_m[axis]) * ratio
+        travel_m = float(self._travel_m[-1][axis] - self._judged_m[axis]) * ratio
         followed_N, lasted_s = self._followed_N[axis] / self._collected, self._collected * self._cycle_s
-        self._slips[axis].take(time_s, is_N, followed_N, way_m, lasted_s, steady=steady)
+        self._slips[axis].take(time_s, is_N, followed_N, travel_m, lasted_s, steady=steady)
 
     def _compare(self, time_s: float, axis: int, share: float, promised: float) -> None:
         """In a block, of the usual tension: what a section has by the torques, and what the encoders promise."""
@@ -244,8 +247,8 @@ class SectionWatch:
         agrees = abs(share - promised) < _AGREES
         if agrees and axis not in self._belied_since_s:
             self._agreed_s[axis] = time_s - self._collected * self._cycle_s
-        way_m = 0.0 if self._judged_m is None else abs(float(self._way_m[-1][axis] - self._judged_m[axis]))
-        self._agreed_m[axis] = self._agreed_m[axis] + way_m if agrees else 0.0
+        travel_m = 0.0 if self._judged_m is None else abs(float(self._travel_m[-1][axis] - self._judged_m[axis]))
+        self._agreed_m[axis] = self._agreed_m[axis] + travel_m if agrees else 0.0
         if self._agreed_m[axis] > _AGREES_AGAIN * self._length_m[axis]:
             self._belied_since_s.pop(axis, None)
 

@@ -24,14 +24,14 @@ from hilbench.estimation.web_line.synchronizers import changepoint
 from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.estimation.web_line.tracking_cycle import run_vectors
 from hilbench.plant import pairing
-from hilbench.plant.pairing import Pairing, SteadyWay, comes_steadily, paired
+from hilbench.plant.pairing import Pairing, SteadyTravel, comes_steadily, paired
 from hilbench.plant.web_line import kernel, line_vectors, rig_cycle, span_kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import LineStep
-from hilbench.twin.machines import web_passage
+from hilbench.twin.machines import splice_tracker
 from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, MachineVectors
-from hilbench.twin.machines.web_passage import Passage
+from hilbench.twin.machines.splice_tracker import SpliceTracker
 from hilbench.twin.machines.web_section import WebSection
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED, TRANSFER_REFUSED
 
@@ -74,7 +74,7 @@ _ENDS = {_DONE: WENT_ON, _LOOK: LOOK, _WITHOUT: MISSED}
 _LINE = _OWN + cycle.LINE_ROW
 #: Figures: by how much ways may differ, drive samples of a cycle, its length; of a method that is Python's what it
 #: takes the strain upstream for beyond what is told; whether torques are corrected for their ripple.
-_LEAST_WAY_M, _SAMPLES, _CYCLE_S, _INPUT_STRAIN, _RIPPLES = range(5)
+_LEAST_TRAVEL_M, _SAMPLES, _CYCLE_S, _INPUT_STRAIN, _RIPPLES = range(5)
 #: Of each span (K, 6): from which deviation E counts as known; whether a method that is Python's tells all apart;
 #: strain of the web that enters; residual of the torque; its shift and whether it is undecided, as they were reported.
 _KNOWN_PCT, _SEPARABLE, _STRAIN_BEFORE, _RESIDUAL_NM, _SHIFT_NM, _UNDECIDED = range(6)
@@ -109,7 +109,7 @@ def _measured(table: Places) -> bool:
     steady, figures = floats(table, _STEADY, (1,)), floats(table, _FIGURES, (1,))
     for axis in range(len(x_m)):
         x_m[axis] = measured[_MEASURED_SIZE * axis] * (1.0 / rad_per_m[axis])
-    if not paired(floats(table, _WAYS, (1,)), x_m, figures[_LEAST_WAY_M]):
+    if not paired(floats(table, _WAYS, (1,)), x_m, figures[_LEAST_TRAVEL_M]):
         steady[pairing.STEADY_MISSED] += 1.0
         return False
     if not comes_steadily(steady, x_m[1]):
@@ -133,12 +133,12 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
     measured, torques_Nm = floats(table, _MEASURED, (1,)), floats(table, _TORQUES, (1,))
     masses_kg, of_rollers = floats(table, _MASSES, (1,)), floats(table, _OF_ROLLERS, (1,))
     for k in range(first, len(spans)):
-        of_span, strain_before, crept = table[_OWN + k * cycle.ROWS :], strain_prev, 0.0
+        of_span, strain_before, creep_ratio = table[_OWN + k * cycle.ROWS :], strain_prev, 0.0
         t, at = floats(of_span, cycle.STATE_ROW, (1,)), rig_cycle.SHOWN * (k + 1) + _TORQUE
         if k > 0:
             before = table[_OWN + (k - 1) * cycle.ROWS :]
             t_before = floats(before, cycle.STATE_ROW, (1,))
-            strain_before, crept = cycle.handed_on_strain(t_before, _strain(before)), t_before[cycle.CREPT]
+            strain_before, creep_ratio = cycle.outlet_strain(t_before, _strain(before)), t_before[cycle.CREEP_RATIO]
             if t_before[cycle.MOVED] != 0.0:
                 _show(table)
         torque_Nm, centre_m = measured[_MEASURED_SIZE * (k + 1) + _TORQUE], nan
@@ -152,8 +152,8 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
         strain_behind = nan
         if k + 1 < len(spans):
             behind = table[_OWN + (k + 1) * cycle.ROWS :]
-            strain_behind = cycle.handed_back_strain(floats(behind, cycle.STATE_ROW, (1,)), _strain(behind))
-        around = strain_before, F_next_N, centre_m, strain_behind, crept
+            strain_behind = cycle.reverse_outlet_strain(floats(behind, cycle.STATE_ROW, (1,)), _strain(behind))
+        around = strain_before, F_next_N, centre_m, strain_behind, creep_ratio
         compared = x_m[k], x_m[k + 1], torque_Nm, torque_sim_Nm, *around
         stage = run_vectors(cycle.COMPARE, compared, of_span)
         if stage != cycle.DONE:
@@ -162,7 +162,7 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
     of_passage = floats(table, _OF_PASSAGE, (1,))
     if len(of_passage) > 0:
         block, t = floats(table, _OF_BLOCK, (1,)), floats(table, _OWN + cycle.STATE_ROW, (1,))
-        if not web_passage.goes_by(of_passage, block, t, _strain(table[_OWN:]), x_m[0]):
+        if not splice_tracker.goes_by(of_passage, block, t, _strain(table[_OWN:]), x_m[0]):
             return PASSAGE
     return _FINISH
 
@@ -280,7 +280,7 @@ def _entry_point(sources: int) -> Callable[[int, Places], int]:
 
 _run = _entry_point(
     kernel.source_number(
-        *(str(module.__file__) for module in (pairing, rig_cycle, rollers, splices, web_passage)),
+        *(str(module.__file__) for module in (pairing, rig_cycle, rollers, splices, splice_tracker)),
         *cycle.SOURCES,
         __file__,
     )
@@ -313,22 +313,22 @@ class LineInVectors:
         self,
         estimated: Sequence[EstimatedSpan],
         pairing_of_axes: Pairing,
-        steady: SteadyWay,
+        steady: SteadyTravel,
         line: LineStep,
         rad_per_m: Sequence[float],
-        least_way_m: float,
+        least_travel_m: float,
         cycle_s: float,
         ripples: bool,
         of_rollers: Rollers,
-        passage: Passage | None,
+        passage: SpliceTracker | None,
         vectors: MachineVectors,
         otherwise: Callable[[int], bool],
     ) -> None:
         self._otherwise = otherwise
-        self._estimated, self._passage, self._values = estimated, passage, vectors.values
-        ways, positions_m = pairing_of_axes.vectors(len(rad_per_m))
+        self._estimated, self._splice_tracker, self._values = estimated, passage, vectors.values
+        travels, positions_m = pairing_of_axes.vectors(len(rad_per_m))
         self._positions_m = positions_m
-        self._figures = np.array([least_way_m, float(line.samples), cycle_s, 0.0, float(ripples)])
+        self._figures = np.array([least_travel_m, float(line.samples), cycle_s, 0.0, float(ripples)])
         known = [(each.tracking.config.synchronized_pct, each.residual_Nm) for each in estimated]
         self._spans = np.array([(pct, 1.0, 0.0, residual_Nm, nan, nan) for pct, residual_Nm in known])
         self._said = np.zeros(_STATUS + 1)
@@ -336,7 +336,7 @@ class LineInVectors:
         self._at = np.array([*told, vectors.number, vectors.status, *vectors.published], np.int64)
         nothing = np.zeros(0)
         self._own = (
-            *(ways, steady.state, self._figures, self._spans, np.array(rad_per_m), self._said),
+            *(travels, steady.state, self._figures, self._spans, np.array(rad_per_m), self._said),
             *(positions_m, np.zeros(len(rad_per_m)), vectors.measured, vectors.asked, vectors.shown),
             *(line.motors, line.sensors, line.silence, vectors.values, vectors.whole, self._at),
             *(of_rollers.p, of_rollers.masses_kg, of_rollers.state),
@@ -374,8 +374,8 @@ class LineInVectors:
                 each.tracking.miss()
             behind = _FINISH_WITHOUT
         elif stage == PASSAGE:
-            assert self._passage is not None, "it said so"
-            self._passage.update(self._positions_m.tolist())
+            assert self._splice_tracker is not None, "it said so"
+            self._splice_tracker.update(self._positions_m.tolist())
             behind = _FINISH
         else:
             span = int(self._said.item(_AT_SPAN))

@@ -17,16 +17,16 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from hilbench.estimation.noise_level import NoiseLevels
-from hilbench.estimation.web_line.kicks import Kick
-from hilbench.estimation.web_line.unknowns import Belief, Unknowns
+from hilbench.estimation.web_line.transients import Transient
+from hilbench.estimation.web_line.unknowns import Posterior, Unknowns
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.drive_response import DriveResponse
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.varied_line import Kind, Unknown, VariedLine
-from hilbench.twin.machines.web_line_kicks import kick_watch
 from hilbench.twin.machines.web_line_sensors import StationSensors
+from hilbench.twin.machines.web_line_transients import kick_watch
 
 _WINDOW_S: Final = 0.03  #: of which the means are looked at
 # What is believed at the start, as standard deviations.
@@ -43,7 +43,7 @@ _SHOWN_FROM, _OF_PRODUCT = 0.1, 0.01
 _STRAIN_AT_REST, _STRAIN_UNDER_WAY, _STRAIN_UNKNOWN = 0.02, 0.5, 1.0
 #: Of its way. Of one that is under way nothing is believed but its stops, nor of one whose spring will tell.
 _CARRIAGE_AT_REST: Final = 0.01
-_USUAL_WAY_M: Final = 1.0  #: of a carriage without stops
+_USUAL_TRAVEL_M: Final = 1.0  #: of a carriage without stops
 _MODEL_SHARE: Final = 0.01  #: of E, that no model of a line is surer of
 # What changes meanwhile.
 #: Of web: at 1e-4 what goes in and out beside a measured carriage tells no drift of E of 1 % in a minute.
@@ -97,8 +97,8 @@ class _Kept:
     """What was known at a time: by the filter, and what the unknowns (n,) had been corrected by."""
 
     time_s: float
-    way_m: float
-    belief: Belief
+    travel_m: float
+    posterior: Posterior
     corrected: Vector
 
 
@@ -181,13 +181,13 @@ class LineUnknowns:
         answer = DriveResponse(self._gains, self._rates, 1, self._cycle_s)
         answer.set_inertia(self._inertia_kg_m2)
         #: Of each section whose tension a carriage keeps: place of its E, and what looks for kicks of it.
-        self._kicks = [
+        self._transients = [
             (place, kick_watch(model, unknown.number, self._rows.tolist(), answer, self._cycle_s))
             for place, unknown in enumerate(self.varied.unknowns)
             if unknown in held and self._axes  # without torques that tell of the web there is nothing to see
         ]
 
-    def go_by(self, cycle_s: float) -> None:
+    def set_cycle_time(self, cycle_s: float) -> None:
         """Each cycle is so long from the next on; what is known stays."""
         if cycle_s == self._cycle_s:
             return
@@ -233,7 +233,7 @@ class LineUnknowns:
         self._set_growth()
         limits_Nm = np.array(self._limits_Nm)
         self._noise = NoiseLevels(0.01 * limits_Nm, 1e-4 * limits_Nm)
-        self._positions_m, self._way_m, self._window_way_m = list(positions_m), 0.0, 0.0
+        self._positions_m, self._travel_m, self._window_travel_m = list(positions_m), 0.0, 0.0
         self._time_s = 0.0
         self._sensed = np.zeros(len(self._sensors.offsets))  # by sensors beside the line that is followed
         self._speeds_m_s: Vector | None = None
@@ -243,22 +243,22 @@ class LineUnknowns:
         self._response.reset()
         self._set_inertia()
         self._slips = False
-        self._may_be: list[tuple[float, int, Kick]] = []  # kicks that noise may be, and when they began
+        self._may_be: list[tuple[float, int, Transient]] = []  # kicks that noise may be, and when they began
         #: Way from which on E beside a carriage is another one, or web comes in with another strain, or slips.
         self._undecided_from_m = inf
         self._corrected = np.zeros(len(self.varied.unknowns))
         self._learns_until_s = self._swings_until_s = -inf
         self._started = np.zeros_like(self._corrected)
-        self._kept = deque([_Kept(-inf, 0.0, self._filter.belief, self._corrected)])
+        self._kept = deque([_Kept(-inf, 0.0, self._filter.posterior, self._corrected)])
         self._begin_window()
 
     def _believed(self, unknown: Unknown, under_way: bool, strained: float) -> float:
         if unknown.kind is Kind.CARRIAGE:
             station = self._model.carriages[unknown.number - 1].station
             ends = (station.lower_stop_m, station.upper_stop_m)
-            way_m = _USUAL_WAY_M if ends[0] is None or ends[1] is None else ends[1] - ends[0]
+            travel_m = _USUAL_TRAVEL_M if ends[0] is None or ends[1] is None else ends[1] - ends[0]
             known = not under_way and not self._shows_in_torques(unknown)
-            return _CARRIAGE_AT_REST * way_m if known else way_m / sqrt(12.0)
+            return _CARRIAGE_AT_REST * travel_m if known else travel_m / sqrt(12.0)
         if unknown.kind is Kind.STRAIN:
             return self._model.upstream_strain * strained
         return _RADIUS_SHARE if unknown.kind is Kind.RADIUS else 0.0
@@ -322,9 +322,9 @@ class LineUnknowns:
         """The driven rollers (N,) are there now."""
         self.varied.follow(positions_m, duration_s)
         self._followed_s = duration_s
-        way_m = abs(positions_m[-1] - self._positions_m[-1])
-        self._way_m += way_m
-        self._window_way_m += way_m
+        travel_m = abs(positions_m[-1] - self._positions_m[-1])
+        self._travel_m += travel_m
+        self._window_travel_m += travel_m
         self._positions_m = list(positions_m)
 
     @property
@@ -379,7 +379,7 @@ class LineUnknowns:
         self._filter.grow(*self._growth(lasted_s))
         learns = self._learns_slipping if self._slips else None
         innovations, slopes = self._sum / count, self._slopes / count
-        if learns is None and self._way_m < self._moduli_from_m:
+        if learns is None and self._travel_m < self._moduli_from_m:
             learns = self._learns_no_modulus
         variances, jumps = self._variances(count), (self._jumps, self.varied.web_changed())
         variances[: len(self._axes)] += self._inertial_variances(lasted_s)
@@ -418,7 +418,7 @@ class LineUnknowns:
         """By which E is corrected (n,) as it was wrong from the start: as it is found where nothing is known of the web
         yet, which is given back where that is no evidence."""
         filtered, none = self._filter, np.zeros_like(self._corrected)
-        if self._time_s <= _STARTS_S or self._way_m < self._known_from_m:
+        if self._time_s <= _STARTS_S or self._travel_m < self._known_from_m:
             taken = filtered.take_start()
             self._started = self._started + taken
             return taken
@@ -432,8 +432,8 @@ class LineUnknowns:
         if evidence < (_ACCEPTED if self._undecided_from_m == inf else _KEPT):
             self._undecided_from_m = inf
             return False
-        self._undecided_from_m = min(self._undecided_from_m, self._way_m)
-        return not self._kicks or self._way_m - self._undecided_from_m > self._keep_m
+        self._undecided_from_m = min(self._undecided_from_m, self._travel_m)
+        return not self._transients or self._travel_m - self._undecided_from_m > self._keep_m
 
     def _learn(self, *, anew: bool = False) -> None:
         """Correct E as it is found for a while; `anew`: it has been another one for a while, and it is learned what
@@ -449,33 +449,35 @@ class LineUnknowns:
             self._forget_kicks()
             return False
         variances = self._least_variances + self._noise.variances
-        found = [(place, watch.take(left_Nm, variances)) for place, watch in self._kicks]
-        for place, kick in found:
-            if kick is not None:
-                self._may_be.append((time_s - kick.cycles * self._cycle_s, place, kick))
-        for began_s, place, kick in list(self._may_be):
+        found = [(place, watch.take(left_Nm, variances)) for place, watch in self._transients]
+        for place, transient in found:
+            if transient is not None:
+                self._may_be.append((time_s - transient.cycles * self._cycle_s, place, transient))
+        for began_s, place, transient in list(self._may_be):
             if time_s - began_s > _MAY_BE_S:
-                self._may_be.remove((began_s, place, kick))
-            elif kick.sure and not self._emulated:
-                self._kicked(time_s, began_s, place, kick)
+                self._may_be.remove((began_s, place, transient))
+            elif transient.sure and not self._emulated:
+                self._kicked(time_s, began_s, place, transient)
                 return True
-            elif (handed_on := self._handed_on(began_s, place, kick)) is not None:
+            elif (handed_on := self._handed_on(began_s, place, transient)) is not None:
                 self._kicked(time_s, began_s, place, handed_on)
                 return True
         return False
 
-    def _handed_on(self, began_s: float, place: int, kick: Kick) -> Kick | None:
+    def _handed_on(self, began_s: float, place: int, transient: Transient) -> Transient | None:
         """The kick, where torques tell since then of the section behind what web of the strain that it makes does
         there: it is booked as E. Of one that load motors emulate, some cycles late, not even the sign is known but by
         that."""
         changed, deviation = self._booked_behind(place, self._at(began_s))
-        would_be, share = -changed / (1.0 + changed), kick.share
+        would_be, share = -changed / (1.0 + changed), transient.share
         if self._emulated:
             share = copysign(share, would_be)
-            kick = replace(kick, share=share, deviation=max(kick.deviation, _EMULATED_SHARE * abs(share)))
+            transient = replace(
+                transient, share=share, deviation=max(transient.deviation, _EMULATED_SHARE * abs(share))
+            )
         off = abs(would_be - share)
-        told = abs(changed) > _BOOKED * deviation and off < 3.0 * kick.deviation + _BOOKED_OFF * abs(share)
-        return kick if told else None
+        told = abs(changed) > _BOOKED * deviation and off < 3.0 * transient.deviation + _BOOKED_OFF * abs(share)
+        return transient if told else None
 
     def _booked_behind(self, place: int, kept: _Kept) -> tuple[float, float]:
         """Share by which E of the section behind another one is told to be larger beside that of this one than it was,
@@ -484,7 +486,7 @@ class LineUnknowns:
         if behind not in self.varied.places:
             return 0.0, 1.0
         at = self.varied.places[behind]
-        then, told = self._filter.of_unknowns(kept.belief), self._filter.of_unknowns(self._filter.belief)
+        then, told = self._filter.of_unknowns(kept.posterior), self._filter.of_unknowns(self._filter.posterior)
         # What has just changed suddenly is not told apart yet: then that counts, however well it was known.
         apart = (float(known[at, at] + known[place, place] - 2.0 * known[at, place]) for known, _ in (then, told))
         deviation = sqrt(max(apart))
@@ -495,35 +497,35 @@ class LineUnknowns:
         """What was known then."""
         return next((kept for kept in reversed(self._kept) if kept.time_s <= time_s), self._kept[0])
 
-    def _kicked(self, time_s: float, began_s: float, place: int, kick: Kick) -> None:
+    def _kicked(self, time_s: float, began_s: float, place: int, transient: Transient) -> None:
         """E of a section whose tension a carriage keeps is another one: torques have told of the others what was that,
         and tell now how much it is by the strain of the web that comes from there."""
         self._take_back(began_s)
         unknown = self.varied.unknowns[place]
         factor = self.varied.modulus_factor(unknown.number)
         changes, jumps = np.zeros(len(self.varied.unknowns)), np.zeros_like(self._jumps)
-        changes[place] = self._bounded(unknown, factor * kick.share)
-        self._hand_on(unknown.number, time_s - began_s, kick, changes)
+        changes[place] = self._bounded(unknown, factor * transient.share)
+        self._hand_on(unknown.number, time_s - began_s, transient, changes)
         changed = np.flatnonzero(self._filter.parameters == place)
-        jumps[changed, changed] = (factor * kick.deviation) ** 2
+        jumps[changed, changed] = (factor * transient.deviation) ** 2
         self._apply(changes)
         self._filter.jump(jumps)
         self._forget_kicks()
         self._learn()
 
-    def _hand_on(self, axis: int, since_s: float, kick: Kick, changes: Vector) -> None:
+    def _hand_on(self, axis: int, since_s: float, transient: Transient, changes: Vector) -> None:
         """Web that has left the section since the kick has another strain than the line that is followed has handed
         on: what that is of the strain in the next section."""
         behind = Unknown(Kind.STRAIN, axis + 1)
         if behind in self.varied.places:
             line, spans = self.varied.line, _sections(self._model)
-            way_m = abs(line.v_m_s.item(axis)) * since_s
-            gone = 1.0 - exp(-way_m / sum(self._model.span_length_m(k + 1) for k in spans[axis]))
-            more = -kick.share / (1.0 + kick.share) * line.strain.item(spans[axis - 1][-1])
+            travel_m = abs(line.v_m_s.item(axis)) * since_s
+            gone = 1.0 - exp(-travel_m / sum(self._model.span_length_m(k + 1) for k in spans[axis]))
+            more = -transient.share / (1.0 + transient.share) * line.strain.item(spans[axis - 1][-1])
             changes[self.varied.places[behind]] = self.varied.modulus_factor(axis + 1) * more * gone
 
     def _forget_kicks(self) -> None:
-        for _, watch in self._kicks:
+        for _, watch in self._transients:
             watch.reset()
         self._may_be.clear()
 
@@ -552,10 +554,10 @@ class LineUnknowns:
     def _keep(self, time_s: float) -> None:
         """Keep what is known, for `_take_back`."""
         kept = self._kept
-        if self._slips or self._way_m - kept[-1].way_m < self._keep_every_m:
+        if self._slips or self._travel_m - kept[-1].travel_m < self._keep_every_m:
             return
-        kept.append(_Kept(time_s, self._way_m, self._filter.belief, self._corrected))
-        while len(kept) > 1 and kept[1].way_m < self._way_m - self._keep_m:
+        kept.append(_Kept(time_s, self._travel_m, self._filter.posterior, self._corrected))
+        while len(kept) > 1 and kept[1].travel_m < self._travel_m - self._keep_m:
             kept.popleft()
 
     def _take_back(self, since_s: float) -> None:
@@ -564,7 +566,7 @@ class LineUnknowns:
         earlier, self._learns_until_s = self._at(since_s), -inf
         strains = np.where(self._is_strain, (_STRAIN_AT_REST * self._model.upstream_strain) ** 2, 0.0)
         variances = np.maximum(strains, self._filter.deviations**2)
-        self._filter.put_back(earlier.belief, self._by_torque, variances)
+        self._filter.put_back(earlier.posterior, self._by_torque, variances)
         back = np.where(self._by_torque, earlier.corrected - self._corrected, 0.0)
         moduli = np.where(self._is_modulus, back, 0.0)
         self.varied.rebook(moduli)
@@ -593,18 +595,18 @@ class LineUnknowns:
         self._slow_growth = (1.0 - np.outer(self._left, self._left)) * prior
 
     def _growth(self, time_s: float) -> tuple[Vector, Vector, float]:
-        way_m, self._window_way_m = self._window_way_m, 0.0
+        travel_m, self._window_travel_m = self._window_travel_m, 0.0
         growth = self._slow_growth.copy()
         for at, unknown in enumerate(self.varied.unknowns):
             if unknown.kind is Kind.CARRIAGE:
-                growth[at, at] = (_SLIPPING_M_PER_SQRT_M if self._slips else _CARRIAGE_M_PER_SQRT_M) ** 2 * way_m
+                growth[at, at] = (_SLIPPING_M_PER_SQRT_M if self._slips else _CARRIAGE_M_PER_SQRT_M) ** 2 * travel_m
             elif unknown.kind is Kind.RADIUS:
-                growth[at, at] = _RADIUS_PER_SQRT_M**2 * way_m
+                growth[at, at] = _RADIUS_PER_SQRT_M**2 * travel_m
             elif unknown.kind is Kind.STRAIN:
                 slips = self._slips or self._undecided_from_m < inf  # or may
                 per_sqrt_s = _SLIPPING_PER_SQRT_S if slips else _STRAIN_PER_SQRT_S
                 growth[at, at] = (per_sqrt_s * self._model.upstream_strain) ** 2 * time_s
-        return self._left, growth, way_m
+        return self._left, growth, travel_m
 
     def _variances(self, count: int) -> Vector:
         noise = self._noise.variances / count + (_LEAST_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
@@ -657,11 +659,11 @@ class LineUnknowns:
     def _is_undecided(self, axis: int) -> bool:
         """Whether E of the section behind an axis may have changed, or that of one beside it, or web whose strain
         nobody knows is still there."""
-        if self._way_m < self._known_from_m:
+        if self._travel_m < self._known_from_m:
             return True
         if self._undecided_from_m == inf:
             return False
-        numbers = [self.varied.unknowns[place].number for place, _ in self._kicks]
+        numbers = [self.varied.unknowns[place].number for place, _ in self._transients]
         return axis in numbers or axis - 1 in numbers
 
     def _deviation(self, unknown: Unknown) -> float:

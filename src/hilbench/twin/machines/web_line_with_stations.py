@@ -18,16 +18,16 @@ import numpy as np
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.motor_port import MotorPort
-from hilbench.plant.pairing import OwnWays, Pairing, play
+from hilbench.plant.pairing import OwnTravels, Pairing, play
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_follower import Handover
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
-from hilbench.plant.web_line.sizes import least_way_m
+from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.plant.web_line.stations import Reel, force_input
 from hilbench.topology.signals import Shape
 from hilbench.twin.found import FoundBeside
-from hilbench.twin.machines.machine import Measured, Told
+from hilbench.twin.machines.machine import BoundaryInputs, Measured
 from hilbench.twin.machines.web_line_breaks import SectionWatch
 from hilbench.twin.machines.web_line_unknowns import Found, LineUnknowns
 
@@ -40,7 +40,12 @@ class LineWithStationsTwin:
     """
 
     def __init__(
-        self, model: ModelParameters, config: EstimationConfig, shape: Shape, cycle_s: float, told: Told
+        self,
+        model: ModelParameters,
+        config: EstimationConfig,
+        shape: Shape,
+        cycle_s: float,
+        boundary_inputs: BoundaryInputs,
     ) -> None:
         axes = range(1, model.axis_count + 1)
         self.ports = tuple(MotorPort() for _ in axes)
@@ -52,7 +57,7 @@ class LineWithStationsTwin:
         self._unknowns = LineUnknowns(model, cycle_s, shape.measured, shape.torqued, emulated=emulated)
         self._model = model
         self._shape = shape
-        self._told = told
+        self._boundary_inputs = boundary_inputs
         #: Whether a web that is found at rest may be strained by anything: that shows as it leaves, where carriages and
         #: reels tell where they are and how much is on them.
         self._shows_at_rest = {*shape.carriages, *shape.reels} <= {*shape.measured}
@@ -61,7 +66,7 @@ class LineWithStationsTwin:
         self._web_m = sum(model.span_length_m(span) for span in range(1, model.span_count + 1))
         self._before = axes_before_spans(model)
         self._set_cycle(cycle_s)
-        self._limited = self._doubted = False
+        self._limited = self._frozen = False
         self._unknown_m = 0.0  # so much web that could not be known is still in the line
         self._missed = 0
         self._residuals_Nm = [0.0] * model.axis_count
@@ -72,24 +77,24 @@ class LineWithStationsTwin:
         self._transfer = Handover(self._unknowns.varied.line, self.plant, shape.torqued)
 
     def _set_cycle(self, cycle_s: float) -> None:
-        model, shape, least_m = self._model, self._shape, least_way_m(self._model)
+        model, shape, least_m = self._model, self._shape, least_travel_m(self._model)
         self._cycle_s = cycle_s
         of_a_cycle = play(model.position_unit, cycle_s)
-        self._pairing = Pairing(least_m) if isfinite(least_m) else OwnWays(model.axis_count, of_a_cycle)
+        self._pairing = Pairing(least_m) if isfinite(least_m) else OwnTravels(model.axis_count, of_a_cycle)
         told_by = {self._before[span - 1]: span for span in shape.simulated}
         unknowns = self._unknowns
         self._watch = SectionWatch(
             model, cycle_s, told_by, unknowns.varied.unknowns, shape.measured, unknowns.sensed_length_m
         )
 
-    def doubt(self, *, doubted: bool) -> None:
+    def freeze_adaptation(self, *, frozen: bool) -> None:
         """See `TwinMachine`."""
-        self._doubted = doubted
+        self._frozen = frozen
 
-    def go_by(self, cycle_s: float) -> None:
+    def set_cycle_time(self, cycle_s: float) -> None:
         """Each cycle is so long from the next on; see `TwinMachine`. What was found meanwhile stays."""
         self.plant.lock_to(cycle_s)
-        self._unknowns.go_by(cycle_s)
+        self._unknowns.set_cycle_time(cycle_s)
         self._set_cycle(cycle_s)
         self._watch.reset(under_way=True)
         self._missed = 0
@@ -149,15 +154,15 @@ class LineWithStationsTwin:
             self._go_on_without()
             return False
         if not self._missed:
-            self._unknowns.sense({name: self._told(signal) for name, signal in self._shape.sensors})
-        self._unknowns.varied.set_boundary(self._told("strain_prev"), self._told("F_next_N"))
+            self._unknowns.sense({name: self._boundary_inputs(signal) for name, signal in self._shape.sensors})
+        self._unknowns.varied.set_boundary(self._boundary_inputs("strain_prev"), self._boundary_inputs("F_next_N"))
         self._unknowns.follow(positions, self._gone * self._cycle_s)
         self._let_out(abs(positions[-1] - self._positions_m[-1]))
         self._positions_m, self._missed = positions, 0
         self._look_for_breaks(time_s, positions, [torque for _, torque in measured])
         left = np.array([torque - port.torque_Nm for (_, torque), port in zip(measured, self.ports, strict=True)])
         self._residuals_Nm = (left - self._unknowns.torques_missing_Nm).tolist()
-        limited, since_s = self._limited or self._watch.doubtful or self._doubted, self._watch.slips_since_s
+        limited, since_s = self._limited or self._watch.doubtful or self._frozen, self._watch.slips_since_s
         if self._unknowns.compare(time_s, left, limited=limited, slips_since_s=since_s):
             self._watch.corrected(self._unknowns.varied)
             self._take_moduli()
@@ -171,16 +176,16 @@ class LineWithStationsTwin:
     def _look_for_breaks(self, time_s: float, positions_m: Sequence[float], torques_Nm: Sequence[float]) -> None:
         """What has torn, slips, or is slack."""
         self._limited = any(port.torque_limited for port in self.ports)
-        if self._limited or self._doubted:
+        if self._limited or self._frozen:
             self._watch.suspend()
         else:
             unknowns = self._unknowns
             inertia_kg_m2, swings = unknowns.inertia_kg_m2, unknowns.swings
             self._watch.look(time_s, positions_m, torques_Nm, unknowns.varied, inertia_kg_m2, swings=swings)
 
-    def _let_out(self, way_m: float) -> None:
+    def _let_out(self, travel_m: float) -> None:
         """So much more web has left the line."""
-        self._unknown_m = max(self._unknown_m - way_m, 0.0)
+        self._unknown_m = max(self._unknown_m - travel_m, 0.0)
         self.synchronized = self._unknown_m == 0.0
 
     def _take_moduli(self) -> None:
@@ -203,7 +208,7 @@ class LineWithStationsTwin:
     @property
     def _gone(self) -> int:
         """Cycles from the motion that was followed last to the one that was measured now."""
-        return self._pairing.gone if isinstance(self._pairing, OwnWays) else self._missed + 1
+        return self._pairing.gone if isinstance(self._pairing, OwnTravels) else self._missed + 1
 
     def miss(self) -> None:
         """A cycle without measurement."""
@@ -217,15 +222,15 @@ class LineWithStationsTwin:
 
     def listen(self) -> None:
         """Take over what is around the web now."""
-        self.plant.set_input("strain_prev", self._told("strain_prev"))
-        self.plant.set_input("F_next_N", self._told("F_next_N"))
+        self.plant.set_input("strain_prev", self._boundary_inputs("strain_prev"))
+        self.plant.set_input("F_next_N", self._boundary_inputs("F_next_N"))
         for name, force_N in self._forces():
             self.plant.set_input(name, force_N)
             self._unknowns.varied.set_input(name, force_N)
 
     def _forces(self) -> list[tuple[str, float]]:
         """What pushes the carriages whose force the bench tells, from the last SYNC on."""
-        return [(force_input(name), self._told(signal)) for name, signal in self._shape.forces]
+        return [(force_input(name), self._boundary_inputs(signal)) for name, signal in self._shape.forces]
 
     def found(self) -> Sequence[FoundBeside]:
         """What is found is told as signals of its own."""

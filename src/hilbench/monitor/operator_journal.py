@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from hilbench.bench.reports.change import Change
-from hilbench.library.heard_run import RunUnderWay
+from hilbench.library.live_run import LiveRun
 from hilbench.results.journal import append_to_journal
 
 
@@ -20,13 +20,13 @@ def somebody_here() -> str:
     return f"{name} (terminal)"
 
 
-class Deeds:
+class OperatorJournal:
     """Notes them in the run on a bus, where its folder is among `runs` on this machine; `channel` is the bus' name in a
     trace, `cycle_ns` the bench's cycle."""
 
     def __init__(self, runs: Path, channel: str, cycle_ns: int) -> None:
         self._runs, self._channel, self._cycle_ns = runs, channel, cycle_ns
-        self._run: RunUnderWay | None = None
+        self._run: LiveRun | None = None
         self.who = somebody_here()
 
     def note(self, text: str, value: float = 0.0) -> None:
@@ -38,7 +38,7 @@ class Deeds:
             cycle = run.cycles(time.time_ns(), self._cycle_ns)
             append_to_journal(run.folder.journal, Change(cycle, "asked", text, value, who=self.who))
 
-    def _of_now(self) -> RunUnderWay | None:
+    def _of_now(self) -> LiveRun | None:
         if self._run is None or not self._run.goes_on:
-            self._run = RunUnderWay.on(self._runs, self._channel)
+            self._run = LiveRun.on(self._runs, self._channel)
         return self._run

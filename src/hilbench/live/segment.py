@@ -1,4 +1,4 @@
-"""A stretch of a running bench, and how a model predicts it."""
+"""A segment of a running bench, and how a model predicts it."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _SHOWS: Final = 0.02
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Segment:
     """Data from a cycle on, and a way to predict them by a model."""
 
     data: Measured
     predictor: Predictor
 
     @classmethod
-    def of(cls, machine: LiveMachine, window: Window, model: Machine, first: int, end: int, begun: int) -> Stretch:
+    def of(cls, machine: LiveMachine, window: Window, model: Machine, first: int, end: int, begun: int) -> Segment:
         """The cycles from `first` to before `end`; `begun` as in `LiveMachine.data_of`. Raises UnusableInputError for
         what can't be diagnosed."""
         data = machine.data_of(window, model, first, end, begun)
@@ -50,10 +50,10 @@ class Stretch:
         return float(np.sum((residual / self.deviations[:, None])[:, self.predictor.rows] ** 2))
 
 
-def shows_in_torque(stretch: Stretch, before: Array, after: Array) -> bool:
+def shows_in_torque(segment: Segment, before: Array, after: Array) -> bool:
     """Whether a change of the model takes something off the gap of a torque: of residuals (signals, n) before and after
     it."""
-    rows, predictor = stretch.predictor.rows, stretch.predictor
+    rows, predictor = segment.predictor.rows, segment.predictor
     torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
     less_Nm = np.sqrt(np.mean(before[torques][:, rows] ** 2, axis=1)) - np.sqrt(
         np.mean(after[torques][:, rows] ** 2, axis=1)

@@ -10,7 +10,7 @@ from hilbench.runs.prospect import moves, start_of
 _OPEN = {"wait_until", "python", "restart_twin"}
 
 
-class Foresight:
+class LookAhead:
     """The steps of one experiment with the times that they will take."""
 
     def __init__(self, config: ExperimentConfig) -> None:

@@ -1,4 +1,4 @@
-"""A stretch of a run that is judged on its own, the figures that any signal of it can have, and what a metric is."""
+"""A segment of a run that is judged on its own, the figures that any signal of it can have, and what a metric is."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class UnknownFigureError(Exception):
     """A figure that cannot be had; its text says why."""
 
 
-class Stretch:
+class Segment:
     """The signals from one step to the next event, and the figures they show; UnknownFigureError says why there is
     none.
 
@@ -71,7 +71,7 @@ class Stretch:
         return values
 
     def before(self, name: str) -> float:
-        """The last value of a signal before the stretch, or its first where nothing is recorded before it."""
+        """The last value of a signal before the segment, or its first where nothing is recorded before it."""
         first = self._part.start or 0
         return float(self._all[name][first - 1]) if first and name in self._all else float(self.get(name)[0])
 
@@ -85,7 +85,7 @@ class Stretch:
         return self.get(name) - self.get(goal)
 
     def settled(self, error: Array) -> slice:
-        """The end of the stretch without the transient of `error`."""
+        """The end of the segment without the transient of `error`."""
         if self.hold_s < LEAST_SETTLED_S - self.sample_s:
             raise UnknownFigureError(
                 f"the hold of {self.hold_s:.3g} s is too short, at least {LEAST_SETTLED_S:g} s are needed"
@@ -157,16 +157,16 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Metric:
-    """What a metric's number means: its unit, why a run may not have it, and how a stretch of it shows the number.
+    """What a metric's number means: its unit, why a run may not have it, and how a segment of it shows the number.
 
-    `figure` is None for what is counted of the whole run; `judged` says of which stretches there is a figure.
+    `figure` is None for what is counted of the whole run; `judged` says of which segments there is a figure.
     """
 
     unit: str
     description: str
     absent: str
-    figure: Callable[[Stretch], Figure] | None = None
-    judged: Callable[[Stretch], bool] = lambda stretch: True
+    figure: Callable[[Segment], Figure] | None = None
+    judged: Callable[[Segment], bool] = lambda segment: True
 
     @property
     def of_steps(self) -> bool:
@@ -174,11 +174,11 @@ class Metric:
         return self.figure is not None
 
 
-def after_a_step(stretch: Stretch) -> bool:
+def after_a_step(segment: Segment) -> bool:
     """For `Metric.judged`: not of a working window."""
-    return stretch.event is not None
+    return segment.event is not None
 
 
-def after_a_step_of(quantity: MainQuantity) -> Callable[[Stretch], bool]:
+def after_a_step_of(quantity: MainQuantity) -> Callable[[Segment], bool]:
     """For `Metric.judged`: only where this quantity stepped."""
-    return lambda stretch: stretch.is_step_of(quantity)
+    return lambda segment: segment.is_step_of(quantity)

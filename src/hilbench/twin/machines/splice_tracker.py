@@ -33,9 +33,9 @@ _JOINTS, _CYCLE, _EVERY, _SEEMING, _STRAIN = range(5)
 
 @compiled
 def goes_by(s: Vector, block: Vector, t: Vector, strain: float, before_m: float) -> bool:
-    """`Passage.update` of a cycle in which nothing is found or remembered; False, and nothing done, where there is more
-    to it. s: state of the passage, block: that of its finder; t: of the first span's tracking, strain: as measured
-    there, before_m: position of the roller before it."""
+    """Run `SpliceTracker.update` of a cycle in which nothing is found or remembered; False, and nothing done, where
+    there is more to it. s: state of the splice tracker, block: that of its finder; t: of the first span's tracking,
+    strain: as measured there, before_m: position of the roller before it."""
     used = t[cycle.USED] != 0.0
     if s[_JOINTS] != 0.0 or s[_SEEMING] != 1.0 or (s[_CYCLE] + 1.0) % s[_EVERY] == 0.0:
         return False
@@ -76,7 +76,7 @@ class _Span:
         )
 
 
-class Passage:
+class SpliceTracker:
     """Joints in spans that follow each other, from the first of them on; `trackings` of these spans."""
 
     def __init__(self, trackings: Sequence[Tracking], cycle_s: float) -> None:

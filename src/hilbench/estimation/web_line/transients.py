@@ -34,7 +34,7 @@ _OF_MODEL: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Kick:
+class Transient:
     """E of the web beside a carriage is so much larger, as a share, with a standard deviation, since so many cycles;
     not `sure`: noise may look like it."""
 
@@ -52,7 +52,7 @@ def _entry_point(sources: int) -> Take:
 
     @entry_point(MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, VECTOR)
     def take(
-        values: Vector, torques: Vector, variances: Vector, kicks: Vector, energies: Vector, products: Vector,
+        values: Vector, torques: Vector, variances: Vector, transients: Vector, energies: Vector, products: Vector,
         sizes: Vector,
     ) -> None:  # fmt: skip
         """Another sample (m,) behind `values` (cycles, m), without the first; each of the kicks (n, m·cycles), in which
@@ -68,7 +68,7 @@ def _entry_point(sources: int) -> Take:
             for j in range(m):
                 product = 0.0
                 for c in range(cycles):
-                    product += kicks[i, j * cycles + c] * values[c, j]
+                    product += transients[i, j * cycles + c] * values[c, j]
                 products[i] += product / variances[j]
                 sizes[i] += energies[i, j] / variances[j]
 
@@ -78,21 +78,21 @@ def _entry_point(sources: int) -> Take:
 _take = _entry_point(number_of_sources(__file__))
 
 
-class KickWatch:
-    """`kicks` (n, M, m): what each of m torques does in M cycles from a step of E on, over its size; `shares` (n,):
-    these sizes; `loads` (M, m): what it does from a step of the load at its own roller on."""
+class TransientWatch:
+    """`transients` (n, M, m): what each of m torques does in M cycles from a step of E on, over its size;
+    `shares` (n,): these sizes; `loads` (M, m): what it does from a step of the load at its own roller on."""
 
-    def __init__(self, kicks: Vector, shares: Sequence[float], loads: Vector) -> None:
-        count, cycles, torques = kicks.shape
+    def __init__(self, transients: Vector, shares: Sequence[float], loads: Vector) -> None:
+        count, cycles, torques = transients.shape
         self._cycles = BEFORE + cycles
         self._shares = np.array(shares)
-        whole = np.concatenate([np.zeros((count, BEFORE, torques)), kicks], axis=1)
+        whole = np.concatenate([np.zeros((count, BEFORE, torques)), transients], axis=1)
         stepped = np.concatenate([np.zeros((BEFORE, torques)), loads])
         self._bases = [np.linalg.qr(np.stack([np.ones(self._cycles), each], axis=1))[0] for each in stepped.T]
         # What of each kick nothing else does, (m, n, cycles).
         of_torques = np.stack([self._left(whole[:, :, at], at) for at in range(torques)])
         #: The same one behind the other, (n, m·cycles), and what they are in all (n, m).
-        self._kicks = np.ascontiguousarray(of_torques.transpose(1, 0, 2)).reshape(count, -1)
+        self._transients = np.ascontiguousarray(of_torques.transpose(1, 0, 2)).reshape(count, -1)
         self._energies = np.ascontiguousarray(np.sum(of_torques**2, axis=2).T)
         self._products, self._sizes = np.zeros(count), np.zeros(count)
         self.reset()
@@ -107,13 +107,13 @@ class KickWatch:
         """What was before says nothing any more."""
         self._values = np.zeros((self._cycles, len(self._bases)))
         self._filled, self._best, self._since = 0, 0.0, 0
-        self._found: Kick | None = None
+        self._found: Transient | None = None
 
-    def take(self, torques_Nm: Vector, variances: Vector) -> Kick | None:
+    def take(self, torques_Nm: Vector, variances: Vector) -> Transient | None:
         """Torques (m,) beside those of the line that is followed, with the variances of their noise; a kick once it is
         decided."""
         self._filled += 1
-        _take(self._values, torques_Nm, variances, self._kicks, self._energies, self._products, self._sizes)
+        _take(self._values, torques_Nm, variances, self._transients, self._energies, self._products, self._sizes)
         if self._filled < self._cycles:
             return None
         products, sizes, weights = self._products, self._sizes, 1.0 / variances
@@ -125,14 +125,14 @@ class KickWatch:
             self._best, self._since = float(gains[at]), 0
             deviation = hypot(1.0 / sqrt(float(sizes[at])), _OF_MODEL * share)
             sure = bool(gains[at] > _STANDS_OUT**2)
-            self._found = Kick(share, deviation, 0, sure) if self._fits(float(gains[at]), weights) else None
+            self._found = Transient(share, deviation, 0, sure) if self._fits(float(gains[at]), weights) else None
         if self._best and self._found is None and self._since >= self._cycles:
             self._best = 0.0
         if self._found is None or self._since < _DECIDED * (self._cycles - BEFORE):
             return None
         found, since = self._found, self._since
         self.reset()
-        return Kick(found.share, found.deviation, self._cycles - BEFORE + since, found.sure)
+        return Transient(found.share, found.deviation, self._cycles - BEFORE + since, found.sure)
 
     def _fits(self, gain: float, weights: Vector) -> bool:
         """Whether the kick is most of what happens."""

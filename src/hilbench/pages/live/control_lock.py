@@ -17,10 +17,10 @@ class _Holder:
     viewer: str
     name: str
     until_s: float
-    gone_s: float | None = None
+    elapsed_s: float | None = None
 
 
-class Seat:
+class ControlLock:
     """The seat of one bench; `viewer` is what only that viewer knows, `name` what others are shown of him."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
@@ -29,7 +29,7 @@ class Seat:
 
     def _taken(self) -> _Holder | None:
         holder, now_s = self._holder, self._now()
-        gone = holder is not None and holder.gone_s is not None and now_s - holder.gone_s > GONE_S
+        gone = holder is not None and holder.elapsed_s is not None and now_s - holder.elapsed_s > GONE_S
         if holder is not None and (gone or now_s > holder.until_s):
             self._holder = holder = None
         return holder
@@ -73,9 +73,9 @@ class Seat:
     def leaves(self, viewer: str) -> None:
         """The connection of a viewer is gone; he may come back."""
         if self._holder is not None and self._holder.viewer == viewer:
-            self._holder.gone_s = self._now()
+            self._holder.elapsed_s = self._now()
 
     def comes(self, viewer: str) -> None:
         """A viewer has a connection (again)."""
         if self._holder is not None and self._holder.viewer == viewer:
-            self._holder.gone_s = None
+            self._holder.elapsed_s = None

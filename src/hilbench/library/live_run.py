@@ -21,7 +21,7 @@ _NEAR_NS: Final = 2_000_000_000
 
 
 @dataclass(frozen=True)
-class RunUnderWay:
+class LiveRun:
     """A run that its bench still writes, or that is played as if it did."""
 
     folder: RunFolder

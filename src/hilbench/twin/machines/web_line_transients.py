@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from hilbench.estimation.web_line.kicks import KickWatch
+from hilbench.estimation.web_line.transients import TransientWatch
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.drive_response import DriveResponse
 from hilbench.plant.web_line.layout import Vector
@@ -25,18 +25,18 @@ _SETTLE_S, _KICK_S, _MOST = 0.9, 0.24, 0.9
 
 def kick_watch(
     model: ModelParameters, axis: int, rows: Sequence[int], response: DriveResponse, cycle_s: float
-) -> KickWatch:
+) -> TransientWatch:
     """For the section behind an axis; `rows`: of the torques that say something, from 0; `response`: of the drives, to
     one load each."""
-    kicks = np.stack([_kick(model, axis, share, cycle_s)[:, rows] / share for share in _SHARES])
-    gone = np.cumsum(np.sum(kicks**2, axis=(0, 2)))
+    transients = np.stack([_kick(model, axis, share, cycle_s)[:, rows] / share for share in _SHARES])
+    gone = np.cumsum(np.sum(transients**2, axis=(0, 2)))
     cycles = int(np.searchsorted(gone, _MOST * gone[-1])) + 1
     response.reset()
     loads = []
     for _ in range(cycles):
         loads.append(response.torques_Nm[rows, 0])
         response.step(np.ones((model.axis_count, 1)))
-    return KickWatch(kicks[:, :cycles], _SHARES, np.array(loads))
+    return TransientWatch(transients[:, :cycles], _SHARES, np.array(loads))
 
 
 def _kick(model: ModelParameters, axis: int, share: float, cycle_s: float) -> Vector:

@@ -31,13 +31,13 @@ _TENSION_AT, _MODULUS_AT, _PLACES = range(3)
 NOWHERE = -1
 
 
-def way_per_s(rise_s: float) -> float:
+def trajectory_per_s(rise_s: float) -> float:
     """Rate of the three equal poles of a way, of which 98 % are made in `rise_s`."""
     return _POLES / rise_s
 
 
 @compiled
-def way_update(w: Vector, goal_N: float, modulus_Pa: float) -> None:
+def trajectory_update(w: Vector, goal_N: float, modulus_Pa: float) -> None:
     """One cycle towards the goal."""
     per_s, duration_s, left = w[_PER_S], w[_CYCLE_S], w[_LEFT]
     goal = goal_N / (modulus_Pa * w[_SECTION_M2])
@@ -65,13 +65,13 @@ def shown_m_s(w: Vector) -> float:
 
 
 @compiled
-def way_tension_N(w: Vector, modulus_Pa: float) -> float:
+def trajectory_tension_N(w: Vector, modulus_Pa: float) -> float:
     """What is wanted at this moment."""
     return float(w[_STRAIN] * modulus_Pa * w[_SECTION_M2])
 
 
 @compiled
-def way_velocity(w: Vector, behind_m_s: float, entering_strain: float) -> float:
+def trajectory_velocity(w: Vector, behind_m_s: float, entering_strain: float) -> float:
     """Of the axis before the span by mass conservation, from that of the axis behind it and the strain that enters, in
     reverse that of the web behind the span."""
     wanted, lengthening_m_s = 1.0 + w[_STRAIN], w[_LENGTH_M] * w[_RATE_PER_S]
@@ -93,10 +93,14 @@ def entering_strain(entering: Vector, at: Places, values: Vector, forward: bool,
     return float(values[place[_TENSION_AT]] / (modulus_Pa * of[_OF_SECTION_M2]))
 
 
-_update, _velocity, _tension_N = interpreted(way_update), interpreted(way_velocity), interpreted(way_tension_N)
+_update, _velocity, _tension_N = (
+    interpreted(trajectory_update),
+    interpreted(trajectory_velocity),
+    interpreted(trajectory_tension_N),
+)
 
 
-class StrainWay:
+class StrainTrajectory:
     """The strain wanted in a span, on its smooth way to what the set-point asks for at the present E.
 
     Three equal poles; `rise_s`: until 98 % of a step are made. A change of E moves the goal, and leaves the strain of
@@ -104,7 +108,7 @@ class StrainWay:
     """
 
     def __init__(self, rise_s: float, cycle_s: float, length_m: float, section_m2: float) -> None:
-        per_s = way_per_s(rise_s)
+        per_s = trajectory_per_s(rise_s)
         self.vector = np.zeros(_SIZE)  #: of the functions above
         self.vector[: _SECTION_M2 + 1] = per_s, exp(-per_s * cycle_s), cycle_s, length_m, section_m2
 
@@ -114,7 +118,7 @@ class StrainWay:
         self.vector[_STRAIN] = strain
 
     def update(self, goal_N: float, modulus_Pa: float) -> None:
-        """`way_update`."""
+        """`trajectory_update`."""
         _update(self.vector, goal_N, modulus_Pa)
 
     @property
@@ -128,11 +132,11 @@ class StrainWay:
         return float(self.vector[_LENGTH_M] * self.vector[_BEND_PER_S2])
 
     def tension_N(self, modulus_Pa: float) -> float:
-        """`way_tension_N`."""
+        """`trajectory_tension_N`."""
         return _tension_N(self.vector, modulus_Pa)
 
     def velocity(self, behind_m_s: float, entering_strain: float) -> float:
-        """`way_velocity`."""
+        """`trajectory_velocity`."""
         return _velocity(self.vector, behind_m_s, entering_strain)
 
 

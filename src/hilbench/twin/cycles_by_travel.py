@@ -8,7 +8,7 @@ from hilbench.plant.pairing import cycles_gone, play
 from hilbench.topology.blocks import MachineParameters
 
 
-class AxisWays:
+class CyclesByTravel:
     """How far the axes go in a cycle, of which their ways between two measurements tell how many there were."""
 
     def __init__(self, model: MachineParameters, cycle_s: float) -> None:
@@ -26,8 +26,8 @@ class AxisWays:
         """How many cycles up to these, where a clock says `told`."""
         if self._last is None or self._usual is None:
             return told
-        ways = [now - last for now, last in zip(positions_rad, self._last, strict=True)]
-        found = cycles_gone(ways, self._usual, self._plays, self._cycles + told)
+        travels = [now - last for now, last in zip(positions_rad, self._last, strict=True)]
+        found = cycles_gone(travels, self._usual, self._plays, self._cycles + told)
         return told if found is None else found - self._cycles
 
     def update(self, positions_rad: Sequence[float] | None, cycles: int) -> None:
