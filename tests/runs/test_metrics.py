@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hilbench.runs import figures
+from hilbench.runs.events import Changed, Event
 from hilbench.runs.metrics import METRICS, evaluate_metrics
 
 E0, E1 = 8.7e9, 10.5e9
@@ -85,6 +86,15 @@ def test_without_a_step_nothing_is_invented() -> None:
     assert found["E_overshoot_pct"] is None
     assert found["tension_recovery_s"] is None
     assert found["tension_rms_error_N"] == pytest.approx(16 * np.sqrt(4 / 2 / 45), rel=0.002)  # whole window
+
+
+def test_a_ramp_that_a_fault_cuts_off_leaves_the_step_before_it_judged() -> None:
+    """Its last set-points came when nothing was recorded any more."""
+    channels = {name: values[:5001] for name, values in run().items()}
+    stopped = Event("step", 50.0, 50.03, (Changed("line_speed_m_s", 3.0, 2.98),))
+    assert (
+        evaluate_metrics(channels, journal=[stopped])["E_time_to_1pct_s"] == evaluate_metrics(run())["E_time_to_1pct_s"]
+    )
 
 
 def test_slow_drift_is_no_step() -> None:

@@ -196,7 +196,8 @@ def judge(channels: Channels, *, journal: Sequence[Event] = ()) -> Judgement:
         judged = []
         for number, step in enumerate(steps, 1):
             part = _segment(time_s, step.end_s, _next(ending, step.end_s))
-            judged.append(_judge(machine, Segment(channels, part, step, marks), number))
+            if part.start < part.stop:  # nothing is recorded behind the last set-point of a run that a fault ended
+                judged.append(_judge(machine, Segment(channels, part, step, marks), number))
         return Judgement(judged, events, machine)
     window = _window(machine, channels, time_s)
     if window is None:

@@ -9,10 +9,13 @@ the model's E, over two blocks (`blocks`):
   A tension upstream that swings builds up as well, but to both sides: what goes no farther than it swung just before
   is no slip.
 
-Nothing is judged while the measurement can't be used, as with a torque at its limit, nor across such a gap. Compiled.
+Either has to stand out of the noise of the blocks. Nothing is judged while the measurement can't be used, as with a
+torque at its limit, nor across such a gap. Compiled.
 """
 
 from __future__ import annotations
+
+from math import sqrt
 
 import numpy as np
 
@@ -24,13 +27,16 @@ from hilbench.estimation.web_line import blocks
 
 #: Ratio below which the web is broken, and above which it is whole again.
 BROKEN, WHOLE = 0.15, 0.3
-#: Smoothing of the tension that is usual: a web that breaks loses that, strange positions alone don't take it away.
+#: Smoothing of the tension that is usual: a web that breaks loses that, strange positions alone don't take it away; and
+#: of its noise.
 _USUAL_S = 0.3
+#: Deviations by which a break or a change stands out: of a normal noise once in 1.7 million blocks, 10 h of 20 ms.
+_SURE = 5.0
 #: Least tension that the strain must promise for a ratio to mean anything, as a share of the machine's usual one.
 LEAST_SHARE = 0.125
-#: Force that accelerates the roller, over the tension that the strain promises, from which nothing is judged: of a mass
-#: known to a tenth it takes a fifth of this from the tension, and a web with that left of it seems broken.
-_ACCELERATES = 4.0
+#: Force that accelerates the roller, or its range within a block, over the tension that the strain promises, from which
+#: nothing is judged: a fifth of this, from a mass and a lag known to a tenth each, makes a whole web look broken.
+_MOTION = 4.0
 #: Change of the ratio against that of so many blocks before (a median of three) from which something happened.
 _CHANGED, _BEFORE = 0.05, 12
 #: Blocks after which a change that is there at once is there, and a single block that is off is in no ratio any more.
@@ -58,6 +64,7 @@ _NONE = -1.0
     _LAST_N,
     _LAST_PER_PA,
     _USUAL_N,
+    _SCATTER_N2,  # mean square of the difference of two blocks' tensions
     _SINCE_CHANGE_M,  # what has gone through since a change that is not judged yet
     _QUIET_M,
     _RATIO_BEFORE,
@@ -69,8 +76,8 @@ _NONE = -1.0
     _SLIPPING,
     _RATIOS,  # where the rings begin
     _SWUNG,
-) = range(18)
-_SIZE = 18
+) = range(19)
+_SIZE = 19
 
 
 @compiled
@@ -78,7 +85,7 @@ def reset(s: Array) -> None:
     """The web is another one, or was at rest. s: state of `new_state`."""
     suspend(s)
     ring.clear(s, int(s[_SWUNG]))
-    for place in (_USUAL_N, _RATIO_BEFORE, _RATIO_AT_ONCE, _SINCE_NOTED_M, _LEAST, _BROKEN_NOW, _SLIPPING):
+    for place in (_USUAL_N, _SCATTER_N2, _RATIO_BEFORE, _RATIO_AT_ONCE, _SINCE_NOTED_M, _LEAST, _BROKEN_NOW, _SLIPPING):
         s[place] = 0.0
     s[_QUIET_M] = PASSED_SPANS * s[_SPAN_M]
 
@@ -101,7 +108,7 @@ def is_judging(s: Array) -> bool:
 def look(s: Array, block: Array) -> None:
     """Take a block that is complete. `block`: state of `blocks`."""
     block_N, block_per_Pa = block[blocks.FORCE_N], block[blocks.WEB_PER_PA]
-    first = s[_HAS_LAST] == 0.0
+    first, gained_N = s[_HAS_LAST] == 0.0, block_N - s[_LAST_N]
     tension_N, web_per_Pa = 0.5 * (s[_LAST_N] + block_N), 0.5 * (s[_LAST_PER_PA] + block_per_Pa)
     s[_HAS_LAST], s[_LAST_N], s[_LAST_PER_PA] = 1.0, block_N, block_per_Pa
     if first:
@@ -111,15 +118,19 @@ def look(s: Array, block: Array) -> None:
         s[_SINCE_CHANGE_M] = _NONE
         s[_QUIET_M] = PASSED_SPANS * s[_SPAN_M]
         return
-    if abs(block[blocks.ACCELERATES_N]) > _ACCELERATES * promised_N:
+    if block[blocks.MOTION_N] > _MOTION * promised_N:
         suspend(s)
         return
     ratio, threshold = tension_N / promised_N, WHOLE if s[_BROKEN_NOW] != 0.0 else BROKEN
-    broken = ratio < threshold and tension_N < threshold * s[_USUAL_N]
+    sure_N = _SURE * sqrt(0.25 * s[_SCATTER_N2])  # of the mean of two blocks
+    broken = ratio < threshold and tension_N < min(threshold * s[_USUAL_N], promised_N - sure_N)
     s[_BROKEN_NOW] = 1.0 if broken else 0.0
+    smoothing = min(block[blocks.DURATION_S] / _USUAL_S, 1.0)
     if not broken:
-        s[_USUAL_N] += min(block[blocks.DURATION_S] / _USUAL_S, 1.0) * (tension_N - s[_USUAL_N])
-    _look_for_slip(s, ratio, abs(block[blocks.VELOCITY_M_S]) * block[blocks.DURATION_S])
+        s[_USUAL_N] += smoothing * (tension_N - s[_USUAL_N])
+    s[_SCATTER_N2] += smoothing * (gained_N * gained_N - s[_SCATTER_N2])
+    changed = max(_CHANGED, sure_N / promised_N)
+    _look_for_slip(s, ratio, changed, abs(block[blocks.VELOCITY_M_S]) * block[blocks.DURATION_S])
 
 
 @inlined
@@ -131,15 +142,15 @@ def found(s: Array) -> int:
 
 
 @compiled
-def _look_for_slip(s: Array, ratio: float, moved_m: float) -> None:
+def _look_for_slip(s: Array, ratio: float, changed: float, moved_m: float) -> None:
     ratios, swung = int(s[_RATIOS]), int(s[_SWUNG])
     s[_SINCE_NOTED_M] += moved_m
     if is_judging(s):
-        _judge(s, ratio, moved_m)
+        _judge(s, ratio, changed, moved_m)
     elif s[_QUIET_M] > 0.0:
         s[_QUIET_M] -= moved_m
         ring.clear(s, ratios)
-    elif ring.is_full(s, ratios) and abs(ratio / _ratio_before(s) - 1.0) > _CHANGED:
+    elif ring.is_full(s, ratios) and abs(ratio / _ratio_before(s) - 1.0) > changed:
         before = _ratio_before(s)
         s[_SINCE_CHANGE_M] = 0.0
         s[_RATIO_BEFORE] = before
@@ -167,13 +178,13 @@ def _ratio_before(s: Array) -> float:
 
 
 @compiled
-def _judge(s: Array, ratio: float, moved_m: float) -> None:
+def _judge(s: Array, ratio: float, changed: float, moved_m: float) -> None:
     """A change is under way: what it was soon after it was seen, and what it has become."""
     s[_SINCE_CHANGE_M] += moved_m
     s[_SETTLING] -= 1.0
     if s[_SETTLING] == 0.0:
         s[_RATIO_AT_ONCE] = ratio
-        if abs(ratio / s[_RATIO_BEFORE] - 1.0) <= _CHANGED:  # a single block was off
+        if abs(ratio / s[_RATIO_BEFORE] - 1.0) <= changed:  # a single block was off
             s[_SINCE_CHANGE_M] = _NONE
             return
     if s[_SETTLING] > 0.0 or s[_SINCE_CHANGE_M] < _JUDGED_AFTER * s[_SPAN_M]:
@@ -181,7 +192,7 @@ def _judge(s: Array, ratio: float, moved_m: float) -> None:
     change, at_once = ratio / s[_RATIO_BEFORE] - 1.0, s[_RATIO_AT_ONCE] / s[_RATIO_BEFORE] - 1.0
     s[_SINCE_CHANGE_M] = _NONE
     s[_QUIET_M] = PASSED_SPANS * s[_SPAN_M]
-    if abs(change) <= _CHANGED:  # it has gone again
+    if abs(change) <= changed:  # it has gone again
         s[_SLIPPING] = 0.0
     elif s[_BROKEN_NOW] == 0.0:
         s[_SLIPPING] = 1.0 if change < 0.0 and at_once / change < _AT_ONCE and ratio < s[_LEAST] else 0.0

@@ -37,9 +37,11 @@ ENDS = 3
     WEB_PER_PA,
     VELOCITY_M_S,
     DURATION_S,
-    ACCELERATES_N,  # what accelerates the roller
+    MOTION_N,  # the largest of what accelerates the roller and of how far the force goes within the block
+    _LOW_N,
+    _HIGH_N,
     _FIRST,
-) = range(15)
+) = range(17)
 _FIRST_AT, _LAST, _LAST_AT = _FIRST + ENDS, _FIRST + 2 * ENDS, _FIRST + 3 * ENDS
 _SIZE = _FIRST + 4 * ENDS
 
@@ -89,6 +91,8 @@ def take(s: Array, force_N: float, web_per_Pa: float, velocity_m_s: float) -> bo
         s[_LAST_AT + i] = s[_LAST_AT + i + 1]
     s[_LAST + ENDS - 1] = velocity_m_s
     s[_LAST_AT + ENDS - 1] = s[_LASTED]
+    s[_LOW_N] = min(s[_LOW_N], force_N) if collected > 0 else force_N
+    s[_HIGH_N] = max(s[_HIGH_N], force_N) if collected > 0 else force_N
     s[_FORCE_SUM_N] += force_N
     s[_WEB_SUM] += web_per_Pa
     s[_COLLECTED] += 1.0
@@ -107,8 +111,9 @@ def _complete(s: Array, velocity_m_s: float) -> None:
     else:
         gained_m_s = velocity_m_s - s[_FIRST]
         cycles = s[_LAST_AT + ENDS - 1] - s[_FIRST_AT]
-    s[ACCELERATES_N] = s[_MASS_KG] * gained_m_s / (cycles * s[_CYCLE_S])
-    s[FORCE_N] = s[_FORCE_SUM_N] / count - s[ACCELERATES_N]
+    accelerates_N = s[_MASS_KG] * gained_m_s / (cycles * s[_CYCLE_S])
+    s[FORCE_N] = s[_FORCE_SUM_N] / count - accelerates_N
+    s[MOTION_N] = max(abs(accelerates_N), s[_HIGH_N] - s[_LOW_N])
     s[WEB_PER_PA] = s[_WEB_SUM] / count
     s[VELOCITY_M_S] = velocity_m_s
     s[DURATION_S] = s[_LASTED] * s[_CYCLE_S]

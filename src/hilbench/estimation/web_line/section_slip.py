@@ -67,7 +67,7 @@ class SectionSlip:
         """The web is let go; of one that is under way nobody knows the strain until it has left."""
         # Promised are tensions, by the model's E: what is left for the detector to multiply with is 1.
         self._detector = anomalies.new_state(1.0, self._usual_N, self._length_m)
-        self._block = np.zeros(blocks.ACCELERATES_N + 1)
+        self._block = np.zeros(blocks.MOTION_N + 1)
         self._corrected_N = 0.0
         self._begin()
         self._begins_s: deque[float] = deque(maxlen=_BEFORE)  # of the last blocks
