@@ -157,10 +157,14 @@ def _of_a_change_of_E(config: ExperimentConfig, at: str, move: Move) -> Iterator
 
 
 def beyond(at: str, what: str, value: float, limit: Limit, unit: str) -> Iterator[str]:
-    """A value that will end the run."""
+    """A value that will end the run, or be warned of in it: at the level itself noise goes beyond."""
+    asked = f"{at}: {what} {value:.4g} {unit}".rstrip()
     if limit.trip is not None and value > limit.trip:
-        told, level = f"{value:.4g} {unit}".strip(), f"{limit.trip:g} {unit}".strip()
-        yield f"{at}: {what} {told} is beyond the trip level {level}: the run will end there in the safe state"
+        level = f"{limit.trip:g} {unit}".strip()
+        yield f"{asked} is beyond the trip level {level}: the run will end there in the safe state"
+    elif limit.warning is not None and value >= limit.warning:
+        level = f"{limit.warning:g} {unit}".strip()
+        yield f"{asked} reaches the warning level {level}, expected less"
 
 
 def _too_fast(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
