@@ -98,7 +98,11 @@ def test_what_the_steps_make_of_e_is_looked_at(tmp_path: Path) -> None:
     [
         (["set: {path: tension_control.set_point_N, to: 450}"], [], "set-point of the tension 450 N is beyond"),
         (["ramp: {path: line_speed_m_s, to: 12, duration_s: 9}"], [], "line speed 12 m/s is beyond the trip level 10"),
-        (["ramp: {path: line_speed_m_s, to: 8, duration_s: 9}"], [], "line speed 8 m/s reaches the warning level 8 m/s"),
+        (
+            ["ramp: {path: line_speed_m_s, to: 8, duration_s: 9}"],
+            [],
+            "line speed 8 m/s reaches the warning level 8 m/s",
+        ),
         (
             ["step: {path: load.web.youngs_modulus_Pa, to: 17e9}"],
             ["safety.limits.tension_N.warning=90", "safety.limits.tension_N.trip=100"],
