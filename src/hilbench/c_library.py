@@ -35,12 +35,6 @@ if TYPE_CHECKING:
     def prctl(option: int, first: int, second: int, third: int, fourth: int) -> int:
         """prctl(2)."""
 
-    def pthread_mutex_trylock(mutex: int) -> int:
-        """pthread_mutex_trylock(3): 0 where it is held now."""
-
-    def pthread_mutex_unlock(mutex: int) -> int:
-        """pthread_mutex_unlock(3)."""
-
     def clock_gettime(clock: int, time: int) -> int:
         """clock_gettime(2)."""
 
@@ -55,8 +49,6 @@ else:
     epoll_wait = types.ExternalFunction("epoll_wait", types.int32(types.int32, types.intp, types.int32, types.int32))
     ppoll = types.ExternalFunction("ppoll", types.int32(types.intp, types.uintp, types.intp, types.intp))
     prctl = types.ExternalFunction("prctl", types.int32(types.int32, *4 * (types.uintp,)))
-    pthread_mutex_trylock = types.ExternalFunction("pthread_mutex_trylock", types.int32(types.intp))
-    pthread_mutex_unlock = types.ExternalFunction("pthread_mutex_unlock", types.int32(types.intp))
     clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
     clock_nanosleep = types.ExternalFunction(
         "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp)

@@ -78,7 +78,7 @@ class _Compiled:
         found: Over = []
         for row in self._carried[:count]:
             can_id, size, _, data = protocol.CAN_RECORD.unpack(row[:2].tobytes())
-            sender = int(row[forwarding_kernel.FROM])
+            sender = int(0b111 ^ row[forwarding_kernel.TO]).bit_length() - 1  # the only one that does not hear it
             assert row[forwarding_kernel.TO] == 0b111 ^ 1 << sender
             found.append((sender, can_id, data[:size], int(row[forwarding_kernel.TIME_NS])))
         return found

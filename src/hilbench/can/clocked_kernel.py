@@ -125,7 +125,7 @@ def carry(state: Row, clock: Row, queues: Table, queued: Table, until_ns: int, c
         state[wire.CARRIED_FRAMES] += 1
         state[wire.CARRIED_BITS] += frame[BITS]
         found[wire.STAMPED], found[wire.DATA], found[wire.TIME_NS] = frame[RECORD], frame[DATA], clock[END_NS]
-        found[wire.TO], found[wire.FROM] = frame[HEARD_BY], sender
+        found[wire.TO] = frame[HEARD_BY]
         over += 1
     return over
 

@@ -6,7 +6,6 @@ somebody comes or goes or has other filters.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
@@ -18,7 +17,6 @@ from hilbench.can import forwarding_kernel as kernel
 from hilbench.can.arbitration import priority
 from hilbench.can.frame import REMOTE_FLAG, is_classical
 from hilbench.can.medium import Medium
-from hilbench.can.wire_memory import MAX_STATIONS, WireMemory, new_memory
 
 _RECORD_WORDS, _STAMPED_WORDS = protocol.CAN_RECORD.size // 8, protocol.STAMPED_CAN_RECORD.size // 8
 
@@ -26,8 +24,6 @@ _RECORD_WORDS, _STAMPED_WORDS = protocol.CAN_RECORD.size // 8, protocol.STAMPED_
 #: A station on the wire, as far as frames come from it and go there: descriptor, records in one packet to it, frames
 #: dropped so far, whether it hears its own.
 Place = tuple[int, int, int, bool]
-#: So long it is waited for a station that works on the wire it has been lent, which takes it microseconds.
-_STANDS_STILL_S = 1.0
 
 
 class Left(NamedTuple):
@@ -43,27 +39,20 @@ class Forwarder:
     """Passes on packets of known frames; `epoll` waits for the stations, and for all else that can happen."""
 
     #: More are forwarded by the hub itself.
-    MAX_STATIONS = MAX_STATIONS
+    MAX_STATIONS = kernel.MAX_STATIONS
 
     def __init__(self, epoll: int) -> None:
         self._epoll = epoll
-        self._places: list[Place]
         self._descriptors = self._of_descriptors = np.zeros(0, np.int64)
         self._events = np.zeros((kernel.MAX_READY + 1) * kernel.EVENT_WORDS, np.uint32)
         self._out = np.zeros(kernel.PACKET_WORDS, np.int64)
-        self._queues = np.zeros((MAX_STATIONS, clocked_kernel.OF_QUEUE), np.int64)
-        self._queued = np.zeros((MAX_STATIONS * clocked_kernel.ROOM, clocked_kernel.OF_QUEUED), np.int64)
+        self._queues = np.zeros((kernel.MAX_STATIONS, clocked_kernel.OF_QUEUE), np.int64)
+        self._queued = np.zeros((kernel.MAX_STATIONS * clocked_kernel.ROOM, clocked_kernel.OF_QUEUED), np.int64)
         self._clock = np.zeros(clocked_kernel.OF_CLOCK, np.int64)
-        self._loans = 0
-        self._renew()
+        self._tables, self._known_count = kernel.Tables(), 0
+        self._places: list[Place] = []
         kernel.warm_up()
         clocked_kernel.warm_up()
-
-    def _renew(self) -> None:
-        self.memory = new_memory()  #: descriptor of what a station that has the wire works on
-        self._tables, self._known_count = WireMemory(self.memory), 0
-        self._tables.make_lock()
-        self._places = []
 
     def forward(self, medium: Medium, places: list[Place], clock_offset_ns: int | None) -> Left:
         """Serve the stations at these places, in the order in which they joined, while all that happens is packets of
@@ -102,44 +91,12 @@ class Forwarder:
         state = self._tables.state
         state[kernel.BITRATE], state[kernel.FREE_NS] = medium.bitrate, medium.free_ns
         state[kernel.CARRIED_FRAMES] = state[kernel.CARRIED_BITS] = 0
-        state[kernel.PACKETS_LEFT] = state[kernel.FRAMES_LEFT] = 0
 
     def _end(self, medium: Medium) -> Left:
         state = self._tables.state
         frames, bits, free_ns = state[[kernel.CARRIED_FRAMES, kernel.CARRIED_BITS, kernel.FREE_NS]].tolist()
         medium.account(frames, bits, free_ns - medium.free_ns)
         return Left([self._packet(at) for at in range(state[kernel.PACKETS_LEFT])], list(self._undelivered()))
-
-    def lend(self, medium: Medium, places: list[Place], borrower: int) -> int:
-        """From now on this one of the stations does what `forward` does, until `reclaim`; the number of the loan, 0
-        where it can't: the lock is held by one that had the wire before, and stands still."""
-        if not self._tables.hold(0.0):
-            return 0
-        self._begin(medium, places)
-        self._loans = self._loans % 0xFFFFFFFF + 1
-        state = self._tables.state
-        state[kernel.BORROWER], state[kernel.STATIONS] = borrower, len(places)
-        state[kernel.LOAN] = self._loans
-        self._tables.release()
-        return self._loans
-
-    @property
-    def carried(self) -> int:
-        """Frames since the wire was lent."""
-        return int(self._tables.state[kernel.CARRIED_FRAMES])
-
-    def reclaim(self, medium: Medium) -> Left:
-        """The wire is the hub's again."""
-        tables = self._tables
-        held = tables.hold(_STANDS_STILL_S)
-        tables.state[kernel.LOAN] = 0
-        left = self._end(medium)
-        if held:
-            tables.release()
-        else:  # whoever holds it may go on at any time
-            os.close(self.memory)
-            self._renew()
-        return left
 
     def _packet(self, at: int) -> tuple[int, bytes | None]:
         station, size = self._tables.packets[at, [kernel.STATION, kernel.SIZE]].tolist()

@@ -22,7 +22,7 @@ from hilbench.c_library import (
     clock_nanosleep,
     send,
 )
-from hilbench.can import loan_kernel, protocol
+from hilbench.can import protocol
 from hilbench.can.compiled_wire import bits_on_wire
 from hilbench.canopen.identifiers import NmtState
 from hilbench.chain import GOES_ON
@@ -353,7 +353,7 @@ tell, await_sync, send_sync, await_answers, account = _entry_points(
         __file__,
         str(packet_kernel.__file__),
         str(c_library.__file__),
-        *loan_kernel.SOURCES,
+        str(protocol.__file__),
         *kernel.SOURCES,
     )
 )

@@ -28,7 +28,6 @@ from hilbench.plain import kernel, packet_kernel
 from hilbench.plain import layout as lay
 from hilbench.plain.answers import Order
 from hilbench.plain.bench_run import BenchRun
-from hilbench.plain.borrowed_wire import BorrowedWire
 from hilbench.plain.packet_kernel import Gathered
 from hilbench.plain.tables import NotPlainError
 from hilbench.topology.sample import CycleSample
@@ -61,12 +60,11 @@ class PlainExchange:
     def _prepare(self) -> None:
         """Before there is a cycle."""
         self.warm_up()
-        self._wire = BorrowedWire(self._link)
         self._pause = _LOOK_AGAIN  # cycles to wait when they are plain no more
 
     def _new_run(self) -> BenchRun:
         """Raises NotPlainError where cycles are not plain."""
-        return _Run(self._link, self._wire, self._nodes, self._sync, self._tap)
+        return _Run(self._link, self._nodes, self._sync, self._tap)
 
     def _rest(self, done: int | None) -> None:
         """Cycles are plain no more, behind so many that were; None: they have not become so."""
@@ -124,12 +122,10 @@ class PlainExchange:
 class _Run(BenchRun):
     """The same in lockstep."""
 
-    def __init__(
-        self, link: EmbeddedLink, wire: BorrowedWire, nodes: Nodes, sync: SyncCycle, tap: LineTap | None
-    ) -> None:
+    def __init__(self, link: EmbeddedLink, nodes: Nodes, sync: SyncCycle, tap: LineTap | None) -> None:
         """Raises NotPlainError where cycles are not plain."""
         super().__init__(nodes, sync, tap, lines=True)
-        self._link, self._wire = link, wire
+        self._link = link
         frames = self._frames
         sent = np.column_stack((frames.cob_ids, frames.sizes)).astype(np.int64)
         self._port = packet_kernel.new_port(
@@ -188,16 +184,10 @@ class _Run(BenchRun):
         """Set points and SYNC onto the bus, and their lines behind those of the last cycle; False, and nothing done,
         where a value does not fit, or something has come before."""
         given = self._given_at
-        came = self._wire.look()
-        if came:
-            self._sync.came_between(self._link.frames_from(*came))
-            return False
         self._take(outputs)
         given[lay.I_START_NS], given[lay.I_TEXT] = self._sync.next_sync_ns, self._text_end
         self._gathered.begin()
-        outcome = packet_kernel.ask(
-            self._table, self._port_table, self._wire.table, self._gathered.table, self._bitrate
-        )
+        outcome = packet_kernel.ask(self._table, self._port_table, self._bitrate)
         if outcome == packet_kernel.UNSENT:
             at, end = protocol.HEADER.size, self._numbers[packet_kernel.OUT_LENGTH]
             self._link.send_records(self._port.sent[at:end].tobytes())
@@ -213,9 +203,7 @@ class _Run(BenchRun):
         gathered, stage = self._gathered, packet_kernel.RECEIVE
         due = self._due_at_times()
         answers = len(self._due) + len(due)
-        while (
-            outcome := packet_kernel.gather(gathered.table, self._wire.table, answers, stage)
-        ) == packet_kernel.NOTHING:
+        while (outcome := packet_kernel.gather(gathered.table, answers, stage)) == packet_kernel.NOTHING:
             packet = self._link.receive_packet(_PATIENCE_S)
             if packet is None:
                 return None

@@ -14,8 +14,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench import c_library
 from hilbench.c_library import CLOCK_MONOTONIC, MSG_DONTWAIT, MSG_NOSIGNAL, POLLIN, clock_gettime, ppoll, recv, send
-from hilbench.can import loan_kernel, protocol
+from hilbench.can import protocol
 from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, NmtState
 from hilbench.chain import GOES_ON
 from hilbench.compiled import (
@@ -91,8 +92,6 @@ _G_NUMBERS, _G_LENGTHS, _G_COB_IDS, G_SIZES, G_DATA, _G_PACKETS = range(6)  # as
 _MOST_FRAMES, _MOST_PACKETS = 512, 64
 #: Most others who are waited for.
 MOST_OTHERS: Final = 62
-#: So long it is waited for a packet before the interpreter is asked again, where the wire is lent.
-_PATIENCE_MS: Final = 100
 
 Pairs = NDArray[np.int64]
 
@@ -424,8 +423,8 @@ def _keep_rest(port: Table) -> None:
 Answer = Callable[[Table, Table, int], int]
 AwaitSync = Callable[[Table, int], int]
 AwaitOthers = Callable[[Table, Table, Table, int], int]
-Ask = Callable[[Table, Table, Table, Table, int], int]
-Gather = Callable[[Table, Table, int, int], int]
+Ask = Callable[[Table, Table, int], int]
+Gather = Callable[[Table, int, int], int]
 TakeApart = Callable[[Table, Table, Table, int], bool]
 
 
@@ -497,47 +496,34 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, AwaitOthers, Ask, Ga
             if outcome != MORE:
                 return outcome
 
-    @entry_point(TABLE, TABLE, TABLE, TABLE, COUNT)
-    def ask(table: Table, port: Table, wire: Table, gathered: Table, bitrate: int) -> int:
+    @entry_point(TABLE, TABLE, COUNT)
+    def ask(table: Table, port: Table, bitrate: int) -> int:
         if sources < 0 or len(port) == 0:
             return NOTHING
         numbers, left = integers(port, _NUMBERS, (1,)), integers(port, _LEFT, (1,))
-        length = loan_kernel.GONE
-        if loan_kernel.has(wire):
-            length = loan_kernel.receive(wire, integers(port, _IN, (1,)), 0)
-        if length == loan_kernel.GONE:
-            length = recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, MSG_DONTWAIT)
-        elif length == loan_kernel.NOTHING:
-            length = -1
+        length = recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, MSG_DONTWAIT)
         numbers[LENGTH] = max(length, 0)
         if length >= 0 or kernel.exchange(bitrate, table) != GOES_ON:
             return OTHER
         data, out = viewed(integers(port, _DATA, (1,)), _OCTET), viewed(integers(port, _OUT, (1,)), _OCTET)
         numbers[OUT_LENGTH] = pack(integers(port, _ANSWERS, (1, 2)), 0, left[_O_SIZE:], data, out)
-        if loan_kernel.put(wire, out, numbers[OUT_LENGTH], integers(gathered, _G_PACKETS, (1,))):
-            return ANSWERED
         sent = send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], MSG_DONTWAIT | MSG_NOSIGNAL)
         return ANSWERED if sent == numbers[OUT_LENGTH] else UNSENT
 
-    @entry_point(TABLE, TABLE, COUNT, COUNT)
-    def gather(gathered: Table, wire: Table, answers: int, stage: int) -> int:
+    @entry_point(TABLE, COUNT, COUNT)
+    def gather(gathered: Table, answers: int, stage: int) -> int:
         if sources < 0 or len(gathered) == 0:
             return NOTHING
         numbers, lengths = integers(gathered, _G_NUMBERS, (1,)), integers(gathered, _G_LENGTHS, (1,))
         cob_ids, sizes = integers(gathered, _G_COB_IDS, (1,)), integers(gathered, G_SIZES, (1,))
         data = viewed(integers(gathered, G_DATA, (1,)), _OCTET)
-        words = integers(gathered, _G_PACKETS, (1,))
-        packets = viewed(words, _OCTET)
+        packets = viewed(integers(gathered, _G_PACKETS, (1,)), _OCTET)
         while numbers[ANSWERS_CAME] < answers:
             end, count = numbers[IN_END], numbers[PACKETS_CAME]
             if end + _PACKET_BYTES > len(packets) or count == len(lengths):
                 return OTHER
             if stage == RECEIVE:
-                length = loan_kernel.GONE
-                if loan_kernel.has(wire):
-                    length = loan_kernel.receive(wire, words[end // 8 :], _PATIENCE_MS)
-                if length == loan_kernel.GONE:
-                    length = recv(numbers[DESCRIPTOR], numbers[IN_AT] + end, _PACKET_BYTES, 0)
+                length = recv(numbers[DESCRIPTOR], numbers[IN_AT] + end, _PACKET_BYTES, 0)
                 if length <= 0:
                     return NOTHING
                 numbers[LENGTH] = length
@@ -575,15 +561,14 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, AwaitOthers, Ask, Ga
 #: await_others(table of `kernel.Vectors`, table of `Port`, that of the others', longest time without a packet): behind
 #: SYNC, receive packets until each of the others has answered it, beside that only what is expected with the next, and
 #: do with their answers what `exchange` does: ANSWERED; NOTHING: not yet; OTHER: all that came is in the buffer.
-#: ask(table of `kernel.Vectors`, table of `Port`, table of `can.loan.Loan`, table of `Gathered`, bitrate): send what is
-#: in the frames; OTHER, and nothing done, where a value does not fit, or a packet has come before, which is in the
-#: buffer then.
-#: gather(table of `Gathered`, table of `can.loan.Loan`, answers, where to begin): receive packets until so many frames
-#: that are no heartbeats have come: ANSWERED; OTHER: a packet is of another kind, or says that frames were lost.
+#: ask(table of `kernel.Vectors`, table of `Port`, bitrate): send what is in the frames; OTHER, and nothing done, where
+#: a value does not fit, or a packet has come before, which is in the buffer then.
+#: gather(table of `Gathered`, answers, where to begin): receive packets until so many frames that are no heartbeats
+#: have come: ANSWERED; OTHER: a packet is of another kind, or says that frames were lost.
 #: take_apart(table of `kernel.Vectors`, table of `Port`, table of `Gathered`, bitrate): what `exchange` does with what
 #: was gathered; False, and nothing done, where that is not what is expected.
 answer, await_sync, await_others, ask, gather, take_apart = _entry_points(
-    number_of_sources(__file__, *loan_kernel.SOURCES, *kernel.SOURCES)
+    number_of_sources(__file__, str(c_library.__file__), str(protocol.__file__), *kernel.SOURCES)
 )
 
 
@@ -599,12 +584,12 @@ def warm_up() -> None:
 def warm_up_bench() -> None:
     """The same of what a bench calls."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
-    ask(nothing, nothing, nothing, nothing, BITRATE)
+    ask(nothing, nothing, BITRATE)
     warm_up_gathering()
 
 
 def warm_up_gathering() -> None:
     """The same of what is gathered."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
-    gather(nothing, nothing, 0, RECEIVE)
+    gather(nothing, 0, RECEIVE)
     take_apart(nothing, nothing, nothing, BITRATE)

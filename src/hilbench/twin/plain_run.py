@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilbench.can.embedded import EmbeddedLink
-from hilbench.can.loan import NO_WIRE
 from hilbench.chain import GOES_ON
 from hilbench.plain import kernel, packet_kernel
 from hilbench.plain import layout as lay
@@ -97,7 +96,7 @@ class HeardAxes(_Axes):
     def serve(self, timeout_s: float) -> int:
         """Take what comes: ANSWERED, by all axes; NOTHING has come within the time; OTHER: it is not plain."""
         gathered, stage = self._gathered, RECEIVE
-        while (outcome := packet_kernel.gather(gathered.table, NO_WIRE, len(self._listeners), stage)) == NOTHING:
+        while (outcome := packet_kernel.gather(gathered.table, len(self._listeners), stage)) == NOTHING:
             packet = self._link.receive_packet(timeout_s)
             if packet is None:
                 return NOTHING
