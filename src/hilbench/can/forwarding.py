@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.can import clocked_kernel, protocol, wire
 from hilbench.can import forwarding_kernel as kernel
+from hilbench.can import protocol, wire
 from hilbench.can.arbitration import priority
 from hilbench.can.frame import REMOTE_FLAG, is_classical
 from hilbench.can.medium import Medium
 
-_RECORD_WORDS, _STAMPED_WORDS = protocol.CAN_RECORD.size // 8, protocol.STAMPED_CAN_RECORD.size // 8
+_STAMPED_WORDS = protocol.STAMPED_CAN_RECORD.size // 8
 
 
 #: A station on the wire, as far as frames come from it and go there: descriptor, records in one packet to it, frames
@@ -46,44 +46,30 @@ class Forwarder:
         self._descriptors = self._of_descriptors = np.zeros(0, np.int64)
         self._events = np.zeros((kernel.MAX_READY + 1) * kernel.EVENT_WORDS, np.uint32)
         self._out = np.zeros(kernel.PACKET_WORDS, np.int64)
-        self._queues = np.zeros((kernel.MAX_STATIONS, clocked_kernel.OF_QUEUE), np.int64)
-        self._queued = np.zeros((kernel.MAX_STATIONS * clocked_kernel.ROOM, clocked_kernel.OF_QUEUED), np.int64)
-        self._clock = np.zeros(clocked_kernel.OF_CLOCK, np.int64)
         self._tables, self._known_count = kernel.Tables(), 0
         self._places: list[Place] = []
         kernel.warm_up()
-        clocked_kernel.warm_up()
 
-    def forward(self, medium: Medium, places: list[Place], clock_offset_ns: int | None) -> Left:
+    def forward(self, medium: Medium, places: list[Place]) -> Left:
         """Serve the stations at these places, in the order in which they joined, while all that happens is packets of
-        known frames; the wire is `undisturbed`. Where time is real bus time is the monotonic clock's and
-        `clock_offset_ns`, and what waits or is on the wire is with the `medium` again; None: time is virtual."""
+        known frames; the wire is `undisturbed`."""
         self._begin(medium, places)
         tables, count = self._tables, len(places)
-        stations, work = tables.stations[:count], (tables.received, tables.packets, tables.rows, tables.carried)
-        rest = self._descriptors, self._of_descriptors, stations, tables.known, self._events, *work
-        if clock_offset_ns is None:
-            kernel.forward(self._epoll, tables.state, *rest, self._out)
-            return self._end(medium)
-        clock, queues = self._clock, self._queues[:count]
-        clock[clocked_kernel.OFFSET_NS], clock[clocked_kernel.SENDER], queues[:] = clock_offset_ns, -1, 0
-        clocked_kernel.forward(self._epoll, tables.state, clock, *rest, queues, self._queued, self._out)
-        left = self._end(medium)
-        self._requeue(medium)
-        return left
-
-    def _requeue(self, medium: Medium) -> None:
-        room = clocked_kernel.ROOM
-        for at, station in enumerate(medium.stations):
-            first, count = self._queues[at].tolist()
-            for place in range(first, first + count):
-                slot = self._queued[at * room + place % room]
-                bits, ready_ns = slot[[clocked_kernel.BITS, clocked_kernel.READY_NS]].tolist()
-                record = slot[:_RECORD_WORDS].tobytes()
-                medium.queue(station, protocol.CAN_RECORD.unpack(record)[0], record, bits, ready_ns)
-        sender, end_ns = self._clock[[clocked_kernel.SENDER, clocked_kernel.END_NS]].tolist()
-        if sender >= 0:
-            medium.go_on(medium.stations[sender], end_ns)
+        kernel.forward(
+            self._epoll,
+            tables.state,
+            self._descriptors,
+            self._of_descriptors,
+            tables.stations[:count],
+            tables.known,
+            self._events,
+            tables.received,
+            tables.packets,
+            tables.rows,
+            tables.carried,
+            self._out,
+        )
+        return self._end(medium)
 
     def _begin(self, medium: Medium, places: list[Place]) -> None:
         if places != self._places:

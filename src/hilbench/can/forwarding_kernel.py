@@ -123,12 +123,10 @@ def known_frames(octets: Octets, words: Words, size: int, known: Table, rows: Ro
 
 
 @compiled
-def ready(epoll: int, of_descriptors: Row, events: Words, timeout_ms: int) -> int:
-    """How many stations have sent something; 0: something else has happened; -1: nothing has, within the time."""
-    count = epoll_wait(epoll, events.ctypes.data, MAX_READY + 1, timeout_ms)
-    if count <= 0:
-        return -1
-    if count > MAX_READY:
+def ready(epoll: int, of_descriptors: Row, events: Words) -> int:
+    """Wait; how many stations have sent something. 0: something else has happened."""
+    count = epoll_wait(epoll, events.ctypes.data, MAX_READY + 1, -1)
+    if count <= 0 or count > MAX_READY:
         return 0
     for at in range(count):
         descriptor = events[at * EVENT_WORDS + _EVENT_DESCRIPTOR]
@@ -242,8 +240,8 @@ def _entry_point(sources: int) -> Forward:
         octets, words = viewed(received, _OCTET), viewed(received, _WORD)
         state[PACKETS_LEFT] = state[FRAMES_LEFT] = 0
         while sources >= 0:
-            count = ready(epoll, of_descriptors, events, -1)
-            if count <= 0:
+            count = ready(epoll, of_descriptors, events)
+            if count == 0:
                 return
             if not take_in(count, of_descriptors, stations, known, events, received, packets, rows, octets, words):
                 state[PACKETS_LEFT] = count

@@ -47,8 +47,8 @@ RECEIVE_LIMIT = 16384
 #: Records in one packet to a client.
 DELIVERED_RECORDS = 512
 #: Frames after which what forwards them without the interpreter is loaded, which takes as much as the interpreter needs
-#: for some 20,000. Where time is real it is to be there before cycles begin.
-_FRAMES_UNTIL_LOADED = {"virtual": 4096, "real": 256}
+#: for some 20,000.
+_FRAMES_UNTIL_LOADED = 4096
 #: How long a station waits for the loading thread at most.
 _SWITCH_WHILE_LOADING_S = 0.0002
 #: Connections at a time; further ones are closed at once.
@@ -142,10 +142,6 @@ class Hub:
             return self._epoll.poll(0)
         return self._epoll.poll(-1 if self._clients else GRACE_S)
 
-    @property
-    def _is_virtual(self) -> bool:
-        return self.settings.timing == "virtual"
-
     def _now_ns(self) -> int:
         """Bus time of `real` timing: CLOCK_REALTIME when the hub began, never set back or forth since."""
         return time.monotonic_ns() + self._clock_offset_ns
@@ -153,16 +149,19 @@ class Hub:
     # --- without the interpreter
 
     def _forward(self) -> bool:
-        """Have packets of known frames forwarded until something else happens; whether that was done here: it was a
-        packet, or a station that does not read. Nothing is done where that is not all there is to it."""
+        """Where time is virtual, have packets of known frames forwarded until something else happens; whether that was
+        done here: it was a packet, or a station that does not read. Nothing is done where that is not all there is to
+        it."""
         forwarder = self._forwarder
+        if self.settings.timing == "real":
+            return False
         if forwarder is None:
-            if not self._loads and self._medium.counters.frames >= _FRAMES_UNTIL_LOADED[self.settings.timing]:
+            if not self._loads and self._medium.counters.frames >= _FRAMES_UNTIL_LOADED:
                 self._load()
             return False
         if not self._can_forward(forwarder):
             return False
-        left = forwarder.forward(self._medium, self._places(), None if self._is_virtual else self._clock_offset_ns)
+        left = forwarder.forward(self._medium, self._places())
         self._take_left(left)
         return bool(left.packets or left.undelivered)
 

@@ -48,7 +48,8 @@ class PlainExchange:
         self._link, self._nodes, self._sync, self._own, self._tap = link, nodes, sync, own, tap
         self._run: BenchRun | None = None
         self._wait = 0  # cycles until it is looked again
-        self._prepare()
+        self._pause = _LOOK_AGAIN  # cycles to wait when they are plain no more
+        self.warm_up()
         sync.before_use = self.settle
 
     @staticmethod
@@ -56,23 +57,6 @@ class PlainExchange:
         """Compile, or load from the cache, what it calls: in good time, where one is to be made later."""
         kernel.warm_up()
         packet_kernel.warm_up_bench()
-
-    def _prepare(self) -> None:
-        """Before there is a cycle."""
-        self.warm_up()
-        self._pause = _LOOK_AGAIN  # cycles to wait when they are plain no more
-
-    def _new_run(self) -> BenchRun:
-        """Raises NotPlainError where cycles are not plain."""
-        return _Run(self._link, self._nodes, self._sync, self._tap)
-
-    def _rest(self, done: int | None) -> None:
-        """Cycles are plain no more, behind so many that were; None: they have not become so."""
-        if done is None:
-            self._wait = _LOOK_AGAIN
-            return
-        self._wait = self._pause
-        self._pause = _LOOK_AGAIN if done >= _PAYS else min(2 * self._pause, _LONGEST_PAUSE)
 
     def cycle(self, outputs: Mapping[str, float]) -> bool:
         """Run one, as `Exchange.cycle`; False where it was none, and nothing was done."""
@@ -87,7 +71,7 @@ class PlainExchange:
                 return False
             received = run.finish()
         self._own.handle(received)
-        self._nodes.decode(received, self._sync.before_sync, self._sync.gone_by)
+        self._nodes.decode(received, self._sync.before_sync)
         return True
 
     @contextmanager
@@ -100,7 +84,8 @@ class PlainExchange:
         """Give the objects what the arrays have."""
         run, self._run = self._run, None
         if run is not None:
-            self._rest(run.done)
+            self._wait = self._pause
+            self._pause = _LOOK_AGAIN if run.done >= _PAYS else min(2 * self._pause, _LONGEST_PAUSE)
             run.end()
 
     def _begin(self) -> BenchRun | None:
@@ -109,13 +94,13 @@ class PlainExchange:
             return None
         if self._nodes.is_plain and self._sync.is_plain and not self._own.has_answers:
             try:
-                run = self._new_run()
+                run = _Run(self._link, self._nodes, self._sync, self._tap)
                 run.begin()
                 self._run = run
             except NotPlainError:
                 self._run = None
         if self._run is None:
-            self._rest(None)
+            self._wait = _LOOK_AGAIN
         return self._run
 
 
@@ -124,7 +109,7 @@ class _Run(BenchRun):
 
     def __init__(self, link: EmbeddedLink, nodes: Nodes, sync: SyncCycle, tap: LineTap | None) -> None:
         """Raises NotPlainError where cycles are not plain."""
-        super().__init__(nodes, sync, tap, lines=True)
+        super().__init__(nodes, sync, tap)
         self._link = link
         frames = self._frames
         sent = np.column_stack((frames.cob_ids, frames.sizes)).astype(np.int64)
