@@ -13,8 +13,6 @@ TIMER_ABSTIME: Final = 1
 #: <linux/socket.h>
 MSG_DONTWAIT: Final = 0x40
 MSG_NOSIGNAL: Final = 0x4000
-#: <poll.h>
-POLLIN: Final = 1
 #: <linux/prctl.h>
 PR_SET_TIMERSLACK: Final = 29
 
@@ -29,17 +27,8 @@ if TYPE_CHECKING:
     def epoll_wait(epoll: int, events: int, most: int, timeout_ms: int) -> int:
         """epoll_wait(2)."""
 
-    def ppoll(descriptors: int, count: int, timeout: int, signals: int) -> int:
-        """ppoll(2)."""
-
     def prctl(option: int, first: int, second: int, third: int, fourth: int) -> int:
         """prctl(2)."""
-
-    def pthread_mutex_trylock(mutex: int) -> int:
-        """pthread_mutex_trylock(3): 0 where it is held now."""
-
-    def pthread_mutex_unlock(mutex: int) -> int:
-        """pthread_mutex_unlock(3)."""
 
     def clock_gettime(clock: int, time: int) -> int:
         """clock_gettime(2)."""
@@ -53,10 +42,7 @@ else:
     recv = types.ExternalFunction("recv", types.intp(types.int32, types.intp, types.intp, types.int32))
     send = types.ExternalFunction("send", types.intp(types.int32, types.intp, types.intp, types.int32))
     epoll_wait = types.ExternalFunction("epoll_wait", types.int32(types.int32, types.intp, types.int32, types.int32))
-    ppoll = types.ExternalFunction("ppoll", types.int32(types.intp, types.uintp, types.intp, types.intp))
     prctl = types.ExternalFunction("prctl", types.int32(types.int32, *4 * (types.uintp,)))
-    pthread_mutex_trylock = types.ExternalFunction("pthread_mutex_trylock", types.int32(types.intp))
-    pthread_mutex_unlock = types.ExternalFunction("pthread_mutex_unlock", types.int32(types.intp))
     clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
     clock_nanosleep = types.ExternalFunction(
         "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp)

@@ -18,7 +18,7 @@ from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from hilbench.kept_code import KeptCode
+from hilbench.code_cache import CodeCache
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -93,7 +93,7 @@ else:
     def entry_point(*arguments):
         def decorate(function):
             dispatcher = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
-            dispatcher._cache = KeptCode(function)
+            dispatcher._cache = CodeCache(function)
             dispatcher.arguments = arguments
             return dispatcher
 

@@ -17,8 +17,8 @@ import pytest
 from tests.tiers import slow
 
 from hilbench.cli.compile import modules_by_room
+from hilbench.code_cache import CodeCache
 from hilbench.compiled import entry_points
-from hilbench.kept_code import KeptCode
 from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.offline import simulate, start_state
@@ -53,7 +53,7 @@ def test_setup_compiles_each_function_that_python_calls_for_the_arguments_that_i
     found = entry_points(import_module(module))
     assert found
     for each in found:
-        assert isinstance(each._cache, KeptCode)
+        assert isinstance(each._cache, CodeCache)
         assert each.arguments, f"{each}: expected @entry_point(VECTOR, REAL, …), the types of its arguments"
         assert len(each.arguments) == len(signature(each.py_func).parameters), each
 
@@ -76,52 +76,6 @@ def test_variants_from_one_start_run_what_was_compiled_for_one() -> None:
     assert set(kernel.simulate.overloads) - before <= {kernel.simulate.arguments}  # type: ignore[attr-defined]
 
 
-def test_intermediate_code_is_read_when_something_is_compiled_with_a_function_and_not_to_call_it() -> None:
-    program = """if True:
-        import llvmlite.binding, numpy as np
-        from hilbench.compiled import compiled
-        from hilbench.estimation import noise_level
-        read, parse = [], llvmlite.binding.parse_bitcode
-        def noted(code, *context):
-            read.append(len(code))
-            return parse(code, *context)
-        llvmlite.binding.parse_bitcode = noted
-        one, other = np.zeros(8), np.zeros(8)
-        for k in range(8):
-            noise_level._take(one, 0.5 * k * k)
-        assert not noise_level._take.stats.cache_misses
-        assert max(read) < 5000, read  # that of the runtime
-        @compiled
-        def through(s, value):
-            noise_level._take(s, value)
-        for k in range(8):
-            through(other, 0.5 * k * k)
-        assert max(read) > 5000, read
-        assert one.any() and one.tobytes() == other.tobytes()
-    """
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
-    assert ended.returncode == 0, ended.stderr
-
-
-def test_a_process_neither_compiles_numbas_runtime_nor_loads_masked_arrays() -> None:
-    program = """if True:
-        import sys
-        from numba.core.runtime import nrtdynmod
-        import numpy as np
-        from hilbench.estimation import noise_level
-        def made(target):
-            raise AssertionError("compiled, not loaded")
-        nrtdynmod.create_nrt_module = made
-        noise_level._take(np.zeros(8), 1.0)
-        assert not noise_level._take.stats.cache_misses
-        assert "numpy.ma" not in sys.modules
-    """
-    run = [sys.executable, "-c", "from hilbench.estimation import noise_level as n; n._take.compile(n._take.arguments)"]
-    subprocess.run(run, timeout=300, check=True)
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
-    assert ended.returncode == 0, ended.stderr
-
-
 def test_a_bench_knows_whether_what_it_has_imported_is_compiled() -> None:
     program = """if True:
         import sys
@@ -140,14 +94,81 @@ def test_a_bench_knows_whether_what_it_has_imported_is_compiled() -> None:
     assert ended.returncode == 0, ended.stderr
 
 
-def test_an_entry_point_closes_over_numbers_alone() -> None:
-    """What else a closure holds is another one in each process, and its machine code is never found again."""
-    points = [each.py_func for name in _MODULES for each in entry_points(import_module(name))]
-    held = {
-        (each.__module__, each.__qualname__): [cell.cell_contents for cell in each.__closure__ or ()] for each in points
+def test_machine_code_is_found_again_by_what_it_is_made_of() -> None:
+    """In another process, with other hashes of strings; and not where a function that it calls, or a value, differs."""
+    program = """if True:
+        from importlib import import_module
+        from hilbench.cli.compile import modules_by_room
+        from hilbench.code_cache import made_of
+        from hilbench.compiled import entry_points
+        for modules in modules_by_room():
+            for name in modules:
+                print([made_of(each.py_func) for each in entry_points(import_module(name))])
+    """
+    texts = [
+        subprocess.run(
+            [sys.executable, "-c", program],
+            env=os.environ | {"PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=True,
+        ).stdout
+        for seed in "12"
+    ]
+    assert len(texts[0]) > 64 * len(_MODULES)
+    assert texts[0] == texts[1]
+
+
+_LAWS = """
+import numpy as np
+from hilbench.compiled import compiled, entry_point, REAL
+from laws import FACTOR, gain
+import more
+
+@compiled
+def twice(x):
+    return gain(x) + gain(x)
+
+@entry_point(REAL)
+def act(x):
+    return FACTOR * twice(x) + more.OFFSET
+"""
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "behind"),
+    [
+        ("laws", "return x + 1.0", "return x + 2.0"),
+        *slow(("laws", "FACTOR = 2.0", "FACTOR = 3.0"), ("more", "OFFSET = 1.0", "OFFSET = 5.0")),
+    ],
+)
+def test_a_changed_callee_or_constant_of_another_file_is_compiled_anew(
+    tmp_path: Path, file: str, before: str, behind: str
+) -> None:
+    sources = {
+        "act": _LAWS,
+        "laws": "from hilbench.compiled import compiled\nFACTOR = 2.0\n@compiled\ndef gain(x):\n    return x + 1.0\n",
+        "more": "OFFSET = 1.0\n",
     }
-    assert len(held) > 50
-    assert {name: values for name, values in held.items() if not all(isinstance(one, int) for one in values)} == {}
+    program = "import act; print(act.act(3.0), sum(act.act.stats.cache_misses.values()))"
+
+    def ran() -> list[str]:
+        for name, text in sources.items():
+            (tmp_path / f"{name}.py").write_text(text)
+        command = [sys.executable, "-B", "-c", program]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=True)
+        return done.stdout.split()
+
+    first = ran()
+    assert first == ["17.0", "1"]
+    assert ran() == ["17.0", "0"]
+    assert before in sources[file]
+    sources[file] = sources[file].replace(before, behind)
+    changed = ran()
+    assert changed[0] != "17.0"
+    assert changed[1] == "1"
+    assert ran() == [changed[0], "0"]
 
 
 def _descendants(pid: int) -> set[int]:

@@ -8,7 +8,7 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,9 +35,8 @@ from tests.plain_runs import (
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.can import hub_client
-from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
-from hilbench.can.open import BusAddress, open_link
+from hilbench.can.open import open_link
 from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.hardware.simulation import hardware, plain_host
 from hilbench.plain.exchange import PlainExchange
@@ -61,7 +60,6 @@ class Left:
 
     plain: int = 0  #: cycles of the bench
     chained: int = 0  #: those of them in which Python had the exchange alone
-    lent: int = 0  #: those without the hub
     of_hosts: Counter[type] = field(default_factory=Counter)  #: SYNCs that hardware and twin have answered on arrays
     samples: list[bytes] = field(default_factory=list)
     notices: list[tuple[float, str, str, int]] = field(default_factory=list)
@@ -99,21 +97,7 @@ def served(loaded: Any, *, compiled: bool) -> Iterator[list[HostedDevices]]:
             link.close()
 
 
-@contextmanager
-def lends(bus: BusAddress) -> Iterator[None]:
-    """A hub that lends the wire from the first cycle on: frames enough have gone by."""
-    frames = [Frame(0x700, bytes(8))] * 100
-    with closing(open_link(bus)) as one, closing(open_link(bus)) as other:
-        assert isinstance(one, EmbeddedLink)
-        other.set_filters([])
-        one.set_filters([])
-        while one.borrow()[0] is None:
-            one.send(frames)
-        one.give_back()
-        yield
-
-
-def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int, how: How, *, lent: bool) -> Left:
+def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int, how: How) -> Left:
     """A bench that runs for so many cycles, with what is done in between, by cycle."""
     left, samples, compiled = Left(), Samples(), how is not How.INTERPRETED
     cycle, plain, serve = PlainExchange.cycle, PlainRun.cycle, PlainHost.serve
@@ -124,7 +108,6 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
     def counted(self: PlainRun, outputs: Any) -> bool:
         done = plain(self, outputs)
         left.plain += done
-        left.lent += done and self._wire._loan is not None and self._wire._loan.lasts
         return done
 
     def counted_by_host(self: PlainHost, timeout_s: float) -> None:
@@ -140,7 +123,6 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
         chained_as(how) as chained,
         patch.object(PlainHost, "serve", counted_by_host),
         TraceWriter(trace, "can0") as tap,
-        lends(loaded.config.bus_address) if lent else nullcontext(),
         served(loaded, compiled=compiled) as all_hosted,
     ):
         bench = Bench(loaded.config, observers=[samples], tap=tap, participants=Participants.PRESENT)
@@ -155,21 +137,20 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
 
 
 def check(folder: Path, options: Sequence[str], changes: Sequence[tuple[int, Change]], **what: Any) -> Left:
-    """All kinds of cycles make the same; `least`: so many of them are plain at least, on each side, and where the hub
-    has `lent` the wire, without it; half as many are chained where they can be (`chains`)."""
+    """All kinds of cycles make the same; `least`: so many of them are plain at least, on each side; half as many are
+    chained where they can be (`chains`)."""
     name, cycles, least = what.get("name", "web_section_step"), what.get("cycles", 150), what.get("least", 60)
-    lent, chain = what.get("lent", False), what.get("chains", True)
+    chain = what.get("chains", True)
     kinds = []
     for how in How:
         bus = f"embedded:p{uuid.uuid4().hex[:10]}"
         loaded = load_with_overrides(CONFIGS / f"{name}.yaml", changes=[f"bus.address={bus}", *options])
-        kinds.append(run(folder, loaded, changes, cycles, how, lent=lent))
+        kinds.append(run(folder, loaded, changes, cycles, how))
     reference, one_by_one, chained = kinds
     assert (reference.plain, reference.of_hosts.total()) == (0, 0)
     assert chained.chained >= least // 2 * chain
     for left in (one_by_one, chained):
         assert min(left.plain, left.of_hosts[RigRun], left.of_hosts[TwinRun]) >= least
-        assert left.lent >= least * lent
         assert left.ending == reference.ending
         assert left.samples == reference.samples
         assert left.notices == reference.notices
@@ -228,19 +209,12 @@ def test_a_line_runs_alike_with_set_points_an_effect_and_a_fault(tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_a_line_runs_alike_with_the_wire_lent(tmp_path: Path) -> None:
-    changes = [(10, LINE[0]), (60, LINE[3]), (90, LINE[-2]), (200, LINE[7])]
-    check(tmp_path, [], changes, cycles=260, least=60, lent=True)
-
-
-@pytest.mark.slow
 @given(
     changes=st.lists(st.tuples(st.integers(5, 140), st.sampled_from(LINE)), max_size=3),
     seed=st.integers(0, 99),
     mirroring=st.sampled_from(["listen", "copy"]),
     heartbeat_ms=st.sampled_from([0, 37, 100]),
     virtual_tpdo_every=st.sampled_from([0, 1, 3]),
-    lent=st.booleans(),
 )
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_line_runs_alike_whatever_comes_between(
@@ -250,7 +224,6 @@ def test_a_line_runs_alike_whatever_comes_between(
     mirroring: str,
     heartbeat_ms: int,
     virtual_tpdo_every: int,
-    lent: bool,
 ) -> None:
     options = [
         f"seed={seed}",
@@ -258,7 +231,7 @@ def test_a_line_runs_alike_whatever_comes_between(
         f"master.heartbeat_ms={heartbeat_ms}",
         f"twin.virtual_tpdo_every={virtual_tpdo_every}",
     ]
-    check(tmp_path, options, changes, least=0, lent=lent)
+    check(tmp_path, options, changes, least=0)
 
 
 @pytest.mark.slow

@@ -58,7 +58,7 @@ def heard_by_a_twin(folder: Path, name: str = "web_section_step", path: str = "l
     changes = [f"bus.address=embedded:b{uuid.uuid4().hex[:10]}"]
     loaded = load_with_overrides(CONFIGS / f"{name}.yaml", changes=changes)
     with patch.object(embedded, "receive_packet", kept):
-        run(folder, loaded, [(10, sets(path, 0.4))], 220, How.INTERPRETED, lent=False)
+        run(folder, loaded, [(10, sets(path, 0.4))], 220, How.INTERPRETED)
     ids = {name: {frame.can_id for packet in each for frame in packet} for name, each in heard.items()}
     return next(each for name, each in heard.items() if {SYNC, AXES[0]} <= ids[name])
 

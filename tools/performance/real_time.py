@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from lockstep_profile import cpu_s, pids_of
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.startup import sync_producer, wire_first
-from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.load import CyclicFrame, cycle_load
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.identifiers import SYNC, NmtCommand
@@ -31,7 +29,6 @@ from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.pacing import Pacing
-from hilbench.plain.clocked_exchange import ClockedExchange
 from hilbench.processes import ChildProcess
 from hilbench.real_time import ProcessSettings, kept_ready
 from hilbench.runs.config import load_with_overrides
@@ -145,8 +142,6 @@ def _three_drives(config: BenchConfig, seconds: float, *, velocity: bool) -> Sec
         while time.monotonic() < said_before_s:
             link.receive(0.02)
         exchange = Exchange(nodes, link, ObjectStore(nodes.dictionary(config.parts[0].name)), producer=producer)
-        if isinstance(link, EmbeddedLink):
-            exchange.use(partial(ClockedExchange, link, nodes, tap=None))
 
         def run(duration_s: float = seconds) -> None:
             for _ in range(round(duration_s / _FAST_S)):

@@ -7,7 +7,6 @@ import struct
 from collections import deque
 from collections.abc import Sequence
 from math import ceil
-from typing import TYPE_CHECKING
 
 from hilbench.can import hub_client, protocol
 from hilbench.can.confinement import ControllerState, bus_off, state_in_message
@@ -15,9 +14,6 @@ from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, Frame
 from hilbench.can.requests import Wanted
 from hilbench.can.waiting import wait_readable, wait_writable
 from hilbench.errors import BusError
-
-if TYPE_CHECKING:
-    from hilbench.can.loan import Loan
 
 #: A sender that floods waits for the wire; a wire that takes nothing for so long is lost.
 _SEND_TIMEOUT_S = 5.0
@@ -82,25 +78,6 @@ class EmbeddedLink:
         self._waits_in_ticks = timing == "virtual"
         self._tick_timeout_s = 0.0  # as set
         self._connection.setblocking(self._waits_in_ticks)
-        self._loan: Loan | None = None
-
-    def borrow(self) -> tuple[Loan | None, list[bytes]]:
-        """Ask for the wire, which is given back when the link is used in any other way: as `loan.ask`. Raises
-        BusError."""
-        from hilbench.can import loan  # machine code, which most links do without
-
-        self.give_back()
-        try:
-            self._loan, came = loan.ask(self._connection)
-        except OSError:
-            raise hub_client.hub_lost(self.channel) from None
-        return self._loan, came
-
-    def give_back(self) -> None:
-        """The wire is the hub's."""
-        loan, self._loan = self._loan, None
-        if loan is not None:
-            loan.close()
 
     def send(self, frames: Sequence[Frame]) -> None:
         records = [can_record(can_id, data) for can_id, data, _ in frames]
@@ -109,7 +86,6 @@ class EmbeddedLink:
 
     def send_records(self, records: bytes) -> None:
         """`protocol.CAN_RECORD`s of frames that can be on a wire, up to `protocol.MAX_RECORDS`."""
-        self.give_back()
         send_packet(self._connection, self.channel, _HEADER + records)
 
     def packet(self, frame: Frame) -> bytes:
@@ -125,8 +101,6 @@ class EmbeddedLink:
         packets = deque(packet for packet in received if packet is not None)
         while packets:
             packet = packets.popleft()
-            if packet[0] == protocol.KIND_LOAN:  # for who has not waited for it
-                continue
             body = memoryview(packet)[protocol.HEADER.size :]
             for can_id, length, _, data, time_ns in protocol.STAMPED_CAN_RECORD.iter_unpack(body):
                 if can_id & ERROR_FLAG:
@@ -143,7 +117,6 @@ class EmbeddedLink:
     def receive_packet(self, timeout_s: float) -> bytes | None:
         """A packet that waits, or comes within the time: `protocol.HEADER` and `protocol.STAMPED_CAN_RECORD`s; for
         `frames_from`, or who knows what is in it. Raises BusError when the bus is lost."""
-        self.give_back()
         if self._waits_in_ticks and timeout_s > 0.0:
             self._set_tick_timeout(timeout_s)
             return receive_packet(self._connection, self.channel, flags=0)
@@ -167,5 +140,4 @@ class EmbeddedLink:
         return self._connection.fileno()
 
     def close(self) -> None:
-        self.give_back()
         self._connection.close()

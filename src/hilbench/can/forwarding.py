@@ -6,28 +6,24 @@ somebody comes or goes or has other filters.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.can import clocked_kernel, protocol, wire
 from hilbench.can import forwarding_kernel as kernel
+from hilbench.can import protocol, wire
 from hilbench.can.arbitration import priority
 from hilbench.can.frame import REMOTE_FLAG, is_classical
 from hilbench.can.medium import Medium
-from hilbench.can.wire_memory import MAX_STATIONS, WireMemory, new_memory
 
-_RECORD_WORDS, _STAMPED_WORDS = protocol.CAN_RECORD.size // 8, protocol.STAMPED_CAN_RECORD.size // 8
+_STAMPED_WORDS = protocol.STAMPED_CAN_RECORD.size // 8
 
 
 #: A station on the wire, as far as frames come from it and go there: descriptor, records in one packet to it, frames
 #: dropped so far, whether it hears its own.
 Place = tuple[int, int, int, bool]
-#: So long it is waited for a station that works on the wire it has been lent, which takes it microseconds.
-_STANDS_STILL_S = 1.0
 
 
 class Left(NamedTuple):
@@ -43,58 +39,37 @@ class Forwarder:
     """Passes on packets of known frames; `epoll` waits for the stations, and for all else that can happen."""
 
     #: More are forwarded by the hub itself.
-    MAX_STATIONS = MAX_STATIONS
+    MAX_STATIONS = kernel.MAX_STATIONS
 
     def __init__(self, epoll: int) -> None:
         self._epoll = epoll
-        self._places: list[Place]
         self._descriptors = self._of_descriptors = np.zeros(0, np.int64)
         self._events = np.zeros((kernel.MAX_READY + 1) * kernel.EVENT_WORDS, np.uint32)
         self._out = np.zeros(kernel.PACKET_WORDS, np.int64)
-        self._queues = np.zeros((MAX_STATIONS, clocked_kernel.OF_QUEUE), np.int64)
-        self._queued = np.zeros((MAX_STATIONS * clocked_kernel.ROOM, clocked_kernel.OF_QUEUED), np.int64)
-        self._clock = np.zeros(clocked_kernel.OF_CLOCK, np.int64)
-        self._loans = 0
-        self._renew()
+        self._tables, self._known_count = kernel.Tables(), 0
+        self._places: list[Place] = []
         kernel.warm_up()
-        clocked_kernel.warm_up()
 
-    def _renew(self) -> None:
-        self.memory = new_memory()  #: descriptor of what a station that has the wire works on
-        self._tables, self._known_count = WireMemory(self.memory), 0
-        self._tables.make_lock()
-        self._places = []
-
-    def forward(self, medium: Medium, places: list[Place], clock_offset_ns: int | None) -> Left:
+    def forward(self, medium: Medium, places: list[Place]) -> Left:
         """Serve the stations at these places, in the order in which they joined, while all that happens is packets of
-        known frames; the wire is `undisturbed`. Where time is real bus time is the monotonic clock's and
-        `clock_offset_ns`, and what waits or is on the wire is with the `medium` again; None: time is virtual."""
+        known frames; the wire is `undisturbed`."""
         self._begin(medium, places)
         tables, count = self._tables, len(places)
-        stations, work = tables.stations[:count], (tables.received, tables.packets, tables.rows, tables.carried)
-        rest = self._descriptors, self._of_descriptors, stations, tables.known, self._events, *work
-        if clock_offset_ns is None:
-            kernel.forward(self._epoll, tables.state, *rest, self._out)
-            return self._end(medium)
-        clock, queues = self._clock, self._queues[:count]
-        clock[clocked_kernel.OFFSET_NS], clock[clocked_kernel.SENDER], queues[:] = clock_offset_ns, -1, 0
-        clocked_kernel.forward(self._epoll, tables.state, clock, *rest, queues, self._queued, self._out)
-        left = self._end(medium)
-        self._requeue(medium)
-        return left
-
-    def _requeue(self, medium: Medium) -> None:
-        room = clocked_kernel.ROOM
-        for at, station in enumerate(medium.stations):
-            first, count = self._queues[at].tolist()
-            for place in range(first, first + count):
-                slot = self._queued[at * room + place % room]
-                bits, ready_ns = slot[[clocked_kernel.BITS, clocked_kernel.READY_NS]].tolist()
-                record = slot[:_RECORD_WORDS].tobytes()
-                medium.queue(station, protocol.CAN_RECORD.unpack(record)[0], record, bits, ready_ns)
-        sender, end_ns = self._clock[[clocked_kernel.SENDER, clocked_kernel.END_NS]].tolist()
-        if sender >= 0:
-            medium.go_on(medium.stations[sender], end_ns)
+        kernel.forward(
+            self._epoll,
+            tables.state,
+            self._descriptors,
+            self._of_descriptors,
+            tables.stations[:count],
+            tables.known,
+            self._events,
+            tables.received,
+            tables.packets,
+            tables.rows,
+            tables.carried,
+            self._out,
+        )
+        return self._end(medium)
 
     def _begin(self, medium: Medium, places: list[Place]) -> None:
         if places != self._places:
@@ -102,44 +77,12 @@ class Forwarder:
         state = self._tables.state
         state[kernel.BITRATE], state[kernel.FREE_NS] = medium.bitrate, medium.free_ns
         state[kernel.CARRIED_FRAMES] = state[kernel.CARRIED_BITS] = 0
-        state[kernel.PACKETS_LEFT] = state[kernel.FRAMES_LEFT] = 0
 
     def _end(self, medium: Medium) -> Left:
         state = self._tables.state
         frames, bits, free_ns = state[[kernel.CARRIED_FRAMES, kernel.CARRIED_BITS, kernel.FREE_NS]].tolist()
         medium.account(frames, bits, free_ns - medium.free_ns)
         return Left([self._packet(at) for at in range(state[kernel.PACKETS_LEFT])], list(self._undelivered()))
-
-    def lend(self, medium: Medium, places: list[Place], borrower: int) -> int:
-        """From now on this one of the stations does what `forward` does, until `reclaim`; the number of the loan, 0
-        where it can't: the lock is held by one that had the wire before, and stands still."""
-        if not self._tables.hold(0.0):
-            return 0
-        self._begin(medium, places)
-        self._loans = self._loans % 0xFFFFFFFF + 1
-        state = self._tables.state
-        state[kernel.BORROWER], state[kernel.STATIONS] = borrower, len(places)
-        state[kernel.LOAN] = self._loans
-        self._tables.release()
-        return self._loans
-
-    @property
-    def carried(self) -> int:
-        """Frames since the wire was lent."""
-        return int(self._tables.state[kernel.CARRIED_FRAMES])
-
-    def reclaim(self, medium: Medium) -> Left:
-        """The wire is the hub's again."""
-        tables = self._tables
-        held = tables.hold(_STANDS_STILL_S)
-        tables.state[kernel.LOAN] = 0
-        left = self._end(medium)
-        if held:
-            tables.release()
-        else:  # whoever holds it may go on at any time
-            os.close(self.memory)
-            self._renew()
-        return left
 
     def _packet(self, at: int) -> tuple[int, bytes | None]:
         station, size = self._tables.packets[at, [kernel.STATION, kernel.SIZE]].tolist()

@@ -23,6 +23,8 @@ from hilbench.compiled import COUNT, INDICES, TABLE, compiled, entry_point, numb
 
 _OCTET, _WORD = np.dtype(np.uint8), np.dtype(np.uint32)
 
+#: Who hears a frame is told by the bits of a number.
+MAX_STATIONS: Final = 62
 #: More stations that have sent at once are for the hub.
 MAX_READY: Final = 16
 #: Rows of `known`; a power of two, of which a half is used at most.
@@ -36,11 +38,11 @@ LIMIT, HEADER, OWN, OF_STATION = range(4)
 KEY, CRC, STUFFING, BITS, DATA_BYTES, PRIORITY, HEARD_BY, OF_FRAME = range(8)
 #: Columns of a packet that has come: whose, its size in bytes (-1: none came after all), its frames, the next of them.
 STATION, SIZE, FRAMES, NEXT, OF_PACKET = range(5)
-#: Columns of a frame that was carried: a `protocol.STAMPED_CAN_RECORD`, who hears it, who has sent it.
-STAMPED, DATA, TIME_NS, TO, FROM, OF_CARRIED = range(6)
+#: Columns of a frame that was carried: a `protocol.STAMPED_CAN_RECORD`, who hears it.
+STAMPED, DATA, TIME_NS, TO, OF_CARRIED = range(5)
 #: Places in `state`. Of the hub: bit/s. Of both: bus time. Of the loop: what the wire has carried, packets that are
 #: left for the hub, frames that are (all are carried), the first station that has not got all it hears, and from
-#: which of them on. Of a wire that is lent: the loan's number (0: it is not), which of how many stations has it.
+#: which of them on.
 (
     BITRATE,
     FREE_NS,
@@ -50,11 +52,8 @@ STAMPED, DATA, TIME_NS, TO, FROM, OF_CARRIED = range(6)
     FRAMES_LEFT,
     RECEIVER,
     RECEIVED,
-    LOAN,
-    BORROWER,
-    STATIONS,
     OF_STATE,
-) = range(12)
+) = range(9)
 
 PACKET_WORDS: Final = protocol.PACKET_BYTES // 8
 # A record in words of 8 bytes, words of 4, and bytes; a packet's header is one word of 8.
@@ -75,6 +74,19 @@ Words = NDArray[np.uint32]
 #: Type of an array of uint32, for entry points.
 WORDS = types.Array(types.uint32, 1, "C")
 Forward = Callable[[int, Row, Row, Row, Table, Table, Words, Table, Table, Table, Table, Row], None]
+
+
+class Tables:
+    """Arrays that the loop works on, all 0: what is known of stations and frames, and room for what comes and goes."""
+
+    def __init__(self) -> None:
+        self.state = np.zeros(OF_STATE, np.int64)
+        self.stations = np.zeros((MAX_STATIONS, OF_STATION), np.int64)
+        self.known = np.zeros((KNOWN_ROWS, OF_FRAME), np.int64)
+        self.received = np.zeros((MAX_READY, PACKET_WORDS), np.int64)
+        self.packets = np.zeros((MAX_READY, OF_PACKET), np.int64)
+        self.rows = np.zeros((MAX_READY, protocol.MAX_RECORDS), np.int64)
+        self.carried = np.zeros((MAX_CARRIED, OF_CARRIED), np.int64)
 
 
 def key_of(can_id: int, length: int) -> int:
@@ -111,12 +123,10 @@ def known_frames(octets: Octets, words: Words, size: int, known: Table, rows: Ro
 
 
 @compiled
-def ready(epoll: int, of_descriptors: Row, events: Words, timeout_ms: int) -> int:
-    """How many stations have sent something; 0: something else has happened; -1: nothing has, within the time."""
-    count = epoll_wait(epoll, events.ctypes.data, MAX_READY + 1, timeout_ms)
-    if count <= 0:
-        return -1
-    if count > MAX_READY:
+def ready(epoll: int, of_descriptors: Row, events: Words) -> int:
+    """Wait; how many stations have sent something. 0: something else has happened."""
+    count = epoll_wait(epoll, events.ctypes.data, MAX_READY + 1, -1)
+    if count <= 0 or count > MAX_READY:
         return 0
     for at in range(count):
         descriptor = events[at * EVENT_WORDS + _EVENT_DESCRIPTOR]
@@ -180,7 +190,6 @@ def carry(
         found[STAMPED], found[DATA] = received[winner, 1 + frame * _RECORD], received[winner, 2 + frame * _RECORD]
         found[TIME_NS] = state[FREE_NS]
         found[TO] = of_frame[HEARD_BY] & ~(1 << packets[winner, STATION])
-        found[FROM] = packets[winner, STATION]
         over += 1
 
 
@@ -231,8 +240,8 @@ def _entry_point(sources: int) -> Forward:
         octets, words = viewed(received, _OCTET), viewed(received, _WORD)
         state[PACKETS_LEFT] = state[FRAMES_LEFT] = 0
         while sources >= 0:
-            count = ready(epoll, of_descriptors, events, -1)
-            if count <= 0:
+            count = ready(epoll, of_descriptors, events)
+            if count == 0:
                 return
             if not take_in(count, of_descriptors, stations, known, events, received, packets, rows, octets, words):
                 state[PACKETS_LEFT] = count

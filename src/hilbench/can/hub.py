@@ -33,7 +33,6 @@ from hilbench.can.disturbance import Disturber
 from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, is_classical
 from hilbench.can.listeners import Listeners
 from hilbench.can.medium import FOREVER, Delivery, Medium, Station
-from hilbench.can.waiting import wait_readable
 from hilbench.can.wire import FD_LENGTHS, bits_on_wire, fd_bits_on_wire
 
 if TYPE_CHECKING:
@@ -48,12 +47,10 @@ RECEIVE_LIMIT = 16384
 #: Records in one packet to a client.
 DELIVERED_RECORDS = 512
 #: Frames after which what forwards them without the interpreter is loaded, which takes as much as the interpreter needs
-#: for some 20,000. Where time is real it is to be there before cycles begin.
-_FRAMES_UNTIL_LOADED = {"virtual": 4096, "real": 256}
+#: for some 20,000.
+_FRAMES_UNTIL_LOADED = 4096
 #: How long a station waits for the loading thread at most.
 _SWITCH_WHILE_LOADING_S = 0.0002
-#: A station that has the wire, and does not take for so long what others send, has it no more.
-_LONGEST_PAUSE_S = 0.02
 #: Connections at a time; further ones are closed at once.
 MAX_CLIENTS = 128
 
@@ -103,7 +100,6 @@ class Hub:
         self._listeners = Listeners(lambda: [client for client in self._clients.values() if client.joined])
         self._forwarder: Forwarder | None = None
         self._loads = False
-        self._borrower: Client | None = None  # who has the wire, and the others' descriptors
         self._identities = 0
         self._fd = False  # whether a station that may send FD frames has joined
         self._epoll = select.epoll()
@@ -119,7 +115,6 @@ class Hub:
         while True:
             if not self._forward():
                 for descriptor, events in self._poll():
-                    self._reclaim()
                     if descriptor == self._listener.fileno():
                         self._accept()
                     elif descriptor in self._clients:
@@ -145,13 +140,7 @@ class Hub:
             if wait_s > 0:
                 select.select([self._epoll.fileno()], [], [], wait_s)
             return self._epoll.poll(0)
-        if self._borrower is not None and self._forwarder is not None:
-            return self._watch_borrower(self._forwarder)
         return self._epoll.poll(-1 if self._clients else GRACE_S)
-
-    @property
-    def _is_virtual(self) -> bool:
-        return self.settings.timing == "virtual"
 
     def _now_ns(self) -> int:
         """Bus time of `real` timing: CLOCK_REALTIME when the hub began, never set back or forth since."""
@@ -160,16 +149,19 @@ class Hub:
     # --- without the interpreter
 
     def _forward(self) -> bool:
-        """Have packets of known frames forwarded until something else happens; whether that was done here: it was a
-        packet, or a station that does not read. Nothing is done where that is not all there is to it."""
+        """Where time is virtual, have packets of known frames forwarded until something else happens; whether that was
+        done here: it was a packet, or a station that does not read. Nothing is done where that is not all there is to
+        it."""
         forwarder = self._forwarder
+        if self.settings.timing == "real":
+            return False
         if forwarder is None:
-            if not self._loads and self._medium.counters.frames >= _FRAMES_UNTIL_LOADED[self.settings.timing]:
+            if not self._loads and self._medium.counters.frames >= _FRAMES_UNTIL_LOADED:
                 self._load()
             return False
-        if self._borrower is not None or not self._can_forward(forwarder):
+        if not self._can_forward(forwarder):
             return False
-        left = forwarder.forward(self._medium, self._places(), None if self._is_virtual else self._clock_offset_ns)
+        left = forwarder.forward(self._medium, self._places())
         self._take_left(left)
         return bool(left.packets or left.undelivered)
 
@@ -187,7 +179,6 @@ class Hub:
         """Go on with what was not forwarded."""
         stations = list(self._stations)
         for at, packet in left.packets:
-            self._reclaim()
             if packet is None:
                 self._attend(stations[at], select.EPOLLIN)
             else:
@@ -205,46 +196,6 @@ class Hub:
         """The stations that hear an identifier, a bit each."""
         hearing = self._listeners.of(can_id)
         return sum(1 << at for at, client in enumerate(self._medium.stations) if client in hearing)
-
-    def _lend(self, client: Client) -> None:
-        """Have a station forward what is sent, and what it sends itself, until something else happens: it gets the
-        others' descriptors, and memory with all that is known of the wire. Where that can't be it gets nothing."""
-        forwarder, number, descriptors = self._forwarder, 0, list[int]()
-        others = [each for each in self._stations if each is not client]
-        lends = self._is_virtual and others and not client.receive_own
-        if forwarder is not None and lends and self._can_forward(forwarder):
-            number = forwarder.lend(self._medium, self._places(), self._stations.index(client))
-            descriptors = [forwarder.memory, *(each.connection.fileno() for each in others)] if number else []
-        try:
-            socket.send_fds(client.connection, [protocol.HEADER.pack(protocol.KIND_LOAN, number)], descriptors)
-        except OSError:  # its socket is full, or it has gone
-            if forwarder is not None and number:
-                forwarder.reclaim(self._medium)
-            return
-        if number:
-            self._borrower = client
-            for each in others:
-                self._epoll.modify(each.connection, 0)  # its end is told all the same
-
-    def _watch_borrower(self, forwarder: Forwarder) -> list[tuple[int, int]]:
-        """What `_poll` returns while the wire is lent; a borrower that lets the others wait has it no more."""
-        carried = forwarder.carried
-        happened = self._epoll.poll(_LONGEST_PAUSE_S)
-        if not happened and carried == forwarder.carried:
-            others = (each for each in self._stations if each is not self._borrower)
-            if any(wait_readable(each.connection.fileno(), 0.0) for each in others):
-                self._reclaim()
-        return happened
-
-    def _reclaim(self) -> None:
-        """The wire is the hub's, where it was lent: something has happened."""
-        forwarder, borrower, self._borrower = self._forwarder, self._borrower, None
-        if forwarder is None or borrower is None:
-            return
-        for each in self._stations:
-            if each is not borrower:
-                self._watch(each)
-        self._take_left(forwarder.reclaim(self._medium))
 
     def _load(self) -> None:
         """Load what forwards; the stations are served meanwhile."""
@@ -329,10 +280,6 @@ class Hub:
 
     def _take_frames(self, client: Client, packet: bytes) -> None:
         kind = packet[0]
-        if kind in (protocol.KIND_LOAN, protocol.KIND_RETURN) and len(packet) == protocol.HEADER.size:
-            if kind == protocol.KIND_LOAN:
-                self._lend(client)
-            return
         if self._forwarder is not None:
             self._forwarder.learn(packet, self._heard_by)
         body = memoryview(packet)[protocol.HEADER.size :]

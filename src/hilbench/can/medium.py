@@ -159,11 +159,6 @@ class Medium:
         self.counters.bits += bits
         self.free_ns += duration_ns
 
-    def go_on(self, sender: Station | None, end_ns: int) -> None:
-        """Somebody else has had the wire while it was undisturbed, and left this station's first frame on it, which is
-        over at `end_ns`."""
-        self._sender, self._end_ns = sender, end_ns
-
     def next_event_ns(self) -> int | None:
         """When `run` has something to do next, if nothing more is queued; None: never."""
         if self._sender is not None:

@@ -19,7 +19,6 @@ from hilbench.can.confinement import ControllerState, bus_off
 from hilbench.can.disturbance import Disturber, ErrorInjection
 from hilbench.can.embedded import check_frame
 from hilbench.can.frame import Frame
-from hilbench.can.letting_go import LetsGo
 from hilbench.can.listeners import Listeners
 from hilbench.can.medium import FOREVER, Medium, Station
 from hilbench.can.messages import kernel_filters, to_frame, to_message
@@ -220,7 +219,7 @@ class MemoryLink:
             raise BusError(f"{self.channel}: this link is closed")
 
 
-class MemoryCanBus(LetsGo):
+class MemoryCanBus(can.BusABC):
     """A python-can bus on a MemoryBus."""
 
     def __init__(self, bus: MemoryBus, can_filters: can.typechecking.CanFilters | None = None, **kwargs: Any) -> None:
@@ -247,9 +246,6 @@ class MemoryCanBus(LetsGo):
 
     def _apply_filters(self, filters: can.typechecking.CanFilters | None) -> None:
         self._link.set_filters(kernel_filters(filters))
-
-    def _wake(self) -> None:
-        self._link.close()
 
     def shutdown(self) -> None:
         super().shutdown()

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import socket
 import time
 from typing import Any
 
 from hilbench.can import hub_client, protocol
 from hilbench.can.embedded import can_record, receive_packet, send_packet
 from hilbench.can.frame import Frame
-from hilbench.can.letting_go import LetsGo
 from hilbench.can.messages import identifier_with_flags, kernel_filters, to_message
 from hilbench.can.python_can import can
 from hilbench.can.requests import Wanted
@@ -21,7 +18,7 @@ _CLASSICAL_HEADER = protocol.HEADER.pack(protocol.KIND_CLASSICAL, 0)
 _FD_HEADER = protocol.HEADER.pack(protocol.KIND_FD, 0)
 
 
-class EmbeddedBus(LetsGo):
+class EmbeddedBus(can.BusABC):
     """One station on an emulated CAN bus that any program of the same user can join.
 
     `channel` names the bus. `bitrate` and `data_bitrate` (bit/s) and `timing` ("real": a frame takes its bit time;
@@ -112,10 +109,6 @@ class EmbeddedBus(LetsGo):
 
     def fileno(self) -> int:
         return self._connection.fileno()
-
-    def _wake(self) -> None:
-        with contextlib.suppress(OSError):  # the bus is lost
-            self._connection.shutdown(socket.SHUT_RD)
 
     def shutdown(self) -> None:
         super().shutdown()

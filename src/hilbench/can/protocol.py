@@ -2,8 +2,8 @@
 
 One SOCK_SEQPACKET socket per channel, `<directory>/<channel>.sock`. A connection begins with requests: a packet of
 JSON, answered by a packet of JSON ({"error": text} when refused). The request "join" makes the connection a station;
-from then on its packets carry frames: a header of 8 bytes (kind, frames lost for this receiver so far), then records;
-or they are a header alone. To the hub a record is a `struct can_frame` (or `struct canfd_frame`, kind FD); from the hub
+from then on its packets carry frames: a header of 8 bytes (kind, frames lost for this receiver so far), then records.
+To the hub a record is a `struct can_frame` (or `struct canfd_frame`, kind FD); from the hub
 it is followed by the time of reception, int64 ns. All in the machine's byte order, as in the kernel.
 """
 
@@ -22,11 +22,6 @@ VERSION = 1
 
 KIND_CLASSICAL = 1
 KIND_FD = 2
-#: A header alone. To the hub: who sends it asks for the wire, see `loan`; from the hub: the answer, with the loan's
-#: number in the place of lost frames, and descriptors where the wire is lent.
-KIND_LOAN = 3
-#: A header alone: who sends it has the wire no more.
-KIND_RETURN = 4
 
 #: kind, frames dropped for this receiver (modulo 2**32)
 HEADER = struct.Struct("=B3xI")

@@ -202,11 +202,6 @@ class Rpdo(_Pdo):
         """Whether it has received nothing that acts later, or is supervised."""
         return self._waiting is None and self._deadline_ns is None
 
-    @property
-    def is_supervised(self) -> bool:
-        """Whether it is an error when it stays away."""
-        return self._timer_ms is not None and bool(self._timer_ms.value)
-
     def is_plain(self, cycle_ns: int) -> bool:
         """Whether a frame a cycle does no more than to give its objects their values at SYNC."""
         timer_ns = self._timer_ns(5, 1_000_000) if self._timer_ms is not None else 0

@@ -22,7 +22,7 @@ from hilbench.canopen.identifiers import HEARTBEAT, SYNC, NmtState
 from hilbench.errors import BenchFaultError, EmergencyStopError, NoAnswerError
 from hilbench.exchange import pacing
 from hilbench.exchange.frame_tap import FrameTap
-from hilbench.exchange.sync_marks import Awaited, Met, SyncMarks
+from hilbench.exchange.sync_marks import Met, SyncMarks
 from hilbench.exchange.sync_producer import SyncProducer
 
 #: Lockstep: part of the time-out after which a bench that waits for an answer says that it is alive.
@@ -102,8 +102,7 @@ class SyncCycle:
     ) -> None:
         self.timing = CycleTiming()
         self.pacing = pacing.Pacing(period_ns=cycle_ns)
-        #: Where a producer sends SYNC.
-        self.marks = None if producer is None else SyncMarks(link, producer, self.pacing)
+        self._marks = None if producer is None else SyncMarks(link, producer, self.pacing)
         self._link = link
         self._cycle_ns = cycle_ns
         self._bit_ns = 1e9 / bitrate
@@ -146,22 +145,22 @@ class SyncCycle:
         """Run one cycle: `outgoing` and SYNC onto the bus, then the frames that came until all have answered.
 
         `outgoing` is sent before the SYNC that makes it act; it `may_be_left_out` where it is nothing but the next set
-        points of drives that follow them (`leaves_out`).
+        points of drives that follow them (`_leaves_out`).
         """
         with self.lock:
             self.before_use()
-            if may_be_left_out and self.leaves_out(sum(map(frame_bits, outgoing))):
+            if may_be_left_out and self._leaves_out(sum(map(frame_bits, outgoing))):
                 outgoing = []
             return self._exchange(outgoing)
 
-    def leaves_out(self, bits: int) -> bool:
+    def _leaves_out(self, bits: int) -> bool:
         """Whether set points of so many bits are not to be sent in this cycle, and count as late.
 
         Where an answer has stayed away the bench has waited for it to the end. What it sends then is on the wire when
         SYNC is due, acts with the next one, and keeps the wire from the answers to this one, of which the last comes
         too late as well: so it would go on. Set points of the next cycle act at the same time.
         """
-        marks, left_out, cycles = self.marks, self._left_out, self.timing.cycles
+        marks, left_out, cycles = self._marks, self._left_out, self.timing.cycles
         begins = not left_out and self._missed_in_row and cycles >= self._leaves_out_from
         behind = begins or 0 < left_out < _MOST_LEFT_OUT
         if marks is None or not behind or time.monotonic_ns() + bits * self._bit_ns <= marks.next_ns:
@@ -178,21 +177,10 @@ class SyncCycle:
         late: list[Frame],
         came: list[Frame],
         fault: BenchFaultError | None,
-        met: Met | None = None,
     ) -> list[Frame]:
         """The rest of a cycle that somebody else has begun, who has the lock: `outgoing` and SYNC are sent, `late` came
-        before it and `came` behind it so far, `fault` is what the trace has to say; `met`: the producer's SYNC."""
-        return self._finish(outgoing, late, came, fault, met)
-
-    def meet(
-        self, outgoing: Sequence[Frame], came: list[Frame], awaited: Awaited, fault: BenchFaultError | None
-    ) -> list[Frame]:
-        """The same where SYNC is a producer's, for which it was not waited to the end: `came` has all since the last
-        answer."""
-        assert self.marks is not None, "where there is a producer"
-        self.marks.put_back(came)
-        met = self.marks.wait(awaited)
-        return self._finish(outgoing, met.before, met.behind, fault, met)
+        before it and `came` behind it so far, `fault` is what the trace has to say."""
+        return self._finish(outgoing, late, came, fault)
 
     def _exchange(self, outgoing: Sequence[Frame]) -> list[Frame]:
         between, self._fault_between = self._fault_between, None
@@ -202,7 +190,7 @@ class SyncCycle:
         if timing.cycles == 0:
             timing.started_ns = time.monotonic_ns()
             self._epoch_ns = time.time_ns()
-            if not self._lockstep and self.marks is None:
+            if not self._lockstep and self._marks is None:
                 pacing.start(self.pacing, timing.started_ns)
         if self._heartbeat_is_due():
             outgoing = [*outgoing, self._heartbeat]
@@ -217,8 +205,8 @@ class SyncCycle:
         else:
             if outgoing:
                 self._link.send(outgoing)
-            if self.marks is not None:
-                met = self.marks.meet()
+            if self._marks is not None:
+                met = self._marks.meet()
                 late = met.before
             else:
                 now_ns = pacing.sleep_until(self.pacing.deadline_ns)
@@ -269,9 +257,10 @@ class SyncCycle:
         if not self._heartbeat_cycles:
             return False
         if not self._lockstep:
-            due = self.is_heartbeat_due
+            now = self.timing.cycles + self.pacing.missed
+            due = now >= self._next_heartbeat
             if due:
-                self.heartbeat_is_said()
+                self._next_heartbeat = now + self._heartbeat_cycles
             return due
         slow = time.monotonic() - self._alive_s > _SLOW * self._timeout_s
         return slow or self.timing.cycles % self._heartbeat_cycles == 0
@@ -297,7 +286,7 @@ class SyncCycle:
     def _discard_waiting(self, timeout_s: float) -> list[Frame]:
         trace_fault = self._write_last_answers()
         came, self._came_between = self._came_between, []
-        waiting = came + (self._link.receive if self.marks is None else self.marks.discard)(timeout_s)
+        waiting = came + (self._link.receive if self._marks is None else self._marks.discard)(timeout_s)
         if waiting and self._tap is not None:
             bits = [frame_bits(frame) for frame in waiting]
             self._tap.write(self._timed(waiting, bits, self.next_sync_ns - int(sum(bits) * self._bit_ns)))
@@ -362,7 +351,7 @@ class SyncCycle:
     @property
     def gone_by(self) -> int:
         """So many SYNCs were on the bus that no cycle was run for."""
-        return self.marks.gone_by if self.marks is not None else 0
+        return self._marks.gone_by if self._marks is not None else 0
 
     @property
     def next_sync_ns(self) -> int:
@@ -390,7 +379,6 @@ class SyncCycle:
             and not (self._came_between or self.silent or self._out_of_phase or self._emergency_stop_seen)
             and not self._missed_in_row
             and self._heartbeat.data == _OPERATIONAL
-            and (self.marks is None or self.marks.is_plain)
         )
 
     def came_between(self, frames: Sequence[Frame]) -> None:
@@ -411,20 +399,6 @@ class SyncCycle:
     def heartbeat(self) -> tuple[Frame, int]:
         """The bench's own, and with every how many SYNCs it is said (0: never)."""
         return self._heartbeat, self._heartbeat_cycles
-
-    @property
-    def is_heartbeat_due(self) -> bool:
-        """Whether it is to be said with the next SYNC, by the clock."""
-        return self._heartbeat_cycles > 0 and self.timing.cycles + self.pacing.missed >= self._next_heartbeat
-
-    def heartbeat_is_said(self) -> None:
-        """With the next SYNC."""
-        self._next_heartbeat = self.timing.cycles + self.pacing.missed + self._heartbeat_cycles
-
-    @property
-    def answers_until_ns(self) -> int:
-        """When answers to the last SYNC are not waited for any longer, in real time: ns of the monotonic clock."""
-        return self.pacing.deadline_ns - int(pacing.GUARD_FRACTION * self._cycle_ns)
 
     def is_slow(self, now_s: float) -> bool:
         """Whether a heartbeat is due because cycles take so long."""
@@ -459,7 +433,7 @@ class SyncCycle:
         """What came until nothing more is due, `came` first, and what to raise once that is in the trace."""
         received: list[Frame] = []
         failure = None
-        receive = self._link.receive if self.marks is None else self.marks.answers
+        receive = self._link.receive if self._marks is None else self._marks.answers
         remaining_s = self._remaining_s if not self._lockstep else self._lockstep_remaining(due)
         while due or came:
             left_s = max(0.0, remaining_s())
@@ -523,7 +497,8 @@ class SyncCycle:
         return remaining_s
 
     def _remaining_s(self) -> float:
-        return (self.answers_until_ns - time.monotonic_ns()) * 1e-9
+        until_ns = self.pacing.deadline_ns - int(pacing.GUARD_FRACTION * self._cycle_ns)
+        return (until_ns - time.monotonic_ns()) * 1e-9
 
     def _missing(self, due: dict[int, ExpectedPdo]) -> NoAnswerError | None:
         self.timing.missing_pdos += len(due)

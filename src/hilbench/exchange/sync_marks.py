@@ -24,14 +24,6 @@ class _Whose(Enum):
     OURS, GIVEN_UP, OTHERS = range(3)
 
 
-@dataclass(frozen=True)
-class Awaited:
-    """The SYNC that the bench waits for: which it is, by its count; whether it is out already."""
-
-    number: int
-    joins: bool
-
-
 @dataclass
 class Met:
     """A SYNC that the bench has waited for, and what has come before and behind it.
@@ -64,11 +56,6 @@ class SyncMarks:
         self._kept: list[Frame] = []  #: from a SYNC on that has come before it was waited for
 
     @property
-    def is_plain(self) -> bool:
-        """Whether nothing stands from SYNCs that are out."""
-        return self._producer.is_running and not self._kept and not self._lost and self._come == self._run
-
-    @property
     def next_ns(self) -> int:
         """When the next SYNC is due, monotonic clock."""
         return self._producer.next_ns
@@ -79,10 +66,6 @@ class SyncMarks:
         One that has gone out a short time before is taken as well: its answers are still to come, and only the set
         points are late. Of more than one the last counts, the others have gone by. Raises BusError.
         """
-        return self.wait(self.expect())
-
-    def expect(self) -> Awaited:
-        """The one that `meet` waits for; set points have been sent."""
         producer = self._producer
         if not producer.is_running:
             producer.start()
@@ -90,42 +73,16 @@ class SyncMarks:
         sent = producer.sent
         since_ns = time.monotonic_ns() - (producer.next_ns - producer.period_ns)
         joins = sent > max(self._run, self._come) and since_ns < _JOIN_FRACTION * producer.period_ns
-        return Awaited(sent if joins else sent + 1, joins)
-
-    def is_next(self, awaited: Awaited) -> bool:
-        """Whether it is that behind the last one that was met."""
-        return not awaited.joins and awaited.number == self._run + 1
-
-    def wait(self, awaited: Awaited) -> Met:
-        """The rest of `meet`."""
-        found = self._wait(awaited.number)
-        found.joined = awaited.joins and self._come == awaited.number
-        self._count(joined=found.joined)
-        return found
-
-    def came(self) -> bool:
-        """The next SYNC has come, to somebody else; False: it is not the producer's."""
-        if self._come >= self._producer.sent:
-            return False
-        self._come += 1
-        self._count(joined=False)
-        return True
-
-    def put_back(self, frames: list[Frame]) -> None:
-        """What somebody else has received is to be looked at yet."""
-        self._kept = frames
-
-    def late_ns(self) -> int:
-        """When a SYNC that has not come is late by a whole period, monotonic clock."""
-        return self._producer.next_ns + self._producer.period_ns
+        awaited = sent if joins else sent + 1
+        met = self._wait(awaited)
+        met.joined = joins and self._come == awaited
+        self._count(joined=met.joined)
+        return met
 
     def answers(self, timeout_s: float) -> list[Frame]:
         """As `Link.receive`, behind the SYNC that was met and before the next."""
-        return [] if self._kept else self.answers_in(self._link.receive(timeout_s))
-
-    def answers_in(self, frames: list[Frame]) -> list[Frame]:
-        """The same in what was received."""
         others: list[Frame] = []
+        frames = [] if self._kept else self._link.receive(timeout_s)
         for at, frame in enumerate(frames):
             if frame.can_id == SYNC and self._come < self._producer.sent:
                 self._kept = frames[at:]

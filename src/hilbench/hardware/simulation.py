@@ -23,8 +23,8 @@ from hilbench.exchange.effect_objects import bind_effect_objects
 from hilbench.hardware.plant_time import ByClock, BySync, PlantTime
 from hilbench.hardware.rigs import new_rig
 from hilbench.plain.host import PacketRun, PlainHost, run_devices, warm_up_packets
-from hilbench.plain.rig_run import ClockedRigRun, RigRun
-from hilbench.plain.sync_answers import ClockedAnswers, SyncAnswers
+from hilbench.plain.rig_run import RigRun
+from hilbench.plain.sync_answers import SyncAnswers
 from hilbench.plant.interface import Plant, Steps, StepsInModes
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.processes import log, started_by_bench, stop_request
@@ -77,14 +77,9 @@ class RigApplication:
         return self._rig
 
     @property
-    def time(self) -> tuple[PlantTime, float, int]:
-        """What says how far the rig goes, one of its sample times (s), and how many of them it goes at once at most."""
-        return self._time, self._sample_s, self._longest_step
-
-    @property
     def is_plain(self) -> bool:
         """Whether the rig goes on with each SYNC, and has begun to."""
-        return self._in_use and (isinstance(self._time, ByClock) or self.plain_step_s() is not None)
+        return self.plain_step_s() is not None
 
     def plain_step_s(self) -> float | None:
         """How far the rig goes with each SYNC, in one step; None where that is not known before."""
@@ -144,22 +139,18 @@ def simulate(config: BenchConfig) -> int | None:
 
 
 def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, config: BenchConfig) -> PlainHost | None:
-    """Who serves the host's devices on the embedded bus."""
-    if not isinstance(link, EmbeddedLink):
-        return None
-    assert isinstance(hosted.application, RigApplication), "as `hardware` makes it"
-    warm_up_in_modes(config)
+    """Who serves the host's devices on the embedded bus in lockstep."""
     devices, clock, application, cycle_ns = hosted.devices, hosted.clock, hosted.application, config.cycle_ns
+    if not isinstance(link, EmbeddedLink) or not isinstance(clock, SyncClock):
+        return None
+    assert isinstance(application, RigApplication), "as `hardware` makes it"
+    warm_up_in_modes(config)
     drives = application.drives
 
     def begin(expected: Sequence[Frame]) -> PacketRun:
-        if isinstance(clock, SyncClock):
-            return RigRun(SyncAnswers(link, devices, drives, clock, expected, cycle_ns), application)
-        assert isinstance(clock, MonotonicClock), "as `_time_base` makes it"
-        answers = ClockedAnswers(link, devices, drives, clock, cycle_ns)
-        return ClockedRigRun(answers, application, *application.time)
+        return RigRun(SyncAnswers(link, devices, drives, clock, expected, cycle_ns), application)
 
-    return PlainHost(host, link, application, begin, by_clock=isinstance(clock, MonotonicClock))
+    return PlainHost(host, link, application, begin)
 
 
 def hardware(config: BenchConfig) -> HostedDevices:
@@ -186,8 +177,9 @@ def hardware(config: BenchConfig) -> HostedDevices:
 def load(config: BenchConfig) -> None:
     """Compile, or load, all that a process of simulated hardware on the embedded bus runs on."""
     warm_up(config)
-    warm_up_in_modes(config)
-    warm_up_packets()
+    if config.pace == "lockstep":
+        warm_up_in_modes(config)
+        warm_up_packets()
 
 
 def warm_up(config: BenchConfig) -> None:

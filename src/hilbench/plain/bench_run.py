@@ -24,13 +24,9 @@ from hilbench.topology.sample import CycleSample
 
 
 class BenchRun(ABC):
-    """Plain cycles one after the other, from objects into arrays and back.
+    """Plain cycles one after the other, from objects into arrays and back. `begin` is to be called before the first."""
 
-    `lines`: whether the functions of `kernel` write those of the trace, with its own times. `begin` is to be called
-    before the first cycle, and, behind an `end`, before the next one.
-    """
-
-    def __init__(self, nodes: Nodes, sync: SyncCycle, tap: LineTap | None, *, lines: bool) -> None:
+    def __init__(self, nodes: Nodes, sync: SyncCycle, tap: LineTap | None) -> None:
         """Raises NotPlainError where cycles are not plain."""
         self._nodes, self._sync, self._tap = nodes, sync, tap
         self.done = 0  #: plain cycles since it began
@@ -40,7 +36,6 @@ class BenchRun(ABC):
         self.sent = False  #: whether the cycle that is no plain one has begun
         self.fault: BenchFaultError | None = None  #: what the trace has to say against itself
         self._bitrate = nodes.config.bus.bitrate
-        self._lines = lines and tap is not None
         self._slots, self._frames = Slots(), Frames()
         self._bench = BenchFrames(nodes, sync, self._frames, self._slots)
         self._seen = SeenDrives(nodes, self._slots)
@@ -65,7 +60,7 @@ class BenchRun(ABC):
 
     def _is_in_phase(self, pdo: ExpectedPdo) -> bool:
         """Whether what answers only at times is due as long after the last one as ever."""
-        left = (pdo.since - self._sync.timing.cycles - self._sync.gone_by) % pdo.every or pdo.every
+        left = (pdo.since - self._sync.timing.cycles) % pdo.every or pdo.every
         return self._nodes.answers[pdo.cob_id].since + left == pdo.every
 
     # -- from the objects ------------------------------------------------------------------------------------
@@ -146,7 +141,7 @@ class BenchRun(ABC):
             "left": left,
             "data": data.reshape(-1),
             "heads": self._heads,
-            "text": self._text if self._lines else None,
+            "text": self._text if self._tap is not None else None,
         }
 
     def _rows_of(self, frames: Frames) -> lay.Rows:
@@ -190,7 +185,7 @@ class BenchRun(ABC):
         sync = self._sync
         if not sync.due_at_times:
             return ()
-        cycle = sync.timing.cycles + 1 + sync.gone_by
+        cycle = sync.timing.cycles + 1
         return {pdo.cob_id for pdo in sync.due_at_times if (cycle - pdo.since) % pdo.every == 0}
 
     def _keep_rare(self, order: Order) -> None:

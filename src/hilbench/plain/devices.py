@@ -56,22 +56,17 @@ class HostFrames:
         self._frames.take(row, rpdo.map, cell_slots(self._slots, rpdo.map, rpdo.cells))
         self.taken.append((device, rpdo, row))
 
-    def answer(self, *, alive_last: bool = False) -> None:
-        """What they answer, behind the frames so far; that they are alive before it, or behind it all. Raises
-        NotPlainError."""
+    def answer(self) -> None:
+        """What they answer, behind the frames so far; that they are alive before it. Raises NotPlainError."""
         self._slots.side = self._side
         for device in self._devices:
-            if not alive_last:
-                self._say_alive(device)
+            self._say_alive(device)
             for tpdo in device.synchronous_pdos:
                 if tpdo.map is None:
                     raise NotPlainError
                 slots, every = cell_slots(self._slots, tpdo.map, tpdo.cells), tpdo.transmission_type
                 row = self._frames.add(tpdo.cob_id, lay.ANSWER, tpdo.map, slots, every=every, count=tpdo.syncs)
                 self.answering.append((device, tpdo, row))
-        if alive_last:
-            for device in self._devices:
-                self._say_alive(device)
 
     def _say_alive(self, device: Device) -> None:
         producer = device.producer

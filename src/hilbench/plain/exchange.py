@@ -28,7 +28,6 @@ from hilbench.plain import kernel, packet_kernel
 from hilbench.plain import layout as lay
 from hilbench.plain.answers import Order
 from hilbench.plain.bench_run import BenchRun
-from hilbench.plain.borrowed_wire import BorrowedWire
 from hilbench.plain.packet_kernel import Gathered
 from hilbench.plain.tables import NotPlainError
 from hilbench.topology.sample import CycleSample
@@ -49,7 +48,8 @@ class PlainExchange:
         self._link, self._nodes, self._sync, self._own, self._tap = link, nodes, sync, own, tap
         self._run: BenchRun | None = None
         self._wait = 0  # cycles until it is looked again
-        self._prepare()
+        self._pause = _LOOK_AGAIN  # cycles to wait when they are plain no more
+        self.warm_up()
         sync.before_use = self.settle
 
     @staticmethod
@@ -57,24 +57,6 @@ class PlainExchange:
         """Compile, or load from the cache, what it calls: in good time, where one is to be made later."""
         kernel.warm_up()
         packet_kernel.warm_up_bench()
-
-    def _prepare(self) -> None:
-        """Before there is a cycle."""
-        self.warm_up()
-        self._wire = BorrowedWire(self._link)
-        self._pause = _LOOK_AGAIN  # cycles to wait when they are plain no more
-
-    def _new_run(self) -> BenchRun:
-        """Raises NotPlainError where cycles are not plain."""
-        return _Run(self._link, self._wire, self._nodes, self._sync, self._tap)
-
-    def _rest(self, done: int | None) -> None:
-        """Cycles are plain no more, behind so many that were; None: they have not become so."""
-        if done is None:
-            self._wait = _LOOK_AGAIN
-            return
-        self._wait = self._pause
-        self._pause = _LOOK_AGAIN if done >= _PAYS else min(2 * self._pause, _LONGEST_PAUSE)
 
     def cycle(self, outputs: Mapping[str, float]) -> bool:
         """Run one, as `Exchange.cycle`; False where it was none, and nothing was done."""
@@ -89,7 +71,7 @@ class PlainExchange:
                 return False
             received = run.finish()
         self._own.handle(received)
-        self._nodes.decode(received, self._sync.before_sync, self._sync.gone_by)
+        self._nodes.decode(received, self._sync.before_sync)
         return True
 
     @contextmanager
@@ -102,7 +84,8 @@ class PlainExchange:
         """Give the objects what the arrays have."""
         run, self._run = self._run, None
         if run is not None:
-            self._rest(run.done)
+            self._wait = self._pause
+            self._pause = _LOOK_AGAIN if run.done >= _PAYS else min(2 * self._pause, _LONGEST_PAUSE)
             run.end()
 
     def _begin(self) -> BenchRun | None:
@@ -111,25 +94,23 @@ class PlainExchange:
             return None
         if self._nodes.is_plain and self._sync.is_plain and not self._own.has_answers:
             try:
-                run = self._new_run()
+                run = _Run(self._link, self._nodes, self._sync, self._tap)
                 run.begin()
                 self._run = run
             except NotPlainError:
                 self._run = None
         if self._run is None:
-            self._rest(None)
+            self._wait = _LOOK_AGAIN
         return self._run
 
 
 class _Run(BenchRun):
     """The same in lockstep."""
 
-    def __init__(
-        self, link: EmbeddedLink, wire: BorrowedWire, nodes: Nodes, sync: SyncCycle, tap: LineTap | None
-    ) -> None:
+    def __init__(self, link: EmbeddedLink, nodes: Nodes, sync: SyncCycle, tap: LineTap | None) -> None:
         """Raises NotPlainError where cycles are not plain."""
-        super().__init__(nodes, sync, tap, lines=True)
-        self._link, self._wire = link, wire
+        super().__init__(nodes, sync, tap)
+        self._link = link
         frames = self._frames
         sent = np.column_stack((frames.cob_ids, frames.sizes)).astype(np.int64)
         self._port = packet_kernel.new_port(
@@ -188,16 +169,10 @@ class _Run(BenchRun):
         """Set points and SYNC onto the bus, and their lines behind those of the last cycle; False, and nothing done,
         where a value does not fit, or something has come before."""
         given = self._given_at
-        came = self._wire.look()
-        if came:
-            self._sync.came_between(self._link.frames_from(*came))
-            return False
         self._take(outputs)
         given[lay.I_START_NS], given[lay.I_TEXT] = self._sync.next_sync_ns, self._text_end
         self._gathered.begin()
-        outcome = packet_kernel.ask(
-            self._table, self._port_table, self._wire.table, self._gathered.table, self._bitrate
-        )
+        outcome = packet_kernel.ask(self._table, self._port_table, self._bitrate)
         if outcome == packet_kernel.UNSENT:
             at, end = protocol.HEADER.size, self._numbers[packet_kernel.OUT_LENGTH]
             self._link.send_records(self._port.sent[at:end].tobytes())
@@ -213,9 +188,7 @@ class _Run(BenchRun):
         gathered, stage = self._gathered, packet_kernel.RECEIVE
         due = self._due_at_times()
         answers = len(self._due) + len(due)
-        while (
-            outcome := packet_kernel.gather(gathered.table, self._wire.table, answers, stage)
-        ) == packet_kernel.NOTHING:
+        while (outcome := packet_kernel.gather(gathered.table, answers, stage)) == packet_kernel.NOTHING:
             packet = self._link.receive_packet(_PATIENCE_S)
             if packet is None:
                 return None

@@ -21,10 +21,8 @@ from hilbench.plain import kernel, packet_kernel
 from hilbench.plain.tables import NotPlainError
 from hilbench.real_time import ProcessSettings, kept_ready
 
-#: Times that it is served after which it is looked anew whether cycles are plain, when they were not; the same by the
-#: clock, of SYNCs, or answers to them that are waited for, where to look takes time that a cycle does not have: twice
-#: as many each time when a run was shorter than so many SYNCs, up to the most.
-_LOOK_AGAIN, _LOOK_AGAIN_BY_CLOCK, _SHORT, _MOST_BY_CLOCK = 8, 50, 8, 200
+#: Times that it is served after which it is looked anew whether cycles are plain, when they were not.
+_LOOK_AGAIN = 8
 
 
 class PacketRun(Protocol):
@@ -33,10 +31,6 @@ class PacketRun(Protocol):
     @property
     def came(self) -> Sequence[bytes]:
         """The packets that are for the host, once `serve` says so."""
-
-    @property
-    def cycles(self) -> int:
-        """SYNCs that were answered."""
 
     def serve(self, timeout_s: float) -> bool:
         """Do what the next packet asks for, where one comes within the time; False where that, or what is due, is not
@@ -60,8 +54,7 @@ class Application(Protocol):
 class PlainHost:
     """Serves the devices of a host, by packets where its cycles are plain.
 
-    `begin` makes a run, which expects such frames with each SYNC, itself the last; raises NotPlainError. `by_clock`:
-    frames come one by one, and a run begins behind a SYNC, or the last answer to it that the application waits for.
+    `begin` makes a run, which expects such frames with each SYNC, itself the last; raises NotPlainError.
     """
 
     def __init__(
@@ -70,17 +63,13 @@ class PlainHost:
         link: EmbeddedLink,
         application: Application,
         begin: Callable[[Sequence[Frame]], PacketRun],
-        *,
-        by_clock: bool = False,
     ) -> None:
         warm_up_packets()
         self._host, self._link = host, link
-        self._application, self._new_run, self._by_clock = application, begin, by_clock
-        self._begin_behind = application.listens_to or {SYNC}  # once the application has done its part of a cycle
+        self._application, self._new_run = application, begin
         self._run: PacketRun | None = None
         self._expected: Sequence[Frame] = ()  # what came with the last SYNC
         self._wait = 0  # times served until it is looked again
-        self._look_again = _LOOK_AGAIN_BY_CLOCK if by_clock else _LOOK_AGAIN
 
     def serve(self, timeout_s: float) -> None:
         """As `DeviceHost.serve`."""
@@ -94,13 +83,11 @@ class PlainHost:
             frames = self._link.frames_from(self._link.receive_packet(timeout_s))
         self._host.handle(frames)
         self._note(frames)
-        if self._by_clock and not (frames and frames[-1].can_id in self._begin_behind):
-            return
         if self._wait:
             self._wait -= 1
         elif frames and self._expected and self._host.is_plain and self._application.is_plain:
             self._begin()
-            self._wait = self._look_again
+            self._wait = _LOOK_AGAIN
 
     def settle(self) -> None:
         """Give the objects what the arrays have."""
@@ -108,10 +95,6 @@ class PlainHost:
         if run is not None:
             run.end()
             self._host.served_until(time.monotonic())
-            if self._by_clock:
-                longer = min(2 * self._look_again, _MOST_BY_CLOCK)
-                self._look_again = longer if run.cycles < _SHORT else _LOOK_AGAIN_BY_CLOCK
-                self._wait = self._look_again
 
     def _note(self, frames: Sequence[Frame]) -> None:
         """What comes with a SYNC; nothing where there are two."""

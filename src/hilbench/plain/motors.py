@@ -45,10 +45,9 @@ class Motors:
         self._turned, self._alone, self._shows_ports = turned, alone, shows_ports
         self._keeps_ports = turned is not None
         #: Take the set points, and go on; a piece of a cycle where nobody looks at the ports meanwhile.
-        self.step: Callable[[], object] = self.step_of(step_s)
+        self.step: Callable[[], object] = self._step_of(step_s)
 
-    def step_of(self, step_s: float) -> Callable[[], object]:
-        """The same for another time."""
+    def _step_of(self, step_s: float) -> Callable[[], object]:
         turned = self._turned
         if self._alone and isinstance(turned, StepsInModes):
             step = turned.steps_in_modes(self._asked, step_s, self._shown)

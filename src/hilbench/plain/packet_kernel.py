@@ -1,7 +1,7 @@
 """Packets of the embedded bus without the interpreter: received, taken apart, answered by `kernel.exchange`, sent; and
 from the bench's side sent, their answers gathered, and taken apart.
 
-What is called of the C library are recv(2), send(2), ppoll(2) and clock_gettime(2). A packet that is not what is
+What is called of the C library are recv(2), send(2) and clock_gettime(2). A packet that is not what is
 expected stays in the buffer, for Python.
 """
 
@@ -14,8 +14,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.c_library import CLOCK_MONOTONIC, MSG_DONTWAIT, MSG_NOSIGNAL, POLLIN, clock_gettime, ppoll, recv, send
-from hilbench.can import loan_kernel, protocol
+from hilbench import c_library
+from hilbench.c_library import CLOCK_MONOTONIC, MSG_DONTWAIT, MSG_NOSIGNAL, clock_gettime, recv, send
+from hilbench.can import protocol
 from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, NmtState
 from hilbench.chain import GOES_ON
 from hilbench.compiled import (
@@ -35,17 +36,14 @@ from hilbench.plain.kernel import Table
 from hilbench.plain.layout import Bytes, Whole
 
 #: What has become of a packet: none has come; another than expected; it is that of a bench that says that it is alive,
-#: which is to be heard before it is answered; answered; the same, but the bus did not take the answers; SYNC is there,
-#: and all that came before it; it is there, and is to be looked at.
-NOTHING, OTHER, ALIVE, ANSWERED, UNSENT, SYNCED, MORE = range(7)
-#: Where to begin: with the next packet; with that in the buffer; behind its heartbeat, which was heard; behind SYNC,
-#: for which `await_sync` has waited.
-RECEIVE, TAKEN, HEARD, BEHIND_SYNC = range(4)
+#: which is to be heard before it is answered; answered; the same, but the bus did not take the answers.
+NOTHING, OTHER, ALIVE, ANSWERED, UNSENT = range(5)
+#: Where to begin: with the next packet; with that in the buffer; behind its heartbeat, which was heard.
+RECEIVE, TAKEN, HEARD = range(3)
 #: Places among the numbers. Of Python: the socket, addresses of both buffers and of room for a timespec, frames that
 #: the bus has dropped, until when a packet is taken (ns of the monotonic clock), how long that in the buffer is. Of the
 #: kernel: the same, when it was there, whose heartbeat (COB-ID) is in it, how long what is sent is; what was gathered:
-#: frames, those that are no heartbeats, packets, where the last one ends; until where `await_sync` and `await_others`
-#: have looked at what is in the buffer; of whom the latter waits for, who has answered, a bit each.
+#: frames, those that are no heartbeats, packets, where the last one ends.
 (
     DESCRIPTOR,
     IN_AT,
@@ -61,10 +59,8 @@ RECEIVE, TAKEN, HEARD, BEHIND_SYNC = range(4)
     ANSWERS_CAME,
     PACKETS_CAME,
     IN_END,
-    LOOKED_AT,
-    ANSWERED_BY,
     PLACES,
-) = range(17)
+) = range(15)
 #: Bus time is the hub's: what the kernel makes of it here nobody asks for.
 BITRATE = 1_000_000
 #: Columns of what is expected, and of what is looked at in it: a value of these octets of a record, under a mask.
@@ -83,16 +79,11 @@ _OCTET = np.dtype(np.uint8)
 # Rows of the table: as `Port` has them.
 _NUMBERS, _EXPECTED, _CHECKS, _ANSWERS, _LEFT, _DATA, _IN, _OUT, _TIME = range(9)
 
-# Room for a timespec, then for a struct pollfd.
-_POLLED, _OF_TIME = 2, 3
+_OF_TIME = 2  # room for a timespec
 
 _G_NUMBERS, _G_LENGTHS, _G_COB_IDS, G_SIZES, G_DATA, _G_PACKETS = range(6)  # as `Gathered` has them
 #: Most frames and packets that are gathered in a cycle.
 _MOST_FRAMES, _MOST_PACKETS = 512, 64
-#: Most others who are waited for.
-MOST_OTHERS: Final = 62
-#: So long it is waited for a packet before the interpreter is asked again, where the wire is lent.
-_PATIENCE_MS: Final = 100
 
 Pairs = NDArray[np.int64]
 
@@ -185,7 +176,7 @@ class Gathered:
 
 
 @compiled
-def number(octets: Bytes, at: int, width: int) -> int:
+def _number(octets: Bytes, at: int, width: int) -> int:
     """Little-endian."""
     value = np.int64(0)
     for k in range(width):
@@ -201,12 +192,12 @@ def _heartbeat_in(packet: Bytes, length: int, dropped: int, expected: Pairs) -> 
     extra = records - count
     if _HEADER + records * _RECEIVED != length or extra < 0 or extra > 1 or packet[0] != _KIND:
         return -1
-    if number(packet, _DROPPED_AT, 4) != dropped:
+    if _number(packet, _DROPPED_AT, 4) != dropped:
         return -1
     found = 0
     for k in range(records):
         at = _HEADER + _RECEIVED * k
-        cob_id, size = number(packet, at, 4), packet[at + _SIZE_AT]
+        cob_id, size = _number(packet, at, 4), packet[at + _SIZE_AT]
         if extra == 1 and k == records - 2:
             if not _NO_NODE < cob_id <= _LAST_NODE or size != 1 or packet[at + _DATA_AT] != _OPERATIONAL:
                 return -1
@@ -224,12 +215,12 @@ def _passes(octets: Bytes, first: int, each: int, checks: Pairs) -> bool:
     misfits = 0
     for k in range(len(checks)):
         at = first + each * checks[k, RECORD_OF] + checks[k, OFFSET]
-        misfits += number(octets, at, checks[k, WIDTH]) & checks[k, MASK] != checks[k, VALUE]
+        misfits += _number(octets, at, checks[k, WIDTH]) & checks[k, MASK] != checks[k, VALUE]
     return misfits == 0
 
 
 @compiled
-def put(packet: Bytes, at: int, data: Bytes, row: int) -> None:
+def _put(packet: Bytes, at: int, data: Bytes, row: int) -> None:
     """Data of the record there to where those of its frame are."""
     for octet in range(8):
         data[8 * row + octet] = packet[at + _DATA_AT + octet]
@@ -240,11 +231,11 @@ def _take(packet: Bytes, length: int, expected: Pairs, data: Bytes) -> None:
     """Data of the frames that are expected."""
     count, records = len(expected), (length - _HEADER) // _RECEIVED
     for row in range(count):
-        put(packet, _HEADER + _RECEIVED * (row if row < count - 1 else records - 1), data, row)
+        _put(packet, _HEADER + _RECEIVED * (row if row < count - 1 else records - 1), data, row)
 
 
 @compiled
-def pack(answers: Pairs, first: int, bits_of: Whole, data: Bytes, out: Bytes) -> int:
+def _pack(answers: Pairs, first: int, bits_of: Whole, data: Bytes, out: Bytes) -> int:
     """Records of the frames behind the `first` that have bits on the wire; how long the packet is."""
     at = _HEADER
     for k in range(len(answers)):
@@ -265,171 +256,24 @@ def _gather(packet: Bytes, length: int, numbers: Whole, cob_ids: Whole, sizes: W
     records = (length - _HEADER) // _RECEIVED
     if _HEADER + records * _RECEIVED != length or packet[0] != _KIND:
         return False
-    if number(packet, _DROPPED_AT, 4) != numbers[DROPPED] or numbers[CAME] + records > len(cob_ids):
+    if _number(packet, _DROPPED_AT, 4) != numbers[DROPPED] or numbers[CAME] + records > len(cob_ids):
         return False
     for k in range(records):
         at, row = _HEADER + _RECEIVED * k, numbers[CAME]
-        cob_ids[row], sizes[row] = number(packet, at, 4), packet[at + _SIZE_AT]
-        put(packet, at, data, row)
+        cob_ids[row], sizes[row] = _number(packet, at, 4), packet[at + _SIZE_AT]
+        _put(packet, at, data, row)
         numbers[CAME] += 1
         numbers[ANSWERS_CAME] += not _NO_NODE < cob_ids[row] <= _LAST_NODE
     return True
 
 
-@compiled
-def append(port: Table) -> int:
-    """Records of the next packet behind those in the buffer, and its header before them; how many. 0: none has come;
-    -1: frames were lost, there is no room, or nothing more will come."""
-    numbers, words = integers(port, _NUMBERS, (1,)), integers(port, _IN, (1,))
-    end = numbers[LENGTH]
-    if 2 * end > _PACKET_BYTES:
-        return -1
-    at = max(end - _HEADER, 0)
-    last = words[at // 8]
-    length = recv(numbers[DESCRIPTOR], numbers[IN_AT] + at, _PACKET_BYTES - at, MSG_DONTWAIT)
-    if length <= 0:
-        return -1 if length == 0 else 0
-    if end > 0:
-        words[0], words[at // 8] = words[at // 8], last
-    numbers[LENGTH] = at + length
-    octets = viewed(words, _OCTET)
-    fits = octets[0] == _KIND and number(octets, _DROPPED_AT, 4) == numbers[DROPPED]
-    return int((length - _HEADER) // _RECEIVED) if fits else -1
-
-
-@compiled
-def append_all(port: Table) -> int:
-    """All packets that wait, see `append`; how many. -1: they are for Python, or nothing more will come."""
-    packets, count = 0, 1
-    while count > 0:
-        count = append(port)
-        packets += count > 0
-    return packets if count == 0 else -1
-
-
-@compiled
-def wait(port: Table, timeout_ns: int) -> bool:
-    """For a packet; False: none has come."""
-    numbers, time = integers(port, _NUMBERS, (1,)), integers(port, _TIME, (1,))
-    time[0], time[1] = timeout_ns // _SECOND_NS, timeout_ns % _SECOND_NS
-    time[_POLLED] = numbers[DESCRIPTOR] | POLLIN << 32
-    return bool(ppoll(numbers[TIME_AT] + 8 * _POLLED, 1, numbers[TIME_AT], 0) > 0)
-
-
-@compiled
-def _takes_heartbeat(numbers: Whole, packet: Bytes, at: int) -> bool:
-    """Whether the record there is a heartbeat of a node that is operational; it is noted then, and was looked at."""
-    cob_id = number(packet, at, 4)
-    if not _NO_NODE < cob_id <= _LAST_NODE or packet[at + _SIZE_AT] != 1 or packet[at + _DATA_AT] != _OPERATIONAL:
-        return False
-    numbers[HEARTBEAT_OF], numbers[LOOKED_AT] = cob_id, at + _RECEIVED
-    return True
-
-
-@compiled
-def _row_of(packet: Bytes, at: int, expected: Pairs) -> int:
-    """That of the record there; one behind the last: none."""
-    cob_id, size, row = number(packet, at, 4), packet[at + _SIZE_AT], 0
-    while row < len(expected) and (expected[row, COB_ID] != cob_id or expected[row, SIZE] != size):
-        row += 1
-    return row
-
-
-@compiled
-def _sort_in(port: Table) -> int:
-    """Data of the records that were not looked at yet, up to SYNC, to where those of their frames are: SYNCED, where
-    that is there; NOTHING: more is to come; OTHER: something else is among them."""
-    numbers, packet = integers(port, _NUMBERS, (1,)), viewed(integers(port, _IN, (1,)), _OCTET)
-    expected, data = integers(port, _EXPECTED, (1, 2)), viewed(integers(port, _DATA, (1,)), _OCTET)
-    last = len(expected) - 1
-    while max(numbers[LOOKED_AT], _HEADER) < numbers[LENGTH]:
-        at = max(numbers[LOOKED_AT], _HEADER)
-        if _takes_heartbeat(numbers, packet, at):
-            continue
-        row = _row_of(packet, at, expected)
-        if row > last:
-            return OTHER
-        numbers[LOOKED_AT] = at + _RECEIVED
-        if row == last:
-            return SYNCED
-        put(packet, at, data, row)
-    return NOTHING
-
-
-@compiled
-def _sort_in_others(port: Table, others: Table) -> int:
-    """The same of what comes behind SYNC: answers of others, each once, to where those of `others` are, and what is of
-    the next SYNC: ANSWERED, where all of the former are there."""
-    numbers, packet = integers(port, _NUMBERS, (1,)), viewed(integers(port, _IN, (1,)), _OCTET)
-    expected, data = integers(port, _EXPECTED, (1, 2)), viewed(integers(port, _DATA, (1,)), _OCTET)
-    awaited, theirs = integers(others, _EXPECTED, (1, 2)), viewed(integers(others, _DATA, (1,)), _OCTET)
-    count = len(awaited)
-    while max(numbers[LOOKED_AT], _HEADER) < numbers[LENGTH]:
-        at = max(numbers[LOOKED_AT], _HEADER)
-        if _takes_heartbeat(numbers, packet, at):
-            continue
-        row = _row_of(packet, at, awaited)
-        if row < count:
-            if numbers[ANSWERED_BY] >> row & 1:
-                return OTHER
-            put(packet, at, theirs, row)
-            numbers[ANSWERED_BY] |= 1 << row
-            numbers[LOOKED_AT] = at + _RECEIVED
-            if numbers[ANSWERED_BY] == (1 << count) - 1:
-                return ANSWERED
-            continue
-        row = _row_of(packet, at, expected)
-        if row >= len(expected) - 1:
-            return OTHER
-        put(packet, at, data, row)
-        numbers[LOOKED_AT] = at + _RECEIVED
-    return NOTHING
-
-
-@compiled
-def _await_more(port: Table, timeout_ns: int) -> int:
-    """Wait for another packet, and append it: MORE; NOTHING has come within the time; OTHER: as of `append`."""
-    count = append(port)
-    if count == 0:
-        if not wait(port, timeout_ns):
-            return NOTHING
-        count = append(port)
-    return MORE if count > 0 else OTHER
-
-
-@compiled
-def _nothing_stands_against(port: Table) -> bool:
-    """Whether a SYNC that is there can be answered: all that waits is in the buffer, no further SYNC is, and what has
-    to be as it was is so."""
-    numbers, packet = integers(port, _NUMBERS, (1,)), viewed(integers(port, _IN, (1,)), _OCTET)
-    expected, data = integers(port, _EXPECTED, (1, 2)), viewed(integers(port, _DATA, (1,)), _OCTET)
-    if append_all(port) < 0:
-        return False
-    for at in range(numbers[LOOKED_AT], numbers[LENGTH], _RECEIVED):
-        if number(packet, at, 4) == expected[len(expected) - 1, COB_ID]:
-            return False
-    return _passes(data, 0, 8, integers(port, _CHECKS, (1, 2)))
-
-
-@compiled
-def _keep_rest(port: Table) -> None:
-    """What came behind SYNC is the beginning of the next cycle."""
-    numbers, words = integers(port, _NUMBERS, (1,)), integers(port, _IN, (1,))
-    rest = numbers[LENGTH] - numbers[LOOKED_AT]
-    for word in range(rest // 8):
-        words[_HEADER // 8 + word] = words[numbers[LOOKED_AT] // 8 + word]
-    numbers[LENGTH], numbers[LOOKED_AT] = _HEADER + rest if rest > 0 else 0, 0
-
-
 Answer = Callable[[Table, Table, int], int]
-AwaitSync = Callable[[Table, int], int]
-AwaitOthers = Callable[[Table, Table, Table, int], int]
-Ask = Callable[[Table, Table, Table, Table, int], int]
-Gather = Callable[[Table, Table, int, int], int]
+Ask = Callable[[Table, Table, int], int]
+Gather = Callable[[Table, int, int], int]
 TakeApart = Callable[[Table, Table, Table, int], bool]
 
 
-def _entry_points(sources: int) -> tuple[Answer, AwaitSync, AwaitOthers, Ask, Gather, TakeApart]:
+def _entry_points(sources: int) -> tuple[Answer, Ask, Gather, TakeApart]:
     """The compiled functions that Python calls; `sources` as in `compiled.number_of_sources`."""
 
     @entry_point(TABLE, TABLE, COUNT)
@@ -444,100 +288,58 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, AwaitOthers, Ask, Ga
             if length <= 0:
                 return NOTHING
             numbers[LENGTH] = length
-        if stage != BEHIND_SYNC:
-            length, timespec = numbers[LENGTH], integers(port, _TIME, (1,))
-            clock_gettime(CLOCK_MONOTONIC, numbers[TIME_AT])
-            numbers[NOW_NS] = timespec[0] * _SECOND_NS + timespec[1]
-            heartbeat = _heartbeat_in(packet, length, numbers[DROPPED], expected)
-            if (
-                heartbeat < 0
-                or numbers[NOW_NS] > numbers[UNTIL_NS]
-                or not _passes(packet, _HEADER + _DATA_AT, _RECEIVED, checks)
-            ):
-                return OTHER
-            if heartbeat > 0 and stage != HEARD:
-                numbers[HEARTBEAT_OF] = heartbeat
-                return ALIVE
-            _take(packet, length, expected, data)
+        length, timespec = numbers[LENGTH], integers(port, _TIME, (1,))
+        clock_gettime(CLOCK_MONOTONIC, numbers[TIME_AT])
+        numbers[NOW_NS] = timespec[0] * _SECOND_NS + timespec[1]
+        heartbeat = _heartbeat_in(packet, length, numbers[DROPPED], expected)
+        if (
+            heartbeat < 0
+            or numbers[NOW_NS] > numbers[UNTIL_NS]
+            or not _passes(packet, _HEADER + _DATA_AT, _RECEIVED, checks)
+        ):
+            return OTHER
+        if heartbeat > 0 and stage != HEARD:
+            numbers[HEARTBEAT_OF] = heartbeat
+            return ALIVE
+        _take(packet, length, expected, data)
         if kernel.exchange(BITRATE, table) != GOES_ON:
             return OTHER
-        if stage == BEHIND_SYNC:
-            _keep_rest(port)
         answers = integers(port, _ANSWERS, (1, 2))
         if len(answers) == 0:
             return ANSWERED
         out = viewed(integers(port, _OUT, (1,)), _OCTET)
-        numbers[OUT_LENGTH] = pack(answers, len(expected), left[_O_SIZE:], data, out)
+        numbers[OUT_LENGTH] = _pack(answers, len(expected), left[_O_SIZE:], data, out)
         sent = send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], MSG_DONTWAIT | MSG_NOSIGNAL)
         return ANSWERED if sent == numbers[OUT_LENGTH] else UNSENT
 
-    @entry_point(TABLE, COUNT)
-    def await_sync(port: Table, timeout_ns: int) -> int:
-        if sources < 0 or len(port) == 0:
-            return NOTHING
-        while True:
-            outcome = _sort_in(port)
-            if outcome == SYNCED:
-                return SYNCED if _nothing_stands_against(port) else OTHER
-            if outcome == NOTHING:
-                outcome = _await_more(port, timeout_ns)
-            if outcome != MORE:
-                return outcome
-
-    @entry_point(TABLE, TABLE, TABLE, COUNT)
-    def await_others(table: Table, port: Table, others: Table, timeout_ns: int) -> int:
-        if sources < 0 or len(port) == 0:
-            return NOTHING
-        while True:
-            outcome = _sort_in_others(port, others)
-            if outcome == ANSWERED:
-                return ANSWERED if kernel.exchange(BITRATE, table) == GOES_ON else OTHER
-            if outcome == NOTHING:
-                outcome = _await_more(port, timeout_ns)
-            if outcome != MORE:
-                return outcome
-
-    @entry_point(TABLE, TABLE, TABLE, TABLE, COUNT)
-    def ask(table: Table, port: Table, wire: Table, gathered: Table, bitrate: int) -> int:
+    @entry_point(TABLE, TABLE, COUNT)
+    def ask(table: Table, port: Table, bitrate: int) -> int:
         if sources < 0 or len(port) == 0:
             return NOTHING
         numbers, left = integers(port, _NUMBERS, (1,)), integers(port, _LEFT, (1,))
-        length = loan_kernel.GONE
-        if loan_kernel.has(wire):
-            length = loan_kernel.receive(wire, integers(port, _IN, (1,)), 0)
-        if length == loan_kernel.GONE:
-            length = recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, MSG_DONTWAIT)
-        elif length == loan_kernel.NOTHING:
-            length = -1
+        length = recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, MSG_DONTWAIT)
         numbers[LENGTH] = max(length, 0)
         if length >= 0 or kernel.exchange(bitrate, table) != GOES_ON:
             return OTHER
         data, out = viewed(integers(port, _DATA, (1,)), _OCTET), viewed(integers(port, _OUT, (1,)), _OCTET)
-        numbers[OUT_LENGTH] = pack(integers(port, _ANSWERS, (1, 2)), 0, left[_O_SIZE:], data, out)
-        if loan_kernel.put(wire, out, numbers[OUT_LENGTH], integers(gathered, _G_PACKETS, (1,))):
-            return ANSWERED
+        numbers[OUT_LENGTH] = _pack(integers(port, _ANSWERS, (1, 2)), 0, left[_O_SIZE:], data, out)
         sent = send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], MSG_DONTWAIT | MSG_NOSIGNAL)
         return ANSWERED if sent == numbers[OUT_LENGTH] else UNSENT
 
-    @entry_point(TABLE, TABLE, COUNT, COUNT)
-    def gather(gathered: Table, wire: Table, answers: int, stage: int) -> int:
+    @entry_point(TABLE, COUNT, COUNT)
+    def gather(gathered: Table, answers: int, stage: int) -> int:
         if sources < 0 or len(gathered) == 0:
             return NOTHING
         numbers, lengths = integers(gathered, _G_NUMBERS, (1,)), integers(gathered, _G_LENGTHS, (1,))
         cob_ids, sizes = integers(gathered, _G_COB_IDS, (1,)), integers(gathered, G_SIZES, (1,))
         data = viewed(integers(gathered, G_DATA, (1,)), _OCTET)
-        words = integers(gathered, _G_PACKETS, (1,))
-        packets = viewed(words, _OCTET)
+        packets = viewed(integers(gathered, _G_PACKETS, (1,)), _OCTET)
         while numbers[ANSWERS_CAME] < answers:
             end, count = numbers[IN_END], numbers[PACKETS_CAME]
             if end + _PACKET_BYTES > len(packets) or count == len(lengths):
                 return OTHER
             if stage == RECEIVE:
-                length = loan_kernel.GONE
-                if loan_kernel.has(wire):
-                    length = loan_kernel.receive(wire, words[end // 8 :], _PATIENCE_MS)
-                if length == loan_kernel.GONE:
-                    length = recv(numbers[DESCRIPTOR], numbers[IN_AT] + end, _PACKET_BYTES, 0)
+                length = recv(numbers[DESCRIPTOR], numbers[IN_AT] + end, _PACKET_BYTES, 0)
                 if length <= 0:
                     return NOTHING
                 numbers[LENGTH] = length
@@ -565,25 +367,19 @@ def _entry_points(sources: int) -> tuple[Answer, AwaitSync, AwaitOthers, Ask, Ga
             data[k] = came[k]
         return kernel.exchange(bitrate, table) == GOES_ON
 
-    return answer, await_sync, await_others, ask, gather, take_apart
+    return answer, ask, gather, take_apart
 
 
 #: answer(table of `kernel.Vectors`, table of `Port`, where to begin): receive a packet, do with it what `exchange`
 #: does, and send what is to be answered; what has become of it.
-#: await_sync(table of `Port`, longest time without a packet): receive packets until SYNC is there, before it only what
-#: is expected, and behind it no further SYNC; NOTHING: not yet; OTHER: all that came is in the buffer.
-#: await_others(table of `kernel.Vectors`, table of `Port`, that of the others', longest time without a packet): behind
-#: SYNC, receive packets until each of the others has answered it, beside that only what is expected with the next, and
-#: do with their answers what `exchange` does: ANSWERED; NOTHING: not yet; OTHER: all that came is in the buffer.
-#: ask(table of `kernel.Vectors`, table of `Port`, table of `can.loan.Loan`, table of `Gathered`, bitrate): send what is
-#: in the frames; OTHER, and nothing done, where a value does not fit, or a packet has come before, which is in the
-#: buffer then.
-#: gather(table of `Gathered`, table of `can.loan.Loan`, answers, where to begin): receive packets until so many frames
-#: that are no heartbeats have come: ANSWERED; OTHER: a packet is of another kind, or says that frames were lost.
+#: ask(table of `kernel.Vectors`, table of `Port`, bitrate): send what is in the frames; OTHER, and nothing done, where
+#: a value does not fit, or a packet has come before, which is in the buffer then.
+#: gather(table of `Gathered`, answers, where to begin): receive packets until so many frames that are no heartbeats
+#: have come: ANSWERED; OTHER: a packet is of another kind, or says that frames were lost.
 #: take_apart(table of `kernel.Vectors`, table of `Port`, table of `Gathered`, bitrate): what `exchange` does with what
 #: was gathered; False, and nothing done, where that is not what is expected.
-answer, await_sync, await_others, ask, gather, take_apart = _entry_points(
-    number_of_sources(__file__, *loan_kernel.SOURCES, *kernel.SOURCES)
+answer, ask, gather, take_apart = _entry_points(
+    number_of_sources(__file__, str(c_library.__file__), str(protocol.__file__), *kernel.SOURCES)
 )
 
 
@@ -591,20 +387,18 @@ def warm_up() -> None:
     """Compile, or load from the cache, what devices call, before anybody waits for a cycle."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     answer(nothing, nothing, RECEIVE)
-    await_sync(nothing, 0)
-    await_others(nothing, nothing, nothing, 0)
     warm_up_gathering()
 
 
 def warm_up_bench() -> None:
     """The same of what a bench calls."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
-    ask(nothing, nothing, nothing, nothing, BITRATE)
+    ask(nothing, nothing, BITRATE)
     warm_up_gathering()
 
 
 def warm_up_gathering() -> None:
     """The same of what is gathered."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
-    gather(nothing, nothing, 0, RECEIVE)
+    gather(nothing, 0, RECEIVE)
     take_apart(nothing, nothing, nothing, BITRATE)

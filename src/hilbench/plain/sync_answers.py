@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Protocol
+from collections.abc import Sequence
 
 import numpy as np
 
 from hilbench.can import protocol
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
-from hilbench.canopen.clock import MonotonicClock, SyncClock
+from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.device import Device
 from hilbench.canopen.identifiers import HEARTBEAT, SYNC
 from hilbench.cia402.simulated import SimulatedDrive
@@ -25,11 +23,11 @@ from hilbench.plain.tables import Frames, NotPlainError, Slots, drive_row, table
 _ENABLED = Command.ENABLE_OPERATION.value
 
 
-class _Answers:
-    """What the devices take with a SYNC, and answer.
+class SyncAnswers:
+    """Takes what comes with a SYNC in one packet, and answers it.
 
-    `expected`: like the frames of each cycle, SYNC the last; `cycle_ns`: from one SYNC to the next; `alive_last`: that
-    a device is alive is said behind all else. `fill` is to be called before the first cycle.
+    `clock`: that of the devices; `expected`: like the frames of each cycle, SYNC the last; `cycle_ns`: from one SYNC to
+    the next. `fill` is to be called before the first cycle.
     """
 
     def __init__(
@@ -37,13 +35,12 @@ class _Answers:
         link: EmbeddedLink,
         devices: Sequence[Device],
         drives: Sequence[SimulatedDrive],
+        clock: SyncClock,
         expected: Sequence[Frame],
         cycle_ns: int,
-        *,
-        alive_last: bool,
     ) -> None:
         """Raises NotPlainError where cycles are not plain."""
-        self._link, self._devices, self._cycle_ns = link, devices, cycle_ns
+        self._link, self._devices, self._clock, self._cycle_ns = link, devices, clock, cycle_ns
         self._cycles = 0
         self.came: Sequence[bytes] = ()  #: what is for the host
         self.received = packet_kernel.buffer()
@@ -61,7 +58,7 @@ class _Answers:
         self.host = HostFrames(0, devices, drives, self._frames, self.slots, cycle_ns)
         self.host.receive()
         self._checks = self._controlwords(drives)
-        self.host.answer(alive_last=alive_last)
+        self.host.answer()
         self.drives = table([drive_row(drive, self.slots) for drive in drives], lay.DRIVE)
         self._until_ns = self.host.quiet_until_ns()
 
@@ -119,45 +116,28 @@ class _Answers:
 
     def _hear(self, heartbeat: int) -> None:
         """What the host does with a heartbeat of the bench, which may come again."""
+        if heartbeat == self._clock.kept_by:
+            self._clock.keep()
+            self._numbers[packet_kernel.UNTIL_NS] = self._clock.stalls_at_ns
         for device in self._devices:
             device.consumer.heard(heartbeat - HEARTBEAT)
         self._until_ns = self.host.quiet_until_ns()
 
-    def _is_due_at(self, time_ns: int) -> bool:
-        """Whether a device has to say, or notice, something of its own by this time of its clock."""
-        return time_ns > self._until_ns or any(device.outbox for device in self._devices)
+    @property
+    def _is_due(self) -> bool:
+        """Whether a device has to say, or notice, something of its own with the next SYNC."""
+        return self._clock.next_ns > self._until_ns or any(device.outbox for device in self._devices)
 
     @property
     def cycles(self) -> int:
         """SYNCs that were answered."""
         return self._cycles
 
-    def _give(self, received_ns: int) -> None:
-        """The devices get what the arrays have of their PDOs and heartbeats; the last RPDOs came then."""
-        self.host.give(self._rows, self._data, self._cycles, received_ns)
-
-
-class SyncAnswers(_Answers):
-    """Takes what comes with a SYNC in one packet, and answers it; `clock` is that of the devices."""
-
-    def __init__(
-        self,
-        link: EmbeddedLink,
-        devices: Sequence[Device],
-        drives: Sequence[SimulatedDrive],
-        clock: SyncClock,
-        expected: Sequence[Frame],
-        cycle_ns: int,
-    ) -> None:
-        """Raises NotPlainError where cycles are not plain."""
-        super().__init__(link, devices, drives, expected, cycle_ns, alive_last=False)
-        self._clock = clock
-
     def serve(self, timeout_s: float) -> int:
         """Answer the next packet: ANSWERED; NOTHING: none came within the time; OTHER: it, or what is due, is not
         plain, and nothing was done: `came` has it."""
         clock, numbers = self._clock, self._numbers
-        if self._is_due_at(clock.next_ns):
+        if self._is_due:
             return self._leave(timeout_s)
         self._given_at[lay.I_CLOCKS] = clock.next_ns
         numbers[packet_kernel.UNTIL_NS] = clock.stalls_at_ns
@@ -187,21 +167,13 @@ class SyncAnswers(_Answers):
             outcome = packet_kernel.answer(*tables, packet_kernel.TAKEN)
         if outcome == packet_kernel.ALIVE:
             self._hear(numbers[packet_kernel.HEARTBEAT_OF])
-            outcome = (
-                OTHER if self._is_due_at(self._clock.next_ns) else packet_kernel.answer(*tables, packet_kernel.HEARD)
-            )
+            outcome = OTHER if self._is_due else packet_kernel.answer(*tables, packet_kernel.HEARD)
         if outcome == packet_kernel.UNSENT:
             self._send_again()
             outcome = ANSWERED
         if outcome == OTHER:
             self.came = (self.received[: numbers[packet_kernel.LENGTH]].tobytes(),)
         return outcome
-
-    def _hear(self, heartbeat: int) -> None:
-        if heartbeat == self._clock.kept_by:
-            self._clock.keep()
-            self._numbers[packet_kernel.UNTIL_NS] = self._clock.stalls_at_ns
-        super()._hear(heartbeat)
 
     @property
     def stands(self) -> bool:
@@ -210,107 +182,5 @@ class SyncAnswers(_Answers):
 
     def give(self) -> None:
         """The devices get what the arrays have of their PDOs and heartbeats."""
-        self._give(self._clock.next_ns - 2 * self._cycle_ns)
-
-
-class Others(Protocol):
-    """Who answers SYNC beside the devices: their frames, and where these leave what is in them."""
-
-    cob_ids: frozenset[int]
-    table: kernel.Table  #: of a `kernel.Vectors`
-    port_table: kernel.Table  #: of a `packet_kernel.Port`
-
-
-class ClockedAnswers(_Answers):
-    """The same where frames come one by one as the wire brings them, and the devices go by the wall clock.
-
-    RPDOs count that are there when SYNC comes; one that is not leaves its objects what they are. That a device is alive
-    is said behind its answers, for which somebody waits.
-    """
-
-    def __init__(
-        self,
-        link: EmbeddedLink,
-        devices: Sequence[Device],
-        drives: Sequence[SimulatedDrive],
-        clock: MonotonicClock,
-        cycle_ns: int,
-    ) -> None:
-        """Raises NotPlainError where cycles are not plain."""
-        super().__init__(link, devices, drives, _all_received(devices), cycle_ns, alive_last=True)
-        self._clock = clock
-        self._taken, self._taken_until = frozenset[int](), 0
-
-    def await_sync(self, timeout_s: float) -> int:
-        """SYNCED: it is to be answered; NOTHING: it has not come yet; OTHER: what has come, or is due, is not plain, or
-        SYNC has stopped: `came` has all since the last one that is for the host."""
-        outcome = self._await(partial(packet_kernel.await_sync, self._port_table), timeout_s)
-        if outcome == packet_kernel.SYNCED:
-            self._clock.tick()
-        return outcome
-
-    def await_others(self, others: Others, timeout_s: float) -> int:
-        """The same, once SYNC is answered, of others who answer it: ANSWERED, by all of them."""
-        waits = partial(packet_kernel.await_others, others.table, self._port_table, others.port_table)
-        outcome = self._await(waits, timeout_s)
-        if outcome == ANSWERED:
-            self._taken, self._taken_until = others.cob_ids, self._numbers[packet_kernel.LOOKED_AT]
-        return outcome
-
-    def _await(self, waits: Callable[[int], int], timeout_s: float) -> int:
-        numbers, outcome = self._numbers, OTHER
-        if not self._is_due_at(self._clock.now_ns()):
-            outcome = waits(round(1e9 * timeout_s))
-        if numbers[packet_kernel.HEARTBEAT_OF]:
-            self._hear(numbers[packet_kernel.HEARTBEAT_OF])
-            numbers[packet_kernel.HEARTBEAT_OF] = 0
-        if outcome == NOTHING and (self._clock.stalled_ns() > 0 or self._is_silent()):
-            outcome = OTHER
-        if outcome == OTHER:
-            self.leave()
-        return outcome
-
-    def _is_silent(self) -> bool:
-        """Whether a device should have said that it is alive a cycle ago: SYNC stays away."""
-        now_ns = self._clock.now_ns()
-        return any(now_ns > int(self._rows[row]["next_ns"]) + self._cycle_ns for _, row in self.host.heartbeats)
-
-    def leave(self) -> None:
-        """What has come since the last SYNC is for the host, but for answers of others that were taken."""
-        length, taken_until = self._numbers[packet_kernel.LENGTH], self._taken_until
-        packet = self.received[:length].tobytes()
-        if taken_until:
-            packet = _without(packet, self._taken, taken_until)
-        self.came = (packet,) if length else ()
-
-    def answer(self) -> None:
-        """Once there is SYNC, and the arrays show what its time is."""
-        self._given_at[lay.I_CLOCKS] = self._clock.now_ns()
-        if packet_kernel.answer(self.table, self._port_table, packet_kernel.BEHIND_SYNC) == packet_kernel.UNSENT:
-            self._send_again()
-        self._numbers[packet_kernel.ANSWERED_BY] = self._taken_until = 0
-        self._cycles += 1
-
-    def give(self) -> None:
-        """The devices get what the arrays have of their PDOs and heartbeats."""
-        self._give(self._clock.now_ns())
-
-
-def _all_received(devices: Sequence[Device]) -> list[Frame]:
-    """All that devices take, with what their objects have of it, and SYNC. Raises NotPlainError where it is to be
-    noticed that a frame stays away."""
-    frames: list[Frame] = []
-    for device in devices:
-        for cob_id, rpdo in device.receive_pdos.items():
-            if rpdo.map is None or rpdo.is_supervised:
-                raise NotPlainError
-            frames.append(Frame(cob_id, rpdo.map.pack([cell.value for cell in rpdo.cells])))
-    return [*frames, Frame(SYNC, b"")]
-
-
-def _without(packet: bytes, cob_ids: frozenset[int], until: int) -> bytes:
-    """A received packet, up to a place without the frames of these identifiers."""
-    begin, size = protocol.HEADER.size, protocol.STAMPED_CAN_RECORD.size
-    records = [packet[at : at + size] for at in range(begin, until, size)]
-    kept = [record for record in records if protocol.STAMPED_CAN_RECORD.unpack(record)[0] not in cob_ids]
-    return packet[:begin] + b"".join(kept) + packet[until:]
+        received_ns = self._clock.next_ns - 2 * self._cycle_ns  # the last RPDOs
+        self.host.give(self._rows, self._data, self._cycles, received_ns)

@@ -14,9 +14,6 @@ from hilbench.canopen.bus_cycle import OTHER_CYCLE, BusCycle
 from hilbench.canopen.device import Device
 from hilbench.twin.reports import PROFILE_SPECIFIC
 
-#: What the clock says of a SYNC that is one cycle after the last: cycles, and no other one to go by.
-_NEXT = 1, None
-
 
 class Heard(NamedTuple):
     """What the clock says of a SYNC."""
@@ -34,27 +31,13 @@ class BusClock:
         self._config_ns = round(cycle_s * 1e9)
         self._cycle = BusCycle(self._config_ns, now_ns)
         self._device, self._say = device, say
-        self._asked: tuple[int, int | None] | None = None  # of the SYNC that is next
         self.apart = False  #: SYNC comes by another cycle than is gone by
 
     def hear(self, behind: int) -> Heard:
         """A SYNC is here, and `behind` more wait."""
-        (cycles, other_ns), self._asked = self._asked or self._ask(behind), None
+        cycles, other_ns = self._cycle.heard(behind), self._cycle.pop_other()
         were_apart, self.apart = self.apart, not self._cycle.in_step
         return Heard(cycles - 1, other_ns, were_apart, self.apart)
-
-    def is_next(self) -> bool:
-        """Of a SYNC behind which none waits: whether it is one cycle after the last, and that is all there is to it.
-        Where not it is for `hear`, which does not ask the clock again."""
-        found = self._ask(0)
-        if found == _NEXT and self._cycle.in_step:
-            return True
-        self._asked = found
-        return False
-
-    def _ask(self, behind: int) -> tuple[int, int | None]:
-        """Cycles since the last SYNC; and how long one is from now on (ns), where that is another one than before."""
-        return self._cycle.heard(behind), self._cycle.pop_other()
 
     def tell(self, cycle_ns: int) -> None:
         """Say that this cycle is gone by from here on, by EMCY and to people."""

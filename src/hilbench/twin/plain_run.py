@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hilbench.can.embedded import EmbeddedLink
-from hilbench.can.loan import NO_WIRE
 from hilbench.chain import GOES_ON
 from hilbench.plain import kernel, packet_kernel
 from hilbench.plain import layout as lay
 from hilbench.plain.packet_kernel import ANSWERED, BITRATE, NOTHING, OTHER, RECEIVE, TAKEN, Gathered
-from hilbench.plain.sync_answers import ClockedAnswers, SyncAnswers
+from hilbench.plain.sync_answers import SyncAnswers
 from hilbench.plain.tables import Frames, NotPlainError, new_slots, table
 from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.in_arrays import TwinInArrays, give_counters, heard_row
@@ -31,18 +29,20 @@ class _Order:
     port_table: kernel.Table
 
 
-class _Axes:
-    """What the twin hears of the axes, by their TPDOs."""
+class HeardAxes:
+    """What the twin hears of the axes: takes their TPDOs out of packets, until each axis has answered."""
 
-    def __init__(self, listeners: Sequence[AxisListener], answers: SyncAnswers | ClockedAnswers) -> None:
+    def __init__(self, link: EmbeddedLink, listeners: Sequence[AxisListener], answers: SyncAnswers) -> None:
         """Raises NotPlainError."""
-        self._listeners, self._answers = listeners, answers
+        self._link, self._listeners, self._answers = link, listeners, answers
         self._by_cob_id = {listener.cob_id: listener for listener in listeners}
         self._slots = {listener.cob_id: new_slots(answers.slots, listener.pdo) for listener in listeners}
         self._seen = table([self._row(listener) for listener in listeners], lay.SEEN)
         if len(self._by_cob_id) != len(listeners):
             raise NotPlainError
         self.measured = np.zeros(4 * len(listeners))
+        self._orders: dict[tuple[int, ...], _Order] = {}
+        self._gathered = Gathered(link.fileno(), link.dropped)
 
     def _row(self, listener: AxisListener) -> tuple[object, ...]:
         taken = self._slots[listener.cob_id]
@@ -74,17 +74,6 @@ class _Axes:
         """The listeners know what has come."""
         give_counters(self._listeners, self._seen)
 
-
-class HeardAxes(_Axes):
-    """Takes them out of packets, until each axis has answered."""
-
-    def __init__(self, link: EmbeddedLink, listeners: Sequence[AxisListener], answers: SyncAnswers) -> None:
-        """Raises NotPlainError."""
-        super().__init__(listeners, answers)
-        self._link = link
-        self._orders: dict[tuple[int, ...], _Order] = {}
-        self._gathered = Gathered(link.fileno(), link.dropped)
-
     @property
     def came(self) -> Sequence[bytes]:
         """Packets of this cycle."""
@@ -97,7 +86,7 @@ class HeardAxes(_Axes):
     def serve(self, timeout_s: float) -> int:
         """Take what comes: ANSWERED, by all axes; NOTHING has come within the time; OTHER: it is not plain."""
         gathered, stage = self._gathered, RECEIVE
-        while (outcome := packet_kernel.gather(gathered.table, NO_WIRE, len(self._listeners), stage)) == NOTHING:
+        while (outcome := packet_kernel.gather(gathered.table, len(self._listeners), stage)) == NOTHING:
             packet = self._link.receive_packet(timeout_s)
             if packet is None:
                 return NOTHING
@@ -115,74 +104,19 @@ class HeardAxes(_Axes):
         return order
 
 
-class OtherAxes(_Axes):
-    """Those that answer one by one, see `plain.sync_answers.Others`. `join` is to be called before the first cycle."""
-
-    def __init__(self, listeners: Sequence[AxisListener], answers: ClockedAnswers) -> None:
-        """Raises NotPlainError."""
-        super().__init__(listeners, answers)
-        if len(listeners) > packet_kernel.MOST_OTHERS:
-            raise NotPlainError
-        self.cob_ids = frozenset(self._by_cob_id)
-
-    def join(self) -> None:
-        """The answers have their arrays."""
-        self._of_all = self._in_order(tuple(self._by_cob_id))
-        self.table, self.port_table = self._of_all.table, self._of_all.port_table
-
-    @property
-    def positions_rad(self) -> list[float]:
-        """At the last SYNC that all have answered."""
-        positions_rad: list[float] = self.measured[::4].tolist()
-        return positions_rad
-
-
-class _TwinRun:
-    """Cycles of the twin between what its nodes answer and what the axes do."""
-
-    def __init__(
-        self, answers: SyncAnswers | ClockedAnswers, axes: HeardAxes | OtherAxes, application: TwinApplication
-    ) -> None:
-        """Raises NotPlainError where cycles are not plain."""
-        self._awaits = False  # SYNC is answered, the axes have to
-        self._of_sync, self._heard, self._application = answers, axes, application
-        self._machine = TwinInArrays(application, answers.host, answers.slots)
-        answers.fill()
-        self._machine.join(answers.drives, answers.whole, answers.real, answers.asked, answers.shown, axes.measured)
-        self._machine.before_sync()
-
-    @property
-    def cycles(self) -> int:
-        """See `plain.host.PacketRun`."""
-        return self._of_sync.cycles
-
-    def _go_on(self) -> None:
-        """With what the axes have said."""
-        self._machine.go_on()
-        if kernel.publish(0, self._of_sync.table) != GOES_ON:
-            self._machine.publish_by_objects()
-        self._machine.before_sync()
-        self._awaits = False
-
-    def end(self) -> None:
-        """See `plain.host.PacketRun`."""
-        if not self._of_sync.cycles:
-            self._machine.leave()
-            return
-        self._machine.give(awaits=self._awaits)
-        self._of_sync.give()
-        self._heard.give()
-
-
-class TwinRun(_TwinRun):
-    """See `plain.host.PacketRun`."""
+class TwinRun:
+    """See `plain.host.PacketRun`: the twin between what its nodes answer and what the axes do."""
 
     def __init__(self, link: EmbeddedLink, answers: SyncAnswers, application: TwinApplication) -> None:
         """Raises NotPlainError where cycles are not plain."""
-        if application.goes_by_clock:
-            raise NotPlainError
         self._answers, self._axes = answers, HeardAxes(link, application.listeners, answers)
-        super().__init__(answers, self._axes, application)
+        self._awaits = False  # SYNC is answered, the axes have to
+        self._machine = TwinInArrays(application, answers.host, answers.slots)
+        answers.fill()
+        self._machine.join(
+            *(answers.drives, answers.whole, answers.real, answers.asked, answers.shown), self._axes.measured
+        )
+        self._machine.before_sync()
 
     @property
     def came(self) -> Sequence[bytes]:
@@ -204,41 +138,19 @@ class TwinRun(_TwinRun):
                 self._awaits = True
         return outcome == ANSWERED or (outcome == NOTHING and not self._answers.stands)
 
-
-class ClockedTwinRun(_TwinRun):
-    """The same by the clock: frames come one by one, and what stays away, or comes late, is for the objects."""
-
-    def __init__(self, answers: ClockedAnswers, application: TwinApplication) -> None:
-        """Raises NotPlainError where cycles are not plain."""
-        self._answers, self._axes = answers, OtherAxes(application.listeners, answers)
-        super().__init__(answers, self._axes, application)
-        self._axes.join()
-        self._travels = deque[list[float]](maxlen=2)  # positions at the last SYNCs
-
-    @property
-    def came(self) -> Sequence[bytes]:
-        """See `plain.host.PacketRun`."""
-        return self._answers.came
-
-    def serve(self, timeout_s: float) -> bool:
-        """See `plain.host.PacketRun`."""
-        if self._awaits:
-            outcome = self._answers.await_others(self._axes, timeout_s)
-            if outcome == ANSWERED:
-                self._travels.append(self._axes.positions_rad)
-                self._go_on()
-            return outcome != OTHER
-        outcome = self._answers.await_sync(timeout_s) if self._machine.stays() else OTHER
-        if outcome == NOTHING:
-            return True
-        if outcome == OTHER or not self._application.is_next_by_clock():
-            self._answers.leave()
-            return False
-        self._answers.answer()
-        self._awaits = True
-        return True
+    def _go_on(self) -> None:
+        """With what the axes have said."""
+        self._machine.go_on()
+        if kernel.publish(0, self._answers.table) != GOES_ON:
+            self._machine.publish_by_objects()
+        self._machine.before_sync()
+        self._awaits = False
 
     def end(self) -> None:
         """See `plain.host.PacketRun`."""
-        self._application.went_by(self._travels)
-        super().end()
+        if not self._answers.cycles:
+            self._machine.leave()
+            return
+        self._machine.give(awaits=self._awaits)
+        self._answers.give()
+        self._axes.give()

@@ -5,7 +5,7 @@ It knows the bench only from the bus: it hears the real axes' TPDOs beside the c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from hilbench.can.frame import Frame
@@ -256,21 +256,6 @@ class TwinApplication:
     def goes_by_clock(self) -> bool:
         """Whether a SYNC is one cycle after the last only where the clock says so, too."""
         return self._clock is not None
-
-    def is_next_by_clock(self) -> bool:
-        """Of a SYNC behind which none waits: whether the clock, too, says that it is one cycle after the last. Where
-        not it is for `before_sync`, which does not ask again."""
-        if self._clock is None:
-            return True
-        if not self._clock.is_next():
-            return False
-        self._keep()
-        return True
-
-    def went_by(self, positions_rad: Iterable[Sequence[float]]) -> None:
-        """Where the axes were at the last SYNCs, one cycle after the other: as of `_catch_up`."""
-        for now in positions_rad:
-            self._travels.update(now, 1)
 
     @property
     def listeners(self) -> Sequence[AxisListener]:

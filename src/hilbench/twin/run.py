@@ -8,15 +8,15 @@ from functools import partial
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
-from hilbench.canopen.clock import MonotonicClock, SyncClock
+from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.canopen.mastery import nodes_of_ours
 from hilbench.plain.host import PacketRun, PlainHost, run_devices, warm_up_packets
-from hilbench.plain.sync_answers import ClockedAnswers, SyncAnswers
+from hilbench.plain.sync_answers import SyncAnswers
 from hilbench.processes import log, started_by_bench, stop_request
 from hilbench.topology.config import BenchConfig
 from hilbench.twin.machines.kinds import warm_up, warm_up_in_vectors
-from hilbench.twin.plain_run import ClockedTwinRun, TwinRun
+from hilbench.twin.plain_run import TwinRun
 from hilbench.twin.process import TwinApplication, TwinSetup, twin
 from hilbench.twin.setup import twin_setup
 
@@ -36,8 +36,9 @@ def load(config: BenchConfig) -> None:
     """Compile, or load, all that the twin of a bench on the embedded bus runs on."""
     of_machine = config.machine, config.twin, config.shape, config.cycle_time_s
     warm_up(*of_machine)
-    warm_up_packets()
-    warm_up_in_vectors(*of_machine)
+    if config.pace == "lockstep":
+        warm_up_packets()
+        warm_up_in_vectors(*of_machine)
 
 
 def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], None]) -> int | None:
@@ -50,19 +51,16 @@ def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], No
 
 
 def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, setup: TwinSetup) -> PlainHost | None:
-    """Who serves the twin's devices on the embedded bus."""
-    if not isinstance(link, EmbeddedLink):
-        return None
+    """Who serves the twin's devices on the embedded bus in lockstep."""
     devices, clock, application = hosted.devices, hosted.clock, hosted.application
+    if not isinstance(link, EmbeddedLink) or not isinstance(clock, SyncClock):
+        return None
     assert isinstance(application, TwinApplication), "as `twin` makes it"
     drives = application.drives
     warm_up_in_vectors(setup.model, setup.twin, setup.shape, setup.cycle_s)
 
     def begin(expected: Sequence[Frame]) -> PacketRun:
         cycle_ns = round(application.cycle_s * 1e9)
-        if isinstance(clock, SyncClock):
-            return TwinRun(link, SyncAnswers(link, devices, drives, clock, expected, cycle_ns), application)
-        assert isinstance(clock, MonotonicClock), "as of `device_clock`"
-        return ClockedTwinRun(ClockedAnswers(link, devices, drives, clock, cycle_ns), application)
+        return TwinRun(link, SyncAnswers(link, devices, drives, clock, expected, cycle_ns), application)
 
-    return PlainHost(host, link, application, begin, by_clock=isinstance(clock, MonotonicClock))
+    return PlainHost(host, link, application, begin)

@@ -169,20 +169,15 @@ def bring_up(
 def _plain_cycles(
     config: BenchConfig, link: Link, nodes: Nodes, tap: FrameTap | None
 ) -> Callable[[SyncCycle, OwnNode], PlainExchange] | None:
-    """How who runs the plain cycles on the embedded bus is made; what it calls is loaded. None: nobody does, on other
-    buses or for a tap that takes no text."""
-    if not isinstance(link, EmbeddedLink) or not (tap is None or isinstance(tap, LineTap)):
+    """How who runs the plain cycles on the embedded bus is made; what it calls is loaded. None: nobody does, in real
+    time, on other buses or for a tap that takes no text."""
+    lockstep = config.pace == "lockstep"
+    if not lockstep or not isinstance(link, EmbeddedLink) or not (tap is None or isinstance(tap, LineTap)):
         return None
-    if config.pace == "lockstep":  # the other one is not loaded
-        from hilbench.plain.exchange import PlainExchange
+    from hilbench.plain.exchange import PlainExchange  # machine code, which other benches do without
 
-        made = PlainExchange
-    else:
-        from hilbench.plain.clocked_exchange import ClockedExchange
-
-        made = ClockedExchange
-    made.warm_up()
-    return partial(made, link, nodes, tap=tap)
+    PlainExchange.warm_up()
+    return partial(PlainExchange, link, nodes, tap=tap)
 
 
 def wire_first(config: BenchConfig) -> list[str]:

@@ -1,0 +1,146 @@
+"""Machine code of compiled functions on disk: numba's cache, with a key that says all that a function is made of.
+
+numba goes by the file of the function alone, and would run old code after a change of what it calls, or of a constant
+that is compiled in. Here the key has the bytecode of the function and of each compiled function that it calls, and the
+values of all that they name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, InTreeCacheLocator
+from numba.core.dispatcher import Dispatcher
+from numba.core.extending import _Intrinsic
+
+#: Modules whose functions numba knows by their names; its own version is in each key.
+_NOT_OURS = ("math", "numpy", "numba")
+
+
+class _Nowhere(InTreeCacheLocator):
+    """The package's own folder, where neither it nor the user's can be written: hilbench can still be used."""
+
+    def ensure_cache_path(self) -> None:
+        pass
+
+
+class _Places(CompileResultCacheImpl):
+    _locator_classes = [*CompileResultCacheImpl._locator_classes, _Nowhere]  # noqa: RUF012  # as numba has it
+
+
+class CodeCache(FunctionCache):
+    """Machine code on disk, and where the package's folder can't be written beside that what is in it: what was
+    compiled when hilbench was installed."""
+
+    _impl_class = _Places
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        super().__init__(function)
+        installed = str(Path(function.__code__.co_filename).parent / "__pycache__")
+        stamp = self._impl.locator.get_source_stamp()
+        folders = dict.fromkeys((self.cache_path, installed))
+        self._files = [IndexDataCacheFile(folder, self._impl.filename_base, stamp) for folder in folders]
+
+    def holds(self, signature: Any, target: Any) -> bool:
+        """Whether the machine code for these arguments is on disk."""
+        key = self._index_key(signature, target.codegen())
+        return any(key in each._load_index() for each in self._files)
+
+    def _load_overload(self, signature: Any, target: Any) -> Any:
+        key = self._index_key(signature, target.codegen())
+        data = next((data for file in self._files if (data := file.load(key)) is not None), None)
+        return None if data is None else self._impl.rebuild(target, data)
+
+    def _save_overload(self, signature: Any, data: Any) -> None:
+        if not isinstance(self._impl.locator, _Nowhere):
+            super()._save_overload(signature, data)
+
+    def _index_key(self, signature: Any, codegen: Any) -> Any:
+        return (*super()._index_key(signature, codegen)[:2], made_of(self._py_func))
+
+
+def made_of(function: Callable[..., object]) -> str:
+    """A number of all that the machine code of a function depends on. Raises TypeError for a value that it names of
+    which that is not known."""
+    reached, ahead = {function: None}, [function]
+    while ahead:
+        for callee in _parts(ahead.pop()).callees:
+            if callee not in reached:
+                reached[callee] = None
+                ahead.append(callee)
+    return sha256("".join(_parts(each).digest for each in reached).encode()).hexdigest()
+
+
+class _Parts(NamedTuple):
+    """What a function is made of: a number of what is its own, and the functions that it calls."""
+
+    digest: str
+    callees: tuple[FunctionType, ...]
+
+
+@cache
+def _parts(function: Any) -> _Parts:
+    code, cells = function.__code__, [cell.cell_contents for cell in function.__closure__ or ()]
+    named = function.__globals__ | dict(zip(code.co_freevars, cells, strict=True))
+    own, callees = [f"{function.__module__}.{function.__qualname__}"], list[FunctionType]()
+    for said in _said_of_code(code, named):
+        (own if isinstance(said, str) else callees).append(said)  # type: ignore[arg-type]
+    return _Parts(sha256("\n".join(own).encode()).hexdigest(), tuple(callees))
+
+
+def _said_of_code(code: CodeType, named: dict[str, Any]) -> Iterator[str | FunctionType]:
+    yield code.co_code.hex()
+    for value in code.co_consts:
+        if isinstance(value, CodeType):
+            yield from _said_of_code(value, named)
+        else:
+            yield repr(value)
+    for name in (*code.co_names, *code.co_freevars):
+        if name in named:
+            yield from _said_of_value(name, named[name], code.co_names)
+
+
+def _said_of_value(name: str, value: Any, attributes: tuple[str, ...]) -> Iterator[str | FunctionType]:
+    if isinstance(value, Dispatcher):
+        yield repr(sorted(value.targetoptions.items()))
+        yield value.py_func
+    elif isinstance(value, FunctionType):
+        yield value
+    elif isinstance(value, ModuleType):
+        yield name
+        for each in attributes:
+            if value.__name__ not in _NOT_OURS and hasattr(value, each):
+                yield from _said_of_value(each, getattr(value, each), attributes)
+    elif isinstance(value, tuple):
+        for each in value:
+            yield from _said_of_value(name, each, attributes)
+    else:
+        yield f"{name} {_text_of(value)}"
+
+
+def _text_of(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype.descr} {value.shape} {sha256(value.tobytes()).hexdigest()}"
+    if isinstance(value, np.dtype):
+        return str(value.descr)
+    if isinstance(value, type):  # a record of arguments
+        return f"{value.__module__}.{value.__qualname__} {getattr(value, '_fields', ())}"
+    if isinstance(value, types.ExternalFunction):
+        return f"{value} {value.sig}"
+    if isinstance(value, _Intrinsic):
+        return f"{value} {_content(value._defn.__code__.co_filename)}"
+    if value is None or isinstance(value, bool | int | float | str | bytes | BuiltinFunctionType | types.Type):
+        return repr(value)
+    raise TypeError(f"{value!r} ({type(value).__name__}): a compiled function names it, expected a number or a record")
+
+
+@cache
+def _content(file: str) -> str:
+    return sha256(Path(file).read_bytes()).hexdigest()
