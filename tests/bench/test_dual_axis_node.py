@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,17 @@ def test_the_second_axis_is_configured_and_sent_to_by_rpdo65_and_tpdo65_and_66(t
     assert len(set(cyclic.values())) == 1, cyclic
     assert not re.findall(r" (?:202|182|282|702)#", trace)
     assert len(re.findall(r" 701#05", trace)) > 10  # one heartbeat of the node
+
+
+def test_what_is_kept_of_the_stand_is_of_each_axis(tmp_path: Path) -> None:
+    path = dual(tmp_path)
+    assert run_here(path)[0] == 0
+    nodes = json.loads((run_folders(path)[0] / "nodes.json").read_text())["nodes"]
+    for name, own, others in (("axis1", "60A9h", "68A9h"), ("axis2", "68A9h", "60A9h")):
+        assert own in nodes[name]["found"]
+        assert others not in nodes[name]["found"]
+    assert nodes["axis2"]["found"]["1640h:1"] == "10004068"
+    assert "6860h" in nodes["axis2"]["written"].keys() - nodes["axis1"]["written"].keys()
 
 
 def test_a_run_on_one_node_with_two_axes_is_that_on_two_nodes(tmp_path: Path) -> None:
