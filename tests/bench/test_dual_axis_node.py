@@ -72,6 +72,23 @@ def test_the_second_axis_is_configured_and_sent_to_by_rpdo65_and_tpdo65_and_66(t
     assert len(re.findall(r" 701#05", trace)) > 10  # one heartbeat of the node
 
 
+def test_a_node_without_pdos_from_65_on_has_the_second_axis_in_its_first_ones(tmp_path: Path) -> None:
+    """RPDO2, TPDO3 and TPDO4, whose identifiers are those that the axis has anyway."""
+    eds = tmp_path / "few_pdos.eds"
+    eds.write_text(re.sub(r"(\[|=0x)1([468A]4[0-3])", r"\g<1>3\2", DUAL.read_text()))
+    path = dual(tmp_path, eds=str(eds))
+    data = yaml.safe_load(path.read_text())
+    data["drives"]["axis1"]["eds"] = str(eds)
+    path.write_text(yaml.safe_dump(data, sort_keys=False))
+    code, _, err = run_here(path)
+    assert code == 0, err
+    trace = (run_folders(path)[0] / "trace.log").read_text()
+    requests = re.findall(r" 601#([0-9A-F]{16})", trace)
+    assert {"2301160110004068", "23021A0110004168", "23031A0120006C68", "2301140101030000"} <= set(requests)
+    assert not [request for request in requests if request[2:6] in ("4014", "4018", "4118")]
+    assert trace.count(" 381#") == trace.count(" 181#") > 100
+
+
 def test_what_is_kept_of_the_stand_is_of_each_axis(tmp_path: Path) -> None:
     path = dual(tmp_path)
     assert run_here(path)[0] == 0

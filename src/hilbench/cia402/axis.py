@@ -8,7 +8,7 @@ objects follow no rule.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
 from hilbench.canopen.identifiers import RPDOS, TPDOS
@@ -25,7 +25,7 @@ SEVERAL: Final = 0xFFFF
 _OBJECTS, _PDOS = 0x800, 64
 _PROFILE: Final = range(0x6000, 0xA000)
 _OF_FIRST: Final = range(0x6000, 0x6800)
-_TPDOS_OF_AXIS: Final = 2  #: that have identifiers of the predefined connection set, of the four of a node
+_TPDOS_OF_AXIS: Final = 2
 
 
 def objects_behind(axis: int) -> int:
@@ -59,27 +59,38 @@ def axes(has: Callable[[int], bool]) -> list[int]:
     return [axis for axis in range(1, MOST_AXES + 1) if all(has(object_of(axis, word)) for word in words)]
 
 
-def pdo_of(axis: int, number: int) -> int:
-    """Number in the node of an axis' PDO `number`."""
-    return number + _PDOS * (axis - 1)
+def pdos_behind(axis: int) -> int:
+    """How far behind those of the first axis the numbers of its PDOs are."""
+    return _PDOS * (axis - 1)
 
 
 def rpdo_identifier(node_id: int, axis: int) -> int:
-    """COB-ID of an axis' RPDO1: the predefined connection set has four of a node, one for an axis."""
+    """COB-ID of an axis' RPDO: the predefined connection set has four of a node."""
     return RPDOS[axis - 1] + node_id
 
 
-def tpdo_identifiers(node_id: int, axis: int) -> Iterator[int]:
-    """COB-IDs of its TPDOs 1 and 2; none from the third axis on, for which the predefined connection set has none."""
+def tpdo_identifiers(node_id: int, axis: int) -> list[int]:
+    """COB-IDs of its two TPDOs: the predefined connection set has four of a node, for two axes."""
     first = _TPDOS_OF_AXIS * (axis - 1)
-    return (base + node_id for base in TPDOS[first : first + _TPDOS_OF_AXIS])
+    return [base + node_id for base in TPDOS[first : first + _TPDOS_OF_AXIS]]
+
+
+def rpdo_numbers(axis: int) -> tuple[int, int]:
+    """Of an axis' RPDO: its own, and that which has its identifier by default, for a device without PDOs from 65 on."""
+    return 1 + pdos_behind(axis), axis
+
+
+def tpdo_numbers(axis: int) -> list[tuple[int, int]]:
+    """The same of its two TPDOs."""
+    of_both = range(1, _TPDOS_OF_AXIS + 1)
+    return [(k + pdos_behind(axis), k + _TPDOS_OF_AXIS * (axis - 1)) for k in of_both]
 
 
 class AxisDevice:
     """One axis of a device: objects of the profile by the names of the first axis, errors of its own."""
 
     def __init__(self, device: Device, axis: int) -> None:
-        self.node_id, self.axis = device.node_id, axis
+        self.axis = axis
         self._device = device
 
     def cell(self, index: int, sub: int = 0) -> Cell:

@@ -12,7 +12,7 @@ from hilbench.canopen import eds
 from hilbench.canopen.master import Master
 from hilbench.canopen.pdo import PdoMap, received_by, sent_by
 from hilbench.cia402 import objects
-from hilbench.cia402.axis import object_of, pdo_of, rpdo_identifier, tpdo_identifiers
+from hilbench.cia402.axis import object_of, rpdo_identifier, rpdo_numbers, tpdo_identifiers, tpdo_numbers
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.units import DriveUnits, ObjectReader
 from hilbench.errors import BenchFaultError, UnusableInputError
@@ -100,7 +100,8 @@ def drive_pdos(settings: DriveSettings, od: ObjectDictionary) -> DrivePdos:
     """The PDO layout (design section 4) with the types of the EDS.
 
     RPDO1: controlword and target; TPDO1: statusword, 6077h, 6064h; TPDO2 (axes): 606Ch; of a second axis RPDO65, TPDO65
-    and TPDO66. Raises UnusableInputError when the mode has no target object, or the EDS lacks an object that is mapped.
+    and TPDO66, or RPDO2, TPDO3 and TPDO4 where the EDS has no others. Raises UnusableInputError when the mode has no
+    target object, or the EDS lacks an object that is mapped.
     """
     if settings.mode not in SETPOINT_OBJECTS:
         expected = ", ".join(str(int(mode)) for mode in SETPOINT_OBJECTS)
@@ -113,11 +114,16 @@ def drive_pdos(settings: DriveSettings, od: ObjectDictionary) -> DrivePdos:
     if settings.tpdo_type is not None:
         sent: list[tuple[int, ...]] = [(objects.STATUSWORD, objects.TORQUE_ACTUAL_VALUE, objects.POSITION_ACTUAL_VALUE)]
         sent += [(objects.VELOCITY_ACTUAL_VALUE,)] if settings.has_velocity else []
-        identifiers = tpdo_identifiers(node_id, settings.axis)
-        for number, (indices, cob_id) in enumerate(zip(sent, identifiers, strict=False), 1):
+        places = zip(tpdo_numbers(settings.axis), tpdo_identifiers(node_id, settings.axis), strict=True)
+        for indices, (numbers, cob_id) in zip(sent, places, strict=False):
             sent_map = _pdo_map(settings, od, cob_id, settings.tpdo_type, indices)
-            tpdos.append((pdo_of(settings.axis, number), sent_map, indices))
-    return DrivePdos(rpdo, pdo_of(settings.axis, 1), tuple(tpdos))
+            tpdos.append((_number(od, TPDO_COMMUNICATION, numbers), sent_map, indices))
+    return DrivePdos(rpdo, _number(od, RPDO_COMMUNICATION, rpdo_numbers(settings.axis)), tuple(tpdos))
+
+
+def _number(od: ObjectDictionary, communication: int, numbers: tuple[int, int]) -> int:
+    """The first of these PDOs that the EDS has."""
+    return next((number for number in numbers if _has(od, communication + number - 1, 1)), numbers[0])
 
 
 def _pdo_map(
@@ -160,18 +166,16 @@ def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdo
     if settings.master_heartbeat is not None:
         master_id, time_out_ms = settings.master_heartbeat
         _write(master, settings, od, CONSUMER_HEARTBEAT, 1, master_id << 16 | time_out_ms)
-    if axis > 1:  # PDOs of the first axis that have by default the identifiers which this one takes
-        taken = (RPDO_COMMUNICATION + axis - 1, *(TPDO_COMMUNICATION + 2 * (axis - 1) + k for k in (0, 1)))
-        for communication in taken:
-            if _has(od, communication, 1):
-                master.disable_pdo(node_id, communication)
-    master.write_rpdo(node_id, pdos.rpdo_number, pdos.rpdo)
     sent = {number: pdo for number, pdo, _ in pdos.tpdos}
-    for number in (pdo_of(axis, 1), pdo_of(axis, 2)):
-        if number in sent:
-            master.write_tpdo(node_id, number, sent[number])
-        elif _has(od, TPDO_COMMUNICATION + number - 1, 1):
-            master.disable_pdo(node_id, TPDO_COMMUNICATION + number - 1)
+    numbers = {number for both in tpdo_numbers(axis) for number in both}
+    unused = [RPDO_COMMUNICATION + number - 1 for number in {*rpdo_numbers(axis)} - {pdos.rpdo_number}]
+    unused += [TPDO_COMMUNICATION + number - 1 for number in numbers - sent.keys()]
+    for communication in sorted(unused):  # by default they may have the identifiers that the others get
+        if _has(od, communication, 1):
+            master.disable_pdo(node_id, communication)
+    master.write_rpdo(node_id, pdos.rpdo_number, pdos.rpdo)
+    for number, pdo in sent.items():
+        master.write_tpdo(node_id, number, pdo)
 
 
 def check_identity(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:

@@ -22,7 +22,7 @@ from hilbench.canopen.data_types import data_type
 from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.sdo_client import Refusal, SdoClient
 from hilbench.cia402 import configuration, objects
-from hilbench.cia402.axis import MOST_AXES, is_of, object_of, of_first_axis, pdo_of
+from hilbench.cia402.axis import MOST_AXES, is_of, object_of, of_first_axis, pdos_behind
 from hilbench.exchange.addressing import drive_settings
 from hilbench.exchange.to_each import ToEach
 from hilbench.json_file import JsonFile
@@ -113,8 +113,8 @@ def ask(reader: SdoClient, config: BenchConfig, part: Part) -> dict[Key, bytes |
     od = shared_eds(part.node.eds, part.node.node_id)
     found: dict[Key, bytes | None] = {}
     wanted = [*DEVICE, *_parameters(config, part, od)]
-    first = pdo_of(part.node_axis, 1) - 1
-    pdos = [(communication + first, mapping + first) for communication, mapping in (_RECEIVED, *_SENT)]
+    behind = pdos_behind(part.node_axis)
+    pdos = [(communication + behind, mapping + behind) for communication, mapping in (_RECEIVED, *_SENT)]
     for communication, mapping in pdos:
         if communication in od:
             wanted += [(communication, 1), (communication, 2), (mapping, 0)]

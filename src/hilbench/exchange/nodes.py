@@ -213,8 +213,9 @@ class Nodes:
         """Make all nodes known to the master."""
         self._master = master
         self._watch = UnexpectedSenders(self._owned(), master.sent.take)
-        for part in self.config.parts:
-            master.add(part.node.node_id, self._ods[part.name], self._known[part.node.node_id])
+        dictionaries = {part.node.node_id: self._ods[part.name] for part in self.config.parts}
+        for node_id, names in self._known.items():
+            master.add(node_id, dictionaries[node_id], names)
 
     def _owned(self) -> Owned:
         """Whose frames belong on the bus."""
