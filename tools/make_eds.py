@@ -105,6 +105,11 @@ NO_REMOTE_REQUEST = 0x4000_0000
 INVALID = 0x8000_0000
 
 
+def of_second_axis(item: Object) -> Object:
+    """The same object of the second axis of a node: 800h further on, one's own objects as well."""
+    return replace(item, index=item.index + 0x800, name=f"{item.name}, axis 2")
+
+
 def pdo_objects(number: int, pdo: Pdo, transmit: bool) -> list[Object]:
     """Communication and mapping parameter of PDO `number`, the first four with their COB-IDs of the predefined
     connection set, further ones with none."""
@@ -184,10 +189,13 @@ def communication_objects(
             },
         ),
     ]
-    for transmit, pdos in ((False, rpdos), (True, tpdos)):
-        for number, pdo in enumerate(pdos, 1):
-            objects += pdo_objects(number, pdo, transmit)
-    return objects
+    return objects + all_pdo_objects(rpdos, tpdos)
+
+
+def all_pdo_objects(rpdos: Sequence[Pdo], tpdos: Sequence[Pdo], first: int = 1) -> list[Object]:
+    """Those of PDOs that are numbered from `first` on."""
+    of_both = ((False, rpdos), (True, tpdos))
+    return [each for way, pdos in of_both for k, pdo in enumerate(pdos) for each in pdo_objects(first + k, pdo, way)]
 
 
 def _by_group(index: int, name: str, verb: str) -> Object:
@@ -302,28 +310,55 @@ MOST_SPANS_OF_LONG = 23
 MOST_STATIONS = 6
 
 
+SERVO_RPDOS = (Pdo(True, 1, ((0x6040, 0, 16), (0x60FF, 0, 32))), Pdo(), Pdo(), Pdo())
+SERVO_TPDOS = (
+    Pdo(True, 1, ((0x6041, 0, 16), (0x6077, 0, 16), (0x6064, 0, 32))),
+    Pdo(True, 1, ((0x606C, 0, 32),)),
+    Pdo(),
+    Pdo(),
+)
+
+
 def servo() -> DeviceDescription:
     """The CiA-402 servo drive: axes, load motor and virtual axes."""
     name, product, device_type = "hilbench servo", 0x0402, 0x0002_0192
-    rpdos = [Pdo(True, 1, ((0x6040, 0, 16), (0x60FF, 0, 32))), Pdo(), Pdo(), Pdo()]
-    tpdos = [
-        Pdo(True, 1, ((0x6041, 0, 16), (0x6077, 0, 16), (0x6064, 0, 32))),
-        Pdo(True, 1, ((0x606C, 0, 32),)),
-        Pdo(),
-        Pdo(),
-    ]
     return DeviceDescription(
         "hilbench_servo.eds",
         "Simulated CiA-402 servo drive: axis, load motor, virtual axis",
         name,
         product,
         device_type,
-        len(rpdos),
-        len(tpdos),
+        len(SERVO_RPDOS),
+        len(SERVO_TPDOS),
         (
-            *communication_objects(device_type, product, name, rpdos, tpdos),
+            *communication_objects(device_type, product, name, SERVO_RPDOS, SERVO_TPDOS),
             *effect_objects(EffectPlace.HARDWARE),
             *DRIVE_OBJECTS,
+        ),
+    )
+
+
+def dual_servo() -> DeviceDescription:
+    """Two of the servo drive's axes on one node: the second has its objects 800h and its PDOs 64 further on."""
+    name, product, device_type = "hilbench dual servo", 0x0403, 0xFFFF_0192
+    received, sent = (
+        [Pdo(mapping=tuple((index + 0x800, sub, bits) for index, sub, bits in pdo.mapping)) for pdo in pdos]
+        for pdos in (SERVO_RPDOS, SERVO_TPDOS)
+    )
+    axis = [*effect_objects(EffectPlace.HARDWARE), *DRIVE_OBJECTS]
+    return DeviceDescription(
+        "hilbench_servo_dual.eds",
+        "Simulated CiA-402 servo drive with two axes on one node",
+        name,
+        product,
+        device_type,
+        2 * len(SERVO_RPDOS),
+        2 * len(SERVO_TPDOS),
+        (
+            *communication_objects(device_type, product, name, SERVO_RPDOS, SERVO_TPDOS),
+            *all_pdo_objects(received, sent, first=65),
+            *axis,
+            *map(of_second_axis, axis),
         ),
     )
 
@@ -551,7 +586,7 @@ def _default_text(entry: Entry) -> str:
 def eds_files() -> dict[str, str]:
     """Text of every EDS file by its name."""
     io = (*map(virtual_io, MachineKind), virtual_io(MachineKind.WEB_LINE, is_long=True))
-    return {device.file_name: render(device) for device in (servo(), *io, bench())}
+    return {device.file_name: render(device) for device in (servo(), dual_servo(), *io, bench())}
 
 
 def main() -> None:

@@ -43,6 +43,11 @@ class Block(Strict):
         raise ValidationError.from_exception_data(cls.__name__, errors)
 
 
+def problem_at(block: type[BaseModel], location: tuple[str, ...], text: str, found: object) -> ValidationError:
+    """What a validator of a whole block raises about a value in it: `text` says what is expected."""
+    return ValidationError.from_exception_data(block.__name__, [_error("fits", text, location, found)])
+
+
 def _error(kind: str, text: str, location: tuple[int | str, ...], found: object) -> InitErrorDetails:
     return InitErrorDetails(type=PydanticCustomError(kind, text), loc=location, input=found)
 

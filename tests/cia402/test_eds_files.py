@@ -28,6 +28,7 @@ FILES = (
     "hilbench_virtual_io_servo_axis.eds",
     "hilbench_virtual_io_long.eds",
     "hilbench_bench.eds",
+    "hilbench_servo_dual.eds",
 )
 
 

@@ -14,7 +14,7 @@ from hilbench.conformance.dut import Allowed, DeviceUnderTest
 from hilbench.conformance.wire import Heard
 from hilbench.devices.application import DrivesApplication
 from hilbench.devices.behaviour import Behaviour
-from hilbench.devices.simulation import simulated_node
+from hilbench.devices.simulation import simulated_axes
 
 _STEP_NS = 1_000_000
 SERVO_EDS = Path(__file__).parents[2] / "eds" / "hilbench_servo.eds"
@@ -26,8 +26,9 @@ class VirtualBus:
 
     def __init__(self, eds: Path = SERVO_EDS, node_id: int = 5, behaviour: Behaviour | None = None) -> None:
         self.clock = HandClock()
-        self.node = simulated_node(eds, node_id, self.clock, behaviour)
-        self.application = DrivesApplication([self.node], self.clock.now_ns)
+        nodes = simulated_axes(eds, node_id, self.clock, behaviour)
+        self.node = nodes[0]
+        self.application = DrivesApplication(nodes, self.clock.now_ns)
         self.device = self.node.device
         self.says: list[Callable[[Frame], Frame | None]] = []
         self.hears: list[Callable[[Frame], Frame]] = []

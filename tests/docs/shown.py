@@ -54,6 +54,8 @@ NOT_RUN = {
     r"hilbench gateway": "runs until it is ended; tests/gateway/test_gateway.py talks to it",
     r"hilbench conformance ": "resets a node, and takes minutes: tests/cli/test_drive_and_conformance.py examines one",
     r"hilbench drive \S+ move ": "needs a drive with that mode: tests/cli/test_drive_and_conformance.py has one",
+    r"hilbench drive \S+ .*--axis ": "needs a node with two axes: tests/cli/test_two_axes.py has one",
+    r"hilbench run bench_configs/web_section_dual_axis.yaml": "tests/bench/test_shipped_configs.py runs it",
     r"hilbench drive \S+ jog ": "its key is held by hand; tests/cli/test_attach.py holds it",
     r"hilbench sdo write bench ": "needs a running bench; tests/bench/test_beside_a_bench.py writes to one",
     r"hilbench run bench_configs/predicted_limit.yaml": "tests/bench/test_prediction.py runs it",

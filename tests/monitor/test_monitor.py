@@ -81,6 +81,21 @@ def test_what_is_heard_is_decoded(bench: BenchConfig) -> None:
     ]
 
 
+def test_both_axes_of_one_node_are_shown_each_with_its_own_values() -> None:
+    bench = load(SHIPPED.with_name("web_section_dual_axis.yaml"))[0]
+    picture, nodes = BusPicture(bench), Nodes(bench)
+    first, second = (nodes.pdo_maps(part)[1] for part in ("axis1", "axis2"))
+    told = [(first, (0x1637, 200, 0)), (second, (0x1218, 0, 0))]
+    picture.take([Frame(0x80, b"", 1), *(Frame(pdo.cob_id, pdo.pack(values)) for pdo, values in told)])
+    picture.take([Frame(0x701, b"\5"), Frame(0x81, bytes.fromhex("1186210000000000"))])
+    one, two = picture.as_data()["nodes"][:2]
+    assert (one["part"], one["drive_state"], one["torque_Nm"]) == ("axis1", "OPERATION ENABLED", pytest.approx(1.0))
+    assert (two["part"], two["drive_state"], two["torque_Nm"]) == ("axis2", "FAULT", 0.0)
+    assert (one["nmt_state"], two["nmt_state"], two["node_id"]) == ("OPERATIONAL", "OPERATIONAL", 1)
+    told_of = [(note["part"], note["text"]) for note in picture.as_data()["faults"]]
+    assert told_of == [("axis2", "FAULT"), ("axis1 and axis2", "EMCY 8611h, register 21h")]
+
+
 def test_who_answers_late_is_shown_with_the_share(bench: BenchConfig) -> None:
     picture = BusPicture(bench)
     frames = cycles(bench, 3000, 80.0)

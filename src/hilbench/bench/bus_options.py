@@ -90,8 +90,10 @@ def _shared(config: BenchConfig, frames: Sequence[CyclicFrame]) -> dict[str, Seq
     """The frames of two wires: axis by axis onto the one that has less."""
     everywhere = _everywhere(frames)
     of_axis: dict[int | None, set[int]] = {}
+    with_axis: dict[int, int | None] = {}  # two axes of one node are on one wire
     for part in config.parts:
-        of_axis.setdefault(part.axis, set()).add(part.node.node_id)
+        node_id = part.node.node_id
+        of_axis.setdefault(with_axis.setdefault(node_id, part.axis), set()).add(node_id)
     wires = [list(everywhere), list(everywhere)]
     for node_ids in of_axis.values():
         theirs = [f for f in frames if f not in everywhere and f.can_id & ~FUNCTION_CODE in node_ids]

@@ -10,7 +10,10 @@ from hilbench.bench.fmu_check import fmu_findings
 from hilbench.bench.schedule import Slot, schedule
 from hilbench.bench.web_line_check import check_web_line
 from hilbench.can.load import BusLoad, cycle_load
+from hilbench.canopen.eds import shared_eds
+from hilbench.cia402.axis import axes, object_of, of_first_axis
 from hilbench.cia402.configuration import lacking
+from hilbench.cia402.objects import CONTROLWORD
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.addressing import declared_units, drive_settings
 from hilbench.exchange.nodes import Nodes
@@ -46,6 +49,7 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
     ]
     if without_file:
         raise UnusableInputError.of(without_file)
+    _check_axes(config, document)
     try:
         nodes = Nodes(config)
     except (KeyError, ValueError) as error:
@@ -86,6 +90,24 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
     return CheckedBench(load, sum(frame.per_cycle for frame in frames), notes, options, fmu_findings(config), slots)
 
 
+def _of_axis(entry: int) -> tuple[int, int]:
+    """A mapping entry, whichever axis of a node it is of: the object that the first one has, sub-index and length."""
+    return of_first_axis(entry >> 16), entry & 0xFFFF
+
+
+def _check_axes(config: BenchConfig, document: Document) -> None:
+    """The EDS file of each drive has the axis of the node that it is."""
+    for part in config.parts_of(Role.AXIS) + config.parts_of(Role.LOAD_MOTOR):
+        od = shared_eds(part.node.eds, part.node.node_id)
+        there = axes(od.__contains__)
+        if part.node_axis > 1 and part.node_axis not in there:
+            raise UnusableInputError(
+                document.place((*part.location, "axis")),
+                f"axis is {part.node_axis}, expected one that {part.node.eds.name} has: "
+                f"{', '.join(map(str, there)) or 'none'} ({object_of(part.node_axis, CONTROLWORD):X}h is not in it)",
+            )
+
+
 def _check_drives(config: BenchConfig, document: Document, nodes: Nodes) -> None:
     """Every drive has what it is configured by, and a virtual axis understands the frames that it listens to."""
     for part in config.parts:
@@ -97,7 +119,8 @@ def _check_drives(config: BenchConfig, document: Document, nodes: Nodes) -> None
         return
     for real, virtual in zip(config.parts_of(Role.AXIS), config.parts_of(Role.VIRTUAL_AXIS), strict=True):
         ours, theirs = (declared_units(part, nodes.dictionary(part.name)).velocity_rad_s for part in (real, virtual))
-        same_layout = nodes.pdo_maps(real.name)[0].mapping == nodes.pdo_maps(virtual.name)[0].mapping
+        told, heard = ([_of_axis(entry) for entry in nodes.pdo_maps(part.name)[0].mapping] for part in (real, virtual))
+        same_layout = told == heard
         if not same_layout or not isclose(ours, theirs, rel_tol=1e-9):
             raise UnusableInputError(
                 document.place(real.location),

@@ -116,14 +116,14 @@ class Device:
         """An error has gone."""
         self._emcy.clear_error(code, source)
 
-    def keep_emergency(self, code: int) -> None:
-        """The application is in fault because of this error: it stays in 1001h, and EMCY 0000h is not sent, though its
-        cause may go, until `acknowledge_emergency`."""
-        self._emcy.keep(code)
+    def keep_emergency(self, code: int, axis: int = 1) -> None:
+        """The application, or one axis of it, is in fault because of this error: it stays in 1001h, and EMCY 0000h is
+        not sent, though its cause may go, until `acknowledge_emergency`."""
+        self._emcy.keep(code, axis)
 
-    def acknowledge_emergency(self, code: int) -> None:
+    def acknowledge_emergency(self, code: int, axis: int = 1) -> None:
         """The fault was reset: the error ends as soon as its cause is gone."""
-        self._emcy.acknowledge(code)
+        self._emcy.acknowledge(code, axis)
 
     # -- host side ---------------------------------------------------------------------------------------
 

@@ -34,7 +34,7 @@ class EmergencyProducer:
         self._now_ns = now_ns
         self._may_send = may_send
         self._active: dict[tuple[int, int], int] = {}
-        self._kept: set[int] = set()  #: codes that the application acknowledges
+        self._kept: set[tuple[int, int]] = set()  #: codes that the application acknowledges, and for which axis
         self._over: set[tuple[int, int]] = set()  #: errors with such a code whose cause is gone
         #: What arose while nothing may be sent: its info, or None for an error that has gone.
         self._pending: dict[tuple[int, int], bytes | None] = {}
@@ -74,7 +74,7 @@ class EmergencyProducer:
         error = code, source
         if error not in self._active:
             return
-        if code in self._kept:
+        if any(code == kept for kept, _ in self._kept):
             self._over.add(error)
             return
         del self._active[error]
@@ -86,13 +86,13 @@ class EmergencyProducer:
         else:
             self._pending[error] = None
 
-    def keep(self, code: int) -> None:
-        """Errors with this code stay, also when their cause goes, until `acknowledge`: the application is in fault."""
-        self._kept.add(code)
+    def keep(self, code: int, axis: int) -> None:
+        """Errors with this code stay, also when their cause goes, until `acknowledge` of each axis that is in fault."""
+        self._kept.add((code, axis))
 
-    def acknowledge(self, code: int) -> None:
-        """The application's fault was reset: errors with this code end with their cause again, or now if it is gone."""
-        self._kept.discard(code)
+    def acknowledge(self, code: int, axis: int) -> None:
+        """An axis' fault was reset: errors with this code end with their cause again, or now if it is gone."""
+        self._kept.discard((code, axis))
         for error in sorted(self._over):
             if error[0] == code:
                 self._over.discard(error)

@@ -18,7 +18,7 @@ from hilbench.cia402 import objects
 from hilbench.cia402.units import RPM, DriveUnits, ObjectReader, factors_told
 
 if TYPE_CHECKING:
-    from hilbench.canopen.device import Device
+    from hilbench.cia402.axis import AxisDevice
 
 _I8, _I16, _I32 = datatypes.INTEGER8, datatypes.INTEGER16, datatypes.INTEGER32
 _U8, _U16, _U32 = datatypes.UNSIGNED8, datatypes.UNSIGNED16, datatypes.UNSIGNED32
@@ -98,7 +98,7 @@ _OBJECTS: Final[dict[tuple[int, int], tuple[int, _Value]]] = {
 }
 
 
-def cell_of(device: Device, units: DriveUnits, index: int, sub: int = 0) -> Cell:
+def cell_of(device: AxisDevice, units: DriveUnits, index: int, sub: int = 0) -> Cell:
     """The cell of an object that the firmware uses: the device's, or where the EDS lacks it one that no bus reaches.
 
     An object of the device for which the file names no value starts with the assumed one.

@@ -9,10 +9,10 @@ from typing import Final
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 from hilbench.canopen import eds
-from hilbench.canopen.identifiers import RPDOS, TPDOS
 from hilbench.canopen.master import Master
 from hilbench.canopen.pdo import PdoMap, received_by, sent_by
 from hilbench.cia402 import objects
+from hilbench.cia402.axis import object_of, rpdo_identifier, rpdo_numbers, tpdo_identifiers, tpdo_numbers
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.units import DriveUnits, ObjectReader
 from hilbench.errors import BenchFaultError, UnusableInputError
@@ -56,7 +56,7 @@ class DriveSettings:
     has_velocity: bool = True  #: TPDO2 with 606Ch (axes); else velocity is taken from the position
     #: Overrides of `DriveUnits.from_objects`, for drives whose objects do not tell their units.
     units: Mapping[str, float] = field(default_factory=dict)
-    #: Objects written at configuration, in this order, by (index, sub): option codes, ramps, limits.
+    #: Objects written at configuration, in this order, by (index, sub), each as the node has it: option codes, ramps.
     parameters: Mapping[tuple[int, int], int | float] = field(default_factory=dict)
     #: (vendor-ID, product code) that the device must show; None: those of its EDS.
     identity: tuple[int, int] | None = None
@@ -69,6 +69,21 @@ class DriveSettings:
     tpdo_type: int | None = 1  #: transmission type of the TPDOs; None: the drive sends none
     time_out_s: float = 2.0  #: longest stay in one state on the way to a goal, s of cycle time
     ramp_time_out_s: float = 20.0  #: the same for a state that may end by a ramp
+    axis: int = 1  #: of the node's axes (`hilbench.cia402.axis`)
+
+    def object(self, index: int) -> int:
+        """Where the node has an object of this axis, named as that of the first one."""
+        return object_of(self.axis, index)
+
+    @property
+    def place(self) -> str:
+        """Node, and axis where it is not the first, for messages."""
+        return place_of(self.node_id, self.axis)
+
+
+def place_of(node_id: int, axis: int) -> str:
+    """A drive's place on the bus, for messages."""
+    return f"node {node_id}" if axis == 1 else f"node {node_id}, axis {axis}"
 
 
 @dataclass(frozen=True)
@@ -76,40 +91,49 @@ class DrivePdos:
     """The PDOs of one drive."""
 
     rpdo: PdoMap  #: controlword, target
-    #: Number, map, and mapped indices of each TPDO; empty when the drive sends none.
+    rpdo_number: int
+    #: Number, map, and mapped objects (as the first axis has them) of each TPDO; empty when the drive sends none.
     tpdos: tuple[tuple[int, PdoMap, tuple[int, ...]], ...]
 
 
 def drive_pdos(settings: DriveSettings, od: ObjectDictionary) -> DrivePdos:
     """The PDO layout (design section 4) with the types of the EDS.
 
-    RPDO1: controlword and target; TPDO1: statusword, 6077h, 6064h; TPDO2 (axes): 606Ch. Raises UnusableInputError
-    when the mode has no target object, or the EDS lacks an object that is mapped.
+    RPDO1: controlword and target; TPDO1: statusword, 6077h, 6064h; TPDO2 (axes): 606Ch; of a second axis RPDO65, TPDO65
+    and TPDO66, or RPDO2, TPDO3 and TPDO4 where the EDS has no others. Raises UnusableInputError when the mode has no
+    target object, or the EDS lacks an object that is mapped.
     """
     if settings.mode not in SETPOINT_OBJECTS:
         expected = ", ".join(str(int(mode)) for mode in SETPOINT_OBJECTS)
         raise UnusableInputError(settings.name, f"mode of operation {int(settings.mode)}, expected one of {expected}")
     node_id = settings.node_id
     received = (objects.CONTROLWORD, SETPOINT_OBJECTS[settings.mode])
-    cob_id = settings.listens_to if settings.listens_to is not None else RPDOS[0] + node_id
+    cob_id = settings.listens_to if settings.listens_to is not None else rpdo_identifier(node_id, settings.axis)
     rpdo = _pdo_map(settings, od, cob_id, 1, received)
     tpdos: list[tuple[int, PdoMap, tuple[int, ...]]] = []
     if settings.tpdo_type is not None:
-        sent = (objects.STATUSWORD, objects.TORQUE_ACTUAL_VALUE, objects.POSITION_ACTUAL_VALUE)
-        tpdos.append((1, _pdo_map(settings, od, TPDOS[0] + node_id, settings.tpdo_type, sent), sent))
-        if settings.has_velocity:
-            velocity = (objects.VELOCITY_ACTUAL_VALUE,)
-            tpdos.append((2, _pdo_map(settings, od, TPDOS[1] + node_id, settings.tpdo_type, velocity), velocity))
-    return DrivePdos(rpdo, tuple(tpdos))
+        sent: list[tuple[int, ...]] = [(objects.STATUSWORD, objects.TORQUE_ACTUAL_VALUE, objects.POSITION_ACTUAL_VALUE)]
+        sent += [(objects.VELOCITY_ACTUAL_VALUE,)] if settings.has_velocity else []
+        places = zip(tpdo_numbers(settings.axis), tpdo_identifiers(node_id, settings.axis), strict=True)
+        for indices, (numbers, cob_id) in zip(sent, places, strict=False):
+            sent_map = _pdo_map(settings, od, cob_id, settings.tpdo_type, indices)
+            tpdos.append((_number(od, TPDO_COMMUNICATION, numbers), sent_map, indices))
+    return DrivePdos(rpdo, _number(od, RPDO_COMMUNICATION, rpdo_numbers(settings.axis)), tuple(tpdos))
+
+
+def _number(od: ObjectDictionary, communication: int, numbers: tuple[int, int]) -> int:
+    """The first of these PDOs that the EDS has."""
+    return next((number for number in numbers if _has(od, communication + number - 1, 1)), numbers[0])
 
 
 def _pdo_map(
     settings: DriveSettings, od: ObjectDictionary, cob_id: int, transmission_type: int, indices: tuple[int, ...]
 ) -> PdoMap:
+    own = [settings.object(index) for index in indices]
     try:
-        pdo = PdoMap.from_names(od, cob_id, transmission_type, indices)
+        pdo = PdoMap.from_names(od, cob_id, transmission_type, own)
     except KeyError:
-        missing = next(index for index in indices if index not in od)
+        missing = next(index for index in own if index not in od)
         raise UnusableInputError(
             settings.name, f"the EDS lacks {missing:04X}h, expected it: it is mapped into a PDO"
         ) from None
@@ -132,7 +156,7 @@ def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdo
     Raises BenchFaultError when the device is another one or does not take a value, UnusableInputError when the
     configuration asks for what its EDS does not have.
     """
-    node_id = settings.node_id
+    node_id, axis = settings.node_id, settings.axis
     check_identity(master, settings, od)
     for (index, sub), value in settings.parameters.items():
         _write(master, settings, od, index, sub, value)
@@ -142,13 +166,16 @@ def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdo
     if settings.master_heartbeat is not None:
         master_id, time_out_ms = settings.master_heartbeat
         _write(master, settings, od, CONSUMER_HEARTBEAT, 1, master_id << 16 | time_out_ms)
-    master.write_rpdo(node_id, 1, pdos.rpdo)
     sent = {number: pdo for number, pdo, _ in pdos.tpdos}
-    for number in (1, 2):
-        if number in sent:
-            master.write_tpdo(node_id, number, sent[number])
-        elif _has(od, TPDO_COMMUNICATION + number - 1, 1):
-            master.disable_pdo(node_id, TPDO_COMMUNICATION + number - 1)
+    numbers = {number for both in tpdo_numbers(axis) for number in both}
+    unused = [RPDO_COMMUNICATION + number - 1 for number in {*rpdo_numbers(axis)} - {pdos.rpdo_number}]
+    unused += [TPDO_COMMUNICATION + number - 1 for number in numbers - sent.keys()]
+    for communication in sorted(unused):  # by default they may have the identifiers that the others get
+        if _has(od, communication, 1):
+            master.disable_pdo(node_id, communication)
+    master.write_rpdo(node_id, pdos.rpdo_number, pdos.rpdo)
+    for number, pdo in sent.items():
+        master.write_tpdo(node_id, number, pdo)
 
 
 def check_identity(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:
@@ -168,40 +195,51 @@ def check_identity(master: Master, settings: DriveSettings, od: ObjectDictionary
 def set_mode(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:
     """Write 6060h and see it in 6061h. Raises BenchFaultError when 6502h does not offer it or it is not taken."""
     node_id, mode = settings.node_id, settings.mode
-    if objects.SUPPORTED_DRIVE_MODES in od:
-        supported = int(master.sdo_read(node_id, objects.SUPPORTED_DRIVE_MODES))
+    request, display, modes = map(
+        settings.object,
+        (objects.MODES_OF_OPERATION, objects.MODES_OF_OPERATION_DISPLAY, objects.SUPPORTED_DRIVE_MODES),
+    )
+    if modes in od:
+        supported = int(master.sdo_read(node_id, modes))
         if not supported & mode.supported_bit:
             raise _fault(
-                settings, f"supported drive modes (6502h) are {supported:08X}h, expected mode {int(mode)} in it"
+                settings, f"supported drive modes ({modes:X}h) are {supported:08X}h, expected mode {int(mode)} in it"
             )
-    master.sdo_write(node_id, objects.MODES_OF_OPERATION, int(mode))
+    master.sdo_write(node_id, request, int(mode))
     for _ in range(_MODE_READS):
-        shown = master.sdo_read(node_id, objects.MODES_OF_OPERATION_DISPLAY)
+        shown = master.sdo_read(node_id, display)
         if shown == mode:
             return
-    raise _fault(settings, f"mode of operation display (6061h) is {shown!r}, expected {int(mode)} as written to 6060h")
+    raise _fault(
+        settings,
+        f"mode of operation display ({display:X}h) is {shown!r}, expected {int(mode)} as written to {request:X}h",
+    )
 
 
 def read_units(
-    master: Master, node_id: int, od: ObjectDictionary, overrides: Mapping[str, float], place: str
+    master: Master, node_id: int, od: ObjectDictionary, overrides: Mapping[str, float], place: str, axis: int = 1
 ) -> DriveUnits:
-    """The units as the device's objects tell them now, and `overrides` where they don't (see `DriveUnits`).
+    """The units of an axis as its objects tell them now, and `overrides` where they don't (see `DriveUnits`).
 
     Raises UnusableInputError, at `place`, for a factor that nobody tells.
     """
 
     def read(index: int, sub: int) -> int | float | None:
+        index = object_of(axis, index)
         value = master.sdo_read(node_id, index, sub) if _has(od, index, sub) else None
         return value if isinstance(value, int | float) else None
 
     return DriveUnits.from_objects(read, overrides, place)
 
 
-def default_reader(od: ObjectDictionary, written: Mapping[tuple[int, int], int | float] | None = None) -> ObjectReader:
-    """Read the default values of an EDS, and what will have been `written` by (index, sub)."""
+def default_reader(
+    od: ObjectDictionary, written: Mapping[tuple[int, int], int | float] | None = None, axis: int = 1
+) -> ObjectReader:
+    """Read the default values of an EDS for an axis, and what will have been `written` by (index, sub)."""
     known = written or {}
 
     def read(index: int, sub: int) -> int | float | None:
+        index = object_of(axis, index)
         if (index, sub) in known and _has(od, index, sub):
             return known[(index, sub)]
         default = eds.variable(od, index, sub).default if _has(od, index, sub) else None
@@ -213,7 +251,7 @@ def default_reader(od: ObjectDictionary, written: Mapping[tuple[int, int], int |
 def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
     """What `configure` will need and the EDS does not have, one line each; empty for a drive that can be used."""
     written: dict[tuple[int, int], tuple[int | float, str]] = {
-        (objects.MODES_OF_OPERATION, 0): (int(settings.mode), "the mode is written to it"),
+        (settings.object(objects.MODES_OF_OPERATION), 0): (int(settings.mode), "the mode is written to it"),
         (PRODUCER_HEARTBEAT, 0): (settings.heartbeat_ms, "the drive's heartbeat is set by it"),
     }
     if settings.master_heartbeat is not None:
@@ -222,10 +260,11 @@ def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
         written[CONSUMER_HEARTBEAT, 1] = master_id << 16 | time_out_ms, why
     for key, value in settings.parameters.items():
         written[key] = value, "the config or the bench writes it"
-    needed = {(objects.MODES_OF_OPERATION_DISPLAY, 0): "it shows the mode", (IDENTITY, 1): "it tells the device"}
+    display = settings.object(objects.MODES_OF_OPERATION_DISPLAY)
+    needed = {(display, 0): "it shows the mode", (IDENTITY, 1): "it tells the device"}
     pdos = drive_pdos(settings, od)
     for communication, pdo in (
-        (RPDO_COMMUNICATION, pdos.rpdo),
+        (RPDO_COMMUNICATION + pdos.rpdo_number - 1, pdos.rpdo),
         *((TPDO_COMMUNICATION + number - 1, sent) for number, sent, _ in pdos.tpdos),
     ):
         needed[communication, 1] = "a PDO is set up by it"
@@ -234,7 +273,7 @@ def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
             written[communication + _MAPPING, sub] = value, "a PDO is mapped by it"
     needed |= {key: why for key, (_, why) in written.items()}
     found = [f"{index:04X}h:{sub} ({why})" for (index, sub), why in needed.items() if not _has(od, index, sub)]
-    read = default_reader(od)
+    read = default_reader(od, axis=settings.axis)
     for (index, sub), (value, why) in written.items():
         variable = _variable(od, index, sub)
         if variable is not None and not _takes(variable, value, read(index, sub)):
@@ -242,11 +281,13 @@ def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
             found.append(f"{index:04X}h:{sub} that takes {shown} ({why}), which {_range_text(variable)}")
     supported = read(objects.SUPPORTED_DRIVE_MODES, 0)
     if supported and not int(supported) & settings.mode.supported_bit:
-        found.append(f"mode {int(settings.mode)} in 6502h ({int(supported):08X}h)")
+        modes = settings.object(objects.SUPPORTED_DRIVE_MODES)
+        found.append(f"mode {int(settings.mode)} in {modes:X}h ({int(supported):08X}h)")
     if interpolation_period(settings, od, read) is None:
-        variables = (eds.variable(od, objects.INTERPOLATION_TIME_PERIOD, sub) for sub in (1, 2))
-        told = (f"60C2h:{each.subindex} {_range_text(each)}" for each in variables)
-        found.append(f"60C2h that takes a cycle of {settings.cycle_s * 1e3:g} ms: {', '.join(told)}")
+        period = settings.object(objects.INTERPOLATION_TIME_PERIOD)
+        variables = (eds.variable(od, period, sub) for sub in (1, 2))
+        told = (f"{period:X}h:{each.subindex} {_range_text(each)}" for each in variables)
+        found.append(f"{period:X}h that takes a cycle of {settings.cycle_s * 1e3:g} ms: {', '.join(told)}")
     return found
 
 
@@ -278,7 +319,7 @@ def _variable(od: ObjectDictionary, index: int, sub: int) -> ODVariable | None:
 def interpolation_period(settings: DriveSettings, od: ObjectDictionary, read: ObjectReader) -> dict[int, int] | None:
     """60C2h:1 and :2 for the cycle, of what the drive lets be written or has (`read`); empty without that object, None
     where it can't express the cycle."""
-    variables = [_variable(od, objects.INTERPOLATION_TIME_PERIOD, sub) for sub in (1, 2)]
+    variables = [_variable(od, settings.object(objects.INTERPOLATION_TIME_PERIOD), sub) for sub in (1, 2)]
     if variables[1] is None:
         return {}
     has = [
@@ -298,15 +339,15 @@ def _set_interpolation_period(master: Master, settings: DriveSettings, od: Objec
     """60C2h: the cycle, in a unit in which it fits UNSIGNED8 without loss; what is read-only is compared."""
 
     def read(index: int, sub: int) -> int:
-        return int(master.sdo_read(settings.node_id, index, sub))
+        return int(master.sdo_read(settings.node_id, settings.object(index), sub))
 
-    wanted = interpolation_period(settings, od, read)
+    wanted, period = interpolation_period(settings, od, read), settings.object(objects.INTERPOLATION_TIME_PERIOD)
     if wanted is None:
-        has = " and ".join(str(read(objects.INTERPOLATION_TIME_PERIOD, sub)) for sub in (1, 2))
-        raise _fault(settings, f"60C2h has {has}, expected what says a cycle of {settings.cycle_s:g} s")
+        has = " and ".join(str(read(period, sub)) for sub in (1, 2))
+        raise _fault(settings, f"{period:X}h has {has}, expected what says a cycle of {settings.cycle_s:g} s")
     for sub, number in wanted.items():
-        if eds.variable(od, objects.INTERPOLATION_TIME_PERIOD, sub).writable:
-            master.sdo_write(settings.node_id, objects.INTERPOLATION_TIME_PERIOD, number, sub)
+        if eds.variable(od, period, sub).writable:
+            master.sdo_write(settings.node_id, period, number, sub)
 
 
 def _write(
@@ -324,4 +365,4 @@ def _write(
 
 
 def _fault(settings: DriveSettings, problem: str) -> BenchFaultError:
-    return BenchFaultError(f"{settings.name} (node {settings.node_id}): {problem}")
+    return BenchFaultError(f"{settings.name} ({settings.place}): {problem}")

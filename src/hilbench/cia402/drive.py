@@ -105,7 +105,7 @@ class Drive:
         """
         configure(master, self.settings, self.od, self.pdos)
         settings = self.settings
-        self.units = read_units(master, settings.node_id, self.od, settings.units, settings.name)
+        self.units = read_units(master, settings.node_id, self.od, settings.units, settings.name, settings.axis)
 
     @property
     def rpdo_cob_ids(self) -> tuple[int, ...]:
@@ -223,7 +223,8 @@ class Drive:
         limit = _RAW_LIMIT[self._target]
         if not -limit <= raw <= limit:
             most = limit * self._setpoint_unit
-            raise self._error(f"{what} is {self.setpoint:g}, expected at most {most:g} (range of {self._target:X}h)")
+            target = self.settings.object(self._target)
+            raise self._error(f"{what} is {self.setpoint:g}, expected at most {most:g} (range of {target:X}h)")
         return raw
 
     # --- feedback ----------------------------------------------------------------------------------------------------
@@ -326,8 +327,9 @@ class Drive:
     def _error(self, problem: str) -> BenchFaultError:
         settings = self.settings
         return BenchFaultError(
-            f"{settings.name} (node {settings.node_id}): {problem}; controlword sent {self._sent_controlword:04X}h, "
-            f"statusword {self.feedback.statusword:04X}h, error code (603Fh) {self.feedback.fault_code:04X}h"
+            f"{settings.name} ({settings.place}): {problem}; controlword sent {self._sent_controlword:04X}h, "
+            f"statusword {self.feedback.statusword:04X}h, error code ({settings.object(objects.ERROR_CODE):X}h) "
+            f"{self.feedback.fault_code:04X}h"
         )
 
 

@@ -15,7 +15,7 @@ from hilbench.cia402.units import RPM, DriveUnits, wrap_int32
 from hilbench.plant.motor_port import MotorMode, MotorPort
 
 if TYPE_CHECKING:
-    from hilbench.canopen.device import Device
+    from hilbench.cia402.axis import AxisDevice
 
 #: Fault "overspeed" at so much of 6080h: a loop that settles at the limit itself is no fault.
 OVERSPEED_RATIO: Final = 1.1
@@ -31,7 +31,7 @@ class Firmware:
     Settings are recomputed by `refresh` only after a parameter was written (`stale`).
     """
 
-    def __init__(self, device: Device, port: MotorPort, units: DriveUnits) -> None:
+    def __init__(self, device: AxisDevice, port: MotorPort, units: DriveUnits) -> None:
         self.port = port
         self.units = units
         cell = partial(cell_of, device, units)

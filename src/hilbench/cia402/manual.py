@@ -11,7 +11,8 @@ from typing import Final
 
 from hilbench.canopen.master import Master
 from hilbench.cia402 import objects
-from hilbench.cia402.configuration import CONSUMER_HEARTBEAT
+from hilbench.cia402.axis import object_of
+from hilbench.cia402.configuration import CONSUMER_HEARTBEAT, place_of
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.state_machine import (
     CONTROLWORD_FAULT_RESET,
@@ -80,11 +81,13 @@ class ManualDrive:
         units: DriveUnits | None,
         time_out_s: float,
         alive: Callable[[], None] = lambda: None,
+        axis: int = 1,
     ) -> None:
         self._master = master
         self._node_id = node_id
         #: For messages.
-        self.name = f"{name} (node {node_id})"
+        self.name = f"{name} ({place_of(node_id, axis)})"
+        self._axis = axis
         self._units = units
         self._time_out_s = time_out_s
         self.alive = alive
@@ -108,15 +111,19 @@ class ManualDrive:
 
     def has(self, index: int, sub: int = 0) -> bool:
         """Whether its EDS file has an object."""
-        return self._master.has(self._node_id, index, sub)
+        return self._master.has(self._node_id, self.object(index), sub)
+
+    def object(self, index: int) -> int:
+        """Where the node has an object of this axis, named as that of the first one."""
+        return object_of(self._axis, index)
 
     def read(self, index: int, sub: int = 0) -> int:
         """A whole number that the drive has."""
-        return int(self._master.sdo_read(self._node_id, index, sub))
+        return int(self._master.sdo_read(self._node_id, self.object(index), sub))
 
     def write(self, index: int, value: int, sub: int = 0) -> None:
         """Write one."""
-        self._master.sdo_write(self._node_id, index, value, sub)
+        self._master.sdo_write(self._node_id, self.object(index), value, sub)
 
     def enable(self, mode: OperationMode = OperationMode.PROFILE_VELOCITY) -> None:
         """To OPERATION ENABLED in a profile mode, where it stands still. A fault is not reset on the way."""
@@ -150,7 +157,7 @@ class ManualDrive:
         if self._state() is not State.FAULT:
             return
         for controlword in (Command.DISABLE_VOLTAGE.value, CONTROLWORD_FAULT_RESET, Command.DISABLE_VOLTAGE.value):
-            self._master.sdo_write(self._node_id, objects.CONTROLWORD, controlword)
+            self.write(objects.CONTROLWORD, controlword)
         self._go(lambda state: Command.DISABLE_VOLTAGE.value, State.SWITCH_ON_DISABLED, from_fault=True)
 
     @contextmanager
@@ -160,25 +167,22 @@ class ManualDrive:
             (objects.ABORT_CONNECTION_OPTION_CODE, 0): _ABORT_BY_QUICK_STOP,
             (CONSUMER_HEARTBEAT, 1): master_id << 16 | time_out_ms,
         }
-        before = {
-            key: self._master.sdo_read(self._node_id, *key) for key in wanted if self._master.has(self._node_id, *key)
-        }
+        before = {key: self.read(*key) for key in wanted if self.has(*key)}
         for index, sub in before:
-            self._master.sdo_write(self._node_id, index, wanted[(index, sub)], sub)
+            self.write(index, wanted[(index, sub)], sub)
         try:
             yield
         finally:
             for (index, sub), value in before.items():
-                self._master.sdo_write(self._node_id, index, value, sub)
+                self.write(index, value, sub)
 
     def turn(self, velocity_rad_s: float) -> None:
         """Ramp to a velocity of the motor (6083h, 6084h). Raises BenchFaultError when its units are not known."""
         if self._units is None:
-            raise self._fault("does not tell its velocity unit (60A9h), expected it: give units in --config")
+            unit = self.object(objects.SI_UNIT_VELOCITY)
+            raise self._fault(f"does not tell its velocity unit ({unit:X}h), expected it: give units in --config")
         self.enabled_statusword()
-        self._master.sdo_write(
-            self._node_id, objects.TARGET_VELOCITY, round(velocity_rad_s / self._units.velocity_rad_s)
-        )
+        self.write(objects.TARGET_VELOCITY, round(velocity_rad_s / self._units.velocity_rad_s))
 
     def enabled_statusword(self) -> int:
         """The statusword of a drive that is still in OPERATION ENABLED. Raises BenchFaultError, with its error code."""
@@ -203,7 +207,7 @@ class ManualDrive:
                 raise self._fault(f"went into FAULT on its way to {goal.label}, {self._error_code()}")
             if time.monotonic() > deadline_s:
                 raise self._fault(f"hung in {state.label} for {self._time_out_s:g} s, wanted {goal.label}")
-            self._master.sdo_write(self._node_id, objects.CONTROLWORD, controlword(state))
+            self.write(objects.CONTROLWORD, controlword(state))
             self._pause()
 
     def _pause(self) -> None:
@@ -211,7 +215,7 @@ class ManualDrive:
         time.sleep(_STEP_S)
 
     def _statusword(self) -> int:
-        return int(self._master.sdo_read(self._node_id, objects.STATUSWORD))
+        return self.read(objects.STATUSWORD)
 
     def _state(self) -> State:
         statusword = self._statusword()
@@ -221,11 +225,11 @@ class ManualDrive:
         return state
 
     def _error_code(self) -> str:
-        code = self._read(objects.ERROR_CODE)
-        return "603Fh is not in its EDS" if code is None else f"error code (603Fh) {code:04X}h"
+        code, index = self._read(objects.ERROR_CODE), self.object(objects.ERROR_CODE)
+        return f"{index:X}h is not in its EDS" if code is None else f"error code ({index:X}h) {code:04X}h"
 
     def _read(self, index: int) -> int | None:
-        return int(self._master.sdo_read(self._node_id, index)) if self._master.has(self._node_id, index) else None
+        return self.read(index) if self.has(index) else None
 
     def _fault(self, problem: str) -> BenchFaultError:
         return BenchFaultError(f"{self.name}: {problem}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from hilbench.cia402 import objects
+from hilbench.cia402.axis import of_first_axis
 from hilbench.cia402.units import RPM, DriveUnits
 
 _POSITIONS: Final = frozenset(
@@ -55,7 +56,7 @@ _FIXED: Final = {
 
 def has_drive_unit(index: int) -> bool:
     """Whether an object's unit is one of the drive's own."""
-    return index in _POSITIONS | _VELOCITIES | _ACCELERATIONS | _TORQUES
+    return of_first_axis(index) in _POSITIONS | _VELOCITIES | _ACCELERATIONS | _TORQUES
 
 
 def si_unit(index: int, units: DriveUnits | None) -> tuple[float, str] | None:
@@ -63,6 +64,7 @@ def si_unit(index: int, units: DriveUnits | None) -> tuple[float, str] | None:
 
     `units` are the drive's; without them only objects with a unit of their own have one.
     """
+    index = of_first_axis(index)
     if index in _FIXED:
         return _FIXED[index]
     if units is None:

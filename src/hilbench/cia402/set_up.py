@@ -89,11 +89,13 @@ class SetUpDrive:
     def lacking(self, mode: OperationMode) -> list[str]:
         """Why a mode can't be used, by object; empty when it can."""
         needed = (objects.MODES_OF_OPERATION, *_NEEDED[mode])
-        missing = [f"{index:04X}h is not in {self._eds}" for index in needed if not self.drive.has(index)]
+        own = self.drive.object
+        missing = [f"{own(index):04X}h is not in {self._eds}" for index in needed if not self.drive.has(index)]
         if not missing and self.drive.has(objects.SUPPORTED_DRIVE_MODES):
             bits = self.drive.read(objects.SUPPORTED_DRIVE_MODES)
             if bits and not bits & mode.supported_bit:
-                missing.append(f"6502h is {bits:X}h, without bit {int(mode) - 1}")
+                modes = own(objects.SUPPORTED_DRIVE_MODES)
+                missing.append(f"{modes:X}h is {bits:X}h, without bit {int(mode) - 1}")
         return missing
 
     def needs(self, mode: OperationMode) -> DriveUnits:
@@ -115,11 +117,11 @@ class SetUpDrive:
         speeds = [(allowed.speed_rad_s, allowed.speed_by)]
         for index, factor in ((objects.MAX_PROFILE_VELOCITY, units.velocity_rad_s), (objects.MAX_MOTOR_SPEED, RPM)):
             if self.drive.has(index) and (value := self.drive.read(index)):
-                speeds.append((value * factor, f"{index:04X}h"))
+                speeds.append((value * factor, f"{self.drive.object(index):04X}h"))
         torques = [(allowed.torque_Nm, allowed.torque_by)]
         if self.drive.has(objects.MAX_TORQUE) and not isnan(units.torque_Nm):
             value = self.drive.read(objects.MAX_TORQUE)
-            torques.append((value * units.torque_Nm or inf, f"{objects.MAX_TORQUE:04X}h"))
+            torques.append((value * units.torque_Nm or inf, f"{self.drive.object(objects.MAX_TORQUE):04X}h"))
         speed, torque = min(speeds), min(torques)
         return Limits(self._position_limits(units), speed[0], torque[0], speed[1], torque[1])
 
@@ -161,7 +163,9 @@ class SetUpDrive:
         low, high = self.limits().position_rad
         if not low <= target_rad <= high:
             raise UnusableInputError(
-                self.drive.name, f"{target_rad:.5g} rad, expected {low:.5g} to {high:.5g} rad (607Dh)"
+                self.drive.name,
+                f"{target_rad:.5g} rad, expected {low:.5g} to {high:.5g} rad "
+                f"({self.drive.object(objects.SOFTWARE_POSITION_LIMIT):X}h)",
             )
 
     def home(self, method: int | None = None) -> int:
@@ -202,8 +206,10 @@ class SetUpDrive:
             most = f"{limits.torque_Nm:g} N·m ({limits.torque_by})"
             raise UnusableInputError(self.drive.name, f"{abs(torque_Nm):g} N·m, expected at most {most}")
         if not self.drive.has(objects.VELOCITY_ACTUAL_VALUE):
+            velocity = self.drive.object(objects.VELOCITY_ACTUAL_VALUE)
             raise UnusableInputError(
-                self.drive.name, f"606Ch is not in {self._eds}: nobody would see how fast the motor gets, expected it"
+                self.drive.name,
+                f"{velocity:X}h is not in {self._eds}: nobody would see how fast the motor gets, expected it",
             )
         self.drive.enable(OperationMode.TORQUE)
         self.drive.write(objects.TARGET_TORQUE, round(torque_Nm / units.torque_Nm))

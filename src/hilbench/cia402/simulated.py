@@ -19,6 +19,7 @@ from hilbench.canopen.device import Cell, SdoAbort
 from hilbench.canopen.identifiers import NmtState
 from hilbench.cia402 import objects
 from hilbench.cia402.assumed import cell_of
+from hilbench.cia402.axis import AxisDevice, also, object_of, objects_behind
 from hilbench.cia402.firmware import Firmware
 from hilbench.cia402.homing import NO_METHOD, PRESENT_POSITION, WITH_SWITCHES
 from hilbench.cia402.mode import DebouncedCondition, Mode
@@ -100,7 +101,7 @@ _DISABLING: Final = {
 
 
 class SimulatedDrive:
-    """A CiA-402 slave on `device` that commands the motor behind `port`.
+    """A CiA-402 slave, or one `axis` (from 1) of one, on `device` that commands the motor behind `port`.
 
     The host's application calls `sync` once per cycle (or tick) before the plant advances and `publish` after it.
     """
@@ -111,6 +112,7 @@ class SimulatedDrive:
         port: MotorPort,
         units: DriveUnits | None = None,
         *,
+        axis: int = 1,
         switches: Switches | None = None,
         state_change_s: float = 0.0,
     ) -> None:
@@ -120,26 +122,27 @@ class SimulatedDrive:
         UnusableInputError for a device without controlword and statusword.
         """
         for index in (objects.CONTROLWORD, objects.STATUSWORD):
-            if not device.has(index):
+            if not device.has(object_of(axis, index)):
                 raise UnusableInputError(
-                    f"EDS of node {device.node_id}", f"object {index:04X}h is missing, expected that of a CiA-402 drive"
+                    f"EDS of node {device.node_id}",
+                    f"object {object_of(axis, index):04X}h is missing, expected that of a CiA-402 drive",
                 )
-        self._device = device
-        self._firmware = Firmware(device, port, units or DriveUnits.from_objects(object_reader(device)))
+        self._device = own = AxisDevice(device, axis)
+        self._firmware = Firmware(own, port, units or DriveUnits.from_objects(object_reader(own)))
         self._firmware.switches = switches
-        probed = device.has(objects.TOUCH_PROBE_FUNCTION)
-        self._probes = TouchProbes(device, self._firmware) if probed else None
+        probed = own.has(objects.TOUCH_PROBE_FUNCTION)
+        self._probes = TouchProbes(own, self._firmware) if probed else None
         self._stop = Stop(self._firmware)
-        supported = supported_modes(device)
-        if device.has(objects.SUPPORTED_DRIVE_MODES) and not device.cell(objects.SUPPORTED_DRIVE_MODES).value:
-            device.cell(objects.SUPPORTED_DRIVE_MODES).on_read = lambda: supported
+        supported = supported_modes(own)
+        if own.has(objects.SUPPORTED_DRIVE_MODES) and not own.cell(objects.SUPPORTED_DRIVE_MODES).value:
+            own.cell(objects.SUPPORTED_DRIVE_MODES).on_read = lambda: supported
         self._modes = {
             code: kind(self._firmware)
             for code, kind in MODES.items()
             if code is OperationMode.NONE or supported & code.supported_bit
         }
-        cell = partial(cell_of, device, self._firmware.units)
-        self._statusword = device.cell(objects.STATUSWORD)
+        cell = partial(cell_of, own, self._firmware.units)
+        self._statusword = own.cell(objects.STATUSWORD)
         self._error_code = cell(objects.ERROR_CODE)
         self._mode_request = cell(objects.MODES_OF_OPERATION)
         self._mode_display = cell(objects.MODES_OF_OPERATION_DISPLAY)
@@ -151,11 +154,12 @@ class SimulatedDrive:
         self._firmware.controlword.on_write = self._controlword_written
         self._mode_request.on_write = self._mode_written
         self._firmware.homing_method.on_write = self._homing_method_written
-        if device.has(SIMULATED_FAULT) and device.cell(SIMULATED_FAULT).variable.name.startswith(_FAULT_ON_COMMAND):
-            device.cell(SIMULATED_FAULT).on_write = self._simulated_fault_written
-        device.on_nmt = self._nmt_changed
-        device.on_communication_error = self._communication_error
-        device.on_emergency_stop = self._emergency_stop
+        failing = SIMULATED_FAULT + objects_behind(axis)
+        if device.has(failing) and device.cell(failing).variable.name.startswith(_FAULT_ON_COMMAND):
+            device.cell(failing).on_write = self._simulated_fault_written
+        device.on_nmt = also(device.on_nmt, self._nmt_changed)
+        device.on_communication_error = also(device.on_communication_error, self._communication_error)
+        device.on_emergency_stop = also(device.on_emergency_stop, self._emergency_stop)
         self._operational = False
         #: Error codes of EMCY messages that stand.
         self._reported: list[int] = []
@@ -502,7 +506,7 @@ def _only(codes: range, code: int) -> None:
         raise SdoAbort(_ABORT_VALUE_RANGE)
 
 
-def supported_modes(device: Device) -> int:
+def supported_modes(device: AxisDevice) -> int:
     """6502h; where the file names none, the modes whose target object the device has."""
     named = int(device.cell(objects.SUPPORTED_DRIVE_MODES).value) if device.has(objects.SUPPORTED_DRIVE_MODES) else 0
     if named:
@@ -511,7 +515,7 @@ def supported_modes(device: Device) -> int:
     return sum(code.supported_bit for code, there in targets.items() if there)
 
 
-def object_reader(device: Device) -> ObjectReader:
+def object_reader(device: AxisDevice) -> ObjectReader:
     """Read the device's own objects; None for those it lacks."""
 
     def read(index: int, sub: int) -> float | None:

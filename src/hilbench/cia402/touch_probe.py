@@ -12,7 +12,7 @@ from hilbench.cia402.switches import index_between_rad
 from hilbench.cia402.units import wrap_int32
 
 if TYPE_CHECKING:
-    from hilbench.canopen.device import Device
+    from hilbench.cia402.axis import AxisDevice
 
 # Bits of 60B8h for probe 1; those of probe 2 are eight higher.
 ENABLE: Final = 1 << 0
@@ -30,7 +30,7 @@ NEGATIVE_STORED: Final = 1 << 2
 class TouchProbes:
     """Both probes of a drive; `update` once a cycle, after the motor's feedback was shown."""
 
-    def __init__(self, device: Device, firmware: Firmware) -> None:
+    def __init__(self, device: AxisDevice, firmware: Firmware) -> None:
         cell = partial(cell_of, device, firmware.units)
         self._firmware = firmware
         self._function = cell(objects.TOUCH_PROBE_FUNCTION)

@@ -90,6 +90,16 @@ def node_and_eds(
     return node_id, "node", None if found is None else load_eds(found, node_id)
 
 
+def drive_on_node(node: str, config: ExperimentConfig | None, axis: int | None) -> tuple[str, int]:
+    """A drive as `node_on_bus` takes it, by its name where a config has one, and which axis of its node it is."""
+    for part in () if config is None else config.parts:
+        if node == part.name and axis not in (None, part.node_axis):
+            raise UnusableInputError("--axis", f"{axis}, expected none with {node}, which is axis {part.node_axis}")
+        if node == part.name or (node, axis or 1) == (str(part.node.node_id), part.node_axis):
+            return part.name, part.node_axis
+    return node, axis or 1
+
+
 def left_out(error: UnusableInputError) -> None:
     """Say that a file of a folder cannot be used."""
     print(f"hilbench: left out: {error}", file=sys.stderr)

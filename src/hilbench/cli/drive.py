@@ -80,6 +80,10 @@ def drive(
         typer.Option("--for", metavar="S", min=0.0, help="velocity, torque: so long", show_default="until Ctrl-C"),
     ] = None,
     timeout: Annotated[float, typer.Option("--timeout", metavar="S", min=0.1, help="longest way to a state")] = 5.0,
+    axis: Annotated[
+        int | None,
+        typer.Option("--axis", metavar="N", min=1, max=8, help="which axis of a node with several", show_default="1"),
+    ] = None,
     force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:
@@ -99,6 +103,8 @@ def drive(
 
     Example: hilbench drive 1 home 35 --bus socketcan:can0
 
+    Example: hilbench drive 1 status --axis 2 --bus socketcan:can0
+
     Example: hilbench drive axis1 velocity "60 rpm" --for 0.5 --config bench_configs/web_section_step.yaml
 
     Example: hilbench drive axis1 jog --speed 10 --config bench_configs/web_section_step.yaml
@@ -107,7 +113,7 @@ def drive(
     """
     if value is not None and action not in (*_UNITS, Action.HOME):
         raise UnusableInputError("VALUE", f"'{value}' with {action}, expected none")
-    with _drive(node, config, bus, eds, timeout, action, force=force) as by_hand:
+    with _drive(node, axis, config, bus, eds, timeout, action, force=force) as by_hand:
         manual = by_hand.drive
         if action is Action.ENABLE:
             manual.enable()
@@ -154,30 +160,53 @@ class _Wanted:
 
 @contextmanager
 def _drive(
-    node: str, config: Path | None, bus: str | None, eds: Path, time_out_s: float, action: Action, *, force: bool
+    node: str,
+    axis: int | None,
+    config: Path | None,
+    bus: str | None,
+    eds: Path,
+    time_out_s: float,
+    action: Action,
+    *,
+    force: bool,
 ) -> Iterator[SetUpDrive]:
     from contextlib import ExitStack
 
     from hilbench.can.frame import Frame
     from hilbench.can.open import open_link
     from hilbench.canopen.identifiers import COB_ID, HEARTBEAT, NMT, NmtState
+    from hilbench.cia402.axis import axes
     from hilbench.cia402.manual import ManualDrive
     from hilbench.cia402.set_up import SetUpDrive
-    from hilbench.cli.attach import MASTER_ID, config_and_bus, known_to_master, node_on_bus, only_master
+    from hilbench.cli.attach import (
+        MASTER_ID,
+        config_and_bus,
+        drive_on_node,
+        known_to_master,
+        node_on_bus,
+        only_master,
+    )
     from hilbench.processes import end_requests
 
     bench, address = config_and_bus(config, bus)
+    node, of_node = drive_on_node(node, bench, axis)
     with ExitStack() as resources:
         if action is not Action.STATUS:
             what = f"drive by hand, node {node}"
             resources.enter_context(only_master(address, bench, what, force=force))
         node_id, name, od = node_on_bus(node, bench, address, eds)
+        there = axes(od.__contains__)
+        if of_node > 1 and of_node not in there:
+            known = ", ".join(map(str, there)) or "none"
+            raise UnusableInputError(
+                "--axis", f"{of_node}, expected one that the EDS file of node {node_id} has: {known}"
+            )
         link = open_link(address)
         resources.callback(link.close)
         link.set_filters([(NMT, COB_ID)])  # nothing is received here: NMT commands are for the devices
         master = known_to_master(address, node_id, od, name)
         resources.callback(master.close)
-        units = _units(master, node_id, od, bench, name)
+        units = _units(master, node_id, od, bench, name, of_node)
 
         def heartbeat() -> None:
             # Not as operational: that is a master whose SYNC will go on, for which simulated drives hold their time.
@@ -185,7 +214,7 @@ def _drive(
 
         file = eds.name if bench is None and eds.is_file() else "its EDS file"
         alive = _Alive(heartbeat, resources.enter_context(end_requests()))
-        manual = ManualDrive(master, node_id, name, units, time_out_s, alive)
+        manual = ManualDrive(master, node_id, name, units, time_out_s, alive, of_node)
         yield SetUpDrive(manual, file, units, _allowed(bench), time_out_s=time_out_s)
 
 
@@ -210,17 +239,17 @@ class _Alive:
 
 
 def _units(
-    master: Master, node_id: int, od: ObjectDictionary, bench: ExperimentConfig | None, name: str
+    master: Master, node_id: int, od: ObjectDictionary, bench: ExperimentConfig | None, name: str, axis: int
 ) -> DriveUnits | None:
     """As far as they are told: without a rated torque (6076h) a torque is no number."""
     from contextlib import suppress
 
     from hilbench.cia402.configuration import read_units
 
-    given = {} if bench is None else bench.units_of(node_id)
+    given = {} if bench is None else bench.units_of(node_id, axis)
     for known in (given, {"rated_torque_Nm": nan, **given}):
         with suppress(UnusableInputError):
-            return read_units(master, node_id, od, known, name)
+            return read_units(master, node_id, od, known, name, axis)
     return None
 
 

@@ -82,7 +82,11 @@ def scan(
 
 
 def _parts(bench: ExperimentConfig | None) -> dict[int, str]:
-    return {part.node.node_id: part.name for part in bench.parts} if bench is not None else {}
+    found: dict[int, str] = {}
+    for part in bench.parts if bench is not None else ():
+        before = found.get(part.node.node_id)
+        found[part.node.node_id] = f"{before}, {part.name}" if before else part.name
+    return found
 
 
 def _problems(found: Scan, bench: ExperimentConfig) -> list[str]:

@@ -179,6 +179,7 @@ def _object(
 ) -> Iterator[_Object | _UnknownObject]:
     from hilbench.can.open import open_python_can
     from hilbench.canopen.sdo_client import SdoClient
+    from hilbench.cia402.axis import axis_of
     from hilbench.cia402.configuration import read_units
     from hilbench.cia402.object_units import has_drive_unit, si_unit
     from hilbench.cli.attach import (
@@ -211,7 +212,9 @@ def _object(
         units = None
         if has_drive_unit(variable.index):
             with suppress(UnusableInputError):  # the value is shown without a unit
-                units = read_units(master, node_id, od, {} if bench is None else bench.units_of(node_id), node_name)
+                axis = axis_of(variable.index)
+                given = {} if bench is None else bench.units_of(node_id, axis)
+                units = read_units(master, node_id, od, given, node_name, axis)
         yield _Object(master, node_id, node_name, variable, si_unit(variable.index, units))
 
 

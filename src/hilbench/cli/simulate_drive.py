@@ -12,11 +12,12 @@ from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.identifiers import LAST_NODE
 from hilbench.canopen.mastery import nodes_of_ours
+from hilbench.cia402.configuration import place_of
 from hilbench.cli.model_option import model_from
 from hilbench.devices import SimulatedDrive
 from hilbench.devices.behaviour import Behaviour, load_behaviour
 from hilbench.devices.node import SimulatedNode
-from hilbench.devices.simulation import hosted, new_clock, simulated_node
+from hilbench.devices.simulation import hosted, new_clock, simulated_axes
 from hilbench.errors import UnusableInputError
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.processes import log, stop_request
@@ -55,10 +56,11 @@ def simulate_drive_command(
             _serve_with_lss(eds, address, list(node_ids) or [None] * count, serials, behaviour, stop)
             return
         nodes = [
-            simulated_node(
+            axis
+            for number in node_ids
+            for axis in simulated_axes(
                 eds, number, clock, behaviour, serial_number=None if serial is None else serial + number - node_id
             )
-            for number in node_ids
         ]
         for simulated in nodes:
             _introduce(simulated)
@@ -103,6 +105,7 @@ def _behaviour(path: Path | None, plant: Path | None) -> Behaviour:
 
 def _introduce(node: SimulatedNode) -> None:
     modes = ", ".join(mode.name.lower().replace("_", " ") for mode in node.modes)
-    print(f"node {node.device.node_id}: {node.name}; {modes or 'no mode of operation'}", flush=True)
+    place = place_of(node.device.node_id, node.axis)
+    print(f"{place}: {node.name}; {modes or 'no mode of operation'}", flush=True)
     for assumption in node.assumptions:
-        print(f"node {node.device.node_id}: {assumption}", flush=True)
+        print(f"{place}: {assumption}", flush=True)

@@ -11,6 +11,7 @@ from canopen.objectdictionary import ODVariable
 
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.eds import all_variables, load_eds, object_flags
+from hilbench.cia402.axis import axes, object_of
 
 #: ObjFlags (CiA 306): refuse write on download, refuse read on scan.
 REFUSE_WRITE, REFUSE_READ = 0x1, 0x2
@@ -95,14 +96,30 @@ class Description:
         found = [Entry(v, flags.get((v.index, v.subindex), 0)) for v in all_variables(self.od)]
         self._entries = {entry.key: entry for entry in found}
         self.dummies = [index for index in self.od.indices if index < _DUMMIES]
+        #: The drives of the node, and which of them cases are about: what they name is its own then.
+        self.axes = axes(self.od.__contains__)
+        self.axis = 1
+
+    def each_axis(self) -> Iterator[int]:
+        """One after the other (the device itself where it is no drive), each in force while it is there."""
+        try:
+            for axis in self.axes or [1]:
+                self.axis = axis
+                yield axis
+        finally:
+            self.axis = 1
+
+    def own(self, index: int) -> int:
+        """Where the axis has an object, named as that of the first one."""
+        return object_of(self.axis, index)
 
     def has(self, index: int, sub: int = 0) -> bool:
         """Whether the file has the value."""
-        return (index, sub) in self._entries
+        return (self.own(index), sub) in self._entries
 
     def entry(self, index: int, sub: int = 0) -> Entry:
         """Raises KeyError for one that is not in the file."""
-        return self._entries[index, sub]
+        return self._entries[self.own(index), sub]
 
     def can_write(self, index: int, sub: int = 0) -> bool:
         """Whether the file has the value, to be read and written."""
@@ -120,4 +137,4 @@ class Description:
     @property
     def is_drive(self) -> bool:
         """CiA 402: controlword and statusword."""
-        return self.has(0x6040) and self.has(0x6041)
+        return self.axis in self.axes

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from hilbench.cia402 import objects
+from hilbench.cia402.axis import SEVERAL
 from hilbench.cia402.state_machine import (
     CONTROLWORD_FAULT_RESET,
     DESTINATION,
@@ -34,6 +35,7 @@ from hilbench.conformance.power import (
 from hilbench.conformance.record import NotApplicableError
 
 _HARMLESS: Final = (Command.DISABLE_VOLTAGE, Command.QUICK_STOP, Command.SHUTDOWN)
+_CIA_402, _TYPE_OF_AXIS = 402, 0x67FF
 _POWER: Final = "switches the power stage on"
 #: Quick stop option codes by which a drive stays in QUICK STOP ACTIVE.
 _STAYS: Final = tuple(code for code, (_, stays) in QUICK_STOP_OPTIONS.items() if stays)
@@ -89,7 +91,6 @@ def _quick_stop_active(dut: DeviceUnderTest) -> None:
 def _needs_staying(dut: DeviceUnderTest) -> None:
     """605Ah so that the drive stays in QUICK STOP ACTIVE."""
     dut.needs_to_write((objects.QUICK_STOP_OPTION_CODE, 0))
-    dut.touched.add((objects.QUICK_STOP_OPTION_CODE, 0))
     for code in _STAYS:
         if (
             dut.try_to_write(objects.QUICK_STOP_OPTION_CODE, 0, dut.data_of(objects.QUICK_STOP_OPTION_CODE, 0, code))
@@ -169,6 +170,25 @@ def _bits(dut: DeviceUnderTest, wanted: State) -> None:
     dut.check(f"statusword in {wanted.label}", f"{pattern:04X}h in the bits {mask:04X}h", seen, ok)
 
 
+def several_axes(dut: DeviceUnderTest) -> None:
+    """1000h says that there are some, and its profile is that of the first; each axis may tell its own type."""
+    needs_drive(dut)
+    if len(dut.eds.axes) == 1:
+        raise NotApplicableError("one axis: 6840h and 6841h are not in the EDS file")
+    kind = dut.value(0x1000)
+    ok = kind == SEVERAL << 16 | _CIA_402
+    dut.check(
+        "1000h", f"{SEVERAL:04X}{_CIA_402:04X}h: several logical devices, the first of CiA 402", f"{kind:08X}h", ok
+    )
+    if dut.eds.has(_TYPE_OF_AXIS):
+        kind = dut.value(_TYPE_OF_AXIS)
+        dut.check(
+            dut.name(_TYPE_OF_AXIS, 0), f"{_CIA_402:04X}h in the lower half", f"{kind:08X}h", kind & 0xFFFF == _CIA_402
+        )
+    else:
+        dut.notes.append(f"{dut.name(_TYPE_OF_AXIS, 0)} is not in the EDS file")
+
+
 CASES: Final[Mapping[str, Callable[[DeviceUnderTest], None]]] = {
     "Drive states 1": after_reset,
     "Drive states 2": lambda dut: every_command(dut, State.SWITCH_ON_DISABLED),
@@ -178,4 +198,5 @@ CASES: Final[Mapping[str, Callable[[DeviceUnderTest], None]]] = {
     "Drive states 6": in_quick_stop_active,
     "Drive states 7": in_fault,
     "Drive states 8": statusword_bits,
+    "Drive states 9": several_axes,
 }

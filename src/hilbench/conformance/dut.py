@@ -94,14 +94,20 @@ class DeviceUnderTest:
         """Raises NotApplicableError when the EDS file lacks one of them."""
         for index, sub in keys:
             if not self.eds.has(index, sub):
-                raise NotApplicableError(f"{_name(index, sub)} is not in the EDS file")
+                raise NotApplicableError(f"{self.name(index, sub)} is not in the EDS file")
 
     def needs_to_write(self, *keys: tuple[int, int]) -> None:
         """Raises NotApplicableError when the EDS file lacks one of them, or lets nobody write it."""
         self.needs(*keys)
         for index, sub in keys:
             if not self.eds.can_write(index, sub):
-                raise NotApplicableError(f"{_name(index, sub)} is {self.eds.entry(index, sub).access} in the EDS file")
+                raise NotApplicableError(
+                    f"{self.name(index, sub)} is {self.eds.entry(index, sub).access} in the EDS file"
+                )
+
+    def name(self, index: int, sub: int) -> str:
+        """An object as messages call it."""
+        return f"{self.eds.own(index):04X}h:{sub}"
 
     # -- frames ----------------------------------------------------------------------------------------------
 
@@ -232,7 +238,7 @@ class DeviceUnderTest:
             self._sent = kept
 
     def _upload(self, index: int, sub: int) -> Answer:
-        answer = self.exchange(multiplexed(0x40, index, sub))
+        answer = self.exchange(multiplexed(0x40, self.eds.own(index), sub))
         if answer is None or len(answer) != 8:
             return None
         if answer[0] == 0x80:
@@ -253,7 +259,7 @@ class DeviceUnderTest:
         """A number that the case can't do without (unsigned)."""
         answer = self.peek(index, sub)
         if not isinstance(answer, bytes):
-            self.check(f"read {_name(index, sub)}", "a value", answer_text(answer), False)
+            self.check(f"read {self.name(index, sub)}", "a value", answer_text(answer), False)
             raise CaseEndedError
         return int.from_bytes(answer, "little")
 
@@ -267,7 +273,7 @@ class DeviceUnderTest:
         """Expect a number (unsigned) in an object."""
         answer = self.peek(index, sub)
         found = int.from_bytes(answer, "little") if isinstance(answer, bytes) else None
-        self._sent.append(f"read {_name(index, sub)}")
+        self._sent.append(f"read {self.name(index, sub)}")
         return self.check(what, f"{expected:X}h", answer_text(answer), found == expected)
 
     def reads_bits(self, what: str, index: int, sub: int, expected: int) -> bool:
@@ -279,11 +285,11 @@ class DeviceUnderTest:
 
     def request_to_write(self, index: int, sub: int, data: bytes) -> bytes:
         """The request that writes up to four bytes at once."""
-        return multiplexed(0x23 | (4 - len(data)) << 2, index, sub, data)
+        return multiplexed(0x23 | (4 - len(data)) << 2, self.eds.own(index), sub, data)
 
     def try_to_write(self, index: int, sub: int, data: bytes) -> Answer:
         """Write, without an expectation: b"" when it was taken."""
-        self.touched.add((index, sub))
+        self.touched.add((self.eds.own(index), sub))
         kept, self._sent = self._sent, []
         try:
             if 0 < len(data) <= 4:
@@ -295,7 +301,7 @@ class DeviceUnderTest:
         return _write_answer(answer)
 
     def _download(self, index: int, sub: int, data: bytes) -> bytes | None:
-        answer = self.exchange(multiplexed(0x21, index, sub, len(data).to_bytes(4, "little")))
+        answer = self.exchange(multiplexed(0x21, self.eds.own(index), sub, len(data).to_bytes(4, "little")))
         at, toggle = 0, 0x00
         while answer is not None and answer[0] != 0x80:
             part, at = data[at : at + 7], at + 7
@@ -314,25 +320,25 @@ class DeviceUnderTest:
 
     def write(self, index: int, sub: int, value: int) -> None:
         """Write a number; a refusal ends the case."""
-        self.must(self.takes(f"write {value:X}h to {_name(index, sub)}", index, sub, value))
+        self.must(self.takes(f"write {value:X}h to {self.name(index, sub)}", index, sub, value))
 
     def takes(self, what: str, index: int, sub: int, value: int) -> bool:
         """Expect that a number is taken."""
-        self.touched.add((index, sub))
+        self.touched.add((self.eds.own(index), sub))
         answer = self.exchange(self.request_to_write(index, sub, self.data_of(index, sub, value))) or b""
-        return self._expect_answer(what, answer, [f"60{_mux(index, sub)}????????"])
+        return self._expect_answer(what, answer, [f"60{_mux(self.eds.own(index), sub)}????????"])
 
     def refuses(self, what: str, index: int, sub: int, data: bytes, *codes: int) -> bool:
         """Expect that data are refused with one of these abort codes."""
-        self.touched.add((index, sub))
+        self.touched.add((self.eds.own(index), sub))
         answer = self.exchange(self.request_to_write(index, sub, data)) or b""
-        return self._expect_answer(what, answer, [aborted(index, sub, code) for code in codes])
+        return self._expect_answer(what, answer, [aborted(self.eds.own(index), sub, code) for code in codes])
 
     def configure(self, index: int, sub: int, value: int, what: str) -> None:
         """Write what not every device has to take. Raises NotApplicableError when it refuses."""
         answer = self.try_to_write(index, sub, self.data_of(index, sub, value))
         if isinstance(answer, Refusal):
-            raise NotApplicableError(f"{what}: {_name(index, sub)} = {value:X}h is refused, {answer}")
+            raise NotApplicableError(f"{what}: {self.name(index, sub)} = {value:X}h is refused, {answer}")
         if answer is None:
             self.check(what, "an answer", _EMPTY, False)
             raise CaseEndedError
@@ -398,10 +404,6 @@ def answers(values: Sequence[Heard], can_id: int, test: Callable[[bytes], bool])
 
 def _mux(index: int, sub: int) -> str:
     return bytes((index & 0xFF, index >> 8, sub)).hex()
-
-
-def _name(index: int, sub: int) -> str:
-    return f"{index:04X}h:{sub}"
 
 
 def _write_answer(answer: bytes | None) -> Answer:

@@ -6,7 +6,8 @@ them are compared. Where storing is allowed, what the device had at power-on is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import replace
 from typing import Final
 
 from hilbench.canopen.identifiers import NmtCommand
@@ -38,6 +39,11 @@ from hilbench.conformance.record import (
 from hilbench.conformance.restore import Lost, Values, restore, snapshot
 from hilbench.errors import BenchFaultError, UnusableInputError
 
+OF_DRIVES: Final[Mapping[str, Callable[[DeviceUnderTest], object]]] = {
+    **drive_state_cases.CASES,
+    **drive_option_cases.CASES,
+    **drive_mode_cases.CASES,
+}
 CASES: Final[Mapping[str, Callable[[DeviceUnderTest], object]]] = {
     **sdo_cases.CASES,
     **pdo_cases.CASES,
@@ -47,9 +53,7 @@ CASES: Final[Mapping[str, Callable[[DeviceUnderTest], object]]] = {
     **heartbeat_cases.CASES,
     **store_cases.CASES,
     **nmt_cases.CASES,
-    **drive_state_cases.CASES,
-    **drive_option_cases.CASES,
-    **drive_mode_cases.CASES,
+    **OF_DRIVES,
 }
 AFTERWARDS: Final = Case("Afterwards", 1, "Every parameter is what it was before", "no case of a standard")
 
@@ -82,15 +86,25 @@ def _examine_all(dut: DeviceUnderTest, groups: Collection[str], tell: Callable[[
         for case in listed_cases():
             if groups and case.group not in groups:
                 continue
-            result = _examine(dut, case)
-            lost += _as_steps(f"after {case.name}", restore(dut, before))
-            results.append(result)
-            tell(result)
+            for result in _of_each_axis(dut, case):
+                lost += _as_steps(f"after {result.name}", restore(dut, before))
+                results.append(result)
+                tell(result)
     finally:
         lost += _as_steps("at the end", _leave(dut, before, power_on))
     results.append(_afterwards(lost, len(before)))
     tell(results[-1])
     return results
+
+
+def _of_each_axis(dut: DeviceUnderTest, case: Case) -> Iterator[CaseResult]:
+    """A case of CiA 402 for each axis of the device; of CiA 301 once."""
+    several = len(dut.eds.axes) > 1 and case.name in OF_DRIVES
+    for axis in dut.eds.axes if several else [None]:
+        dut.eds.axis = axis or 1
+        result = replace(_examine(dut, case), axis=axis)
+        dut.eds.axis = 1
+        yield result
 
 
 def _as_steps(when: str, lost: Collection[Lost]) -> list[Step]:
@@ -110,8 +124,8 @@ def _check_ready(dut: DeviceUnderTest) -> None:
         dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)  # one that is STOPPED has no SDO
         if not isinstance(dut.peek(0x1000, 0), bytes):
             raise BenchFaultError(f"node {dut.node_id}: no answer to an SDO read of 1000h")
-    if dut.eds.is_drive:
-        statusword = dut.peek(STATUSWORD, 0)
+    for _ in dut.eds.each_axis():
+        statusword = dut.peek(STATUSWORD, 0) if dut.eds.is_drive else None
         state = decode_statusword(int.from_bytes(statusword, "little")) if isinstance(statusword, bytes) else None
         if state in POWERED:
             raise UnusableInputError(f"node {dut.node_id}", f"is in {state.label}, expected a drive without power")

@@ -21,6 +21,7 @@ from hilbench.canopen.object_store import (
     WRITE_ONLY,
 )
 from hilbench.canopen.sdo_client import Refusal
+from hilbench.cia402.axis import of_first_axis
 from hilbench.conformance.description import REFUSE_READ, REFUSE_WRITE, Entry
 from hilbench.conformance.dut import DeviceUnderTest, aborted, answer_text, multiplexed, taken_text
 from hilbench.conformance.record import NotApplicableError
@@ -92,7 +93,7 @@ def _access(dut: DeviceUnderTest, entry: Entry) -> None:
 
 
 def _may_write_back(dut: DeviceUnderTest, entry: Entry, data: bytes) -> bool:
-    if not entry.writable or entry.index in _COMMANDS or entry.index == _CONTROLWORD or not data:
+    if not entry.writable or entry.index in _COMMANDS or of_first_axis(entry.index) == _CONTROLWORD or not data:
         return False
     return dut.allowed.motion or not _MAKERS[0] <= entry.index <= _MAKERS[1]
 

@@ -155,7 +155,6 @@ def rest(dut: DeviceUnderTest) -> None:
         if mode in there and (target is None or dut.eds.has(target)):
             choose(dut, mode)
             if target is not None:
-                dut.touched.add((target, 0))
                 dut.write(target, 0, 0)
             return
     raise NotApplicableError("no mode (6502h) in which an enabled drive stands still by itself")

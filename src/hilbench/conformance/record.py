@@ -40,11 +40,17 @@ class CaseResult:
     reason: str
     steps: Sequence[Step] = ()
     notes: Sequence[str] = ()
+    axis: int | None = None  #: of a device with several
+
+    @property
+    def label(self) -> str:
+        """Its number in the group, and the axis of a device with several."""
+        return f"{self.number}" if self.axis is None else f"{self.number}, axis {self.axis}"
 
     @property
     def name(self) -> str:
-        """Group and number: "SDO 5"."""
-        return f"{self.group} {self.number}"
+        """Group and number: "SDO 5"; "Modes 1, axis 2" of a device with several axes."""
+        return f"{self.group} {self.label}"
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from typing import Final
 from hilbench.canopen.identifiers import INVALID, NmtCommand
 from hilbench.canopen.object_store import PRESENT_STATE
 from hilbench.canopen.sdo_client import Answer, Refusal
+from hilbench.cia402.axis import of_first_axis
 from hilbench.conformance.description import Entry
 from hilbench.conformance.dut import DeviceUnderTest, answer_text
 from hilbench.conformance.process_data import MAPPING, RPDO, TPDO, at_rest
@@ -31,7 +32,7 @@ def snapshot(dut: DeviceUnderTest) -> Values:
 
 
 def _parameters(dut: DeviceUnderTest) -> Iterable[Entry]:
-    return (entry for entry in dut.eds.entries() if entry.writable and entry.index not in _COMMANDS)
+    return (entry for entry in dut.eds.entries() if entry.writable and of_first_axis(entry.index) not in _COMMANDS)
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ class Lost:
 def restore(dut: DeviceUnderTest, values: Values) -> list[Lost]:
     """Write back what was touched (after a reset: all), in PRE-OPERATIONAL. Returns what could not be."""
     dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
-    at_rest(dut)
+    for _ in dut.eds.each_axis():
+        at_rest(dut)
     keys = set(values) if dut.was_reset else {key for key in dut.touched if key in values}
     differing = {key for key in keys if dut.peek(*key) != values[key]}
     for pdo in sorted({index for key in differing if (index := _pdo_of(key[0])) is not None}):

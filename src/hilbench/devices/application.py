@@ -96,7 +96,8 @@ class FaultyDrive:
         self._node = node
         self._now_ns = now_ns
         self._power_on_ns = now_ns()
-        self._events = sorted(node.behaviour.events, key=lambda event: event.at_s)
+        own = (event for event in node.behaviour.events if event.axis == node.axis)
+        self._events = sorted(own, key=lambda event: event.at_s)
         self._jumped_rad = 0.0
         #: When heartbeats, and everything, are sent again.
         self._no_heartbeat_until_ns = self._silent_until_ns = 0
@@ -111,6 +112,8 @@ class FaultyDrive:
         now_ns = self._now_ns()
         while self._events and (now_ns - self._power_on_ns) * 1e-9 >= self._events[0].at_s:
             self.cause(self._events.pop(0))
+        if self._node.axis > 1:
+            return  # what the node sends is the first axis' to fail
         device = self._node.device
         device.silent = now_ns < self._silent_until_ns
         device.heartbeat_fails = now_ns < self._no_heartbeat_until_ns

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from math import inf, pi
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Final, Self
 
 from pydantic import Field, FiniteFloat, model_validator
 
 from hilbench import strict_yaml
 from hilbench.block import Block
+from hilbench.cia402.axis import MOST_AXES
 from hilbench.cia402.switches import Switches, Zone
 from hilbench.plant.parameters import NotNegative, Positive
 from hilbench.plant.servo_axis.parameters import ShaftParameters
@@ -86,10 +87,15 @@ class Emergency(Block):
     data: list[Byte] = Field(default=[], max_length=5, description="the maker's bytes")
 
 
+#: What happens to one axis; all else is the node's.
+OF_AN_AXIS: Final = ("fault", "encoder_jump_turns")
+
+
 class Event(Block):
     """Something that happens once. One of what can happen is given."""
 
     at_s: NotNegative = Field(description="after power-on")
+    axis: int = Field(default=1, ge=1, le=MOST_AXES, description="of a node with several: which one fails, or jumps")
     fault: Word | None = Field(default=None, description="the drive fails with this error code (603Fh, EMCY)")
     emergency: Emergency | None = Field(default=None, description="it sends an EMCY message and goes on")
     emergency_over: Word | None = Field(default=None, description="that error is gone")
@@ -100,9 +106,11 @@ class Event(Block):
 
     @model_validator(mode="after")
     def _one(self) -> Self:
-        given = [name for name, value in self if name != "at_s" and value is not None]
+        given = [name for name, value in self if name not in ("at_s", "axis") and value is not None]
         if len(given) != 1:
             raise ValueError(f"{len(given)} things happen at {self.at_s} s, expected one a row")
+        if self.axis > 1 and given[0] not in OF_AN_AXIS:
+            raise ValueError(f"{given[0]} of the whole node, expected no axis beside it")
         return self
 
 

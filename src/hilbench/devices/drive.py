@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from copy import copy
 from math import pi
 from pathlib import Path
 from types import TracebackType
@@ -20,9 +21,10 @@ from hilbench.canopen.lss_slave import UNCONFIGURED, LssSlave
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.state_machine import State
 from hilbench.cia402.units import RPM
-from hilbench.devices.behaviour import Behaviour, Emergency, Event, load_behaviour
+from hilbench.devices.behaviour import OF_AN_AXIS, Behaviour, Emergency, Event, load_behaviour
 from hilbench.devices.lss import NodeIdGiven, await_node_id, lss_address
-from hilbench.devices.simulation import hosted, new_clock, simulated_node
+from hilbench.devices.node import SimulatedNode
+from hilbench.devices.simulation import hosted, new_clock, simulated_axes
 from hilbench.errors import HilbenchError
 
 _ANSWER_S: Final = 5.0
@@ -55,6 +57,8 @@ class SimulatedDrive:
     ) -> None:
         self._bus, self._eds, self._serial_number = bus, Path(eds), serial_number
         self._behaviour = load_behaviour(Path(behaviour)) if isinstance(behaviour, str | Path) else behaviour
+        self._axis = 1
+        self._nodes: list[SimulatedNode] = []
         self._make(node_id or _FIRST_NODE)  # one without a node id is the same drive, which is not on the bus yet
         self._lss = LssSlave(lss_address(self._node.device), node_id or UNCONFIGURED)
         self._stop = threading.Event()
@@ -83,8 +87,8 @@ class SimulatedDrive:
 
     def _make(self, node_id: int) -> None:
         clock = new_clock()
-        self._node = simulated_node(self._eds, node_id, clock, self._behaviour, serial_number=self._serial_number)
-        self._hosted, self._application = hosted([self._node], clock)
+        self._nodes[:] = simulated_axes(self._eds, node_id, clock, self._behaviour, serial_number=self._serial_number)
+        self._hosted, self._application = hosted(self._nodes, clock)
 
     def _run(self, link: Link) -> None:
         try:
@@ -113,6 +117,19 @@ class SimulatedDrive:
     def node_id(self) -> int | None:
         """The node id that it has now."""
         return None if self._lss.node_id == UNCONFIGURED else self._lss.node_id
+
+    def axis(self, number: int) -> Self:
+        """Another axis of the same node (from 1), for what it shows and what goes wrong with it; ask for it once the
+        node has its id. Raises KeyError for one that the EDS file lacks."""
+        if not any(node.axis == number for node in self._nodes):
+            raise KeyError(f"no axis {number}")
+        other = copy(self)
+        other._axis = number
+        return other
+
+    @property
+    def _node(self) -> SimulatedNode:
+        return next(node for node in self._nodes if node.axis == self._axis)
 
     @property
     def state(self) -> State:
@@ -184,7 +201,8 @@ class SimulatedDrive:
 
     def _cause(self, **what: object) -> None:
         event = Event.model_validate({"at_s": 0.0, **what})
-        self._do(lambda: self._application.faulty(0).cause(event))
+        place = self._nodes.index(self._node) if what.keys() & OF_AN_AXIS else 0
+        self._do(lambda: self._application.faulty(place).cause(event))
 
     def _do(self, what: Callable[[], Result]) -> Result:
         """Do it on the host's thread, between two cycles, and wait for it."""

@@ -15,6 +15,7 @@ from hilbench.canopen.eds import load_eds, variable
 from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.object_store import SdoAbort, Value
 from hilbench.cia402.assumed import assumed_units
+from hilbench.cia402.axis import AxisDevice, axes
 from hilbench.cia402.configuration import IDENTITY
 from hilbench.cia402.simulated import SimulatedDrive as Cia402Drive
 from hilbench.cia402.simulated import object_reader
@@ -43,10 +44,10 @@ _PEAK_TORQUE = 3.0  # of the rated one
 _LOOP_RAD_S, _POSITION_LOOP_PER_S = 150.0, 40.0
 
 
-def simulated_node(
+def simulated_axes(
     eds: Path, node_id: int, clock: Clock, behaviour: Behaviour | None = None, *, serial_number: int | None = None
-) -> SimulatedNode:
-    """The drive of an EDS or DCF file; `serial_number` in place of the file's (1018h sub 4).
+) -> list[SimulatedNode]:
+    """The drive of an EDS or DCF file, axis by axis; `serial_number` in place of the file's (1018h sub 4).
 
     Raises UnusableInputError for a file that is none of a CiA-402 drive.
     """
@@ -55,20 +56,28 @@ def simulated_node(
     _give_what_the_header_says(od)
     if serial_number is not None:
         _give_serial_number(eds, od, serial_number)
+    name = od.device_information.product_name or eds.stem
     try:
         device = Device(od, node_id, clock)
-        units, assumptions = assumed_units(object_reader(device), behaviour.units.given(), str(eds))
-        port = MotorPort()
-        drive = Cia402Drive(
-            device, port, units, switches=behaviour.switches.switches(), state_change_s=behaviour.state_change_s
-        )
+        there = axes(device.has) or [1]
+        beyond = [event.axis for event in behaviour.events if event.axis not in there]
+        if beyond:
+            known = ", ".join(map(str, there))
+            raise UnusableInputError("", f"an event of axis {beyond[0]}, expected one of those that it has: {known}")
+        found = [_simulated_axis(device, axis, behaviour, name, str(eds)) for axis in there]
     except UnusableInputError as error:
         raise UnusableInputError(str(eds), error.problem) from error
     for refused in behaviour.refuse:
         _refuse(device, refused)
+    return found
+
+
+def _simulated_axis(device: Device, axis: int, behaviour: Behaviour, name: str, place: str) -> SimulatedNode:
+    units, assumptions = assumed_units(object_reader(AxisDevice(device, axis)), behaviour.units.given(), place)
+    port, switches = MotorPort(), behaviour.switches.switches()
+    drive = Cia402Drive(device, port, units, axis=axis, switches=switches, state_change_s=behaviour.state_change_s)
     rig = _rig(units, behaviour.shaft, port)
-    name = od.device_information.product_name or eds.stem
-    return SimulatedNode(device, drive, port, rig, units, behaviour, assumptions, name)
+    return SimulatedNode(device, drive, port, rig, units, behaviour, assumptions, name, axis)
 
 
 def _give_what_the_header_says(od: ObjectDictionary) -> None:
@@ -98,7 +107,7 @@ def _give_serial_number(eds: Path, od: ObjectDictionary, serial_number: int) -> 
 def hosted(nodes: Sequence[SimulatedNode], clock: Clock) -> tuple[HostedDevices, DrivesApplication]:
     """What a host runs, and the part of it through which a test acts on the drives."""
     application = DrivesApplication(nodes, clock.now_ns)
-    return HostedDevices([node.device for node in nodes], clock, application), application
+    return HostedDevices(list(dict.fromkeys(node.device for node in nodes)), clock, application), application
 
 
 def new_clock() -> Clock:

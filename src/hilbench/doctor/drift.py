@@ -16,6 +16,7 @@ from canopen.objectdictionary import ObjectDictionary
 from hilbench.canopen import eds
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.eds import shared_eds
+from hilbench.cia402.axis import object_of
 from hilbench.cia402.units import DriveUnits
 from hilbench.doctor.eds_match import EdsFile
 from hilbench.errors import UnusableInputError
@@ -290,7 +291,8 @@ def _units(part: Part, od: ObjectDictionary, now: Mapping[Key, bytes | None]) ->
     """The factors that differ from those by file and config; of a device whose objects tell them."""
 
     def read(index: int, sub: int) -> int | float | None:
-        return _value(od, (index, sub), now.get((index, sub)))
+        key = object_of(part.node_axis, index), sub
+        return _value(od, key, now.get(key))
 
     try:
         there, declared = DriveUnits.from_objects(read, None, part.name), declared_units(part, od)

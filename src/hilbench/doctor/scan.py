@@ -12,6 +12,7 @@ from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, NmtState, node_of
 from hilbench.canopen.listening import master_at_work, present, receive_for, sort_by_node
 from hilbench.canopen.sdo_client import SdoClient
 from hilbench.cia402 import objects
+from hilbench.cia402.axis import MOST_AXES, SEVERAL, object_of
 from hilbench.cia402.state_machine import decode_statusword
 from hilbench.doctor.eds_match import EdsFile, read_identity
 
@@ -33,7 +34,7 @@ class Station:
     name: str | None = None  #: 1008h
     hardware: str | None = None  #: 1009h
     firmware: str | None = None  #: 100Ah
-    drive_state: str | None = None  #: CiA 402, from the statusword
+    drive_state: str | None = None  #: CiA 402, from the statusword; of several axes one after the other
     eds: Path | None = None  #: the file whose vendor-ID and product code are the device's
     eds_of_revision: bool | None = None  #: and whose revision is, or which is open about it
 
@@ -107,7 +108,7 @@ def _ask(reader: SdoClient, node_id: int, nmt_state: str | None, files: Sequence
         name,
         hardware,
         firmware,
-        _drive_state(reader, node_id) if kind & 0xFFFF == _CIA_402 else None,
+        _drive_states(reader, node_id, kind >> 16) if kind & 0xFFFF == _CIA_402 else None,
         fitting[0].path if fitting else None,
         fitting[0].is_of_revision(identity[2]) if fitting else None,
     )
@@ -118,8 +119,19 @@ def _text(reader: SdoClient, node_id: int, index: int) -> str | None:
     return answer.decode("latin-1").rstrip("\0 ") if isinstance(answer, bytes) else None
 
 
-def _drive_state(reader: SdoClient, node_id: int) -> str | None:
-    answer = reader.read(node_id, objects.STATUSWORD)
+def _drive_states(reader: SdoClient, node_id: int, information: int) -> str | None:
+    """Of the axis; `information`: the upper half of 1000h, which says whether there are more."""
+    states: list[str] = []
+    for axis in range(1, (MOST_AXES if information == SEVERAL else 1) + 1):
+        state = _drive_state(reader, node_id, axis)
+        if state is None:
+            break
+        states.append(state)
+    return ", ".join(states) or None
+
+
+def _drive_state(reader: SdoClient, node_id: int, axis: int) -> str | None:
+    answer = reader.read(node_id, object_of(axis, objects.STATUSWORD))
     if not isinstance(answer, bytes):
         return None
     state = decode_statusword(int.from_bytes(answer, "little"))

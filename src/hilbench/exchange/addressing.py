@@ -9,6 +9,7 @@ from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.identifiers import RPDOS, TPDOS
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402 import objects
+from hilbench.cia402.axis import object_of, rpdo_identifier
 from hilbench.cia402.configuration import DriveSettings, RpdoCopy, default_reader
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.units import DriveUnits
@@ -88,12 +89,14 @@ def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary
     rad_per_unit = config.machine.motor_rad_per_unit(part.axis)
     units = declared_units(part, od)
     deceleration = round(config.quick_stop_per_s2 * rad_per_unit / units.acceleration_rad_s2)
-    parameters = {
-        (objects.QUICK_STOP_DECELERATION, 0): deceleration,
-        (objects.QUICK_STOP_OPTION_CODE, 0): _QUICK_STOP_RAMP,
-        (objects.ABORT_CONNECTION_OPTION_CODE, 0): _ABORT_BY_QUICK_STOP,
+    values = {
+        objects.QUICK_STOP_DECELERATION: deceleration,
+        objects.QUICK_STOP_OPTION_CODE: _QUICK_STOP_RAMP,
+        objects.ABORT_CONNECTION_OPTION_CODE: _ABORT_BY_QUICK_STOP,
     }
-    real = config.parts_of(Role.AXIS)[part.axis - 1].node
+    parameters = {(object_of(part.node_axis, index), 0): value for index, value in values.items()}
+    real = config.parts_of(Role.AXIS)[part.axis - 1]
+    listened = rpdo_identifier(real.node.node_id, real.node_axis)
     copies: tuple[RpdoCopy, ...] = ()
     if config.mirroring == "copy" and not virtual and not load:
         copies = (_copy_for(config.parts_of(Role.VIRTUAL_AXIS)[part.axis - 1], units, torqued=torqued),)
@@ -107,10 +110,11 @@ def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary
         parameters={**node.writes, **{key: value for key, value in parameters.items() if key[0] in od}},
         heartbeat_ms=config.master.node_heartbeat_ms,
         master_heartbeat=_master_heartbeat(config, virtual),
-        listens_to=RPDOS[0] + real.node_id if virtual and config.mirroring == "listen" else None,
+        listens_to=listened if virtual and config.mirroring == "listen" else None,
         copies=copies,
         tpdo_type=(config.twin.virtual_tpdo_every or None) if virtual else 1,
         time_out_s=config.safety.drive_timeout_s,
+        axis=part.node_axis,
     )
 
 
@@ -119,12 +123,13 @@ def _copy_for(virtual: Part, units: DriveUnits, *, torqued: bool) -> RpdoCopy:
     node_id = virtual.node.node_id
     theirs = declared_units(virtual, shared_eds(virtual.node.eds, node_id))
     factor = units.torque_Nm / theirs.torque_Nm if torqued else units.velocity_rad_s / theirs.velocity_rad_s
-    return RpdoCopy(RPDOS[0] + node_id, factor)
+    return RpdoCopy(rpdo_identifier(node_id, virtual.node_axis), factor)
 
 
 def declared_units(part: Part, od: canopen.ObjectDictionary) -> DriveUnits:
     """A drive's units as its EDS file and the config have them; the device itself is asked when it is configured."""
-    return DriveUnits.from_objects(default_reader(od, part.node.writes), part.node.unit_overrides, part.name)
+    read = default_reader(od, part.node.writes, part.node_axis)
+    return DriveUnits.from_objects(read, part.node.unit_overrides, part.name)
 
 
 def _master_heartbeat(config: BenchConfig, virtual: bool) -> tuple[int, int] | None:

@@ -1,6 +1,7 @@
 """Effects of the simulated hardware as CANopen objects.
 
-The object index of an effect stands in its row of the vocabulary, its parameters are the sub-indices in order. From
+The object index of an effect stands in its row of the vocabulary, its parameters are the sub-indices in order; a second
+axis of a node has its own 800h further on, as it has all its objects. From
 2000h on a maker has objects of its own: one is an effect's only where the EDS file names its entries as we do.
 """
 
@@ -13,6 +14,7 @@ from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
 from hilbench.canopen.device import Cell, Device
 from hilbench.canopen.eds import shared_eds
+from hilbench.cia402.axis import objects_behind
 from hilbench.errors import UnusableValueError
 from hilbench.plant.effect import Effect, EffectPlace, MachineKind
 from hilbench.plant.effects import effects_of, find_effect
@@ -42,6 +44,7 @@ def effect_place(config: BenchConfig, path: str) -> tuple[int, int, int]:
     assert of.axis is not None, "effects of the hardware are effects of an axis"
     part = config.parts_of(Role.AXIS)[of.axis - 1]
     index, sub = effect_object(of.effect, of.parameter, config.machine_kind)
+    index += objects_behind(part.node_axis)
     od = shared_eds(part.node.eds, part.node.node_id)
     if not _is_effect(od.get(index), find_effect(of.effect, config.machine_kind)):
         found = repr(od[index].name) if index in od else "nothing"
@@ -61,12 +64,15 @@ def _is_effect(entries: ODRecord | ODArray | ODVariable | None, effect: Effect) 
 
 
 def bind_effect_objects(
-    device: Device, apply: Callable[[str, dict[str, float]], None], kind: MachineKind = MachineKind.WEB_LINE
+    device: Device,
+    apply: Callable[[str, dict[str, float]], None],
+    kind: MachineKind = MachineKind.WEB_LINE,
+    node_axis: int = 1,
 ) -> None:
-    """Give the effect objects of a device their neutral values, and let writes act: `apply(effect id, all its
-    parameters)`."""
+    """Give the effect objects of an axis of a device their neutral values, and let writes act: `apply(effect id, all
+    its parameters)`."""
     for effect in effects_of(kind):
-        index = effect.object_index
+        index = effect.object_index + objects_behind(node_axis)
         if not effect.enters(EffectPlace.HARDWARE) or not device.has(index, 1):
             continue
         if not _is_effect(device.cell(index, 1).variable.parent, effect):

@@ -22,6 +22,7 @@ from hilbench.canopen.data_types import data_type
 from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.sdo_client import Refusal, SdoClient
 from hilbench.cia402 import configuration, objects
+from hilbench.cia402.axis import MOST_AXES, is_of, object_of, of_first_axis, pdos_behind
 from hilbench.exchange.addressing import drive_settings
 from hilbench.exchange.to_each import ToEach
 from hilbench.json_file import JsonFile
@@ -38,8 +39,12 @@ DEVICE: Final[tuple[Key, ...]] = (
     (0x100A, 0),
     *((0x1018, k) for k in (1, 2, 3, 4)),
 )
-#: What a device's units follow from.
-UNITS: Final = frozenset({objects.MOTOR_RATED_TORQUE, *range(0x6089, 0x6098), *range(0x60A8, 0x60AC)})
+#: What a device's units follow from, of each axis.
+UNITS: Final = frozenset(
+    object_of(axis, index)
+    for axis in range(1, MOST_AXES + 1)
+    for index in (objects.MOTOR_RATED_TORQUE, *range(0x6089, 0x6098), *range(0x60A8, 0x60AC))
+)
 #: Not the mode (6060h), in which who moves a drive by hand may have left it.
 _SET_BY_THE_BENCH: Final = (
     configuration.CONSUMER_HEARTBEAT,
@@ -108,7 +113,9 @@ def ask(reader: SdoClient, config: BenchConfig, part: Part) -> dict[Key, bytes |
     od = shared_eds(part.node.eds, part.node.node_id)
     found: dict[Key, bytes | None] = {}
     wanted = [*DEVICE, *_parameters(config, part, od)]
-    for communication, mapping in (_RECEIVED, *_SENT):
+    behind = pdos_behind(part.node_axis)
+    pdos = [(communication + behind, mapping + behind) for communication, mapping in (_RECEIVED, *_SENT)]
+    for communication, mapping in pdos:
         if communication in od:
             wanted += [(communication, 1), (communication, 2), (mapping, 0)]
     for index, sub in wanted:
@@ -116,7 +123,7 @@ def ask(reader: SdoClient, config: BenchConfig, part: Part) -> dict[Key, bytes |
         if answer is None:
             return {}
         found[index, sub] = None if isinstance(answer, Refusal) else answer
-        if (index, sub) in {(mapping, 0) for _, mapping in (_RECEIVED, *_SENT)} and isinstance(answer, bytes):
+        if (index, sub) in {(mapping, 0) for _, mapping in pdos} and isinstance(answer, bytes):
             count = min(int.from_bytes(answer[:1], "little"), _MOST_MAPPED)
             for entry in range(1, count + 1):
                 said = reader.read(part.node.node_id, index, entry)
@@ -130,9 +137,12 @@ def _parameters(config: BenchConfig, part: Part, od: ObjectDictionary) -> list[K
     return [
         (each.index, each.subindex)
         for each in eds.all_variables(od)
-        if (each.index in UNITS and each.readable)
-        or each.index in _SET_BY_THE_BENCH
-        or (each.index, each.subindex) in written
+        if is_of(part.node_axis, each.index)
+        and (
+            (each.index in UNITS and each.readable)
+            or of_first_axis(each.index) in _SET_BY_THE_BENCH
+            or (each.index, each.subindex) in written
+        )
     ]
 
 
@@ -157,7 +167,7 @@ def stand_data(
             written={
                 name_of((index, sub)): data.hex()
                 for (node_id, index, sub), data in written.items()
-                if node_id == part.node.node_id
+                if node_id == part.node.node_id and is_of(part.node_axis, index)
             },
         )
         for part in drives_of(config)
@@ -190,6 +200,6 @@ def text_of(od: ObjectDictionary, key: Key, data: bytes | None) -> str:
         value = int.from_bytes(data, "little") if len(data) <= 4 else data.decode("latin-1").rstrip("\0")
     if key[0] in (0x1008, 0x1009, 0x100A) and isinstance(value, bytes):
         value = value.decode("latin-1")
-    if isinstance(value, int) and (key[0] < 0x2000 or key[0] in range(0x60A8, 0x60AC)):
+    if isinstance(value, int) and (key[0] < 0x2000 or of_first_axis(key[0]) in range(0x60A8, 0x60AC)):
         return f"{value & 0xFFFFFFFF:08X}h"
     return repr(value) if isinstance(value, str) else str(value)

@@ -95,7 +95,7 @@ class Nodes:
             *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), self._per_output(), strict=True),
             *((drive, name, 1.0) for drive, name in zip(self.load_motors, config.load_motors, strict=True)),
         ]
-        self._known = {part.node.node_id: part.label for part in parts}
+        self._known = {node_id: " and ".join(names) for node_id, names in self._on_nodes().items()}
         self._master: Master | None = None
         torques = [SimulatedTorque(each.axis, each.name, each.residual) for each in self.io.data.torques]
         self._shown_by = self._drive_signals()
@@ -129,6 +129,13 @@ class Nodes:
         self.supervised = 0  #: how often it has changed whether the twin is counted on
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
         self._expected_boots: set[int] = set()
+
+    def _on_nodes(self) -> dict[int, list[str]]:
+        """What messages call the parts of each node."""
+        found: dict[int, list[str]] = {}
+        for part in self.config.parts:
+            found.setdefault(part.node.node_id, []).append(part.label)
+        return found
 
     def _per_output(self) -> list[float]:
         """What the output of each axis is multiplied with: its speed becomes the motor's, its torque stays."""
@@ -182,9 +189,23 @@ class Nodes:
         """The PDOs of a part that the bench maps, by its name."""
         if part == "virtual_io":
             return self.io.all
-        node_id = self.config.part(part).node.node_id
-        drive = next(drive for drive in (*self.drives, *self.virtual_axes) if drive.settings.node_id == node_id)
-        return [drive.pdos.rpdo, *(pdo for _, pdo, _ in drive.pdos.tpdos)]
+        pdos = self._drive_of(part).pdos
+        return [pdos.rpdo, *(pdo for _, pdo, _ in pdos.tpdos)]
+
+    def pdo_names(self, part: str) -> dict[int, str]:
+        """What the PDOs of a part that have numbers of their own are called, by COB-ID."""
+        if part == "virtual_io":
+            return {pdo.cob_id: f"TPDO{number}" for number, pdo in self.io.tpdos}
+        pdos = self._drive_of(part).pdos
+        return {pdos.rpdo.cob_id: f"RPDO{pdos.rpdo_number}"} | {
+            pdo.cob_id: f"TPDO{number}" for number, pdo, _ in pdos.tpdos
+        }
+
+    def _drive_of(self, part: str) -> Drive:
+        place = self.config.part(part)
+        address = place.node.node_id, place.node_axis
+        drives = (*self.drives, *self.virtual_axes)
+        return next(drive for drive in drives if (drive.settings.node_id, drive.settings.axis) == address)
 
     # -- configuration -----------------------------------------------------------------------------------
 
@@ -192,8 +213,9 @@ class Nodes:
         """Make all nodes known to the master."""
         self._master = master
         self._watch = UnexpectedSenders(self._owned(), master.sent.take)
-        for part in self.config.parts:
-            master.add(part.node.node_id, self._ods[part.name], part.label)
+        dictionaries = {part.node.node_id: self._ods[part.name] for part in self.config.parts}
+        for node_id, names in self._known.items():
+            master.add(node_id, dictionaries[node_id], names)
 
     def _owned(self) -> Owned:
         """Whose frames belong on the bus."""
@@ -222,7 +244,7 @@ class Nodes:
             found, expected = getattr(drive.units, name), getattr(declared, name)
             if not isclose(found, expected, rel_tol=1e-6):
                 raise BenchFaultError(
-                    f"{drive.settings.name} (node {drive.settings.node_id}): one unit is {found:.6g} ({name}), "
+                    f"{self.sender(drive)}: one unit is {found:.6g} ({name}), "
                     f"expected {expected:.6g} as by its EDS file: give the true one in drives: {part.name}: units:"
                 )
 
@@ -284,7 +306,8 @@ class Nodes:
 
     def read_statusword(self, drive: Drive) -> int:
         """The statusword of a drive by SDO. Raises BenchFaultError when it does not answer."""
-        return int(self._sdo().sdo_read(drive.settings.node_id, objects.STATUSWORD))
+        settings = drive.settings
+        return int(self._sdo().sdo_read(settings.node_id, settings.object(objects.STATUSWORD)))
 
     def use_synchronizer(self, method: int) -> None:
         """Let the twin go on with another method, by its number (2101h); 0: the configured one."""
@@ -305,7 +328,7 @@ class Nodes:
     @staticmethod
     def sender(drive: Drive) -> str:
         """Who a drive is, in messages and in `expected_pdos`."""
-        return f"{drive.settings.name} (node {drive.settings.node_id})"
+        return f"{drive.settings.name} ({drive.settings.place})"
 
     def expected_pdos(self, twin_since: int = 0) -> list[ExpectedPdo]:
         """The TPDOs that answer SYNC; `twin_since`: the SYNC before the twin was started."""

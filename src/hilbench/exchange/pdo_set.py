@@ -25,11 +25,11 @@ def pdo_set_dbc(config: BenchConfig) -> str:
     nodes = Nodes(config)
     messages: dict[int, DbcMessage] = {}
     for part in config.parts:
-        units, signals, names = None, {}, _NAMES
+        units, signals = None, {}
+        # A second axis, and the virtual I/O of a long line, have PDOs whose identifiers are those of other numbers.
+        names = _NAMES | nodes.pdo_names(part.name)
         if part.role is Role.VIRTUAL_IO:
             signals = _process_data(config)
-            # Of a long line, whose virtual I/O has more TPDOs than identifiers of its own.
-            names = _NAMES | {pdo.cob_id: f"TPDO{number}" for number, pdo in nodes.io.tpdos}
         else:
             units = declared_units(part, nodes.dictionary(part.name))
         for pdo in nodes.pdo_maps(part.name):

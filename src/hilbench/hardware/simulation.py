@@ -160,18 +160,21 @@ def hardware(config: BenchConfig) -> HostedDevices:
     ports = tuple(MotorPort() for _ in parts)
     warm_up(config)
     rig = new_rig(config, ports, config.seed)
-    devices, drives = [], []
+    devices: dict[int, Device] = {}
+    drives = []
     for part, port in zip(parts, ports, strict=True):
         if not part.is_simulated:
             continue
-        od = shared_eds(part.node.eds, part.node.node_id)
-        device = Device(od, part.node.node_id, clock)
-        drives.append(SimulatedDrive(device, port, declared_units(part, od)))
-        devices.append(device)
+        node_id = part.node.node_id
+        od = shared_eds(part.node.eds, node_id)
+        device = devices.get(node_id) or devices.setdefault(node_id, Device(od, node_id, clock))
+        drives.append(SimulatedDrive(device, port, declared_units(part, od), axis=part.node_axis))
         if part.role is Role.AXIS and part.axis is not None:
-            bind_effect_objects(device, _effect_setter(rig, part.axis), config.machine_kind)
+            bind_effect_objects(device, _effect_setter(rig, part.axis), config.machine_kind, part.node_axis)
     sample_s = config.drive_parameters.sample_time_s
-    return HostedDevices(devices, clock, RigApplication(drives, ports, rig, time, config.cycle_time_s, sample_s))
+    return HostedDevices(
+        list(devices.values()), clock, RigApplication(drives, ports, rig, time, config.cycle_time_s, sample_s)
+    )
 
 
 def load(config: BenchConfig) -> None:

@@ -18,6 +18,7 @@ from hilbench.can.frame import EXTENDED_FLAG, Frame
 from hilbench.can.wire import frame_bits
 from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, NMT, SYNC, node_of
 from hilbench.cia402 import objects
+from hilbench.cia402.axis import of_first_axis
 from hilbench.cia402.object_units import si_unit
 from hilbench.cia402.state_machine import State, decode_statusword
 from hilbench.cia402.units import DriveUnits
@@ -106,14 +107,14 @@ class BusPicture:
         self._state_data = dict.fromkeys(self._states, b"")
         self._tpdos: dict[int, tuple[NodePicture, Any, tuple[int, ...], DriveUnits]] = {}
         parts = self.config.parts
-        self.nodes = {part.node.node_id: NodePicture(part.name, part.node.node_id) for part in parts}
+        self.nodes = {part.name: NodePicture(part.name, part.node.node_id) for part in parts}
         for part in parts:
             if part.role is Role.VIRTUAL_IO:
                 continue
             units = declared_units(part, nodes.dictionary(part.name))
             for pdo in nodes.pdo_maps(part.name)[1:]:  # what it sends
-                indices = tuple(variable.index for variable in pdo.variables)
-                self._tpdos[pdo.cob_id] = (self.nodes[part.node.node_id], pdo, indices, units)
+                indices = tuple(of_first_axis(variable.index) for variable in pdo.variables)
+                self._tpdos[pdo.cob_id] = (self.nodes[part.name], pdo, indices, units)
         self._answers = {
             part.name: nodes.pdo_maps(part.name)[1].cob_id
             for part in parts
@@ -129,7 +130,7 @@ class BusPicture:
         self._sync_ns: deque[int] = deque(maxlen=_WINDOW)
         self._watch = BenchWatch(self.config.master.node_id)
         self._now_s = time.monotonic()
-        self._heard: dict[tuple[int, str], _Heard] = {}  # by node, and what: PDOs, heartbeat, the twin's answer
+        self._heard: dict[tuple[int | str, str], _Heard] = {}  # by node, and what: PDOs, heartbeat, the twin's answer
         self._heartbeat_cycles = self.config.master.node_heartbeat_ms * 1e-3 / self.config.cycle_time_s
 
     # -- what was heard --------------------------------------------------------------------------------------
@@ -185,14 +186,15 @@ class BusPicture:
         changing, changed = status & TwinStatus.MODEL_CHANGING, status & TwinStatus.MODEL_CHANGED
         self.model = "another model is tried beside it" if changing else "model with what was found" if changed else ""
 
-    def _hear(self, node_id: int, what: str, within_cycles: float) -> None:
-        self._heard[node_id, what] = _Heard(self.cycles, self._now_s, within_cycles)
+    def _hear(self, who: int | str, what: str, within_cycles: float) -> None:
+        """`who`: a node by its id, or a part by its name."""
+        self._heard[who, what] = _Heard(self.cycles, self._now_s, within_cycles)
 
     def _look_for_silence(self) -> None:
         """Who is not heard in time has no values any more."""
         running = self.condition is Condition.RUNNING
-        for node_id, node in self.nodes.items():
-            said = {what: heard for (who, what), heard in self._heard.items() if who == node_id}
+        for part, node in self.nodes.items():
+            said = {what: heard for (who, what), heard in self._heard.items() if who in (part, node.node_id)}
             silent = {what for what, heard in said.items() if self._is_silent(heard, running=running)}
             node.stale = bool(silent)
             if not running or "PDO" in silent:
@@ -249,7 +251,7 @@ class BusPicture:
         for cob_id, (node, pdo, indices, units) in self._tpdos.items():
             data = last.get(cob_id)
             if data is not None and len(data) == pdo.size:
-                self._hear(node.node_id, "PDO", _MISSED * pdo.period)
+                self._hear(node.part, "PDO", _MISSED * pdo.period)
                 self._show(node, dict(zip(indices, pdo.unpack(data), strict=True)), units)
 
     def _show(self, node: NodePicture, raw: dict[int, int | float], units: DriveUnits) -> None:
@@ -269,20 +271,22 @@ class BusPicture:
             node.drive_state = label
 
     def _emergency(self, frame: Frame) -> None:
-        node = self.nodes.get(frame.can_id - EMERGENCY)
+        node_id = frame.can_id - EMERGENCY
         if len(frame.data) >= 3:
             code = int.from_bytes(frame.data[:2], "little")
-            part = node.part if node is not None else f"node {frame.can_id - EMERGENCY}"
+            part = " and ".join(node.part for node in self._on(node_id)) or f"node {node_id}"
             self._note(part, f"EMCY {code:04X}h, register {frame.data[2]:02X}h" if code else "EMCY: no error any more")
 
     def _nmt(self, node_id: int, state: str) -> None:
-        node = self.nodes.get(node_id)
-        if node is None:
-            return
-        if node.nmt_state == "OPERATIONAL" and state != "OPERATIONAL":
-            self._note(node.part, f"left OPERATIONAL: {state}")
-            node.forget()  # it sends no PDOs any more
-        node.nmt_state = state
+        for node in self._on(node_id):
+            if node.nmt_state == "OPERATIONAL" and state != "OPERATIONAL":
+                self._note(node.part, f"left OPERATIONAL: {state}")
+                node.forget()  # it sends no PDOs any more
+            node.nmt_state = state
+
+    def _on(self, node_id: int) -> list[NodePicture]:
+        """The parts of a node."""
+        return [node for node in self.nodes.values() if node.node_id == node_id]
 
     def _note(self, part: str, text: str) -> None:
         self.fault_count += 1

@@ -24,7 +24,7 @@ from hilbench.bench.tasks.task import Outputs
 from hilbench.can.frame import Frame
 from hilbench.can.wire import frame_bits
 from hilbench.canopen.identifiers import HEARTBEAT, SDO_ANSWER, SYNC, node_of
-from hilbench.cia402.configuration import default_reader
+from hilbench.cia402.configuration import DriveSettings, default_reader
 from hilbench.cia402.state_machine import State
 from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError, UnusableInputError
@@ -247,11 +247,12 @@ def take_units(nodes: Nodes, frames: Iterable[Frame]) -> None:
             size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
             told[node_id, int.from_bytes(data[1:3], "little"), data[3]] = data[4 : 4 + size]
     for drive in nodes.drives:
-        default = default_reader(drive.od)
-        node_id = drive.settings.node_id
+        settings, default = drive.settings, default_reader(drive.od, axis=drive.settings.axis)
 
-        def read(index: int, sub: int, node_id: int = node_id, default: object = default) -> int | float | None:
-            data = told.get((node_id, index, sub))
+        def read(
+            index: int, sub: int, settings: DriveSettings = settings, default: object = default
+        ) -> int | float | None:
+            data = told.get((settings.node_id, settings.object(index), sub))
             return default(index, sub) if data is None else int.from_bytes(data, "little")  # type: ignore[operator]
 
         drive.units = DriveUnits.from_objects(read, drive.settings.units, drive.settings.name)

@@ -58,7 +58,7 @@ def drive_warnings(loaded: LoadedConfig, asked: list[Move]) -> Iterator[str]:
 
 def _allowed(config: ExperimentConfig, part: Part) -> _Allowed:
     od = shared_eds(part.node.eds, part.node.node_id)
-    read, units = default_reader(od, part.node.writes), declared_units(part, od)
+    read, units = default_reader(od, part.node.writes, part.node_axis), declared_units(part, od)
     rad_per_unit = config.machine.motor_rad_per_unit(part.axis or 1)
 
     def limit(index: int, unit_rad: float) -> float:
@@ -75,6 +75,6 @@ def _allowed(config: ExperimentConfig, part: Part) -> _Allowed:
 def torque_limit_Nm(config: ExperimentConfig, part: Part) -> float:
     """What the drive of an axis gives at most: its motor's limit in the machine's model, or less by 6072h."""
     od = shared_eds(part.node.eds, part.node.node_id)
-    limit = default_reader(od, part.node.writes)(objects.MAX_TORQUE, 0) or inf
+    limit = default_reader(od, part.node.writes, part.node_axis)(objects.MAX_TORQUE, 0) or inf
     of_motor_Nm = per_item(config.drive_parameters.torque_limit_Nm, part.axis or 1)
     return min(of_motor_Nm, limit * declared_units(part, od).torque_Nm)

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
-from hilbench.block import Block
+from hilbench.block import Block, problem_at
 from hilbench.can.open import BusAddress
 from hilbench.errors import UnusableInputError
 from hilbench.plant.effect import MachineKind
@@ -33,7 +33,7 @@ from hilbench.topology.blocks import (
     RealtimeConfig,
     TwinConfig,
 )
-from hilbench.topology.misfits import misfits, whole_misfits
+from hilbench.topology.misfits import misfits, one_node_misfit, whole_misfits
 from hilbench.topology.parts import DriveConfig, LoadMotorConfig, Part, PartName, Role
 from hilbench.topology.quantities import MODEL_CHANGE, TENSION_PROBE, parse_effect_path, path_problem, plain_paths
 from hilbench.topology.safety import SafetyConfig
@@ -135,17 +135,19 @@ class BenchConfig(Block):
 
     @model_validator(mode="after")
     def _parts_differ(self) -> BenchConfig:
-        ids: dict[int, str] = {}
+        on_node: dict[int, dict[int, Part]] = {}
         names: set[str] = set()
         for part in self.parts:
             if part.name in names:
                 raise ValueError(f"names that differ: there are two parts named {part.name}")
             names.add(part.name)
-            if part.node.node_id in ids:
-                raise ValueError(
-                    f"node ids that differ: {ids[part.node.node_id]} and {part.name} both have {part.node.node_id}"
-                )
-            ids[part.node.node_id] = part.name
+            axes = on_node.setdefault(part.node.node_id, {})
+            key, expected = one_node_misfit(part, axes)
+            if key:
+                found = getattr(part.node, key)
+                shown = str(found) if key == "eds" else found
+                raise problem_at(type(self), (*part.location, key), expected, shown)
+            axes[part.node_axis] = part
         return self
 
     @model_validator(mode="after")
@@ -368,7 +370,7 @@ class BenchConfig(Block):
 
     @property
     def simulated_drives(self) -> dict[int, str]:
-        """Parts that the simulated hardware plays, by node id."""
+        """Parts that the simulated hardware plays, by node id; of a node with two axes the last."""
         return {part.node.node_id: part.name for part in self.parts if part.is_simulated}
 
     @property
@@ -385,9 +387,11 @@ class BenchConfig(Block):
         priority = None if wanted.priority is None else wanted.priority - below
         return ProcessSettings(priority, getattr(wanted.cores, part), wanted.lock_memory)
 
-    def units_of(self, node_id: int) -> dict[str, float]:
-        """Units that the config gives for a node; none for one that is not the bench's."""
-        return next((part.node.unit_overrides for part in self.parts if part.node.node_id == node_id), {})
+    def units_of(self, node_id: int, axis: int = 1) -> dict[str, float]:
+        """Units that the config gives for an axis of a node; none for one that is not the bench's."""
+        wanted = (node_id, axis)
+        parts = (part for part in self.parts if (part.node.node_id, part.node_axis) == wanted)
+        return next((part.node.unit_overrides for part in parts), {})
 
     @property
     def bus_address(self) -> BusAddress:

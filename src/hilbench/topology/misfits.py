@@ -10,7 +10,7 @@ from hilbench.plant.effects import effect_problem, find_effect
 from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.blocks import LoadConfig, LoadShaftConfig, MachineParameters, TwinConfig
-from hilbench.topology.parts import LoadMotorConfig
+from hilbench.topology.parts import DeviceConfig, LoadMotorConfig, Part
 from hilbench.topology.web_line_config import (
     ControllerConfig,
     LoadWebConfig,
@@ -66,6 +66,23 @@ def misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None) 
             stations = {} if of_servo else machine.station_types
             of_station = find_effect(entry.effect, kind).station_problem(entry.section, stations) if not place else None
             yield from filter(None, [entry.problem(kind), place, of_station])
+
+
+def one_node_misfit(part: Part, beside: Mapping[int, Part]) -> tuple[str, str]:
+    """Why a part can't be on its node `beside` others, by their axes: the key, and what is expected there."""
+    other = next(iter(beside.values()), None)
+    if other is None:
+        return "", ""
+    node_id, node = part.node.node_id, part.node
+    if part.node_axis in beside or not (isinstance(node, DeviceConfig) and isinstance(other.node, DeviceConfig)):
+        both = f"{beside.get(part.node_axis, other).name} and {part.name} both have {node_id}"
+        what = f", axis {part.node_axis}" if part.node_axis in beside else ""
+        return "node_id", f"node ids that differ, or another 'axis:' of a node with two: {both}{what}"
+    if node.eds != other.node.eds:
+        return "eds", f"{other.node.eds}, the EDS file of {other.name}, which is on node {node_id} as well"
+    if node.simulated is not other.node.simulated:
+        return "simulated", f"{str(other.node.simulated).lower()}, as {other.name} on the same node {node_id} is"
+    return "", ""
 
 
 def whole_misfits(

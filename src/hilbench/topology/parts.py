@@ -35,7 +35,7 @@ def parse_object(key: str) -> tuple[int, int]:
 class NodeConfig(Block):
     """One CANopen node of the bench."""
 
-    node_id: int = Field(ge=1, le=127, description="CANopen node id; every node has one of its own")
+    node_id: int = Field(ge=1, le=127, description="CANopen node id; two axes of one node have it in common")
     eds: Path = Field(description="EDS or DCF file; a relative path is taken from the config file's folder")
     units: UnitsConfig = Field(default=UnitsConfig(), description="a drive's units where its objects do not tell them")
     parameters: dict[str, int | float] = Field(
@@ -64,6 +64,12 @@ class DeviceConfig(NodeConfig):
     """A node that is a real device, or one of the simulated hardware."""
 
     simulated: bool = Field(default=True, description="part of the simulated hardware; false: a real device")
+    axis: int = Field(
+        default=1,
+        ge=1,
+        le=2,
+        description="of a node with two axes the first, with objects from 6000h on, or the second, from 6800h on",
+    )
 
 
 class DriveConfig(DeviceConfig):
@@ -106,6 +112,16 @@ class Part:
     def label(self) -> str:
         """The name as it is written in messages."""
         return self.name.replace("_", " ")
+
+    @property
+    def node_axis(self) -> int:
+        """Which one it is of the axes of its node, from 1."""
+        return self.node.axis if isinstance(self.node, DeviceConfig) else 1
+
+    @property
+    def place(self) -> str:
+        """Its node, and which axis of it where that is not the first, for messages."""
+        return f"node {self.node.node_id}" + (f", axis {self.node_axis}" if self.node_axis > 1 else "")
 
     @property
     def is_simulated(self) -> bool:

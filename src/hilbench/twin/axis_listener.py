@@ -25,6 +25,7 @@ class RealAxis(TwinNode):
     """An axis that the twin listens to, in that drive's units."""
 
     units: DriveUnits
+    axis: int = 1  #: of its node
 
 
 class AxisListener:
@@ -32,7 +33,8 @@ class AxisListener:
 
     def __init__(self, axis: RealAxis, cycle_s: float) -> None:
         od, node_id = shared_eds(axis.eds, axis.node_id), axis.node_id
-        settings = DriveSettings(f"axis of node {node_id}", node_id, OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY, cycle_s)
+        mode = OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY
+        settings = DriveSettings(f"axis of node {node_id}", node_id, mode, cycle_s, axis=axis.axis)
         _, pdo, indices = drive_pdos(settings, od).tpdos[0]
         self.cob_id = pdo.cob_id
         self.size = pdo.size  #: bytes of the frame's data

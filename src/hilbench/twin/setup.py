@@ -24,7 +24,7 @@ def twin_setup(config: BenchConfig) -> TwinSetup:
 
     def axis(part: Part) -> RealAxis:
         od = shared_eds(part.node.eds, part.node.node_id)
-        return RealAxis(part.node.node_id, part.node.eds, declared_units(part, od))
+        return RealAxis(part.node.node_id, part.node.eds, declared_units(part, od), part.node_axis)
 
     return TwinSetup(
         bus=config.bus_address,

@@ -123,8 +123,8 @@ class Drives:
         if not (config.stops_together and self._was_enabled and fastest_m_s > 0.0):
             return
         self._expect_whoever_answers()
-        by_node = {config.drives[name].node_id: name for name, speed in commands.items() if speed}
-        moving = {by_node[node]: drive for drive in self._nodes.drives if (node := drive.settings.node_id) in by_node}
+        axes = zip(names, self._nodes.axes, strict=True)
+        moving = {name: drive for name, drive in axes if commands[name]}
         timing = self._exchange.timing
         told_torques = {names[axis - 1] for axis in config.shape.torqued}  # their tasks go on, by `speed_share`
         cycles = ceil(fastest_m_s / (config.quick_stop_per_s2 * state.cycle_s))

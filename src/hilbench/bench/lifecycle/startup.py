@@ -334,9 +334,10 @@ def _configure(
 ) -> dict[str, dict[tuple[int, int], bytes | None]]:
     """Configure each node once it is there: the drives first, while the twin still loads; what these said before."""
     # From its own reset on everything is known of one that is there already.
-    there = [part for part in config.parts if participants is Participants.PRESENT or not _is_started(part)]
-    for part in there:
-        master.nmt(NmtCommand.RESET_NODE, part.node.node_id)
+    present = participants is Participants.PRESENT
+    there = {part.node.node_id for part in config.parts if present or not _is_started(part)}
+    for node_id in sorted(there):
+        master.nmt(NmtCommand.RESET_NODE, node_id)
     if there:
         time.sleep(_RESET_S)
 

@@ -1,0 +1,134 @@
+"""Several axes on one node (CiA 301, 7.5.2.1, and CiA 402): where the objects and the PDOs of each are.
+
+A device of several logical devices has the objects of number n at 6000h + (n-1)·800h, and says by FFFFh in the upper
+half of 1000h that there are some; each tells its own type at the end of its area, 67FFh + (n-1)·800h. The PDOs of axis
+n begin with number 1 + (n-1)·64. All else is the node's: NMT state, heartbeat, SYNC, EMCY, 1001h, 1003h. A maker's own
+objects follow no rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final
+
+from hilbench.canopen.identifiers import RPDOS, TPDOS
+from hilbench.cia402 import objects
+
+if TYPE_CHECKING:
+    from hilbench.canopen.device import Device
+    from hilbench.canopen.object_store import Cell
+
+#: Logical devices of a node.
+MOST_AXES: Final = 8
+#: In the upper half of 1000h: there are several.
+SEVERAL: Final = 0xFFFF
+_OBJECTS, _PDOS = 0x800, 64
+_PROFILE: Final = range(0x6000, 0xA000)
+_OF_FIRST: Final = range(0x6000, 0x6800)
+_TPDOS_OF_AXIS: Final = 2
+
+
+def objects_behind(axis: int) -> int:
+    """How far behind those of the first axis the objects of an axis (from 1) are."""
+    return _OBJECTS * (axis - 1)
+
+
+def object_of(axis: int, index: int) -> int:
+    """Where an axis has an object of the profile, named as that of the first axis; others are where they are."""
+    return index + objects_behind(axis) if index in _OF_FIRST else index
+
+
+def of_first_axis(index: int) -> int:
+    """The object of the first axis that is the same of its own: 6040h for 6840h."""
+    return _PROFILE[(index - _PROFILE.start) % _OBJECTS] if index in _PROFILE else index
+
+
+def axis_of(index: int) -> int:
+    """Whose object it is; 1 for one that belongs to no axis."""
+    return 1 + (index - _PROFILE.start) // _OBJECTS if index in _PROFILE else 1
+
+
+def is_of(axis: int, index: int) -> bool:
+    """Whether an object is one of an axis, or of the whole node."""
+    return object_of(axis, of_first_axis(index)) == index
+
+
+def axes(has: Callable[[int], bool]) -> list[int]:
+    """The axes of a device that are drives: each has a controlword and a statusword."""
+    words = (objects.CONTROLWORD, objects.STATUSWORD)
+    return [axis for axis in range(1, MOST_AXES + 1) if all(has(object_of(axis, word)) for word in words)]
+
+
+def pdos_behind(axis: int) -> int:
+    """How far behind those of the first axis the numbers of its PDOs are."""
+    return _PDOS * (axis - 1)
+
+
+def rpdo_identifier(node_id: int, axis: int) -> int:
+    """COB-ID of an axis' RPDO: the predefined connection set has four of a node."""
+    return RPDOS[axis - 1] + node_id
+
+
+def tpdo_identifiers(node_id: int, axis: int) -> list[int]:
+    """COB-IDs of its two TPDOs: the predefined connection set has four of a node, for two axes."""
+    first = _TPDOS_OF_AXIS * (axis - 1)
+    return [base + node_id for base in TPDOS[first : first + _TPDOS_OF_AXIS]]
+
+
+def rpdo_numbers(axis: int) -> tuple[int, int]:
+    """Of an axis' RPDO: its own, and that which has its identifier by default, for a device without PDOs from 65 on."""
+    return 1 + pdos_behind(axis), axis
+
+
+def tpdo_numbers(axis: int) -> list[tuple[int, int]]:
+    """The same of its two TPDOs."""
+    of_both = range(1, _TPDOS_OF_AXIS + 1)
+    return [(k + pdos_behind(axis), k + _TPDOS_OF_AXIS * (axis - 1)) for k in of_both]
+
+
+class AxisDevice:
+    """One axis of a device: objects of the profile by the names of the first axis, errors of its own."""
+
+    def __init__(self, device: Device, axis: int) -> None:
+        self.axis = axis
+        self._device = device
+
+    def cell(self, index: int, sub: int = 0) -> Cell:
+        """The cell of an object. Raises KeyError when the EDS lacks it."""
+        return self._device.cell(object_of(self.axis, index), sub)
+
+    def has(self, index: int, sub: int = 0) -> bool:
+        """Whether the EDS has the object for this axis."""
+        return self._device.has(object_of(self.axis, index), sub)
+
+    def emergency(self, code: int, register_bits: int) -> None:
+        """An error of this axis has come: EMCY is the node's, and says it of each axis."""
+        self._device.emergency(code, register_bits, source=self._source)
+
+    def clear_emergency(self, code: int) -> None:
+        """It has gone."""
+        self._device.clear_emergency(code, self._source)
+
+    def keep_emergency(self, code: int) -> None:
+        """As `Device.keep_emergency`: this axis is in fault because of it."""
+        self._device.keep_emergency(code, self.axis)
+
+    def acknowledge_emergency(self, code: int) -> None:
+        """As `Device.acknowledge_emergency`: it is not any more."""
+        self._device.acknowledge_emergency(code, self.axis)
+
+    @property
+    def _source(self) -> int:
+        return 1 - self.axis  # nobody else's: nodes and PDOs count from 1
+
+
+def also(before: Callable[..., Any] | None, then: Callable[..., None]) -> Callable[..., None]:
+    """What a device calls of one axis, and then of the next."""
+    if before is None:
+        return then
+
+    def both(*arguments: Any) -> None:
+        before(*arguments)
+        then(*arguments)
+
+    return both
