@@ -51,15 +51,13 @@ class RigApplication:
         rig: Steps,
         time: PlantTime,
         cycle_s: float,
-        sample_s: float,
     ) -> None:
         self._drives = drives
         self._ports = ports
         self._in_use = False
         self._rig = rig
         self._time = time
-        self._sample_s = sample_s
-        self._longest_step = round(cycle_s / sample_s)
+        self._longest_step = round(cycle_s / time.sample_s)
 
     @property
     def drives(self) -> Sequence[SimulatedDrive]:
@@ -79,7 +77,7 @@ class RigApplication:
     @property
     def time(self) -> tuple[PlantTime, float, int]:
         """What says how far the rig goes, one of its sample times (s), and how many of them it goes at once at most."""
-        return self._time, self._sample_s, self._longest_step
+        return self._time, self._time.sample_s, self._longest_step
 
     @property
     def is_plain(self) -> bool:
@@ -91,7 +89,7 @@ class RigApplication:
         if not self._in_use or not isinstance(self._time, BySync):
             return None
         samples = self._time.after_sync()
-        return samples * self._sample_s if 0 < samples <= self._longest_step else None
+        return samples * self._time.sample_s if 0 < samples <= self._longest_step else None
 
     def before_sync(self, behind: int) -> None:
         """Be at the time of this SYNC: in lockstep, and when it comes in time, the state is there since the last."""
@@ -119,7 +117,7 @@ class RigApplication:
             samples -= step
 
     def _step(self, samples: int) -> None:
-        duration_s = samples * self._sample_s
+        duration_s = samples * self._time.sample_s
         for drive in self._drives:
             drive.sync(duration_s)
         # At rest with all power stages off nothing moves; the noise must not depend on how long that lasted.
@@ -179,8 +177,7 @@ def hardware(config: BenchConfig) -> HostedDevices:
         devices.append(device)
         if part.role is Role.AXIS and part.axis is not None:
             bind_effect_objects(device, _effect_setter(rig, part.axis), config.machine_kind)
-    sample_s = config.drive_parameters.sample_time_s
-    return HostedDevices(devices, clock, RigApplication(drives, ports, rig, time, config.cycle_time_s, sample_s))
+    return HostedDevices(devices, clock, RigApplication(drives, ports, rig, time, config.cycle_time_s))
 
 
 def load(config: BenchConfig) -> None:
