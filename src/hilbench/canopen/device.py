@@ -91,6 +91,8 @@ class Device:
             for n in numbers
             if (0x17FF + n, 1) in self._store and (0x19FF + n, 0) in self._store
         ]
+        #: PDOs that are valid by the EDS file and can't have the mapping that it gives them; one line each.
+        self.left_out: dict[str, str] = {}
         self._receivers: dict[int, Rpdo] = {}
         self._synchronous: list[Tpdo] = []
         self._event_driven: list[Tpdo] = []
@@ -309,12 +311,9 @@ class Device:
             try:
                 pdo.compile()
             except (SdoAbort, ValueError) as error:
-                if not pdo.valid:
-                    continue  # it has no map until one is written
-                # Writes are checked one by one, so this is what the device starts with.
-                raise UnusableInputError(
-                    f"EDS of node {self.node_id}", f"{pdo} cannot have its default mapping: {error}"
-                ) from error
+                # Writes are checked one by one, so this is what the device starts with: no map until one is written.
+                if pdo.valid:
+                    self.left_out[str(pdo)] = f"{pdo} is not sent or received with its default mapping: {error}"
         self._receivers = {rpdo.cob_id: rpdo for rpdo in self._rpdos if rpdo.valid and rpdo.map is not None}
         active = [tpdo for tpdo in self._tpdos if tpdo.valid and tpdo.map is not None]
         self._synchronous = [tpdo for tpdo in active if tpdo.transmission_type <= 240]

@@ -119,7 +119,7 @@ def settings(configuration: Configuration) -> list[concise_dcf.Write]:
     Commands and set points (1010h, 6040h, …) are none.
     """
     values = {key: configuration.values[key] for key in _parameters(configuration)}
-    pdos = _pdos(values)
+    pdos = sorted({index for index in map(_pdo_of, values) if index})
     # Entries beyond the number of a mapping mean nothing, and a device may refuse to have them written.
     mappings = {index + _MAPPINGS for index in pdos}
     writes = [write for index in pdos for write in _pdo_writes(values, index)]
@@ -190,14 +190,20 @@ def _parameters(configuration: Configuration) -> Iterator[Key]:
             yield key
 
 
-def _pdos(values: Mapping[Key, bytes]) -> list[int]:
-    return sorted(index for index, sub in values if sub == 1 and (index in _RPDOS or index in _TPDOS))
+def _pdo_of(key: Key) -> int | None:
+    """The communication parameters of the PDO that is set up by an object: by its COB-ID, or by its mapping."""
+    index, sub = key
+    if sub == 1 and (index in _RPDOS or index in _TPDOS):
+        return index
+    return index - _MAPPINGS if sub == 0 and (index - _MAPPINGS in _RPDOS or index - _MAPPINGS in _TPDOS) else None
 
 
 def _pdo_writes(values: Mapping[Key, bytes], index: int) -> Iterator[concise_dcf.Write]:
-    cob_id, mapping = values[index, 1], index + _MAPPINGS
+    """cob_id: of some devices it is read-only, and the mapping is not."""
+    cob_id, mapping = values.get((index, 1)), index + _MAPPINGS
     number = values.get((mapping, 0))
-    yield concise_dcf.Write(index, 1, cob_id[:-1] + bytes([cob_id[-1] | 0x80]))
+    if cob_id is not None:
+        yield concise_dcf.Write(index, 1, cob_id[:-1] + bytes([cob_id[-1] | 0x80]))
     if number is not None:
         yield concise_dcf.Write(mapping, 0, b"\0")
         for sub in range(1, number[0] + 1):
@@ -207,7 +213,8 @@ def _pdo_writes(values: Mapping[Key, bytes], index: int) -> Iterator[concise_dcf
     for (at, sub), data in sorted(values.items()):
         if at == index and sub > 1:
             yield concise_dcf.Write(index, sub, data)
-    yield concise_dcf.Write(index, 1, cob_id)
+    if cob_id is not None:
+        yield concise_dcf.Write(index, 1, cob_id)
 
 
 # -- from and to a file ------------------------------------------------------------------------------------------

@@ -68,7 +68,8 @@ def simulated_node(
         _refuse(device, refused)
     rig = _rig(units, behaviour.shaft, port)
     name = od.device_information.product_name or eds.stem
-    return SimulatedNode(device, drive, port, rig, units, behaviour, assumptions, name)
+    notes = [*assumptions, *device.left_out.values()]
+    return SimulatedNode(device, drive, port, rig, units, behaviour, notes, name)
 
 
 def _give_what_the_header_says(od: ObjectDictionary) -> None:

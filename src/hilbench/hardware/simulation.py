@@ -173,6 +173,8 @@ def hardware(config: BenchConfig) -> HostedDevices:
             continue
         od = shared_eds(part.node.eds, part.node.node_id)
         device = Device(od, part.node.node_id, clock)
+        for note in device.left_out.values():
+            log(f"{part.label} (node {part.node.node_id}): {note}")
         drives.append(SimulatedDrive(device, port, declared_units(part, od)))
         devices.append(device)
         if part.role is Role.AXIS and part.axis is not None:
