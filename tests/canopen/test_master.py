@@ -16,6 +16,7 @@ import can
 import canopen
 from hilbench.can.frame import Frame
 from hilbench.canopen.clock import MonotonicClock
+from hilbench.canopen.concise_dcf import Write
 from hilbench.canopen.device import Device
 from hilbench.canopen.device_configuration import read_device, settings, write_device
 from hilbench.canopen.eds import load_eds
@@ -127,9 +128,7 @@ def test_pdos_of_a_device_with_read_only_cob_ids_are_mapped_and_loaded(fixed_rig
         assert fixed_rig.device.cell(0x1A01).value == 0
         assert write_device(master, NODE, before) == {}
         assert [fixed_rig.device.cell(0x1A00, sub).value for sub in range(3)] == [2, 0x60410010, 0x60640020]
-        with pytest.raises(
-            BenchFaultError, match="1400h reads back COB-ID 205h, .* expected 305h, 1"
-        ):
+        with pytest.raises(BenchFaultError, match=r"1400h reads back COB-ID 205h, .* expected 305h, 1"):
             master.write_rpdo(NODE, 1, PdoMap.from_names(fixed_rig.od, 0x300 + NODE, 1, [0x6040]))
     finally:
         master.close()
@@ -289,6 +288,32 @@ def test_objects_that_are_not_answered_are_listed_and_the_others_read(tmp_path: 
         notifier.stop()
     assert set(found.refused) == {(0x1001, 0), (0x1005, 0)}
     assert (0x1000, 0) in found.values
+
+
+def test_an_object_that_is_slow_to_write_is_listed_and_the_others_written(tmp_path: Path) -> None:
+    file = tmp_path / "device.eds"
+    file.write_text(eds_text(), encoding="ascii")
+    written: list[bytes] = []
+
+    def answer(message: can.Message) -> None:
+        mux, said = bytes(message.data[1:4]), b"\x43"
+        if message.arbitration_id != 0x600 + NODE or mux == b"\x01\x20\0" or message.data[0] == 0x80:
+            return
+        if message.data[0] != 0x40:
+            written.append(mux)
+            said = b"\x60"
+        reply = said + mux + bytes(message.data[4:])
+        theirs.send(can.Message(arbitration_id=0x580 + NODE, data=reply, is_extended_id=False))
+
+    with can.Bus(interface="virtual", channel="slow-write") as theirs:
+        notifier = can.Notifier(theirs, [answer])
+        master = Master(can.Bus(interface="virtual", channel="slow-write"), 0.2)
+        master.add(NODE, load_eds(file, NODE), "axis 1")
+        failed = write_device(master, NODE, [Write(0x2001, 0, b"\1"), Write(0x2000, 0, b"\0\0")])
+        master.close()
+        notifier.stop()
+    assert failed == {(0x2001, 0): "no answer within 0.2 s"}
+    assert written == [b"\0\x20\0"]
 
 
 def test_storing_may_take_longer_than_other_answers(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from hilbench.canopen.data_types import Value, data_type
 from hilbench.canopen.identifiers import NODE_ID
 from hilbench.canopen.master import Master
 from hilbench.canopen.object_store import NO_DATA
-from hilbench.canopen.sdo_client import Refusal
+from hilbench.canopen.sdo_client import Refusal, no_answer
 from hilbench.canopen.storage import NO_PARAMETERS
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import content, written_whole
@@ -98,10 +98,9 @@ def read_device(
         key = variable.index, variable.subindex
         answer = master.read(node_id, *key)
         if answer is None:
-            # One object may be slow; the device is gone when it does not answer at all. Late answers pass meanwhile.
-            if not any(master.read(node_id, 0x1000) for _ in range(_TRIES)):
+            if not _is_there(master, node_id):
                 raise BenchFaultError(f"node {node_id}: no answer when {found.name(key)} was read")
-            found.refused[key] = "no answer, or that of another object"
+            found.refused[key] = f"no answer within {master.timeout_s:g} s, or that of another object"
         elif isinstance(answer, Refusal):
             if answer.code != NO_DATA:  # such as an empty entry of the error history
                 found.refused[key] = str(answer)
@@ -171,9 +170,11 @@ def write_device(
             if master.read(node_id, *key) != write.data:  # what it has already it need not take
                 failed[key] = f"{write.data.hex(' ')} refused: {Refusal(error.code)}"
         except canopen.SdoCommunicationError as error:
-            raise BenchFaultError(
-                f"node {node_id}: no answer when {key[0]:04X}h sub {key[1]} was written ({number} of {len(writes)})"
-            ) from error
+            if not _is_there(master, node_id):
+                raise BenchFaultError(
+                    f"node {node_id}: no answer when {key[0]:04X}h sub {key[1]} was written ({number} of {len(writes)})"
+                ) from error
+            failed[key] = no_answer(error, master.timeout_s)
         progress(number, len(writes))
     last = {write.key: write.data for write in writes}
     for key, data in last.items():
@@ -181,6 +182,11 @@ def write_device(
         if key not in failed and isinstance(answer, bytes) and answer[: len(data)] != data:
             failed[key] = f"reads back {answer.hex(' ')}, expected {data.hex(' ')} as written"
     return failed
+
+
+def _is_there(master: Master, node_id: int) -> bool:
+    """One object may be slow; the device is gone when it does not answer at all. Late answers pass meanwhile."""
+    return any(master.read(node_id, 0x1000) for _ in range(_TRIES))
 
 
 def _parameters(configuration: Configuration) -> Iterator[Key]:
