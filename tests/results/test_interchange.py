@@ -199,7 +199,7 @@ def test_a_recording_of_another_machine_comes_in_by_its_columns(tmp_path: Path) 
     assert found.time_s == pytest.approx([1.0, 1.002])
     assert found["v2_m_s"] == pytest.approx([3.0, 3.02])
     (tmp_path / "map.yaml").write_text(MAPPING.replace("M2", "M3"))
-    with pytest.raises(UnusableInputError, match="no column 'M3' for tau2_Nm, expected among Zeit"):
+    with pytest.raises(UnusableInputError, match="no column 'M3' for tau2_Nm, expected one of Zeit"):
         read_foreign(tmp_path / "machine.csv", tmp_path / "map.yaml")
     (tmp_path / "map.yaml").write_text(MAPPING.replace("tau2_Nm", "torque"))
     with pytest.raises(UnusableInputError, match=r"map.yaml:3: .*'torque' does not"):
@@ -303,7 +303,7 @@ def test_columns_that_are_no_channel_are_told_with_what_may_have_been_meant(tmp_
         refused = hilbench(command, tmp_path / "a.csv", "--model", model)
         assert refused.returncode == 2
         assert expected in refused.stderr
-    with pytest.raises(UnusableInputError, match=r"channel tau2_Nm missing, expected .*, did you mean 'tau2_NM'"):
+    with pytest.raises(UnusableInputError, match=r"channel tau2_Nm missing, did you mean 'tau2_NM'"):
         read_recording(tmp_path / "b.csv").require(["tau2_Nm"], "b.csv")
 
 

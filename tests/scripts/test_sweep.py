@@ -55,7 +55,7 @@ def test_what_cannot_be_varied_is_said(text: str, samples: int | None, said: str
 def test_a_failed_run_leaves_its_row_and_what_is_done_is_not_done_again(tmp_path: Path) -> None:
     path = config(tmp_path, steps=[{"hold": {"duration_s": 0.1}}])
     out, cycles = tmp_path / "sweep", [{"cycle_time_s": text} for text in ("0.001", "0.002")]
-    with pytest.raises(UnusableInputError, match=r"--set cycle_time_s=-1: .*greater than or equal"):
+    with pytest.raises(UnusableInputError, match=r"--set cycle_time_s=-1: .*expected: 0.0005 or more"):
         Sweep(path, (), [*cycles, {"cycle_time_s": "-1"}], out)
     assert not out.exists()
     done = sweep(path, "--vary", "cycle_time_s=0.001,0.002", "--json")

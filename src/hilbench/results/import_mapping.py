@@ -29,7 +29,7 @@ from hilbench import strict_yaml
 from hilbench.block import Block
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import MOST_COLUMNS, Recording, check_recording, open_text, read_recording
-from hilbench.suggest import did_you_mean
+from hilbench.suggest import did_you_mean, expected_one_of
 from hilbench.topology.signal_kinds import TIME
 from hilbench.topology.signals import example_names, find_signal, unit_of
 
@@ -91,10 +91,8 @@ def read_foreign(path: Path, mapping_path: Path, tell: Callable[[str], None] = l
     channels = {}
     for name, source in sorted(mapping.channels.items(), key=lambda item: item[0] != TIME):
         if source.column not in columns:
-            meant = did_you_mean(source.column, columns)
-            raise UnusableInputError(
-                path, f"no column '{source.column}' for {name}, expected among {', '.join(columns)}{meant}"
-            )
+            expected = expected_one_of(source.column, columns)
+            raise UnusableInputError(path, f"no column '{source.column}' for {name}{expected}")
         channels[name] = source.factor * columns[source.column] + source.offset
     left_out = [name for name in columns if name not in {source.column for source in mapping.channels.values()}]
     if left_out:
