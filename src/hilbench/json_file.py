@@ -9,7 +9,6 @@ from pydantic import ValidationError
 
 from hilbench.block import Strict
 from hilbench.errors import UnusableInputError
-from hilbench.expected import expected
 from hilbench.files import content, written_whole
 
 #: Of one file, at most.
@@ -38,4 +37,6 @@ class JsonFile(Strict):
         except ValidationError as error:
             first = error.errors()[0]
             key = ".".join(map(str, first["loc"])) or "the file"
-            raise UnusableInputError(path, f"{key}: expected {expected(first)}: {cls.described}") from error
+            raise UnusableInputError(
+                path, f"{key}: {' '.join(first['msg'].split())}, expected {cls.described}"
+            ) from error
