@@ -16,6 +16,7 @@ from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 import canopen
 from hilbench.canopen.data_types import (
     BOOLEAN,
+    DOMAIN,
     INTEGER64,
     NODE_ID,
     UNSIGNED8,
@@ -141,6 +142,20 @@ def object_flags(path: Path) -> dict[tuple[int, int], int]:
     objects = _object_sections(path, _sections(path, _as_of(path)))
     flags = {key: _integer(path, section, "ObjFlags", 0) for key, section in objects.items()}
     return {(index, sub or 0): value for (index, sub), value in flags.items() if value}
+
+
+def undefined_types(path: Path) -> dict[tuple[int, int], int]:
+    """Data types that neither CiA 301 nor the file defines, by index and sub-index; such objects are bytes (DOMAIN).
+
+    Raises UnusableInputError as `load_eds` does.
+    """
+    objects = _object_sections(path, _sections(path, _as_of(path)))
+    codes = {
+        (index, sub or 0): _integer(path, section, "DataType", DOMAIN)
+        for (index, sub), section in objects.items()
+        if "DataType" in section.options
+    }
+    return {key: code for key, code in codes.items() if data_type(code).code != code}
 
 
 def _read(path: Path, sections: dict[str, _Section], objects: _Objects) -> canopen.ObjectDictionary:
