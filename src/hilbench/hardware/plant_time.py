@@ -20,8 +20,6 @@ _FITS_NS = 1_000_000_000
 _NEAR = 0.03
 #: A process that was away longer than this does not make up for it.
 _LONGEST_GAP_NS = 1_000_000_000
-#: A period of whole sample times up to so much is followed without another sample time: more than clocks differ by.
-_WHOLE = 5e-3
 #: Part of the cycle by which a period is said to be another one.
 _ANOTHER = 0.05
 
@@ -158,13 +156,12 @@ class ByClock:
 
     def _fit_sample_time(self) -> None:
         period_ns, whole_ns = self._sync.period_ns, self._per_period * self._given_ns
-        whole = abs(period_ns - whole_ns) <= _WHOLE * whole_ns
+        whole = abs(period_ns - whole_ns) <= _CLOCKS_DIFFER * whole_ns
         self._sample_ns = self._given_ns if whole else round(period_ns / self._per_period)
 
     def _follow(self, periods: int) -> None:
         if self._any_period:
-            self._fit_sample_time()
-            self._anchor_ns, self._anchor = self._at_ns, self._anchor + periods * self._per_period
+            self._follow_any(periods)
             return
         self._periods += periods
         followed_ns = self._at_ns - self._since_ns
@@ -173,10 +170,24 @@ class ByClock:
                 self._lock()
             return
         self._move_anchor(self._at_ns, self._anchor + periods * self._per_period)
-        jitter_ns = _JITTER_SAMPLES * self._sample_ns + _JITTER_CYCLES * self._cycle_ns
-        if abs(self._shift_ns) > jitter_ns + _CLOCKS_DIFFER * followed_ns:
+        if self._is_off(followed_ns):
             self._unlock()
             self._since_ns, self._periods = self._at_ns, 0
+
+    def _follow_any(self, periods: int) -> None:
+        """With the sample time that fits; SYNCs that were counted wrong are made good by the clock."""
+        self._fit_sample_time()
+        self._move_anchor(self._at_ns, self._anchor + periods * self._per_period)
+        if self._is_off(self._at_ns - self._since_ns):
+            samples = round(self._shift_ns / self._sample_ns)
+            self._anchor += samples
+            self._shift_ns -= samples * self._sample_ns
+            self._since_ns = self._at_ns
+
+    def _is_off(self, followed_ns: int) -> bool:
+        """Whether SYNC has shifted by more than jitter and the difference of two clocks explain."""
+        jitter_ns = _JITTER_SAMPLES * self._sample_ns + _JITTER_CYCLES * self._cycle_ns
+        return abs(self._shift_ns) > jitter_ns + _CLOCKS_DIFFER * followed_ns
 
     def _fits(self, duration_ns: int) -> bool:
         """Whether the periods of a time were whole sample times, but for the clocks; if not, they are counted anew."""
