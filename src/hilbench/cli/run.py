@@ -23,9 +23,10 @@ from hilbench.copies import Copy
 from hilbench.errors import EXIT_CRITERION_FAILED, UnusableInputError
 from hilbench.processes import finishing
 from hilbench.results.commissioned import commissioned_text
-from hilbench.results.result import CriterionResult, Result, StepRecord, Timing
+from hilbench.results.result import Result, StepRecord, Timing
 from hilbench.results.run import RunOutcome, Streamed, run_experiment
 from hilbench.runs.config import LoadedConfig
+from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.machines.web_line import shape_of_figures
 from hilbench.runs.metrics import kind_of_figures
 from hilbench.topology.config import BenchConfig
