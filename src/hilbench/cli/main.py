@@ -464,7 +464,7 @@ def diagnose(
 
     Example: hilbench diagnose bench_configs/hidden_friction.yaml --out found
 
-    Example: hilbench diagnose bench_configs/hidden_friction.yaml --set seed=7 --until-clear --out found
+    Example: hilbench diagnose bench_configs/hidden_friction.yaml --until-clear --out found
 
     Example: hilbench diagnose after.csv --against before.csv --out changed
     """
