@@ -60,6 +60,7 @@ class _Found:
     fault: BenchFaultError | None = None  #: of the second run
     against: Path | None = None  #: the recording before, where changes were looked for
     proposed: NextExperiment | None = None  #: what would tell more
+    changes: Sequence[str] = ()  #: of the bench config, by --set
     rounds: list[str] = field(default_factory=list)  #: what was run after the first run, and what it was to tell
 
 
@@ -119,6 +120,7 @@ def diagnose_command(
                 progress,
                 until_clear=until_clear,
             )
+            found.changes = changes
         elif until_clear:
             raise UnusableInputError(source, "a recording, expected with --until-clear a bench config that can be run")
         else:
@@ -261,7 +263,7 @@ def _write(found: _Found, source: Path, out: Path) -> _Files:
     write_model(files.model, found.diagnosis.model)
     if found.config is not None:
         files.config = out / "config_extended.yaml"
-        write_config_over(files.config, [found.config, files.model])
+        write_config_over(files.config, [found.config, files.model], found.changes)
     title = f"Diagnosis of {source.name}" + ("" if found.against is None else f" against {found.against.name}")
     write_diagnosis_page(
         found.diagnosis,
