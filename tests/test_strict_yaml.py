@@ -1,13 +1,15 @@
 """Config files: what plain YAML lets through is refused, with file and line."""
 
 from pathlib import Path
+from typing import Literal, Self
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hilbench import strict_yaml
+from hilbench.block import Strict
 from hilbench.errors import UnusableInputError
 
 CONFIGS = Path(__file__).resolve().parents[1] / "bench_configs"
@@ -206,3 +208,54 @@ def test_a_value_given_by_an_option_is_named_by_it_and_a_merge_keeps_the_places(
     assert strict_yaml.validate(changed.with_value(("items", 1, "gain"), 2, "--set"), Outer).items[1].gain == 2
     with pytest.raises(UnusableInputError, match="a position from 0 to 1"):
         changed.with_value(("items", 2, "gain"), 2, "--set")
+
+
+class Limited(Strict):
+    least: float = Field(default=1.0, ge=0.5)
+    most: int = Field(default=1, lt=10)
+    word: Literal["a", "b"] = "a"
+    flag: bool = True
+    text: str = "x"
+    names: list[str] = Field(default=[], max_length=2)
+    file: Path = Path()
+    block: dict[str, float] = Field(default={})
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.most > 5 and self.word == "b":
+            raise ValueError(f"word b with most {self.most}, expected 5 at most")
+        return self
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("least: 0.1", "'least' is 0.1, expected: 0.5 or more"),
+        ("least: x", "'least' is 'x', expected: a number"),
+        ("most: 10", "'most' is 10, expected: less than 10"),
+        ("most: 1.5", "'most' is 1.5, expected: a whole number"),
+        ("word: c", "'word' is 'c', expected: 'a' or 'b'"),
+        ("flag: 3", "'flag' is 3, expected: true or false"),
+        ("text: [1]", "'text' is [1], expected: a text"),
+        ("names: 1", "'names' is 1, expected: a list"),
+        ("names: [a, b, c]", "'names' is ['a', 'b', 'c'], expected: 2 entries at most"),
+        ("file: 1", "'file' is 1, expected: the name of a file"),
+        ("block: 1", "'block' is 1, expected: a block of keys"),
+        ("{least: 0.1, text: 1}", "'least' is 0.1, expected: 0.5 or more (and 1 more)"),
+    ],
+)
+def test_what_was_expected_is_said_in_a_persons_words(tmp_path, text, said):
+    document = strict_yaml.load(write(tmp_path, f"{text}\n"))
+    with pytest.raises(UnusableInputError) as caught:
+        strict_yaml.validate(document, Limited)
+    assert caught.value.problem == said
+
+
+def test_an_error_of_a_block_names_the_option_that_changed_something_in_it(tmp_path):
+    document = strict_yaml.load(write(tmp_path, "most: 7\n"))
+    changed = document.with_value(("word",), "b", "--set word=b")
+    with pytest.raises(UnusableInputError) as caught:
+        strict_yaml.validate(changed, Limited)
+    assert str(caught.value) == (
+        f"--set word=b in {tmp_path / 'config.yaml'}:1: word b with most 7, expected 5 at most"
+    )

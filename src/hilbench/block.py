@@ -10,6 +10,8 @@ from typing import Any, Final, Self, get_args
 from pydantic import BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from hilbench.expected import expected
+
 #: Nothing of a bench has more of any SI unit, or less but for zero: what is beyond breaks arithmetic, not a bench.
 LARGEST: Final = 1e13
 LEAST: Final = 1e-15
@@ -35,7 +37,7 @@ class Block(Strict):
         try:
             handler(data)
         except ValidationError as error:  # what a field says of itself says more
-            errors = [_error(each["type"], each["msg"], each["loc"], each["input"]) for each in error.errors()]
+            errors = [_error(each["type"], expected(each), each["loc"], each["input"]) for each in error.errors()]
         except ArithmeticError:  # as such numbers do it
             pass
         told = {each["loc"][0] for each in errors if each.get("loc")}

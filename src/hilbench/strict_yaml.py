@@ -18,6 +18,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from hilbench.errors import UnusableInputError
+from hilbench.expected import expected
 from hilbench.files import content
 from hilbench.suggest import did_you_mean
 
@@ -26,6 +27,8 @@ Model = TypeVar("Model", bound=BaseModel)
 
 #: Bytes of a file, and values in a document, those behind aliases counted each time, at most.
 _MOST_BYTES, _MOST_VALUES = 1_000_000, 10_000
+#: How the place of a value begins that an option of the command line has given.
+_OPTION = "--"
 #: Characters beyond which an error does not repeat the value that was found.
 _LONGEST_TEXT = 400
 #: So many keys of one name elsewhere in a config are worth a question.
@@ -104,11 +107,18 @@ class Document:
     places: Mapping[Location, str]
 
     def place(self, location: Sequence[str | int] = ()) -> str:
-        """Where the value at `location`, or the nearest enclosing value that was given, stands."""
+        """Where the value at `location`, or the nearest enclosing value that was given, stands; of a block also the
+        options of the command line that changed something in it."""
         known = tuple(location)
         while known and known not in self.places:
             known = known[:-1]
-        return self.places.get(known, f"{self.path}:1")
+        place = self.places.get(known, f"{self.path}:1")
+        inside = [
+            option
+            for where, option in self.places.items()
+            if option.startswith(_OPTION) and where != known and where[: len(location)] == tuple(location)
+        ]
+        return f"{', '.join(inside)} in {place}" if inside and not place.startswith(_OPTION) else place
 
     def given(self, location: Sequence[str | int]) -> Location:
         """`location` as far as the document has values: a union's alternatives, say, stand in no file."""
@@ -318,12 +328,12 @@ def _text(loc: Location, model: type[BaseModel], found: Sequence[ErrorDetails]) 
         return f"unknown key '{key}'{_instead(loc, model)}"
     if first["type"] == "missing":
         return f"'{key}' is missing"
-    messages = dict.fromkeys(details["msg"].removeprefix("Value error, ") for details in found)
-    message = " ".join(", or ".join(messages).split())
+    message = ", or ".join(dict.fromkeys(map(expected, found)))
     if first["type"] == "value_error" and isinstance(first["input"], dict):  # a block: what of it says the message
-        return f"'{key}': expected {message}"
+        message = message if "expected" in message.lower() else f"expected {message}"
+        return f"'{key}': {message}" if loc else message
     text = f"'{key}' is {first['input']!r}, expected: {message}"
-    return text if len(text) <= _LONGEST_TEXT else f"'{key}': {message}"
+    return text if len(text) <= _LONGEST_TEXT else f"'{key}': expected: {message}"
 
 
 def _instead(loc: Location, model: type[BaseModel]) -> str:

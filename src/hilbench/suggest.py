@@ -21,3 +21,11 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """To be put behind the text of an error: ``, did you mean 'x'?``; nothing where no known name is like it."""
     found = closest(name, known)
     return f", did you mean '{found[0]}'?" if found else ""
+
+
+def expected_one_of(name: str, known: Iterable[str]) -> str:
+    """The same with all that are known behind it: ``, did you mean 'x'? Expected one of x, y``; where none is like it
+    ``, expected one of x, y``."""
+    names = list(known)
+    meant = did_you_mean(name, names)
+    return f"{meant} Expected one of {', '.join(names)}" if meant else f", expected one of {', '.join(names)}"

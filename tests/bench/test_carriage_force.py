@@ -301,9 +301,9 @@ def test_processes_record_the_bits_of_one_process_and_frames_recover_them(tmp_pa
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        (("controllers.store_position.force.behind_takes=1.5",), "less than or equal to 1"),
-        (("controllers.store_position.force.limit_N=-1.0",), "greater than 0"),
-        (("controllers.store_position.force.set_point_N=0.0",), "greater than 0"),
+        (("controllers.store_position.force.behind_takes=1.5",), "expected: 1 at most"),
+        (("controllers.store_position.force.limit_N=-1.0",), "expected: more than 0"),
+        (("controllers.store_position.force.set_point_N=0.0",), "expected: more than 0"),
         (
             ("controllers.store_position.force.limit_N=300.0",),
             "a 'force' of 'store' from 0 to 300 N for a tension of 80 N, which takes 320 N",

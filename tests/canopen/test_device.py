@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from tests.canopen.device_under_test import SECTIONS, DeviceUnderTest
+from tests.canopen.device_under_test import SECTIONS, U8, U16, DeviceUnderTest, var
 
 from hilbench.canopen.identifiers import NmtState
 from hilbench.errors import UnusableInputError
@@ -227,3 +227,38 @@ def test_missing_object_is_named(tmp_path: Path) -> None:
     sections = {name: text for name, text in SECTIONS.items() if name != "1001"}
     with pytest.raises(UnusableInputError, match="1001h is missing"):
         DeviceUnderTest(tmp_path, sections=sections)
+
+
+REMOTE = 0x40000000
+GUARDED = {"100C": var("Guard time", U16), "100D": var("Life time factor", U8)}
+
+
+def test_a_master_that_guards_gets_the_state_with_a_bit_that_toggles(tmp_path: Path) -> None:
+    dut = DeviceUnderTest(tmp_path, sections=SECTIONS | GUARDED).booted()
+    guarded = [dut.send(0x705 | REMOTE) for _ in range(3)]
+    assert guarded == [[(0x705, "7f")], [(0x705, "ff")], [(0x705, "7f")]]
+    dut.nmt(1)
+    assert dut.send(0x705 | REMOTE) == [(0x705, "85")]
+    dut.nmt(129)
+    assert dut.send(0x705 | REMOTE) == [(0x705, "7f")]
+    assert dut.write(0x1017, 0, 100, 2) == 0
+    assert dut.send(0x705 | REMOTE) == [], "heartbeat takes the place of guarding"
+
+
+def test_a_master_that_stops_guarding_is_missed_and_welcome_back(tmp_path: Path) -> None:
+    dut = DeviceUnderTest(tmp_path, sections=SECTIONS | GUARDED).started()
+    told: list[int] = []
+    dut.device.on_communication_error = told.append
+    assert (dut.write(0x100C, 0, 100, 2), dut.write(0x100D, 0, 3, 1)) == (0, 0)
+    assert not [frame for frame in dut.after(1000) if frame[0] == 0x085], "it begins with the first remote frame"
+    for _ in range(5):
+        dut.send(0x705 | REMOTE)
+        assert not [frame for frame in dut.after(290) if frame[0] == 0x085]
+    assert [frame for frame in dut.after(20) if frame[0] == 0x085] == [(0x085, "3081110000000000")]
+    assert (told, dut.device.nmt_state) == ([0x8130], 127)
+    assert (0x085, "0000003081000000") in dut.send(0x705 | REMOTE)
+
+
+def test_a_device_without_100ch_is_not_guarded(tmp_path: Path) -> None:
+    dut = DeviceUnderTest(tmp_path).booted()
+    assert dut.send(0x705 | REMOTE) == []

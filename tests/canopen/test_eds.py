@@ -131,6 +131,29 @@ def test_a_limit_beyond_the_range_of_its_type_limits_nothing(tmp_path: Path) -> 
     assert (variable(od, 0x2000, 0).min, variable(od, 0x2000, 0).max) == (None, None)
 
 
+def test_a_makers_own_types_are_what_the_file_defines_them_as(tmp_path: Path) -> None:
+    """DEFTYPE (ObjectType 5): by a basic type, or by a length in bits as an UNSIGNED32; others are bytes."""
+    text = eds_text(SECTIONS) + (
+        "[0040]\nParameterName=T_STATE\nObjectType=0x5\nDataType=0x0003\nAccessType=ro\n"
+        "[0041]\nParameterName=T_WORD\nObjectType=0x5\nDataType=0x0007\nAccessType=ro\nDefaultValue=16\n"
+        "[0042]\nParameterName=T_ODD\nObjectType=0x5\nDataType=0x0007\nAccessType=ro\n"
+    )
+    values = {"2100": "-3", "2101": "0xBEEF", "2102": "whatever"}
+    for index, (code, value) in zip((0x40, 0x41, 0x42), values.items(), strict=True):
+        text += f"[{code}]\n{var(f'Value {code}', index, default=value, mappable=True)}\n"
+    od = load_eds(write(tmp_path, text), 1)
+    assert [variable(od, index, 0).default for index in (0x2100, 0x2101, 0x2102)] == [-3, 0xBEEF, None]
+    assert [variable(od, index, 0).data_type for index in (0x2100, 0x2101, 0x2102)] == [3, 6, 0xF]
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("0", bytes(6)), ("0xA00000005", b"\5\0\0\0\n\0"), ("050000000a00", b"\5\0\0\0\n\0")]
+)
+def test_a_time_of_day_has_six_bytes_however_its_default_is_written(tmp_path: Path, text: str, value: bytes) -> None:
+    od = load_eds(write(tmp_path, eds_text(SECTIONS | {"2100": var("Time", 0xC, default=text)})), 1)
+    assert variable(od, 0x2100, 0).default == value
+
+
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(UnusableInputError, match="cannot be read"):
         load_eds(tmp_path / "none.eds", 1)

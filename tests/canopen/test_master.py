@@ -5,19 +5,20 @@ from __future__ import annotations
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
 from tests.buses import Bus
-from tests.canopen.device_under_test import NODE, eds_text
+from tests.canopen.device_under_test import NODE, SECTIONS, U32, eds_text, var
 
 import can
 import canopen
 from hilbench.can.frame import Frame
 from hilbench.canopen.clock import MonotonicClock
+from hilbench.canopen.concise_dcf import Write
 from hilbench.canopen.device import Device
-from hilbench.canopen.device_configuration import read_device
+from hilbench.canopen.device_configuration import read_device, settings, write_device
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.identifiers import NmtCommand, NmtState
@@ -45,9 +46,9 @@ class Idle:
 
 
 class Rig:
-    def __init__(self, folder: Path, bus: Bus) -> None:
+    def __init__(self, folder: Path, bus: Bus, sections: Mapping[str, str] = SECTIONS) -> None:
         path = folder / "device.eds"
-        path.write_text(eds_text(), encoding="ascii")
+        path.write_text(eds_text(sections), encoding="ascii")
         self.bus = bus
         self.od = load_eds(path, NODE)
         clock = MonotonicClock()
@@ -99,6 +100,38 @@ def test_pdo_map_is_written_and_read_back(rig: Rig, master: Master) -> None:
     assert master.sdo_read(NODE, 0x1800, 1) & 0x7FF == 0x1A5
     assert master.sdo_read(NODE, 0x1800, 2) == 2
     assert [master.sdo_read(NODE, 0x1A00, sub) for sub in (0, 1, 2)] == [2, 0x60770010, 0x60640020]
+
+
+@pytest.fixture
+def fixed_rig(tmp_path: Path, bus: Bus) -> Iterator[Rig]:
+    """A device whose COB-IDs are read-only, and its mappings are not."""
+    fixed = {
+        f"{index:04X}sub1": var("COB-ID", U32, "ro", f"$NODEID+0x{cob_id:X}")
+        for index, cob_id in ((0x1400, 0x200), (0x1401, 0x300), (0x1800, 0x40000180), (0x1801, 0x40000280))
+    }
+    made = Rig(tmp_path, bus, SECTIONS | fixed)
+    made.start()
+    yield made
+    made.stop()
+
+
+def test_pdos_of_a_device_with_read_only_cob_ids_are_mapped_and_loaded(fixed_rig: Rig) -> None:
+    master = Master(fixed_rig.bus.open_python_can())
+    try:
+        master.add(NODE, fixed_rig.od, "axis 1")
+        master.wait_for_boot([NODE], 5.0)
+        before = settings(read_device(master, NODE, fixed_rig.od))
+        master.write_rpdo(NODE, 1, PdoMap.from_names(fixed_rig.od, 0x200 + NODE, 1, [0x6040, 0x6071]))
+        master.write_tpdo(NODE, 1, PdoMap.from_names(fixed_rig.od, 0x180 + NODE, 1, [0x6041]))
+        assert [cell.variable.index for cell in fixed_rig.device.synchronous_pdos[0].cells] == [0x6041]
+        master.disable_pdo(NODE, 0x1801)
+        assert fixed_rig.device.cell(0x1A01).value == 0
+        assert write_device(master, NODE, before) == {}
+        assert [fixed_rig.device.cell(0x1A00, sub).value for sub in range(3)] == [2, 0x60410010, 0x60640020]
+        with pytest.raises(BenchFaultError, match=r"1400h reads back COB-ID 205h, .* expected 305h, 1"):
+            master.write_rpdo(NODE, 1, PdoMap.from_names(fixed_rig.od, 0x300 + NODE, 1, [0x6040]))
+    finally:
+        master.close()
 
 
 def test_pdo_that_reads_back_otherwise_is_a_fault(rig: Rig, master: Master) -> None:
@@ -255,6 +288,32 @@ def test_objects_that_are_not_answered_are_listed_and_the_others_read(tmp_path: 
         notifier.stop()
     assert set(found.refused) == {(0x1001, 0), (0x1005, 0)}
     assert (0x1000, 0) in found.values
+
+
+def test_an_object_that_is_slow_to_write_is_listed_and_the_others_written(tmp_path: Path) -> None:
+    file = tmp_path / "device.eds"
+    file.write_text(eds_text(), encoding="ascii")
+    written: list[bytes] = []
+
+    def answer(message: can.Message) -> None:
+        mux, said = bytes(message.data[1:4]), b"\x43"
+        if message.arbitration_id != 0x600 + NODE or mux == b"\x01\x20\0" or message.data[0] == 0x80:
+            return
+        if message.data[0] != 0x40:
+            written.append(mux)
+            said = b"\x60"
+        reply = said + mux + bytes(message.data[4:])
+        theirs.send(can.Message(arbitration_id=0x580 + NODE, data=reply, is_extended_id=False))
+
+    with can.Bus(interface="virtual", channel="slow-write") as theirs:
+        notifier = can.Notifier(theirs, [answer])
+        master = Master(can.Bus(interface="virtual", channel="slow-write"), 0.2)
+        master.add(NODE, load_eds(file, NODE), "axis 1")
+        failed = write_device(master, NODE, [Write(0x2001, 0, b"\1"), Write(0x2000, 0, b"\0\0")])
+        master.close()
+        notifier.stop()
+    assert failed == {(0x2001, 0): "no answer within 0.2 s"}
+    assert written == [b"\0\x20\0"]
 
 
 def test_storing_may_take_longer_than_other_answers(tmp_path: Path) -> None:

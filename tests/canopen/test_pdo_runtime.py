@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
-from tests.canopen.device_under_test import SECTIONS, DeviceUnderTest, mapping
+from tests.canopen.device_under_test import SECTIONS, U32, DeviceUnderTest, mapping, var
 
 from hilbench.canopen.object_store import SdoAbort
 
@@ -249,9 +251,38 @@ def test_rpdo_event_timer_reports_once_and_recovers(dut: DeviceUnderTest) -> Non
     assert dut.send(0x305, "0000") == [(0x085, "0000005082000000")]
 
 
-def test_default_mapping_that_the_eds_forbids_is_named(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(Exception, match="EDS of node 5: RPDO1 cannot have its default mapping"):
-        DeviceUnderTest(tmp_path, sections=SECTIONS | mapping(0x1600, "0x20000010"))
+def test_a_valid_pdo_whose_default_mapping_the_eds_forbids_is_left_out_and_named(tmp_path: Path) -> None:
+    dut = DeviceUnderTest(tmp_path, sections=SECTIONS | mapping(0x1600, "0x20000010"))
+    (said,) = dut.device.left_out.values()
+    assert said.startswith("RPDO1 is not sent or received with its default mapping: ")
+    dut.nmt(1)
+    dut.send(0x205, "0600")
+    dut.sync()
+    assert (dut.device.cell(0x1001).value, dut.device.cell(0x6040).value) == (0, 0)
+    map_rpdo1(dut, 0x60400010)
+    dut.send(0x205, "0600")
+    dut.sync()
+    assert dut.device.cell(0x6040).value == 6
+
+
+@pytest.mark.parametrize("access", ["ro", "const"])
+def test_a_pdo_with_a_read_only_cob_id_is_mapped_all_the_same(tmp_path: Path, access: str) -> None:
+    fixed = {"1400sub1": var("COB-ID", U32, access, "$NODEID+0x200")}
+    dut = DeviceUnderTest(tmp_path, sections=SECTIONS | fixed)
+    dut.nmt(1)
+    writes = ((0, 0, 1), (1, 0x60400010, 4), (0, 1, 1))
+    assert [dut.write(0x1600, sub, value, size) for sub, value, size in writes] == [0, 0, 0]
+    dut.send(0x205, "0600")
+    dut.sync()
+    assert dut.device.cell(0x6040).value == 6
+
+
+def test_a_time_of_day_is_mapped_and_starts_with_its_default(tmp_path: Path) -> None:
+    """TIME_OF_DAY (000Ch) is six bytes: milliseconds after midnight, and days."""
+    time_of_day = {"2010": var("Time", 0xC, "rw", "0xA00000005", mappable=True)}
+    dut = DeviceUnderTest(tmp_path, sections=SECTIONS | time_of_day | mapping(0x1A00, "0x20100030"))
+    dut.nmt(1)
+    assert (0x185, "050000000a00") in dut.sync()
 
 
 def test_an_rpdo_that_was_too_long_and_then_too_short_leaves_no_error_when_it_is_right(dut: DeviceUnderTest) -> None:

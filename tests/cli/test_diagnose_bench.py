@@ -180,3 +180,17 @@ def test_until_clear_of_a_recording_is_refused(tmp_path):
     done = hilbench("diagnose", recording, "--until-clear")
     assert done.returncode == 2
     assert "a recording, expected with --until-clear a bench config" in done.stderr
+
+
+def test_set_and_bus_are_those_of_the_run_that_is_diagnosed(tmp_path, in_one_process):
+    path = config(tmp_path, steps=STEPS)
+    changes = ["--set", "safety.limits.speed_m_s={warning: 0.5, trip: 1.25}", "--bus", "embedded:of_the_option"]
+    done = hilbench("diagnose", path, "--out", tmp_path, *changes)
+    assert done.returncode == 3
+    assert "1.25 m/s" in done.stderr.splitlines()[-1]
+    assert load(the_run(path) / "config.yaml")[0].bus.address == "embedded:of_the_option"
+    recording = tmp_path / "run.csv"
+    recording.write_text("t_s,x1_m\n0,0\n1,1\n")
+    refused = hilbench("diagnose", recording, "--model", path, "--set", "seed=3")
+    assert refused.returncode == 2
+    assert "--set seed=3: with a recording, expected a bench config that is run" in refused.stderr

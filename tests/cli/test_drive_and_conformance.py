@@ -10,6 +10,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from math import pi
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -76,6 +77,41 @@ def test_a_drive_moves_homes_and_turns_by_command(bus: Bus) -> None:
     done = hilbench("drive", 1, "velocity", "100 rpm", "--for", "0.3", "--json", *bus.servo)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["position_rad"] > before
+
+
+@pytest.fixture
+def silent_on_units(tmp_path: Path) -> Iterator[tuple[object, ...]]:
+    """A drive whose objects tell none of its units, as node 3."""
+    eds, address = eds_file(tmp_path, 0x608F, 0x60A9, 0x6076), f"embedded:{uuid.uuid4().hex[:12]}"
+    process = subprocess.Popen([*HILBENCH, "simulate-drive", eds, "--node", "3", "--bus", address])
+    try:
+        link = open_link(BusAddress.parse(address))
+        assert any(present(link, [3], 0.2) for _ in range(300)), "the drive does not answer"
+        link.close()
+        with nobody_else():
+            yield "--bus", address, "--eds", eds
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=20)
+
+
+def test_a_drive_that_does_not_tell_its_units_names_the_objects_and_takes_them_by_option(
+    silent_on_units: tuple[object, ...],
+) -> None:
+    refused = hilbench("drive", 3, "velocity", "60 rpm", "--for", "0.3", *silent_on_units)
+    assert refused.returncode == 2
+    assert refused.stderr == (
+        "hilbench: node (node 3): 608Fh is absent or 0, and so is 6092h, expected it or the unit 'position_rad'; "
+        "60A9h is absent, expected it or the unit 'velocity_rad_s' (--units KEY=VALUE, or units: of the drive in "
+        "--config)\n"
+    )
+    given = ["--units", f"position_rad={2 * pi / 4096}", "--units", f"velocity_rad_s={2 * pi / 60}"]
+    turned = hilbench("drive", 3, "velocity", "60 rpm", "--for", "0.5", *given, "--json", *silent_on_units)
+    assert turned.returncode == 0, turned.stderr
+    assert json.loads(turned.stdout)["position_rad"] == pytest.approx(pi, rel=0.5)
+    odd = hilbench("drive", 3, "status", "--units", "velocity=1", *silent_on_units)
+    assert odd.returncode == 2
+    assert "--units: 'velocity=1', expected position_rad, velocity_rad_s or rated_torque_Nm" in odd.stderr
 
 
 def test_status_shows_si_units_the_drives_own_and_what_it_lacks(bus: Bus) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,8 @@ from tests.cli.drives import EDS, bus, sdo
 from tests.cli.in_process import hilbench
 from tests.tiers import slow
 
+import can
+from hilbench.can.open import BusAddress, open_python_can
 from hilbench.canopen import concise_dcf
 from hilbench.canopen.concise_dcf import Write
 
@@ -67,6 +71,51 @@ def test_what_a_device_has_already_counts_as_there_though_it_refuses_it(bus: str
     file.write_bytes(concise_dcf.encode([Write(0x1018, 2, struct.pack("<I", 0x402))]))
     loaded = sdo(bus, "load", 5, file, "--store")
     assert (loaded.returncode, loaded.stdout[:22]) == (0, "node 5: 1 of 1 objects"), loaded.stdout
+
+
+def test_a_device_without_1010h_is_loaded_and_said_not_to_store(bus: str, tmp_path: Path) -> None:
+    file, eds = tmp_path / "same.bin", tmp_path / "drive.eds"
+    file.write_bytes(concise_dcf.encode([Write(0x6085, 0, struct.pack("<I", 6500))]))
+    eds.write_text(re.sub(r"(?s)\[1010[^\]]*\].*?(?=\n\[)", "", EDS.read_text()))
+    loaded = hilbench("sdo", "load", "5", str(file), "--store", "--bus", bus, "--eds", str(eds))
+    assert (loaded.returncode, loaded.stderr) == (1, "")
+    first, second = loaded.stdout.splitlines()
+    assert first.startswith("node 5: 1 of 1 objects")
+    assert second == "not stored: its EDS file has no object 1010h sub 1, by which a device stores its parameters"
+
+
+SLOW_EDS = """[DeviceInfo]
+[1000]
+ParameterName=Device type
+DataType=0x7
+AccessType=ro
+[2000]
+ParameterName=Slow
+DataType=0x7
+AccessType=ro
+"""
+
+
+def test_an_object_that_takes_longer_than_a_second_is_read_with_a_time_out(bus: str, tmp_path: Path) -> None:
+    (tmp_path / "slow.eds").write_text(SLOW_EDS)
+    theirs = open_python_can(BusAddress.parse(bus))
+
+    def answer(message: can.Message) -> None:
+        if message.arbitration_id == 0x609:
+            if message.data[1:3] == b"\0\x20":
+                time.sleep(1.2)
+            reply = b"\x43" + bytes(message.data[1:4]) + bytes(4)
+            theirs.send(can.Message(arbitration_id=0x589, data=reply, is_extended_id=False))
+
+    notifier = can.Notifier(theirs, [answer])
+    try:
+        arguments = ["sdo", "dump", "9", str(tmp_path / "slow.dcf"), "--bus", bus, "--eds", str(tmp_path / "slow.eds")]
+        short, long = hilbench(*arguments), hilbench(*arguments, "--timeout", "5")
+    finally:
+        notifier.stop()
+        theirs.shutdown()
+    assert "not read: 2000h sub 0 Slow: no answer within 1 s, or that of another object" in short.stdout
+    assert long.stdout.splitlines() == [f"{tmp_path / 'slow.dcf'}: 2 objects of node 9"]
 
 
 def test_an_unusable_file_of_the_eds_folder_is_named(bus: str, tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ def test_what_the_file_does_not_tell_is_said(drives: tuple[str, subprocess.Popen
     assert drives[1].stdout is not None
     lines = [drives[1].stdout.readline() for _ in range(4)]
     assert lines[0].startswith("node 5: drive with every mode; profile position, velocity, profile velocity, torque")
-    assert lines[1] == "node 5: 608Fh is absent or 0: 4096 position units a turn of the motor\n"
+    assert lines[1] == "node 5: 608Fh is absent or 0, and so is 6092h: 4096 position units a turn of the motor\n"
     assert lines[2].startswith("node 6: ")
 
 

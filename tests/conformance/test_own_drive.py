@@ -136,3 +136,12 @@ def test_a_drive_with_power_is_left_alone() -> None:
     with pytest.raises(UnusableInputError, match="OPERATION ENABLED, expected a drive without power"):
         examine(under_test(bus))
     assert SERVO_EDS.exists()
+
+
+def test_a_drive_with_guarding_passes_its_cases(tmp_path: Path) -> None:
+    eds = tmp_path / "guarded.eds"
+    added = {"100C": var("Guard time", U16), "100D": var("Life time factor", U8)}
+    eds.write_text(SERVO_EDS.read_text() + "\n" + eds_text(added))
+    found = examine(under_test(VirtualBus(eds), eds), ["Guarding", "Heartbeat and guarding"])
+    assert names(found, Verdict.FAILED) == set()
+    assert names(found, Verdict.NOT_APPLICABLE) == {"Guarding 4", "Heartbeat and guarding 5"}

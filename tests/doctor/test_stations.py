@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -77,7 +78,7 @@ def test_strangers_and_another_master(nodes: list[ExpectedNode]) -> None:
         assert f"{identifier:03X}h" in busy[0].found
         assert "no program of this machine" in busy[0].found
         on_a_bus_alone = check_heard(sort_by_node(frames(identifier)), [], 127, "can0")
-        assert levels(on_a_bus_alone)[Check.OTHER_MASTER] is Level.WARNING
+        assert levels(on_a_bus_alone)[Check.OTHER_MASTER] is Level.ERROR
     idle = check_heard(sort_by_node([]), nodes, 127, "can0", claimed_by="bench line2 (process 4711)")
     assert levels(idle)[Check.OTHER_MASTER] is Level.ERROR
     assert "bench line2 (process 4711)" in idle[0].found
@@ -200,6 +201,31 @@ def test_a_scan_finds_a_node_that_answers_after_a_tenth_of_a_second() -> None:
     link.close()
     theirs.shutdown()
     assert [station.node_id for station in found.stations] == [9]
+
+
+def test_a_scan_finds_all_nodes_of_a_slow_bus_and_says_how_long_it_waited() -> None:
+    """At 10 kbit/s sixteen requests and their answers take 0.4 s, and nodes take their time before they answer."""
+    memory = MemoryBus()
+    theirs, there = memory.open_python_can(), (1, 9, 16)
+    sent_s = [0.0]
+
+    def answer(message: can.Message) -> None:
+        node_id = message.arbitration_id - 0x600
+        sent_s[0] = max(sent_s[0], time.monotonic()) + 0.013 * (2 if node_id in there else 1)
+        if node_id in there:
+            data = b"\x43" + bytes(message.data[1:4]) + bytes(4)
+            late = can.Message(arbitration_id=0x580 + node_id, data=data, is_extended_id=False)
+            threading.Timer(sent_s[0] - time.monotonic() + 0.12, theirs.send, [late]).start()
+
+    notifier = can.Notifier(theirs, [answer])
+    link = memory.open_link()
+    with SdoClient(memory.open_python_can(), timeout_s=1.0) as reader:
+        found = scan(link, reader, [], 0.0, 127, bitrate=10_000)
+    notifier.stop()
+    link.close()
+    theirs.shutdown()
+    assert [station.node_id for station in found.stations] == list(there)
+    assert found.waited_s == pytest.approx(0.3 + 32 * 0.0135)
 
 
 def test_a_bus_that_is_lost_is_no_silent_node() -> None:

@@ -186,6 +186,15 @@ def test_identifiers_are_unique_and_references_resolve(report: Path) -> None:
     assert used <= set(page.identifiers)
 
 
+def test_a_report_begins_with_its_contents_and_folds_the_config(report: Path) -> None:
+    text = report.read_text()
+    contents = text[text.index('<nav class="contents">') : text.index("</nav>")]
+    listed = re.findall(r'<a href="#([a-z]+)">([^<]+)</a>', contents)
+    assert listed == re.findall(r'<section id="([a-z]+)">\s*<h2>([^<]+)</h2>', text)
+    assert len(listed) == text.count("<h2>") >= 8
+    assert re.search(r'<section id="config">\s*<h2>Config</h2>\s*<details><summary>\d+ lines?</summary><pre>', text)
+
+
 def test_small_and_the_same_every_time(tmp_path: Path) -> None:
     folder = run_folder(tmp_path, recording(40_000))
     first = write_report(folder).read_bytes()

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from hilbench.cli.run import show_outcome
 from hilbench.errors import UnusableInputError
 from hilbench.results.result import Environment, Fault, Histogram, Result, Timing, jitter
+from hilbench.results.run import RunOutcome
+from hilbench.results.run_folder import RunFolder
 from hilbench.runs.criteria import CriterionResult
 
 PASSED = CriterionResult(name="E found", value=19.5, limit="≤ 25", unit="s", passed=True)
@@ -135,3 +140,16 @@ def test_environment_names_versions() -> None:
     here = Environment.here(seed=3)
     assert here.seed == 3
     assert here.libraries["numpy"] == np.__version__
+
+
+def test_a_run_that_was_aborted_shows_what_nobody_could_judge_in_one_line(tmp_path: Path) -> None:
+    fault = Fault(time_s=12.5, source="operator", text="interrupted, drives were stopped")
+    result = Result.of([PASSED, FAILED, FAILED, FAILED], {}, timing(), [fault])
+    console = Console(width=200, file=io.StringIO())
+    show_outcome(console, RunOutcome(RunFolder(tmp_path), result, 130))
+    lines = console.file.getvalue().splitlines()
+    assert [line for line in lines if "noise" in line or "not there" in line] == []
+    assert [line for line in lines if line.startswith("error")] == [
+        "error 4 of 4 criteria could not be judged: the run ended by the fault below"
+    ]
+    assert "fault operator: interrupted, drives were stopped" in lines

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -212,6 +213,10 @@ def eds_with(folder: Path, *changes: str) -> str:
         (["6085/HighLimit=1000"], "6085h:0 that takes 7161972 .* which goes from 1 to 1000"),
         (["1017/AccessType=const"], "1017h:0 that takes 100 .* which is read-only and has 0"),
         (["1400sub2/AccessType=const", "1400sub2/DefaultValue=255"], "1400h:2 that takes 1 .* read-only and has 255"),
+        (
+            ["1400sub1/AccessType=ro", "1400sub1/DefaultValue=0x305"],
+            r"1400h:1 that takes 201h .* which is read-only and has 773",
+        ),
         (["6064/PDOMapping=0"], r"6064h \('Position actual value'\) is not mappable by its EDS"),
         (["60FF/AccessType=ro"], r"60FFh \('Target velocity'\) is ro by its EDS, .* can be received in a PDO"),
         (["6041/AccessType=wo"], r"6041h \('Statusword'\) is wo by its EDS, .* can be sent in a PDO"),
@@ -224,7 +229,7 @@ def test_a_drive_whose_eds_cannot_do_what_the_config_asks_is_refused(
         check(CONFIG, eds_with(tmp_path, *changes))
 
 
-@pytest.mark.parametrize("fixed", [("60C2sub2",), ("60C2sub1", "60C2sub2"), ("605A",)])
+@pytest.mark.parametrize("fixed", [("60C2sub2",), ("60C2sub1", "60C2sub2"), ("605A",), ("1400sub1", "1800sub1")])
 def test_a_drive_that_has_what_it_is_asked_for_in_read_only_objects_runs(
     tmp_path: Path, fixed: tuple[str, ...]
 ) -> None:
@@ -233,6 +238,16 @@ def test_a_drive_that_has_what_it_is_asked_for_in_read_only_objects_runs(
     check(CONFIG, drive)
     with Bench(config, participants=Participants.IN_PROCESS) as bench:
         bench.run(0.1)
+
+
+def test_a_drive_without_a_heartbeat_runs_and_is_watched_by_its_tpdos(tmp_path: Path) -> None:
+    """1017h is conditional: a device with node guarding needs none."""
+    drive = eds_with(tmp_path)
+    path = tmp_path / "drive.eds"
+    path.write_text(re.sub(r"(?s)\[1017\].*?(?=\n\[)", "", path.read_text()))
+    check(CONFIG, drive)
+    with Bench(load_with_overrides(CONFIG, changes=[drive]).config, participants=Participants.IN_PROCESS) as bench:
+        bench.run(0.5)
 
 
 def test_a_bus_that_is_not_there_is_refused_in_one_line() -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from hilbench.errors import UnusableInputError
-from hilbench.runs.config import load_with_overrides
+from hilbench.plant.model_file import write_model
+from hilbench.runs.config import load_with_overrides, write_config_over
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 
@@ -40,3 +41,15 @@ def test_the_command_line_comes_last_and_is_named() -> None:
         load_with_overrides(SHIPPED, changes=["machine.colour=red"])
     with pytest.raises(UnusableInputError, match="--set: 'width', expected KEY=VALUE"):
         load_with_overrides(SHIPPED, changes=["width"])
+
+
+def test_an_extended_config_has_what_options_have_changed(tmp_path: Path) -> None:
+    model = tmp_path / "model.yaml"
+    changes = ["seed=7", "controllers.tension_control.bandwidth_rad_per_s=3", "criteria.0.max=0.5"]
+    changes.append("machine.web.width_m=0.55")
+    loaded = load_with_overrides(SHIPPED, changes=changes).config
+    write_model(model, loaded.machine)
+    write_config_over(tmp_path / "extended.yaml", [SHIPPED, model], changes)
+    extended = load_with_overrides(tmp_path / "extended.yaml").config
+    assert extended.name == "web_section_step_extended"
+    assert extended.model_copy(update={"name": loaded.name, "bus": loaded.bus}) == loaded

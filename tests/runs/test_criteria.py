@@ -61,7 +61,7 @@ def test_a_metric_that_is_not_there_fails_and_says_why(metrics: dict[str, float 
         ({"tolerance": 20}, "target and tolerance together"),
         ({"target": 20, "tolerance": -1}, "greater than or equal to 0"),
         ({"min": 5, "max": 3}, "min 5 at most max 3"),
-        ({"max": 25, "metric": "E_tiem_s"}, "metric 'E_tiem_s' is not known, one of E_time_to_1pct_s, "),
+        ({"max": 25, "metric": "E_tiem_s"}, "metric 'E_tiem_s' is not known, expected one of E_time_to_1pct_s, "),
         (
             {"max": 1, "metric": "cycles_missed", "step": 1},
             "no step with metric cycles_missed, which is of the whole run",

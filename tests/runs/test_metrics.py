@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hilbench.runs import figures
 from hilbench.runs.events import Changed, Event
-from hilbench.runs.metrics import METRICS, evaluate_metrics
+from hilbench.runs.metrics import METRICS, Metrics, evaluate_metrics
 
 E0, E1 = 8.7e9, 10.5e9
 STRAIN_PREV = 80 / (E0 * 3.25e-5)
@@ -195,3 +195,12 @@ def test_velocity_from_position_resolves_a_micrometre_a_second() -> None:
     t = np.arange(0, 5, 0.002)
     x = np.round((3.000145 * t) / 1.2e-6) * 1.2e-6  # 20-bit encoder
     assert figures.mean_velocity(t, x) == pytest.approx(3.000145, abs=1e-7)
+
+
+def test_a_test_that_compares_a_metric_that_is_none_says_its_reason() -> None:
+    metrics = Metrics({"E_noise_pct": 0.1, "E_time_to_1pct_s": None}, {"E_time_to_1pct_s": "nothing stepped"})
+    assert metrics["E_noise_pct"] < 0.2
+    assert metrics.get("E_time_to_1pct_s") is None
+    assert dict(metrics) == {"E_noise_pct": 0.1, "E_time_to_1pct_s": None}
+    with pytest.raises(AssertionError, match="no E_time_to_1pct_s: nothing stepped"):
+        assert metrics["E_time_to_1pct_s"] < 0.2

@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import pandas
 import pytest
 from distributed import LocalCluster
 from tests.bench.whole_runs import config
+from tests.cli.in_process import hilbench
 
 from hilbench.errors import UnusableInputError
 from hilbench.processes import ChildProcess
@@ -55,7 +57,7 @@ def test_what_cannot_be_varied_is_said(text: str, samples: int | None, said: str
 def test_a_failed_run_leaves_its_row_and_what_is_done_is_not_done_again(tmp_path: Path) -> None:
     path = config(tmp_path, steps=[{"hold": {"duration_s": 0.1}}])
     out, cycles = tmp_path / "sweep", [{"cycle_time_s": text} for text in ("0.001", "0.002")]
-    with pytest.raises(UnusableInputError, match=r"--set cycle_time_s=-1: .*greater than or equal"):
+    with pytest.raises(UnusableInputError, match=r"--set cycle_time_s=-1: .*expected: 0.0005 or more"):
         Sweep(path, (), [*cycles, {"cycle_time_s": "-1"}], out)
     assert not out.exists()
     done = sweep(path, "--vary", "cycle_time_s=0.001,0.002", "--json")
@@ -79,6 +81,28 @@ def test_a_failed_run_leaves_its_row_and_what_is_done_is_not_done_again(tmp_path
     assert len(Sweep(path, (), cycles, out).rows) == 1
     with pytest.raises(UnusableInputError, match="holds another sweep"):
         Sweep(path, (), cycles[:1], out)
+
+
+def test_a_sweep_prints_its_table_and_draws_metrics_against_what_was_varied(tmp_path: Path) -> None:
+    criterion = {"name": "load", "metric": "bus_load_pct", "max": 60}
+    path = config(tmp_path, steps=[{"hold": {"duration_s": 0.1}}], criteria=[criterion])
+    out = tmp_path / "sweep"
+    made = Sweep(path, (), [{"cycle_time_s": text} for text in ("0.002", "0.003")], out)
+    rows = [(0, "0.002", 1, 80.0), (1, "0.003", 0, 53.25)]
+    log = [asdict(Row(n, {"cycle_time_s": text}, code, None, {"bus_load_pct": load})) for n, text, code, load in rows]
+    (out / "results.jsonl").write_text("".join(f"{json.dumps(row)}\n" for row in log))
+    done = hilbench("sweep", path, "--vary", "cycle_time_s=0.002,0.003", "--out", out)
+    assert done.returncode == 1, done.stderr
+    *table, last = done.stdout.splitlines()
+    assert [line.split() for line in table] == [
+        ["run", "cycle_time_s", "bus_load_pct"],
+        ["0", "0.002", "exit", "code", "1", "80"],
+        ["1", "0.003", "passed", "53.25"],
+    ]
+    assert last == f"2 runs, 1 not passed: {out / 'results.csv'}, {out / 'results.svg'}"
+    picture = (out / "results.svg").read_text()
+    assert picture.count("<use ") >= 2
+    assert made.shown_metrics() == ["bus_load_pct"]
 
 
 @pytest.mark.slow

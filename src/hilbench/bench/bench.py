@@ -42,7 +42,7 @@ from hilbench.exchange.timeliness import Timeliness
 from hilbench.plant.effect import MachineKind
 from hilbench.prediction.plan import Asked, Move, Plan
 from hilbench.processes import ChildProcess, finishing
-from hilbench.suggest import did_you_mean
+from hilbench.suggest import expected_one_of
 from hilbench.topology import quantities
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample, sample_type
@@ -504,8 +504,6 @@ class Bench:
         if kind is MachineKind.SERVO_AXIS:
             raise UnusableValueError(f"method {method!r}, expected none: the twin of a {kind} has one method")
         if method not in METHODS:
-            raise UnusableValueError(
-                f"method {method!r}, expected one of {', '.join(METHODS)}{did_you_mean(str(method), METHODS)}"
-            )
+            raise UnusableValueError(f"method {method!r}{expected_one_of(str(method), METHODS)}")
         self._state.running()
         self.nodes.use_synchronizer(list(METHODS).index(method) + 1)

@@ -120,6 +120,9 @@ class DataType:
             return self.decode(int(text, 0).to_bytes(self.width or 4, "little"))  # the bits of IEEE 754
         if self.is_integer:
             return self._parse_integer(text, node_id)
+        if self.width is not None:  # times: a number, or their bytes as they are on the wire
+            is_number = len(text) != 2 * self.width
+            return int(text, 0).to_bytes(self.width, "little") if is_number else bytes.fromhex(text)
         return text if self.code in _STRINGS else bytes.fromhex(text.removeprefix("0x"))
 
     def _parse_integer(self, text: str, node_id: int) -> int:

@@ -7,6 +7,7 @@ in `replies` (answers to a request, due at once) and `outbox` (what the device h
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import canopen
@@ -29,6 +30,7 @@ from hilbench.canopen.identifiers import (
     is_restricted,
     node_of,
 )
+from hilbench.canopen.node_guarding import NodeGuarding
 from hilbench.canopen.object_store import INVALID_VALUE, PRESENT_STATE, Cell, ObjectStore, SdoAbort
 from hilbench.canopen.sdo_server import DeviceSdoServer, may_write
 from hilbench.canopen.storage import Storage
@@ -42,6 +44,8 @@ _TO_PRE_OPERATIONAL, _TO_STOPPED = 0, 2
 HEARTBEAT_LOST = 0x8130
 SYNC_LENGTH = 0x8240
 
+#: In the place of a node id: the master whose guarding is missed (life guarding event, CiA 301).
+_GUARD = 0
 _WITHOUT_TOP_BIT = 0x7FFFFFFF  #: of 1005h: it means nothing there
 
 _ERROR_REGISTER = 0x1001
@@ -80,6 +84,8 @@ class Device:
         self._emcy = EmergencyProducer(self._store, self._say, clock.now_ns, self._communicates)
         self._producer = HeartbeatProducer(self._store, clock.now_ns)
         self._consumer = HeartbeatConsumer(self._store, clock.now_ns, self._heartbeat_lost, self._heartbeat_back)
+        lost, back = partial(self._heartbeat_lost, _GUARD), partial(self._heartbeat_back, _GUARD)
+        self._guarding = NodeGuarding(self._store, clock.now_ns, lost, back)
         numbers = range(1, 513)
         self._rpdos = [
             Rpdo(self._store, n, self._emcy, clock.now_ns)
@@ -91,6 +97,8 @@ class Device:
             for n in numbers
             if (0x17FF + n, 1) in self._store and (0x19FF + n, 0) in self._store
         ]
+        #: PDOs that are valid by the EDS file and can't have the mapping that it gives them; one line each.
+        self.left_out: dict[str, str] = {}
         self._receivers: dict[int, Rpdo] = {}
         self._synchronous: list[Tpdo] = []
         self._event_driven: list[Tpdo] = []
@@ -134,7 +142,7 @@ class Device:
             self.nmt_state is NmtState.OPERATIONAL
             and not (self.silent or self.heartbeat_fails or self.replies or self.outbox or self._event_driven)
             and not (self._sync_counter is not None and self._sync_counter.value)
-            and not (self._emcy.waits or self._emcy.stands(SYNC_LENGTH))
+            and not (self._emcy.waits or self._emcy.stands(SYNC_LENGTH) or self._guarding.watches)
             and all(tpdo.is_plain for tpdo in self._synchronous)
         )
 
@@ -171,6 +179,7 @@ class Device:
             *(HEARTBEAT + node_id for node_id in self._consumer.times_ns()),
             *self._receivers,
             *(tpdo.cob_id | REMOTE_FLAG for tpdo in self._tpdos if tpdo.valid),
+            *([HEARTBEAT + self.node_id | REMOTE_FLAG] if self._guarding.offered else []),
         }
 
     def handle(self, frame: Frame) -> None:
@@ -190,6 +199,9 @@ class Device:
         elif can_id == EMERGENCY_STOP_COB_ID:
             if self.on_emergency_stop is not None:
                 self.on_emergency_stop()
+        elif can_id == HEARTBEAT + self.node_id | REMOTE_FLAG:
+            if self._guarding.offered and not self._producer.period_ns:  # heartbeat takes the place of guarding
+                self._reply(HEARTBEAT + self.node_id, self._guarding.answer(self.nmt_state))
         elif sender := node_of(can_id, HEARTBEAT):
             if len(frame.data) == 1 and frame.data != NmtState.INITIALISING.heartbeat:
                 self._consumer.heard(sender)
@@ -226,6 +238,7 @@ class Device:
         if self._producer.due(now_ns) and not self.heartbeat_fails:
             self._say(HEARTBEAT + self.node_id, self.nmt_state.heartbeat)
         self._consumer.poll(now_ns)
+        self._guarding.poll(now_ns)
         self._emcy.poll(now_ns)
         if self.nmt_state is not NmtState.OPERATIONAL:
             return
@@ -292,6 +305,7 @@ class Device:
         self._sdo.reset()
         self._consumer.reset()
         self._producer.rephase()
+        self._guarding.reset()
         self._compile_pdos()
 
     # -- PDOs --------------------------------------------------------------------------------------------
@@ -309,12 +323,9 @@ class Device:
             try:
                 pdo.compile()
             except (SdoAbort, ValueError) as error:
-                if not pdo.valid:
-                    continue  # it has no map until one is written
-                # Writes are checked one by one, so this is what the device starts with.
-                raise UnusableInputError(
-                    f"EDS of node {self.node_id}", f"{pdo} cannot have its default mapping: {error}"
-                ) from error
+                # Writes are checked one by one, so this is what the device starts with: no map until one is written.
+                if pdo.valid:
+                    self.left_out[str(pdo)] = f"{pdo} is not sent or received with its default mapping: {error}"
         self._receivers = {rpdo.cob_id: rpdo for rpdo in self._rpdos if rpdo.valid and rpdo.map is not None}
         active = [tpdo for tpdo in self._tpdos if tpdo.valid and tpdo.map is not None]
         self._synchronous = [tpdo for tpdo in active if tpdo.transmission_type <= 240]

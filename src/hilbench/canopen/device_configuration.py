@@ -21,7 +21,7 @@ from hilbench.canopen.data_types import Value, data_type
 from hilbench.canopen.identifiers import NODE_ID
 from hilbench.canopen.master import Master
 from hilbench.canopen.object_store import NO_DATA
-from hilbench.canopen.sdo_client import Refusal
+from hilbench.canopen.sdo_client import Refusal, no_answer
 from hilbench.canopen.storage import NO_PARAMETERS
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import content, written_whole
@@ -98,10 +98,9 @@ def read_device(
         key = variable.index, variable.subindex
         answer = master.read(node_id, *key)
         if answer is None:
-            # One object may be slow; the device is gone when it does not answer at all. Late answers pass meanwhile.
-            if not any(master.read(node_id, 0x1000) for _ in range(_TRIES)):
+            if not _is_there(master, node_id):
                 raise BenchFaultError(f"node {node_id}: no answer when {found.name(key)} was read")
-            found.refused[key] = "no answer, or that of another object"
+            found.refused[key] = f"no answer within {master.timeout_s:g} s, or that of another object"
         elif isinstance(answer, Refusal):
             if answer.code != NO_DATA:  # such as an empty entry of the error history
                 found.refused[key] = str(answer)
@@ -119,7 +118,7 @@ def settings(configuration: Configuration) -> list[concise_dcf.Write]:
     Commands and set points (1010h, 6040h, …) are none.
     """
     values = {key: configuration.values[key] for key in _parameters(configuration)}
-    pdos = _pdos(values)
+    pdos = sorted({index for index in map(_pdo_of, values) if index})
     # Entries beyond the number of a mapping mean nothing, and a device may refuse to have them written.
     mappings = {index + _MAPPINGS for index in pdos}
     writes = [write for index in pdos for write in _pdo_writes(values, index)]
@@ -171,9 +170,11 @@ def write_device(
             if master.read(node_id, *key) != write.data:  # what it has already it need not take
                 failed[key] = f"{write.data.hex(' ')} refused: {Refusal(error.code)}"
         except canopen.SdoCommunicationError as error:
-            raise BenchFaultError(
-                f"node {node_id}: no answer when {key[0]:04X}h sub {key[1]} was written ({number} of {len(writes)})"
-            ) from error
+            if not _is_there(master, node_id):
+                raise BenchFaultError(
+                    f"node {node_id}: no answer when {key[0]:04X}h sub {key[1]} was written ({number} of {len(writes)})"
+                ) from error
+            failed[key] = no_answer(error, master.timeout_s)
         progress(number, len(writes))
     last = {write.key: write.data for write in writes}
     for key, data in last.items():
@@ -183,6 +184,11 @@ def write_device(
     return failed
 
 
+def _is_there(master: Master, node_id: int) -> bool:
+    """One object may be slow; the device is gone when it does not answer at all. Late answers pass meanwhile."""
+    return any(master.read(node_id, 0x1000) for _ in range(_TRIES))
+
+
 def _parameters(configuration: Configuration) -> Iterator[Key]:
     for variable in eds.all_variables(configuration.od):
         key = variable.index, variable.subindex
@@ -190,14 +196,20 @@ def _parameters(configuration: Configuration) -> Iterator[Key]:
             yield key
 
 
-def _pdos(values: Mapping[Key, bytes]) -> list[int]:
-    return sorted(index for index, sub in values if sub == 1 and (index in _RPDOS or index in _TPDOS))
+def _pdo_of(key: Key) -> int | None:
+    """The communication parameters of the PDO that is set up by an object: by its COB-ID, or by its mapping."""
+    index, sub = key
+    if sub == 1 and (index in _RPDOS or index in _TPDOS):
+        return index
+    return index - _MAPPINGS if sub == 0 and (index - _MAPPINGS in _RPDOS or index - _MAPPINGS in _TPDOS) else None
 
 
 def _pdo_writes(values: Mapping[Key, bytes], index: int) -> Iterator[concise_dcf.Write]:
-    cob_id, mapping = values[index, 1], index + _MAPPINGS
+    """cob_id: of some devices it is read-only, and the mapping is not."""
+    cob_id, mapping = values.get((index, 1)), index + _MAPPINGS
     number = values.get((mapping, 0))
-    yield concise_dcf.Write(index, 1, cob_id[:-1] + bytes([cob_id[-1] | 0x80]))
+    if cob_id is not None:
+        yield concise_dcf.Write(index, 1, cob_id[:-1] + bytes([cob_id[-1] | 0x80]))
     if number is not None:
         yield concise_dcf.Write(mapping, 0, b"\0")
         for sub in range(1, number[0] + 1):
@@ -207,7 +219,8 @@ def _pdo_writes(values: Mapping[Key, bytes], index: int) -> Iterator[concise_dcf
     for (at, sub), data in sorted(values.items()):
         if at == index and sub > 1:
             yield concise_dcf.Write(index, sub, data)
-    yield concise_dcf.Write(index, 1, cob_id)
+    if cob_id is not None:
+        yield concise_dcf.Write(index, 1, cob_id)
 
 
 # -- from and to a file ------------------------------------------------------------------------------------------

@@ -82,8 +82,9 @@ class _Pdo:
         raise NotImplementedError
 
     def compile(self) -> None:
-        """Build the codec anew from the mapping object."""
+        """Build the codec anew from the mapping object. Raises SdoAbort for one that can't be; there is no map then."""
         self.compiled = self.parameters()
+        self.cells, self.map = [], None
         count = min(self._count.value, len(self._entries))
         # An empty entry of a default mapping carries nothing; none can be written among those that count.
         self.cells = cells = self._mapped_cells(entry.value for entry in self._entries[:count] if entry.value)
@@ -136,7 +137,8 @@ class _Pdo:
             raise SdoAbort(INVALID_VALUE)
 
     def _only_while_invalid(self, value: int) -> None:
-        if self.valid:
+        # One that can't be made invalid, by its COB-ID, is mapped as it is.
+        if self.valid and self._cob.variable.writable:
             raise SdoAbort(UNSUPPORTED_ACCESS)
 
     def _check_count(self, value: int) -> None:

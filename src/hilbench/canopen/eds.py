@@ -14,7 +14,22 @@ from pathlib import Path
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
 import canopen
-from hilbench.canopen.data_types import INTEGER64, NODE_ID, Value, data_type
+from hilbench.canopen.data_types import (
+    BOOLEAN,
+    DOMAIN,
+    INTEGER64,
+    NODE_ID,
+    UNSIGNED8,
+    UNSIGNED16,
+    UNSIGNED24,
+    UNSIGNED32,
+    UNSIGNED40,
+    UNSIGNED48,
+    UNSIGNED56,
+    UNSIGNED64,
+    Value,
+    data_type,
+)
 from hilbench.errors import UnusableInputError
 from hilbench.files import content
 
@@ -26,7 +41,13 @@ _VAR = 0x7
 _ARRAY = 0x8
 _ARRAY_TYPES = (_ARRAY, 0x9)  # ObjectType ARRAY, RECORD
 _DOMAIN = 0x2
-_NO_VALUE = (0x0, 0x5, 0x6)  # ObjectType NULL, DEFTYPE, DEFSTRUCT: nothing to read or write
+_DEFTYPE = 0x5
+_NO_VALUE = (0x0, _DEFTYPE, 0x6)  # ObjectType NULL, DEFTYPE, DEFSTRUCT: nothing to read or write
+#: Data types of a length in bits, in the place of a maker's own that are only defined by it.
+_OF_LENGTH = {
+    1: BOOLEAN, 8: UNSIGNED8, 16: UNSIGNED16, 24: UNSIGNED24, 32: UNSIGNED32,
+    40: UNSIGNED40, 48: UNSIGNED48, 56: UNSIGNED56, 64: UNSIGNED64,
+}  # fmt: skip
 _ACCESS_TYPES = {"ro", "wo", "rw", "rwr", "rww", "const"}
 _OBJECT = re.compile(r"^([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?$", re.IGNORECASE)
 _INDEX_KEY = re.compile(r"^(?:0x)?([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?$", re.IGNORECASE)
@@ -121,6 +142,20 @@ def object_flags(path: Path) -> dict[tuple[int, int], int]:
     objects = _object_sections(path, _sections(path, _as_of(path)))
     flags = {key: _integer(path, section, "ObjFlags", 0) for key, section in objects.items()}
     return {(index, sub or 0): value for (index, sub), value in flags.items() if value}
+
+
+def undefined_types(path: Path) -> dict[tuple[int, int], int]:
+    """Data types that neither CiA 301 nor the file defines, by index and sub-index; such objects are bytes (DOMAIN).
+
+    Raises UnusableInputError as `load_eds` does.
+    """
+    objects = _object_sections(path, _sections(path, _as_of(path)))
+    codes = {
+        (index, sub or 0): _integer(path, section, "DataType", DOMAIN)
+        for (index, sub), section in objects.items()
+        if "DataType" in section.options
+    }
+    return {key: code for key, code in codes.items() if data_type(code).code != code}
 
 
 def _read(path: Path, sections: dict[str, _Section], objects: _Objects) -> canopen.ObjectDictionary:
@@ -250,6 +285,7 @@ def _object_sections(path: Path, sections: dict[str, _Section]) -> _Objects:
         if match:
             index = int(match[1], 16)
             objects[(index, int(match[2], 16) if match[2] else None)] = section
+    types = _defined_types(path, objects)
     for (index, sub), section in list(objects.items()):
         if sub is None and _integer(path, section, "ObjectType", _VAR) in _NO_VALUE:
             for key in [key for key in objects if key[0] == index]:
@@ -261,8 +297,26 @@ def _object_sections(path: Path, sections: dict[str, _Section]) -> _Objects:
             objects.update(_expand_compact(path, index, section, sections))
             if len(objects) > _MOST_OBJECTS:
                 raise UnusableInputError(path, f"more than {_MOST_OBJECTS} objects and entries, expected fewer")
+    for section in objects.values():
+        defined = types.get(_integer(path, section, "DataType", 0)) if types else None
+        if defined is not None:
+            section.options["DataType"] = defined
     objects.update(_dummies(sections.get("dummyusage")))
     return dict(sorted(objects.items(), key=lambda item: (item[0][0], -1 if item[0][1] is None else item[0][1])))
+
+
+def _defined_types(path: Path, objects: _Objects) -> dict[int, str]:
+    """DEFTYPE objects (CiA 301, 7.4.1): the basic type of each by its DataType, or by the length in bits that an
+    UNSIGNED32 has as its default."""
+    types = {}
+    for (index, sub), section in objects.items():
+        if sub is None and _integer(path, section, "ObjectType", _VAR) == _DEFTYPE:
+            code = _integer(path, section, "DataType", 0)
+            if code == UNSIGNED32:
+                code = _OF_LENGTH.get(_integer(path, section, "DefaultValue", 0), 0)
+            if code:
+                types[index] = str(code)
+    return types
 
 
 def _expand_compact(path: Path, index: int, section: _Section, sections: dict[str, _Section]) -> _Objects:

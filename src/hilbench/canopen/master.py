@@ -26,6 +26,8 @@ from hilbench.canopen.pdo import PdoMap
 from hilbench.canopen.sdo_client import Refusal, SdoClient, no_answer
 from hilbench.errors import BenchFaultError, BusError
 
+_MAPPING = 0x200  #: from a PDO's communication parameters to its mapping
+
 
 @dataclass(frozen=True)
 class Identity:
@@ -196,21 +198,29 @@ class Master(SdoClient):
         self._write_pdo(node_id, 0x1800 + number - 1, 0x1A00 + number - 1, pdo)
 
     def disable_pdo(self, node_id: int, communication_index: int) -> None:
-        """Make a PDO invalid (bit 31 of its COB-ID)."""
-        cob_id = int(self.sdo_read(node_id, communication_index, 1))
-        self.sdo_write(node_id, communication_index, cob_id | INVALID, 1)
+        """Make a PDO invalid (bit 31 of its COB-ID); one whose COB-ID is read-only carries nothing."""
+        if self._variable(node_id, communication_index, 1).writable:
+            cob_id = int(self.sdo_read(node_id, communication_index, 1))
+            self.sdo_write(node_id, communication_index, cob_id | INVALID, 1)
+        else:
+            self._give(node_id, communication_index + _MAPPING, 0, 0)
+
+    def _give(self, node_id: int, index: int, value: int, sub: int) -> None:
+        """Write it, unless it is read-only by its EDS: who reads it back afterwards sees what it has."""
+        if self._variable(node_id, index, sub).writable:
+            self.sdo_write(node_id, index, value, sub)
 
     def _write_pdo(self, node_id: int, communication: int, mapping: int, pdo: PdoMap) -> None:
         """The procedure of CiA 301: PDO invalid, number 0, entries, number, valid."""
         self.disable_pdo(node_id, communication)
         remote = NO_REMOTE_REQUEST if communication >= 0x1800 else 0
-        self.sdo_write(node_id, mapping, 0, 0)
+        self._give(node_id, mapping, 0, 0)
         for sub, entry in enumerate(pdo.mapping, 1):
-            self.sdo_write(node_id, mapping, entry, sub)
-        self.sdo_write(node_id, mapping, len(pdo.mapping), 0)
-        self.sdo_write(node_id, communication, pdo.transmission_type, 2)
-        self.sdo_write(node_id, communication, pdo.cob_id | remote | INVALID, 1)
-        self.sdo_write(node_id, communication, pdo.cob_id | remote, 1)
+            self._give(node_id, mapping, entry, sub)
+        self._give(node_id, mapping, len(pdo.mapping), 0)
+        self._give(node_id, communication, pdo.transmission_type, 2)
+        self._give(node_id, communication, pdo.cob_id | remote | INVALID, 1)
+        self._give(node_id, communication, pdo.cob_id | remote, 1)
         self._check_pdo(node_id, communication, mapping, pdo)
 
     def _check_pdo(self, node_id: int, communication: int, mapping: int, pdo: PdoMap) -> None:

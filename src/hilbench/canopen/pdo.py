@@ -24,10 +24,10 @@ def mapping_value(variable: ODVariable) -> int:
 def bit_length(variable: ODVariable) -> int:
     """Length of a mapped variable in bits. Raises ValueError for types that can't be mapped here."""
     kind = data_type(variable.data_type or 0)
-    if kind.pdo_bits is None or not kind.is_number:
+    if kind.pdo_bits is None:
         raise ValueError(
             f"{variable.index:04X}h sub {variable.subindex} ('{variable.name}') has data type "
-            f"{variable.data_type:04X}h, expected a BOOLEAN, an integer of 8 to 64 bits or a REAL"
+            f"{variable.data_type:04X}h, expected a BOOLEAN, an integer of 8 to 64 bits, a REAL or a time"
         )
     return kind.pdo_bits
 

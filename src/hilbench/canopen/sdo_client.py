@@ -115,6 +115,11 @@ class SdoClient:
         self._timeout_s = timeout_s
         self._locks: dict[int, threading.Lock] = {}  # a node that does not answer holds up no other
 
+    @property
+    def timeout_s(self) -> float:
+        """For the answer to a request."""
+        return self._timeout_s
+
     def read(self, node_id: int, index: int, sub: int = 0) -> Answer:
         """The content of an object, the device's refusal, or None when it does not answer in time.
 

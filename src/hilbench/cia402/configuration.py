@@ -9,6 +9,7 @@ from typing import Final
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 from hilbench.canopen import eds
+from hilbench.canopen.identifiers import COB_ID, INVALID
 from hilbench.canopen.master import Master
 from hilbench.canopen.pdo import PdoMap, received_by, sent_by
 from hilbench.cia402 import objects
@@ -162,7 +163,8 @@ def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdo
         _write(master, settings, od, index, sub, value)
     set_mode(master, settings, od)
     _set_interpolation_period(master, settings, od)
-    _write(master, settings, od, PRODUCER_HEARTBEAT, 0, settings.heartbeat_ms)
+    if _has(od, PRODUCER_HEARTBEAT, 0):  # without it the drive is watched by its TPDOs alone
+        _write(master, settings, od, PRODUCER_HEARTBEAT, 0, settings.heartbeat_ms)
     if settings.master_heartbeat is not None:
         master_id, time_out_ms = settings.master_heartbeat
         _write(master, settings, od, CONSUMER_HEARTBEAT, 1, master_id << 16 | time_out_ms)
@@ -252,8 +254,9 @@ def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
     """What `configure` will need and the EDS does not have, one line each; empty for a drive that can be used."""
     written: dict[tuple[int, int], tuple[int | float, str]] = {
         (settings.object(objects.MODES_OF_OPERATION), 0): (int(settings.mode), "the mode is written to it"),
-        (PRODUCER_HEARTBEAT, 0): (settings.heartbeat_ms, "the drive's heartbeat is set by it"),
     }
+    if _has(od, PRODUCER_HEARTBEAT, 0):
+        written[PRODUCER_HEARTBEAT, 0] = settings.heartbeat_ms, "the drive's heartbeat is set by it"
     if settings.master_heartbeat is not None:
         master_id, time_out_ms = settings.master_heartbeat
         why = "the drive watches the bench by it (master: heartbeat_ms: 0 does without)"
@@ -261,19 +264,22 @@ def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
     for key, value in settings.parameters.items():
         written[key] = value, "the config or the bench writes it"
     display = settings.object(objects.MODES_OF_OPERATION_DISPLAY)
-    needed = {(display, 0): "it shows the mode", (IDENTITY, 1): "it tells the device"}
+    needed = {(display, 0): "it shows the mode"}
+    if settings.identity is not None:
+        needed[IDENTITY, 1] = "it tells the device"
+    read, found = default_reader(od, axis=settings.axis), list[str]()
     pdos = drive_pdos(settings, od)
     for communication, pdo in (
         (RPDO_COMMUNICATION + pdos.rpdo_number - 1, pdos.rpdo),
         *((TPDO_COMMUNICATION + number - 1, sent) for number, sent, _ in pdos.tpdos),
     ):
         needed[communication, 1] = "a PDO is set up by it"
+        found += _other_cob_id(od, communication, pdo.cob_id)
         written[communication, 2] = pdo.transmission_type, "a PDO is set up by it"
         for sub, value in enumerate((len(pdo.mapping), *pdo.mapping)):
             written[communication + _MAPPING, sub] = value, "a PDO is mapped by it"
     needed |= {key: why for key, (_, why) in written.items()}
-    found = [f"{index:04X}h:{sub} ({why})" for (index, sub), why in needed.items() if not _has(od, index, sub)]
-    read = default_reader(od, axis=settings.axis)
+    found += [f"{index:04X}h:{sub} ({why})" for (index, sub), why in needed.items() if not _has(od, index, sub)]
     for (index, sub), (value, why) in written.items():
         variable = _variable(od, index, sub)
         if variable is not None and not _takes(variable, value, read(index, sub)):
@@ -289,6 +295,14 @@ def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
         told = (f"{period:X}h:{each.subindex} {_range_text(each)}" for each in variables)
         found.append(f"{period:X}h that takes a cycle of {settings.cycle_s * 1e3:g} ms: {', '.join(told)}")
     return found
+
+
+def _other_cob_id(od: ObjectDictionary, communication: int, cob_id: int) -> list[str]:
+    """The COB-ID of a PDO that is read-only and another one than the bench gives it."""
+    variable, has = _variable(od, communication, 1), default_reader(od)(communication, 1)
+    if variable is None or variable.writable or has is None or int(has) & (INVALID | COB_ID) == cob_id:
+        return []
+    return [f"{communication:04X}h:1 that takes {cob_id:X}h (a PDO is set up by it), which {_range_text(variable)}"]
 
 
 def _takes(variable: ODVariable | None, value: int | float, now: int | float | None) -> bool:

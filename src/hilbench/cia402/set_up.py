@@ -65,8 +65,9 @@ class Limits:
 class SetUpDrive:
     """A drive that is moved by hand or by a script; it is enabled by each motion, and stays so.
 
-    `eds` is the name of its file, for messages; `allowed` the limits of a config. Raises UnusableInputError for what
-    the drive lacks or a limit forbids, before anything moves; BenchFaultError when it fails or hangs on its way.
+    `eds` is the name of its file, for messages; `without_units` why `units` are not known; `allowed` the limits of a
+    config. Raises UnusableInputError for what the drive lacks or a limit forbids, before anything moves;
+    BenchFaultError when it fails or hangs on its way.
     """
 
     def __init__(
@@ -76,12 +77,14 @@ class SetUpDrive:
         units: DriveUnits | None,
         allowed: Limits = Limits(),
         *,
+        without_units: str = "",
         time_out_s: float = 5.0,
     ) -> None:
         self.drive = drive
         self._eds = eds
         self._units = units
         self._allowed = allowed
+        self.without_units = without_units
         self._time_out_s = time_out_s
 
     # --- what it has --------------------------------------------------------------------------------------------------
@@ -104,9 +107,7 @@ class SetUpDrive:
         if missing:
             raise UnusableInputError(self.drive.name, f"{', '.join(missing)}: {mode_name(mode)} can't be used")
         if self._units is None:
-            raise UnusableInputError(
-                self.drive.name, "does not tell its units (608Fh or 6092h, 60A9h, 6076h), expected them in --config"
-            )
+            raise UnusableInputError(self.drive.name, self.without_units)
         return self._units
 
     def limits(self) -> Limits:
@@ -200,7 +201,7 @@ class SetUpDrive:
         """With a torque in profile torque mode; BenchFaultError when the motor gets faster than the limit."""
         units = self.needs(OperationMode.TORQUE)
         if isnan(units.torque_Nm):
-            raise UnusableInputError(self.drive.name, "does not tell its rated torque (6076h), expected it in --config")
+            raise UnusableInputError(self.drive.name, "6076h is absent or 0, expected it or the unit 'rated_torque_Nm'")
         limits = self.limits()
         if abs(torque_Nm) > limits.torque_Nm:
             most = f"{limits.torque_Nm:g} N·m ({limits.torque_by})"

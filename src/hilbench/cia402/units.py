@@ -66,9 +66,11 @@ class DriveUnits:
                 place, f"unknown unit '{unknown[0]}', expected position_rad, velocity_rad_s or rated_torque_Nm"
             )
         factors = factors_told(read, given, place)
-        for name, (told, problem) in factors.items():
-            if told is None:
-                raise UnusableInputError(place, f"{problem}, expected it or the unit '{name}'")
+        missing = [
+            f"{problem}, expected it or the unit '{name}'" for name, (told, problem) in factors.items() if told is None
+        ]
+        if missing:
+            raise UnusableInputError(place, "; ".join(missing))
         position, rated, velocity = (told or 0.0 for told, _ in factors.values())
         return cls(position, velocity, rated / 1000.0)
 
@@ -86,7 +88,7 @@ def factors_told(
     rated = given.get("rated_torque_Nm") or (read(objects.MOTOR_RATED_TORQUE, 0) or 0) / 1000.0
     velocity = given.get("velocity_rad_s") or _velocity_unit(read, gear, position, place)
     return {
-        "position_rad": (position, "608Fh is absent or 0"),
+        "position_rad": (position, "608Fh is absent or 0, and so is 6092h"),
         "rated_torque_Nm": (rated or None, "6076h is absent or 0"),
         "velocity_rad_s": (velocity, "60A9h is absent"),
     }

@@ -19,7 +19,7 @@ from hilbench.errors import BenchFaultError, UnusableInputError
 if TYPE_CHECKING:  # the models take their time to import; a command without a config does not need them
     from hilbench.runs.config import ExperimentConfig
 
-_TIMEOUT_S = 1.0
+SDO_TIMEOUT_S = 1.0
 #: Node id of a bench of which there is no config.
 MASTER_ID = 127
 
@@ -83,7 +83,7 @@ def node_and_eds(
     node_id = int(node)
     if eds.is_file():
         return node_id, "node", load_eds(eds, node_id)
-    with SdoClient(open_python_can(bus), _TIMEOUT_S) as reader:
+    with SdoClient(open_python_can(bus), SDO_TIMEOUT_S) as reader:
         if reader.read(node_id, 0x1000) is None:
             raise BenchFaultError(f"no answer from node {node_id} on {bus} to an SDO read of 1000h")
         found = find_eds(reader, node_id, eds, left_out)
@@ -110,8 +110,10 @@ def is_the_bench(node: str, config: ExperimentConfig | None) -> bool:
     return config is not None and node in ("bench", str(config.master.node_id))
 
 
-def known_to_master(bus: BusAddress, node_id: int, od: canopen.ObjectDictionary, name: str) -> Master:
+def known_to_master(
+    bus: BusAddress, node_id: int, od: canopen.ObjectDictionary, name: str, timeout_s: float = SDO_TIMEOUT_S
+) -> Master:
     """A master that knows this node. Close it."""
-    master = Master(open_python_can(bus), _TIMEOUT_S)
+    master = Master(open_python_can(bus), timeout_s)
     master.add(node_id, od, name)
     return master

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ from hilbench.plant.model_file import write_model
 from hilbench.report.diagnosis_page import write_diagnosis_page
 from hilbench.results.recording import Recording, read_recording, read_rows
 from hilbench.results.run_folder import RunFolder
-from hilbench.runs.config import load_with_overrides, write_config_over
+from hilbench.runs.config import LoadedConfig, load_with_overrides, write_config_over
 from hilbench.topology.config import BenchConfig
 
 #: Columns that the tables need; a narrower terminal wraps whole lines, it loses no figures.
@@ -59,6 +60,7 @@ class _Found:
     fault: BenchFaultError | None = None  #: of the second run
     against: Path | None = None  #: the recording before, where changes were looked for
     proposed: NextExperiment | None = None  #: what would tell more
+    changes: Sequence[str] = ()  #: of the bench config, by --set
     rounds: list[str] = field(default_factory=list)  #: what was run after the first run, and what it was to tell
 
 
@@ -80,14 +82,18 @@ def diagnose_command(
     against: Path | None = None,
     next_experiment: Path | None = None,
     until_clear: bool = False,
+    bus: str | None = None,
+    changes: Sequence[str] = (),
 ) -> None:
     """Diagnose, print, and write page, extended model and extended config into `out`.
 
     `source` is a recording, or a run folder with one, or a bench config: that is run first, and again with the extended
     model. `against`: a recording of the same machine before, then it is what changed since that is looked for.
     `next_experiment`: the file for steps that would tell more. `until_clear`: the bench runs on with such steps until
-    nothing is tied. Raises UnusableInputError; for runs that don't come to their end InterruptedByOperatorError and
-    BenchFaultError, the latter after everything has been shown when it was the run with the extended model.
+    nothing is tied. `bus` and `changes`: as of `load_with_overrides`, for a bench config.
+
+    Raises UnusableInputError; for runs that don't come to their end InterruptedByOperatorError and BenchFaultError, the
+    latter after everything has been shown when it was the run with the extended model.
     """
     if source.is_dir():
         run = RunFolder.open(source)
@@ -96,6 +102,9 @@ def diagnose_command(
     console.width = max(console.width, _WIDTH)
     with ProgressDisplay(errors, quiet=as_json) as progress:
         is_config = source.suffix in (".yaml", ".yml")
+        if (changes or bus is not None) and (not is_config or against is not None):
+            option = "--bus" if not changes else f"--set {changes[0]}"
+            raise UnusableInputError(option, "with a recording, expected a bench config that is run")
         if against is not None:
             if is_config:
                 raise UnusableInputError(
@@ -103,7 +112,15 @@ def diagnose_command(
                 )
             found = _against(source, against, model_path, progress)
         elif is_config:
-            found = _on_the_bench(source, model_path, out, progress, until_clear=until_clear)
+            found = _on_the_bench(
+                load_with_overrides(source, bus=bus, changes=changes),
+                source,
+                model_path,
+                out,
+                progress,
+                until_clear=until_clear,
+            )
+            found.changes = changes
         elif until_clear:
             raise UnusableInputError(source, "a recording, expected with --until-clear a bench config that can be run")
         else:
@@ -184,14 +201,19 @@ def _emulation(recording: Path, config: BenchConfig | None) -> AnyEmulation | No
 
 
 def _on_the_bench(
-    config: Path, model_path: Path | None, out: Path | None, progress: ProgressDisplay, *, until_clear: bool
+    loaded: LoadedConfig,
+    config: Path,
+    model_path: Path | None,
+    out: Path | None,
+    progress: ProgressDisplay,
+    *,
+    until_clear: bool,
 ) -> _Found:
     """Run, diagnose, and run again with what was found.
 
     until_clear: first with further steps as well, each time those that would tell most, until nothing is tied.
     """
     runs = (out or Path()) / "runs"
-    loaded = load_with_overrides(config)
     model = loaded.config.machine if model_path is None else any_model_from(model_path)
     observer, announce = progress.of_run("run the bench", 0.0)
     first = run_bench(loaded, model, runs, observers=[observer], announce=announce)
@@ -241,7 +263,7 @@ def _write(found: _Found, source: Path, out: Path) -> _Files:
     write_model(files.model, found.diagnosis.model)
     if found.config is not None:
         files.config = out / "config_extended.yaml"
-        write_config_over(files.config, [found.config, files.model])
+        write_config_over(files.config, [found.config, files.model], found.changes)
     title = f"Diagnosis of {source.name}" + ("" if found.against is None else f" against {found.against.name}")
     write_diagnosis_page(
         found.diagnosis,

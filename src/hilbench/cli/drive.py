@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
@@ -75,6 +75,14 @@ def drive(
         typer.Option("--speed", metavar="RAD/S", min=0.0, help="jog, move: velocity of the motor; torque: its limit"),
     ] = 5.0,
     relative: Annotated[bool, typer.Option("--relative", help="move: from where it is")] = False,
+    units: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--units",
+            metavar="KEY=VALUE",
+            help="position_rad, velocity_rad_s or rated_torque_Nm of a drive whose objects do not tell it; repeatable",
+        ),
+    ] = None,
     duration: Annotated[
         float | None,
         typer.Option("--for", metavar="S", min=0.0, help="velocity, torque: so long", show_default="until Ctrl-C"),
@@ -101,6 +109,8 @@ def drive(
 
     Example: hilbench drive 1 move "90 deg" --relative --speed 3 --bus socketcan:can0
 
+    Example: hilbench drive 1 status --units position_rad=0.00157 --units velocity_rad_s=0.105 --bus socketcan:can0
+
     Example: hilbench drive 1 home 35 --bus socketcan:can0
 
     Example: hilbench drive 1 status --axis 2 --bus socketcan:can0
@@ -113,7 +123,8 @@ def drive(
     """
     if value is not None and action not in (*_UNITS, Action.HOME):
         raise UnusableInputError("VALUE", f"'{value}' with {action}, expected none")
-    with _drive(node, axis, config, bus, eds, timeout, action, force=force) as by_hand:
+    given = _given_units(units or [])
+    with _drive(node, axis, config, bus, eds, timeout, action, given, force=force) as by_hand:
         manual = by_hand.drive
         if action is Action.ENABLE:
             manual.enable()
@@ -167,6 +178,7 @@ def _drive(
     eds: Path,
     time_out_s: float,
     action: Action,
+    given: Mapping[str, float],
     *,
     force: bool,
 ) -> Iterator[SetUpDrive]:
@@ -206,7 +218,8 @@ def _drive(
         link.set_filters([(NMT, COB_ID)])  # nothing is received here: NMT commands are for the devices
         master = known_to_master(address, node_id, od, name)
         resources.callback(master.close)
-        units = _units(master, node_id, od, bench, name, of_node)
+        of_config = {} if bench is None else bench.units_of(node_id, of_node)
+        units, without = _units(master, node_id, od, {**of_config, **given}, name, of_node)
 
         def heartbeat() -> None:
             # Not as operational: that is a master whose SYNC will go on, for which simulated drives hold their time.
@@ -215,7 +228,7 @@ def _drive(
         file = eds.name if bench is None and eds.is_file() else "its EDS file"
         alive = _Alive(heartbeat, resources.enter_context(end_requests()))
         manual = ManualDrive(master, node_id, name, units, time_out_s, alive, of_node)
-        yield SetUpDrive(manual, file, units, _allowed(bench), time_out_s=time_out_s)
+        yield SetUpDrive(manual, file, units, _allowed(bench), without_units=without, time_out_s=time_out_s)
 
 
 class _Alive:
@@ -239,18 +252,34 @@ class _Alive:
 
 
 def _units(
-    master: Master, node_id: int, od: ObjectDictionary, bench: ExperimentConfig | None, name: str, axis: int
-) -> DriveUnits | None:
-    """As far as they are told: without a rated torque (6076h) a torque is no number."""
-    from contextlib import suppress
-
+    master: Master, node_id: int, od: ObjectDictionary, given: Mapping[str, float], name: str, axis: int
+) -> tuple[DriveUnits | None, str]:
+    """As far as they are told, and which object does not tell them: without a rated torque (6076h) a torque is no
+    number."""
     from hilbench.cia402.configuration import read_units
 
-    given = {} if bench is None else bench.units_of(node_id, axis)
+    problem = ""
     for known in (given, {"rated_torque_Nm": nan, **given}):
-        with suppress(UnusableInputError):
-            return read_units(master, node_id, od, known, name, axis)
-    return None
+        try:
+            return read_units(master, node_id, od, known, name, axis), ""
+        except UnusableInputError as error:
+            problem = f"{error.problem} (--units KEY=VALUE, or units: of the drive in --config)"
+    return None, problem
+
+
+def _given_units(texts: Sequence[str]) -> dict[str, float]:
+    """Of --units. Raises UnusableInputError."""
+    found = {}
+    for text in texts:
+        key, _, number = text.partition("=")
+        try:
+            found[key] = float(number)
+        except ValueError:
+            found[key] = nan
+        if key not in ("position_rad", "velocity_rad_s", "rated_torque_Nm") or not 0.0 < found[key] < inf:
+            expected = "position_rad, velocity_rad_s or rated_torque_Nm, and a number above 0: velocity_rad_s=0.10472"
+            raise UnusableInputError("--units", f"'{text}', expected {expected}")
+    return found
 
 
 def _allowed(bench: ExperimentConfig | None) -> Limits:
@@ -374,6 +403,8 @@ def _print(by_hand: SetUpDrive, *, as_json: bool) -> None:
         f"mode {_or_dash(status.mode)}, error code {'-' if status.error_code is None else f'{status.error_code:04X}h'}"
     )
     print(", ".join(text for text in _actual_values(status) if text) or "neither position, velocity nor torque")
+    if by_hand.without_units:
+        print(f"its units are not known: {by_hand.without_units}")
     for mode, missing in modes.items():
         if missing:
             print(f"{mode_name(mode)} can't be used: {', '.join(missing)}")

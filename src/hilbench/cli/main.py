@@ -449,11 +449,14 @@ def diagnose(
         bool,
         typer.Option("--until-clear", help="of a bench config: run on with such steps until nothing is tied"),
     ] = False,
+    bus: BusOption = None,
+    changes: SetOption = None,
     json: Annotated[bool, typer.Option("--json", help="print the diagnosis as JSON, nothing else")] = False,
 ) -> None:
     """Find where simulation and measurement disagree, name the missing effect, and add it to the model.
 
-    What is found in a run of a bench goes into its folder (diagnosis.json) and the history of its stand.
+    What is found in a run of a bench goes into its folder (diagnosis.json) and the history of its stand. --bus and
+    --set are those of hilbench run, for a bench config that is run.
 
     Exit code: 0 diagnosed, whatever the verdict; 2 unusable input; 3 a run of the bench faulted, 130 interrupted.
 
@@ -475,6 +478,8 @@ def diagnose(
         against=against,
         next_experiment=next_experiment,
         until_clear=until_clear,
+        bus=bus,
+        changes=changes or (),
     )
 
 

@@ -41,4 +41,7 @@ ForceOption = Annotated[
     bool,
     typer.Option("--force", help="also beside a master (a running bench, or one received): you answer for it"),
 ]
+TimeoutOption = Annotated[
+    float, typer.Option("--timeout", metavar="S", min=0.01, help="for the answer to each SDO request")
+]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="run folder")]

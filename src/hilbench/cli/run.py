@@ -26,6 +26,7 @@ from hilbench.results.commissioned import commissioned_text
 from hilbench.results.result import Result, StepRecord, Timing
 from hilbench.results.run import RunOutcome, Streamed, run_experiment
 from hilbench.runs.config import LoadedConfig
+from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.machines.web_line import shape_of_figures
 from hilbench.runs.metrics import kind_of_figures
 from hilbench.topology.config import BenchConfig
@@ -227,14 +228,7 @@ class Progress:
 def show_outcome(console: Console, outcome: RunOutcome) -> None:
     """Print the criteria, the timing, the faults and where everything is."""
     result = outcome.result
-    if result.criteria:
-        console.print(_criteria_table(result))
-        for row in result.criteria:
-            if row.reason:
-                console.print(
-                    f"[{_COLOURS[row.verdict]}]{row.verdict}[/] {escape(row.name)}: {escape(row.reason)}",
-                    soft_wrap=True,
-                )
+    _show_criteria(console, result)
     if result.steps and len(result.steps) > 1:
         console.print(_steps_table(result.steps))
     timing = result.timing
@@ -252,6 +246,21 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
     if not outcome.recorded:
         left = f"no recording; {left}"
     console.print(f"{verdict}   {left}", soft_wrap=True)
+
+
+def _show_criteria(console: Console, result: Result) -> None:
+    """Of a run that ended early, what nobody could judge is one line."""
+    left_out = [row for row in result.criteria if result.faults and row.value is None and not row.never]
+    rows = [row for row in result.criteria if row not in left_out]
+    if rows:
+        console.print(_criteria_table(rows))
+    for row in rows:
+        if row.reason:
+            said = f"[{_COLOURS[row.verdict]}]{row.verdict}[/] {escape(row.name)}: {escape(row.reason)}"
+            console.print(said, soft_wrap=True)
+    if left_out:
+        some = f"{len(left_out)} of {len(result.criteria)} criteria"
+        console.print(f"[red]error[/red] {some} could not be judged: the run ended by the fault below", soft_wrap=True)
 
 
 _MOST_STEPS = 20
@@ -303,11 +312,11 @@ def _timing_line(timing: Timing) -> str:
     return ", ".join(parts)
 
 
-def _criteria_table(result: Result) -> Table:
+def _criteria_table(rows: Sequence[CriterionResult]) -> Table:
     table = Table(title="Criteria", title_justify="left")
     for heading in ("criterion", "value", "limit", "unit", ""):
         table.add_column(heading, justify="right" if heading == "value" else "left")
-    for row in result.criteria:
+    for row in rows:
         value = "-" if row.value is None else f"{row.value:.6g}"
         colour = _COLOURS[row.verdict]
         mark = f"[{colour}]{row.verdict}[/{colour}]"

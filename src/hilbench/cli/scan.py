@@ -53,6 +53,7 @@ def scan(
     from hilbench.canopen.sdo_client import SdoClient
     from hilbench.cli.attach import MASTER_ID, config_and_bus, left_out
     from hilbench.doctor.eds_match import EdsFile, eds_files, identity
+    from hilbench.doctor.interface import bitrate_of
     from hilbench.doctor.scan import scan as scan_bus
 
     bench, address = config_and_bus(config, bus)
@@ -65,7 +66,8 @@ def scan(
         with SdoClient(open_python_can(address), _SDO_TIMEOUT_S) as reader:
             master_id, claimed_by = bench.master.node_id if bench else MASTER_ID, master_of(address)
             known = None if claimed_by is None else str(claimed_by)
-            found = scan_bus(link, reader, files, listen, master_id, claimed_by=known, ask=ask)
+            rate = bitrate_of(address)
+            found = scan_bus(link, reader, files, listen, master_id, bitrate=rate, claimed_by=known, ask=ask)
     finally:
         link.close()
     nameless = unconfigured(address, _LSS_TIMEOUT_S) if lss and ask and not found.master_at_work else []
@@ -118,7 +120,13 @@ def _as_data(found: Scan, bench: ExperimentConfig | None, problems: list[str]) -
         }
         for station in found.stations
     ]
-    return {"stations": stations, "master_at_work": found.master_at_work, "master": found.master, "problems": problems}
+    return {
+        "stations": stations,
+        "master_at_work": found.master_at_work,
+        "master": found.master,
+        "waited_s": found.waited_s,
+        "problems": problems,
+    }
 
 
 def _show(found: Scan, bench: ExperimentConfig | None, problems: list[str], bus: str) -> None:
@@ -140,6 +148,8 @@ def _show(found: Scan, bench: ExperimentConfig | None, problems: list[str], bus:
             "-" if station.eds is None else station.eds.name + ("" if station.eds_of_revision else " (other revision)"),
         )
     console.print(table)
+    if found.waited_s:
+        console.print(f"all node ids were asked, sixteen at a time; each had {found.waited_s:.2f} s to answer")
     if found.master_at_work:
         console.print(f"nobody was asked: another master is at work: {found.master}", soft_wrap=True, markup=False)
     for problem in problems:

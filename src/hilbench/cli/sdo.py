@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hilbench.cli import sdo_files
-from hilbench.cli.options import BusOption, ConfigOption, EdsOption, ForceOption, JsonOption, NodeArgument
+from hilbench.cli.options import (
+    BusOption,
+    ConfigOption,
+    EdsOption,
+    ForceOption,
+    JsonOption,
+    NodeArgument,
+    TimeoutOption,
+)
 from hilbench.errors import BenchFaultError, UnusableInputError
 
 if TYPE_CHECKING:
@@ -35,7 +43,6 @@ _HEX_INDEX = re.compile(r"^(?:0x)?([0-9A-Fa-f]{4})h?(?:(?:sub|:)([0-9A-Fa-f]{1,2
 _LONGEST_INTEGER = 8  # bytes
 _REAL32 = struct.Struct("<f")
 _LEAST_REAL, _LARGEST_REAL = 1e-6, 1e12
-_TIMEOUT_S = 1.0
 _WITH_UNIT = re.compile(r"^\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([^\s0-9].*)$")
 
 
@@ -46,6 +53,7 @@ def read(
     config: ConfigOption = None,
     bus: BusOption = None,
     eds: EdsOption = Path("eds"),
+    timeout: TimeoutOption = 1.0,
     json: JsonOption = False,
 ) -> None:
     """Read an object; numbers in device units and, where the standard or the drive tells its unit, in SI (motor side).
@@ -57,7 +65,7 @@ def read(
 
     Example: hilbench sdo read axis2 1018:1 --config bench_configs/web_section_step.yaml
     """
-    with _object(node, name, config, bus, eds, may_be_unknown=True) as found:
+    with _object(node, name, config, bus, eds, timeout, may_be_unknown=True) as found:
         if isinstance(found, _UnknownObject):
             _print_bytes(found, found.read(), as_json=json)
         else:
@@ -74,6 +82,7 @@ def write(
     config: ConfigOption = None,
     bus: BusOption = None,
     eds: EdsOption = Path("eds"),
+    timeout: TimeoutOption = 1.0,
     force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:
@@ -86,7 +95,7 @@ def write(
 
     A negative value follows "--": hilbench sdo write 1 target_torque -- -20
     """
-    with _object(node, name, config, bus, eds, writes=True, force=force) as found:
+    with _object(node, name, config, bus, eds, timeout, writes=True, force=force) as found:
         assert isinstance(found, _Object)
         found.write(found.parse(value))
         _print(found, found.read() if "r" in found.variable.access_type else None, as_json=json)
@@ -161,7 +170,7 @@ class _UnknownObject:
         except SdoAbortedError as error:
             reason = str(Refusal(error.code))
         except SdoCommunicationError as error:
-            reason = no_answer(error, _TIMEOUT_S)
+            reason = no_answer(error, self.reader.timeout_s)
         raise BenchFaultError(f"node {self.node_id}, {self.key}: reading it: {reason}")
 
 
@@ -172,6 +181,7 @@ def _object(
     config: Path | None,
     bus: str | None,
     eds: Path,
+    timeout_s: float,
     *,
     writes: bool = False,
     force: bool = False,
@@ -200,14 +210,14 @@ def _object(
             node_id, node_name, known = node_and_eds(node, bench, address, eds)
             why = "no EDS file" if known is None else "not in its EDS"
             if known is None or not _has(known, *index):
-                reader = resources.enter_context(SdoClient(open_python_can(address), _TIMEOUT_S))
+                reader = resources.enter_context(SdoClient(open_python_can(address), timeout_s))
                 yield _UnknownObject(reader, node_id, *index, why)
                 return
             od = known
         else:
             node_id, node_name, od = node_on_bus(node, bench, address, eds)
         variable = _variable(od, name)
-        master = known_to_master(address, node_id, od, node_name)
+        master = known_to_master(address, node_id, od, node_name, timeout_s)
         resources.callback(master.close)
         units = None
         if has_drive_unit(variable.index):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -10,11 +10,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hilbench.cli.options import BusOption, ConfigOption, EdsOption, ForceOption, JsonOption, NodeArgument
+from hilbench.cli.options import (
+    BusOption,
+    ConfigOption,
+    EdsOption,
+    ForceOption,
+    JsonOption,
+    NodeArgument,
+    TimeoutOption,
+)
 from hilbench.errors import EXIT_CRITERION_FAILED, BenchFaultError, UnusableInputError
 
 if TYPE_CHECKING:
-    from hilbench.canopen.device_configuration import Configuration, Difference
+    from hilbench.canopen.device_configuration import Configuration, Difference, Key
     from hilbench.canopen.master import Master
 
 _SAVE = int.from_bytes(b"save", "little")
@@ -27,16 +35,18 @@ def dump(
     config: ConfigOption = None,
     bus: BusOption = None,
     eds: EdsOption = Path("eds"),
+    timeout: TimeoutOption = 1.0,
 ) -> None:
     """Read all objects of a node and keep them as a DCF: its EDS file with the values (ParameterValue, CiA 306).
 
-    A concise DCF (CiA 302-3) has the settings alone, in the order in which a device accepts them.
+    A concise DCF (CiA 302-3) has the settings alone, in the order in which a device accepts them. Objects that could
+    not be read are named with the reason; --timeout gives slow ones more time.
 
     Example: hilbench sdo dump 1 axis1.dcf --bus socketcan:can0
     """
     from hilbench.canopen.device_configuration import is_concise, write_concise, write_dcf
 
-    with _device(node, config, bus, eds, "sdo dump") as (master, node_id, configuration):
+    with _device(node, config, bus, eds, "sdo dump", timeout_s=timeout) as (master, node_id, configuration):
         found = _read(master, node_id, configuration)
     (write_concise if is_concise(file) else write_dcf)(found, file)
     print(f"{file}: {len(found.values)} objects of node {node_id}")
@@ -53,36 +63,51 @@ def load(
     store: Annotated[
         bool, typer.Option("--store", help="let the device keep it over a loss of power (1010h sub 1)")
     ] = False,
+    timeout: TimeoutOption = 1.0,
     force: ForceOption = False,
 ) -> None:
     """Write a configuration to a node, and read back what it has then; commands and set points are left out.
 
     Of a DCF that was made for another node id, the COB-IDs that carry it get this node's.
 
-    Exit code: 0 all of it is there, 1 some objects were refused or kept another value, 3 the node does not answer.
+    Exit code: 0 all of it is there, 1 some objects were refused, kept another value or were not answered, or it could
+    not be stored, 3 the node does not answer.
 
     Example: hilbench sdo load 1 axis1.dcf --bus socketcan:can0 --store
     """
     from hilbench.canopen.device_configuration import moved, node_of_file, write_device, writes_of_file
 
     what, dcf = f"sdo load to node {node}", _description(file)
-    with _device(node, config, bus, eds, what, dcf, writes=True, force=force) as (master, node_id, known):
+    attached = _device(node, config, bus, eds, what, dcf, writes=True, force=force, timeout_s=timeout)
+    with attached as (master, node_id, known):
         made_for = node_of_file(file)
         writes, renamed = moved(writes_of_file(file, known.od), made_for or node_id, node_id)
         with _progress(f"node {node_id}") as progress:
             failed = write_device(master, node_id, writes, progress)
-        if store and not failed:
-            master.sdo_write(node_id, 0x1010, _SAVE, 1)
+        not_stored = _store(master, node_id, failed) if store else None
     objects = len({write.key for write in writes})
     print(f"node {node_id}: {objects - len(failed)} of {objects} objects as in {file}")
     if renamed:
         print(f"{len(renamed)} COB-IDs of node {made_for} became those of node {node_id}")
     for key, why in failed.items():
         print(f"{known.name(key)}: {why}")
-    if failed:
-        if store:
-            print("not stored: the device is not as the file has it")
+    if not_stored is not None:
+        print(f"not stored: {not_stored}")
+    if failed or not_stored is not None:
         raise typer.Exit(EXIT_CRITERION_FAILED)
+
+
+def _store(master: Master, node_id: int, failed: Mapping[Key, str]) -> str | None:
+    """Why the device does not keep it; None: it does."""
+    if failed:
+        return "the device is not as the file has it"
+    if not master.has(node_id, 0x1010, 1):
+        return "its EDS file has no object 1010h sub 1, by which a device stores its parameters"
+    try:
+        master.sdo_write(node_id, 0x1010, _SAVE, 1)
+    except BenchFaultError as error:
+        return str(error)
+    return None
 
 
 def diff(
@@ -94,6 +119,7 @@ def diff(
     everything: Annotated[
         bool, typer.Option("--all", help="also objects that are no settings, and those that one side lacks")
     ] = False,
+    timeout: TimeoutOption = 1.0,
     json: JsonOption = False,
 ) -> None:
     """Compare the settings of two devices, a device with a file, or two files.
@@ -108,7 +134,7 @@ def diff(
 
     from hilbench.canopen.device_configuration import differences
 
-    both = _both(first, second, config, bus, eds)
+    both = _both(first, second, config, bus, eds, timeout)
     found = differences(*both, all_objects=everything)
     if json:
         rows = [{**asdict(row), "key": f"{row.key[0]:04X}h:{row.key[1]}"} for row in found]
@@ -119,7 +145,7 @@ def diff(
 
 
 def _both(
-    first: str, second: str, config: Path | None, bus: str | None, eds: Path
+    first: str, second: str, config: Path | None, bus: str | None, eds: Path, timeout_s: float
 ) -> tuple[Configuration, Configuration]:
     """The two sides; a concise DCF is read with the objects of the other side."""
     from hilbench.canopen.device_configuration import is_concise, read_file
@@ -131,7 +157,7 @@ def _both(
     for name in (first, second):
         if name in files:
             continue
-        with _device(name, config, bus, eds, "sdo diff", dcf) as (master, node_id, known):
+        with _device(name, config, bus, eds, "sdo diff", dcf, timeout_s=timeout_s) as (master, node_id, known):
             sides[name] = _read(master, node_id, known)
     for name in sorted(files, key=lambda name: is_concise(Path(name))):
         if sides:
@@ -162,6 +188,7 @@ def _device(
     *,
     writes: bool = False,
     force: bool = False,
+    timeout_s: float,
 ) -> Iterator[tuple[Master, int, Configuration]]:
     from hilbench.canopen.device_configuration import Configuration
     from hilbench.cli.attach import config_and_bus, known_to_master, node_on_bus, only_master
@@ -171,7 +198,7 @@ def _device(
         if writes:
             resources.enter_context(only_master(address, bench, what, force=force))
         node_id, name, od = node_on_bus(node, bench, address, eds, dcf)
-        master = known_to_master(address, node_id, od, name)
+        master = known_to_master(address, node_id, od, name, timeout_s)
         resources.callback(master.close)
         yield master, node_id, Configuration(od)
 

@@ -35,7 +35,8 @@ def sweep(
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Run a config over a grid or a sample of its values; one table of all metrics (OUT/results.csv and .parquet).
+    """Run a config over a grid or a sample of its values; one table of all metrics (OUT/results.csv and .parquet), and a
+    picture of those that are judged against what was varied (OUT/results.svg).
 
     Every run is a process of its own, with its devices in it where that is possible (run --in-process): one that
     fails leaves its row, and the others go on. What was done is not done again when the same sweep is started once
@@ -65,9 +66,56 @@ def sweep(
     if json:
         print(dumps({"table": str(table), "runs": made.as_data()}, indent=2))
     else:
+        _show(made)
         completed = f", {unjudged} completed, nothing judged" if unjudged else ""
-        print(f"{len(made.rows)} runs, {failed} not passed{completed}: {table}")
+        drawn = _draw(made)
+        beside = f", {drawn}" if drawn is not None else ""
+        print(f"{len(made.rows)} runs, {failed} not passed{completed}: {table}{beside}")
     raise typer.Exit(EXIT_CRITERION_FAILED if failed else EXIT_PASSED)
+
+
+_MOST_ROWS = 50
+
+
+def _show(made: Sweep) -> None:
+    """The table: what was varied, the verdict and the metrics that are judged."""
+    from rich.console import Console
+    from rich.table import Table
+
+    metrics, rows = made.shown_metrics(), [made.rows[number] for number in sorted(made.rows)]
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for heading in ("run", *made.varied, "", *metrics):
+        table.add_column(heading, overflow="fold", justify="left" if heading == "" else "right")
+    for row in rows[:_MOST_ROWS]:
+        verdict = {True: "passed", None: "completed"}.get(row.passed, f"exit code {row.exit_code}")
+        figures = [row.metrics.get(name) for name in metrics]
+        varied = [row.changes.get(name, "") for name in made.varied]
+        table.add_row(str(row.number), *varied, verdict, *("-" if each is None else f"{each:.4g}" for each in figures))
+    Console(highlight=False).print(table)
+    if len(rows) > _MOST_ROWS:
+        print(f"the first {_MOST_ROWS} of {len(rows)} runs")
+
+
+def _draw(made: Sweep) -> Path | None:
+    """The picture of the judged metrics against the numbers that were varied."""
+    from hilbench.report.sweep_picture import write_sweep_picture
+
+    rows = [made.rows[number] for number in sorted(made.rows)]
+    varied = {name: [_number(row.changes.get(name, "")) for row in rows] for name in made.varied}
+    varied = {name: values for name, values in varied.items() if len({*values} - {None}) > 1}
+    metrics = {name: [row.metrics.get(name) for row in rows] for name in made.shown_metrics()}
+    metrics = {name: values for name, values in metrics.items() if any(value is not None for value in values)}
+    return write_sweep_picture(varied, metrics, [row.passed for row in rows], made.out / "results.svg")
+
+
+def _number(text: str) -> float | None:
+    from math import isfinite
+
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if isfinite(value) else None
 
 
 def _run(made: Sweep, jobs: int, cluster: str | None, *, quiet: bool) -> None:

@@ -43,6 +43,7 @@ _PRESENT_POSITION: Final = (37, 35)
 _SHOWN_S: Final = 1.0
 _TOLERATED: Final = 1.1
 _MOTION_S: Final = 10.0
+_STEEP_RAMP_S: Final = 0.01  #: from rest to 60 rpm: shorter than a position loop of 40 1/s settles
 
 
 def _needs_modes(dut: DeviceUnderTest) -> None:
@@ -238,13 +239,15 @@ def velocity_limits(dut: DeviceUnderTest) -> None:
 
 
 def following_error(dut: DeviceUnderTest) -> None:
-    """A window of one unit is left as soon as it turns."""
+    """A window of one unit is left as soon as it turns: at a ramp that no loop follows within that."""
     _turning(dut)
     dut.needs_to_write((objects.FOLLOWING_ERROR_WINDOW, 0))
     needs_mode(dut, OperationMode.PROFILE_POSITION)
     at = speed(dut)
     if dut.eds.can_write(objects.PROFILE_VELOCITY):
         dut.write(objects.PROFILE_VELOCITY, 0, at.velocity)
+    if dut.eds.can_write(objects.PROFILE_ACCELERATION):
+        dut.write(objects.PROFILE_ACCELERATION, 0, round(at.velocity / _STEEP_RAMP_S))
     if dut.eds.can_write(objects.FOLLOWING_ERROR_TIME_OUT):
         dut.write(objects.FOLLOWING_ERROR_TIME_OUT, 0, 0)
     turn_units = round(2.0 * pi / at.units.position_rad)

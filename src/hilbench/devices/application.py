@@ -34,9 +34,8 @@ class DrivesApplication:
             [node.drive for node in nodes],
             [node.port for node in nodes],
             _Shafts(self._faulty),
-            ByClock(CYCLE_S, SAMPLE_S, now_ns, lambda _text: None),
+            ByClock(CYCLE_S, SAMPLE_S, now_ns, lambda _text: None, any_period=True),
             CYCLE_S,
-            SAMPLE_S,
         )
 
     def ask(self, what: Callable[[], None]) -> None:
@@ -104,6 +103,7 @@ class FaultyDrive:
 
     def step(self, duration_s: float) -> None:
         """Turn the shaft; the encoder shows it with its jumps."""
+        self._node.rig.lock_to(duration_s)
         self._node.rig.step(duration_s)
         self._node.port.position_rad += self._jumped_rad
 

@@ -11,7 +11,7 @@ from typing import Any
 from canopen import ObjectDictionary
 from hilbench.canopen.clock import Clock, MonotonicClock
 from hilbench.canopen.device import Device
-from hilbench.canopen.eds import load_eds, variable
+from hilbench.canopen.eds import load_eds, undefined_types, variable
 from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.object_store import SdoAbort, Value
 from hilbench.cia402.assumed import assumed_units
@@ -40,6 +40,7 @@ from hilbench.plant.servo_axis.rig import ServoRig
 _DEVICE_NAME = 0x1008
 #: The motor that is behind a drive unless its behaviour says otherwise: rated torque brings it to 1000 rpm in 0.1 s.
 _RUN_UP_RAD_S, _RUN_UP_S = 1000.0 * RPM, 0.1
+_MOST_NAMED = 5  # objects in one line
 _PEAK_TORQUE = 3.0  # of the rated one
 _LOOP_RAD_S, _POSITION_LOOP_PER_S = 150.0, 40.0
 
@@ -64,7 +65,7 @@ def simulated_axes(
         if beyond:
             known = ", ".join(map(str, there))
             raise UnusableInputError("", f"an event of axis {beyond[0]}, expected one of those that it has: {known}")
-        found = [_simulated_axis(device, axis, behaviour, name, str(eds)) for axis in there]
+        found = [_simulated_axis(device, axis, behaviour, name, eds) for axis in there]
     except UnusableInputError as error:
         raise UnusableInputError(str(eds), error.problem) from error
     for refused in behaviour.refuse:
@@ -72,12 +73,20 @@ def simulated_axes(
     return found
 
 
-def _simulated_axis(device: Device, axis: int, behaviour: Behaviour, name: str, place: str) -> SimulatedNode:
-    units, assumptions = assumed_units(object_reader(AxisDevice(device, axis)), behaviour.units.given(), place)
+def _simulated_axis(device: Device, axis: int, behaviour: Behaviour, name: str, eds: Path) -> SimulatedNode:
+    units, assumptions = assumed_units(object_reader(AxisDevice(device, axis)), behaviour.units.given(), str(eds))
     port, switches = MotorPort(), behaviour.switches.switches()
     drive = Cia402Drive(device, port, units, axis=axis, switches=switches, state_change_s=behaviour.state_change_s)
     rig = _rig(units, behaviour.shaft, port)
-    return SimulatedNode(device, drive, port, rig, units, behaviour, assumptions, name, axis)
+    notes = [*assumptions, *_bytes_of_unknown_types(eds), *device.left_out.values()]
+    return SimulatedNode(device, drive, port, rig, units, behaviour, notes, name, axis)
+
+
+def _bytes_of_unknown_types(eds: Path) -> list[str]:
+    found = undefined_types(eds)
+    named = ", ".join(f"{index:04X}h:{sub} ({code:04X}h)" for (index, sub), code in list(found.items())[:_MOST_NAMED])
+    more = f" and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
+    return [f"of data types that the file does not define, taken as bytes: {named}{more}"] if found else []
 
 
 def _give_what_the_header_says(od: ObjectDictionary) -> None:

@@ -21,9 +21,7 @@ def check_heard(
     master = master_at_work(heard, claimed_by, master_id)
     if master is not None:
         advice = "end the other bench or master first; nodes are not asked meanwhile, so that nothing disturbs it"
-        # A bench would be refused; of a bus without one it is only worth knowing.
-        level = error if expected else warning
-        findings.append(level(Check.OTHER_MASTER, bus, master, "no other master on the bus", advice))
+        findings.append(error(Check.OTHER_MASTER, bus, master, "no other master on the bus", advice))
     else:
         findings.append(ok(Check.OTHER_MASTER, bus, "none received"))
     known = {node.node_id for node in expected} | {master_id}

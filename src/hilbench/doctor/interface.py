@@ -7,7 +7,10 @@ import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hilbench.can.open import BusAddress
 
 _SYSFS = Path("/sys/class/net")
 _ARPHRD_CAN = 280  # <linux/if_arp.h>
@@ -98,6 +101,12 @@ def read_interface(name: str) -> InterfaceFacts:
         return parse_ip_link(answer.stdout)
     except (FileNotFoundError, subprocess.TimeoutExpired, ValueError, KeyError, StopIteration):
         return facts
+
+
+def bitrate_of(bus: BusAddress) -> int:
+    """Of an interface that says it, in bit/s; else the address's."""
+    told = read_interface(bus.channel).bitrate if bus.interface == "socketcan" else None
+    return told or bus.bitrate
 
 
 def _number(path: Path) -> int:

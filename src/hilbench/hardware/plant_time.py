@@ -1,6 +1,7 @@
 """How far the simulated hardware has to go, and when: by SYNCs in lockstep, by the clock otherwise.
 
-All counts are sample times of the drives' loops: the plant can't stop between two. What is left over is carried.
+All counts are sample times of the drives' loops: the plant can't stop between two. What is left over is carried, or
+the sample time made one that fits.
 """
 
 from __future__ import annotations
@@ -26,6 +27,10 @@ _ANOTHER = 0.05
 class PlantTime(Protocol):
     """Sample times to go; the caller goes them at once."""
 
+    @property
+    def sample_s(self) -> float:
+        """How long one of them is now."""
+
     def before_sync(self, behind: int) -> int:
         """A SYNC is here (and `behind` more wait): to its time."""
 
@@ -43,6 +48,10 @@ class BySync:
         self._cycle = round(cycle_s / sample_s)
         self._sample_s = sample_s
         self._left_s = 0.0
+
+    @property
+    def sample_s(self) -> float:
+        return self._sample_s
 
     def before_sync(self, behind: int) -> int:
         return 0
@@ -64,13 +73,24 @@ class ByClock:
     for every period, however the arrivals jitter, and the difference of two good clocks is followed. When that does not
     fit the time, the plant is, to the nearest sample time, where it has to be at the time of each SYNC. It runs ahead
     by no more than the config's cycle, so that set points that come without SYNC act soon.
+
+    any_period: the plant takes any sample time. It is locked to SYNC of every period then, by the sample time nearest
+    to `sample_s` of which the period is a multiple.
     """
 
     def __init__(
-        self, cycle_s: float, sample_s: float, now_ns: Callable[[], int], report: Callable[[str], None]
+        self,
+        cycle_s: float,
+        sample_s: float,
+        now_ns: Callable[[], int],
+        report: Callable[[str], None],
+        *,
+        any_period: bool = False,
     ) -> None:
         self._cycle_ns = round(cycle_s * 1e9)
-        self._sample_ns = round(sample_s * 1e9)
+        self._given_s = sample_s
+        self._given_ns = self._sample_ns = round(sample_s * 1e9)
+        self._any_period = any_period
         self._now_ns = now_ns
         self._report = report
         self._sync = SyncTime(self._cycle_ns)
@@ -82,6 +102,10 @@ class ByClock:
         self._per_period = 0  #: sample times while locked, else 0
         self._since_ns, self._periods = 0, 0  #: since it was locked or unlocked: when, and periods of SYNC
         self._shift_ns = 0  #: what the anchor was moved by to follow SYNC
+
+    @property
+    def sample_s(self) -> float:
+        return self._given_s if self._sample_ns == self._given_ns else self._sample_ns * 1e-9
 
     def before_sync(self, behind: int) -> int:
         first = self._sync.at_ns is None
@@ -115,14 +139,30 @@ class ByClock:
     def _lock(self) -> None:
         """From this SYNC on follow its clock, if the period is one of whole sample times."""
         self._unlock()
-        per_period = round(self._sync.period_ns / self._sample_ns)
-        if per_period and abs(self._sync.period_ns - per_period * self._sample_ns) <= _NEAR * self._sync.period_ns:
+        per_period = round(self._sync.period_ns / self._given_ns)
+        if self._any_period:
+            self._lock_any(max(1, per_period))
+        elif per_period and abs(self._sync.period_ns - per_period * self._sample_ns) <= _NEAR * self._sync.period_ns:
             self._per_period = per_period
             due = self._due(self._at_ns)
             self._move_anchor(self._at_ns, (due + self._sample_ns // 2) // self._sample_ns)
         self._since_ns, self._periods = self._at_ns, 0
 
+    def _lock_any(self, per_period: int) -> None:
+        gap_ns = self._due(self._at_ns) - self._gone * self._sample_ns
+        self._per_period = per_period
+        self._fit_sample_time()
+        self._anchor_ns, self._anchor = self._at_ns, self._gone + round(gap_ns / self._sample_ns)
+
+    def _fit_sample_time(self) -> None:
+        period_ns, whole_ns = self._sync.period_ns, self._per_period * self._given_ns
+        whole = abs(period_ns - whole_ns) <= _CLOCKS_DIFFER * whole_ns
+        self._sample_ns = self._given_ns if whole else round(period_ns / self._per_period)
+
     def _follow(self, periods: int) -> None:
+        if self._any_period:
+            self._follow_any(periods)
+            return
         self._periods += periods
         followed_ns = self._at_ns - self._since_ns
         if not self._per_period:
@@ -130,10 +170,24 @@ class ByClock:
                 self._lock()
             return
         self._move_anchor(self._at_ns, self._anchor + periods * self._per_period)
-        jitter_ns = _JITTER_SAMPLES * self._sample_ns + _JITTER_CYCLES * self._cycle_ns
-        if abs(self._shift_ns) > jitter_ns + _CLOCKS_DIFFER * followed_ns:
+        if self._is_off(followed_ns):
             self._unlock()
             self._since_ns, self._periods = self._at_ns, 0
+
+    def _follow_any(self, periods: int) -> None:
+        """With the sample time that fits; SYNCs that were counted wrong are made good by the clock."""
+        self._fit_sample_time()
+        self._move_anchor(self._at_ns, self._anchor + periods * self._per_period)
+        if self._is_off(self._at_ns - self._since_ns):
+            samples = round(self._shift_ns / self._sample_ns)
+            self._anchor += samples
+            self._shift_ns -= samples * self._sample_ns
+            self._since_ns = self._at_ns
+
+    def _is_off(self, followed_ns: int) -> bool:
+        """Whether SYNC has shifted by more than jitter and the difference of two clocks explain."""
+        jitter_ns = _JITTER_SAMPLES * self._sample_ns + _JITTER_CYCLES * self._cycle_ns
+        return abs(self._shift_ns) > jitter_ns + _CLOCKS_DIFFER * followed_ns
 
     def _fits(self, duration_ns: int) -> bool:
         """Whether the periods of a time were whole sample times, but for the clocks; if not, they are counted anew."""

@@ -51,15 +51,13 @@ class RigApplication:
         rig: Steps,
         time: PlantTime,
         cycle_s: float,
-        sample_s: float,
     ) -> None:
         self._drives = drives
         self._ports = ports
         self._in_use = False
         self._rig = rig
         self._time = time
-        self._sample_s = sample_s
-        self._longest_step = round(cycle_s / sample_s)
+        self._longest_step = round(cycle_s / time.sample_s)
 
     @property
     def drives(self) -> Sequence[SimulatedDrive]:
@@ -86,7 +84,7 @@ class RigApplication:
         if not self._in_use or not isinstance(self._time, BySync):
             return None
         samples = self._time.after_sync()
-        return samples * self._sample_s if 0 < samples <= self._longest_step else None
+        return samples * self._time.sample_s if 0 < samples <= self._longest_step else None
 
     def before_sync(self, behind: int) -> None:
         """Be at the time of this SYNC: in lockstep, and when it comes in time, the state is there since the last."""
@@ -114,7 +112,7 @@ class RigApplication:
             samples -= step
 
     def _step(self, samples: int) -> None:
-        duration_s = samples * self._sample_s
+        duration_s = samples * self._time.sample_s
         for drive in self._drives:
             drive.sync(duration_s)
         # At rest with all power stages off nothing moves; the noise must not depend on how long that lasted.
@@ -167,14 +165,15 @@ def hardware(config: BenchConfig) -> HostedDevices:
             continue
         node_id = part.node.node_id
         od = shared_eds(part.node.eds, node_id)
-        device = devices.get(node_id) or devices.setdefault(node_id, Device(od, node_id, clock))
+        if node_id not in devices:
+            devices[node_id] = Device(od, node_id, clock)
+            for note in devices[node_id].left_out.values():
+                log(f"{part.label} (node {node_id}): {note}")
+        device = devices[node_id]
         drives.append(SimulatedDrive(device, port, declared_units(part, od), axis=part.node_axis))
         if part.role is Role.AXIS and part.axis is not None:
             bind_effect_objects(device, _effect_setter(rig, part.axis), config.machine_kind, part.node_axis)
-    sample_s = config.drive_parameters.sample_time_s
-    return HostedDevices(
-        list(devices.values()), clock, RigApplication(drives, ports, rig, time, config.cycle_time_s, sample_s)
-    )
+    return HostedDevices(list(devices.values()), clock, RigApplication(drives, ports, rig, time, config.cycle_time_s))
 
 
 def load(config: BenchConfig) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from hilbench.errors import UnusableInputError
 from hilbench.history.store import Row
 from hilbench.history.trend import Trend, trend
-from hilbench.suggest import did_you_mean
+from hilbench.suggest import expected_one_of
 
 SECONDS_PER_DAY: Final = 86400.0
 #: How far ahead of the last run a band goes, as a share of the time that is known.
@@ -61,10 +61,8 @@ def quantities_of(rows: Sequence[Row], limits: Mapping[str, float]) -> Iterator[
     names = {row.quantity.name for row in rows}
     for name in limits:
         if name not in names:
-            known = ", ".join(sorted(names)) or "none yet"
-            raise UnusableInputError(
-                "limit", f"no run has found '{name}', expected one of: {known}{did_you_mean(name, names)}"
-            )
+            known = expected_one_of(name, sorted(names) or ["none yet"])
+            raise UnusableInputError("limit", f"no run has found '{name}'{known}")
     for (name, unit), group in groupby(rows, key=lambda row: (row.quantity.name, row.quantity.unit)):
         found, limit = list(group), limits.get(name)
         first = found[0].time_s

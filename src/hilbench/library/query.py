@@ -203,8 +203,8 @@ class Library:
             if name not in known and runs:
                 raise UnusableInputError(
                     "--where",
-                    f"'{name}' is nothing that a run here has, expected a metric, a key that was set, or one of "
-                    f"{', '.join(FIELDS)}{did_you_mean(name, known)}",
+                    f"'{name}' is nothing that a run here has{did_you_mean(name, known) or ','} expected a metric, "
+                    f"a key that was set, or one of {', '.join(FIELDS)}",
                 )
 
 

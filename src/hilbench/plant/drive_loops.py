@@ -102,11 +102,15 @@ def bumpless_reference(mode: float, position_rad: float, velocity_rad_s: float, 
 def velocity_reference(
     mode: float, before: float, reference: float, position_rad: float, kp_per_s: float, slope: float, sample_s: float
 ) -> float:
-    """Reference of the velocity loop; the position loop adds the velocity of a ramped reference (feed-forward)."""
+    """Reference of the velocity loop; the position loop adds the velocity of a ramped reference (feed-forward).
+
+    A ramped reference is `before` at the sample instant and gets to `reference` at its end, as the position does.
+    """
     if mode != POSITION:
         return reference
-    feed_forward = (reference - before) / sample_s if slope < 1e300 else 0.0
-    return kp_per_s * (reference - position_rad) + feed_forward
+    if slope >= 1e300:
+        return kp_per_s * (reference - position_rad)
+    return kp_per_s * (before - position_rad) + (reference - before) / sample_s
 
 
 @inlined

@@ -24,7 +24,7 @@ from hilbench.plant.effect import (
     Section,
     Size,
 )
-from hilbench.suggest import did_you_mean
+from hilbench.suggest import expected_one_of
 
 _EVERY_KIND = frozenset(MachineKind)
 
@@ -616,8 +616,7 @@ def find_effect(effect_id: str, kind: MachineKind = MachineKind.WEB_LINE) -> Eff
     try:
         return known[effect_id]
     except KeyError:
-        expected = f"expected one of {', '.join(known)}{did_you_mean(effect_id, known)}"
-        raise KeyError(f"unknown effect '{effect_id}', {expected}") from None
+        raise KeyError(f"unknown effect '{effect_id}'{expected_one_of(effect_id, known)}") from None
 
 
 #: What a load motor emulates there, for a message.

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.plant.motor_port import MotorPort
-from hilbench.suggest import did_you_mean
+from hilbench.suggest import expected_one_of
 
 if TYPE_CHECKING:  # numba, which a check of a config does not need
     from hilbench.chain import Chained
@@ -180,6 +180,6 @@ def checked_name(kind: str, name: str, known: Iterable[Quantity]) -> str:
     """The name, if one of `known` has it. Raises ValueError: `kind` ("parameter", …), what was found and expected."""
     names = [quantity.name for quantity in known]
     if name not in names:
-        expected = f"one of {', '.join(names)}" if names else "none: the machine has no such quantity"
-        raise ValueError(f"unknown {kind} '{name}', expected {expected}{did_you_mean(name, names)}")
+        expected = expected_one_of(name, names) if names else ", expected none: the machine has no such quantity"
+        raise ValueError(f"unknown {kind} '{name}'{expected}")
     return name

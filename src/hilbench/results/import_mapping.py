@@ -7,12 +7,16 @@
       t_s: {column: "Zeit [ms]", factor: 0.001}
       v2_m_s: {column: Bahngeschwindigkeit, factor: 0.01666667}
       tau2_Nm: M2                            # as it is
+
+A row of units behind the header is left out; dates (ISO 8601) become seconds after the first one.
 """
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -25,10 +29,11 @@ from hilbench import strict_yaml
 from hilbench.block import Block
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import MOST_COLUMNS, Recording, check_recording, open_text, read_recording
-from hilbench.suggest import did_you_mean
+from hilbench.suggest import did_you_mean, expected_one_of
 from hilbench.topology.signal_kinds import TIME
 from hilbench.topology.signals import example_names, find_signal, unit_of
 
+_NUMBER_OR_DATE = re.compile(r"[-+]?[.,]?\d|[-+]?(nan|inf)", re.IGNORECASE)
 _CSV = (".csv", ".txt", ".tsv", ".gz")
 
 
@@ -82,14 +87,12 @@ def read_foreign(path: Path, mapping_path: Path, tell: Callable[[str], None] = l
     Raises UnusableInputError: file, what was found, what was expected.
     """
     mapping = strict_yaml.validate(strict_yaml.load(mapping_path), ColumnMapping)
-    columns = _columns(path, mapping.file)
+    columns = _columns(path, mapping.file, tell)
     channels = {}
     for name, source in sorted(mapping.channels.items(), key=lambda item: item[0] != TIME):
         if source.column not in columns:
-            meant = did_you_mean(source.column, columns)
-            raise UnusableInputError(
-                path, f"no column '{source.column}' for {name}, expected among {', '.join(columns)}{meant}"
-            )
+            expected = expected_one_of(source.column, columns)
+            raise UnusableInputError(path, f"no column '{source.column}' for {name}{expected}")
         channels[name] = source.factor * columns[source.column] + source.offset
     left_out = [name for name in columns if name not in {source.column for source in mapping.channels.values()}]
     if left_out:
@@ -99,7 +102,7 @@ def read_foreign(path: Path, mapping_path: Path, tell: Callable[[str], None] = l
     return recording
 
 
-def _columns(path: Path, file: TextFile) -> dict[str, NDArray[np.float64]]:
+def _columns(path: Path, file: TextFile, tell: Callable[[str], None]) -> dict[str, NDArray[np.float64]]:
     if path.suffix.lower() not in _CSV:
         recording = read_recording(path)
         return {name: np.asarray(values, np.float64) for name, values in recording.channels.items()}
@@ -107,13 +110,22 @@ def _columns(path: Path, file: TextFile) -> dict[str, NDArray[np.float64]]:
 
     try:
         with open_text(path, file.encoding) as text:
-            header = next(islice(text, file.skip_rows, None), "")
+            header, first = (*islice(text, file.skip_rows, file.skip_rows + 2), "", "")[:2]
+        units = _is_row_of_units(first, file)
+        if units:
+            tell(
+                f"line {file.skip_rows + 2} of {path} is no row of numbers, and taken as one of units: {first.strip()}"
+            )
         if header.count(file.delimiter) >= MOST_COLUMNS:
             raise UnusableInputError(path, f"more than {MOST_COLUMNS} columns, expected no more")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             table = pandas.read_csv(
-                path, sep=file.delimiter, decimal=file.decimal, skiprows=file.skip_rows, encoding=file.encoding
+                path,
+                sep=file.delimiter,
+                decimal=file.decimal,
+                skiprows=[*range(file.skip_rows), *([file.skip_rows + 1] if units else [])],
+                encoding=file.encoding,
             )
     except (OSError, ValueError, LookupError) as error:  # pandas' parser errors are ValueErrors
         raise UnusableInputError(path, f"cannot be read as a table ({' '.join(str(error).split())})") from error
@@ -122,5 +134,13 @@ def _columns(path: Path, file: TextFile) -> dict[str, NDArray[np.float64]]:
         try:
             columns[str(name).strip()] = table[name].to_numpy(np.float64)
         except ValueError:
-            continue  # text: no channel; asked for, it is missing
+            with suppress(ValueError, TypeError):  # other text: no channel; asked for, it is missing
+                dates = pandas.to_datetime(table[name], format="ISO8601", utc=True)
+                columns[str(name).strip()] = ((dates - dates.iloc[0]) / pandas.Timedelta("1s")).to_numpy(np.float64)
     return columns
+
+
+def _is_row_of_units(line: str, file: TextFile) -> bool:
+    """Whether the first line behind the header has words, and neither a number nor a date."""
+    cells = [cell.strip().strip('"') for cell in line.split(file.delimiter)]
+    return any(cells) and not any(_NUMBER_OR_DATE.match(cell) for cell in cells)

@@ -107,7 +107,7 @@ class Recording:
         if missing:
             meant = did_you_mean(missing[0], [name for name in self.channels if find_signal(name) is None])
             raise UnusableInputError(
-                place, f"channel {', '.join(missing)} missing, expected beside {', '.join(self.channels)}{meant}"
+                place, f"channel {', '.join(missing)} missing{meant or ','} expected beside {', '.join(self.channels)}"
             )
         for name in names:
             finite = np.isfinite(np.asarray(self.channels[name], np.float64))

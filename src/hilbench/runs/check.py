@@ -19,7 +19,7 @@ from hilbench.runs.found import find_metric as find_found_metric
 from hilbench.runs.metrics import OF_RUNS, metrics_of
 from hilbench.runs.prospect import Move, moves
 from hilbench.runs.web_line_check import operating_points, step_warnings, stiffness_of
-from hilbench.suggest import did_you_mean
+from hilbench.suggest import expected_one_of
 
 #: Margins below which a loop is noted.
 _LEAST_GAIN, _LEAST_PHASE_DEG = 2.0, 30.0
@@ -145,10 +145,9 @@ def _check_criteria(loaded: LoadedConfig) -> None:
                 )
             continue
         if criterion.metric not in known:
-            meant = did_you_mean(criterion.metric, known)
             raise UnusableInputError(
                 loaded.document.place(("criteria", number, "metric")),
-                f"metric '{criterion.metric}' is none of this machine, expected one of {', '.join(known)}{meant}",
+                f"metric '{criterion.metric}' is none of this machine{expected_one_of(criterion.metric, known)}",
             )
 
 

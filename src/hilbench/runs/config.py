@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -158,17 +159,33 @@ def dump(config: BenchConfig, path: Path) -> None:
         path.write_text(strict_yaml.text_of(data), encoding="utf-8")
 
 
-def write_config_over(path: Path, files: Sequence[Path]) -> None:
+def write_config_over(path: Path, files: Sequence[Path], changes: Sequence[str] = ()) -> None:
     """Write a config that includes others, the later one counting, under a name of its own (``…_extended``).
 
-    Raises UnusableInputError when it cannot be written, or the files make no config.
+    `changes`, as of `load_with_overrides`, are in it but for those of the machine, which the last file has; of a list
+    the whole. Raises UnusableInputError when it cannot be written, or the files make no config.
     """
     folder = path.resolve().parent
     names = [Path(os.path.relpath(file.resolve(), folder)).as_posix() for file in files]
     name = read_document(files[0]).data.get("name", files[0].stem)
-    text = strict_yaml.text_of({"include": names, "name": f"{name}_extended"})
+    changed = _changed(files[0], changes) if changes else {}
+    text = strict_yaml.text_of({"include": names, **changed, "name": f"{name}_extended"})
     with writing(path):
         path.write_text(text, encoding="utf-8")
+
+
+def _changed(path: Path, changes: Sequence[str]) -> dict[str, Any]:
+    """The values that changes give a config, without the rest of it."""
+    document, alone = read_document(path), strict_yaml.Document(path, {}, {})
+    locations = []
+    for text in changes:
+        location, value = parse_change(text)
+        document = document.with_value(location, value, text)
+        locations.append(tuple(takewhile(lambda key: isinstance(key, str), location)))
+    for location in locations:
+        if location[0] != "machine":
+            alone = alone.with_value(location, document.value(location), str(path))
+    return dict(alone.data)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from hilbench.block import Block, Strict
 from hilbench.runs.figures import LEAST_SETTLED_S
 from hilbench.runs.metrics import METRICS, Judgement, find_metric, reasons
 from hilbench.runs.segment import Figure, Metric
-from hilbench.suggest import did_you_mean
+from hilbench.suggest import expected_one_of
 
 
 class Criterion(Block):
@@ -43,8 +43,7 @@ class Criterion(Block):
     def _consistent(self) -> Self:
         metric = find_metric(self.metric)
         if metric is None:
-            meant = did_you_mean(self.metric, METRICS)
-            raise ValueError(f"metric '{self.metric}' is not known, one of {', '.join(METRICS)}{meant}")
+            raise ValueError(f"metric '{self.metric}' is not known{expected_one_of(self.metric, METRICS)}")
         if self.unit is not None and self.unit != metric.unit:
             raise ValueError(f"unit '{self.unit}' of metric {self.metric}, which is in '{metric.unit}'")
         if self.step is not None and not metric.of_steps:

@@ -167,6 +167,24 @@ class Judgement:
         return max(known, key=lambda step: abs(step.figures[by].value or 0.0)).figures[metric].value
 
 
+class NotJudgedError(AssertionError):
+    """A test asks for a metric that the run does not show; the text says why."""
+
+
+class Metrics(dict[str, float | None]):
+    """Metrics by name, None for those that a run does not show: `get` returns that, `[name]` raises NotJudgedError."""
+
+    def __init__(self, values: Mapping[str, float | None], reasons: Mapping[str, str]) -> None:
+        super().__init__(values)
+        self._reasons = reasons
+
+    def __getitem__(self, name: str) -> float:
+        value = super().__getitem__(name)
+        if value is None:
+            raise NotJudgedError(f"no {name}: {self._reasons.get(name, 'the run does not show it')}")
+        return value
+
+
 def reasons(missing: Sequence[tuple[StepFigures, Figure]]) -> str:
     """Why steps have no value: of many the first."""
     told = [f"{step}: {figure.reason}" for step, figure in missing[:_MOST_REASONS]]

@@ -29,7 +29,7 @@ from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load_with_overrides
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import EventLog
-from hilbench.runs.metrics import Judgement, judge
+from hilbench.runs.metrics import Judgement, Metrics, judge
 from hilbench.topology import quantities
 
 
@@ -37,13 +37,13 @@ from hilbench.topology import quantities
 class StepResponse:
     """What a step change did: the whole recording, when the step was (s of experiment time), and the metrics.
 
-    Metrics are those of `hilbench.runs.metrics.METRICS` that a recording decides, of this step alone; None for
-    what it does not show, `not_judged` says why.
+    Metrics are those of `hilbench.runs.metrics.METRICS` that a recording decides, of this step alone; `not_judged` says
+    why of those that it does not show, and so does the error of who asks for one.
     """
 
     recording: Recording
     step_time_s: float
-    metrics: dict[str, float | None]
+    metrics: Metrics
     not_judged: dict[str, str] = field(default_factory=dict)
 
 
@@ -215,9 +215,10 @@ class Bench(bench.Bench):
         """Every step until now with its figures (`hilbench.runs.metrics`)."""
         return judge(self.recording.channels, journal=self._happened.events())
 
-    def metrics(self) -> dict[str, float | None]:
+    def metrics(self) -> Metrics:
         """The metrics that the recording shows until now, of several steps the worst."""
-        return self.judge().metrics()
+        judged = self.judge()
+        return Metrics(judged.metrics(), judged.not_judged())
 
     def step_response(
         self,
@@ -244,4 +245,5 @@ class Bench(bench.Bench):
         self.run(hold_s)
         judged = self.judge()
         last = replace(judged, steps=judged.steps[-1:])
-        return StepResponse(self.recording, step_time_s, last.metrics(), last.not_judged())
+        reasons = last.not_judged()
+        return StepResponse(self.recording, step_time_s, Metrics(last.metrics(), reasons), reasons)

@@ -316,9 +316,20 @@ class Sweep:
             arguments += ["--bus", f"embedded:sweep{os.getpid()}n{number}"]
         return Job(number, changes, tuple(arguments), str(folder))
 
+    @property
+    def varied(self) -> list[str]:
+        """The keys of the config that were varied."""
+        return list(dict.fromkeys(path for run in self.runs for path in run))
+
+    def shown_metrics(self) -> list[str]:
+        """Those of the criteria; without any, those that are not the same in all runs."""
+        judged = list(dict.fromkeys(criterion.metric for criterion in self._any.criteria))
+        found = dict.fromkeys(name for row in self.rows.values() for name in row.metrics)
+        return judged or [name for name in found if len({row.metrics.get(name) for row in self.rows.values()}) > 1]
+
     def write_table(self) -> Path:
         """`results.csv`: a row a run, in order; what was varied, exit code, metrics, folder."""
-        paths = list(dict.fromkeys(path for run in self.runs for path in run))
+        paths = self.varied
         metrics = list(dict.fromkeys(name for row in self.rows.values() for name in row.metrics))
         path = self.out / _TABLE
         with open(path, "w", encoding="utf-8", newline="") as file:

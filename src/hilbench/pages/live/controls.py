@@ -13,6 +13,7 @@ from pydantic import Field, FiniteFloat, StringConstraints, TypeAdapter, Validat
 
 from hilbench.block import Strict
 from hilbench.errors import HilbenchError
+from hilbench.expected import expected
 from hilbench.monitor.changes import Answered, ChangeRequests
 from hilbench.pages.live.control_lock import ControlLock
 from hilbench.pages.live.courses import courses
@@ -123,7 +124,7 @@ class Controls:
             action = _ACTION.validate_python(asked)
         except ValidationError as error:
             first = error.errors()[0]
-            return Said(f"not understood: {'.'.join(map(str, first['loc']))}: {first['msg']}", False)
+            return Said(f"not understood: {'.'.join(map(str, first['loc']))}: expected {expected(first)}", False)
         try:
             return await self._do(viewer, action)
         except HilbenchError as error:
