@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from functools import cache
-from hashlib import sha256
-from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -92,8 +89,9 @@ else:
 
     def entry_point(*arguments):
         def decorate(function):
-            dispatcher = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
-            dispatcher._cache = CodeCache(function)
+            options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+            dispatcher = numba.njit(**options)(function)
+            dispatcher._cache = CodeCache(function, repr(options))
             dispatcher.arguments = arguments
             return dispatcher
 
@@ -207,20 +205,6 @@ def address_of(function: Callable[[int, NDArray[np.int64]], int]) -> int:
     dispatcher.compile(dispatcher.arguments)
     found = dispatcher.overloads[dispatcher.arguments]
     return int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
-
-
-def number_of_sources(*files: str) -> int:
-    """A number that changes with the content of these source files.
-
-    numba keeps machine code by the file of the function alone, and would run old code after a change of what it calls;
-    what a closure holds is part of its key, so an entry point that calls other files' functions holds this number.
-    """
-    return int.from_bytes(sha256(b"".join(map(_content, files))).digest()[:7], "big")
-
-
-@cache  # most kernels are made of the same laws
-def _content(file: str) -> bytes:
-    return Path(file).read_bytes()
 
 
 def interpreted(function: Function) -> Function:
