@@ -54,11 +54,6 @@ class CodeCache(FunctionCache):
         )
         self._files = [IndexDataCacheFile(folder, self._impl.filename_base, stamp) for folder in folders]
 
-    def holds(self, signature: Any, target: Any) -> bool:
-        """Whether the machine code for these arguments is on disk."""
-        key = self._index_key(signature, target.codegen())
-        return any(key in each._load_index() for each in self._files)
-
     def load_overload(self, signature: Any, target: Any) -> Any:
         """The machine code, None where it is not on disk. What numba compiles with it loads when it does: before any
         function is loaded, as numba does it, that takes longer than the function."""

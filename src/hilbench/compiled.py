@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -222,13 +221,3 @@ def entry_points(module: ModuleType) -> list[Any]:
         # To ask for an instance of it would ask its metaclass, that of abstract classes, of each name in each module.
         if type(each) is CPUDispatcher and hasattr(each, "arguments") and each.__module__ == module.__name__
     ]
-
-
-def all_compiled() -> bool:
-    """Whether the machine code of all that is imported of hilbench is on disk, for this processor and these sources."""
-    modules = [module for name, module in sys.modules.copy().items() if name.startswith("hilbench.")]
-    return all(
-        each.overloads or each._cache.holds(each.arguments, each.targetctx)
-        for module in modules
-        for each in entry_points(module)
-    )
