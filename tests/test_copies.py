@@ -175,21 +175,21 @@ def test_a_copy_prepares_itself_while_the_other_process_goes_on_and_what_fails_t
     )
 
 
-def test_a_copy_says_whether_it_can_go_on_before_it_does(tmp_path: Path) -> None:
+def test_it_is_waited_for_until_a_copy_is_prepared_also_where_that_fails(tmp_path: Path) -> None:
     done(
         tmp_path,
         """if True:
+        def prepares():
+            time.sleep(0.1)
+            (folder / "prepared").touch()
         def fails():
             raise RuntimeError("nobody hears it")
-        def goes_on():
-            while not (folder / "heard").exists():
-                time.sleep(0.001)
-            (folder / "gone on").touch()
-        with copies({"can": lambda: goes_on, "cannot": lambda: None, "fails": fails}) as waiting:
-            assert [waiting[name].can for name in ("fails", "can", "cannot", "can")] == [False, True, False, True]
-            assert not (folder / "gone on").exists()
-            (folder / "heard").touch()
-        assert (folder / "gone on").exists()
+        def ends():
+            os._exit(1)
+        with copies({"prepares": prepares, "fails": fails, "ends": ends}) as waiting:
+            for name in ("fails", "prepares", "ends", "prepares"):
+                waiting[name].wait_until_prepared()
+            assert (folder / "prepared").exists()
     """,
     )
 
@@ -255,25 +255,4 @@ def test_the_processes_of_a_run_are_copies_of_it(tmp_path: Path) -> None:
         assert outcome.exit_code == 0, outcome.as_json()
         assert outcome.result.timing.lost_frames == 0  # each has said so at its end
     """,
-    )
-
-
-def test_while_it_prepares_itself_it_leaves_a_core_to_who_has_made_it(tmp_path: Path) -> None:
-    done(
-        tmp_path,
-        """if True:
-        (folder / "told.py").write_text("import os; print(sorted(os.sched_getaffinity(0)))")
-        cores = os.sched_getaffinity(0)
-        def prepare():
-            (folder / "meanwhile").write_text(str(sorted(os.sched_getaffinity(0))))
-        with copies({"one": prepare}) as waiting:
-            copy = waiting.pop("one")
-            copy.become(["told"], folder / "log", {})
-            copy.stdin.close()
-            assert copy.wait(30.0) == 0
-        meanwhile = eval((folder / "meanwhile").read_text())
-        assert set(meanwhile) == (cores - {min(cores)} or cores)
-        assert eval((folder / "log").read_text()) == sorted(cores)
-        assert os.sched_getaffinity(0) == cores
-        """,
     )

@@ -1,7 +1,4 @@
-"""What compiled functions call of the C library that is in the process anyway; arrays are handed over by their address.
-
-Whose machine code is kept on disk names this file among its sources.
-"""
+"""What compiled functions call of the C library that is in the process anyway; arrays go by their address."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ values of all that they name.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from functools import cache
 from hashlib import sha256
@@ -19,6 +20,7 @@ from numba import types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, InTreeCacheLocator
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
+from numba.core.runtime.nrt import rtsys
 
 #: Modules whose functions numba knows by their names; its own version is in each key.
 _NOT_OURS = ("math", "numpy", "numba")
@@ -41,19 +43,21 @@ class CodeCache(FunctionCache):
 
     _impl_class = _Places
 
-    def __init__(self, function: Callable[..., object]) -> None:
+    def __init__(self, function: Callable[..., object], options: str) -> None:
+        """`options`: by which it is compiled."""
         super().__init__(function)
+        self._options = options
         installed = str(Path(function.__code__.co_filename).parent / "__pycache__")
         stamp = self._impl.locator.get_source_stamp()
-        folders = dict.fromkeys((self.cache_path, installed))
+        folders = (
+            (self.cache_path,) if os.environ.get("NUMBA_CACHE_DIR") else dict.fromkeys((self.cache_path, installed))
+        )
         self._files = [IndexDataCacheFile(folder, self._impl.filename_base, stamp) for folder in folders]
 
-    def holds(self, signature: Any, target: Any) -> bool:
-        """Whether the machine code for these arguments is on disk."""
-        key = self._index_key(signature, target.codegen())
-        return any(key in each._load_index() for each in self._files)
-
-    def _load_overload(self, signature: Any, target: Any) -> Any:
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """The machine code, None where it is not on disk. What numba compiles with it loads when it does: before any
+        function is loaded, as numba does it, that takes longer than the function."""
+        rtsys.initialize(target)
         key = self._index_key(signature, target.codegen())
         data = next((data for file in self._files if (data := file.load(key)) is not None), None)
         return None if data is None else self._impl.rebuild(target, data)
@@ -63,7 +67,7 @@ class CodeCache(FunctionCache):
             super()._save_overload(signature, data)
 
     def _index_key(self, signature: Any, codegen: Any) -> Any:
-        return (*super()._index_key(signature, codegen)[:2], made_of(self._py_func))
+        return (*super()._index_key(signature, codegen)[:2], self._options, made_of(self._py_func))
 
 
 def made_of(function: Callable[..., object]) -> str:
@@ -111,12 +115,14 @@ def _said_of_value(name: str, value: Any, attributes: tuple[str, ...]) -> Iterat
     if isinstance(value, Dispatcher):
         yield repr(sorted(value.targetoptions.items()))
         yield value.py_func
+    elif isinstance(value, _Intrinsic):
+        yield value._defn
     elif isinstance(value, FunctionType):
         yield value
     elif isinstance(value, ModuleType):
         yield name
         for each in attributes:
-            if value.__name__ not in _NOT_OURS and hasattr(value, each):
+            if value.__name__.partition(".")[0] not in _NOT_OURS and hasattr(value, each):
                 yield from _said_of_value(each, getattr(value, each), attributes)
     elif isinstance(value, tuple):
         for each in value:
@@ -134,13 +140,6 @@ def _text_of(value: Any) -> str:
         return f"{value.__module__}.{value.__qualname__} {getattr(value, '_fields', ())}"
     if isinstance(value, types.ExternalFunction):
         return f"{value} {value.sig}"
-    if isinstance(value, _Intrinsic):
-        return f"{value} {_content(value._defn.__code__.co_filename)}"
     if value is None or isinstance(value, bool | int | float | str | bytes | BuiltinFunctionType | types.Type):
         return repr(value)
     raise TypeError(f"{value!r} ({type(value).__name__}): a compiled function names it, expected a number or a record")
-
-
-@cache
-def _content(file: str) -> str:
-    return sha256(Path(file).read_bytes()).hexdigest()

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
-from functools import cache
-from hashlib import sha256
-from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -92,8 +88,9 @@ else:
 
     def entry_point(*arguments):
         def decorate(function):
-            dispatcher = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
-            dispatcher._cache = CodeCache(function)
+            options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+            dispatcher = numba.njit(**options)(function)
+            dispatcher._cache = CodeCache(function, repr(options))
             dispatcher.arguments = arguments
             return dispatcher
 
@@ -209,20 +206,6 @@ def address_of(function: Callable[[int, NDArray[np.int64]], int]) -> int:
     return int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
 
 
-def number_of_sources(*files: str) -> int:
-    """A number that changes with the content of these source files.
-
-    numba keeps machine code by the file of the function alone, and would run old code after a change of what it calls;
-    what a closure holds is part of its key, so an entry point that calls other files' functions holds this number.
-    """
-    return int.from_bytes(sha256(b"".join(map(_content, files))).digest()[:7], "big")
-
-
-@cache  # most kernels are made of the same laws
-def _content(file: str) -> bytes:
-    return Path(file).read_bytes()
-
-
 def interpreted(function: Function) -> Function:
     """A compiled function that calls none, as Python runs it: for who calls it by itself, and now and then. Compiling
     it, in each process anew, takes a tenth of a second."""
@@ -238,13 +221,3 @@ def entry_points(module: ModuleType) -> list[Any]:
         # To ask for an instance of it would ask its metaclass, that of abstract classes, of each name in each module.
         if type(each) is CPUDispatcher and hasattr(each, "arguments") and each.__module__ == module.__name__
     ]
-
-
-def all_compiled() -> bool:
-    """Whether the machine code of all that is imported of hilbench is on disk, for this processor and these sources."""
-    modules = [module for name, module in sys.modules.copy().items() if name.startswith("hilbench.")]
-    return all(
-        each.overloads or each._cache.holds(each.arguments, each.targetctx)
-        for module in modules
-        for each in entry_points(module)
-    )

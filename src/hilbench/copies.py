@@ -26,11 +26,10 @@ from typing import IO, NoReturn
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_INTERRUPTED
 from hilbench.unexpected import unexpected
 
-#: Called in a copy before it waits; what it returns is called after the copy has said that there is something (`can`).
-Preparation = Callable[[], Callable[[], object] | None]
+#: Called in a copy before it waits.
+Preparation = Callable[[], object]
 
 _LONGEST_ORDER = 1 << 16
-_YES, _NO = b"y", b"n"
 # <sys/prctl.h>
 _PR_SET_NAME, _PR_SET_MM, _PR_SET_MM_MAP = 15, 35, 14
 #: Fields of /proc/self/stat (proc(5)) behind the name: the bounds of what a `struct prctl_mm_map` begins with.
@@ -44,7 +43,6 @@ class Copy:
     def __init__(self, pid: int, order: IO[bytes], tells: IO[bytes]) -> None:
         self.pid = pid
         self._tells = tells
-        self._can: bool | None = None
         self.returncode: int | None = None
         #: Its standard input; what it becomes hears by its end that this process is gone.
         self.stdin = order
@@ -58,12 +56,10 @@ class Copy:
         order = json.dumps([list(arguments), str(log.absolute()), dict(environment)])
         self.stdin.write(order.encode() + b"\n")
 
-    @property
-    def can(self) -> bool:
-        """Whether its preparation found something to go on with; waits until it says so. False: it has failed, too."""
-        if self._can is None:
-            self._can = self._tells.read(1) == _YES
-        return self._can
+    def wait_until_prepared(self) -> None:
+        """Wait until its preparation is over, also where that has failed, or the copy has ended."""
+        if not self._tells.closed:
+            self._tells.read()
 
     def poll(self) -> int | None:
         """Its exit code, negative: the signal that ended it; None: it runs."""
@@ -111,8 +107,8 @@ def _readable(descriptor: int, timeout_s: float) -> bool:
 def copies(preparations: Mapping[str, Preparation]) -> Iterator[dict[str, Copy]]:
     """Copies of this process as it is now, by name; take them from the dictionary. What is left in it ends on leaving.
 
-    Each calls what stands beside its name before it waits, and what that returns: what it will need has to be loaded
-    then. They must change nothing outside of the process; what they raise is left to whatever the copy becomes.
+    Each calls what stands beside its name before it waits: what it will need has to be loaded then. That must change
+    nothing outside of the process; what it raises is left to whatever the copy becomes.
     None where other threads run (what they have locked would stay locked in a copy), and none where this process has
     its modules from an importer of its own that nothing can be run by, as under pytest.
     """
@@ -161,8 +157,9 @@ def _wait_for_order(receives: int, tells: int, signals: Iterable[int], prepare: 
         has_left = True
         _leave_handlers()
         signal.pthread_sigmask(signal.SIG_SETMASK, signals)
-        with suppress(Exception), _beside_its_maker():
-            _prepare(prepare, tells)
+        with suppress(Exception):
+            prepare()
+        _lead_nowhere(tells)  # who reads at the other end finds nothing there
         order = _read_order()
         code = 0 if order is None else _become(*json.loads(order))
     except KeyboardInterrupt:
@@ -173,29 +170,6 @@ def _wait_for_order(receives: int, tells: int, signals: Iterable[int], prepare: 
                 print(f"hilbench: {error!r}", file=sys.stderr, flush=True)
     finally:
         os._exit(code)
-
-
-@contextmanager
-def _beside_its_maker() -> Iterator[None]:
-    """Where there are several cores, one of them is left to who has made it and goes on: that is waited for."""
-    cores = os.sched_getaffinity(0)
-    if len(cores) > 1:
-        os.sched_setaffinity(0, cores - {min(cores)})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, cores)
-
-
-def _prepare(prepare: Preparation, tells: int) -> None:
-    goes_on = None
-    try:
-        goes_on = prepare()
-    finally:
-        os.write(tells, _NO if goes_on is None else _YES)
-        _lead_nowhere(tells)
-    if goes_on is not None:
-        goes_on()
 
 
 def _lead_nowhere(descriptor: int) -> None:

@@ -84,6 +84,11 @@ class ChildProcess:
             self._process.stdin.close()
         self._process = self._start()
 
+    def wait_until_prepared(self) -> None:
+        """Wait until it has loaded what it runs on, as far as it is a copy."""
+        if isinstance(self._process, Copy):
+            self._process.wait_until_prepared()
+
     @property
     def ended(self) -> bool:
         """Whether it has ended by itself, or was killed."""

@@ -55,12 +55,12 @@ def test_a_sync_that_is_off_by_more_than_clocks_are_is_not_followed(rate: float)
 def test_a_plant_of_any_sample_time_goes_one_period_for_each_sync_however_late_it_is_read() -> None:
     now_ns, late = 10**12, random.Random(3)
     time = ByClock(0.002, 1e-3, lambda: now_ns, lambda text: None, any_period=True)
-    gone_s, at = 0.0, []
+    elapsed_s, at = 0.0, []
     for number in range(2000):
         now_ns = 10**12 + round((2.5 * number + late.uniform(0.0, 0.5)) * MS)
-        gone_s += time.before_sync(0) * time.sample_s
-        at.append(gone_s)
-        gone_s += time.after_sync() * time.sample_s
+        elapsed_s += time.before_sync(0) * time.sample_s
+        at.append(elapsed_s)
+        elapsed_s += time.after_sync() * time.sample_s
     steps_ms = [1e3 * (later - one) for one, later in itertools.pairwise(at[100:])]
     assert steps_ms == pytest.approx([2.5] * len(steps_ms), rel=0.01)
     assert 1e3 * (at[-1] - at[100]) == pytest.approx(2.5 * len(steps_ms), rel=1e-3)
@@ -69,12 +69,12 @@ def test_a_plant_of_any_sample_time_goes_one_period_for_each_sync_however_late_i
 def test_a_plant_of_any_sample_time_keeps_to_the_clock_whatever_is_lost_or_read_in_a_bunch() -> None:
     now_ns, odd = 10**12, random.Random(5)
     time = ByClock(0.002, 1e-3, lambda: now_ns, lambda text: None, any_period=True)
-    gone_s = read_ms = 0.0
+    elapsed_s = read_ms = 0.0
     for number in range(4000):
         if odd.random() < 0.1:
             continue  # lost
         read_ms = max(read_ms + 0.01, 2.5 * number + (odd.uniform(0.0, 9.0) if odd.random() < 0.3 else 0.1))
         now_ns = 10**12 + round(read_ms * MS)
-        gone_s += time.before_sync(0) * time.sample_s
-        gone_s += time.after_sync() * time.sample_s
-    assert gone_s == pytest.approx(4000 * 0.0025, rel=2e-3)
+        elapsed_s += time.before_sync(0) * time.sample_s
+        elapsed_s += time.after_sync() * time.sample_s
+    assert elapsed_s == pytest.approx(4000 * 0.0025, rel=2e-3)

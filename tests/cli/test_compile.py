@@ -76,24 +76,6 @@ def test_variants_from_one_start_run_what_was_compiled_for_one() -> None:
     assert set(kernel.simulate.overloads) - before <= {kernel.simulate.arguments}  # type: ignore[attr-defined]
 
 
-def test_a_bench_knows_whether_what_it_has_imported_is_compiled() -> None:
-    program = """if True:
-        import sys
-        import hilbench.bench.lifecycle.supervisor
-        from hilbench.compiled import all_compiled
-        from hilbench.estimation import noise_level
-        imported = {name for name in sys.modules if name.startswith("hilbench.")}
-        noise_level._take.compile(noise_level._take.arguments)
-        assert all_compiled(), imported
-        noise_level._take.overloads.clear()
-        assert all_compiled()  # it is on disk
-        noise_level._take.arguments = (*noise_level._take.arguments, *noise_level._take.arguments)
-        assert not all_compiled()
-    """
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
-    assert ended.returncode == 0, ended.stderr
-
-
 def test_machine_code_is_found_again_by_what_it_is_made_of() -> None:
     """In another process, with other hashes of strings; and not where a function that it calls, or a value, differs."""
     program = """if True:

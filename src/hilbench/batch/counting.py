@@ -6,9 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import GOES_ON, Function
-from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, number_of_sources, viewed
-from hilbench.exchange import measured
+from hilbench.chain import GOES_ON
+from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, viewed
 from hilbench.exchange.measured import BITS, CYCLES, TWIN_STATUS, TWIN_SYNC
 from hilbench.plain import layout as lay
 
@@ -29,70 +28,64 @@ _O_FRAMES, _O_BITS, _O_DURATION_NS, _O_TEXT = lay.O_FRAMES, lay.O_BITS, lay.O_DU
 _O_TIMED, _O_SIZE, _BY_TIME = lay.O_TIMED, lay.O_SIZE, lay.BY_TIME
 
 
-def _entry_points(sources: int) -> tuple[Function, Function, Function]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def count(cycle_ns: int, table: Table) -> int:
-        if sources < 0 or len(table) == 0:
-            return GOES_ON
-        given, left, counted = (
-            integers(table, _GIVEN, (1,)),
-            integers(table, _LEFT, (1,)),
-            integers(table, _COUNTED, (1,)),
-        )
-        totals, heard, status = (
-            integers(table, _TOTALS, (1,)),
-            integers(table, _HEARD, (1,)),
-            integers(table, _STATUS, (1,)),
-        )
-        given[_START_NS] += cycle_ns
-        given[_CLOCKS] += cycle_ns
-        given[_CLOCKS + 1] += cycle_ns
-        given[_I_TEXT] = left[_O_TEXT]
-        totals[RUN] += 1
-        totals[FRAMES] += left[_O_FRAMES]
-        totals[BITS_OF_ALL] += left[_O_BITS]
-        totals[DURATION_NS] += left[_O_DURATION_NS]
-        counted[CYCLES] += 1
-        counted[BITS] = left[_O_BITS]
-        if left[_O_SIZE + status[_ROW]] != 0:
-            whole = integers(table, _WHOLE, (1,))
-            counted[TWIN_SYNC], counted[TWIN_STATUS] = whole[status[_FIRST]], whole[status[_FIRST] + 2]
-            totals[REPORTED] = totals[RUN]
-        if left[_O_TIMED] != 0:
-            frames = viewed(integers(table, _FRAMES, (1,)), _FRAME)
-            for k in range(len(frames)):
-                if frames[k].timing == _BY_TIME and left[_O_SIZE + k] != 0:
-                    heard[k] = totals[RUN]
-        return GOES_ON
-
-    @entry_point(COUNT, TABLE)
-    def said_alive(row: int, table: Table) -> int:
-        if sources < 0 or len(table) == 0:
-            return GOES_ON
-        return SAID if integers(table, _LEFT, (1,))[_O_SIZE + row] != 0 else GOES_ON
-
-    @entry_point(COUNT, TABLE)
-    def ask(_: int, table: Table) -> int:
-        if sources < 0 or len(table) == 0:
-            return GOES_ON
-        values, set_points, per_unit = floats(table, 0, (1,)), floats(table, 1, (1,)), floats(table, 2, (1,))
-        places, real, told = integers(table, 3, (1,)), floats(table, 4, (1,)), integers(table, 5, (1,))
-        for k in range(0, len(places), 2):
-            set_points[places[k]] = values[places[k + 1]] * per_unit[k // 2]
-        for k in range(0, len(told), 2):
-            real[told[k]] = values[told[k + 1]]
-        return GOES_ON
-
-    return count, said_alive, ask
-
-
 #: count(length of a cycle in ns, table): a plain cycle was run.
 #: said_alive(row of the bench's heartbeat, table): SAID where that was on the wire.
 #: ask(0, table of a sample, set points and what they are multiplied with, pairs of a place in these and in the sample,
 #: slots of real numbers, such pairs of them): what a sample shows of the outputs goes out with the next SYNC.
-count, said_alive, ask = _entry_points(number_of_sources(str(lay.__file__), str(measured.__file__), __file__))
+@entry_point(COUNT, TABLE)
+def count(cycle_ns: int, table: Table) -> int:
+    if len(table) == 0:
+        return GOES_ON
+    given, left, counted = (
+        integers(table, _GIVEN, (1,)),
+        integers(table, _LEFT, (1,)),
+        integers(table, _COUNTED, (1,)),
+    )
+    totals, heard, status = (
+        integers(table, _TOTALS, (1,)),
+        integers(table, _HEARD, (1,)),
+        integers(table, _STATUS, (1,)),
+    )
+    given[_START_NS] += cycle_ns
+    given[_CLOCKS] += cycle_ns
+    given[_CLOCKS + 1] += cycle_ns
+    given[_I_TEXT] = left[_O_TEXT]
+    totals[RUN] += 1
+    totals[FRAMES] += left[_O_FRAMES]
+    totals[BITS_OF_ALL] += left[_O_BITS]
+    totals[DURATION_NS] += left[_O_DURATION_NS]
+    counted[CYCLES] += 1
+    counted[BITS] = left[_O_BITS]
+    if left[_O_SIZE + status[_ROW]] != 0:
+        whole = integers(table, _WHOLE, (1,))
+        counted[TWIN_SYNC], counted[TWIN_STATUS] = whole[status[_FIRST]], whole[status[_FIRST] + 2]
+        totals[REPORTED] = totals[RUN]
+    if left[_O_TIMED] != 0:
+        frames = viewed(integers(table, _FRAMES, (1,)), _FRAME)
+        for k in range(len(frames)):
+            if frames[k].timing == _BY_TIME and left[_O_SIZE + k] != 0:
+                heard[k] = totals[RUN]
+    return GOES_ON
+
+
+@entry_point(COUNT, TABLE)
+def said_alive(row: int, table: Table) -> int:
+    if len(table) == 0:
+        return GOES_ON
+    return SAID if integers(table, _LEFT, (1,))[_O_SIZE + row] != 0 else GOES_ON
+
+
+@entry_point(COUNT, TABLE)
+def ask(_: int, table: Table) -> int:
+    if len(table) == 0:
+        return GOES_ON
+    values, set_points, per_unit = floats(table, 0, (1,)), floats(table, 1, (1,)), floats(table, 2, (1,))
+    places, real, told = integers(table, 3, (1,)), floats(table, 4, (1,)), integers(table, 5, (1,))
+    for k in range(0, len(places), 2):
+        set_points[places[k]] = values[places[k + 1]] * per_unit[k // 2]
+    for k in range(0, len(told), 2):
+        real[told[k]] = values[told[k + 1]]
+    return GOES_ON
 
 
 def warm_up() -> None:

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.bench.state import BenchState
-from hilbench.chain import GOES_ON, Chained, Function, never
-from hilbench.compiled import COUNT, TABLE, entry_point, floats, integers, number_of_sources, table_of
-from hilbench.exchange import measured
+from hilbench.chain import GOES_ON, Chained, never
+from hilbench.compiled import COUNT, TABLE, entry_point, floats, integers, table_of
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.measured import BITS, CYCLES, TWIN_SYNC, twin_age_cycles
 
@@ -22,26 +21,18 @@ _CYCLE_AT, _T_S_AT, _AGE_AT, _BITS_AT = range(4)
 _NUMBERS = ["cycle", "t_s", "twin_age_cycles", "bus_bits"]
 
 
-def _entry_point(sources: int) -> Function:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def stamp(_: int, table: Table) -> int:
-        if sources < 0 or len(table) == 0:
-            return GOES_ON
-        counted, began, at = integers(table, _COUNTED, (1,)), integers(table, _BEGAN, (1,)), integers(table, _AT, (1,))
-        values, words = floats(table, _VALUES, (1,)), integers(table, _WORDS, (1,))
-        cycle = counted[CYCLES]
-        words[at[_CYCLE_AT]] = cycle
-        values[at[_T_S_AT]] = (cycle - began[_FIRST]) * floats(table, _CYCLE_S, (1,))[0]
-        words[at[_AGE_AT]] = twin_age_cycles(cycle - began[_TWIN_STARTED], counted[TWIN_SYNC])
-        words[at[_BITS_AT]] = counted[BITS]
+@entry_point(COUNT, TABLE)
+def _stamp(_: int, table: Table) -> int:
+    if len(table) == 0:
         return GOES_ON
-
-    return stamp
-
-
-_stamp = _entry_point(number_of_sources(str(measured.__file__), __file__))
+    counted, began, at = integers(table, _COUNTED, (1,)), integers(table, _BEGAN, (1,)), integers(table, _AT, (1,))
+    values, words = floats(table, _VALUES, (1,)), integers(table, _WORDS, (1,))
+    cycle = counted[CYCLES]
+    words[at[_CYCLE_AT]] = cycle
+    values[at[_T_S_AT]] = (cycle - began[_FIRST]) * floats(table, _CYCLE_S, (1,))[0]
+    words[at[_AGE_AT]] = twin_age_cycles(cycle - began[_TWIN_STARTED], counted[TWIN_SYNC])
+    words[at[_BITS_AT]] = counted[BITS]
+    return GOES_ON
 
 
 class Stamp:

@@ -8,18 +8,16 @@ are epoll_wait(2), recv(2) and send(2) of the C library that is in the process a
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from hilbench import c_library
 from hilbench.c_library import MSG_DONTWAIT, MSG_NOSIGNAL, epoll_wait, recv, send
-from hilbench.can import compiled_wire, protocol, wire
+from hilbench.can import protocol
 from hilbench.can.compiled_wire import bits_on_wire
-from hilbench.compiled import COUNT, INDICES, TABLE, compiled, entry_point, number_of_sources, viewed
+from hilbench.compiled import COUNT, INDICES, TABLE, compiled, entry_point, viewed
 
 _OCTET, _WORD = np.dtype(np.uint8), np.dtype(np.uint32)
 
@@ -73,7 +71,6 @@ Octets = NDArray[np.uint8]
 Words = NDArray[np.uint32]
 #: Type of an array of uint32, for entry points.
 WORDS = types.Array(types.uint32, 1, "C")
-Forward = Callable[[int, Row, Row, Row, Table, Table, Words, Table, Table, Table, Table, Row], None]
 
 
 class Tables:
@@ -215,49 +212,37 @@ def hand_out(state: Row, descriptors: Row, stations: Table, carried: Table, coun
     return True
 
 
-#: Files that the machine code depends on, beside this one.
-SOURCES = tuple(str(module.__file__) for module in (c_library, compiled_wire, wire, protocol))
-
-
-def _entry_point(sources: int) -> Forward:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, INDICES, INDICES, INDICES, TABLE, TABLE, WORDS, TABLE, TABLE, TABLE, TABLE, INDICES)
-    def forward(
-        epoll: int,
-        state: Row,
-        descriptors: Row,
-        of_descriptors: Row,
-        stations: Table,
-        known: Table,
-        events: Words,
-        received: Table,
-        packets: Table,
-        rows: Table,
-        carried: Table,
-        out: Row,
-    ) -> None:
-        octets, words = viewed(received, _OCTET), viewed(received, _WORD)
-        state[PACKETS_LEFT] = state[FRAMES_LEFT] = 0
-        while sources >= 0:
-            count = ready(epoll, of_descriptors, events)
-            if count == 0:
-                return
-            if not take_in(count, of_descriptors, stations, known, events, received, packets, rows, octets, words):
-                state[PACKETS_LEFT] = count
-                return
-            over = carry(state, known, packets, count, rows, received, octets, carried)
-            if not hand_out(state, descriptors, stations, carried, over, out):
-                state[FRAMES_LEFT] = over
-                return
-
-    return forward
-
-
 #: forward(epoll, state, descriptors of the stations, stations by descriptor (-1: none), stations, known frames, room
 #: for events, packets, their columns, rows of their frames, what is carried, and a packet): until something happens
 #: that is not packets of known frames, see `state`.
-forward = _entry_point(number_of_sources(__file__, *SOURCES))
+@entry_point(COUNT, INDICES, INDICES, INDICES, TABLE, TABLE, WORDS, TABLE, TABLE, TABLE, TABLE, INDICES)
+def forward(
+    epoll: int,
+    state: Row,
+    descriptors: Row,
+    of_descriptors: Row,
+    stations: Table,
+    known: Table,
+    events: Words,
+    received: Table,
+    packets: Table,
+    rows: Table,
+    carried: Table,
+    out: Row,
+) -> None:
+    octets, words = viewed(received, _OCTET), viewed(received, _WORD)
+    state[PACKETS_LEFT] = state[FRAMES_LEFT] = 0
+    while True:
+        count = ready(epoll, of_descriptors, events)
+        if count == 0:
+            return
+        if not take_in(count, of_descriptors, stations, known, events, received, packets, rows, octets, words):
+            state[PACKETS_LEFT] = count
+            return
+        over = carry(state, known, packets, count, rows, received, octets, carried)
+        if not hand_out(state, descriptors, stations, carried, over, out):
+            state[FRAMES_LEFT] = over
+            return
 
 
 def warm_up() -> None:

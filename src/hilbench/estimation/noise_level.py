@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import isfinite, sqrt
 
 import numpy as np
 
-from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
+from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point, inlined
 from hilbench.estimation.bank import Array
 
 #: Sum of the squares of the binomials 1 4 6 4 1: variance of a fourth difference of white noise.
@@ -64,24 +63,16 @@ def interrupt(s: Array) -> None:
     s[_APART] = _DIFFERENCES
 
 
-def _entry_points(sources: int) -> tuple[Callable[[Array, float], None], Callable[[Array, Array, Array], None]]:
-    """The functions that are called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR, REAL)
-    def take_one(s: Array, value: float) -> None:
-        if sources >= 0:
-            take(s, value)
-
-    @entry_point(MATRIX, VECTOR, VECTOR)
-    def take_all(states: Array, values: Array, variances: Array) -> None:
-        for i in range(len(states) if sources >= 0 else 0):
-            take(states[i], values[i])
-            variances[i] = variance(states[i])
-
-    return take_one, take_all
+@entry_point(VECTOR, REAL)
+def _take(s: Array, value: float) -> None:
+    take(s, value)
 
 
-_take, _take_all = _entry_points(number_of_sources(__file__))
+@entry_point(MATRIX, VECTOR, VECTOR)
+def _take_all(states: Array, values: Array, variances: Array) -> None:
+    for i in range(len(states)):
+        take(states[i], values[i])
+        variances[i] = variance(states[i])
 
 
 class NoiseLevel:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import isfinite
 
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point, inlined
 from hilbench.estimation.bank import Array
 from hilbench.estimation.problems import PROBLEMS, Problem
 
@@ -65,17 +64,9 @@ def _is_limited(s: Array, size_Nm: float) -> bool:
     return bool(s[_LIMITED] > 0.0)
 
 
-def _compiled_look(sources: int) -> Callable[[Array, float, float, float], int]:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR, REAL, REAL, REAL)
-    def look(s: Array, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> int:
-        return find_problem(s, torque_Nm, pull_per_Pa, velocity_m_s) if sources >= 0 else 0
-
-    return look
-
-
-_look = _compiled_look(number_of_sources(__file__))
+@entry_point(VECTOR, REAL, REAL, REAL)
+def _look(s: Array, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> int:
+    return find_problem(s, torque_Nm, pull_per_Pa, velocity_m_s)
 
 
 class Plausibility:

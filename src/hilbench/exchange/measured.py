@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import GOES_ON, Chained, Function, never
+from hilbench.chain import GOES_ON, Chained, never
 from hilbench.compiled import (
     COUNT,
     TABLE,
@@ -17,7 +17,6 @@ from hilbench.compiled import (
     entry_point,
     floats,
     integers,
-    number_of_sources,
     table_of,
 )
 from hilbench.topology.sample import CycleSample
@@ -57,41 +56,31 @@ def twin_age_cycles(syncs: int, twin_sync: int) -> int:
     return age if age > 0 else 0
 
 
-Take = Callable[[NDArray[np.int64]], None]
+@entry_point(TABLE)
+def _take(table: NDArray[np.int64]) -> None:
+    if len(table) > 0:
+        came, torques, before_Nm = integers(table, 0, (1,)), integers(table, 1, (1,)), floats(table, 2, (1,))
+        take_twin(came, torques, before_Nm, floats(table, 3, (1,)), floats(table, 4, (1,)))
 
 
-def _entry_points(sources: int) -> tuple[Take, Function]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(TABLE)
-    def take(table: NDArray[np.int64]) -> None:
-        if sources >= 0 and len(table) > 0:
-            came, torques, before_Nm = integers(table, 0, (1,)), integers(table, 1, (1,)), floats(table, 2, (1,))
-            take_twin(came, torques, before_Nm, floats(table, 3, (1,)), floats(table, 4, (1,)))
-
-    @entry_point(COUNT, TABLE)
-    def fill(twin_status: int, table: NDArray[np.int64]) -> int:
-        if sources < 0 or len(table) == 0:
-            return GOES_ON
-        reals, wholes = floats(table, 9, (1,)), integers(table, 10, (1,))
-        of_drives, said = floats(table, 3, (1,)), floats(table, 4, (1,))
-        places, of_said, rad_per_unit = integers(table, 5, (1,)), integers(table, 6, (1,)), floats(table, 7, (1,))
-        for k in range(len(rad_per_unit)):
-            place, shown = places[k * OF_DRIVE : (k + 1) * OF_DRIVE], of_drives[k * OF_DRIVE : (k + 1) * OF_DRIVE]
-            reals[place[POSITION]] = shown[POSITION] / rad_per_unit[k]
-            if place[VELOCITY] != _NOWHERE:
-                reals[place[VELOCITY]] = shown[VELOCITY] / rad_per_unit[k]
-            reals[place[TORQUE]] = shown[TORQUE]
-            wholes[place[STATUSWORD]] = int(shown[STATUSWORD])
-        for k in range(len(said)):
-            reals[of_said[k]] = said[k]
-        wholes[twin_status] = integers(table, 8, (1,))[TWIN_STATUS]
+@entry_point(COUNT, TABLE)
+def _fill(twin_status: int, table: NDArray[np.int64]) -> int:
+    if len(table) == 0:
         return GOES_ON
-
-    return take, fill
-
-
-_take, _fill = _entry_points(number_of_sources(__file__))
+    reals, wholes = floats(table, 9, (1,)), integers(table, 10, (1,))
+    of_drives, said = floats(table, 3, (1,)), floats(table, 4, (1,))
+    places, of_said, rad_per_unit = integers(table, 5, (1,)), integers(table, 6, (1,)), floats(table, 7, (1,))
+    for k in range(len(rad_per_unit)):
+        place, shown = places[k * OF_DRIVE : (k + 1) * OF_DRIVE], of_drives[k * OF_DRIVE : (k + 1) * OF_DRIVE]
+        reals[place[POSITION]] = shown[POSITION] / rad_per_unit[k]
+        if place[VELOCITY] != _NOWHERE:
+            reals[place[VELOCITY]] = shown[VELOCITY] / rad_per_unit[k]
+        reals[place[TORQUE]] = shown[TORQUE]
+        wholes[place[STATUSWORD]] = int(shown[STATUSWORD])
+    for k in range(len(said)):
+        reals[of_said[k]] = said[k]
+    wholes[twin_status] = integers(table, 8, (1,))[TWIN_STATUS]
+    return GOES_ON
 
 
 @dataclass(frozen=True)

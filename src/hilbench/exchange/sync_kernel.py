@@ -6,13 +6,11 @@ anyway. What the bench and the loop tell each other stands in one vector, each p
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench import c_library
 from hilbench.c_library import (
     CLOCK_MONOTONIC,
     MSG_DONTWAIT,
@@ -24,7 +22,7 @@ from hilbench.c_library import (
     prctl,
     send,
 )
-from hilbench.compiled import COUNT, INDICES, entry_point, number_of_sources
+from hilbench.compiled import COUNT, INDICES, entry_point
 
 #: Places in the vector. Of the loop: how many SYNCs are out, when the next is due (ns of the monotonic clock), how many
 #: periods went by without one: the machine did not wake the loop, the bus did not take it, or it was not to go out.
@@ -38,53 +36,44 @@ REMEMBERED: Final = 4096
 _SECOND_NS = 1_000_000_000
 
 Places = NDArray[np.int64]
-Produce = Callable[[Places, Places, Places, int, int, Places, int], None]
-
-
-def _entry_point(sources: int) -> Produce:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(INDICES, INDICES, INDICES, COUNT, COUNT, INDICES, COUNT)
-    def produce(
-        shared: Places,
-        lateness_ns: Places,
-        timespec: Places,
-        period_ns: int,
-        descriptor: int,
-        packet: Places,
-        length: int,
-    ) -> None:
-        """Send `packet` (its first `length` bytes) to `descriptor` at each deadline until told to end.
-
-        `timespec`: room for one of the kernel. A period for which the machine did not wake the loop is gone, and
-        counted; no deadline is ever moved. Behind the last SYNC that may go out it waits for the bench to say more.
-        """
-        time = timespec.ctypes.data
-        if shared[END] == 0:
-            prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)  # else the kernel may wake it 50 µs late to save energy
-        while sources >= 0 and shared[END] == 0:
-            deadline_ns = shared[DEADLINE_NS]
-            timespec[0], timespec[1] = deadline_ns // _SECOND_NS, deadline_ns % _SECOND_NS
-            while clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, time, 0) != 0:
-                pass  # a signal
-            if shared[END] != 0:
-                return
-            clock_gettime(CLOCK_MONOTONIC, time)
-            late_ns = timespec[0] * _SECOND_NS + timespec[1] - deadline_ns
-            over = late_ns // period_ns
-            shared[WITHOUT] += over
-            shared[DEADLINE_NS] = deadline_ns + (1 + over) * period_ns
-            if shared[SENT] >= shared[LAST]:
-                shared[WITHOUT] += 1
-                continue
-            lateness_ns[shared[SENT] % REMEMBERED] = late_ns
-            shared[SENT] += 1  # before it is out: nobody receives one that is not counted
-            if send(descriptor, packet.ctypes.data, length, MSG_DONTWAIT | MSG_NOSIGNAL) != length:
-                shared[SENT] -= 1
-                shared[WITHOUT] += 1
-
-    return produce
 
 
 #: produce(shared, lateness_ns, timespec, period_ns, descriptor, packet, length)
-produce = _entry_point(number_of_sources(__file__, str(c_library.__file__)))
+@entry_point(INDICES, INDICES, INDICES, COUNT, COUNT, INDICES, COUNT)
+def produce(
+    shared: Places,
+    lateness_ns: Places,
+    timespec: Places,
+    period_ns: int,
+    descriptor: int,
+    packet: Places,
+    length: int,
+) -> None:
+    """Send `packet` (its first `length` bytes) to `descriptor` at each deadline until told to end.
+
+    `timespec`: room for one of the kernel. A period for which the machine did not wake the loop is gone, and
+    counted; no deadline is ever moved. Behind the last SYNC that may go out it waits for the bench to say more.
+    """
+    time = timespec.ctypes.data
+    if shared[END] == 0:
+        prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)  # else the kernel may wake it 50 µs late to save energy
+    while shared[END] == 0:
+        deadline_ns = shared[DEADLINE_NS]
+        timespec[0], timespec[1] = deadline_ns // _SECOND_NS, deadline_ns % _SECOND_NS
+        while clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, time, 0) != 0:
+            pass  # a signal
+        if shared[END] != 0:
+            return
+        clock_gettime(CLOCK_MONOTONIC, time)
+        late_ns = timespec[0] * _SECOND_NS + timespec[1] - deadline_ns
+        over = late_ns // period_ns
+        shared[WITHOUT] += over
+        shared[DEADLINE_NS] = deadline_ns + (1 + over) * period_ns
+        if shared[SENT] >= shared[LAST]:
+            shared[WITHOUT] += 1
+            continue
+        lateness_ns[shared[SENT] % REMEMBERED] = late_ns
+        shared[SENT] += 1  # before it is out: nobody receives one that is not counted
+        if send(descriptor, packet.ctypes.data, length, MSG_DONTWAIT | MSG_NOSIGNAL) != length:
+            shared[SENT] -= 1
+            shared[WITHOUT] += 1

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.can import compiled_wire, wire
 from hilbench.can.compiled_wire import bits_on_wire
-from hilbench.chain import GOES_ON, Function
+from hilbench.chain import GOES_ON
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
 from hilbench.compiled import (
     COUNT,
@@ -20,11 +19,9 @@ from hilbench.compiled import (
     entry_point,
     floats,
     integers,
-    number_of_sources,
     table_of,
     viewed,
 )
-from hilbench.exchange import measured
 from hilbench.exchange.measured import take_twin
 from hilbench.plain import layout as lay
 from hilbench.plain.layout import Bytes, Real, Row, Rows, Single, Whole
@@ -299,95 +296,94 @@ def _encode(targets: Rows, sent: Rows, set_points: Real, whole: Whole, real: Rea
     return _all_fit(sent, whole, real, single)
 
 
-def _entry_points(sources: int) -> tuple[Function, Function]:
-    """The compiled functions that Python calls; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def exchange(bitrate: int, table: Table) -> int:
-        if sources < 0 or len(table) == 0:
-            return GOES_ON
-        targets, frames = (
-            viewed(integers(table, _TARGETS, (1,)), _TARGET),
-            viewed(integers(table, _FRAMES, (1,)), _FRAME),
-        )
-        sent, received = viewed(integers(table, _SENT, (1,)), _FIELD), viewed(integers(table, _RECEIVED, (1,)), _FIELD)
-        drives, seen = viewed(integers(table, _DRIVES, (1,)), _DRIVE), viewed(integers(table, _SEEN, (1,)), _SEEN_BY)
-        whole, real, set_points = (
-            integers(table, _WHOLE, (1,)),
-            floats(table, _REAL, (1,)),
-            floats(table, _ASKING, (1,)),
-        )
-        given, left = integers(table, _GIVEN, (1,)), integers(table, _LEFT, (1,))
-        data, heads = viewed(integers(table, _DATA, (1,)), _OCTET), viewed(integers(table, _HEADS, (1,)), _OCTET)
-        text, scratch = viewed(integers(table, _TEXT, (1,)), _OCTET), viewed(integers(table, _SCRATCH, (1,)), _OCTET)
-        single, double = viewed(scratch, _SINGLE), floats(table, _SCRATCH, (1,))
-        feedback, asked = floats(table, _FEEDBACK, (1,)), floats(table, _ASKED, (1,))
-        if not _encode(targets, sent, set_points, whole, real, single):
-            return DOES_NOT_FIT
-        bits_of = left[_O_SIZE:]
-        left[:] = 0
-        taken = 0
+#: exchange(bitrate, table of `Vectors`): the frames of a cycle over the wire; DOES_NOT_FIT, and nothing done, where a
+#: value does not.
+#: publish(0, table): feedback into the objects; FAULT, and nothing done, where one would follow.
+@entry_point(COUNT, TABLE)
+def exchange(bitrate: int, table: Table) -> int:
+    if len(table) == 0:
+        return GOES_ON
+    targets, frames = (
+        viewed(integers(table, _TARGETS, (1,)), _TARGET),
+        viewed(integers(table, _FRAMES, (1,)), _FRAME),
+    )
+    sent, received = viewed(integers(table, _SENT, (1,)), _FIELD), viewed(integers(table, _RECEIVED, (1,)), _FIELD)
+    drives, seen = viewed(integers(table, _DRIVES, (1,)), _DRIVE), viewed(integers(table, _SEEN, (1,)), _SEEN_BY)
+    whole, real, set_points = (
+        integers(table, _WHOLE, (1,)),
+        floats(table, _REAL, (1,)),
+        floats(table, _ASKING, (1,)),
+    )
+    given, left = integers(table, _GIVEN, (1,)), integers(table, _LEFT, (1,))
+    data, heads = viewed(integers(table, _DATA, (1,)), _OCTET), viewed(integers(table, _HEADS, (1,)), _OCTET)
+    text, scratch = viewed(integers(table, _TEXT, (1,)), _OCTET), viewed(integers(table, _SCRATCH, (1,)), _OCTET)
+    single, double = viewed(scratch, _SINGLE), floats(table, _SCRATCH, (1,))
+    feedback, asked = floats(table, _FEEDBACK, (1,)), floats(table, _ASKED, (1,))
+    if not _encode(targets, sent, set_points, whole, real, single):
+        return DOES_NOT_FIT
+    bits_of = left[_O_SIZE:]
+    left[:] = 0
+    taken = 0
+    for k in range(len(frames)):
+        frame = frames[k]
+        if not _is_due(frame, given[_I_CLOCKS + frame.clock]):
+            continue
+        octets = data[8 * k : 8 * k + 8]
+        for at in range(frame.first, frame.last):
+            _put(sent[at], whole, real, scratch, single, double, octets)
+        while taken < len(received) and received[taken].frame <= k:
+            if received[taken].frame == k:
+                _get(received[taken], whole, real, scratch, single, double, octets)
+            taken += 1
+        bits = bits_on_wire(frame.crc, frame.stuffing, frame.bits, octets, frame.size)
+        bits_of[k] = bits
+        left[_O_FRAMES] += 1
+        left[_O_BITS] += bits
+        left[_O_DURATION_NS] += bits * _SECOND_NS // bitrate
+        left[_O_TIMED] += frame.timing == _BY_TIME
+    for k in range(len(drives)):
+        _follow(drives[k], whole)
+        asked[k] = drives[k].set_point
+    for k in range(len(seen)):
+        _see(seen[k], whole, feedback[4 * k : 4 * k + 4])
+    of_drives, said, came = (
+        floats(table, _OF_DRIVES, (1,)),
+        floats(table, _SAID, (1,)),
+        integers(table, _CAME, (1,)),
+    )
+    for k in range(len(of_drives)):  # with slices numba would have a text ready for two of unequal length
+        of_drives[k] = feedback[k]
+    _hear(viewed(integers(table, _SAID_ROWS, (1,)), _SAID_BY), bits_of, real, came, said)
+    take_twin(came, integers(table, _TORQUES, (1,)), floats(table, _BEFORE_NM, (1,)), of_drives, said)
+    _set_times(frames, bits_of, given[_I_START_NS], 1e9 / bitrate)
+    if len(text) > 0:
+        at = given[_I_TEXT]
         for k in range(len(frames)):
-            frame = frames[k]
-            if not _is_due(frame, given[_I_CLOCKS + frame.clock]):
-                continue
-            octets = data[8 * k : 8 * k + 8]
-            for at in range(frame.first, frame.last):
-                _put(sent[at], whole, real, scratch, single, double, octets)
-            while taken < len(received) and received[taken].frame <= k:
-                if received[taken].frame == k:
-                    _get(received[taken], whole, real, scratch, single, double, octets)
-                taken += 1
-            bits = bits_on_wire(frame.crc, frame.stuffing, frame.bits, octets, frame.size)
-            bits_of[k] = bits
-            left[_O_FRAMES] += 1
-            left[_O_BITS] += bits
-            left[_O_DURATION_NS] += bits * _SECOND_NS // bitrate
-            left[_O_TIMED] += frame.timing == _BY_TIME
-        for k in range(len(drives)):
-            _follow(drives[k], whole)
-            asked[k] = drives[k].set_point
-        for k in range(len(seen)):
-            _see(seen[k], whole, feedback[4 * k : 4 * k + 4])
-        of_drives, said, came = (
-            floats(table, _OF_DRIVES, (1,)),
-            floats(table, _SAID, (1,)),
-            integers(table, _CAME, (1,)),
-        )
-        for k in range(len(of_drives)):  # with slices numba would have a text ready for two of unequal length
-            of_drives[k] = feedback[k]
-        _hear(viewed(integers(table, _SAID_ROWS, (1,)), _SAID_BY), bits_of, real, came, said)
-        take_twin(came, integers(table, _TORQUES, (1,)), floats(table, _BEFORE_NM, (1,)), of_drives, said)
-        _set_times(frames, bits_of, given[_I_START_NS], 1e9 / bitrate)
-        if len(text) > 0:
-            at = given[_I_TEXT]
-            for k in range(len(frames)):
-                if bits_of[k]:
-                    at = trace_line(frames[k], heads, data[8 * k : 8 * k + 8], text, at)
-            left[_O_TEXT] = at
-        return GOES_ON
+            if bits_of[k]:
+                at = trace_line(frames[k], heads, data[8 * k : 8 * k + 8], text, at)
+        left[_O_TEXT] = at
+    return GOES_ON
 
-    @entry_point(COUNT, TABLE)
-    def publish(_: int, table: Table) -> int:
-        if sources < 0 or len(table) == 0:
-            return GOES_ON
-        drives = viewed(integers(table, _DRIVES, (1,)), _DRIVE)
-        ports, whole = floats(table, _SHOWN, (1,)), integers(table, _WHOLE, (1,))
-        for k in range(len(drives)):
-            drive, port = drives[k], ports[k * _PORT_SIZE : (k + 1) * _PORT_SIZE]
-            if not abs(port[1]) <= drive.overspeed_rad_s:
-                return FAULT
-            unit = drive.velocity_rad_s if drive.velocity else drive.torque_Nm
-            largest = abs(port[0] / drive.position_rad)
-            largest = max(largest, abs(port[1] / drive.velocity_rad_s), abs(port[1] / drive.vl_rad_s))
-            largest = max(largest, abs(port[2] / drive.torque_Nm), abs(port[3] / unit))
-            if not largest < _LARGEST:
-                return FAULT
-        for k in range(len(drives)):
-            _show(drives[k], ports[k * _PORT_SIZE : (k + 1) * _PORT_SIZE], whole)
-        return GOES_ON
 
-    return exchange, publish
+@entry_point(COUNT, TABLE)
+def publish(_: int, table: Table) -> int:
+    if len(table) == 0:
+        return GOES_ON
+    drives = viewed(integers(table, _DRIVES, (1,)), _DRIVE)
+    ports, whole = floats(table, _SHOWN, (1,)), integers(table, _WHOLE, (1,))
+    for k in range(len(drives)):
+        drive, port = drives[k], ports[k * _PORT_SIZE : (k + 1) * _PORT_SIZE]
+        if not abs(port[1]) <= drive.overspeed_rad_s:
+            return FAULT
+        unit = drive.velocity_rad_s if drive.velocity else drive.torque_Nm
+        largest = abs(port[0] / drive.position_rad)
+        largest = max(largest, abs(port[1] / drive.velocity_rad_s), abs(port[1] / drive.vl_rad_s))
+        largest = max(largest, abs(port[2] / drive.torque_Nm), abs(port[3] / unit))
+        if not largest < _LARGEST:
+            return FAULT
+    for k in range(len(drives)):
+        _show(drives[k], ports[k * _PORT_SIZE : (k + 1) * _PORT_SIZE], whole)
+    return GOES_ON
 
 
 @compiled
@@ -411,14 +407,6 @@ def _show(drive: Row, port: Real, whole: Whole) -> None:
     if drive.limited or port[4] != 0.0:
         bits |= _INTERNAL_LIMIT
     whole[drive.statusword] = bits
-
-
-#: Files that the machine code depends on.
-SOURCES = (__file__, *(str(module.__file__) for module in (lay, compiled_wire, wire, measured)))
-#: exchange(bitrate, table of `Vectors`): the frames of a cycle over the wire; DOES_NOT_FIT, and nothing done, where a
-#: value does not.
-#: publish(0, table): feedback into the objects; FAULT, and nothing done, where one would follow.
-exchange, publish = _entry_points(number_of_sources(*SOURCES))
 
 
 def warm_up() -> None:

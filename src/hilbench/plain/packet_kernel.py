@@ -7,14 +7,12 @@ expected stays in the buffer, for Python.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench import c_library
 from hilbench.c_library import CLOCK_MONOTONIC, MSG_DONTWAIT, MSG_NOSIGNAL, clock_gettime, recv, send
 from hilbench.can import protocol
 from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, NmtState
@@ -26,7 +24,6 @@ from hilbench.compiled import (
     compiled,
     entry_point,
     integers,
-    number_of_sources,
     table_of,
     viewed,
 )
@@ -267,109 +264,6 @@ def _gather(packet: Bytes, length: int, numbers: Whole, cob_ids: Whole, sizes: W
     return True
 
 
-Answer = Callable[[Table, Table, int], int]
-Ask = Callable[[Table, Table, int], int]
-Gather = Callable[[Table, int, int], int]
-TakeApart = Callable[[Table, Table, Table, int], bool]
-
-
-def _entry_points(sources: int) -> tuple[Answer, Ask, Gather, TakeApart]:
-    """The compiled functions that Python calls; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(TABLE, TABLE, COUNT)
-    def answer(table: Table, port: Table, stage: int) -> int:
-        if sources < 0 or len(port) == 0:
-            return NOTHING
-        numbers, packet = integers(port, _NUMBERS, (1,)), viewed(integers(port, _IN, (1,)), _OCTET)
-        expected, checks = integers(port, _EXPECTED, (1, 2)), integers(port, _CHECKS, (1, 2))
-        data, left = viewed(integers(port, _DATA, (1,)), _OCTET), integers(port, _LEFT, (1,))
-        if stage == RECEIVE:
-            length = recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, 0)
-            if length <= 0:
-                return NOTHING
-            numbers[LENGTH] = length
-        length, timespec = numbers[LENGTH], integers(port, _TIME, (1,))
-        clock_gettime(CLOCK_MONOTONIC, numbers[TIME_AT])
-        numbers[NOW_NS] = timespec[0] * _SECOND_NS + timespec[1]
-        heartbeat = _heartbeat_in(packet, length, numbers[DROPPED], expected)
-        if (
-            heartbeat < 0
-            or numbers[NOW_NS] > numbers[UNTIL_NS]
-            or not _passes(packet, _HEADER + _DATA_AT, _RECEIVED, checks)
-        ):
-            return OTHER
-        if heartbeat > 0 and stage != HEARD:
-            numbers[HEARTBEAT_OF] = heartbeat
-            return ALIVE
-        _take(packet, length, expected, data)
-        if kernel.exchange(BITRATE, table) != GOES_ON:
-            return OTHER
-        answers = integers(port, _ANSWERS, (1, 2))
-        if len(answers) == 0:
-            return ANSWERED
-        out = viewed(integers(port, _OUT, (1,)), _OCTET)
-        numbers[OUT_LENGTH] = _pack(answers, len(expected), left[_O_SIZE:], data, out)
-        sent = send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], MSG_DONTWAIT | MSG_NOSIGNAL)
-        return ANSWERED if sent == numbers[OUT_LENGTH] else UNSENT
-
-    @entry_point(TABLE, TABLE, COUNT)
-    def ask(table: Table, port: Table, bitrate: int) -> int:
-        if sources < 0 or len(port) == 0:
-            return NOTHING
-        numbers, left = integers(port, _NUMBERS, (1,)), integers(port, _LEFT, (1,))
-        length = recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, MSG_DONTWAIT)
-        numbers[LENGTH] = max(length, 0)
-        if length >= 0 or kernel.exchange(bitrate, table) != GOES_ON:
-            return OTHER
-        data, out = viewed(integers(port, _DATA, (1,)), _OCTET), viewed(integers(port, _OUT, (1,)), _OCTET)
-        numbers[OUT_LENGTH] = _pack(integers(port, _ANSWERS, (1, 2)), 0, left[_O_SIZE:], data, out)
-        sent = send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], MSG_DONTWAIT | MSG_NOSIGNAL)
-        return ANSWERED if sent == numbers[OUT_LENGTH] else UNSENT
-
-    @entry_point(TABLE, COUNT, COUNT)
-    def gather(gathered: Table, answers: int, stage: int) -> int:
-        if sources < 0 or len(gathered) == 0:
-            return NOTHING
-        numbers, lengths = integers(gathered, _G_NUMBERS, (1,)), integers(gathered, _G_LENGTHS, (1,))
-        cob_ids, sizes = integers(gathered, _G_COB_IDS, (1,)), integers(gathered, G_SIZES, (1,))
-        data = viewed(integers(gathered, G_DATA, (1,)), _OCTET)
-        packets = viewed(integers(gathered, _G_PACKETS, (1,)), _OCTET)
-        while numbers[ANSWERS_CAME] < answers:
-            end, count = numbers[IN_END], numbers[PACKETS_CAME]
-            if end + _PACKET_BYTES > len(packets) or count == len(lengths):
-                return OTHER
-            if stage == RECEIVE:
-                length = recv(numbers[DESCRIPTOR], numbers[IN_AT] + end, _PACKET_BYTES, 0)
-                if length <= 0:
-                    return NOTHING
-                numbers[LENGTH] = length
-            stage, length = RECEIVE, numbers[LENGTH]
-            lengths[count] = length
-            numbers[PACKETS_CAME] += 1
-            numbers[IN_END] += length
-            if not _gather(packets[end : end + length], length, numbers, cob_ids, sizes, data):
-                return OTHER
-        return ANSWERED
-
-    @entry_point(TABLE, TABLE, TABLE, COUNT)
-    def take_apart(table: Table, order: Table, gathered: Table, bitrate: int) -> bool:
-        if sources < 0 or len(order) == 0:
-            return False
-        expected, checks = integers(order, _EXPECTED, (1, 2)), integers(order, _CHECKS, (1, 2))
-        sizes, data = integers(gathered, G_SIZES, (1,)), viewed(integers(order, _DATA, (1,)), _OCTET)
-        came = viewed(integers(gathered, G_DATA, (1,)), _OCTET)
-        for row in range(len(expected)):
-            if sizes[row] != expected[row, SIZE]:
-                return False
-        if not _passes(came, 0, 8, checks):
-            return False
-        for k in range(8 * len(expected)):
-            data[k] = came[k]
-        return kernel.exchange(bitrate, table) == GOES_ON
-
-    return answer, ask, gather, take_apart
-
-
 #: answer(table of `kernel.Vectors`, table of `Port`, where to begin): receive a packet, do with it what `exchange`
 #: does, and send what is to be answered; what has become of it.
 #: ask(table of `kernel.Vectors`, table of `Port`, bitrate): send what is in the frames; OTHER, and nothing done, where
@@ -378,9 +272,99 @@ def _entry_points(sources: int) -> tuple[Answer, Ask, Gather, TakeApart]:
 #: have come: ANSWERED; OTHER: a packet is of another kind, or says that frames were lost.
 #: take_apart(table of `kernel.Vectors`, table of `Port`, table of `Gathered`, bitrate): what `exchange` does with what
 #: was gathered; False, and nothing done, where that is not what is expected.
-answer, ask, gather, take_apart = _entry_points(
-    number_of_sources(__file__, str(c_library.__file__), str(protocol.__file__), *kernel.SOURCES)
-)
+@entry_point(TABLE, TABLE, COUNT)
+def answer(table: Table, port: Table, stage: int) -> int:
+    if len(port) == 0:
+        return NOTHING
+    numbers, packet = integers(port, _NUMBERS, (1,)), viewed(integers(port, _IN, (1,)), _OCTET)
+    expected, checks = integers(port, _EXPECTED, (1, 2)), integers(port, _CHECKS, (1, 2))
+    data, left = viewed(integers(port, _DATA, (1,)), _OCTET), integers(port, _LEFT, (1,))
+    if stage == RECEIVE:
+        length = recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, 0)
+        if length <= 0:
+            return NOTHING
+        numbers[LENGTH] = length
+    length, timespec = numbers[LENGTH], integers(port, _TIME, (1,))
+    clock_gettime(CLOCK_MONOTONIC, numbers[TIME_AT])
+    numbers[NOW_NS] = timespec[0] * _SECOND_NS + timespec[1]
+    heartbeat = _heartbeat_in(packet, length, numbers[DROPPED], expected)
+    if (
+        heartbeat < 0
+        or numbers[NOW_NS] > numbers[UNTIL_NS]
+        or not _passes(packet, _HEADER + _DATA_AT, _RECEIVED, checks)
+    ):
+        return OTHER
+    if heartbeat > 0 and stage != HEARD:
+        numbers[HEARTBEAT_OF] = heartbeat
+        return ALIVE
+    _take(packet, length, expected, data)
+    if kernel.exchange(BITRATE, table) != GOES_ON:
+        return OTHER
+    answers = integers(port, _ANSWERS, (1, 2))
+    if len(answers) == 0:
+        return ANSWERED
+    out = viewed(integers(port, _OUT, (1,)), _OCTET)
+    numbers[OUT_LENGTH] = _pack(answers, len(expected), left[_O_SIZE:], data, out)
+    sent = send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], MSG_DONTWAIT | MSG_NOSIGNAL)
+    return ANSWERED if sent == numbers[OUT_LENGTH] else UNSENT
+
+
+@entry_point(TABLE, TABLE, COUNT)
+def ask(table: Table, port: Table, bitrate: int) -> int:
+    if len(port) == 0:
+        return NOTHING
+    numbers, left = integers(port, _NUMBERS, (1,)), integers(port, _LEFT, (1,))
+    length = recv(numbers[DESCRIPTOR], numbers[IN_AT], _PACKET_BYTES, MSG_DONTWAIT)
+    numbers[LENGTH] = max(length, 0)
+    if length >= 0 or kernel.exchange(bitrate, table) != GOES_ON:
+        return OTHER
+    data, out = viewed(integers(port, _DATA, (1,)), _OCTET), viewed(integers(port, _OUT, (1,)), _OCTET)
+    numbers[OUT_LENGTH] = _pack(integers(port, _ANSWERS, (1, 2)), 0, left[_O_SIZE:], data, out)
+    sent = send(numbers[DESCRIPTOR], numbers[OUT_AT], numbers[OUT_LENGTH], MSG_DONTWAIT | MSG_NOSIGNAL)
+    return ANSWERED if sent == numbers[OUT_LENGTH] else UNSENT
+
+
+@entry_point(TABLE, COUNT, COUNT)
+def gather(gathered: Table, answers: int, stage: int) -> int:
+    if len(gathered) == 0:
+        return NOTHING
+    numbers, lengths = integers(gathered, _G_NUMBERS, (1,)), integers(gathered, _G_LENGTHS, (1,))
+    cob_ids, sizes = integers(gathered, _G_COB_IDS, (1,)), integers(gathered, G_SIZES, (1,))
+    data = viewed(integers(gathered, G_DATA, (1,)), _OCTET)
+    packets = viewed(integers(gathered, _G_PACKETS, (1,)), _OCTET)
+    while numbers[ANSWERS_CAME] < answers:
+        end, count = numbers[IN_END], numbers[PACKETS_CAME]
+        if end + _PACKET_BYTES > len(packets) or count == len(lengths):
+            return OTHER
+        if stage == RECEIVE:
+            length = recv(numbers[DESCRIPTOR], numbers[IN_AT] + end, _PACKET_BYTES, 0)
+            if length <= 0:
+                return NOTHING
+            numbers[LENGTH] = length
+        stage, length = RECEIVE, numbers[LENGTH]
+        lengths[count] = length
+        numbers[PACKETS_CAME] += 1
+        numbers[IN_END] += length
+        if not _gather(packets[end : end + length], length, numbers, cob_ids, sizes, data):
+            return OTHER
+    return ANSWERED
+
+
+@entry_point(TABLE, TABLE, TABLE, COUNT)
+def take_apart(table: Table, order: Table, gathered: Table, bitrate: int) -> bool:
+    if len(order) == 0:
+        return False
+    expected, checks = integers(order, _EXPECTED, (1, 2)), integers(order, _CHECKS, (1, 2))
+    sizes, data = integers(gathered, G_SIZES, (1,)), viewed(integers(order, _DATA, (1,)), _OCTET)
+    came = viewed(integers(gathered, G_DATA, (1,)), _OCTET)
+    for row in range(len(expected)):
+        if sizes[row] != expected[row, SIZE]:
+            return False
+    if not _passes(came, 0, 8, checks):
+        return False
+    for k in range(8 * len(expected)):
+        data[k] = came[k]
+    return kernel.exchange(bitrate, table) == GOES_ON
 
 
 def warm_up() -> None:

@@ -8,13 +8,12 @@ behind the play until the play is crossed. Ways in the unit of the position.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import REAL, VECTOR, entry_point, inlined, number_of_sources
+from hilbench.compiled import REAL, VECTOR, entry_point, inlined
 
 Vector = NDArray[np.float64]
 
@@ -36,22 +35,11 @@ def friction_direction(deflection: float, half_play: float, presliding: float) -
     return share if deflection > 0.0 else -share
 
 
-Directions = Callable[[Vector, float, float, Vector], None]
-
-
-def _entry_point(sources: int) -> Directions:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR, REAL, REAL, VECTOR)
-    def directions(x: Vector, half_play: float, presliding: float, out: Vector) -> None:
-        deflection = 0.0
-        for k in range(len(x)):
-            step = x[k] - x[k - 1] if k > 0 and sources >= 0 else 0.0
-            deflection = wound(deflection, step, half_play, presliding)
-            out[k] = friction_direction(deflection, half_play, presliding)
-
-    return directions
-
-
 #: friction_directions(position (n,), half_play, presliding, out (n,)): the direction at each row, from no deflection.
-friction_directions = _entry_point(number_of_sources(__file__))
+@entry_point(VECTOR, REAL, REAL, VECTOR)
+def friction_directions(x: Vector, half_play: float, presliding: float, out: Vector) -> None:
+    deflection = 0.0
+    for k in range(len(x)):
+        step = x[k] - x[k - 1] if k > 0 else 0.0
+        deflection = wound(deflection, step, half_play, presliding)
+        out[k] = friction_direction(deflection, half_play, presliding)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.chain import Chained
-from hilbench.compiled import FLAG, VECTOR, compiled, entry_point, number_of_sources
+from hilbench.compiled import FLAG, VECTOR, compiled, entry_point
 from hilbench.plant import pairing
 from hilbench.plant.pairing import Pairing, Vector, own_travels, paired
 
@@ -93,23 +93,14 @@ def tell(values: Vector, at: NDArray[np.int64], torques: Vector, shown: Vector) 
         values[at[k]] = shown[at[k + 1]]
 
 
-def _entry_points(
-    sources: int,
-) -> tuple[Callable[[Vector, Vector, Vector, Vector, bool], float], Callable[[Vector], float]]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, FLAG)
-    def gone(m: Vector, travels: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
-        return elapsed_s(m, travels, positions, speeds, late) if sources >= 0 else 0.0
-
-    @entry_point(VECTOR)
-    def ahead(m: Vector) -> float:
-        return ahead_s(m) if sources >= 0 else 0.0
-
-    return gone, ahead
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, FLAG)
+def _gone(m: Vector, travels: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
+    return elapsed_s(m, travels, positions, speeds, late)
 
 
-_gone, _ahead = _entry_points(number_of_sources(pairing.__file__, __file__))
+@entry_point(VECTOR)
+def _ahead(m: Vector) -> float:
+    return ahead_s(m)
 
 
 class MeasuredMotion:

@@ -6,14 +6,13 @@ the way of a cycle, which is many times what the web is strained by: 6 mm agains
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from struct import pack_into
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import REAL, VECTOR, compiled, entry_point, number_of_sources
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point
 
 Vector = NDArray[np.float64]
 
@@ -191,38 +190,24 @@ def forget_own_travels(state: Vector) -> None:
     state[:_OF_AXES] = 0.0
 
 
-class _Compiled(NamedTuple):
-    """What Python calls."""
-
-    paired: Callable[[Vector, Vector, float], bool]
-    comes_steadily: Callable[[Vector, float], bool]
-    own_travels: Callable[[Vector, Vector], bool]
-    whole_cycles: Callable[[Vector, Vector, Vector, float], float]
+@entry_point(VECTOR, VECTOR, REAL)
+def _paired(state: Vector, positions: Vector, least_travel: float) -> bool:
+    return paired(state, positions, least_travel)
 
 
-def _entry_points(sources: int) -> _Compiled:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(VECTOR, VECTOR, REAL)
-    def paired_once(state: Vector, positions: Vector, least_travel: float) -> bool:
-        return paired(state, positions, least_travel) if sources >= 0 else False
-
-    @entry_point(VECTOR, REAL)
-    def comes_once(state: Vector, x_m: float) -> bool:
-        return comes_steadily(state, x_m) if sources >= 0 else False
-
-    @entry_point(VECTOR, VECTOR)
-    def own_once(state: Vector, positions: Vector) -> bool:
-        return own_travels(state, positions) if sources >= 0 else False
-
-    @entry_point(VECTOR, VECTOR, VECTOR, REAL)
-    def whole(travels: Vector, usual: Vector, plays: Vector, told: float) -> float:
-        return whole_cycles(travels, usual, plays, told) if sources >= 0 else -1.0
-
-    return _Compiled(paired_once, comes_once, own_once, whole)
+@entry_point(VECTOR, REAL)
+def _comes_steadily(state: Vector, x_m: float) -> bool:
+    return comes_steadily(state, x_m)
 
 
-_paired, _comes_steadily, _own_travels, _whole_cycles = _entry_points(number_of_sources(__file__))
+@entry_point(VECTOR, VECTOR)
+def _own_travels(state: Vector, positions: Vector) -> bool:
+    return own_travels(state, positions)
+
+
+@entry_point(VECTOR, VECTOR, VECTOR, REAL)
+def _whole_cycles(travels: Vector, usual: Vector, plays: Vector, told: float) -> float:
+    return whole_cycles(travels, usual, plays, told)
 
 
 class Pairing:

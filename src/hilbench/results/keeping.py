@@ -6,31 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.bench.tasks.task import Pieces
-from hilbench.chain import GOES_ON, Chained, Function, never
-from hilbench.compiled import COUNT, TABLE, entry_point, integers, number_of_sources, table_of
+from hilbench.chain import GOES_ON, Chained, never
+from hilbench.compiled import COUNT, TABLE, entry_point, integers, table_of
 from hilbench.results.recording import RecordingBuilder
 from hilbench.topology.sample import CycleSample
 
 
-def _entry_point(sources: int) -> Function:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def keep(_: int, table: NDArray[np.int64]) -> int:
-        if sources < 0 or len(table) == 0:
-            return GOES_ON
-        words, block, used = integers(table, 0, (1,)), integers(table, 1, (1, 2)), integers(table, 2, (1,))
-        at = used[0]
-        for k in range(block.shape[1]):
-            block[at, k] = words[k]
-        used[0] = at + 1
-        return GOES_ON
-
-    return keep
-
-
 #: keep(0, table of a sample as whole numbers, block (n, m) of rows as such, how many of them are used (1,)).
-_keep = _entry_point(number_of_sources(__file__))
+@entry_point(COUNT, TABLE)
+def _keep(_: int, table: NDArray[np.int64]) -> int:
+    if len(table) == 0:
+        return GOES_ON
+    words, block, used = integers(table, 0, (1,)), integers(table, 1, (1, 2)), integers(table, 2, (1,))
+    at = used[0]
+    for k in range(block.shape[1]):
+        block[at, k] = words[k]
+    used[0] = at + 1
+    return GOES_ON
 
 
 class Keeping:

@@ -6,7 +6,7 @@ import os
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -28,7 +28,6 @@ from hilbench.canopen.master import Master
 from hilbench.canopen.mastery import mastery
 from hilbench.canopen.object_store import ObjectStore
 from hilbench.canopen.sdo_client import SentFrames
-from hilbench.compiled import all_compiled
 from hilbench.copies import Copy, Preparation, copies
 from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
 from hilbench.exchange.exchange import Exchange
@@ -42,7 +41,7 @@ from hilbench.real_time import comes_first, kept_ready
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part
 from hilbench.topology.resolved import remember, write_resolved
-from hilbench.twin.machines.kinds import maker, warm_up
+from hilbench.twin.machines.kinds import warm_up
 
 if TYPE_CHECKING:
     from hilbench.bench.lifecycle.in_process import InProcess
@@ -277,25 +276,24 @@ def _processes_beside(config: BenchConfig, participants: Participants) -> dict[s
     return beside
 
 
-def _load_hardware(config: BenchConfig) -> Callable[[], object] | None:
+def _load_hardware(config: BenchConfig) -> None:
     from hilbench.hardware.simulation import load  # the bench itself need not load it
 
     remember(config)
-    return partial(load, config) if all_compiled() else None  # else it would compile what the others do
+    load(config)
 
 
-def _load_twin(config: BenchConfig) -> Callable[[], object] | None:
+def _load_twin(config: BenchConfig) -> None:
     from hilbench.twin.run import load
 
     remember(config)
-    maker(config.machine)
-    return partial(load, config) if all_compiled() else None
+    load(config)
 
 
 def start_children(config: BenchConfig, folder: Path, copies: dict[str, Copy] | None = None) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
     waiting = {} if copies is None else copies
-    if not _are_compiled(config, waiting):
+    if TWIN not in waiting:
         # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
         warm_up(config.machine, config.twin, config.shape, config.cycle_time_s)
     path = folder / "config.yaml"
@@ -309,15 +307,6 @@ def start_children(config: BenchConfig, folder: Path, copies: dict[str, Copy] | 
     twin = ["hilbench.twin", *arguments]
     children.append(ChildProcess(TWIN, twin, folder / "twin.log", copy=waiting.pop(TWIN, None)))
     return children
-
-
-def _are_compiled(config: BenchConfig, waiting: Mapping[str, Copy]) -> bool:
-    """Whether what they run on is on disk: copies have looked, and this process need not load anything of it."""
-    names = [TWIN, *([_HARDWARE] if config.simulated_drives else [])]
-    if all(name in waiting and waiting[name].can for name in names):
-        return True
-    maker(config.machine)  # `all_compiled` looks at what is imported
-    return all_compiled()
 
 
 def _start_supervisor(config: BenchConfig, folder: Path, copies: dict[str, Copy]) -> ChildProcess | None:
@@ -345,12 +334,20 @@ def _configure(
         for child in children:
             child.check()
 
+    def wait_until_prepared(name: str) -> None:
+        """It may have to compile first, for longer than a node has to boot."""
+        for child in children:
+            if child.name == name:
+                child.wait_until_prepared()
+
     timeout_s, twin = config.master.boot_timeout_s, list(config.virtual_nodes)
     drives = [part.node.node_id for part in config.parts if part.node.node_id not in twin]
+    wait_until_prepared(_HARDWARE)
     master.wait_for_boot(drives, timeout_s, check, beside=twin)
     with _beside_each_other(len(config.parts), participants) as to_each:
         found = ask_all(master, config, to_each)
         nodes.configure_drives(master, to_each)
+        wait_until_prepared(TWIN)
         master.wait_for_boot(twin, timeout_s, check)
         nodes.configure_twin(master, to_each)
     return found

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from hilbench.bench.tasks.limits import LOUD, QUIET, Levels, Look
 from hilbench.bench.tasks.task import OfSample
-from hilbench.chain import Function
-from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, number_of_sources, table_of
+from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, table_of
 from hilbench.topology.sample import CycleSample, PlacesIn
 from hilbench.twin.virtual_io import SYNCHRONIZED
 
@@ -28,49 +27,41 @@ _CYCLE_S, _APART, _RATIO, _STARTED, _WARNED, _COUNT = range(6)
 _AT_START, _COMMANDED, _SIZE, _OFF_ROWS = range(4)
 
 
-def _entry_point(sources: int) -> Function:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def look(status: int, table: Table) -> int:
-        if sources < 0 or len(table) == 0:
-            return QUIET
-        values, at, told_from = (
-            floats(table, _VALUES, (1,)),
-            integers(table, _AT, (1,)),
-            floats(table, _TOLD_FROM, (1,)),
-        )
-        figures, models, off = (
-            floats(table, _FIGURES, (1,)),
-            floats(table, _MODELS, (1,)),
-            floats(table, _OFF, (1, 2)),
-        )
-        sizes, pairs = len(told_from), off.shape[1]
-        estimate = sizes
-        position, command = estimate + len(models), estimate + len(models) + pairs + 1
-        loud = 0 if figures[_WARNED] == 0.0 else 1
-        for k in range(pairs):
-            apart = values[at[position + k]] - values[at[position + k + 1]]
-            if figures[_STARTED] == 0.0:
-                off[_AT_START, k] = apart
-            off[_COMMANDED, k] += (values[at[command + k]] - values[at[command + k + 1]]) * figures[_CYCLE_S]
-            off[_SIZE, k] = abs(apart - off[_AT_START, k] - off[_COMMANDED, k])
-            loud += not off[_SIZE, k] < figures[_APART]
-        figures[_STARTED] = 1.0
-        for k in range(sizes):
-            loud += not -told_from[k] < values[at[k]] < told_from[k]
-        if integers(table, _WORDS, (1,))[status] & SYNCHRONIZED != 0:
-            for k in range(len(models)):
-                ratio = values[at[estimate + k]] / models[k]
-                loud += not (ratio > 0.0 and max(ratio, 1.0 / ratio) < figures[_RATIO])
-        return QUIET if loud == 0 else LOUD
-
-    return look
-
-
 #: look(place of the twin's status, table): QUIET where everything is so small that there is nothing to say, and no
 #: warning is on, as in nearly every cycle.
-_look = _entry_point(number_of_sources(__file__))
+@entry_point(COUNT, TABLE)
+def _look(status: int, table: Table) -> int:
+    if len(table) == 0:
+        return QUIET
+    values, at, told_from = (
+        floats(table, _VALUES, (1,)),
+        integers(table, _AT, (1,)),
+        floats(table, _TOLD_FROM, (1,)),
+    )
+    figures, models, off = (
+        floats(table, _FIGURES, (1,)),
+        floats(table, _MODELS, (1,)),
+        floats(table, _OFF, (1, 2)),
+    )
+    sizes, pairs = len(told_from), off.shape[1]
+    estimate = sizes
+    position, command = estimate + len(models), estimate + len(models) + pairs + 1
+    loud = 0 if figures[_WARNED] == 0.0 else 1
+    for k in range(pairs):
+        apart = values[at[position + k]] - values[at[position + k + 1]]
+        if figures[_STARTED] == 0.0:
+            off[_AT_START, k] = apart
+        off[_COMMANDED, k] += (values[at[command + k]] - values[at[command + k + 1]]) * figures[_CYCLE_S]
+        off[_SIZE, k] = abs(apart - off[_AT_START, k] - off[_COMMANDED, k])
+        loud += not off[_SIZE, k] < figures[_APART]
+    figures[_STARTED] = 1.0
+    for k in range(sizes):
+        loud += not -told_from[k] < values[at[k]] < told_from[k]
+    if integers(table, _WORDS, (1,))[status] & SYNCHRONIZED != 0:
+        for k in range(len(models)):
+            ratio = values[at[estimate + k]] / models[k]
+            loud += not (ratio > 0.0 and max(ratio, 1.0 / ratio) < figures[_RATIO])
+    return QUIET if loud == 0 else LOUD
 
 
 class LimitLook:

@@ -7,8 +7,8 @@ from math import copysign
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import GOES_ON, Chained, Function, never
-from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, number_of_sources, table_of
+from hilbench.chain import GOES_ON, Chained, never
+from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, table_of
 from hilbench.topology.sample import CycleSample
 
 #: Cycles that a course is laid down for at once.
@@ -17,31 +17,24 @@ _LONGEST_COURSE = 256
 _NEXT, _END = range(2)
 
 
-def _entry_points(sources: int) -> tuple[Function, Function]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def follow(_: int, table: NDArray[np.int64]) -> int:
-        if sources < 0 or len(table) == 0:
-            return GOES_ON
-        at = integers(table, 2, (1,))
-        if at[_NEXT] < at[_END]:
-            floats(table, 0, (1,))[0] = floats(table, 1, (1,))[at[_NEXT]]
-            at[_NEXT] += 1
-        return GOES_ON
-
-    @entry_point(COUNT, TABLE)
-    def show(place: int, table: NDArray[np.int64]) -> int:
-        if sources >= 0 and len(table) > 0:
-            floats(table, 1, (1,))[place] = floats(table, 0, (1,))[0]
-        return GOES_ON
-
-    return follow, show
-
-
 #: follow(0, table of the present value (1,), a course, where it is (2,)): the value of the next cycle.
 #: show(place of a signal, table of the present value (1,), `reals` of a sample): what it is.
-_follow, _show = _entry_points(number_of_sources(__file__))
+@entry_point(COUNT, TABLE)
+def _follow(_: int, table: NDArray[np.int64]) -> int:
+    if len(table) == 0:
+        return GOES_ON
+    at = integers(table, 2, (1,))
+    if at[_NEXT] < at[_END]:
+        floats(table, 0, (1,))[0] = floats(table, 1, (1,))[at[_NEXT]]
+        at[_NEXT] += 1
+    return GOES_ON
+
+
+@entry_point(COUNT, TABLE)
+def _show(place: int, table: NDArray[np.int64]) -> int:
+    if len(table) > 0:
+        floats(table, 1, (1,))[place] = floats(table, 0, (1,))[0]
+    return GOES_ON
 
 
 class Reference:

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from hilbench.bench.tasks.limits import LOUD, QUIET, Look, load_motor_labels
 from hilbench.bench.tasks.task import OfSample
-from hilbench.chain import Function
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
-from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, number_of_sources, table_of
+from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, table_of
 from hilbench.plant.parameters import per_item
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
@@ -39,27 +38,21 @@ Vector = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 
-def _entry_point(sources: int) -> Function:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def look(_: int, table: Places) -> int:
-        if sources < 0 or len(table) == 0:
-            return QUIET
-        values, words, at = floats(table, 0, (1,)), integers(table, 1, (1,)), integers(table, 2, (1,))
-        at_limit_Nm, limited = floats(table, 3, (1,)), integers(table, 4, (1,))[0]
-        for k in range(len(at_limit_Nm)):
-            limited += abs(values[at[2 * k]]) >= at_limit_Nm[k] or words[at[2 * k + 1]] & _LIMITED != 0
-        return QUIET if limited == 0 else LOUD
-
-    return look
-
-
-_LIMITED = int(STATUS_INTERNAL_LIMIT)
 #: look(0, table of a sample, `reals` and `wholes`, where of each drive torque and statusword are in these (2 D,), the
 #: torque from which it is at its limit, N·m (D,), drives that were in the last cycle (1,)): QUIET where none is, as in
 #: nearly every cycle.
-_look = _entry_point(number_of_sources(__file__))
+@entry_point(COUNT, TABLE)
+def _look(_: int, table: Places) -> int:
+    if len(table) == 0:
+        return QUIET
+    values, words, at = floats(table, 0, (1,)), integers(table, 1, (1,)), integers(table, 2, (1,))
+    at_limit_Nm, limited = floats(table, 3, (1,)), integers(table, 4, (1,))[0]
+    for k in range(len(at_limit_Nm)):
+        limited += abs(values[at[2 * k]]) >= at_limit_Nm[k] or words[at[2 * k + 1]] & _LIMITED != 0
+    return QUIET if limited == 0 else LOUD
+
+
+_LIMITED = int(STATUS_INTERNAL_LIMIT)
 
 
 class SaturationWatch:

@@ -20,7 +20,6 @@ off. Below a fourth of ω the elongation is let go: there the tension loop is at
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos, exp, inf, sin, sqrt
 from struct import Struct
@@ -28,8 +27,7 @@ from struct import Struct
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import REAL, VECTOR, compiled, entry_point, interpreted, number_of_sources
-from hilbench.plant import pairing
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point, interpreted
 from hilbench.plant.pairing import paired, pairing_state
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -202,19 +200,11 @@ def damp(plant: Vector, gains: Vector, ways: Vector, s: Vector, positions_m: Vec
     return float(command)
 
 
-def _entry_point(sources: int) -> Callable[[Vector, Vector, Vector, Vector, Vector, float], float]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL)
-    def damp_once(
-        plant: Vector, gains: Vector, ways: Vector, s: Vector, positions_m: Vector, planned_m_s: float
-    ) -> float:
-        return damp(plant, gains, ways, s, positions_m, planned_m_s) if sources >= 0 else 0.0
-
-    return damp_once
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL)
+def _damp(plant: Vector, gains: Vector, ways: Vector, s: Vector, positions_m: Vector, planned_m_s: float) -> float:
+    return damp(plant, gains, ways, s, positions_m, planned_m_s)
 
 
-_damp = _entry_point(number_of_sources(pairing.__file__, __file__))
 _POSITIONS = Struct("=2d")
 _has_changed = interpreted(has_changed)
 

@@ -16,12 +16,10 @@ a slower pole would be cancelled for the set point only, and a disturbance would
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import REAL, VECTOR, compiled, entry_point, number_of_sources
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.web_line_config import TensionControlConfig
@@ -119,25 +117,14 @@ def control(
     return float((line_m_s if np.isnan(around_m_s) else around_m_s) - correction)
 
 
-Schedule = Callable[[Vector, float], tuple[float, float, float]]
-Gains = Callable[[Vector, float, float], tuple[float, float]]
+@entry_point(VECTOR, REAL)
+def _schedule_once(figures: Vector, modulus_Pa: float) -> tuple[float, float, float]:
+    return _schedule(figures, modulus_Pa)
 
 
-def _entry_points(sources: int) -> tuple[Schedule, Gains]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(VECTOR, REAL)
-    def schedule(figures: Vector, modulus_Pa: float) -> tuple[float, float, float]:
-        return _schedule(figures, modulus_Pa) if sources >= 0 else (0.0, 0.0, 0.0)
-
-    @entry_point(VECTOR, REAL, REAL)
-    def gains(figures: Vector, line_m_s: float, modulus_Pa: float) -> tuple[float, float]:
-        return _gains(figures, line_m_s, modulus_Pa) if sources >= 0 else (0.0, 0.0)
-
-    return schedule, gains
-
-
-_schedule_once, _gains_once = _entry_points(number_of_sources(__file__))
+@entry_point(VECTOR, REAL, REAL)
+def _gains_once(figures: Vector, line_m_s: float, modulus_Pa: float) -> tuple[float, float]:
+    return _gains(figures, line_m_s, modulus_Pa)
 
 
 class TensionController:

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.tasks import swing_damping, tension_control, tension_trust, web_strain_trajectory
 from hilbench.bench.tasks.swing_damping import damp, has_changed
 from hilbench.bench.tasks.tension_control import control
 from hilbench.bench.tasks.tension_trust import TOLD, TRUSTED, judged
@@ -23,9 +22,8 @@ from hilbench.bench.tasks.web_strain_trajectory import (
     trajectory_tension_N,
     trajectory_velocity,
 )
-from hilbench.chain import GOES_ON, Function
-from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, compiled, entry_point, floats, integers, number_of_sources
-from hilbench.plant import pairing
+from hilbench.chain import GOES_ON
+from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, compiled, entry_point, floats, integers
 
 Table = NDArray[np.int64]
 Vector = NDArray[np.float64]
@@ -132,42 +130,26 @@ def _control(table: Table, loop: Vector, values: Vector, words: Places, at: Plac
         values[at[_COMMAND_AT]] = loop[SPEED_M_S] + lead_m_s + pull_m_s
 
 
-def _entry_point(sources: int) -> Function:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def run(stage: int, table: Table) -> int:
-        if sources < 0 or len(table) == 0:
-            return GOES_ON
-        loop, values, words = floats(table, _LOOP, (1,)), floats(table, _VALUES, (1,)), integers(table, _WORDS, (1,))
-        at = integers(table, _AT, (1,))
-        if stage == JUDGE:
-            if loop[FRESH] == 0.0:
-                return STALE
-            state = floats(table, _TRUST_STATE, (1,))
-            found = judged(floats(table, _TRUST, (1,)), state, values, words, integers(table, _TRUST_AT, (1,)))
-            if found != TRUSTED:
-                return found
-            if (state[TOLD] != 0.0) != (loop[CLOSED] == 1.0):
-                return CHANGED
-            if loop[CLOSED] == 1.0 and has_changed(floats(table, _PLANT, (1,)), values[at[_MODULUS_AT]]):
-                return OTHER_MODULUS
-        _control(table, loop, values, words, at)
-        return GOES_ON
-
-    return run
-
-
 #: run(stage, table of `Vectors`): GOES_ON, or what is Python's.
-run = _entry_point(
-    number_of_sources(
-        *(
-            str(module.__file__)
-            for module in (pairing, web_strain_trajectory, swing_damping, tension_control, tension_trust)
-        ),
-        __file__,
-    )
-)
+@entry_point(COUNT, TABLE)
+def run(stage: int, table: Table) -> int:
+    if len(table) == 0:
+        return GOES_ON
+    loop, values, words = floats(table, _LOOP, (1,)), floats(table, _VALUES, (1,)), integers(table, _WORDS, (1,))
+    at = integers(table, _AT, (1,))
+    if stage == JUDGE:
+        if loop[FRESH] == 0.0:
+            return STALE
+        state = floats(table, _TRUST_STATE, (1,))
+        found = judged(floats(table, _TRUST, (1,)), state, values, words, integers(table, _TRUST_AT, (1,)))
+        if found != TRUSTED:
+            return found
+        if (state[TOLD] != 0.0) != (loop[CLOSED] == 1.0):
+            return CHANGED
+        if loop[CLOSED] == 1.0 and has_changed(floats(table, _PLANT, (1,)), values[at[_MODULUS_AT]]):
+            return OTHER_MODULUS
+    _control(table, loop, values, words, at)
+    return GOES_ON
 
 
 def warm_up() -> None:

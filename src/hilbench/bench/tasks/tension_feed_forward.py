@@ -26,7 +26,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.tasks import web_strain_trajectory
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.task import CyclicTask, Outputs, Pieces
 from hilbench.bench.tasks.tension_cycle import MODULUS_PA, SET_POINT_N, SHIFT_N
@@ -36,7 +35,7 @@ from hilbench.bench.tasks.web_strain_trajectory import (
     trajectory_tension_N,
     trajectory_update,
 )
-from hilbench.chain import GOES_ON, Chained, Function, never
+from hilbench.chain import GOES_ON, Chained, never
 from hilbench.compiled import (
     COUNT,
     TABLE,
@@ -45,7 +44,6 @@ from hilbench.compiled import (
     entry_point,
     floats,
     interpreted,
-    number_of_sources,
     table_of,
 )
 from hilbench.plant.parameters import per_item
@@ -89,41 +87,35 @@ def _pull_N(table: Table, way: float, sign: float) -> float:
     return sign * trajectory_tension_N(floats(table, row, (1,)), floats(table, row + 1, (1,))[MODULUS_PA])
 
 
-def _entry_point(sources: int) -> Function:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def plan(_: int, table: Table) -> int:
-        if sources < 0 or len(table) == 0:
-            return GOES_ON
-        for row in range(_WAYS, len(table), 2):
-            loop = floats(table, row + 1, (1,))
-            trajectory_update(floats(table, row, (1,)), loop[SET_POINT_N] + loop[SHIFT_N], loop[MODULUS_PA])
-        own, rollers, leads_m_s = (
-            floats(table, _OWN, (1,)),
-            floats(table, _ROLLERS, (1, 2)),
-            floats(table, _LEADS_M_S, (1,)),
-        )
-        speed_m_s = floats(table, _LINE_SPEED, (1,))[0]
-        acceleration_m_s2 = (speed_m_s - own[_SPEED_M_S]) / own[_CYCLE_S]
-        own[_SPEED_M_S] = speed_m_s
-        for k in range(len(rollers)):
-            roller = rollers[k]
-            if roller[_OWN_WAY] >= 0.0:
-                acceleration_m_s2 -= lengthening_m_s2(floats(table, _WAYS + 2 * int(roller[_OWN_WAY]), (1,)))
-            pull_N = 0.0
-            pull_N += _pull_N(table, roller[_PULLED_BACK], 1.0)
-            pull_N += _pull_N(table, roller[_PULLED_ON], -1.0)
-            leads_m_s[int(roller[_AXIS])] = _lead_m_s(roller, acceleration_m_s2, pull_N)
-        leading_m_s = leads_m_s[int(rollers[0, _AXIS])]
-        for k in range(len(leads_m_s)):
-            leads_m_s[k] -= leading_m_s
+@entry_point(COUNT, TABLE)
+def _plan(_: int, table: Table) -> int:
+    if len(table) == 0:
         return GOES_ON
+    for row in range(_WAYS, len(table), 2):
+        loop = floats(table, row + 1, (1,))
+        trajectory_update(floats(table, row, (1,)), loop[SET_POINT_N] + loop[SHIFT_N], loop[MODULUS_PA])
+    own, rollers, leads_m_s = (
+        floats(table, _OWN, (1,)),
+        floats(table, _ROLLERS, (1, 2)),
+        floats(table, _LEADS_M_S, (1,)),
+    )
+    speed_m_s = floats(table, _LINE_SPEED, (1,))[0]
+    acceleration_m_s2 = (speed_m_s - own[_SPEED_M_S]) / own[_CYCLE_S]
+    own[_SPEED_M_S] = speed_m_s
+    for k in range(len(rollers)):
+        roller = rollers[k]
+        if roller[_OWN_WAY] >= 0.0:
+            acceleration_m_s2 -= lengthening_m_s2(floats(table, _WAYS + 2 * int(roller[_OWN_WAY]), (1,)))
+        pull_N = 0.0
+        pull_N += _pull_N(table, roller[_PULLED_BACK], 1.0)
+        pull_N += _pull_N(table, roller[_PULLED_ON], -1.0)
+        leads_m_s[int(roller[_AXIS])] = _lead_m_s(roller, acceleration_m_s2, pull_N)
+    leading_m_s = leads_m_s[int(rollers[0, _AXIS])]
+    for k in range(len(leads_m_s)):
+        leads_m_s[k] -= leading_m_s
+    return GOES_ON
 
-    return plan
 
-
-_plan = _entry_point(number_of_sources(str(web_strain_trajectory.__file__), __file__))
 _lead_once = interpreted(_lead_m_s)
 
 

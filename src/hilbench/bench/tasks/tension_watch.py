@@ -19,7 +19,7 @@ from hilbench.bench.tasks import tension_bounds as bounds
 from hilbench.bench.tasks.task import MANY, CyclicTask, OfSample, Outputs, Pieces
 from hilbench.bench.tasks.tension_task import TensionTask
 from hilbench.bench.tasks.tension_trust import TwinTrust
-from hilbench.chain import GOES_ON, Chained, Function
+from hilbench.chain import GOES_ON, Chained
 from hilbench.compiled import (
     COUNT,
     TABLE,
@@ -29,16 +29,13 @@ from hilbench.compiled import (
     floats,
     integers,
     interpreted,
-    number_of_sources,
     table_of,
 )
 from hilbench.estimation.problems import TORQUE_SHIFT, UNDECIDED
 from hilbench.estimation.web_line.config import EstimationConfig, ModelErrorsConfig, PidConfig
 from hilbench.exchange.exchange import Inputs
-from hilbench.plant import motor_laws, pairing
 from hilbench.plant.pairing import paired, pairing_state
 from hilbench.plant.parameters import per_item
-from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans, section_model
@@ -179,54 +176,41 @@ def _fill(line: Vector, web: Matrix, sums: Vector, placed: Places, f: Vector, la
     block[bounds.UNCHANGED] = 1.0 if line[_CHANGED] == 0.0 and sums[_GOAL_CHANGED] == 0.0 else 0.0
 
 
-def _entry_point(sources: int) -> Function:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def run(_: int, table: Places) -> int:
-        if sources < 0 or len(table) == 0:
-            return GOES_ON
-        values, words, at = floats(table, _VALUES, (1,)), integers(table, _WORDS, (1,)), integers(table, _AT, (1,))
-        begun, line, web = floats(table, _BEGUN, (1, 2)), floats(table, _LINE, (1,)), floats(table, _WEB, (1, 2))
-        sums, placed = floats(table, _SUMS, (1, 2)), integers(table, _PLACED, (1, 2))
-        _follow(values, at, line, floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1, 2)), web)
-        if line[_HAS] == 0.0:
-            _begin(values, words, at, begun, line, web, sums)
-            return GOES_ON
-        _add(values, words, at, begun, line, sums)
-        if line[_COUNTED] < line[_CYCLES]:
-            return GOES_ON
-        motion, rollers = floats(table, _MOTION, (1, 2)), floats(table, _ROLLERS, (1, 2))
-        figures, states, rings = (
-            floats(table, _FIGURES, (1, 2)),
-            floats(table, _STATES, (1, 2)),
-            floats(table, _RINGS, (1, 2, 3)),
-        )
-        block, p = floats(table, _BLOCK, (1,)), floats(table, _PARAMETERS, (1,))
-        lasted_s = (words[at[_OF_AXIS * begun.shape[1] + _CYCLE_AT]] - line[_BEGAN]) * line[_CYCLE_S]
-        _move(values, at, begun, line[_COUNTED], lasted_s, motion)
-        code = GOES_ON
-        for k in range(len(sums)):
-            _fill(line, web, sums[k], placed[k], figures[k], lasted_s, block)
-            block[bounds.TENSION_N] = line[_NEXT_SUM_N] / line[_COUNTED]
-            block[bounds.LINE_M_S] = motion[len(motion) - 1, bounds.SPEED_M_S]
-            mean_s = bounds.BLOCKS * lasted_s
-            bounds.weigh(p, figures[k], rollers, motion, placed[k, _FIRST], mean_s, block)
-            if bounds.judge(figures[k], states[k], rings[k], block):
-                code = _LOOK
-        _begin(values, words, at, begun, line, web, sums)
-        return code
-
-    return run
-
-
 #: run(0, table of what `TensionWatch` has): GOES_ON, or that something else is said of a twin than before.
-_run = _entry_point(
-    number_of_sources(
-        *(str(module.__file__) for module in (pairing, motor_laws, lay, laws, bounds)),
-        __file__,
+@entry_point(COUNT, TABLE)
+def _run(_: int, table: Places) -> int:
+    if len(table) == 0:
+        return GOES_ON
+    values, words, at = floats(table, _VALUES, (1,)), integers(table, _WORDS, (1,)), integers(table, _AT, (1,))
+    begun, line, web = floats(table, _BEGUN, (1, 2)), floats(table, _LINE, (1,)), floats(table, _WEB, (1, 2))
+    sums, placed = floats(table, _SUMS, (1, 2)), integers(table, _PLACED, (1, 2))
+    _follow(values, at, line, floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1, 2)), web)
+    if line[_HAS] == 0.0:
+        _begin(values, words, at, begun, line, web, sums)
+        return GOES_ON
+    _add(values, words, at, begun, line, sums)
+    if line[_COUNTED] < line[_CYCLES]:
+        return GOES_ON
+    motion, rollers = floats(table, _MOTION, (1, 2)), floats(table, _ROLLERS, (1, 2))
+    figures, states, rings = (
+        floats(table, _FIGURES, (1, 2)),
+        floats(table, _STATES, (1, 2)),
+        floats(table, _RINGS, (1, 2, 3)),
     )
-)
+    block, p = floats(table, _BLOCK, (1,)), floats(table, _PARAMETERS, (1,))
+    lasted_s = (words[at[_OF_AXIS * begun.shape[1] + _CYCLE_AT]] - line[_BEGAN]) * line[_CYCLE_S]
+    _move(values, at, begun, line[_COUNTED], lasted_s, motion)
+    code = GOES_ON
+    for k in range(len(sums)):
+        _fill(line, web, sums[k], placed[k], figures[k], lasted_s, block)
+        block[bounds.TENSION_N] = line[_NEXT_SUM_N] / line[_COUNTED]
+        block[bounds.LINE_M_S] = motion[len(motion) - 1, bounds.SPEED_M_S]
+        mean_s = bounds.BLOCKS * lasted_s
+        bounds.weigh(p, figures[k], rollers, motion, placed[k, _FIRST], mean_s, block)
+        if bounds.judge(figures[k], states[k], rings[k], block):
+            code = _LOOK
+    _begin(values, words, at, begun, line, web, sums)
+    return code
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.tasks import tension_cycle
 from hilbench.bench.tasks.tension_cycle import LEADS_BY, LEADS_DAMPED_BY
 from hilbench.chain import GOES_ON, Function
-from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, inlined, number_of_sources
+from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, inlined
 
 Table = NDArray[np.int64]
 
@@ -26,46 +25,39 @@ def _with_pull(speed_m_s: float, pull_m_s: float) -> float:
     return speed_m_s if np.isnan(pull_m_s) else speed_m_s + pull_m_s
 
 
-def _entry_points(sources: int) -> tuple[Function, Function]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def lead(command: int, table: Table) -> int:
-        if sources < 0 or len(table) == 0:
-            return GOES_ON
-        line_speed, moved, speeds, values = (
-            floats(table, 0, (1,)),
-            floats(table, 1, (1,)),
-            floats(table, 2, (1,)),
-            floats(table, 3, (1,)),
-        )
-        speeds[LEADS_BY] = speeds[LEADS_DAMPED_BY] = line_speed[0] + moved[CREEP_M_S]
-        values[command] = _with_pull(speeds[LEADS_BY], moved[PULL_M_S])
-        return GOES_ON
-
-    @entry_point(COUNT, TABLE)
-    def follow(command: int, table: Table) -> int:
-        if sources < 0 or len(table) == 0:
-            return GOES_ON
-        leader, leads_m_s, speeds, values, moved = (
-            floats(table, 0, (1,)),
-            floats(table, 1, (1,)),
-            floats(table, 2, (1,)),
-            floats(table, 3, (1,)),
-            floats(table, 4, (1,)),
-        )
-        speeds[LEADS_BY], speeds[LEADS_DAMPED_BY] = leader[LEADS_BY], leader[LEADS_DAMPED_BY]
-        values[command] = _with_pull(speeds[LEADS_DAMPED_BY] + leads_m_s[0], moved[PULL_M_S])
-        return GOES_ON
-
-    return lead, follow
-
-
 #: lead(place of the command in a sample, table of the line speed (1,), what it does beside that, its `SPEEDS`, `reals`
 #: of the sample): the leading axis.
 #: follow(as above, table of the `SPEEDS` of the axis behind, lead of this one (1,), its own `SPEEDS`, `reals`, what it
 #: does beside that).
-lead, follow = _entry_points(number_of_sources(str(tension_cycle.__file__), __file__))
+@entry_point(COUNT, TABLE)
+def lead(command: int, table: Table) -> int:
+    if len(table) == 0:
+        return GOES_ON
+    line_speed, moved, speeds, values = (
+        floats(table, 0, (1,)),
+        floats(table, 1, (1,)),
+        floats(table, 2, (1,)),
+        floats(table, 3, (1,)),
+    )
+    speeds[LEADS_BY] = speeds[LEADS_DAMPED_BY] = line_speed[0] + moved[CREEP_M_S]
+    values[command] = _with_pull(speeds[LEADS_BY], moved[PULL_M_S])
+    return GOES_ON
+
+
+@entry_point(COUNT, TABLE)
+def follow(command: int, table: Table) -> int:
+    if len(table) == 0:
+        return GOES_ON
+    leader, leads_m_s, speeds, values, moved = (
+        floats(table, 0, (1,)),
+        floats(table, 1, (1,)),
+        floats(table, 2, (1,)),
+        floats(table, 3, (1,)),
+        floats(table, 4, (1,)),
+    )
+    speeds[LEADS_BY], speeds[LEADS_DAMPED_BY] = leader[LEADS_BY], leader[LEADS_DAMPED_BY]
+    values[command] = _with_pull(speeds[LEADS_DAMPED_BY] + leads_m_s[0], moved[PULL_M_S])
+    return GOES_ON
 
 
 def warm_up(function: Function) -> None:

@@ -28,7 +28,7 @@ from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.servo_axis import kalman
 from hilbench.estimation.servo_axis.config import InertiaConfig
 from hilbench.plant.parameters import per_item
-from hilbench.plant.servo_axis import kernel, laws, tracking_filter
+from hilbench.plant.servo_axis import kernel, laws
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.servo_axis.tracking_filter import ORDER, TrackingFilter, follow, gains, later, transition
@@ -253,45 +253,34 @@ def of_table(table: Places, first: int) -> InputVectors:
     )
 
 
-Quality = Callable[[Places, float, float, float, float, bool], None]
 Fill = Callable[[Places, Array, float, float, float, float, float, bool], None]
 
 
-def _entry_points(sources: int) -> tuple[Quality, Fill, Callable[[Array, int], float]]:
-    """For Python, with a `table_of` the `InputVectors`; `sources` as in the kernel."""
-
-    @entry_point(TABLE, REAL, REAL, REAL, REAL, FLAG)
-    def quality_once(
-        table: Places, position_rad: float, torque_Nm: float, off_rad: float, duration_s: float, next_cycle: bool
-    ) -> None:
-        if sources >= 0:
-            _take_quality(of_table(table, 0), position_rad, torque_Nm, off_rad, duration_s, next_cycle)
-
-    @entry_point(TABLE, MATRIX, REAL, REAL, REAL, REAL, REAL, FLAG)
-    def fill_once(
-        table: Places,
-        back: Array,
-        before_Nm: float,
-        position_rad: float,
-        torque_Nm: float,
-        ripple_Nm: float,
-        duration_s: float,
-        next_cycle: bool,
-    ) -> None:
-        if sources >= 0:
-            v = of_table(table, 0)
-            _fill(v, back, before_Nm, position_rad, torque_Nm, ripple_Nm, duration_s, next_cycle)
-
-    @entry_point(VECTOR, COUNT)
-    def slack_once(position: Array, cycles: int) -> float:
-        return _slack_rad(position, cycles) if sources >= 0 else 0.0
-
-    return quality_once, fill_once, slack_once
+@entry_point(TABLE, REAL, REAL, REAL, REAL, FLAG)
+def _take_quality_of(
+    table: Places, position_rad: float, torque_Nm: float, off_rad: float, duration_s: float, next_cycle: bool
+) -> None:
+    _take_quality(of_table(table, 0), position_rad, torque_Nm, off_rad, duration_s, next_cycle)
 
 
-#: The files of what is compiled here, beside those of the kernel.
-SOURCES = (noise_level.__file__, tracking_filter.__file__, kalman.__file__, __file__)
-_take_quality_of, _fill_from, _slack = _entry_points(kernel.source_number(*SOURCES))
+@entry_point(TABLE, MATRIX, REAL, REAL, REAL, REAL, REAL, FLAG)
+def _fill_from(
+    table: Places,
+    back: Array,
+    before_Nm: float,
+    position_rad: float,
+    torque_Nm: float,
+    ripple_Nm: float,
+    duration_s: float,
+    next_cycle: bool,
+) -> None:
+    v = of_table(table, 0)
+    _fill(v, back, before_Nm, position_rad, torque_Nm, ripple_Nm, duration_s, next_cycle)
+
+
+@entry_point(VECTOR, COUNT)
+def _slack(position: Array, cycles: int) -> float:
+    return _slack_rad(position, cycles)
 
 
 class FilterInputs:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import expm1, hypot, log, sqrt
 from typing import Final, NamedTuple
@@ -10,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from hilbench.compiled import REAL, TABLE, VECTOR, compiled, entry_point, floats, integers, merged, table_of
-from hilbench.estimation import bank, correction
+from hilbench.estimation import bank
 from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.servo_axis import balance, kalman
@@ -157,38 +156,22 @@ def take_next(
     return TAKEN
 
 
-Next = Callable[[Places, float, float, float, Array], int]
+@entry_point(TABLE, REAL, REAL, REAL, VECTOR)
+def _take_next(table: Places, position_rad: float, torque_Nm: float, ripple_Nm: float, stated: Array) -> int:
+    inputs, v = balance.of_table(table, 0), of_table(table, _BANK_ROW)
+    return take_next(inputs, v, position_rad, torque_Nm, ripple_Nm, stated)
 
 
-def _entry_points(sources: int) -> tuple[Next, Callable[[Places], bool], Callable[[Places, float, Array], None]]:
-    """For Python, with the table of an estimator; `sources` as in the kernel."""
-
-    @entry_point(TABLE, REAL, REAL, REAL, VECTOR)
-    def next_once(table: Places, position_rad: float, torque_Nm: float, ripple_Nm: float, stated: Array) -> int:
-        if sources < 0:
-            return NOT_NEXT
-        inputs, v = balance.of_table(table, 0), of_table(table, _BANK_ROW)
-        return take_next(inputs, v, position_rad, torque_Nm, ripple_Nm, stated)
-
-    @entry_point(TABLE)
-    def step_once(table: Places) -> bool:
-        if sources < 0:
-            return False
-        inputs, v = balance.of_table(table, 0), of_table(table, _BANK_ROW)
-        return _step(v, inputs.u)
-
-    @entry_point(TABLE, REAL, VECTOR)
-    def state_once(table: Places, inertia_kg_m2: float, stated: Array) -> None:
-        if sources >= 0:
-            v = of_table(table, _BANK_ROW)
-            _state_estimate(v, inertia_kg_m2, stated)
-
-    return next_once, step_once, state_once
+@entry_point(TABLE)
+def _step_once(table: Places) -> bool:
+    inputs, v = balance.of_table(table, 0), of_table(table, _BANK_ROW)
+    return _step(v, inputs.u)
 
 
-#: The files of what is compiled here, beside those of the kernel.
-SOURCES = (*balance.SOURCES, *(str(module.__file__) for module in (kalman, correction, bank)), __file__)
-_take_next, _step_once, _state_once = _entry_points(kernel.source_number(*SOURCES))
+@entry_point(TABLE, REAL, VECTOR)
+def _state_once(table: Places, inertia_kg_m2: float, stated: Array) -> None:
+    v = of_table(table, _BANK_ROW)
+    _state_estimate(v, inertia_kg_m2, stated)
 
 
 @dataclass(frozen=True, slots=True)

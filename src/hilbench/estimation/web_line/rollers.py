@@ -11,16 +11,14 @@ balance of its own, which a change in no other span disturbs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point, interpreted
-from hilbench.estimation.web_line import balance
 from hilbench.estimation.web_line.balance import mass_at_web_kg, measured_force_N
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
-from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -64,18 +62,11 @@ def centre_m(masses_kg: Vector, s: Vector, axis: int) -> float:
     return moments / total_kg
 
 
-def _compiled_take(sources: int) -> Callable[[Matrix, Vector, Vector, Vector, float], None]:
-    """For Python; `sources` as in the kernel."""
-
-    @entry_point(MATRIX, VECTOR, VECTOR, VECTOR, REAL)
-    def take_once(p: Matrix, s: Vector, x_m: Vector, torques_Nm: Vector, duration_s: float) -> None:
-        if sources >= 0:
-            take(p, s, x_m, torques_Nm, duration_s)
-
-    return take_once
+@entry_point(MATRIX, VECTOR, VECTOR, VECTOR, REAL)
+def _take(p: Matrix, s: Vector, x_m: Vector, torques_Nm: Vector, duration_s: float) -> None:
+    take(p, s, x_m, torques_Nm, duration_s)
 
 
-_take = _compiled_take(kernel.source_number(str(balance.__file__), __file__))
 _force_behind_N, _centre_m = interpreted(force_behind_N), interpreted(centre_m)
 
 

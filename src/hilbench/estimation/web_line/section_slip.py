@@ -8,14 +8,12 @@ corrected: what was corrected is web that the section has in truth, until it has
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from math import exp, inf
 from typing import Final
 
 import numpy as np
 
-from hilbench.compiled import COUNT, VECTOR, entry_point, number_of_sources
-from hilbench.estimation import ring
+from hilbench.compiled import COUNT, VECTOR, entry_point
 from hilbench.estimation.bank import Array
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line import anomalies, blocks
@@ -33,27 +31,17 @@ _BLOCK, _SUSPEND, _RESET = range(3)
 _NOTHING, _CHANGES, _SLIPS = range(3)
 
 
-def _compiled_look(sources: int) -> Callable[[Array, Array, int], int]:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR, VECTOR, COUNT)
-    def look(s: Array, block: Array, what: int) -> int:
-        if sources < 0:
-            return _NOTHING
-        if what == _BLOCK:
-            anomalies.look(s, block)
-        elif what == _SUSPEND:
-            anomalies.suspend(s)
-        else:
-            anomalies.reset(s)
-        if anomalies.found(s) == _SLIP:
-            return _SLIPS
-        return _CHANGES if anomalies.is_judging(s) else _NOTHING
-
-    return look
-
-
-_look = _compiled_look(number_of_sources(__file__, anomalies.__file__, blocks.__file__, ring.__file__))
+@entry_point(VECTOR, VECTOR, COUNT)
+def _look(s: Array, block: Array, what: int) -> int:
+    if what == _BLOCK:
+        anomalies.look(s, block)
+    elif what == _SUSPEND:
+        anomalies.suspend(s)
+    else:
+        anomalies.reset(s)
+    if anomalies.found(s) == _SLIP:
+        return _SLIPS
+    return _CHANGES if anomalies.is_judging(s) else _NOTHING
 
 
 class SectionSlip:

@@ -17,7 +17,7 @@ be that is no joint.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from enum import Enum
 from math import exp, inf
@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, VECTOR, compiled, entry_point, interpreted, number_of_sources
+from hilbench.compiled import MATRIX, VECTOR, compiled, entry_point, interpreted
 from hilbench.estimation.web_line.balance import BalanceSample
 from hilbench.estimation.web_line.blocks import BLOCK_S, SAME_SPEED
 
@@ -117,35 +117,27 @@ def _explain(
     found[_EXPLAINED], found[_MEAN] = found[_CHANGE] * found[_CHANGE] * squares, total / count
 
 
-def _looking(sources: int) -> Callable[[Vector, Vector, Array, Vector, Array], None]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(VECTOR, VECTOR, MATRIX, VECTOR, MATRIX)
-    def explain_all(ways: Vector, values: Vector, motion: Array, fronts: Vector, best: Array) -> None:
-        """The best of each shape: ways (n,) and fronts (m,) in lengths of the span."""
-        if sources < 0:
-            return
-        of_values, found = np.zeros(len(motion)), np.zeros(_BEST)
-        into, left = np.zeros(len(values)), np.zeros(len(values))
-        for k in range(len(motion)):
-            for j in range(len(values)):
-                of_values[k] += motion[k, j] * values[j]
-        best[:, _EXPLAINED] = -1.0
-        for place in range(len(fronts)):
-            for j in range(len(values)):
-                into[j] = ways[j] - fronts[place]
-                left[j] = exp(-into[j]) if into[j] > 0.0 else 1.0
-            for kind in range(_SHAPES):
-                _explain(kind, into, left, values, motion, of_values, found)
-                if found[_EXPLAINED] > best[kind, _EXPLAINED]:
-                    found[_PLACE] = place
-                    best[kind] = found
-
-    return explain_all
+@entry_point(VECTOR, VECTOR, MATRIX, VECTOR, MATRIX)
+def _explain_all(ways: Vector, values: Vector, motion: Array, fronts: Vector, best: Array) -> None:
+    """The best of each shape: ways (n,) and fronts (m,) in lengths of the span."""
+    of_values, found = np.zeros(len(motion)), np.zeros(_BEST)
+    into, left = np.zeros(len(values)), np.zeros(len(values))
+    for k in range(len(motion)):
+        for j in range(len(values)):
+            of_values[k] += motion[k, j] * values[j]
+    best[:, _EXPLAINED] = -1.0
+    for place in range(len(fronts)):
+        for j in range(len(values)):
+            into[j] = ways[j] - fronts[place]
+            left[j] = exp(-into[j]) if into[j] > 0.0 else 1.0
+        for kind in range(_SHAPES):
+            _explain(kind, into, left, values, motion, of_values, found)
+            if found[_EXPLAINED] > best[kind, _EXPLAINED]:
+                found[_PLACE] = place
+                best[kind] = found
 
 
 _interrupt, _collect = interpreted(interrupt), interpreted(collect)
-_explain_all = _looking(number_of_sources(__file__))
 
 
 class Joint(NamedTuple):

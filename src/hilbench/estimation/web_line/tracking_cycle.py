@@ -7,30 +7,27 @@ one twin; it may be called from other compiled functions.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import exp, hypot, inf, isfinite, isnan
 from typing import NamedTuple
 
 from hilbench.compiled import COUNT, REAL, TABLE, VECTOR, compiled, entry_point, floats, inlined, integers, reals
-from hilbench.estimation import bank, correction, noise_level, plausibility, ring
+from hilbench.estimation import plausibility
 from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.web_line import (
     anomalies,
     balance,
     blocks,
     delay,
-    ripples,
     torque_shift,
     unknown_webs,
     unmodelled_effects,
-    unmodelled_evidence,
     unmodelled_filter,
 )
 from hilbench.estimation.web_line.balance import BalanceVectors
-from hilbench.estimation.web_line.synchronizers import changepoint, kalman, plant
+from hilbench.estimation.web_line.synchronizers import changepoint
 from hilbench.estimation.web_line.synchronizers.changepoint import BankVectors
 from hilbench.estimation.web_line.synchronizers.plant import InputVectors
-from hilbench.plant.web_line import kernel, laws, line_vectors, span_kernel
+from hilbench.plant.web_line import laws, line_vectors, span_kernel
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.span_kernel import SpanVectors
@@ -452,115 +449,71 @@ def flat(v: TrackingVectors) -> tuple[Array | Places, ...]:
 INTERRUPT, SUSPEND, NEW_WEB = range(3)
 
 
-def _entry_points(
-    sources: int,
-) -> tuple[Callable[..., int], Callable[..., None], Callable[..., None]]:
-    """Compiled functions that are called from Python; `sources` as in the kernel."""
-
-    @entry_point(COUNT, reals(9), TABLE)
-    def run_vectors(
-        stage: int, values: tuple[float, float, float, float, float, float, float, float, float], table: Places
-    ) -> int:
-        """`run` with the vectors of a `table_of` what `flat` gives."""
-        if sources < 0:
-            return DONE
-        web = SpanVectors(
-            floats(table, 8, (1,)),
-            floats(table, 9, (1,)),
-            floats(table, 10, (1,)),
-            floats(table, 11, (1,)),
-            floats(table, 12, (1,)),
-            floats(table, 13, (1,)),
-        )
-        inputs = InputVectors(
-            floats(table, 16, (1,)), floats(table, 17, (1,)), floats(table, 18, (1,)), floats(table, 19, (1,))
-        )
-        hypotheses = BankVectors(
-            inputs,
-            floats(table, 20, (1, 2)),
-            floats(table, 21, (1, 2, 3)),
-            floats(table, 22, (1, 2)),
-            floats(table, 23, (1,)),
-            integers(table, 24, (1,)),
-            floats(table, 25, (1, 2)),
-            floats(table, 26, (1, 2)),
-            floats(table, 27, (1, 2)),
-            floats(table, 28, (1,)),
-        )
-        line = LineVectors(
-            floats(table, 29, (1,)),
-            floats(table, 30, (1,)),
-            floats(table, 31, (1,)),
-            floats(table, 32, (1,)),
-            floats(table, 33, (1,)),
-        )
-        v = TrackingVectors(
-            floats(table, 0, (1,)),
-            floats(table, 1, (1,)),
-            floats(table, 2, (1,)),
-            floats(table, 3, (1,)),
-            floats(table, 4, (1,)),
-            floats(table, 5, (1,)),
-            floats(table, 6, (1, 2)),
-            BalanceVectors(floats(table, 7, (1,)), web, floats(table, 14, (1,))),
-            floats(table, 15, (1,)),
-            hypotheses,
-            line,
-            floats(table, 34, (1,)),
-        )
-        return run(v, stage, *values)
-
-    @entry_point(COUNT, VECTOR, VECTOR, VECTOR, VECTOR)
-    def forget(what: int, block: Vector, of_anomalies: Vector, shift: Vector, delay_line: Vector) -> None:
-        if sources < 0:
-            return
-        if what == INTERRUPT:
-            blocks.miss(block)
-            return
-        torque_shift.reset(shift)
-        if what == SUSPEND:
-            blocks.begin_behind_gap(block)
-            anomalies.suspend(of_anomalies)
-        else:
-            blocks.begin(block)
-            anomalies.reset(of_anomalies)
-            delay.forget(delay_line)
-
-    @entry_point(VECTOR, VECTOR, REAL, REAL)
-    def state(t: Vector, errors: Vector, modulus_Pa: float, deviation_Pa: float) -> None:
-        if sources >= 0:
-            state_modulus(t, errors, modulus_Pa, deviation_Pa)
-
-    return run_vectors, forget, state
+@entry_point(COUNT, reals(9), TABLE)
+def run_vectors(stage: int, values: tuple[float, ...], table: Places) -> int:
+    """`run` with the vectors of a `table_of` what `flat` gives."""
+    web = SpanVectors(
+        floats(table, 8, (1,)),
+        floats(table, 9, (1,)),
+        floats(table, 10, (1,)),
+        floats(table, 11, (1,)),
+        floats(table, 12, (1,)),
+        floats(table, 13, (1,)),
+    )
+    inputs = InputVectors(
+        floats(table, 16, (1,)), floats(table, 17, (1,)), floats(table, 18, (1,)), floats(table, 19, (1,))
+    )
+    hypotheses = BankVectors(
+        inputs,
+        floats(table, 20, (1, 2)),
+        floats(table, 21, (1, 2, 3)),
+        floats(table, 22, (1, 2)),
+        floats(table, 23, (1,)),
+        integers(table, 24, (1,)),
+        floats(table, 25, (1, 2)),
+        floats(table, 26, (1, 2)),
+        floats(table, 27, (1, 2)),
+        floats(table, 28, (1,)),
+    )
+    line = LineVectors(
+        floats(table, 29, (1,)),
+        floats(table, 30, (1,)),
+        floats(table, 31, (1,)),
+        floats(table, 32, (1,)),
+        floats(table, 33, (1,)),
+    )
+    v = TrackingVectors(
+        floats(table, 0, (1,)),
+        floats(table, 1, (1,)),
+        floats(table, 2, (1,)),
+        floats(table, 3, (1,)),
+        floats(table, 4, (1,)),
+        floats(table, 5, (1,)),
+        floats(table, 6, (1, 2)),
+        BalanceVectors(floats(table, 7, (1,)), web, floats(table, 14, (1,))),
+        floats(table, 15, (1,)),
+        hypotheses,
+        line,
+        floats(table, 34, (1,)),
+    )
+    return run(v, stage, *values)
 
 
-#: The files of what is compiled here, beside those of the kernel.
-SOURCES = (
-    *(
-        str(module.__file__)
-        for module in (
-            anomalies,
-            balance,
-            bank,
-            blocks,
-            changepoint,
-            correction,
-            delay,
-            kalman,
-            line_vectors,
-            noise_level,
-            plant,
-            plausibility,
-            ring,
-            ripples,
-            span_kernel,
-            torque_shift,
-            unknown_webs,
-            unmodelled_effects,
-            unmodelled_evidence,
-            unmodelled_filter,
-        )
-    ),
-    __file__,
-)
-run_vectors, forget, state = _entry_points(kernel.source_number(*SOURCES))
+@entry_point(COUNT, VECTOR, VECTOR, VECTOR, VECTOR)
+def forget(what: int, block: Vector, of_anomalies: Vector, shift: Vector, delay_line: Vector) -> None:
+    if what == INTERRUPT:
+        blocks.miss(block)
+        return
+    torque_shift.reset(shift)
+    if what == SUSPEND:
+        blocks.begin_behind_gap(block)
+        anomalies.suspend(of_anomalies)
+    else:
+        blocks.begin(block)
+        anomalies.reset(of_anomalies)
+        delay.forget(delay_line)
+
+
+@entry_point(VECTOR, VECTOR, REAL, REAL)
+def state(t: Vector, errors: Vector, modulus_Pa: float, deviation_Pa: float) -> None:
+    state_modulus(t, errors, modulus_Pa, deviation_Pa)

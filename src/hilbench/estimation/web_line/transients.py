@@ -8,7 +8,7 @@ web swings faster, beside all that begins at the same instant otherwise: at each
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, sqrt
 from typing import Final
@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, VECTOR, entry_point, number_of_sources
+from hilbench.compiled import MATRIX, VECTOR, entry_point
 
 Vector = NDArray[np.float64]
 
@@ -44,38 +44,27 @@ class Transient:
     sure: bool
 
 
-Take = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, Vector], None]
-
-
-def _entry_point(sources: int) -> Take:
-    """For Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, VECTOR)
-    def take(
-        values: Vector, torques: Vector, variances: Vector, transients: Vector, energies: Vector, products: Vector,
-        sizes: Vector,
-    ) -> None:  # fmt: skip
-        """Another sample (m,) behind `values` (cycles, m), without the first; each of the kicks (n, m·cycles), in which
-        are `energies` (n, m), with that: `products` (n,) and `sizes` (n,), weighted by the variances (m,)."""
-        cycles, m = values.shape
-        for c in range(cycles - 1 if sources >= 0 else 0):
-            for j in range(m):
-                values[c, j] = values[c + 1, j]
+@entry_point(MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, VECTOR)
+def _take(
+    values: Vector, torques: Vector, variances: Vector, transients: Vector, energies: Vector, products: Vector,
+    sizes: Vector,
+) -> None:  # fmt: skip
+    """Another sample (m,) behind `values` (cycles, m), without the first; each of the kicks (n, m·cycles), in which
+    are `energies` (n, m), with that: `products` (n,) and `sizes` (n,), weighted by the variances (m,)."""
+    cycles, m = values.shape
+    for c in range(cycles - 1):
         for j in range(m):
-            values[cycles - 1, j] = torques[j]
-        for i in range(len(products)):
-            products[i] = sizes[i] = 0.0
-            for j in range(m):
-                product = 0.0
-                for c in range(cycles):
-                    product += transients[i, j * cycles + c] * values[c, j]
-                products[i] += product / variances[j]
-                sizes[i] += energies[i, j] / variances[j]
-
-    return take
-
-
-_take = _entry_point(number_of_sources(__file__))
+            values[c, j] = values[c + 1, j]
+    for j in range(m):
+        values[cycles - 1, j] = torques[j]
+    for i in range(len(products)):
+        products[i] = sizes[i] = 0.0
+        for j in range(m):
+            product = 0.0
+            for c in range(cycles):
+                product += transients[i, j * cycles + c] * values[c, j]
+            products[i] += product / variances[j]
+            sizes[i] += energies[i, j] / variances[j]
 
 
 class TransientWatch:

@@ -7,18 +7,16 @@ stated deviation of E has what all effects together may be off by.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import hypot, sqrt
 from typing import Final
 
 import numpy as np
 
-from hilbench.compiled import VECTOR, compiled, entry_point, inlined, number_of_sources, viewed
-from hilbench.estimation import noise_level
+from hilbench.compiled import VECTOR, compiled, entry_point, inlined, viewed
 from hilbench.estimation.bank import Array
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.nuisance import Nuisance
-from hilbench.estimation.web_line import ripples, unmodelled_evidence
 from hilbench.estimation.web_line import unmodelled_filter as filters
 from hilbench.estimation.web_line.balance import MeasuredBalance
 from hilbench.estimation.web_line.config import ModelErrorsConfig, Prior
@@ -139,23 +137,9 @@ def correction_N(state: Array) -> float:
     return float(record(state).correction_N)
 
 
-def _compiled_entry(sources: int) -> Callable[[Array], None]:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR)
-    def interrupt(state: Array) -> None:
-        if sources >= 0:
-            filters.interrupt(viewed(state, FILTER)[0])
-
-    return interrupt
-
-
-#: The files of what is compiled here.
-SOURCES: Final = tuple(
-    str(each)
-    for each in (noise_level.__file__, ripples.__file__, unmodelled_evidence.__file__, filters.__file__, __file__)
-)
-_interrupt = _compiled_entry(number_of_sources(*SOURCES))
+@entry_point(VECTOR)
+def _interrupt(state: Array) -> None:
+    filters.interrupt(viewed(state, FILTER)[0])
 
 
 class UnmodelledEffects:

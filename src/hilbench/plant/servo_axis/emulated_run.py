@@ -7,7 +7,6 @@ next SYNC. Noise and resolution are left out.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -19,7 +18,7 @@ from hilbench.plant import drive_loops as loops
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.sampled_shaft import emulation_delay_s
 from hilbench.plant.sampling import on_all_cores, samples_per
-from hilbench.plant.servo_axis import emulation, kernel, laws
+from hilbench.plant.servo_axis import kernel, laws
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import find
 from hilbench.plant.servo_axis.emulation import FILTER_CYCLES, load_torque_Nm, most_rad_s2, steepest_Nm_s_per_rad
@@ -52,63 +51,50 @@ class ShaftEmulation:
         return commands_rad_s if unit is None else np.asarray(np.round(commands_rad_s / unit) * unit)
 
 
-Rows = Callable[..., None]
-
-
-def _compiled_rows(sources: int) -> Rows:
-    """The compiled function; `sources` as in the kernel."""
-
-    @entry_point(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, COUNT, REAL, MATRIX, VECTOR, MATRIX, *[REAL] * 3, CUBE)
-    def rows(
-        p: Vector,
-        emulated: Vector,
-        believed: Vector,
-        s: Vector,
-        u: Vector,
-        commands: Vector,
-        samples: int,
-        cycle_s: float,
-        step: Vector,
-        gain: Vector,
-        ahead: Vector,
-        lead_s: float,
-        steepest: float,
-        most: float,
-        out: Vector,
-    ) -> None:
-        motion, predicted = np.empty(ORDER), np.empty(ORDER)
-        observed = np.empty(lay.O_TORQUE + 2)
-        drive, load = lay.U_MOTORS + loops.IN_SETPOINT, lay.U_MOTORS + loops.IN_SIZE + loops.IN_SETPOINT
-        for b in range(p.shape[0] if sources >= 0 else 0):
-            state = s[b]
-            motion[:] = 0.0
-            motion[0], motion[1] = state[lay.S_X], state[lay.S_V]
-            torque = state[lay.S_MOTORS + loops.STATE_SIZE + loops.TORQUE_NM]
-            for row in range(commands.shape[0]):
-                kernel.report(p[b], state, observed, 0)
-                fed = 0.0
-                if laws.has_feed_forward(emulated[b]):
-                    a = kernel.acceleration_rad_s2(p[b], state, u)
-                    fed = laws.fed_forward_Nm(emulated[b], row * cycle_s, observed[lay.O_V], a, state[lay.S_DIRECTION])
-                out[b, row, 0], out[b, row, 1] = observed[lay.O_X], observed[lay.O_V]
-                out[b, row, 2] = observed[lay.O_TORQUE] - fed
-                if row > 0:
-                    predicted[:] = step @ motion
-                    motion[:] = predicted + gain * (observed[lay.O_X] - predicted[0])
-                predicted[:] = ahead @ motion
-                acceleration = min(max(predicted[2], -most), most)
-                speed = observed[lay.O_V] + lead_s * (acceleration - 0.5 * lead_s * predicted[3])
-                u[drive], u[load] = commands[row], torque
-                # The torque of what was measured at this SYNC goes out with the next.
-                torque = load_torque_Nm(
-                    emulated[b], believed, row * cycle_s, predicted[0], speed, acceleration, steepest
-                )
-                kernel.go_on(p[b], state, u, samples)
-
-    return rows
-
-
-_simulate_rows = _compiled_rows(kernel.source_number(emulation.__file__, __file__))
+@entry_point(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, COUNT, REAL, MATRIX, VECTOR, MATRIX, *[REAL] * 3, CUBE)
+def _simulate_rows(
+    p: Vector,
+    emulated: Vector,
+    believed: Vector,
+    s: Vector,
+    u: Vector,
+    commands: Vector,
+    samples: int,
+    cycle_s: float,
+    step: Vector,
+    gain: Vector,
+    ahead: Vector,
+    lead_s: float,
+    steepest: float,
+    most: float,
+    out: Vector,
+) -> None:
+    motion, predicted = np.empty(ORDER), np.empty(ORDER)
+    observed = np.empty(lay.O_TORQUE + 2)
+    drive, load = lay.U_MOTORS + loops.IN_SETPOINT, lay.U_MOTORS + loops.IN_SIZE + loops.IN_SETPOINT
+    for b in range(p.shape[0]):
+        state = s[b]
+        motion[:] = 0.0
+        motion[0], motion[1] = state[lay.S_X], state[lay.S_V]
+        torque = state[lay.S_MOTORS + loops.STATE_SIZE + loops.TORQUE_NM]
+        for row in range(commands.shape[0]):
+            kernel.report(p[b], state, observed, 0)
+            fed = 0.0
+            if laws.has_feed_forward(emulated[b]):
+                a = kernel.acceleration_rad_s2(p[b], state, u)
+                fed = laws.fed_forward_Nm(emulated[b], row * cycle_s, observed[lay.O_V], a, state[lay.S_DIRECTION])
+            out[b, row, 0], out[b, row, 1] = observed[lay.O_X], observed[lay.O_V]
+            out[b, row, 2] = observed[lay.O_TORQUE] - fed
+            if row > 0:
+                predicted[:] = step @ motion
+                motion[:] = predicted + gain * (observed[lay.O_X] - predicted[0])
+            predicted[:] = ahead @ motion
+            acceleration = min(max(predicted[2], -most), most)
+            speed = observed[lay.O_V] + lead_s * (acceleration - 0.5 * lead_s * predicted[3])
+            u[drive], u[load] = commands[row], torque
+            # The torque of what was measured at this SYNC goes out with the next.
+            torque = load_torque_Nm(emulated[b], believed, row * cycle_s, predicted[0], speed, acceleration, steepest)
+            kernel.go_on(p[b], state, u, samples)
 
 
 @dataclass(frozen=True, slots=True)

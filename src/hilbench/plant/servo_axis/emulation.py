@@ -9,13 +9,12 @@ emulated is a question of stability: `hilbench.plant.servo_axis.stability`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import Function
 from hilbench.compiled import (
     COUNT,
     MATRIX,
@@ -28,12 +27,11 @@ from hilbench.compiled import (
     integers,
     table_of,
 )
-from hilbench.plant import measured_motion, pairing
 from hilbench.plant.in_step import CompiledInStep
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion, ahead_s, elapsed_s
 from hilbench.plant.parameters import per_item
-from hilbench.plant.servo_axis import kernel, laws, tracking_filter
+from hilbench.plant.servo_axis import laws
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import IDS, emulated_effect_problem
 from hilbench.plant.servo_axis.layout import Vector
@@ -94,43 +92,32 @@ def _torque_ahead_Nm(table: Table, forward: Matrix, lead_s: float, speed_rad_s: 
     return float(load_torque_Nm(emulated, real, own[_TIME_S], position, v, a, steepest) + inputs[lay.U_TORQUE_NM])
 
 
-def _entry_points(sources: int) -> tuple[Callable[[Table, Matrix, float, float], float], Function]:
-    """For Python; `sources` as in the kernel."""
-
-    @entry_point(TABLE, MATRIX, REAL, REAL)
-    def torque_Nm(table: Table, forward: Matrix, lead_s: float, speed_rad_s: float) -> float:
-        return _torque_ahead_Nm(table, forward, lead_s, speed_rad_s) if sources >= 0 else 0.0
-
-    @entry_point(COUNT, TABLE)
-    def follow(late: int, table: Table) -> int:
-        if sources < 0 or len(table) == 0:
-            return NOTHING
-        counted, travels, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
-        speeds, values, at = floats(table, _SPEEDS, (1,)), floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
-        own, torques = floats(table, _OWN, (1,)), floats(table, _TORQUES, (1,))
-        x[0], speeds[0] = values[at[0]], values[at[1]]
-        duration_s = elapsed_s(counted, travels, x, speeds, late != 0)
-        if not duration_s > 0.0:
-            return NOTHING
-        lead_s = ahead_s(counted)
-        if duration_s != own[_CYCLE_S] or lead_s != own[_LEAD_S]:
-            own[_GONE_S] = duration_s
-            return ANOTHER_TIME
-        follow_position(
-            floats(table, _FILTERED, (1,)), floats(table, _FORWARD, (1, 2)), floats(table, _GAINS, (1,)), x[0]
-        )
-        own[_TIME_S] += duration_s
-        torque_Nm = _torque_ahead_Nm(table, floats(table, _FORWARD_AHEAD, (1, 2)), lead_s, speeds[0])
-        for k in range(len(torques)):
-            values[at[2 + k]] = torques[k] = torque_Nm
-        return FOLLOWED
-
-    return torque_Nm, follow
+@entry_point(TABLE, MATRIX, REAL, REAL)
+def _torque_Nm(table: Table, forward: Matrix, lead_s: float, speed_rad_s: float) -> float:
+    return _torque_ahead_Nm(table, forward, lead_s, speed_rad_s)
 
 
-_torque_Nm, _follow = _entry_points(
-    kernel.source_number(*(str(module.__file__) for module in (measured_motion, pairing, tracking_filter)), __file__)
-)
+@entry_point(COUNT, TABLE)
+def _follow(late: int, table: Table) -> int:
+    if len(table) == 0:
+        return NOTHING
+    counted, travels, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
+    speeds, values, at = floats(table, _SPEEDS, (1,)), floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
+    own, torques = floats(table, _OWN, (1,)), floats(table, _TORQUES, (1,))
+    x[0], speeds[0] = values[at[0]], values[at[1]]
+    duration_s = elapsed_s(counted, travels, x, speeds, late != 0)
+    if not duration_s > 0.0:
+        return NOTHING
+    lead_s = ahead_s(counted)
+    if duration_s != own[_CYCLE_S] or lead_s != own[_LEAD_S]:
+        own[_GONE_S] = duration_s
+        return ANOTHER_TIME
+    follow_position(floats(table, _FILTERED, (1,)), floats(table, _FORWARD, (1, 2)), floats(table, _GAINS, (1,)), x[0])
+    own[_TIME_S] += duration_s
+    torque_Nm = _torque_ahead_Nm(table, floats(table, _FORWARD_AHEAD, (1, 2)), lead_s, speeds[0])
+    for k in range(len(torques)):
+        values[at[2 + k]] = torques[k] = torque_Nm
+    return FOLLOWED
 
 
 def most_rad_s2(real: ServoRigParameters) -> float:

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from hilbench.compiled import REAL, VECTOR, entry_point, inlined
-from hilbench.plant import hysteresis
 from hilbench.plant.hysteresis import friction_direction, wound
 from hilbench.plant.motor_laws import measured_direction, value_at
-from hilbench.plant.servo_axis import kernel, laws
+from hilbench.plant.servo_axis import laws
 from hilbench.plant.servo_axis.layout import Vector
-
-RequiredTorque = Callable[[Vector, Vector, Vector, Vector, float, Vector, float], None]
 
 #: Speed within which the direction of a measured motion is not certain, rad/s: dry friction turns over linearly there.
 DIRECTION_WIDTH_RAD_S = 1e-3
@@ -56,42 +51,34 @@ def _swung(p: Vector, swing: tuple[float, float], a_before: float, a: float, per
     return q, w
 
 
-def _required_torque(sources: int) -> RequiredTorque:
-    """The function that is called from Python; `sources` as in the kernel."""
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR, REAL)
-    def required(
-        p: Vector,
-        x_rad: Vector,
-        v_rad_s: Vector,
-        a_rad_s2: Vector,
-        period_s: float,
-        out_Nm: Vector,
-        presliding_rad: float,
-    ) -> None:
-        late = laws.reporting_delay_s(p) / period_s if sources >= 0 else 0.0
-        deflection, before = 0.0, x_rad[0]
-        swing, a_before = (0.0, 0.0), 0.0
-        for k in range(len(x_rad)):
-            at = min(max(k - late, 0.0), len(x_rad) - 1.0)
-            x, v, a = value_at(x_rad, at), value_at(v_rad_s, at), value_at(a_rad_s2, at)
-            if laws.has_encoder_error(p):
-                x, v, a = laws.true_motion(p, x, v, a)
-            direction = measured_direction(v, DIRECTION_WIDTH_RAD_S)
-            if presliding_rad > 0.0:
-                deflection, before = wound(deflection, x - before, 0.0, presliding_rad), x
-                direction = friction_direction(deflection, 0.0, presliding_rad)
-            of_all = a
-            if laws.twists(p):
-                swing = _swung(p, swing, a_before, a, period_s) if k > 0 else (laws.twist_under(p, a), 0.0)
-                a_before = a
-                of_all = laws.mean_acceleration(p, a, laws.acceleration_behind(p, swing[0], swing[1]))
-            out_Nm[k] = reported_torque_Nm(p, at * period_s, x, v, a, of_all, direction)
-
-    return required
-
-
-_required_torque_Nm = _required_torque(kernel.source_number(__file__, hysteresis.__file__))
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR, REAL)
+def _required_torque_Nm(
+    p: Vector,
+    x_rad: Vector,
+    v_rad_s: Vector,
+    a_rad_s2: Vector,
+    period_s: float,
+    out_Nm: Vector,
+    presliding_rad: float,
+) -> None:
+    late = laws.reporting_delay_s(p) / period_s
+    deflection, before = 0.0, x_rad[0]
+    swing, a_before = (0.0, 0.0), 0.0
+    for k in range(len(x_rad)):
+        at = min(max(k - late, 0.0), len(x_rad) - 1.0)
+        x, v, a = value_at(x_rad, at), value_at(v_rad_s, at), value_at(a_rad_s2, at)
+        if laws.has_encoder_error(p):
+            x, v, a = laws.true_motion(p, x, v, a)
+        direction = measured_direction(v, DIRECTION_WIDTH_RAD_S)
+        if presliding_rad > 0.0:
+            deflection, before = wound(deflection, x - before, 0.0, presliding_rad), x
+            direction = friction_direction(deflection, 0.0, presliding_rad)
+        of_all = a
+        if laws.twists(p):
+            swing = _swung(p, swing, a_before, a, period_s) if k > 0 else (laws.twist_under(p, a), 0.0)
+            a_before = a
+            of_all = laws.mean_acceleration(p, a, laws.acceleration_behind(p, swing[0], swing[1]))
+        out_Nm[k] = reported_torque_Nm(p, at * period_s, x, v, a, of_all, direction)
 
 
 def required_torque_Nm(

@@ -15,10 +15,6 @@ Vectors as in `hilbench.plant.servo_axis.layout`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
-from hilbench import compiled as decorators
 from hilbench.compiled import (
     COUNT,
     CUBE,
@@ -29,10 +25,8 @@ from hilbench.compiled import (
     entry_point,
     inlined,
     noinline,
-    number_of_sources,
 )
 from hilbench.plant import drive_loops as loops
-from hilbench.plant import motor_laws
 from hilbench.plant.servo_axis import laws
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.layout import Vector
@@ -315,57 +309,35 @@ def report(p: Vector, s: Vector, out: Vector, at: int) -> None:
         out[at + lay.O_TORQUE + j] = laws.reported_torque_Nm(p, torque, s) if j == 0 else torque
 
 
-Advance = Callable[[Vector, Vector, Vector, int], None]
-Observe = Callable[[Vector, Vector, Vector], None]
-Look = Callable[[Vector, float], tuple[float, float, float]]
-Simulate = Callable[[Vector, Vector, Vector, Vector, Vector, int, Vector], None]
-
-
-def source_number(*further: str) -> int:
-    """A number that changes with the source of what is compiled here, and with `further` files."""
-    rows = (str(Path(__file__).parents[1] / "effects.py"), str(Path(__file__).parent / "effects.py"))
-    return number_of_sources(
-        decorators.__file__, loops.__file__, motor_laws.__file__, laws.__file__, lay.__file__, __file__, *rows, *further
-    )
-
-
-def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate, Look]:
-    """The compiled functions others call; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR, VECTOR, VECTOR, COUNT)
-    def advance(p: Vector, s: Vector, u: Vector, samples: int) -> None:
-        if sources >= 0:
-            go_on(p, s, u, samples)
-
-    @entry_point(VECTOR, VECTOR, VECTOR)
-    def observe(p: Vector, s: Vector, out: Vector) -> None:
-        if sources >= 0:
-            report(p, s, out, 0)
-
-    @entry_point(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, COUNT, CUBE)
-    def simulate(p: Vector, s: Vector, u: Vector, commands: Vector, torques: Vector, samples: int, out: Vector) -> None:
-        flat, rows, columns = out.reshape(-1), out.shape[1], out.shape[2]
-        for b in range(p.shape[0] if sources >= 0 else 0):
-            for row in range(rows):
-                for j in range(commands.shape[1]):
-                    u[lay.U_MOTORS + j * loops.IN_SIZE + loops.IN_SETPOINT] = commands[row, j]
-                u[lay.U_TORQUE_NM] = torques[row]
-                report(p[b], s[b], flat, (b * rows + row) * columns)
-                go_on(p[b], s[b], u, samples)
-
-    @entry_point(VECTOR, REAL)
-    def look(p: Vector, time_s: float) -> tuple[float, float, float]:
-        if sources >= 0:
-            return laws.inertia_factor(p, time_s), laws.breakaway_Nm(p), laws.reported_offset_Nm(p)
-        return 1.0, 0.0, 0.0
-
-    return advance, observe, simulate, look
-
-
 #: advance(parameters, state, inputs, samples): `samples` drive sample times onwards, state changed in place.
 #: observe(parameters, state, out): position, speed, and the torques as the drives report them.
 #: simulate(parameters (B, P), states (B, S), inputs, commands (n, M), torques (n,), samples, out (B, n, C)): for each
 #: row observe, then advance `samples` with the row's set points and the row's torque from outside.
 #: look(parameters, time_s): as many times its parameter as the inertia is then, dry friction at standstill and what the
 #: reported torque is off by, N·m.
-advance, observe, simulate, look = _entry_points(source_number())
+@entry_point(VECTOR, VECTOR, VECTOR, COUNT)
+def advance(p: Vector, s: Vector, u: Vector, samples: int) -> None:
+    go_on(p, s, u, samples)
+
+
+@entry_point(VECTOR, VECTOR, VECTOR)
+def observe(p: Vector, s: Vector, out: Vector) -> None:
+    report(p, s, out, 0)
+
+
+@entry_point(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, COUNT, CUBE)
+def simulate(p: Vector, s: Vector, u: Vector, commands: Vector, torques: Vector, samples: int, out: Vector) -> None:
+    flat, rows, columns = out.reshape(-1), out.shape[1], out.shape[2]
+    for b in range(p.shape[0]):
+        for row in range(rows):
+            for j in range(commands.shape[1]):
+                u[lay.U_MOTORS + j * loops.IN_SIZE + loops.IN_SETPOINT] = commands[row, j]
+            u[lay.U_TORQUE_NM] = torques[row]
+            report(p[b], s[b], flat, (b * rows + row) * columns)
+            go_on(p[b], s[b], u, samples)
+
+
+@entry_point(VECTOR, REAL)
+def look(p: Vector, time_s: float) -> tuple[float, float, float]:
+    return laws.inertia_factor(p, time_s), laws.breakaway_Nm(p), laws.reported_offset_Nm(p)
+    return 1.0, 0.0, 0.0

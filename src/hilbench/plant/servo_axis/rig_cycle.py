@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.chain import GOES_ON
 from hilbench.compiled import COUNT, TABLE, VECTOR, entry_point, floats, integers
 from hilbench.plant import drive_loops as loops
-from hilbench.plant import sensor_rows
 from hilbench.plant.sensor_rows import take_row
 from hilbench.plant.servo_axis import kernel
 from hilbench.plant.servo_axis import layout as lay
@@ -26,55 +23,37 @@ SENSOR = 4
 DRAW = 1
 
 
-def _entry_point(sources: int) -> Callable[[Table, int, Vector], None]:
-    """For Python; `sources` as in the kernel."""
-
-    @entry_point(TABLE, COUNT, VECTOR)
-    def step(table: Table, samples: int, noise: Vector) -> None:
-        if sources < 0 or len(table) == 0:
-            return
-        p, s, u, out = floats(table, 0, (1,)), floats(table, 1, (1,)), floats(table, 2, (1,)), floats(table, 3, (1,))
-        set_points, sensors, shown = floats(table, 4, (1,)), floats(table, 5, (1,)), floats(table, 6, (1,))
-        for k in range(len(set_points)):
-            u[lay.U_MOTORS + k * loops.IN_SIZE + loops.IN_SETPOINT] = set_points[k]
-            s[lay.S_MOTORS + k * loops.STATE_SIZE + loops.LIMITED] = 0.0
-        kernel.go_on(p, s, u, samples)
-        kernel.report(p, s, out, 0)
-        for k in range(len(set_points)):
-            at, of, state = k * SHOWN, k * SENSOR, lay.S_MOTORS + k * loops.STATE_SIZE
-            position, counts = out[lay.O_X] + sensors[of] * noise[3 * k], sensors[of + 3]
-            # A count is a whole number, which has no -0.0.
-            shown[at] = (np.rint(position / counts) + 0.0) * counts if counts > 0.0 else position
-            shown[at + 1] = out[lay.O_V] + sensors[of + 1] * noise[3 * k + 1]
-            shown[at + 2] = out[lay.O_TORQUE + k] + sensors[of + 2] * noise[3 * k + 2]
-            shown[at + 3] = s[state + loops.REFERENCE]
-            shown[at + 4] = s[state + loops.LIMITED] != 0.0
-
-    return step
-
-
 #: step(table of parameters, state, inputs, out, set points (M,), sensors (M · SENSOR,), shown (M · SHOWN,); samples,
 #: normal numbers (3 · M,)): `kernel.advance` and `kernel.observe`, with ports that stay as they are, and `Sensors`.
-step = _entry_point(kernel.source_number(__file__))
-
-
-def _by_table(sources: int) -> Callable[[int, Table], int]:
-    """For Python; `sources` as in the kernel."""
-
-    @entry_point(COUNT, TABLE)
-    def step_by(samples: int, table: Table) -> int:
-        if sources < 0:
-            return GOES_ON
-        numbers = floats(table, 7, (1, 2))
-        row = take_row(numbers, integers(table, 8, (1,)))
-        if row < 0:
-            return DRAW
-        step(table, samples, numbers[row])
-        return GOES_ON
-
-    return step_by
+@entry_point(TABLE, COUNT, VECTOR)
+def step(table: Table, samples: int, noise: Vector) -> None:
+    if len(table) == 0:
+        return
+    p, s, u, out = floats(table, 0, (1,)), floats(table, 1, (1,)), floats(table, 2, (1,)), floats(table, 3, (1,))
+    set_points, sensors, shown = floats(table, 4, (1,)), floats(table, 5, (1,)), floats(table, 6, (1,))
+    for k in range(len(set_points)):
+        u[lay.U_MOTORS + k * loops.IN_SIZE + loops.IN_SETPOINT] = set_points[k]
+        s[lay.S_MOTORS + k * loops.STATE_SIZE + loops.LIMITED] = 0.0
+    kernel.go_on(p, s, u, samples)
+    kernel.report(p, s, out, 0)
+    for k in range(len(set_points)):
+        at, of, state = k * SHOWN, k * SENSOR, lay.S_MOTORS + k * loops.STATE_SIZE
+        position, counts = out[lay.O_X] + sensors[of] * noise[3 * k], sensors[of + 3]
+        # A count is a whole number, which has no -0.0.
+        shown[at] = (np.rint(position / counts) + 0.0) * counts if counts > 0.0 else position
+        shown[at + 1] = out[lay.O_V] + sensors[of + 1] * noise[3 * k + 1]
+        shown[at + 2] = out[lay.O_TORQUE + k] + sensors[of + 2] * noise[3 * k + 2]
+        shown[at + 3] = s[state + loops.REFERENCE]
+        shown[at + 4] = s[state + loops.LIMITED] != 0.0
 
 
 #: step_by(samples, table of the vectors in this order, and behind them the numbers, as of `sensor_rows.take_row`): the
 #: same.
-step_by = _by_table(kernel.source_number(str(sensor_rows.__file__), __file__))
+@entry_point(COUNT, TABLE)
+def step_by(samples: int, table: Table) -> int:
+    numbers = floats(table, 7, (1, 2))
+    row = take_row(numbers, integers(table, 8, (1,)))
+    if row < 0:
+        return DRAW
+    step(table, samples, numbers[row])
+    return GOES_ON

@@ -6,14 +6,13 @@ with constant jerk has no lag, whatever T_f is; T_f trades noise against how fas
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 from math import exp, factorial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point, number_of_sources
+from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point
 from hilbench.plant.servo_axis.layout import Vector
 
 Matrix = NDArray[np.float64]
@@ -40,25 +39,15 @@ def follow(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -
     motion[2], motion[3] = a + gain[2] * off_rad, j + gain[3] * off_rad
 
 
-def _entry_points(
-    sources: int,
-) -> tuple[Callable[[Vector, Matrix, Vector], None], Callable[[Vector, Matrix, Vector, float], None]]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(VECTOR, MATRIX, VECTOR)
-    def put_later(motion: Vector, forward: Matrix, out: Vector) -> None:
-        for place in range(ORDER if sources >= 0 else 0):
-            out[place] = later(motion, forward, place)
-
-    @entry_point(VECTOR, MATRIX, VECTOR, REAL)
-    def follow_once(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -> None:
-        if sources >= 0:
-            follow(motion, forward, gain, position_rad)
-
-    return put_later, follow_once
+@entry_point(VECTOR, MATRIX, VECTOR)
+def _put_later(motion: Vector, forward: Matrix, out: Vector) -> None:
+    for place in range(ORDER):
+        out[place] = later(motion, forward, place)
 
 
-_put_later, _follow = _entry_points(number_of_sources(__file__))
+@entry_point(VECTOR, MATRIX, VECTOR, REAL)
+def _follow(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -> None:
+    follow(motion, forward, gain, position_rad)
 
 
 @lru_cache(64)

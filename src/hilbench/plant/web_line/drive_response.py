@@ -2,37 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from hilbench.compiled import CUBE, FLAG, MATRIX, entry_point, number_of_sources
+from hilbench.compiled import CUBE, FLAG, MATRIX, entry_point
 from hilbench.plant.web_line.layout import Vector
 
-Answer = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, bool], None]
 
-
-def _entry_point(sources: int) -> Answer:
-    """For Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(CUBE, CUBE, MATRIX, MATRIX, MATRIX, MATRIX, FLAG)
-    def answer(
-        states: Vector, transition: Vector, inputs: Vector, gains: Vector, loads: Vector, torques: Vector, goes_on: bool
-    ) -> None:
-        """The torques (N, L); `goes_on`: after a cycle with these loads (N, L)."""
-        for i in range(states.shape[0] if sources >= 0 else 0):
-            for j in range(states.shape[2]):
-                speed, integral = states[i, 0, j], states[i, 1, j]
-                if goes_on:
-                    load = loads[i, j]
-                    states[i, 0, j] = transition[i, 0, 0] * speed + transition[i, 0, 1] * integral + inputs[i, 0] * load
-                    states[i, 1, j] = transition[i, 1, 0] * speed + transition[i, 1, 1] * integral + inputs[i, 1] * load
-                torques[i, j] = -(gains[i, 0] * states[i, 0, j] + gains[i, 1] * states[i, 1, j])
-
-    return answer
-
-
-_answer = _entry_point(number_of_sources(__file__))
+@entry_point(CUBE, CUBE, MATRIX, MATRIX, MATRIX, MATRIX, FLAG)
+def _answer(
+    states: Vector, transition: Vector, inputs: Vector, gains: Vector, loads: Vector, torques: Vector, goes_on: bool
+) -> None:
+    """The torques (N, L); `goes_on`: after a cycle with these loads (N, L)."""
+    for i in range(states.shape[0]):
+        for j in range(states.shape[2]):
+            speed, integral = states[i, 0, j], states[i, 1, j]
+            if goes_on:
+                load = loads[i, j]
+                states[i, 0, j] = transition[i, 0, 0] * speed + transition[i, 0, 1] * integral + inputs[i, 0] * load
+                states[i, 1, j] = transition[i, 1, 0] * speed + transition[i, 1, 1] * integral + inputs[i, 1] * load
+            torques[i, j] = -(gains[i, 0] * states[i, 0, j] + gains[i, 1] * states[i, 1, j])
 
 
 class DriveResponse:

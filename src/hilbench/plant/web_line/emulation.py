@@ -7,7 +7,6 @@ Between them the axes turn under their drives and the load motor, without a web.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -138,48 +137,37 @@ def _rows(
             torques[j] = (behind_N - (tension[i - 1] if i > 0 else upstream_N)) * pull_Nm_per_N
 
 
-SimulateEmulated = Callable[..., None]
-
-
-def _entry_point(sources: int) -> SimulateEmulated:
-    """The compiled function; `sources` as in the kernel."""
-
-    @entry_point(MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, MATRIX, MATRIX, COUNT, REAL, REAL, CUBE)
-    def rows(
-        p: Vector,
-        s: Vector,
-        u: Vector,
-        w: Vector,
-        web: Vector,
-        follower: Vector,
-        scratch: Vector,
-        commands: Vector,
-        boundary: Vector,
-        samples: int,
-        cycle_s: float,
-        lead_s: float,
-        out: Vector,
-    ) -> None:
-        flat, size = out.reshape(-1), out.shape[1] * out.shape[2]
-        n, m, k = int(p[0, lay.W_AXES]), int(p[0, lay.W_MOTORS]), int(web[0, lay.W_SPANS])
-        guess = np.zeros(follower.shape[1])
-        v, tension, torques = np.zeros(n), np.zeros(k), np.zeros(m - n)
-        first = u.copy()
-        for b in range(p.shape[0] if sources >= 0 else 0):
-            u[:] = first
-            for i in range(n):
-                v[i] = commands[0, i] / p[b, lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE + lay.M_RAD_PER_M]
-            for j in range(m - n):
-                torques[j] = u[lay.U_MOTORS + (n + j) * lay.UM_SIZE + lay.UM_SETPOINT]
-            _rows(
-                p[b], s[b], u, w, web[b], follower[b], guess, v, tension, torques, scratch, commands, boundary, samples,
-                cycle_s, lead_s, flat, b * size,
-            )  # fmt: skip
-
-    return rows
-
-
-_simulate_rows = _entry_point(kernel.source_number(spans.__file__, __file__))
+@entry_point(MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, MATRIX, MATRIX, COUNT, REAL, REAL, CUBE)
+def _simulate_rows(
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    web: Vector,
+    follower: Vector,
+    scratch: Vector,
+    commands: Vector,
+    boundary: Vector,
+    samples: int,
+    cycle_s: float,
+    lead_s: float,
+    out: Vector,
+) -> None:
+    flat, size = out.reshape(-1), out.shape[1] * out.shape[2]
+    n, m, k = int(p[0, lay.W_AXES]), int(p[0, lay.W_MOTORS]), int(web[0, lay.W_SPANS])
+    guess = np.zeros(follower.shape[1])
+    v, tension, torques = np.zeros(n), np.zeros(k), np.zeros(m - n)
+    first = u.copy()
+    for b in range(p.shape[0]):
+        u[:] = first
+        for i in range(n):
+            v[i] = commands[0, i] / p[b, lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE + lay.M_RAD_PER_M]
+        for j in range(m - n):
+            torques[j] = u[lay.U_MOTORS + (n + j) * lay.UM_SIZE + lay.UM_SETPOINT]
+        _rows(
+            p[b], s[b], u, w, web[b], follower[b], guess, v, tension, torques, scratch, commands, boundary, samples,
+            cycle_s, lead_s, flat, b * size,
+        )  # fmt: skip
 
 
 def simulate_emulated(

@@ -6,12 +6,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import Function
 from hilbench.compiled import COUNT, TABLE, entry_point, floats, integers
-from hilbench.plant import measured_motion, pairing
 from hilbench.plant.measured_motion import ahead_s, elapsed_s, take, tell
-from hilbench.plant.web_line import kernel, span_kernel
 from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line import span_kernel
 
 Table = NDArray[np.int64]
 Places = NDArray[np.int64]
@@ -44,40 +42,30 @@ Vector = NDArray[np.float64]
 NOTHING, FOLLOWED, WITH_PIECES = range(3)
 
 
-def _entry_point(sources: int) -> Function:
-    """For Python; `sources` as in the kernel."""
-
-    @entry_point(COUNT, TABLE)
-    def follow(late: int, table: Table) -> int:
-        if sources < 0 or len(table) == 0:
-            return NOTHING
-        values, at = floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
-        motion, travels, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
-        speeds = floats(table, _MEASURED_SPEEDS, (1,))
-        take(values, at, x, speeds)
-        duration_s = elapsed_s(motion, travels, x, speeds, late != 0)
-        if not duration_s > 0.0:
-            return NOTHING
-        p, s, w = floats(table, _P, (1,)), floats(table, _STATE, (1,)), floats(table, _WORK, (1,))
-        v, boundary, tension = (
-            floats(table, _SPEEDS, (1,)),
-            floats(table, _BOUNDARY, (1,)),
-            floats(table, _TENSION, (1,)),
-        )
-        span_kernel.follow(p, s, w, v, boundary, x, duration_s, tension)
-        ahead, tension_ahead = floats(table, _AHEAD, (1,)), floats(table, _TENSION_AHEAD, (1,))
-        loads, torques = floats(table, _LOADS, (1, 2)), floats(table, _TORQUES, (1,))
-        span_kernel.pull(p, s, ahead, w, v, boundary, ahead_s(motion), tension_ahead, loads, speeds, torques)
-        shown = floats(table, _SHOWN, (1,))
-        span_kernel.show(p, s, v, tension, shown)
-        tell(values, at[2 * len(x) :], torques, shown)
-        return WITH_PIECES if s[len(s) - lay.PIECES_SIZE + lay.PIECES_COUNT] > 0.0 else FOLLOWED
-
-    return follow
-
-
 #: follow(whether a sample is late, table of the vectors in the order of these rows, the last are values and places in
 #: these): as of `measured_motion.InStep`.
-follow = _entry_point(
-    kernel.source_number(*(str(module.__file__) for module in (measured_motion, pairing, span_kernel)), __file__)
-)
+@entry_point(COUNT, TABLE)
+def follow(late: int, table: Table) -> int:
+    if len(table) == 0:
+        return NOTHING
+    values, at = floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
+    motion, travels, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
+    speeds = floats(table, _MEASURED_SPEEDS, (1,))
+    take(values, at, x, speeds)
+    duration_s = elapsed_s(motion, travels, x, speeds, late != 0)
+    if not duration_s > 0.0:
+        return NOTHING
+    p, s, w = floats(table, _P, (1,)), floats(table, _STATE, (1,)), floats(table, _WORK, (1,))
+    v, boundary, tension = (
+        floats(table, _SPEEDS, (1,)),
+        floats(table, _BOUNDARY, (1,)),
+        floats(table, _TENSION, (1,)),
+    )
+    span_kernel.follow(p, s, w, v, boundary, x, duration_s, tension)
+    ahead, tension_ahead = floats(table, _AHEAD, (1,)), floats(table, _TENSION_AHEAD, (1,))
+    loads, torques = floats(table, _LOADS, (1, 2)), floats(table, _TORQUES, (1,))
+    span_kernel.pull(p, s, ahead, w, v, boundary, ahead_s(motion), tension_ahead, loads, speeds, torques)
+    shown = floats(table, _SHOWN, (1,))
+    span_kernel.show(p, s, v, tension, shown)
+    tell(values, at[2 * len(x) :], torques, shown)
+    return WITH_PIECES if s[len(s) - lay.PIECES_SIZE + lay.PIECES_COUNT] > 0.0 else FOLLOWED

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from hilbench.compiled import REAL, VECTOR, entry_point, inlined
-from hilbench.plant import hysteresis
 from hilbench.plant.hysteresis import LEAST_PRESLIDING, friction_direction, wound
 from hilbench.plant.motor_laws import measured_direction, value_at
-from hilbench.plant.web_line import kernel, laws
+from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
-
-RequiredTorque = Callable[[Vector, Vector, Vector, Vector, float, Vector, float], None]
 
 
 @inlined
@@ -55,42 +50,34 @@ def reported_torque_Nm(
     return torque - fed_forward + laws.reported_offset_Nm(p, motor)
 
 
-def _required_torque(sources: int) -> RequiredTorque:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR, REAL)
-    def required(
-        p: Vector,
-        x_m: Vector,
-        v_m_s: Vector,
-        a_m_s2: Vector,
-        period_s: float,
-        out_Nm: Vector,
-        presliding_m: float,
-    ) -> None:
-        axis = lay.W_SIZE
-        motor = lay.W_SIZE + int(p[lay.W_AXES]) * lay.A_SIZE
-        late = laws.reporting_delay_s(p, motor) / period_s if sources >= 0 else 0.0
-        half_play = laws.half_gap_m(p, axis, p[motor + lay.M_RAD_PER_M])
-        turns_over = presliding_m > 0.0 or half_play > 0.0
-        presliding, deflection, before = max(presliding_m, LEAST_PRESLIDING), 0.0, x_m[0]
-        for k in range(len(x_m)):
-            at = min(max(k - late, 0.0), len(x_m) - 1.0)
-            x, v, a = true_motion(p, motor, value_at(x_m, at), value_at(v_m_s, at), value_at(a_m_s2, at))
-            carried = 1.0
-            if turns_over:
-                deflection, before = wound(deflection, x - before, half_play, presliding), x
-                direction = friction_direction(deflection, half_play, presliding)
-                if half_play > 0.0:
-                    carried = abs(direction)
-            else:
-                direction = measured_direction(v, laws.FRICTION_WIDTH_M_S)
-            out_Nm[k] = reported_torque_Nm(p, axis, motor, x, v, a, 0.0, direction, carried)
-
-    return required
-
-
-_required_torque_Nm = _required_torque(kernel.source_number(__file__, hysteresis.__file__))
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR, REAL)
+def _required_torque_Nm(
+    p: Vector,
+    x_m: Vector,
+    v_m_s: Vector,
+    a_m_s2: Vector,
+    period_s: float,
+    out_Nm: Vector,
+    presliding_m: float,
+) -> None:
+    axis = lay.W_SIZE
+    motor = lay.W_SIZE + int(p[lay.W_AXES]) * lay.A_SIZE
+    late = laws.reporting_delay_s(p, motor) / period_s
+    half_play = laws.half_gap_m(p, axis, p[motor + lay.M_RAD_PER_M])
+    turns_over = presliding_m > 0.0 or half_play > 0.0
+    presliding, deflection, before = max(presliding_m, LEAST_PRESLIDING), 0.0, x_m[0]
+    for k in range(len(x_m)):
+        at = min(max(k - late, 0.0), len(x_m) - 1.0)
+        x, v, a = true_motion(p, motor, value_at(x_m, at), value_at(v_m_s, at), value_at(a_m_s2, at))
+        carried = 1.0
+        if turns_over:
+            deflection, before = wound(deflection, x - before, half_play, presliding), x
+            direction = friction_direction(deflection, half_play, presliding)
+            if half_play > 0.0:
+                carried = abs(direction)
+        else:
+            direction = measured_direction(v, laws.FRICTION_WIDTH_M_S)
+        out_Nm[k] = reported_torque_Nm(p, axis, motor, x, v, a, 0.0, direction, carried)
 
 
 def required_torque_Nm(

@@ -20,9 +20,7 @@ both s. Positions, speeds, masses and forces are those at the web. What goes on 
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
-from hilbench import compiled as decorators
 from hilbench.compiled import (
     COUNT,
     CUBE,
@@ -33,11 +31,9 @@ from hilbench.compiled import (
     inlined,
     merged,
     noinline,
-    number_of_sources,
 )
 from hilbench.plant import drive_loops as loops
-from hilbench.plant import motor_laws
-from hilbench.plant.web_line import carriages, events, laws, motion, places, reels, splice_laws
+from hilbench.plant.web_line import events, laws, motion, places, reels, splice_laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 
@@ -333,51 +329,33 @@ def _rows(
         go_on(p, s, u, w, samples)
 
 
-Advance = Callable[[Vector, Vector, Vector, Vector, int], None]
 Observe = Callable[[Vector, Vector, Vector, Vector, Vector], None]
-Simulate = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, int, Vector], None]
-
-
-def source_number(*further: str) -> int:
-    """A number that changes with the source of what is compiled here, and with `further` files."""
-    table = str(Path(__file__).parents[1] / "effects.py")
-    modules = (decorators, loops, motor_laws, laws, splice_laws, lay, places, carriages, reels, motion, events)
-    names = (*(str(module.__file__) for module in modules), __file__, table, *further)
-    return number_of_sources(*names)
-
-
-def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate]:
-    """The compiled functions others call; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, COUNT)
-    def advance(p: Vector, s: Vector, u: Vector, work: Vector, samples: int) -> None:
-        if sources >= 0:
-            enter(p, s, u, work)
-            go_on(p, s, u, work, samples)
-            leave(s, work, places.block(int(p[lay.W_AXES]), int(p[lay.W_SPANS]), 1))
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
-    def observe(p: Vector, s: Vector, u: Vector, work: Vector, out: Vector) -> None:
-        if sources >= 0:
-            enter(p, s, u, work)
-            report(p, s, u, work, out, 0)
-
-    @entry_point(MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, COUNT, CUBE)
-    def simulate(
-        p: Vector, s: Vector, u: Vector, work: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector
-    ) -> None:
-        flat, rows, columns = out.reshape(-1), out.shape[1], out.shape[2]
-        for b in range(p.shape[0] if sources >= 0 else 0):
-            parameters, state = p[b], s[b]
-            enter(parameters, state, u, work)
-            _rows(parameters, state, u, work, commands, boundary, samples, flat, b * rows * columns)
-            leave(state, work, places.block(int(parameters[lay.W_AXES]), int(parameters[lay.W_SPANS]), 1))
-
-    return advance, observe, simulate
 
 
 #: advance(parameters, state, inputs, work, samples): `samples` drive sample times onwards, state changed in place.
 #: observe(parameters, state, inputs, work, out): measured motion and torque, tension, strain (`Layout.columns`).
 #: simulate(parameters (B, P), states (B, S), inputs, work, commands (n, M), boundary (n, 2), samples, out (B, n, C)):
 #: for each row observe, then advance `samples` with the row's set points, upstream strain and downstream tension.
-advance, observe, simulate = _entry_points(source_number())
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, COUNT)
+def advance(p: Vector, s: Vector, u: Vector, work: Vector, samples: int) -> None:
+    enter(p, s, u, work)
+    go_on(p, s, u, work, samples)
+    leave(s, work, places.block(int(p[lay.W_AXES]), int(p[lay.W_SPANS]), 1))
+
+
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
+def observe(p: Vector, s: Vector, u: Vector, work: Vector, out: Vector) -> None:
+    enter(p, s, u, work)
+    report(p, s, u, work, out, 0)
+
+
+@entry_point(MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, COUNT, CUBE)
+def simulate(
+    p: Vector, s: Vector, u: Vector, work: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector
+) -> None:
+    flat, rows, columns = out.reshape(-1), out.shape[1], out.shape[2]
+    for b in range(p.shape[0]):
+        parameters, state = p[b], s[b]
+        enter(parameters, state, u, work)
+        _rows(parameters, state, u, work, commands, boundary, samples, flat, b * rows * columns)
+        leave(state, work, places.block(int(parameters[lay.W_AXES]), int(parameters[lay.W_SPANS]), 1))

@@ -6,12 +6,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import Function
 from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers
-from hilbench.plant import measured_motion, pairing
 from hilbench.plant.measured_motion import ahead_s, elapsed_s, take, tell
-from hilbench.plant.web_line import kernel, line_kernel, line_vectors, places
 from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line import line_kernel, places
 from hilbench.plant.web_line.layout import Vector
 
 Table = NDArray[np.int64]
@@ -47,38 +45,26 @@ def _show(p: Vector, s: Vector, out: Vector, columns: Places, states: Places, ro
         at += 1
 
 
-def _entry_point(sources: int) -> Function:
-    """For Python; `sources` as in the kernel."""
-
-    @entry_point(COUNT, TABLE)
-    def follow(late: int, table: Table) -> int:
-        if sources < 0 or len(table) == 0:
-            return NOTHING
-        values, at = floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
-        motion, travels, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
-        speeds = floats(table, line_kernel.SPEEDS, (1,))
-        take(values, at, x, speeds)
-        duration_s = elapsed_s(motion, travels, x, speeds, late != 0)
-        if not duration_s > 0.0:
-            return NOTHING
-        line_kernel.follow_alone(table, x, floats(table, _FURTHER, (1,)), duration_s)
-        p, s = floats(table, line_kernel.P, (1,)), floats(table, line_kernel.STATE, (1,))
-        shown = floats(table, _SHOWN, (1,))
-        _show(
-            p, s, floats(table, line_kernel.OUT, (1,)), integers(table, _COLUMNS, (1,)),
-            integers(table, _STATES, (1,)), integers(table, _REELS, (1,)), shown,
-        )  # fmt: skip
-        line_kernel.pull_alone(table, ahead_s(motion))
-        tell(values, at[2 * len(x) :], floats(table, line_kernel.TORQUES, (1,)), shown)
-        return FOLLOWED
-
-    return follow
-
-
 #: follow(whether a sample is late, table of the vectors in the order of these rows, the last are values and places in
 #: these): as of `measured_motion.InStep`.
-follow = _entry_point(
-    kernel.source_number(
-        *(str(module.__file__) for module in (measured_motion, pairing, line_kernel, line_vectors)), __file__
-    )
-)
+@entry_point(COUNT, TABLE)
+def follow(late: int, table: Table) -> int:
+    if len(table) == 0:
+        return NOTHING
+    values, at = floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
+    motion, travels, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
+    speeds = floats(table, line_kernel.SPEEDS, (1,))
+    take(values, at, x, speeds)
+    duration_s = elapsed_s(motion, travels, x, speeds, late != 0)
+    if not duration_s > 0.0:
+        return NOTHING
+    line_kernel.follow_alone(table, x, floats(table, _FURTHER, (1,)), duration_s)
+    p, s = floats(table, line_kernel.P, (1,)), floats(table, line_kernel.STATE, (1,))
+    shown = floats(table, _SHOWN, (1,))
+    _show(
+        p, s, floats(table, line_kernel.OUT, (1,)), integers(table, _COLUMNS, (1,)),
+        integers(table, _STATES, (1,)), integers(table, _REELS, (1,)), shown,
+    )  # fmt: skip
+    line_kernel.pull_alone(table, ahead_s(motion))
+    tell(values, at[2 * len(x) :], floats(table, line_kernel.TORQUES, (1,)), shown)
+    return FOLLOWED

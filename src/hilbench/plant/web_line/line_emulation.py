@@ -6,7 +6,7 @@ the rig shows at each SYNC, what has no motor moves by itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, CUBE, INDICES, MATRIX, REAL, VECTOR, compiled, entry_point, inlined
 from hilbench.plant.sampling import on_all_cores, samples_per
-from hilbench.plant.web_line import kernel, laws, line_follower, line_kernel, places, reels
+from hilbench.plant.web_line import kernel, laws, line_follower, places, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.emulation import Emulation, lead_s, of_axes, rig_inputs, stands_of
 from hilbench.plant.web_line.layout import Layout, Vector
@@ -116,35 +116,27 @@ def _run(
         _pull(web, line, boundary, row, rows, pulls, seen, loads)
 
 
-def _entry_point(sources: int) -> Callable[..., None]:
-    """The compiled function; `sources` as in the kernel."""
-
-    @entry_point(
-        MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, VECTOR, INDICES, INDICES, VECTOR, MATRIX, MATRIX, COUNT,
-        REAL, REAL, REAL, INDICES, MATRIX, VECTOR, CUBE,
-    )  # fmt: skip
-    def runs(
-        p: Vector, s: Vector, u: Vector, w: Vector, web: Vector, line: Vector, line_u: Vector, line_w: Vector,
-        rows: Rows, sensors: Rows, pulls: Vector, commands: Vector, boundary: Vector, samples: int, cycle_s: float,
-        lead_s: float, step_s: float, pushed: Rows, forces: Vector, bases: Vector, out: Vector,
-    ) -> None:  # fmt: skip
-        flat, size = out.reshape(-1), out.shape[1] * out.shape[2]
-        guess, room = np.zeros(line.shape[1]), np.zeros((4, len(rows)))
-        seen = np.zeros(3 * int(web[0, lay.W_MOTORS]) + 2 * int(web[0, lay.W_SPANS]))
-        first, more = u.copy(), np.zeros(len(pushed))
-        for b in range(p.shape[0] if sources >= 0 else 0):
-            u[:] = first
-            for j in range(len(pushed)):
-                more[j] = web[b, places.axis(pushed[j]) + lay.A_FORCE_N] - bases[j]
-            _run(
-                p[b], s[b], u, w, web[b], line[b], line_u, line_w, rows, sensors, pulls, guess, room, seen, commands,
-                boundary, samples, cycle_s, lead_s, step_s, pushed, forces, more, flat, b * size,
-            )  # fmt: skip
-
-    return runs
-
-
-_simulate = _entry_point(kernel.source_number(str(line_kernel.__file__), __file__))
+@entry_point(
+    MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, VECTOR, INDICES, INDICES, VECTOR, MATRIX, MATRIX, COUNT,
+    REAL, REAL, REAL, INDICES, MATRIX, VECTOR, CUBE,
+)  # fmt: skip
+def _simulate(
+    p: Vector, s: Vector, u: Vector, w: Vector, web: Vector, line: Vector, line_u: Vector, line_w: Vector,
+    rows: Rows, sensors: Rows, pulls: Vector, commands: Vector, boundary: Vector, samples: int, cycle_s: float,
+    lead_s: float, step_s: float, pushed: Rows, forces: Vector, bases: Vector, out: Vector,
+) -> None:  # fmt: skip
+    flat, size = out.reshape(-1), out.shape[1] * out.shape[2]
+    guess, room = np.zeros(line.shape[1]), np.zeros((4, len(rows)))
+    seen = np.zeros(3 * int(web[0, lay.W_MOTORS]) + 2 * int(web[0, lay.W_SPANS]))
+    first, more = u.copy(), np.zeros(len(pushed))
+    for b in range(p.shape[0]):
+        u[:] = first
+        for j in range(len(pushed)):
+            more[j] = web[b, places.axis(pushed[j]) + lay.A_FORCE_N] - bases[j]
+        _run(
+            p[b], s[b], u, w, web[b], line[b], line_u, line_w, rows, sensors, pulls, guess, room, seen, commands,
+            boundary, samples, cycle_s, lead_s, step_s, pushed, forces, more, flat, b * size,
+        )  # fmt: skip
 
 
 def simulate_emulated_line(

@@ -6,7 +6,6 @@ of its rollers, which encoders tell far better than speeds do; each torque from 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from hilbench.compiled import MATRIX, REAL, VECTOR, entry_point, inlined
 from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.sampling import on_all_cores
-from hilbench.plant.web_line import inverse, kernel, laws, splice_laws
+from hilbench.plant.web_line import laws, splice_laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.inverse import reported_torque_Nm, true_motion
 from hilbench.plant.web_line.layout import Layout, Vector
@@ -60,95 +59,84 @@ def _rates(
         )
 
 
-Required = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, float, Vector, Vector, Vector], None]
-
-
-def _required(sources: int) -> Required:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX, REAL, MATRIX, MATRIX, MATRIX)
-    def required(
-        p: Vector,
-        lengths: Vector,
-        x_m: Vector,
-        v_m_s: Vector,
-        a_m_s2: Vector,
-        boundary: Vector,
-        period_s: float,
-        tau_Nm: Vector,
-        F_N: Vector,
-        strain: Vector,
-    ) -> None:
-        n = x_m.shape[1] if sources >= 0 else 0
-        k = n - 1
-        xs, vs, accelerations = np.empty_like(x_m), np.empty_like(x_m), np.empty_like(x_m)
-        for i in range(n):
-            motor = lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
-            for row in range(x_m.shape[0]):
-                xs[row, i], vs[row, i], accelerations[row, i] = true_motion(
-                    p, motor, x_m[row, i], v_m_s[row, i], a_m_s2[row, i]
-                )
-        speed, tension, rate, _, material, steps = _parts(n)
-        w, first_span = np.zeros(n + 6 * k), lay.W_SIZE + n * (lay.A_SIZE + lay.M_SIZE)
-        s, blur = np.zeros(lay.PIECES_SIZE), lay.LEAST_BLUR_M
-        begin, first = np.zeros(k), np.zeros(k)
-        for j in range(k):
-            w[material + k + j] = lengths[j]
-            w[material + j] = lengths[j] * laws.length_factor(p, first_span + j * lay.SP_SIZE) / (1.0 + boundary[0, 0])
+@entry_point(VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX, REAL, MATRIX, MATRIX, MATRIX)
+def _required_torques(
+    p: Vector,
+    lengths: Vector,
+    x_m: Vector,
+    v_m_s: Vector,
+    a_m_s2: Vector,
+    boundary: Vector,
+    period_s: float,
+    tau_Nm: Vector,
+    F_N: Vector,
+    strain: Vector,
+) -> None:
+    n = x_m.shape[1]
+    k = n - 1
+    xs, vs, accelerations = np.empty_like(x_m), np.empty_like(x_m), np.empty_like(x_m)
+    for i in range(n):
+        motor = lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
         for row in range(x_m.shape[0]):
-            t = row * period_s
-            laws.put_step_factors(p, first_span, k, t, period_s, w, steps)
-            strain_prev = laws.upstream_strain(p, boundary[row, 0], t)
-            downstream = boundary[row, 1]
-            for i in range(n):
-                w[speed + i] = laws.web_speed_m_s(p, lay.W_SIZE + i * lay.A_SIZE, xs[row, i], vs[row, i])
-            travel = xs[row, 0]
-            if splice_laws.has_splice(p, s, 0):
-                blur = max(abs(vs[row, 0]) * period_s, lay.LEAST_BLUR_M)
-                splice_laws.let_splice_in(p, s, 0, t, period_s, travel, vs[row, 0], strain_prev)
-            _rates(p, s, n, t, strain_prev, downstream, w, travel, blur)
-            for j in range(k):
-                F_N[row, j] = w[tension + j]
-                scale = laws.length_factor(p, first_span + j * lay.SP_SIZE)
-                strain[row, j] = w[material + k + j] * scale / w[material + j] - 1.0
-            upstream = strain_prev * p[lay.W_UPSTREAM_STIFFNESS_N]
-            for i in range(n):
-                axis, motor = lay.W_SIZE + i * lay.A_SIZE, lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
-                pull = _pull_N(p, w, tension, i, n, upstream, downstream)
-                x, v, a = xs[row, i], vs[row, i], accelerations[row, i]
-                direction = measured_direction(v, laws.FRICTION_WIDTH_M_S)
-                tau_Nm[row, i] = reported_torque_Nm(p, axis, motor, x, v, a, pull, direction, 1.0)
-            if row + 1 == x_m.shape[0]:
-                break
-            # To the next row by Heun's rule, with the way that the web went and not with speeds: what was travelled is
-            # exact, whatever the period.
-            for i in range(n):
-                axis = lay.W_SIZE + i * lay.A_SIZE
-                gone = xs[row + 1, i] - xs[row, i] + laws.eccentric_travel_m(p, axis, xs[row, i], xs[row + 1, i])
-                w[speed + i] = gone / period_s
-            for j in range(k):
-                begin[j] = w[material + j]
-            _rates(p, s, n, t, strain_prev, downstream, w, travel, blur)
-            for j in range(k):
-                first[j] = w[rate + j]
-                w[material + j] = begin[j] + period_s * first[j]
-            _rates(p, s, n, t, strain_prev, downstream, w, xs[row + 1, 0], blur)
-            for j in range(k):
-                w[material + j] = begin[j] + 0.5 * period_s * (first[j] + w[rate + j])
-        rows = x_m.shape[0]
+            xs[row, i], vs[row, i], accelerations[row, i] = true_motion(
+                p, motor, x_m[row, i], v_m_s[row, i], a_m_s2[row, i]
+            )
+    speed, tension, rate, _, material, steps = _parts(n)
+    w, first_span = np.zeros(n + 6 * k), lay.W_SIZE + n * (lay.A_SIZE + lay.M_SIZE)
+    s, blur = np.zeros(lay.PIECES_SIZE), lay.LEAST_BLUR_M
+    begin, first = np.zeros(k), np.zeros(k)
+    for j in range(k):
+        w[material + k + j] = lengths[j]
+        w[material + j] = lengths[j] * laws.length_factor(p, first_span + j * lay.SP_SIZE) / (1.0 + boundary[0, 0])
+    for row in range(x_m.shape[0]):
+        t = row * period_s
+        laws.put_step_factors(p, first_span, k, t, period_s, w, steps)
+        strain_prev = laws.upstream_strain(p, boundary[row, 0], t)
+        downstream = boundary[row, 1]
         for i in range(n):
-            motor = lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
-            late = laws.reporting_delay_s(p, motor) / period_s
-            whole = int(late)
-            share = late - whole
-            for row in range(rows - 1, -1, -1):
-                newer, older = max(row - whole, 0), max(row - whole - 1, 0)
-                tau_Nm[row, i] = tau_Nm[newer, i] + share * (tau_Nm[older, i] - tau_Nm[newer, i])
-
-    return required
-
-
-_required_torques = _required(kernel.source_number(__file__, inverse.__file__))
+            w[speed + i] = laws.web_speed_m_s(p, lay.W_SIZE + i * lay.A_SIZE, xs[row, i], vs[row, i])
+        travel = xs[row, 0]
+        if splice_laws.has_splice(p, s, 0):
+            blur = max(abs(vs[row, 0]) * period_s, lay.LEAST_BLUR_M)
+            splice_laws.let_splice_in(p, s, 0, t, period_s, travel, vs[row, 0], strain_prev)
+        _rates(p, s, n, t, strain_prev, downstream, w, travel, blur)
+        for j in range(k):
+            F_N[row, j] = w[tension + j]
+            scale = laws.length_factor(p, first_span + j * lay.SP_SIZE)
+            strain[row, j] = w[material + k + j] * scale / w[material + j] - 1.0
+        upstream = strain_prev * p[lay.W_UPSTREAM_STIFFNESS_N]
+        for i in range(n):
+            axis, motor = lay.W_SIZE + i * lay.A_SIZE, lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
+            pull = _pull_N(p, w, tension, i, n, upstream, downstream)
+            x, v, a = xs[row, i], vs[row, i], accelerations[row, i]
+            direction = measured_direction(v, laws.FRICTION_WIDTH_M_S)
+            tau_Nm[row, i] = reported_torque_Nm(p, axis, motor, x, v, a, pull, direction, 1.0)
+        if row + 1 == x_m.shape[0]:
+            break
+        # To the next row by Heun's rule, with the way that the web went and not with speeds: what was travelled is
+        # exact, whatever the period.
+        for i in range(n):
+            axis = lay.W_SIZE + i * lay.A_SIZE
+            gone = xs[row + 1, i] - xs[row, i] + laws.eccentric_travel_m(p, axis, xs[row, i], xs[row + 1, i])
+            w[speed + i] = gone / period_s
+        for j in range(k):
+            begin[j] = w[material + j]
+        _rates(p, s, n, t, strain_prev, downstream, w, travel, blur)
+        for j in range(k):
+            first[j] = w[rate + j]
+            w[material + j] = begin[j] + period_s * first[j]
+        _rates(p, s, n, t, strain_prev, downstream, w, xs[row + 1, 0], blur)
+        for j in range(k):
+            w[material + j] = begin[j] + 0.5 * period_s * (first[j] + w[rate + j])
+    rows = x_m.shape[0]
+    for i in range(n):
+        motor = lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
+        late = laws.reporting_delay_s(p, motor) / period_s
+        whole = int(late)
+        share = late - whole
+        for row in range(rows - 1, -1, -1):
+            newer, older = max(row - whole, 0), max(row - whole - 1, 0)
+            tau_Nm[row, i] = tau_Nm[newer, i] + share * (tau_Nm[older, i] - tau_Nm[newer, i])
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,6 @@ driven roller, its mean speed in that time m/s, its acceleration m/s², and room
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -195,71 +194,63 @@ def pull_alone(table: Table, lead_s: float) -> None:
         torques[j] = _web_torque_Nm(p, s, u, ahead, rows[axis], loads[j], speeds[axis])
 
 
-Together = Callable[[float, Table], int]
-
-
-def _entry_points(sources: int) -> tuple[Together, Together, Together, Together, Together]:
-    """For Python; `sources` as in the kernel."""
-
-    @entry_point(REAL, TABLE)
-    def follow(duration_s: float, table: Table) -> int:
-        x, rows, offsets = floats(table, X, (1,)), integers(table, ROWS, (1,)), floats(table, OFFSETS, (1, 2))
-        for line in range(offsets.shape[0] if sources >= 0 else 0):
-            first = SHARED + line * EACH
-            p, s, u = (
-                floats(table, first + P, (1,)),
-                floats(table, first + STATE, (1,)),
-                floats(table, first + INPUTS, (1,)),
-            )
-            w, memory = floats(table, first + WORK, (1,)), floats(table, first + MEMORY, (1,))
-            _follow(p, s, u, w, memory, rows, x, offsets[line], duration_s)
-            _observe(p, s, u, w, floats(table, first + OUT, (1,)))
-            _gather(table, line)
-        return 0
-
-    @entry_point(REAL, TABLE)
-    def show(unused: float, table: Table) -> int:
-        for line in range(floats(table, OFFSETS, (1, 2)).shape[0] if sources >= 0 else 0):
-            _gather(table, line)
-        return 0
-
-    @entry_point(REAL, TABLE)
-    def put(unused: float, table: Table) -> int:
-        motions = floats(table, MOTIONS, (1, 2))
-        for line in range(motions.shape[0] if sources >= 0 else 0):
-            first = SHARED + line * EACH
-            p, s, u = (
-                floats(table, first + P, (1,)),
-                floats(table, first + STATE, (1,)),
-                floats(table, first + INPUTS, (1,)),
-            )
-            for j in range(motions.shape[1]):
-                s[lay.S_Y + j] = motions[line, j]
-            w, out = floats(table, first + WORK, (1,)), floats(table, first + OUT, (1,))
-            line_vectors.show(LineVectors(p, s, u, w, out))
-            _gather(table, line)
-        return 0
-
-    @entry_point(REAL, TABLE)
-    def pull(lead_s: float, table: Table) -> int:
-        if sources >= 0:
-            pull_alone(table, lead_s)
-        return 0
-
-    @entry_point(REAL, TABLE)
-    def hand_on(unused: float, table: Table) -> int:
-        has, at = floats(table, FROM, (1,)), integers(table, PLACES, (1,))
-        p, s, u = floats(table, TO + P, (1,)), floats(table, TO + STATE, (1,)), floats(table, TO + INPUTS, (1,))
-        for j in range(len(at) if sources >= 0 else 0):
-            s[lay.S_Y + at[j]] = has[lay.S_Y + at[j]]
-        line_vectors.show(LineVectors(p, s, u, floats(table, TO + WORK, (1,)), floats(table, TO + OUT, (1,))))
-        return 0
-
-    return follow, show, put, pull, hand_on
-
-
 #: follow(duration in s, table): all lines of a table of lines go on to the positions in it.
 #: show(0, table): what was changed in them is gathered. put(0, table): they go on from what is integrated there.
 #: hand_on(0, table of a closed line): it goes on with what another one has at some places.
 #: pull(lead in s, table of load motors): torques of the line so much later, if its driven rollers go on as until now.
-follow, show, put, pull, hand_on = _entry_points(kernel.source_number(str(line_vectors.__file__), __file__))
+@entry_point(REAL, TABLE)
+def follow(duration_s: float, table: Table) -> int:
+    x, rows, offsets = floats(table, X, (1,)), integers(table, ROWS, (1,)), floats(table, OFFSETS, (1, 2))
+    for line in range(offsets.shape[0]):
+        first = SHARED + line * EACH
+        p, s, u = (
+            floats(table, first + P, (1,)),
+            floats(table, first + STATE, (1,)),
+            floats(table, first + INPUTS, (1,)),
+        )
+        w, memory = floats(table, first + WORK, (1,)), floats(table, first + MEMORY, (1,))
+        _follow(p, s, u, w, memory, rows, x, offsets[line], duration_s)
+        _observe(p, s, u, w, floats(table, first + OUT, (1,)))
+        _gather(table, line)
+    return 0
+
+
+@entry_point(REAL, TABLE)
+def show(unused: float, table: Table) -> int:
+    for line in range(floats(table, OFFSETS, (1, 2)).shape[0]):
+        _gather(table, line)
+    return 0
+
+
+@entry_point(REAL, TABLE)
+def put(unused: float, table: Table) -> int:
+    motions = floats(table, MOTIONS, (1, 2))
+    for line in range(motions.shape[0]):
+        first = SHARED + line * EACH
+        p, s, u = (
+            floats(table, first + P, (1,)),
+            floats(table, first + STATE, (1,)),
+            floats(table, first + INPUTS, (1,)),
+        )
+        for j in range(motions.shape[1]):
+            s[lay.S_Y + j] = motions[line, j]
+        w, out = floats(table, first + WORK, (1,)), floats(table, first + OUT, (1,))
+        line_vectors.show(LineVectors(p, s, u, w, out))
+        _gather(table, line)
+    return 0
+
+
+@entry_point(REAL, TABLE)
+def pull(lead_s: float, table: Table) -> int:
+    pull_alone(table, lead_s)
+    return 0
+
+
+@entry_point(REAL, TABLE)
+def hand_on(unused: float, table: Table) -> int:
+    has, at = floats(table, FROM, (1,)), integers(table, PLACES, (1,))
+    p, s, u = floats(table, TO + P, (1,)), floats(table, TO + STATE, (1,)), floats(table, TO + INPUTS, (1,))
+    for j in range(len(at)):
+        s[lay.S_Y + at[j]] = has[lay.S_Y + at[j]]
+    line_vectors.show(LineVectors(p, s, u, floats(table, TO + WORK, (1,)), floats(table, TO + OUT, (1,))))
+    return 0

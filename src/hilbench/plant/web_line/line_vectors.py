@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -117,15 +116,6 @@ def put_torque_ripples(p: Vector, s: Vector, motors: NDArray[np.int64], samples:
         ripples_Nm[row] = even
 
 
-def _entry_point(sources: int) -> Callable[[Vector, Vector, NDArray[np.int64], int, Vector], None]:
-    """For Python; `sources` as in the kernel."""
-
-    @entry_point(VECTOR, VECTOR, INDICES, COUNT, VECTOR)
-    def put_once(p: Vector, s: Vector, motors: NDArray[np.int64], samples: int, ripples_Nm: Vector) -> None:
-        if sources >= 0:
-            put_torque_ripples(p, s, motors, samples, ripples_Nm)
-
-    return put_once
-
-
-torque_ripples = _entry_point(kernel.source_number(__file__))
+@entry_point(VECTOR, VECTOR, INDICES, COUNT, VECTOR)
+def torque_ripples(p: Vector, s: Vector, motors: NDArray[np.int64], samples: int, ripples_Nm: Vector) -> None:
+    put_torque_ripples(p, s, motors, samples, ripples_Nm)

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.chain import GOES_ON
 from hilbench.compiled import COUNT, INDICES, TABLE, VECTOR, compiled, entry_point, floats, integers
-from hilbench.plant import sensor_rows
 from hilbench.plant.sensor_rows import take_row
-from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.kernel import advance, observe
 from hilbench.plant.web_line.layout import Vector
 
 Table = NDArray[np.int64]
-Step = Callable[[Vector, Vector, Vector, Vector, Vector, NDArray[np.int64], Vector, int, Vector, Vector, Vector], None]
 #: What a motor shows, in the order of `hilbench.plant.motor_port.MotorPort`: position, velocity, torque, reference,
 #: whether the torque was limited (1) or not (0).
 SHOWN = 5
@@ -48,61 +43,43 @@ def show(
         shown[at + 4] = s[state + lay.SM_LIMITED] != 0.0
 
 
-def _entry_point(sources: int) -> Step:
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, INDICES, VECTOR, COUNT, VECTOR, VECTOR, VECTOR)
-    def step(
-        p: Vector,
-        s: Vector,
-        u: Vector,
-        work: Vector,
-        out: Vector,
-        motors: NDArray[np.int64],
-        set_points: Vector,
-        samples: int,
-        sensors: Vector,
-        noise: Vector,
-        shown: Vector,
-    ) -> None:
-        if sources < 0:
-            return
-        axes, count, spans = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
-        states = lay.S_Y + 4 * axes + 2 * spans + axes * lay.SA_SIZE
-        for k in range(len(motors)):
-            u[lay.U_MOTORS + motors[k] * lay.UM_SIZE + lay.UM_SETPOINT] = set_points[k]
-        for j in range(count):
-            s[states + j * lay.SM_SIZE + lay.SM_LIMITED] = 0.0
-        advance(p, s, u, work, samples)
-        observe(p, s, u, work, out)
-        show(p, s, out, motors, sensors, noise, shown)
-
-    return step
-
-
 #: step(parameters, state, inputs, work, out, motors (M,), set points (M,), samples, sensors (M · SENSOR,), normal
 #: numbers (3 · M,), shown (M · SHOWN,)): `read_ports`, `kernel.advance`, `kernel.observe`, `write_ports` and `Sensors`.
-step = _entry_point(kernel.source_number(__file__))
-
-
-def _by_table(sources: int) -> Callable[[int, Table], int]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def step_by(samples: int, table: Table) -> int:
-        if sources < 0:
-            return GOES_ON
-        numbers = floats(table, 9, (1, 2))
-        row = take_row(numbers, integers(table, 10, (1,)))
-        if row < 0:
-            return DRAW
-        p, s, u = floats(table, 0, (1,)), floats(table, 1, (1,)), floats(table, 2, (1,))
-        work, out, motors = floats(table, 3, (1,)), floats(table, 4, (1,)), integers(table, 5, (1,))
-        set_points, sensors, shown = floats(table, 6, (1,)), floats(table, 7, (1,)), floats(table, 8, (1,))
-        step(p, s, u, work, out, motors, set_points, samples, sensors, numbers[row], shown)
-        return GOES_ON
-
-    return step_by
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, INDICES, VECTOR, COUNT, VECTOR, VECTOR, VECTOR)
+def step(
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    work: Vector,
+    out: Vector,
+    motors: NDArray[np.int64],
+    set_points: Vector,
+    samples: int,
+    sensors: Vector,
+    noise: Vector,
+    shown: Vector,
+) -> None:
+    axes, count, spans = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
+    states = lay.S_Y + 4 * axes + 2 * spans + axes * lay.SA_SIZE
+    for k in range(len(motors)):
+        u[lay.U_MOTORS + motors[k] * lay.UM_SIZE + lay.UM_SETPOINT] = set_points[k]
+    for j in range(count):
+        s[states + j * lay.SM_SIZE + lay.SM_LIMITED] = 0.0
+    advance(p, s, u, work, samples)
+    observe(p, s, u, work, out)
+    show(p, s, out, motors, sensors, noise, shown)
 
 
 #: step_by(samples, table of the vectors in this order but for the numbers, which are the last two, as of
 #: `sensor_rows.take_row`): the same.
-step_by = _by_table(kernel.source_number(str(sensor_rows.__file__), __file__))
+@entry_point(COUNT, TABLE)
+def step_by(samples: int, table: Table) -> int:
+    numbers = floats(table, 9, (1, 2))
+    row = take_row(numbers, integers(table, 10, (1,)))
+    if row < 0:
+        return DRAW
+    p, s, u = floats(table, 0, (1,)), floats(table, 1, (1,)), floats(table, 2, (1,))
+    work, out, motors = floats(table, 3, (1,)), floats(table, 4, (1,)), integers(table, 5, (1,))
+    set_points, sensors, shown = floats(table, 6, (1,)), floats(table, 7, (1,)), floats(table, 8, (1,))
+    step(p, s, u, work, out, motors, set_points, samples, sensors, numbers[row], shown)
+    return GOES_ON

@@ -5,7 +5,6 @@ Vectors as in `hilbench.plant.web_line.layout`; N rollers, K spans.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,6 @@ from hilbench.compiled import COUNT, MATRIX, REAL, VECTOR, compiled, entry_point
 from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.web_line import laws, splice_laws
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.kernel import source_number
 from hilbench.plant.web_line.layout import Layout, Vector
 
 Matrix = NDArray[np.float64]
@@ -139,14 +137,6 @@ def roll_on(
         out[j] = w[3 * n + k + j]
 
 
-Follow = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, float, Vector], None]
-Pull = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, float, Vector, Matrix, Vector, Vector], None]
-Show = Callable[[Vector, Vector, Vector, Vector, Vector], None]
-FollowRows = Callable[[Vector, Vector, Vector, Matrix, Matrix, float, Vector, Matrix], None]
-Resistance = Callable[[Vector, int, float, float, float], float]
-Modulus = Callable[[Vector, int, float], float]
-
-
 @inlined
 def _tension_around_N(p: Vector, t: float, boundary: Vector, tension: Vector, span: int) -> float:
     """Of a span, counted from 0; before the first that upstream of the line, behind the last that downstream of it."""
@@ -174,89 +164,86 @@ def _modulus_Pa(p: Vector, span: int, t: float) -> float:
     return float(laws.stiffness_N(p, row, t, factor) / p[row + lay.SP_SECTION_M2])
 
 
-def _entry_points(sources: int) -> tuple[Follow, FollowRows, Pull, Show, Resistance, Modulus]:
-    """Compiled functions that are called from Python; `sources` as in the kernel.
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR)
+def follow(
+    p: Vector, s: Vector, w: Vector, v: Vector, boundary: Vector, x: Vector, duration: float, out: Vector
+) -> None:
+    """Put the rollers to x (N,), m, `duration` later; of no time the tensions alone."""
+    n = len(x) if duration > 0.0 else 0
+    for i in range(n):
+        v[i] = (x[i] - s[POSITIONS + i]) / duration
+    roll_on(p, s, w, v, boundary[0], boundary[1], boundary[2], duration, LONGEST_STEP_S, out)
+    for i in range(n):
+        s[POSITIONS + i] = x[i]  # exactly: no drift from adding up
 
-    `follow`: the rollers are at x (N,), m, `duration` later; of no time the tensions alone. `follow_rows`: the same of
-    the rows of x (n, N), tensions into `out` (n, K). `pull`: torques, N·m, at the motors of `loads` (L, 3; rows as in
-    `_web_torque_Nm`) of the web `lead` s ahead, of which `ahead` becomes the state and `tension` (K,) the tensions; of
-    `tension` as given where `lead` is negative. `show`: positions, speeds, tensions, strains and E into `out`.
-    `resistance`: of a roller from 0, N. `modulus`: E of a span from 0, Pa.
+
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR, MATRIX, VECTOR, VECTOR)
+def pull(
+    p: Vector,
+    s: Vector,
+    ahead: Vector,
+    w: Vector,
+    v: Vector,
+    boundary: Vector,
+    lead: float,
+    tension: Vector,
+    loads: Matrix,
+    speeds: Vector,
+    torques: Vector,
+) -> None:
+    """Torques, N·m, at the motors of `loads` (L, 3; rows as in `_web_torque_Nm`) of the web `lead` s ahead.
+
+    `ahead` becomes the state and `tension` (K,) the tensions; as they are given where `lead` is negative.
     """
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR)
-    def follow(
-        p: Vector, s: Vector, w: Vector, v: Vector, boundary: Vector, x: Vector, duration: float, out: Vector
-    ) -> None:
-        n = len(x) if sources >= 0 and duration > 0.0 else 0
-        for i in range(n):
-            v[i] = (x[i] - s[POSITIONS + i]) / duration
-        roll_on(p, s, w, v, boundary[0], boundary[1], boundary[2], duration, LONGEST_STEP_S, out)
-        for i in range(n):
-            s[POSITIONS + i] = x[i]  # exactly: no drift from adding up
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR, MATRIX, VECTOR, VECTOR)
-    def pull(
-        p: Vector,
-        s: Vector,
-        ahead: Vector,
-        w: Vector,
-        v: Vector,
-        boundary: Vector,
-        lead: float,
-        tension: Vector,
-        loads: Matrix,
-        speeds: Vector,
-        torques: Vector,
-    ) -> None:
-        if lead >= 0.0:
-            for i in range(len(s) if sources >= 0 else 0):
-                ahead[i] = s[i]
-            roll_on(p, ahead, w, v, boundary[0], boundary[1], boundary[2], lead, LONGEST_STEP_S, tension)
-        for k in range(len(loads)):
-            torques[k] = _web_torque_Nm(p, s, boundary, tension, loads[k], speeds[int(loads[k, 0])])
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
-    def show(p: Vector, s: Vector, v: Vector, tension: Vector, out: Vector) -> None:
-        n, k = len(v) if sources >= 0 else 0, len(tension)
-        first = _first_span(p)
-        for i in range(n):
-            out[i] = s[POSITIONS + i]
-            out[n + i] = v[i]
-        for j in range(k):
-            unstretched, length = s[POSITIONS + n + j], s[POSITIONS + n + k + j]
-            out[2 * n + j] = tension[j]
-            out[2 * n + k + j] = length * laws.length_factor(p, first + j * lay.SP_SIZE) / unstretched - 1.0
-            out[2 * n + 2 * k + j] = _modulus_Pa(p, j, s[0])
-
-    @entry_point(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, REAL, VECTOR, MATRIX)
-    def follow_rows(
-        p: Vector, s: Vector, w: Vector, x: Matrix, boundary: Matrix, dt: float, v: Vector, out: Matrix
-    ) -> None:
-        for row in range(x.shape[0] if sources >= 0 else 0):
-            for i in range(x.shape[1]):
-                v[i] = (x[row, i] - s[1 + i]) / dt if row > 0 else 0.0
-            before = max(row - 1, 0)
-            duration = dt if row > 0 else 0.0
-            f_next = boundary[before, 1]
-            strain_next = laws.downstream_strain(p, f_next)
-            roll_on(p, s, w, v, boundary[before, 0], f_next, strain_next, duration, LONGEST_STEP_S, out[row])
-
-    @entry_point(VECTOR, COUNT, REAL, REAL, REAL)
-    def resistance(p: Vector, row: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
-        if sources < 0:
-            return 0.0
-        direction = measured_direction(v_m_s, width_m_s)
-        return laws.measured_resistance_N(p, lay.W_SIZE + row * lay.A_SIZE, x_m, v_m_s, direction)
-
-    @entry_point(VECTOR, COUNT, REAL)
-    def modulus(p: Vector, span: int, t: float) -> float:
-        return _modulus_Pa(p, span, t) if sources >= 0 else 0.0
-
-    return follow, follow_rows, pull, show, resistance, modulus
+    if lead >= 0.0:
+        for i in range(len(s)):
+            ahead[i] = s[i]
+        roll_on(p, ahead, w, v, boundary[0], boundary[1], boundary[2], lead, LONGEST_STEP_S, tension)
+    for k in range(len(loads)):
+        torques[k] = _web_torque_Nm(p, s, boundary, tension, loads[k], speeds[int(loads[k, 0])])
 
 
-follow, follow_rows, pull, show, resistance_N, modulus_Pa = _entry_points(source_number(__file__))
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
+def show(p: Vector, s: Vector, v: Vector, tension: Vector, out: Vector) -> None:
+    """Put positions, speeds, tensions, strains and E into `out`."""
+    n, k = len(v), len(tension)
+    first = _first_span(p)
+    for i in range(n):
+        out[i] = s[POSITIONS + i]
+        out[n + i] = v[i]
+    for j in range(k):
+        unstretched, length = s[POSITIONS + n + j], s[POSITIONS + n + k + j]
+        out[2 * n + j] = tension[j]
+        out[2 * n + k + j] = length * laws.length_factor(p, first + j * lay.SP_SIZE) / unstretched - 1.0
+        out[2 * n + 2 * k + j] = _modulus_Pa(p, j, s[0])
+
+
+@entry_point(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, REAL, VECTOR, MATRIX)
+def follow_rows(
+    p: Vector, s: Vector, w: Vector, x: Matrix, boundary: Matrix, dt: float, v: Vector, out: Matrix
+) -> None:
+    """Do the same for the rows of x (n, N), tensions into `out` (n, K)."""
+    for row in range(x.shape[0]):
+        for i in range(x.shape[1]):
+            v[i] = (x[row, i] - s[1 + i]) / dt if row > 0 else 0.0
+        before = max(row - 1, 0)
+        duration = dt if row > 0 else 0.0
+        f_next = boundary[before, 1]
+        strain_next = laws.downstream_strain(p, f_next)
+        roll_on(p, s, w, v, boundary[before, 0], f_next, strain_next, duration, LONGEST_STEP_S, out[row])
+
+
+@entry_point(VECTOR, COUNT, REAL, REAL, REAL)
+def resistance_N(p: Vector, row: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
+    """Resistance of a roller from 0, N."""
+    direction = measured_direction(v_m_s, width_m_s)
+    return laws.measured_resistance_N(p, lay.W_SIZE + row * lay.A_SIZE, x_m, v_m_s, direction)
+
+
+@entry_point(VECTOR, COUNT, REAL)
+def modulus_Pa(p: Vector, span: int, t: float) -> float:
+    """E of a span from 0, Pa."""
+    return _modulus_Pa(p, span, t)
 
 
 class SpanVectors(NamedTuple):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, entry_point, number_of_sources
-from hilbench.plant.web_line import laws, splice_laws
+from hilbench.compiled import REAL, VECTOR, entry_point
 from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line import splice_laws
 from hilbench.plant.web_line.layout import Vector
 
 
@@ -32,26 +32,16 @@ class SplicedSpan(NamedTuple):
 
 WHOLE = SplicedSpan(1.0, 1.0)
 
-_PutFactors = Callable[[Vector, float, float, Vector, Vector], None]
 
-
-def _compiled_factors(sources: int) -> _PutFactors:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR, REAL, REAL, VECTOR, VECTOR)
-    def put_factors(s: Vector, x_m: float, stretch: float, unstretched_m: Vector, out: Vector) -> None:
-        """Into `out` (2·K,) factor and factor at the end of each span. s: pieces alone; x_m: way of the web at roller
-        1, m; stretch: 1 + strain of what enters; unstretched_m (K,): web in the spans."""
-        begin = 0.0
-        for k in range(len(unstretched_m) if sources >= 0 else 0):
-            out[2 * k] = splice_laws.series_factor(s, 0, x_m, begin, unstretched_m[k], stretch)
-            begin += unstretched_m[k]
-            out[2 * k + 1] = 1.0 + splice_laws.change_at(s, 0, x_m, begin, stretch, lay.LEAST_BLUR_M)
-
-    return put_factors
-
-
-_put_factors = _compiled_factors(number_of_sources(splice_laws.__file__, laws.__file__, lay.__file__, __file__))
+@entry_point(VECTOR, REAL, REAL, VECTOR, VECTOR)
+def _put_factors(s: Vector, x_m: float, stretch: float, unstretched_m: Vector, out: Vector) -> None:
+    """Into `out` (2·K,) factor and factor at the end of each span. s: pieces alone; x_m: way of the web at roller
+    1, m; stretch: 1 + strain of what enters; unstretched_m (K,): web in the spans."""
+    begin = 0.0
+    for k in range(len(unstretched_m)):
+        out[2 * k] = splice_laws.series_factor(s, 0, x_m, begin, unstretched_m[k], stretch)
+        begin += unstretched_m[k]
+        out[2 * k + 1] = 1.0 + splice_laws.change_at(s, 0, x_m, begin, stretch, lay.LEAST_BLUR_M)
 
 
 def has_pieces(state: Vector) -> bool:

@@ -14,8 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import Function
-from hilbench.compiled import COUNT, TABLE, entry_point, floats, integers, number_of_sources, table_of
+from hilbench.compiled import COUNT, TABLE, entry_point, floats, integers, table_of
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_follower import LineFollower, LinesTogether
@@ -31,36 +30,28 @@ _LEAST_LEFT: Final = 0.05
 _DAMPING_S: Final = 1e-3
 
 
-def _entry_point(sources: int) -> Function:
-    """For Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def put_load_slopes(unused: int, table: NDArray[np.int64]) -> int:
-        """Table: tensions (F, K), radii over those at the start (N,), pulls per tension (N, K), steps (n,), errors
-        (n,), shares of what tensions tell of unknowns (n, K), the axis, from 0, and the unknown of each reel, and the
-        slopes (N, n + 1)."""
-        tensions, ratios, pulls = floats(table, 0, (1, 2)), floats(table, 1, (1,)), floats(table, 2, (1, 2))
-        steps, errors, tells = floats(table, 3, (1,)), floats(table, 4, (1,)), floats(table, 5, (1, 2))
-        reels, slopes = integers(table, 6, (1, 2)), floats(table, 7, (1, 2))
-        for i in range(pulls.shape[0] if sources >= 0 else 0):
-            for c in range(len(steps)):
-                pull = 0.0
-                for j in range(pulls.shape[1]):
-                    pull += pulls[i, j] * tells[c, j] * (tensions[1 + c, j] - tensions[0, j])
-                slopes[i, c] = ratios[i] * pull / steps[c]
-            slopes[i, len(steps)] = 0.0
-        for r in range(reels.shape[0]):
-            i, c, own = reels[r, 0], reels[r, 1], 0.0
+@entry_point(COUNT, TABLE)
+def _put_load_slopes(unused: int, table: NDArray[np.int64]) -> int:
+    """Table: tensions (F, K), radii over those at the start (N,), pulls per tension (N, K), steps (n,), errors
+    (n,), shares of what tensions tell of unknowns (n, K), the axis, from 0, and the unknown of each reel, and the
+    slopes (N, n + 1)."""
+    tensions, ratios, pulls = floats(table, 0, (1, 2)), floats(table, 1, (1,)), floats(table, 2, (1, 2))
+    steps, errors, tells = floats(table, 3, (1,)), floats(table, 4, (1,)), floats(table, 5, (1, 2))
+    reels, slopes = integers(table, 6, (1, 2)), floats(table, 7, (1, 2))
+    for i in range(pulls.shape[0]):
+        for c in range(len(steps)):
+            pull = 0.0
             for j in range(pulls.shape[1]):
-                own += pulls[i, j] * tensions[0, j]
-            slopes[i, c] += own
-            slopes[i, len(steps)] = own * errors[c]
-        return 0
-
-    return put_load_slopes
-
-
-_put_load_slopes = _entry_point(number_of_sources(__file__))
+                pull += pulls[i, j] * tells[c, j] * (tensions[1 + c, j] - tensions[0, j])
+            slopes[i, c] = ratios[i] * pull / steps[c]
+        slopes[i, len(steps)] = 0.0
+    for r in range(reels.shape[0]):
+        i, c, own = reels[r, 0], reels[r, 1], 0.0
+        for j in range(pulls.shape[1]):
+            own += pulls[i, j] * tensions[0, j]
+        slopes[i, c] += own
+        slopes[i, len(steps)] = own * errors[c]
+    return 0
 
 
 class Kind(StrEnum):

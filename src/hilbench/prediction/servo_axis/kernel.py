@@ -10,7 +10,6 @@ order: torques of the axis' motor as its drive reports it and of the load motor 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -18,11 +17,10 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, MATRIX, REAL, TABLE, VECTOR, compiled, entry_point, inlined
 from hilbench.plant import drive_loops as loops
-from hilbench.plant.servo_axis import emulation, kernel
+from hilbench.plant.servo_axis import kernel
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.emulation import load_torque_Nm
 from hilbench.plant.servo_axis.layout import Vector
-from hilbench.prediction import judging
 from hilbench.prediction.judging import TallyVectors, keep, of_table, see
 
 Matrix = NDArray[np.float64]
@@ -92,43 +90,34 @@ def _run(
             row, until_row = row + 1, every
 
 
-Run = Callable[..., None]
-
-
-def _entry_point(sources: int) -> Run:
-    @entry_point(
-        *[VECTOR] * 2,
-        REAL,
-        *[MATRIX] * 3,
-        *[VECTOR] * 4,
-        TABLE,
-        REAL,
-        COUNT,
-    )
-    def futures(
-        p: Vector,
-        real: Vector,
-        steepest: float,
-        start: Matrix,
-        shaft: Matrix,
-        courses: Matrix,
-        s: Vector,
-        u: Vector,
-        out: Vector,
-        q: Vector,
-        table: Indices,
-        samples: float,
-        every: int,
-    ) -> None:
-        tally = of_table(table)
-        for b in range(start.shape[0] if sources >= 0 else 0):
-            s[:] = start[b]
-            _run(p, real, steepest, shaft, courses, s, u, out, q, tally, samples, every, b)
-
-    return futures
-
-
 #: run_futures(parameters, those of the stand as it is believed to be, slope of the emulated dry friction at standstill,
 #: states (B, S), drawn (B, DRAWN), courses (T, COURSES), state, inputs, observed, quantities, table of the tally
 #: (`Tally.table`), measurements in a step, steps in a row).
-run_futures = _entry_point(kernel.source_number(emulation.__file__, judging.__file__, __file__))
+@entry_point(
+    *[VECTOR] * 2,
+    REAL,
+    *[MATRIX] * 3,
+    *[VECTOR] * 4,
+    TABLE,
+    REAL,
+    COUNT,
+)
+def run_futures(
+    p: Vector,
+    real: Vector,
+    steepest: float,
+    start: Matrix,
+    shaft: Matrix,
+    courses: Matrix,
+    s: Vector,
+    u: Vector,
+    out: Vector,
+    q: Vector,
+    table: Indices,
+    samples: float,
+    every: int,
+) -> None:
+    tally = of_table(table)
+    for b in range(start.shape[0]):
+        s[:] = start[b]
+        _run(p, real, steepest, shaft, courses, s, u, out, q, tally, samples, every, b)

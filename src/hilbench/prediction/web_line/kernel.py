@@ -11,7 +11,6 @@ speeds of the axes at the web (m/s).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import exp, isnan
 from typing import Final
 
@@ -35,7 +34,6 @@ from hilbench.plant import drive_loops as loops
 from hilbench.plant.web_line import kernel, laws, places
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
-from hilbench.prediction import judging
 from hilbench.prediction.judging import TallyVectors, keep, of_table, see
 
 Matrix = NDArray[np.float64]
@@ -359,63 +357,54 @@ def _run_counted(
         )  # fmt: skip
 
 
-Run = Callable[..., None]
-
-
-def _entry_point(sources: int) -> Run:
-    @entry_point(
-        VECTOR,
-        MATRIX,
-        *[VECTOR] * 5,
-        MATRIX,
-        *[VECTOR] * 3,
-        *[MATRIX] * 4,
-        INDICES,
-        MATRIX,
-        REAL,
-        VECTOR,
-        INDICES,
-        TABLE,
-        REAL,
-        COUNT,
-    )
-    def futures(
-        p: Vector,
-        start: Matrix,
-        moduli: Vector,
-        scale: Vector,
-        s: Vector,
-        u: Vector,
-        w: Vector,
-        integrals: Matrix,
-        c: Vector,
-        q: Vector,
-        lead: Vector,
-        set_point: Matrix,
-        factor: Matrix,
-        known: Matrix,
-        g: Matrix,
-        row_of: Indices,
-        leads: Matrix,
-        before: float,
-        ahead: Vector,
-        load_axes: Indices,
-        table: Indices,
-        samples: float,
-        every: int,
-    ) -> None:
-        tally = of_table(table)
-        for row in range(g.shape[0]):
-            g[row, _G_WAY_LEFT] = exp(-g[row, G_TRAJECTORY_PER_S] * p[lay.W_SAMPLE_TIME_S])
-        for b in range(start.shape[0] if sources >= 0 else 0):
-            s[:] = start[b]
-            c[:] = integrals[b]
-            _run_counted(
-                p, s, u, w, c, q, moduli, scale[b], lead, set_point, factor, known, g, row_of, leads, before, ahead,
-                load_axes, tally, samples, every, b,
-            )  # fmt: skip
-
-    return futures
-
-
-run_futures = _entry_point(kernel.source_number(judging.__file__, __file__))
+@entry_point(
+    VECTOR,
+    MATRIX,
+    *[VECTOR] * 5,
+    MATRIX,
+    *[VECTOR] * 3,
+    *[MATRIX] * 4,
+    INDICES,
+    MATRIX,
+    REAL,
+    VECTOR,
+    INDICES,
+    TABLE,
+    REAL,
+    COUNT,
+)
+def run_futures(
+    p: Vector,
+    start: Matrix,
+    moduli: Vector,
+    scale: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    integrals: Matrix,
+    c: Vector,
+    q: Vector,
+    lead: Vector,
+    set_point: Matrix,
+    factor: Matrix,
+    known: Matrix,
+    g: Matrix,
+    row_of: Indices,
+    leads: Matrix,
+    before: float,
+    ahead: Vector,
+    load_axes: Indices,
+    table: Indices,
+    samples: float,
+    every: int,
+) -> None:
+    tally = of_table(table)
+    for row in range(g.shape[0]):
+        g[row, _G_WAY_LEFT] = exp(-g[row, G_TRAJECTORY_PER_S] * p[lay.W_SAMPLE_TIME_S])
+    for b in range(start.shape[0]):
+        s[:] = start[b]
+        c[:] = integrals[b]
+        _run_counted(
+            p, s, u, w, c, q, moduli, scale[b], lead, set_point, factor, known, g, row_of, leads, before, ahead,
+            load_axes, tally, samples, every, b,
+        )  # fmt: skip

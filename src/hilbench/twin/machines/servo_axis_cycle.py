@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from hilbench.chain import Chained
 from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers, table_of
-from hilbench.estimation import plausibility
 from hilbench.estimation.plausibility import Plausibility, find_problem
 from hilbench.estimation.problems import PROBLEMS, Problem
 from hilbench.estimation.servo_axis import balance, inertia
@@ -102,48 +101,34 @@ def _status(stated: Vector, problem: float, known: float) -> int:
     return status
 
 
-def _entry_point(sources: int) -> Callable[[int, Places], int]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def run(stage: int, table: Places) -> int:
-        if sources < 0 or stage < 0:
-            return stage
-        out, shown = floats(table, _OUT, (1,)), floats(table, _SHOWN, (1,))
-        measured, said, stated = floats(table, _MEASURED, (1,)), floats(table, _SAID, (1,)), floats(table, _TOLD, (1,))
-        figures, whole, at = floats(table, _FIGURES, (1,)), integers(table, _WHOLE, (1,)), integers(table, _AT, (1,))
-        position_rad, torque_Nm = measured[_POSITION], measured[_TORQUE]
-        if stage == _COMPARE:
-            said[RESIDUAL_NM], said[_PROBLEM_BEFORE] = torque_Nm - shown[_TORQUE], said[PROBLEM]
-            said[PROBLEM] = find_problem(floats(table, _PLAUSIBILITY, (1,)), torque_Nm, 1.0, position_rad)
-            if said[PROBLEM] != 0.0:
-                return HOLD
-            said[_RIPPLE_NM] = _ripple_Nm(said, out, shown[_TORQUE])
-            inputs, of_bank = balance.of_table(table, _INPUTS), inertia.of_table(table, _BANK)
-            found = take_next(inputs, of_bank, position_rad, torque_Nm, said[_RIPPLE_NM], stated)
-            if found != inertia.TAKEN:
-                return NOT_NEXT if found == inertia.NOT_NEXT else _MISLED
-            stage = _SIMULATE
-        p, s = floats(table, _P, (1,)), floats(table, _S, (1,))
-        if stage == _SIMULATE:
-            _simulate(p, s, out, said, stated, floats(table, _BANK + 7, (1,)), position_rad)
-        rig_cycle.step(table, int(figures[_SAMPLES]), floats(table, _SILENCE, (1,)))
-        _publish(floats(table, _VALUES, (1,)), at, stated, said, shown[_TORQUE])
-        said[_STATUS] = whole[at[_STATUS_AT]]
-        whole[at[_STATUS_AT]] = _status(stated, said[PROBLEM], figures[_KNOWN])
-        whole[at[_NUMBER]] = (whole[at[_NUMBER]] + 1) % _NUMBERS
-        return _DONE if said[PROBLEM] == 0.0 and said[_PROBLEM_BEFORE] == 0.0 else _LOOK
-
-    return run
-
-
-_run = _entry_point(
-    kernel.source_number(
-        *(str(module.__file__) for module in (plausibility, rig_cycle)),
-        *inertia.SOURCES,
-        __file__,
-    )
-)
+@entry_point(COUNT, TABLE)
+def _run(stage: int, table: Places) -> int:
+    if stage < 0:
+        return stage
+    out, shown = floats(table, _OUT, (1,)), floats(table, _SHOWN, (1,))
+    measured, said, stated = floats(table, _MEASURED, (1,)), floats(table, _SAID, (1,)), floats(table, _TOLD, (1,))
+    figures, whole, at = floats(table, _FIGURES, (1,)), integers(table, _WHOLE, (1,)), integers(table, _AT, (1,))
+    position_rad, torque_Nm = measured[_POSITION], measured[_TORQUE]
+    if stage == _COMPARE:
+        said[RESIDUAL_NM], said[_PROBLEM_BEFORE] = torque_Nm - shown[_TORQUE], said[PROBLEM]
+        said[PROBLEM] = find_problem(floats(table, _PLAUSIBILITY, (1,)), torque_Nm, 1.0, position_rad)
+        if said[PROBLEM] != 0.0:
+            return HOLD
+        said[_RIPPLE_NM] = _ripple_Nm(said, out, shown[_TORQUE])
+        inputs, of_bank = balance.of_table(table, _INPUTS), inertia.of_table(table, _BANK)
+        found = take_next(inputs, of_bank, position_rad, torque_Nm, said[_RIPPLE_NM], stated)
+        if found != inertia.TAKEN:
+            return NOT_NEXT if found == inertia.NOT_NEXT else _MISLED
+        stage = _SIMULATE
+    p, s = floats(table, _P, (1,)), floats(table, _S, (1,))
+    if stage == _SIMULATE:
+        _simulate(p, s, out, said, stated, floats(table, _BANK + 7, (1,)), position_rad)
+    rig_cycle.step(table, int(figures[_SAMPLES]), floats(table, _SILENCE, (1,)))
+    _publish(floats(table, _VALUES, (1,)), at, stated, said, shown[_TORQUE])
+    said[_STATUS] = whole[at[_STATUS_AT]]
+    whole[at[_STATUS_AT]] = _status(stated, said[PROBLEM], figures[_KNOWN])
+    whole[at[_NUMBER]] = (whole[at[_NUMBER]] + 1) % _NUMBERS
+    return _DONE if said[PROBLEM] == 0.0 and said[_PROBLEM_BEFORE] == 0.0 else _LOOK
 
 
 def warm_up() -> None:

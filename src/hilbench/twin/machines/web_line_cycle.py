@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hilbench.chain import Chained
 from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers, table_of
-from hilbench.estimation.web_line import rollers, splices, torque_shift
+from hilbench.estimation.web_line import rollers, torque_shift
 from hilbench.estimation.web_line import tracking_cycle as cycle
 from hilbench.estimation.web_line.rollers import Rollers
 from hilbench.estimation.web_line.synchronizers import changepoint
@@ -25,8 +25,8 @@ from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.estimation.web_line.tracking_cycle import run_vectors
 from hilbench.plant import pairing
 from hilbench.plant.pairing import Pairing, SteadyTravel, comes_steadily, paired
-from hilbench.plant.web_line import kernel, line_vectors, rig_cycle, span_kernel
 from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line import line_vectors, rig_cycle, span_kernel
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import LineStep
 from hilbench.twin.machines import splice_tracker
@@ -249,42 +249,28 @@ def _told(table: Places) -> bool:
     return told
 
 
-def _entry_point(sources: int) -> Callable[[int, Places], int]:
-    """For Python; `sources` as in `compiled.number_of_sources`."""
-
-    @entry_point(COUNT, TABLE)
-    def run(stage: int, table: Places) -> int:
-        if sources < 0 or stage < 0:
+@entry_point(COUNT, TABLE)
+def _run(stage: int, table: Places) -> int:
+    if stage < 0:
+        return stage
+    said, whole, at = floats(table, _SAID, (1,)), integers(table, _WHOLE, (1,)), integers(table, _AT, (1,))
+    values = floats(table, _VALUES, (1,))
+    strain_prev, F_next_N = values[at[_STRAIN_PREV]], values[at[_F_NEXT_N]]
+    if stage == cycle.COMPARE and not _measured(table):
+        return _UNPAIRED
+    if stage == cycle.COMPARE or stage == _NEXT_SPAN:
+        stage = _compare(table, 0 if stage == cycle.COMPARE else int(said[_AT_SPAN]) + 1, strain_prev, F_next_N)
+        if stage != _FINISH:
             return stage
-        said, whole, at = floats(table, _SAID, (1,)), integers(table, _WHOLE, (1,)), integers(table, _AT, (1,))
-        values = floats(table, _VALUES, (1,))
-        strain_prev, F_next_N = values[at[_STRAIN_PREV]], values[at[_F_NEXT_N]]
-        if stage == cycle.COMPARE and not _measured(table):
-            return _UNPAIRED
-        if stage == cycle.COMPARE or stage == _NEXT_SPAN:
-            stage = _compare(table, 0 if stage == cycle.COMPARE else int(said[_AT_SPAN]) + 1, strain_prev, F_next_N)
-            if stage != _FINISH:
-                return stage
-        _go_on(table, strain_prev, F_next_N)
-        for k in range(len(floats(table, _SPANS, (1, 2)))):
-            _publish(table, k)
-        status = _status(table)
-        said[_STATUS], whole[at[_STATUS_AT]] = whole[at[_STATUS_AT]], status
-        whole[at[_NUMBER]] = (whole[at[_NUMBER]] + 1) % _NUMBERS
-        if stage == _FINISH_WITHOUT:
-            return _WITHOUT
-        return _DONE if _told(table) and not status & (HOLDING | TRANSFER_REFUSED) else _LOOK
-
-    return run
-
-
-_run = _entry_point(
-    kernel.source_number(
-        *(str(module.__file__) for module in (pairing, rig_cycle, rollers, splices, splice_tracker)),
-        *cycle.SOURCES,
-        __file__,
-    )
-)
+    _go_on(table, strain_prev, F_next_N)
+    for k in range(len(floats(table, _SPANS, (1, 2)))):
+        _publish(table, k)
+    status = _status(table)
+    said[_STATUS], whole[at[_STATUS_AT]] = whole[at[_STATUS_AT]], status
+    whole[at[_NUMBER]] = (whole[at[_NUMBER]] + 1) % _NUMBERS
+    if stage == _FINISH_WITHOUT:
+        return _WITHOUT
+    return _DONE if _told(table) and not status & (HOLDING | TRANSFER_REFUSED) else _LOOK
 
 
 def warm_up() -> None:

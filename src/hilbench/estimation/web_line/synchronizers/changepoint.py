@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import hypot, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import COUNT, CUBE, INDICES, MATRIX, VECTOR, compiled, entry_point, number_of_sources, reals
-from hilbench.estimation import bank, correction, noise_level
+from hilbench.compiled import COUNT, CUBE, INDICES, MATRIX, VECTOR, compiled, entry_point, reals
+from hilbench.estimation import bank
 from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line.config import ChangepointConfig
-from hilbench.estimation.web_line.synchronizers import kalman, plant
+from hilbench.estimation.web_line.synchronizers import kalman
 from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
 from hilbench.estimation.web_line.synchronizers.plant import (
     SEPARABLE,
@@ -118,51 +117,40 @@ def separable(u: Array, places: Places, out: Array) -> bool:
 _NOTHING, _STEP, _TELL, _REBASE = range(4)
 
 
-def _entry_points(sources: int) -> tuple[Callable[..., tuple[bool, float, float]], Callable[..., bool]]:
-    """The functions that are called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(COUNT, *[VECTOR] * 4, MATRIX, CUBE, MATRIX, VECTOR, INDICES, *[MATRIX] * 3, VECTOR, reals(6))
-    def act(
-        what: int,
-        u: Array,
-        inputs: Array,
-        torque: Array,
-        position: Array,
-        z: Array,
-        p: Array,
-        records: Array,
-        settings: Array,
-        places: Places,
-        work: Array,
-        out: Array,
-        covariance: Array,
-        s: Array,
-        values: tuple[float, float, float, float, float, float],
-    ) -> tuple[bool, float, float]:
-        """Whether a step was taken; E and its deviation then."""
-        done, of_filters = sources >= 0, InputVectors(u, inputs, torque, position)
-        b = BankVectors(of_filters, z, p, records, settings, places, work, out, covariance, s)
-        if what == _STEP:
-            done = follow(b, values[0], values[1], values[2], values[3], values[4], values[5])
-        elif what == _TELL:
-            tell(b, values[0])
-        elif what == _REBASE:
-            rebase(b, values[0])
-        modulus_Pa, deviation_Pa = told(b)
-        return done, modulus_Pa, deviation_Pa
-
-    @entry_point(VECTOR, INDICES, MATRIX)
-    def separable_now(u: Array, places: Places, out: Array) -> bool:
-        return separable(u, places, out) if sources >= 0 else False
-
-    return act, separable_now
+@entry_point(COUNT, *[VECTOR] * 4, MATRIX, CUBE, MATRIX, VECTOR, INDICES, *[MATRIX] * 3, VECTOR, reals(6))
+def _act(
+    what: int,
+    u: Array,
+    inputs: Array,
+    torque: Array,
+    position: Array,
+    z: Array,
+    p: Array,
+    records: Array,
+    settings: Array,
+    places: Places,
+    work: Array,
+    out: Array,
+    covariance: Array,
+    s: Array,
+    values: tuple[float, ...],
+) -> tuple[bool, float, float]:
+    """Whether a step was taken; E and its deviation then."""
+    done, of_filters = True, InputVectors(u, inputs, torque, position)
+    b = BankVectors(of_filters, z, p, records, settings, places, work, out, covariance, s)
+    if what == _STEP:
+        done = follow(b, values[0], values[1], values[2], values[3], values[4], values[5])
+    elif what == _TELL:
+        tell(b, values[0])
+    elif what == _REBASE:
+        rebase(b, values[0])
+    modulus_Pa, deviation_Pa = told(b)
+    return done, modulus_Pa, deviation_Pa
 
 
-_act, _separable = _entry_points(
-    number_of_sources(
-        noise_level.__file__, plant.__file__, kalman.__file__, correction.__file__, bank.__file__, __file__
-    )
-)
+@entry_point(VECTOR, INDICES, MATRIX)
+def _separable(u: Array, places: Places, out: Array) -> bool:
+    return separable(u, places, out)
 
 
 class ChangepointSynchronizer:
@@ -223,7 +211,8 @@ class ChangepointSynchronizer:
     def _act(self, what: int, *values: float) -> bool:
         inputs, *own = self.vectors
         padded = (*map(float, values), *(0.0,) * (6 - len(values)))
-        done, self._modulus_Pa, self._deviation_Pa = _act(what, *inputs, *own, padded)
+        arguments: list[Any] = [what, *inputs, *own, padded]
+        done, self._modulus_Pa, self._deviation_Pa = _act(*arguments)
         return done
 
     def _of_what_is_held(self) -> float:

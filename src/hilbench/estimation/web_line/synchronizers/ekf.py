@@ -8,13 +8,11 @@ again the parameters beside E are what they were before the run began.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from math import sqrt
 
 import numpy as np
 
-from hilbench.compiled import CUBE, INDICES, MATRIX, VECTOR, entry_point, number_of_sources
-from hilbench.estimation import correction
+from hilbench.compiled import CUBE, INDICES, MATRIX, VECTOR, entry_point
 from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.web_line.config import EkfConfig
 from hilbench.estimation.web_line.synchronizers import kalman
@@ -27,22 +25,10 @@ _MEMORY = 8.0
 _FROM = 20.0
 
 
-Step = Callable[[Array, Array, Array, Places, Array, Array], None]
-
-
-def _compiled_step(sources: int) -> Step:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(MATRIX, CUBE, VECTOR, INDICES, VECTOR, MATRIX)
-    def single_step(z: Array, p: Array, u: Array, places: Places, g: Array, work: Array) -> None:
-        """g (SIZE,), work (SIZE + 4, 1): scratch, in which innovation and variance are left (`kalman.step`)."""
-        if sources >= 0:
-            kalman.step(z, p, u, places, g, work, work[z.shape[0] + 3])
-
-    return single_step
-
-
-_step = _compiled_step(number_of_sources(kalman.__file__, correction.__file__, __file__))
+@entry_point(MATRIX, CUBE, VECTOR, INDICES, VECTOR, MATRIX)
+def _step(z: Array, p: Array, u: Array, places: Places, g: Array, work: Array) -> None:
+    """g (SIZE,), work (SIZE + 4, 1): scratch, in which innovation and variance are left (`kalman.step`)."""
+    kalman.step(z, p, u, places, g, work, work[z.shape[0] + 3])
 
 
 class EkfSynchronizer:

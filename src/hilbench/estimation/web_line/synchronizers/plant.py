@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, compiled, entry_point, number_of_sources
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point
 from hilbench.estimation import noise_level
 from hilbench.estimation.bank import Array
 from hilbench.estimation.noise_level import NoiseLevel
@@ -130,29 +130,21 @@ def fill(
 Fill = Callable[[Array, Array, Array, Array, float, float, float, float, float, float], bool]
 
 
-def _compiled_fill(sources: int) -> Fill:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, REAL, REAL, REAL, REAL, REAL, REAL)
-    def fill_once(
-        u: Array,
-        s: Array,
-        torque: Array,
-        position: Array,
-        cycle_s: float,
-        torque_Nm: float,
-        x2_m: float,
-        force_N: float,
-        web_per_Pa: float,
-        velocity_m_s: float,
-    ) -> bool:
-        inputs = InputVectors(u, s, torque, position)
-        return sources >= 0 and fill(inputs, cycle_s, torque_Nm, x2_m, force_N, web_per_Pa, velocity_m_s)
-
-    return fill_once
-
-
-_fill = _compiled_fill(number_of_sources(noise_level.__file__, kalman.__file__, __file__))
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, REAL, REAL, REAL, REAL, REAL, REAL)
+def _fill(
+    u: Array,
+    s: Array,
+    torque: Array,
+    position: Array,
+    cycle_s: float,
+    torque_Nm: float,
+    x2_m: float,
+    force_N: float,
+    web_per_Pa: float,
+    velocity_m_s: float,
+) -> bool:
+    inputs = InputVectors(u, s, torque, position)
+    return fill(inputs, cycle_s, torque_Nm, x2_m, force_N, web_per_Pa, velocity_m_s)
 
 
 class FilterInputs:

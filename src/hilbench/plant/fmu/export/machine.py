@@ -47,7 +47,6 @@ class Kernel:
 
     name: str
     function: Callable[..., None]
-    sources: int  #: a number that changes with its source
 
 
 @dataclass(frozen=True)

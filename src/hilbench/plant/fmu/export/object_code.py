@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from hilbench.code_cache import made_of
 from hilbench.plant.fmu.export.machine import Kernel
 
 #: Arguments of a kernel: five vectors, a count, a time.
@@ -29,7 +30,7 @@ class ObjectCode:
 def object_code(kernel: Kernel) -> ObjectCode:
     """Of a kernel; compiled once on a machine (up to a minute), then kept in the user's cache."""
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hilbench"
-    kept = folder / f"fmu-{kernel.name}-{kernel.sources:x}-{_versions()}.o"
+    kept = folder / f"fmu-{kernel.name}-{made_of(kernel.function)}-{_versions()}.o"
     name = kept.with_suffix(".symbol")
     if kept.is_file() and name.is_file():
         return ObjectCode(kept.read_bytes(), name.read_text(encoding="ascii"))

@@ -32,7 +32,7 @@ def _go(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, d
     kernel.report(p, s, out, 0)
 
 
-_KERNEL = Kernel("axis", _go, kernel.source_number(__file__))
+_KERNEL = Kernel("axis", _go)
 
 
 def exported_axis(model: ServoAxisParameters, *, drives: bool) -> ExportedMachine:

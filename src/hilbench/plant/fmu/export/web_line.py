@@ -69,8 +69,7 @@ def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: in
         out[3 * k + i] = force / p[places.motor(n, i) + lay.M_RAD_PER_M]
 
 
-_SOURCES = kernel.source_number(__file__, span_kernel.__file__)
-_LINE, _WEB = Kernel("line", _go_line, _SOURCES), Kernel("web", _go_web, _SOURCES)
+_LINE, _WEB = Kernel("line", _go_line), Kernel("web", _go_web)
 
 
 def exported_line(model: ModelParameters, *, drives: bool) -> ExportedMachine:
