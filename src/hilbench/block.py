@@ -71,7 +71,7 @@ def _problem(leaf: object, kinds: frozenset[type]) -> str:
     if isinstance(leaf, float) and not isfinite(leaf):
         return "a finite number"
     # An integer is a count, an identifier or bits of an object, which its field bounds.
-    if float in kinds and leaf and not LEAST <= abs(leaf) <= LARGEST:
+    if (float in kinds or isinstance(leaf, float)) and leaf and not LEAST <= abs(leaf) <= LARGEST:
         return f"a number of a size from {LEAST:g} to {LARGEST:g}, or 0"
     return ""
 

@@ -108,7 +108,7 @@ def test_the_web_in_the_spans_comes_to_the_strains_of_mass_conservation(forward:
     unstretched_m = lengths_m.copy()
     speeds = np.array([1.0, 1.0002, 1.0003]) * (1.0 if forward else -1.0)
     for _ in range(40_000):
-        bounds.segment(unstretched_m, strains, lengths_m, 1e-3 * speeds, 1e-4, 5e-4)
+        bounds.stretch(unstretched_m, strains, lengths_m, 1e-3 * speeds, 1e-4, 5e-4)
     if forward:
         assert strains + 1.0 == pytest.approx((1.0 + 1e-4) * speeds[1:] / speeds[0], abs=1e-8)
     else:

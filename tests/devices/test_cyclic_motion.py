@@ -11,7 +11,7 @@ from tests.cia402.every_mode import INCREMENTS, eds_file
 
 from hilbench.cia402.state_machine import State
 from hilbench.devices.node import SimulatedNode
-from hilbench.devices.simulation import hosted, simulated_node
+from hilbench.devices.simulation import hosted, simulated_axes
 
 CSP, CSV = 8, 9
 MODE, CONTROLWORD, INTERPOLATION_PERIOD, FOLLOWING_ERROR_WINDOW = 0x6060, 0x6040, 0x60C2, 0x6065
@@ -23,7 +23,7 @@ class Driven:
 
     def __init__(self, folder: Path, mode: int, period_s: float) -> None:
         self._clock = HandClock()
-        self.node: SimulatedNode = simulated_node(eds_file(folder), 5, self._clock)
+        self.node: SimulatedNode = simulated_axes(eds_file(folder), 5, self._clock)[0]
         _, self._application = hosted([self.node], self._clock)
         self._period_ns = round(period_s * 1e9)
         self.write(MODE, mode)

@@ -48,7 +48,7 @@ def test_derived_quantities_are_those_of_the_design(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "number", "text"),
     [
-        ("- {effect: web_slap, parameters: {}}", 13, "unknown effect 'web_slap', expected one of coulomb_friction"),
+        ("- {effect: web_slap, parameters: {}}", 13, "unknown effect 'web_slap', did you mean 'web_slip'"),
         ("- {effect: web_slip, axis: 1, parameters: {creep_per_N: 1e-6}}", 13, "expected none: it is an effect of"),
         ("- {effect: coulomb_friction, parameters: {force_N: 1}}", 13, "lacks its axis"),
         ("- {effect: coulomb_friction, axis: 3, parameters: {force_N: 1}}", 12, "entry 1: .*expected 1 to 2"),

@@ -158,7 +158,7 @@ def test_parameters_act_at_once_and_stay_when_the_drives_are_enabled_again(tmp_p
     machine.reset([0.0])
     machine.follow([0.1], CYCLE_S)
     assert machine.load_torques_Nm([1], [0.0], 0.0) == pytest.approx([-0.3])
-    with pytest.raises(ValueError, match="unknown parameter 'sprng', expected one of spring"):
+    with pytest.raises(ValueError, match="unknown parameter 'sprng', did you mean 'spring'"):
         machine.set_parameter("sprng", 1.0)
 
 

@@ -87,12 +87,12 @@ def test_measured_motion_is_transferred_by_name() -> None:
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda m: m.parameter("inertia"), "unknown parameter 'inertia', expected one of inertia_kg_m2"),
+        (lambda m: m.parameter("inertia"), "unknown parameter 'inertia', did you mean 'inertia_kg_m2'?"),
         (lambda m: m.set_parameter("inertia_kg_m2", 0.0), "inertia_kg_m2 = 0.0 kg·m², expected more than 0"),
         (lambda m: m.set_parameter("coulomb_friction_Nm", -0.1), "expected 0 or more"),
         (lambda m: m.set_parameter("unbalance_phase_rad", float("nan")), "expected a finite number"),
         (lambda m: m.set_input("F_next_N", 1.0), "unknown input 'F_next_N', expected one of external_torque_Nm"),
-        (lambda m: m.set_state({"x1_m": 1.0}), "unknown state 'x1_m', expected one of x1_rad"),
+        (lambda m: m.set_state({"x1_m": 1.0}), "unknown state 'x1_m', did you mean 'x1_rad'?"),
         (lambda m: m.set_effect("web_slip", creep_per_N=1e-5), "web_slip"),
         (lambda m: m.set_effect("torque_offset", 2, offset_Nm=0.1), "axis 2, expected 1 to 1"),
         (lambda m: m.set_effect("torque_ripple", 1, slot=9, amplitude_Nm=0.1, order=1.0), "slot 9, expected 0 to"),

@@ -30,8 +30,9 @@ BROKEN, WHOLE = 0.15, 0.3
 #: Smoothing of the tension that is usual: a web that breaks loses that, strange positions alone don't take it away; and
 #: of its noise.
 _USUAL_S = 0.3
-#: Deviations by which a break or a change stands out: of a normal noise once in 1.7 million blocks, 10 h of 20 ms.
-_SURE = 5.0
+#: Deviations by which a break or a change stands out: normal noise goes so far once in 31,000 blocks. 5 would hide a
+#: break from drives that take late SYNCs for the next one, whose blocks scatter.
+_SURE = 4.0
 #: Least tension that the strain must promise for a ratio to mean anything, as a share of the machine's usual one.
 LEAST_SHARE = 0.125
 #: Force that accelerates the roller, or its range within a block, over the tension that the strain promises, from which
