@@ -113,13 +113,13 @@ def test_friction_is_as_sure_as_it_is_told_to_be(commands: np.ndarray) -> None:
         rows = []
         for position, torque in zip(data.x_rad, data.tau_Nm, strict=True):
             estimator.update(ShaftSample(CYCLE_S, position, torque))
-            rows.append(estimator.told.copy())
-        told = np.array(rows)[200:]
+            rows.append(estimator.stated.copy())
+        stated = np.array(rows)[200:]
         for name, at, sd, value in (
             ("dry", COULOMB, COULOMB_SD, truth.coulomb_friction_Nm),
             ("viscous", VISCOUS, VISCOUS_SD, truth.viscous_friction_Nm_s_per_rad),
         ):
-            held.setdefault(name, []).append(np.abs(told[:, at] - value) <= 1.96 * told[:, sd])
+            held.setdefault(name, []).append(np.abs(stated[:, at] - value) <= 1.96 * stated[:, sd])
     for name, seeds in held.items():
         assert np.mean(seeds) > 0.93, name
 

@@ -36,10 +36,10 @@ from hilbench.topology.signals import Shape
 from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines import web_line_cycle
 from hilbench.twin.machines.machine import BoundaryInputs, MachineVectors, Measured
-from hilbench.twin.machines.splice_tracker import SpliceTracker
 from hilbench.twin.machines.web_line_cycle import EstimatedSpan, LineInVectors
 from hilbench.twin.machines.web_line_errors import as_effects
 from hilbench.twin.machines.web_section import WebSection
+from hilbench.twin.machines.web_splice_tracker import SpliceTracker
 
 #: By how much another model may change a tension from one cycle to the next, as a share of a usual one.
 _LARGEST_STEP = 0.005

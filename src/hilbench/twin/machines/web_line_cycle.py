@@ -29,10 +29,10 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import line_vectors, rig_cycle, span_kernel
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import LineStep
-from hilbench.twin.machines import splice_tracker
+from hilbench.twin.machines import web_splice_tracker
 from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, MachineVectors
-from hilbench.twin.machines.splice_tracker import SpliceTracker
 from hilbench.twin.machines.web_section import WebSection
+from hilbench.twin.machines.web_splice_tracker import SpliceTracker
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED, TRANSFER_REFUSED
 
 Places = NDArray[np.int64]
@@ -162,7 +162,7 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
     of_passage = floats(table, _OF_PASSAGE, (1,))
     if len(of_passage) > 0:
         block, t = floats(table, _OF_BLOCK, (1,)), floats(table, _OWN + cycle.STATE_ROW, (1,))
-        if not splice_tracker.goes_by(of_passage, block, t, _strain(table[_OWN:]), x_m[0]):
+        if not web_splice_tracker.goes_by(of_passage, block, t, _strain(table[_OWN:]), x_m[0]):
             return PASSAGE
     return _FINISH
 
