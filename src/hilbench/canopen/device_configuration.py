@@ -18,7 +18,7 @@ from canopen.objectdictionary import ODVariable
 import canopen
 from hilbench.canopen import concise_dcf, eds
 from hilbench.canopen.data_types import Value, data_type
-from hilbench.canopen.identifiers import NODE_ID
+from hilbench.canopen.identifiers import MAPPING, NODE_ID
 from hilbench.canopen.master import Master
 from hilbench.canopen.object_store import NO_DATA
 from hilbench.canopen.sdo_client import Refusal, no_answer
@@ -32,7 +32,6 @@ Key = tuple[int, int]
 _READABLE: Final = ("ro", "rw", "rwr", "rww", "const")
 _WRITABLE: Final = ("rw", "rwr", "rww")
 _RPDOS, _TPDOS = range(0x1400, 0x1600), range(0x1800, 0x1A00)
-_MAPPINGS: Final = 0x200  # from the communication parameters of a PDO to its mapping
 _EMERGENCY_COB_ID: Final = 0x1014
 #: Contents of DOMAIN objects are programs and files, not settings.
 _DOMAIN: Final = 0x0F
@@ -120,7 +119,7 @@ def settings(configuration: Configuration) -> list[concise_dcf.Write]:
     values = {key: configuration.values[key] for key in _parameters(configuration)}
     pdos = sorted({index for index in map(_pdo_of, values) if index})
     # Entries beyond the number of a mapping mean nothing, and a device may refuse to have them written.
-    mappings = {index + _MAPPINGS for index in pdos}
+    mappings = {index + MAPPING for index in pdos}
     writes = [write for index in pdos for write in _pdo_writes(values, index)]
     done = {write.key for write in writes}
     return writes + [
@@ -201,12 +200,12 @@ def _pdo_of(key: Key) -> int | None:
     index, sub = key
     if sub == 1 and (index in _RPDOS or index in _TPDOS):
         return index
-    return index - _MAPPINGS if sub == 0 and (index - _MAPPINGS in _RPDOS or index - _MAPPINGS in _TPDOS) else None
+    return index - MAPPING if sub == 0 and (index - MAPPING in _RPDOS or index - MAPPING in _TPDOS) else None
 
 
 def _pdo_writes(values: Mapping[Key, bytes], index: int) -> Iterator[concise_dcf.Write]:
     """cob_id: of some devices it is read-only, and the mapping is not."""
-    cob_id, mapping = values.get((index, 1)), index + _MAPPINGS
+    cob_id, mapping = values.get((index, 1)), index + MAPPING
     number = values.get((mapping, 0))
     if cob_id is not None:
         yield concise_dcf.Write(index, 1, cob_id[:-1] + bytes([cob_id[-1] | 0x80]))

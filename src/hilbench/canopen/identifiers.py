@@ -29,6 +29,9 @@ NODE_ID: Final = 0x07F
 COB_ID: Final = 0x7FF
 LAST_NODE: Final = 127
 
+#: From a PDO's communication parameters to its mapping parameters: 1600h for 1400h, 1A00h for 1800h.
+MAPPING: Final = 0x200
+
 #: Bits beside the COB-ID in 1014h and in the parameters of PDOs: not in use; a TPDO that no remote frame asks for.
 INVALID: Final = 0x8000_0000
 NO_REMOTE_REQUEST: Final = 0x4000_0000

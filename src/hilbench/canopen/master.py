@@ -18,6 +18,7 @@ from hilbench.canopen.identifiers import (
     COB_ID,
     HEARTBEAT,
     INVALID,
+    MAPPING,
     NMT,
     NO_REMOTE_REQUEST,
     NmtCommand,
@@ -25,8 +26,6 @@ from hilbench.canopen.identifiers import (
 from hilbench.canopen.pdo import PdoMap
 from hilbench.canopen.sdo_client import Refusal, SdoClient, no_answer
 from hilbench.errors import BenchFaultError, BusError
-
-_MAPPING = 0x200  #: from a PDO's communication parameters to its mapping
 
 
 @dataclass(frozen=True)
@@ -203,7 +202,7 @@ class Master(SdoClient):
             cob_id = int(self.sdo_read(node_id, communication_index, 1))
             self.sdo_write(node_id, communication_index, cob_id | INVALID, 1)
         else:
-            self._give(node_id, communication_index + _MAPPING, 0, 0)
+            self._give(node_id, communication_index + MAPPING, 0, 0)
 
     def _give(self, node_id: int, index: int, value: int, sub: int) -> None:
         """Write it, unless it is read-only by its EDS: who reads it back afterwards sees what it has."""

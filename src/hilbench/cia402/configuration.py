@@ -9,7 +9,7 @@ from typing import Final
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 from hilbench.canopen import eds
-from hilbench.canopen.identifiers import COB_ID, INVALID
+from hilbench.canopen.identifiers import COB_ID, INVALID, MAPPING
 from hilbench.canopen.master import Master
 from hilbench.canopen.pdo import PdoMap, received_by, sent_by
 from hilbench.cia402 import objects
@@ -23,8 +23,7 @@ CONSUMER_HEARTBEAT: Final = 0x1016
 PRODUCER_HEARTBEAT: Final = 0x1017
 RPDO_COMMUNICATION: Final = 0x1400
 TPDO_COMMUNICATION: Final = 0x1800
-_MAPPING: Final = 0x200  # from a PDO's communication parameters to its mapping
-_MAPPINGS: Final = range(RPDO_COMMUNICATION + _MAPPING, TPDO_COMMUNICATION + 2 * _MAPPING)
+_MAPPINGS: Final = range(RPDO_COMMUNICATION + MAPPING, TPDO_COMMUNICATION + 2 * MAPPING)
 
 #: The object that each mode with a cyclic set point takes it from.
 SETPOINT_OBJECTS: Final = {
@@ -277,7 +276,7 @@ def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
         found += _other_cob_id(od, communication, pdo.cob_id)
         written[communication, 2] = pdo.transmission_type, "a PDO is set up by it"
         for sub, value in enumerate((len(pdo.mapping), *pdo.mapping)):
-            written[communication + _MAPPING, sub] = value, "a PDO is mapped by it"
+            written[communication + MAPPING, sub] = value, "a PDO is mapped by it"
     needed |= {key: why for key, (_, why) in written.items()}
     found += [f"{index:04X}h:{sub} ({why})" for (index, sub), why in needed.items() if not _has(od, index, sub)]
     for (index, sub), (value, why) in written.items():

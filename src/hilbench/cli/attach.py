@@ -13,13 +13,13 @@ from hilbench.canopen.eds import load_eds
 from hilbench.canopen.master import Master
 from hilbench.canopen.mastery import mastery
 from hilbench.canopen.sdo_client import SdoClient
+from hilbench.cli.options import SDO_TIMEOUT_S
 from hilbench.doctor.eds_match import find_eds
 from hilbench.errors import BenchFaultError, UnusableInputError
 
 if TYPE_CHECKING:  # the models take their time to import; a command without a config does not need them
     from hilbench.runs.config import ExperimentConfig
 
-SDO_TIMEOUT_S = 1.0
 #: Node id of a bench of which there is no config.
 MASTER_ID = 127
 

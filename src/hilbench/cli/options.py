@@ -41,6 +41,8 @@ ForceOption = Annotated[
     bool,
     typer.Option("--force", help="also beside a master (a running bench, or one received): you answer for it"),
 ]
+#: Where no --timeout is given, s.
+SDO_TIMEOUT_S = 1.0
 TimeoutOption = Annotated[
     float, typer.Option("--timeout", metavar="S", min=0.01, help="for the answer to each SDO request")
 ]

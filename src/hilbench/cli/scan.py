@@ -84,11 +84,8 @@ def scan(
 
 
 def _parts(bench: ExperimentConfig | None) -> dict[int, str]:
-    found: dict[int, str] = {}
-    for part in bench.parts if bench is not None else ():
-        before = found.get(part.node.node_id)
-        found[part.node.node_id] = f"{before}, {part.name}" if before else part.name
-    return found
+    on_nodes = {} if bench is None else bench.parts_by_node
+    return {node_id: ", ".join(part.name for part in there) for node_id, there in on_nodes.items()}
 
 
 def _problems(found: Scan, bench: ExperimentConfig) -> list[str]:

@@ -14,6 +14,7 @@ import typer
 
 from hilbench.cli import sdo_files
 from hilbench.cli.options import (
+    SDO_TIMEOUT_S,
     BusOption,
     ConfigOption,
     EdsOption,
@@ -53,7 +54,7 @@ def read(
     config: ConfigOption = None,
     bus: BusOption = None,
     eds: EdsOption = Path("eds"),
-    timeout: TimeoutOption = 1.0,
+    timeout: TimeoutOption = SDO_TIMEOUT_S,
     json: JsonOption = False,
 ) -> None:
     """Read an object; numbers in device units and, where the standard or the drive tells its unit, in SI (motor side).
@@ -82,7 +83,7 @@ def write(
     config: ConfigOption = None,
     bus: BusOption = None,
     eds: EdsOption = Path("eds"),
-    timeout: TimeoutOption = 1.0,
+    timeout: TimeoutOption = SDO_TIMEOUT_S,
     force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:

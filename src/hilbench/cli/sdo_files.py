@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hilbench.cli.options import (
+    SDO_TIMEOUT_S,
     BusOption,
     ConfigOption,
     EdsOption,
@@ -35,7 +36,7 @@ def dump(
     config: ConfigOption = None,
     bus: BusOption = None,
     eds: EdsOption = Path("eds"),
-    timeout: TimeoutOption = 1.0,
+    timeout: TimeoutOption = SDO_TIMEOUT_S,
 ) -> None:
     """Read all objects of a node and keep them as a DCF: its EDS file with the values (ParameterValue, CiA 306).
 
@@ -63,7 +64,7 @@ def load(
     store: Annotated[
         bool, typer.Option("--store", help="let the device keep it over a loss of power (1010h sub 1)")
     ] = False,
-    timeout: TimeoutOption = 1.0,
+    timeout: TimeoutOption = SDO_TIMEOUT_S,
     force: ForceOption = False,
 ) -> None:
     """Write a configuration to a node, and read back what it has then; commands and set points are left out.
@@ -119,7 +120,7 @@ def diff(
     everything: Annotated[
         bool, typer.Option("--all", help="also objects that are no settings, and those that one side lacks")
     ] = False,
-    timeout: TimeoutOption = 1.0,
+    timeout: TimeoutOption = SDO_TIMEOUT_S,
     json: JsonOption = False,
 ) -> None:
     """Compare the settings of two devices, a device with a file, or two files.

@@ -9,7 +9,7 @@ from typing import Final
 
 from hilbench.can.frame import REMOTE_FLAG
 from hilbench.canopen.data_types import data_type
-from hilbench.canopen.identifiers import COB_ID, INVALID, NO_REMOTE_REQUEST, NmtCommand
+from hilbench.canopen.identifiers import COB_ID, INVALID, MAPPING, NO_REMOTE_REQUEST, NmtCommand
 from hilbench.canopen.object_store import (
     INVALID_VALUE,
     NO_OBJECT,
@@ -25,7 +25,6 @@ from hilbench.canopen.object_store import (
 from hilbench.conformance.description import Entry
 from hilbench.conformance.dut import DeviceUnderTest, answers, multiplexed
 from hilbench.conformance.process_data import (
-    MAPPING,
     RPDO,
     TPDO,
     Pdo,

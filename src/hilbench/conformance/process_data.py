@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from hilbench.canopen.identifiers import COB_ID, INVALID, NO_REMOTE_REQUEST
+from hilbench.canopen.identifiers import COB_ID, INVALID, MAPPING, NO_REMOTE_REQUEST
 from hilbench.canopen.sdo_client import Refusal
 from hilbench.cia402.objects import CONTROLWORD, STATUSWORD
 from hilbench.cia402.state_machine import POWERED, STATUS_TARGET_REACHED, Command, State, decode_statusword
@@ -18,8 +18,6 @@ from hilbench.conformance.description import Entry
 from hilbench.conformance.dut import DeviceUnderTest
 from hilbench.conformance.record import NotApplicableError
 
-#: From a PDO's communication parameters to its mapping parameters.
-MAPPING: Final = 0x200
 RPDO, TPDO = 0x1400, 0x1800
 _DEFAULT_IDS: Final = {RPDO: (0x200, 0x300, 0x400, 0x500), TPDO: (0x180, 0x280, 0x380, 0x480)}
 _QUICK_STOP_S, _STEP_S = 3.0, 0.02

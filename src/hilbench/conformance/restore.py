@@ -10,13 +10,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from hilbench.canopen.identifiers import INVALID, NmtCommand
+from hilbench.canopen.identifiers import INVALID, MAPPING, NmtCommand
 from hilbench.canopen.object_store import PRESENT_STATE
 from hilbench.canopen.sdo_client import Answer, Refusal
 from hilbench.cia402.axis import of_first_axis
 from hilbench.conformance.description import Entry
 from hilbench.conformance.dut import DeviceUnderTest, answer_text
-from hilbench.conformance.process_data import MAPPING, RPDO, TPDO, at_rest
+from hilbench.conformance.process_data import RPDO, TPDO, at_rest
 
 #: Commands, not parameters: they are not written back.
 _COMMANDS: Final = (0x1003, 0x1010, 0x1011, *range(0x1F50, 0x1F60), 0x6040)

@@ -95,7 +95,9 @@ class Nodes:
             *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), self._per_output(), strict=True),
             *((drive, name, 1.0) for drive, name in zip(self.load_motors, config.load_motors, strict=True)),
         ]
-        self._known = {node_id: " and ".join(names) for node_id, names in self._on_nodes().items()}
+        on_nodes = config.parts_by_node
+        self._known = {node_id: " and ".join(part.label for part in there) for node_id, there in on_nodes.items()}
+        self._ods_of_nodes = {node_id: self._ods[there[0].name] for node_id, there in on_nodes.items()}
         self._master: Master | None = None
         torques = [SimulatedTorque(each.axis, each.name, each.residual) for each in self.io.data.torques]
         self._shown_by = self._drive_signals()
@@ -129,13 +131,6 @@ class Nodes:
         self.supervised = 0  #: how often it has changed whether the twin is counted on
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
         self._expected_boots: set[int] = set()
-
-    def _on_nodes(self) -> dict[int, list[str]]:
-        """What messages call the parts of each node."""
-        found: dict[int, list[str]] = {}
-        for part in self.config.parts:
-            found.setdefault(part.node.node_id, []).append(part.label)
-        return found
 
     def _per_output(self) -> list[float]:
         """What the output of each axis is multiplied with: its speed becomes the motor's, its torque stays."""
@@ -213,16 +208,14 @@ class Nodes:
         """Make all nodes known to the master."""
         self._master = master
         self._watch = UnexpectedSenders(self._owned(), master.sent.take)
-        dictionaries = {part.node.node_id: self._ods[part.name] for part in self.config.parts}
         for node_id, names in self._known.items():
-            master.add(node_id, dictionaries[node_id], names)
+            master.add(node_id, self._ods_of_nodes[node_id], names)
 
     def _owned(self) -> Owned:
         """Whose frames belong on the bus."""
         rpdos = {cob_id: self.sender(drive) for drive in self.drives for cob_id in drive.rpdo_cob_ids}
         rpdos |= {pdo.cob_id: self.twin_name for pdo in self.io.boundary}
-        dictionaries = {part.node.node_id: self._ods[part.name] for part in self.config.parts}
-        return Owned(self.config.master.node_id, self._known, dictionaries, rpdos)
+        return Owned(self.config.master.node_id, self._known, self._ods_of_nodes, rpdos)
 
     def configure_drives(self, master: Master, to_each: ToEach = map) -> None:
         """Configure axes and load motors by SDO. Raises BenchFaultError naming node, object and reason."""

@@ -369,6 +369,14 @@ class BenchConfig(Block):
         return value
 
     @property
+    def parts_by_node(self) -> dict[int, list[Part]]:
+        """All parts by node id; two axes of a node have it in common."""
+        found: dict[int, list[Part]] = {}
+        for part in self.parts:
+            found.setdefault(part.node.node_id, []).append(part)
+        return found
+
+    @property
     def simulated_drives(self) -> dict[int, str]:
         """Parts that the simulated hardware plays, by node id; of a node with two axes the last."""
         return {part.node.node_id: part.name for part in self.parts if part.is_simulated}

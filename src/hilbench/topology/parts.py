@@ -119,11 +119,6 @@ class Part:
         return self.node.axis if isinstance(self.node, DeviceConfig) else 1
 
     @property
-    def place(self) -> str:
-        """Its node, and which axis of it where that is not the first, for messages."""
-        return f"node {self.node.node_id}" + (f", axis {self.node_axis}" if self.node_axis > 1 else "")
-
-    @property
     def is_simulated(self) -> bool:
         """Whether the simulated hardware plays it."""
         return isinstance(self.node, DeviceConfig) and self.node.simulated

@@ -70,8 +70,8 @@ _CYCLES, _COUNTED, _BEGAN, _PAIRED, _COMMAND_M_S, _CHANGED, _NEXT_SUM_N = range(
 _CYCLE_S, _TRAVEL_M, _DOWNSTREAM, _HAS, _HAS_WEB, _LINE_SIZE = range(7, 13)
 #: Of an axis, when a block began and since: position, speed, sum of torques; its limit.
 _AT_M, _AT_M_S, _SUM_NM, _LIMIT_NM, _BEGUN_SIZE = range(5)
-#: Of the axes' positions: now, the last that were of one instant, and the ways since.
-_NOW_M, _LAST_M, _WAY, _POSITIONS_SIZE = range(4)
+#: Of the axes' positions: now, the last that were of one instant, and the travels since.
+_NOW_M, _LAST_M, _TRAVEL, _POSITIONS_SIZE = range(4)
 #: Of the web in the sections: length, unstretched, strain, sum of strains.
 _LENGTH_M, _UNSTRETCHED_M, _STRAIN, _STRAIN_SUM, _WEB_SIZE = range(5)
 #: Of a span: sums of the twin's tension and E; set-point; whether that changed; cycles with an open loop.
@@ -131,7 +131,7 @@ def _add(values: Vector, words: Places, at: Places, begun: Matrix, line: Vector,
 def _follow(values: Vector, at: Places, line: Vector, ways: Vector, positions: Matrix, web: Matrix) -> None:
     """The web by mass conservation, where the positions are of one instant."""
     axes = positions.shape[1]
-    now_m, last_m, travel_m = positions[_NOW_M], positions[_LAST_M], positions[_WAY]
+    now_m, last_m, travel_m = positions[_NOW_M], positions[_LAST_M], positions[_TRAVEL]
     for j in range(axes):
         now_m[j] = values[at[3 * j]]
     if not paired(ways, now_m, line[_TRAVEL_M]):

@@ -253,8 +253,9 @@ class SpliceFinder:
             self._joint = None
             return Entered(None, relative_change=1.0 / (1.0 + fits[kind].share) - 1.0)
         way = (float(travels_m[-1]) - fits[kind].front_m) / self._length_m
-        if self._joint is None and way > _THROUGH:  # found too late: all of the span is that web, whose E is known
-            self._forget_before(fits[kind].front_m)
+        if way > _THROUGH:
+            if self._joint is None:  # found too late: all of the span is that web, whose E is known
+                self._forget_before(fits[kind].front_m)
             return None
         return self._entered(fits[kind], way)
 
@@ -314,10 +315,8 @@ class SpliceFinder:
         elif self._joint is None and not self.suspects:
             self._since_m = changed_m
 
-    def _entered(self, found: _Fit, way: float) -> Entered | None:
-        """As it is known now; a joint that is through is known as well as it will be."""
-        if self._joint is not None and way > _THROUGH:
-            return None
+    def _entered(self, found: _Fit, way: float) -> Entered:
+        """As it is known now, until it is through: then it is known as well as it will be."""
         share, endless = found.share, self._kind is _Kind.WEB
         left = exp(-max(way, 0.0))
         if endless:

@@ -51,7 +51,7 @@ G_SENT: Final = 7  #: of the damping's last command
 G_DAMPING_LIMIT_M_S: Final = 8
 G_TRAJECTORY_PER_S: Final = 9  #: rate of the poles on which a set-point goes its way (feed-forward); 0: there is none
 G_LENGTH_M: Final = 10  #: of the span
-_G_WAY_LEFT: Final = 11  # what a step leaves of the way
+_G_TRAJECTORY_LEFT: Final = 11  # what a step leaves of the way
 G_SIZE: Final = 12
 
 # What the controller of a span keeps, from C_SIZE times its number (from 0) on; behind those of all spans stands what
@@ -134,7 +134,7 @@ def _plan(
             acceleration -= g[row * k + j, G_LENGTH_M] * c[C_SIZE * j + C_WAY_PER_S2]
         if j > 0 and g[row * k + j - 1, G_TRAJECTORY_PER_S] > 0.0:
             at = C_SIZE * (j - 1)
-            rate_per_s, left = g[row * k + j - 1, G_TRAJECTORY_PER_S], g[row * k + j - 1, _G_WAY_LEFT]
+            rate_per_s, left = g[row * k + j - 1, G_TRAJECTORY_PER_S], g[row * k + j - 1, _G_TRAJECTORY_LEFT]
             _go_way(c, at, rate_per_s, left, set_point[i, j - 1] / known[i, j - 1], h)
             here_N = c[at + C_TRAJECTORY_STRAIN] * known[i, j - 1]
         ahead[j] = _lead(leads, j, c, C_SIZE * k + j, acceleration, here_N - pull_N)
@@ -400,7 +400,7 @@ def run_futures(
 ) -> None:
     tally = of_table(table)
     for row in range(g.shape[0]):
-        g[row, _G_WAY_LEFT] = exp(-g[row, G_TRAJECTORY_PER_S] * p[lay.W_SAMPLE_TIME_S])
+        g[row, _G_TRAJECTORY_LEFT] = exp(-g[row, G_TRAJECTORY_PER_S] * p[lay.W_SAMPLE_TIME_S])
     for b in range(start.shape[0]):
         s[:] = start[b]
         c[:] = integrals[b]
