@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from tests.bench.test_demonstrator_unchanged import SHORTER
+from tests.bench.test_runs_unchanged import SHORTER
 from tests.cli.in_process import hilbench
 from tests.plant.fmu.mass import build_fmu, needs_compiler
 
