@@ -31,10 +31,10 @@ def read(path: Path) -> LineRecording:
 
 def table(fit: LineFit) -> str:
     """Markdown."""
-    rows = ["| parameter | value | standard deviation | told by itself |", "|---|--:|--:|---|"]
+    rows = ["| parameter | value | standard deviation | identified by itself |", "|---|--:|--:|---|"]
     for p in fit.parameters:
-        told = "yes" if p.told else f"no (variance inflation {p.variance_inflation:.0f})"
-        rows.append(f"| `{p.name}` | {p.value:.3g} | {p.deviation:.2g} | {told} |")
+        identified = "yes" if p.is_identified else f"no (variance inflation {p.variance_inflation:.0f})"
+        rows.append(f"| `{p.name}` | {p.value:.3g} | {p.deviation:.2g} | {identified} |")
     one, two = fit.vaf_percent
     return "\n".join([*rows, "", f"Free run over the half that no fit has seen: VAF {one:.1f} % and {two:.1f} %."])
 

@@ -369,7 +369,7 @@ def virtual_io(kind: MachineKind, *, is_long: bool = False) -> DeviceDescription
     name, product, device_type = "hilbench virtual I/O", 0x0401, 0x000C_0191
     smallest = process_data(kind, SMALLEST[kind])
     signals = {signal.sub: signal for signal in smallest.published}
-    told = {signal.sub: signal for signal in smallest.told}
+    sensors = {signal.sub: signal for signal in smallest.boundary_inputs}
     tpdos = {number: Pdo() for number in range(1, 5)}
     if kind is MachineKind.WEB_LINE:
         most = MOST_SPANS_OF_LONG if is_long else MOST_SPANS
@@ -383,7 +383,7 @@ def virtual_io(kind: MachineKind, *, is_long: bool = False) -> DeviceDescription
             for signal in with_stations.published
             if signal.sub not in signals
         }
-        told = {signal.sub: signal for signal in with_stations.told}
+        sensors = {signal.sub: signal for signal in with_stations.boundary_inputs}
         longest = process_data(kind, Shape(most + 1, (), most, spans if is_long else (1,), spans))
         tpdos |= {pdo.number: Pdo() for pdo in longest.sent}
     tpdos |= {
@@ -391,7 +391,7 @@ def virtual_io(kind: MachineKind, *, is_long: bool = False) -> DeviceDescription
         for pdo in smallest.sent
     }
     tpdos[STATUS_TPDO] = Pdo(True, 1, ((0x2100, 1, 16), (0x2100, 2, 8), (0x2100, 3, 8)))
-    boundary = tuple((signal.index, signal.sub, 32) for signal in smallest.told)
+    boundary = tuple((signal.index, signal.sub, 32) for signal in smallest.boundary_inputs)
     rpdos = [Pdo(True, 1, boundary) if boundary else Pdo(), Pdo(), Pdo(), Pdo()]
     inputs = {sub: Entry(signal.text, "REAL32", "ro", 0.0, True) for sub, signal in sorted(signals.items())}
     status = {
@@ -405,7 +405,7 @@ def virtual_io(kind: MachineKind, *, is_long: bool = False) -> DeviceDescription
         2: Entry("Largest step of a tension in the last change [N]", "REAL32", "ro", 0.0),
     }
     found = {1: Entry("Errors of the model that were found, as JSON", "STRING", "ro")}
-    outputs = {signal.sub: Entry(signal.text, "REAL32", "rww", 0.0, True) for signal in told.values()}
+    outputs = {signal.sub: Entry(signal.text, "REAL32", "rww", 0.0, True) for signal in sensors.values()}
     file_name, description = LONG_VIRTUAL_IO_FILE if is_long else VIRTUAL_IO_FILES[kind]
     return DeviceDescription(
         file_name,

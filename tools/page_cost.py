@@ -60,10 +60,10 @@ class Viewer:
 
     def ages_s(self) -> np.ndarray[Any, Any]:
         """How old the picture was, every millisecond while the bench ran."""
-        heard, of = np.array(self.told).T
-        heard, of = heard[of < of[-1]], of[of < of[-1]]
-        at = np.arange(heard[0], heard[-1], 0.001)
-        return np.asarray(at - of[np.searchsorted(heard, at, side="right") - 1])
+        received, of = np.array(self.told).T
+        received, of = received[of < of[-1]], of[of < of[-1]]
+        at = np.arange(received[0], received[-1], 0.001)
+        return np.asarray(at - of[np.searchsorted(received, at, side="right") - 1])
 
 
 def syncs(folder: Path) -> int:

@@ -101,7 +101,7 @@ def errors(recording: Recording, outlooks: Sequence[Outlook]) -> str:
 
 
 def look_at_rest(look: LineLook | ShaftLook) -> tuple[Callable[[], None], Callable[[], Outlook]]:
-    """As `Look.prepare`, of a machine that stands."""
+    """As `LimitReading.prepare`, of a machine that stands."""
     if isinstance(look, LineLook):
         return look.futures.prepare(*look.futures.at_rest(), look.futures.no_offsets(), 1)
     return look.futures.prepare(*look.futures.at_rest(), look.futures.no_offsets(), 1)

@@ -21,7 +21,7 @@ from hilbench.cia402.object_units import has_drive_unit, si_unit
 from hilbench.cli.main import app
 from hilbench.plant.effect import Effect, EffectPlace, MachineKind, Parameter
 from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
-from hilbench.runs import found
+from hilbench.runs import estimated_errors
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.config_text import json_schema
 from hilbench.runs.metrics import OF_RUNS, OF_STEPS
@@ -362,12 +362,12 @@ def metrics_page() -> str:
         lines += ["", f"## Of steps, `kind: {kind}`", "", *_metrics_table(machine.metrics)]
     lines += ["", "## Of the whole run, any machine", "", *_metrics_table(OF_RUNS)]
     lines += ["", "## Of what is found while the bench runs (`twin: live_diagnosis:`)", ""]
-    lines += [*_metrics_table({**found.METRICS, **found.FIGURES})]
+    lines += [*_metrics_table({**estimated_errors.METRICS, **estimated_errors.FIGURES})]
     lines += [
         "",
         "`gone` in the place of `found`: of an effect that was in the model and has gone again. A parameter of the",
     ]
-    lines += ["effect can stand for the figure, too: `found.coulomb_friction.axis2.force_N`."]
+    lines += ["effect can stand for the figure, too: `estimated_errors.coulomb_friction.axis2.force_N`."]
     return "\n".join(lines)
 
 

@@ -10,7 +10,7 @@ from typing import Any, Final, Self, get_args
 from pydantic import BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from hilbench.expected import expected
+from hilbench.pydantic_messages import expected
 
 #: Nothing of a bench has more of any SI unit, or less but for zero: what is beyond breaks arithmetic, not a bench.
 LARGEST: Final = 1e13
@@ -40,8 +40,8 @@ class Block(Strict):
             errors = [_error(each["type"], expected(each), each["loc"], each["input"]) for each in error.errors()]
         except ArithmeticError:  # as such numbers do it
             pass
-        told = {each["loc"][0] for each in errors if each.get("loc")}
-        errors += [_error("number", text, (key,), data[key]) for key, text in found.items() if key not in told]
+        named = {each["loc"][0] for each in errors if each.get("loc")}
+        errors += [_error("number", text, (key,), data[key]) for key, text in found.items() if key not in named]
         raise ValidationError.from_exception_data(cls.__name__, errors)
 
 

@@ -94,24 +94,24 @@ def _parts(function: Any) -> _Parts:
     code, cells = function.__code__, [cell.cell_contents for cell in function.__closure__ or ()]
     named = function.__globals__ | dict(zip(code.co_freevars, cells, strict=True))
     own, callees = [f"{function.__module__}.{function.__qualname__}"], list[FunctionType]()
-    for said in _said_of_code(code, named):
-        (own if isinstance(said, str) else callees).append(said)  # type: ignore[arg-type]
+    for part in _parts_of_code(code, named):
+        (own if isinstance(part, str) else callees).append(part)  # type: ignore[arg-type]
     return _Parts(sha256("\n".join(own).encode()).hexdigest(), tuple(callees))
 
 
-def _said_of_code(code: CodeType, named: dict[str, Any]) -> Iterator[str | FunctionType]:
+def _parts_of_code(code: CodeType, named: dict[str, Any]) -> Iterator[str | FunctionType]:
     yield code.co_code.hex()
     for value in code.co_consts:
         if isinstance(value, CodeType):
-            yield from _said_of_code(value, named)
+            yield from _parts_of_code(value, named)
         else:
             yield repr(value)
     for name in (*code.co_names, *code.co_freevars):
         if name in named:
-            yield from _said_of_value(name, named[name], code.co_names)
+            yield from _parts_of_value(name, named[name], code.co_names)
 
 
-def _said_of_value(name: str, value: Any, attributes: tuple[str, ...]) -> Iterator[str | FunctionType]:
+def _parts_of_value(name: str, value: Any, attributes: tuple[str, ...]) -> Iterator[str | FunctionType]:
     if isinstance(value, Dispatcher):
         yield repr(sorted(value.targetoptions.items()))
         yield value.py_func
@@ -123,10 +123,10 @@ def _said_of_value(name: str, value: Any, attributes: tuple[str, ...]) -> Iterat
         yield name
         for each in attributes:
             if value.__name__.partition(".")[0] not in _NOT_OURS and hasattr(value, each):
-                yield from _said_of_value(each, getattr(value, each), attributes)
+                yield from _parts_of_value(each, getattr(value, each), attributes)
     elif isinstance(value, tuple):
         for each in value:
-            yield from _said_of_value(name, each, attributes)
+            yield from _parts_of_value(name, each, attributes)
     else:
         yield f"{name} {_text_of(value)}"
 

@@ -18,9 +18,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from hilbench.copies import Copy
+from hilbench.crash_report import TRACEBACK_FOLDER
 from hilbench.errors import BenchFaultError
-from hilbench.unexpected import TRACEBACK_FOLDER
+from hilbench.forked_workers import ForkedWorker
 
 _END_TIMEOUT_S = 5.0
 
@@ -41,7 +41,7 @@ class ChildProcess:
         log_path: Path,
         pass_fds: Sequence[int] = (),
         environment: Mapping[str, str] = MappingProxyType({}),
-        copy: Copy | None = None,
+        copy: ForkedWorker | None = None,
     ) -> None:
         self.name = name
         #: Frames it lost because it did not read in time; None: it has not ended in order, or its bus cannot tell.
@@ -56,7 +56,7 @@ class ChildProcess:
         }
         self._process = self._start(copy)
 
-    def _start(self, copy: Copy | None = None) -> subprocess.Popen[bytes] | Copy:
+    def _start(self, copy: ForkedWorker | None = None) -> subprocess.Popen[bytes] | ForkedWorker:
         try:
             with self._log_path.open("ab") as log:
                 if copy is not None:
@@ -86,7 +86,7 @@ class ChildProcess:
 
     def wait_until_prepared(self) -> None:
         """Wait until it has loaded what it runs on, as far as it is a copy."""
-        if isinstance(self._process, Copy):
+        if isinstance(self._process, ForkedWorker):
             self._process.wait_until_prepared()
 
     @property
@@ -120,9 +120,9 @@ class ChildProcess:
                 self._process.wait()
         if self._process.stdin is not None:
             self._process.stdin.close()
-        said = self.last_words()
-        if said.startswith(_LOST_FRAMES) and said.removeprefix(_LOST_FRAMES).strip().isdecimal():
-            self.lost_frames = int(said.removeprefix(_LOST_FRAMES))
+        output_tail = self.last_words()
+        if output_tail.startswith(_LOST_FRAMES) and output_tail.removeprefix(_LOST_FRAMES).strip().isdecimal():
+            self.lost_frames = int(output_tail.removeprefix(_LOST_FRAMES))
 
     def last_words(self) -> str:
         """The last line of its log."""

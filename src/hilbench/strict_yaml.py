@@ -17,10 +17,10 @@ import yaml
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from hilbench.did_you_mean import did_you_mean
 from hilbench.errors import UnusableInputError
-from hilbench.expected import expected
 from hilbench.files import content
-from hilbench.suggest import did_you_mean
+from hilbench.pydantic_messages import expected
 
 Location = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)

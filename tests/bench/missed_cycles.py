@@ -15,7 +15,7 @@ import pytest
 
 from hilbench.exchange.sync_cycle import SyncCycle
 from hilbench.hardware.plant_time import BySync
-from hilbench.twin.bus_clock import Heard
+from hilbench.twin.bus_clock import ReceivedFrame
 from hilbench.twin.process import TwinApplication
 
 
@@ -25,9 +25,9 @@ class _Counted:
     missed = 0
     apart = False
 
-    def hear(self, behind: int) -> Heard:
+    def receive(self, behind: int) -> ReceivedFrame:
         """A cycle is as long as the config says."""
-        return Heard(self.missed, None, were_apart=False, apart=False)
+        return ReceivedFrame(self.missed, None, were_apart=False, apart=False)
 
 
 @contextmanager
@@ -55,7 +55,7 @@ def missed(share: float, from_cycle: int, longest: int = 5, seed: int = 3) -> It
 
     with pytest.MonkeyPatch.context() as patch:
         # A cycle before which some were missed is none of the plain ones that run compiled.
-        patch.setattr(SyncCycle, "is_plain", False)
+        patch.setattr(SyncCycle, "fits_fast_path", False)
         patch.setattr(SyncCycle, "_exchange", exchanged)
         patch.setattr(BySync, "before_sync", gone)
         patch.setattr(TwinApplication, "__init__", make)

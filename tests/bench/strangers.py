@@ -57,4 +57,4 @@ def on_the_bus(*plans: Plan) -> Iterator[None]:
 
 def from_sync(first: int, *frames: Frame, until: int = 1 << 30) -> Plan:
     """These frames behind each SYNC from `first` to before `until`."""
-    return lambda sync, heard: frames if first <= sync < until else ()
+    return lambda sync, received: frames if first <= sync < until else ()

@@ -246,14 +246,14 @@ def test_while_the_line_is_brought_to_rest_the_force_has_what_that_takes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = line(tmp_path, "controllers.store_position.force={behind_takes: 0.0}").config
-    tell, behind_N, told_N = LoadModel.tell, list[float](), list[float]()
+    set_value, behind_N, told_N = LoadModel.set_value, list[float](), list[float]()
 
     def told(self: LoadModel, name: str, value: float) -> None:
-        tell(self, name, value)
+        set_value(self, name, value)
         behind_N.append(self.machine.outputs()[f"F{STRANDS}_N"])
         told_N.append(value)
 
-    monkeypatch.setattr(LoadModel, "tell", told)
+    monkeypatch.setattr(LoadModel, "set_value", told)
     running = 0
 
     def interrupted() -> None:

@@ -49,7 +49,7 @@ class Nodes:
     answers: bool = True
     twin_name: str = TWIN
     twin_problem: str = ""
-    twin_heard: bool = False
+    twin_alive: bool = False
     twin_reported_cycle: int = 0
     counted: int = 0
     held_up_cycles: int = 0
@@ -61,7 +61,7 @@ class Nodes:
             raise BenchFaultError("no answer from virtual io (node 32)")
 
     def twin_is_away(self) -> None:
-        self.twin_problem, self.twin_heard = "", False
+        self.twin_problem, self.twin_alive = "", False
 
     def twin_is_back(self) -> None:
         self.twin_problem = ""
@@ -176,7 +176,7 @@ def test_a_lost_twin_is_waited_for_no_longer(bench: Bench, happens: Callable[[Be
 def test_in_lockstep_a_twin_that_is_heard_again_is_back_in_the_same_cycle(bench: Bench) -> None:
     lose(bench)
     bench.cycles()
-    bench.nodes.twin_heard = True
+    bench.nodes.twin_alive = True
     bench.cycles()
     assert not bench.away
     assert bench.exchange.stood_still == 1
@@ -190,7 +190,7 @@ def test_by_the_clock_it_is_back_once_it_has_told_which_syncs_it_counts() -> Non
     bench = Bench(lockstep=False)
     lose(bench)
     bench.cycles()
-    bench.nodes.twin_heard = True
+    bench.nodes.twin_alive = True
     bench.cycles(20)
     assert bench.away
     assert bench.exchange.stood_still == 0
@@ -204,7 +204,7 @@ def test_one_that_was_started_and_tells_nothing_is_asked_again() -> None:
     bench = Bench(lockstep=False)
     lose(bench)
     bench.cycles()
-    bench.nodes.twin_heard = True
+    bench.nodes.twin_alive = True
     bench.cycles(110)
     assert bench.away
     assert any("reports nothing within 100 cycles" in text for text in bench.said)

@@ -22,7 +22,7 @@ class NodeLink:
 
     def __init__(self, twice: set[int]) -> None:
         self._twice = twice  #: SYNCs of the bench that are on the bus twice
-        self._sent = self._heard = 0
+        self._sent = self._received = 0
         self._waiting: list[list[Frame]] = []
 
     def send(self, frames: Sequence[Frame]) -> None:
@@ -33,9 +33,9 @@ class NodeLink:
                     self._hear()
 
     def _hear(self) -> None:
-        self._heard += 1
-        count = self._heard.to_bytes(2, "little")
-        self._waiting.append([Frame(STATE, count), *([Frame(SLOW, count)] if self._heard % EVERY == 0 else [])])
+        self._received += 1
+        count = self._received.to_bytes(2, "little")
+        self._waiting.append([Frame(STATE, count), *([Frame(SLOW, count)] if self._received % EVERY == 0 else [])])
 
     def receive(self, timeout_s: float) -> list[Frame]:
         """Who waits gets the answers to one SYNC, who does not wait all that are there by then."""
@@ -69,8 +69,8 @@ def test_a_sync_that_is_there_twice_does_not_shift_the_answers() -> None:
         slow += sum(frame.can_id == SLOW for frame in frames)
     assert not exchange.silent
     assert slow in (8, 9)
-    heard = [int.from_bytes(frame.data, "little") for frame in frames if frame.can_id == STATE]
-    assert heard[-1] == 83
+    received = [int.from_bytes(frame.data, "little") for frame in frames if frame.can_id == STATE]
+    assert received[-1] == 83
 
 
 class Tap:

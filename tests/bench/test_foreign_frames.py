@@ -46,7 +46,7 @@ def download(node_id: int, index: int, value: int, size: int, sub: int = 0) -> F
 
 def after_the_answers(*frames: Frame) -> Plan:
     """A stranger that waits until the drives and the twin have answered: its frames come second."""
-    return lambda sync, heard: frames if sync >= 100 else ()
+    return lambda sync, received: frames if sync >= 100 else ()
 
 
 VELOCITY_0 = Frame(0x282, bytes(4))

@@ -119,7 +119,7 @@ def test_a_reference_goes_to_its_goal_by_steps_and_stays_there(goal: float, step
 
 def test_what_an_experiment_sets_is_where_a_reference_stays() -> None:
     reference = Reference("speed", step=0.3)
-    reference.head_for(2.0)
+    reference.move_to(2.0)
     assert reference.goal == 2.0
     reference.set("speed", 0.7)
     assert (reference.goal, reference.present) == (None, 0.7)

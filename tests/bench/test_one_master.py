@@ -22,7 +22,7 @@ from tests.cli.in_process import hilbench
 
 from hilbench.can.frame import Frame
 from hilbench.can.open import BusAddress, open_link
-from hilbench.canopen import mastery
+from hilbench.canopen import master_guard
 from hilbench.results.result import Result
 from hilbench.runs.config import load
 
@@ -94,7 +94,7 @@ def foreign(path: Path, frame: Frame) -> Iterator[None]:
 
 
 @pytest.mark.parametrize(
-    ("frame", "heard"),
+    ("frame", "received"),
     [
         (Frame(0x080, b""), "SYNC (080h"),
         (Frame(0x000, b"\x01\x07"), "NMT commands (000h"),
@@ -102,21 +102,21 @@ def foreign(path: Path, frame: Frame) -> Iterator[None]:
         (Frame(0x207, b"\x0f\x00"), "set points (RPDO 207h)"),
     ],
 )
-def test_a_foreign_master_is_heard_and_told_by_what_it_sends(tmp_path: Path, frame: Frame, heard: str) -> None:
+def test_a_foreign_master_is_heard_and_told_by_what_it_sends(tmp_path: Path, frame: Frame, received: str) -> None:
     path = config(tmp_path)
     with foreign(path, frame):
         done = hilbench("run", path, "--out", tmp_path / "runs")
         assert done.returncode == 2
         (line,) = done.stderr.strip().splitlines()
-        assert heard in line
+        assert received in line
         assert "--force" in line
         assert "bench is at work" not in line
         assert not (tmp_path / "runs").exists()
         scanned = json.loads(hilbench("scan", "--bus", bus_of(path), "--listen", "0.2", "--json").stdout)
-        assert heard in scanned["master"]
+        assert received in scanned["master"]
         refused_write = hilbench("sdo", "write", "1", "6040", "0", "--config", path)
         assert refused_write.returncode == 2
-        assert heard in refused_write.stderr
+        assert received in refused_write.stderr
 
 
 def test_a_node_that_answers_with_the_id_of_a_simulated_one_is_told(tmp_path: Path) -> None:
@@ -145,8 +145,8 @@ def test_a_node_that_answers_with_the_id_of_a_simulated_one_is_told(tmp_path: Pa
 
 def test_a_private_embedded_bus_is_not_listened_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody can be on a bus that no program has open: a run in lockstep starts at once."""
-    monkeypatch.setattr(mastery, "open_link", lambda bus: pytest.fail("listened"))
-    with mastery.mastery(BusAddress.parse(bus_of(config(tmp_path))), 127, "bench"):
+    monkeypatch.setattr(master_guard, "open_link", lambda bus: pytest.fail("listened"))
+    with master_guard.mastery(BusAddress.parse(bus_of(config(tmp_path))), 127, "bench"):
         pass
 
 

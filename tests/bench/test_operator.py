@@ -15,7 +15,7 @@ from hilbench.bench.operator.operator_objects import OperatorObjects
 from hilbench.can.frame import Frame
 from hilbench.can.open import open_python_can
 from hilbench.canopen.sdo_client import SdoClient
-from hilbench.exchange.own_node import OwnNode
+from hilbench.exchange.master_node import MasterNode
 from hilbench.monitor.changes import ChangeRequests
 from hilbench.results.recording import read_recording
 from hilbench.runs.config import load
@@ -75,7 +75,7 @@ def test_changes_of_a_running_bench_are_recovered_with_the_run(tmp_path: Path) -
 def test_what_can_not_be_changed_now_is_no_number_or_is_no_object_is_refused() -> None:
     bench = load(SHIPPED)[0]
     objects = OperatorObjects(bench, lambda path: 3.0, lambda path: "line" not in path)
-    node = OwnNode(bench.master.node_id, objects.store)
+    node = MasterNode(bench.master.node_id, objects.store)
 
     def ask(data: str) -> str:
         node.handle([Frame(0x67F, bytes.fromhex(data)), Frame(0x601, bytes(8))])

@@ -20,7 +20,7 @@ from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.reference import Reference
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_PASSED, UnusableInputError
 from hilbench.prediction.config import PredictionConfig
-from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
 from hilbench.prediction.plan import Asked, Move
 from hilbench.results.journal import read_journal
 from hilbench.results.recording import read_recording
@@ -210,13 +210,13 @@ class StillRunning:
     """A look that takes its time: what it says is there when it is let go on."""
 
     watched = (
-        Watched("speed of axis 1", "v1_m_s", "m/s", warning=1.0),
-        Watched("speed of axis 2", "v2_m_s", "m/s"),
+        DiagnosisAnswer("speed of axis 1", "v1_m_s", "m/s", warning=1.0),
+        DiagnosisAnswer("speed of axis 2", "v2_m_s", "m/s"),
     )
     signals = ("v1_m_s", "v2_m_s")
 
     def __init__(self) -> None:
-        self.goes_on = Event()
+        self.continues = Event()
         self.begun = 0
 
     def warm_up(self) -> None:
@@ -246,7 +246,7 @@ class StillRunning:
             np.full((16, 2, 2), now_s),
             np.zeros(2),
         )
-        return (lambda: self.goes_on.wait(30.0) and None), lambda: outlook
+        return (lambda: self.continues.wait(30.0) and None), lambda: outlook
 
 
 def test_in_real_time_no_cycle_waits_for_a_look_and_one_that_is_late_leaves_the_next_out() -> None:
@@ -272,7 +272,7 @@ def test_in_real_time_no_cycle_waits_for_a_look_and_one_that_is_late_leaves_the_
             prediction.after(sample, SimpleNamespace())  # type: ignore[arg-type]
         assert (look.begun, prediction.looks, said) == (1, 0, [])
         assert prediction.left_out >= 3
-        look.goes_on.set()
+        look.continues.set()
         for cycle in range(61, 1000):
             sample.cycle, sample.t_s = cycle, 0.01 * cycle
             prediction.after(sample, SimpleNamespace())  # type: ignore[arg-type]
@@ -281,5 +281,5 @@ def test_in_real_time_no_cycle_waits_for_a_look_and_one_that_is_late_leaves_the_
             sleep(0.01)
         assert "speed of axis 1 beyond its warning level 1 m/s" in said[0]
     finally:
-        look.goes_on.set()
+        look.continues.set()
         prediction.close()

@@ -63,7 +63,7 @@ def test_what_can_t_be_a_reels_loop_is_told(tmp_path: Path, change: str, expecte
 
 
 def test_nothing_is_probed_where_torques_keep_the_tensions(tmp_path: Path) -> None:
-    paths = given(tmp_path).config.plain_paths
+    paths = given(tmp_path).config.fast_path_places
     assert "tension_control.span1.set_point_N" in paths
     assert not any("probe" in path for path in paths)
 

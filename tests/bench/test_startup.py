@@ -42,7 +42,7 @@ def started(path: Path, pace: str) -> Iterator[tuple[BenchConfig, Master]]:
                     master.add(node_id, load_eds(part.node.eds, node_id), part.name)
                     master.sdo_write(node_id, 0x1017, bench.master.node_heartbeat_ms)
             master.nmt(NmtCommand.START)
-            master.heard_within(0.1)
+            master.responding_within(0.1)
             yield bench, master
             master.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
         finally:

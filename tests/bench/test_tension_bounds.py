@@ -72,7 +72,7 @@ class Opinion:
             for name, value in changes.items():
                 block[getattr(bounds, name)] = value
             if bounds.judge(self.f, self.state, self.ring, block):
-                self.said.append((self.t_s, self.state.item(bounds.SAID)))
+                self.said.append((self.t_s, self.state.item(bounds.REPORTED)))
 
 
 def test_the_balance_of_the_rollers_behind_a_span_is_its_tension() -> None:
@@ -85,7 +85,7 @@ def test_the_balance_of_the_rollers_behind_a_span_is_its_tension() -> None:
     rollers[1, bounds.UNBALANCE_N] = 4.0
     motion[1] = 0.8, 3.0, 2.0
     block[bounds.TENSION_N] = 70.0
-    bounds.weigh(lay.pack(model), figures(), rollers, motion, 1, 1.0, block)
+    bounds.momentum_balance(lay.pack(model), figures(), rollers, motion, 1, 1.0, block)
     assert block[bounds.TENSION_N] == pytest.approx(70.0 + 20.0 - 2.0 * model.mass_kg(2))
     assert block[bounds.VARIANCE_N2] == pytest.approx(8.0**2 + 6.0**2 + 2.0**2 + 6.0**2)
     assert block[bounds.TURNING_N] == pytest.approx(4.0 * 2.0 * 0.2 / 3.0)  # of a swing over 3 m of a roller of 0.2 m
@@ -95,10 +95,10 @@ def test_a_roller_that_stands_may_hold_by_the_dry_friction_of_the_model() -> Non
     entry = {"effect": "coulomb_friction", "axis": 2, "parameters": {"force_N": 5.0}}
     model = ModelParameters.model_validate(demonstrator().model_dump() | {"effects": [entry]})
     rollers, motion, block = np.zeros((2, bounds.ROLLER)), np.zeros((2, bounds.MOTION)), np.zeros(bounds.BLOCK)
-    bounds.weigh(lay.pack(model), figures(), rollers, motion, 1, 1.0, block)
+    bounds.momentum_balance(lay.pack(model), figures(), rollers, motion, 1, 1.0, block)
     assert block[bounds.STICKS_N] == 5.0
     motion[1, bounds.SPEED_M_S] = 1.0
-    bounds.weigh(lay.pack(model), figures(), rollers, motion, 1, 1.0, block)
+    bounds.momentum_balance(lay.pack(model), figures(), rollers, motion, 1, 1.0, block)
     assert block[bounds.STICKS_N] == 0.0
 
 

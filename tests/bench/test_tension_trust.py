@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from tests.bench.samples import sample_of_two_axes
 
-from hilbench.bench.tasks.tension_trust import TRUSTED, TwinTrust, judged
+from hilbench.bench.tasks.tension_trust import TRUSTED, VirtualSensorSupervision, judged
 from hilbench.compiled import interpreted
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import TensionControlConfig
@@ -26,7 +26,7 @@ def sample(**changes: Any) -> CycleSample:
     return sample_of_two_axes(**(good | changes))
 
 
-def believes(trust: TwinTrust, sample: CycleSample) -> bool:
+def believes(trust: VirtualSensorSupervision, sample: CycleSample) -> bool:
     """A cycle on: whether the loop may be closed on the twin's data in a sample."""
     figures, state, at = trust.vectors(sample)
     found = _judged(figures, state, sample.reals, sample.wholes, at)
@@ -35,14 +35,14 @@ def believes(trust: TwinTrust, sample: CycleSample) -> bool:
     return trust.trusted
 
 
-def trusting() -> TwinTrust:
-    trust = TwinTrust(CONFIG, HIGHEST_N, CYCLE_S)
+def trusting() -> VirtualSensorSupervision:
+    trust = VirtualSensorSupervision(CONFIG, HIGHEST_N, CYCLE_S)
     assert believes(trust, sample())
     return trust
 
 
 def test_the_loop_stays_open_until_the_twin_calls_itself_synchronized() -> None:
-    trust = TwinTrust(CONFIG, HIGHEST_N, CYCLE_S)
+    trust = VirtualSensorSupervision(CONFIG, HIGHEST_N, CYCLE_S)
     assert not believes(trust, sample(twin_status=int(TwinStatus.RUNNING)))
     assert trust.doubt == "not synchronized yet"
     assert believes(trust, sample())

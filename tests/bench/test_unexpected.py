@@ -11,8 +11,7 @@ from tests.bench.whole_runs import config, run_folders
 from tests.cli.in_process import hilbench
 from tests.tiers import slow
 
-from hilbench.batch.cycles import PlainCycles
-from hilbench.bench.chained import ChainedBench
+from hilbench.bench.compiled_cycles import CompiledCycles
 from hilbench.bench.lifecycle import in_process
 from hilbench.bench.operator.operator import Operator
 from hilbench.bench.operator.operator_objects import OperatorObjects
@@ -21,12 +20,13 @@ from hilbench.bench.tasks.tension_task import TensionTask
 from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.cia402.state_machine import State
-from hilbench.estimation.web_line.tracking import Tracking
+from hilbench.estimation.web_line.span_estimator import SpanEstimator
 from hilbench.exchange.exchange import Exchange
+from hilbench.exchange.master_node import MasterNode
 from hilbench.exchange.nodes import Nodes
-from hilbench.exchange.own_node import OwnNode
 from hilbench.exchange.sync_cycle import SyncCycle
 from hilbench.hardware.simulation import RigApplication
+from hilbench.in_process_cycle.cycles import FastPathCycles
 from hilbench.results import run as runs
 from hilbench.results.journal import JournalWriter
 from hilbench.results.result import Result
@@ -39,24 +39,24 @@ MOVING = [{"ramp": {"path": "line_speed_m_s", "to": 0.5, "duration_s": 0.2}}, {"
 CALLS = 250
 #: 0.5 m/s are 12.5 rad/s of the motors.
 AT_REST_RAD_S = 1.0
-#: What plain cycles (`hilbench.batch`) do without.
+#: What plain cycles (`hilbench.in_process_cycle`) do without.
 OF_INTERPRETED_CYCLES = {
     (Nodes, "decode"),
     (Nodes, "encode"),
-    (OwnNode, "handle"),
+    (MasterNode, "handle"),
     (TraceWriter, "write"),
     (SyncCycle, "exchange"),
-    (Tracking, "compare"),
+    (SpanEstimator, "compare"),
 }
 
 
 #: What is called for 32 cycles at once.
-OF_CHAINS = {"write_lines", "count", "pass_plain"}
+OF_CHAINS = {"write_lines", "count", "pass_fast_path"}
 
 
 def one_by_one(patch: pytest.MonkeyPatch) -> None:
     """Every cycle is Python's, as where a task is."""
-    patch.setattr(ChainedBench, "run", lambda self, cycles: 0)
+    patch.setattr(CompiledCycles, "run", lambda self, cycles: 0)
 
 
 class Stands:
@@ -113,7 +113,7 @@ def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
     [
         (TensionTask, "before"),
         (LoadModel, "follow_in"),
-        (PlainCycles, "cycle"),
+        (FastPathCycles, "cycle"),
         (SyncCycle, "exchange"),
         (runs.Recorder, "sample"),
         *slow(
@@ -122,14 +122,14 @@ def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
             (Nodes, "encode"),
             (Nodes, "fill"),
             (TwinConnection, "before"),
-            (Nodes, "pass_plain"),
-            (OwnNode, "handle"),
+            (Nodes, "pass_fast_path"),
+            (MasterNode, "handle"),
             (OperatorObjects, "changes"),
             (TraceWriter, "write"),
             (TraceWriter, "write_lines"),
             (Exchange, "cycle"),
             (SyncCycle, "count"),
-            (Tracking, "compare"),
+            (SpanEstimator, "compare"),
             (TwinApplication, "go_on_in_vectors"),
             (Operator, "set"),
         ),
@@ -140,7 +140,7 @@ def test_whatever_breaks_in_mid_run_the_drives_stop_and_the_result_says_what(
 ) -> None:
     stand = Stands(monkeypatch)
     if (owner, name) in OF_INTERPRETED_CYCLES:
-        monkeypatch.setattr(PlainCycles, "cycle", lambda self, outputs: False)
+        monkeypatch.setattr(FastPathCycles, "cycle", lambda self, outputs: False)
     if name not in OF_CHAINS:
         one_by_one(monkeypatch)
     after = {"set": 50, "write": 4 * CALLS}.get(name, CALLS // 32 if name in OF_CHAINS else CALLS)

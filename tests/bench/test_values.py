@@ -27,8 +27,8 @@ from hilbench.topology.quantities import (
     all_paths,
     checked_path,
     checked_value,
+    fast_path_places,
     permitted,
-    plain_paths,
     settable_path,
 )
 from hilbench.topology.signals import SMALLEST
@@ -96,7 +96,7 @@ def bench(folder: Path) -> Bench:
 def test_a_script_that_sets_what_is_no_value_is_told_and_its_bench_goes_on_and_stops_in_order(tmp_path: Path) -> None:
     with bench(tmp_path) as running:
         running.ramp("line_speed_m_s", 0.5, 0.2)
-        for path in running.config.plain_paths:
+        for path in running.config.fast_path_places:
             before = running.get(path)
             for value in [*NO_NUMBERS, -1e9, 1e300]:
                 for way in (running.set, running.step, lambda path, value: running.ramp(path, value, 0.1)):
@@ -234,7 +234,7 @@ def test_the_shipped_configs_ask_for_nothing_that_can_not_be() -> None:
     "path",
     [
         "hardware.effects.friction_asymmetry.axis2.viscous_difference_N_s_per_m",  # drives itself on, beyond all bounds
-        *plain_paths(MachineKind.WEB_LINE, SMALLEST["web_line"]),
+        *fast_path_places(MachineKind.WEB_LINE, SMALLEST["web_line"]),
         "hardware.effects.torque_scale.axis1.relative_change",
         "load.effects.span_length_error.relative_change",
         "load.effects.strain_offset.strain",

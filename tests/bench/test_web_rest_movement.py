@@ -14,7 +14,7 @@ from tests.tiers import slow
 from tests.twin.beside_stations import dancer_line, guided_line, winding_line
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.tasks.web_rest_movement import Positions, RestMovement, pulls_m
+from hilbench.bench.tasks.web_standstill_excitation import Positions, StandstillExcitation, excitation_amplitudes_m
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.journal import read_journal
@@ -140,9 +140,9 @@ def test_an_operator_is_asked_first_and_may_end_it(tmp_path: Path) -> None:
 
 def movement_of(
     axes: int, travel_m: float, pulled_m: np.ndarray, positions_m: Positions
-) -> tuple[RestMovement, SimpleNamespace, list[SimpleNamespace]]:
+) -> tuple[StandstillExcitation, SimpleNamespace, list[SimpleNamespace]]:
     leader, moved = SimpleNamespace(creep_m_s=0.0), [SimpleNamespace(pull_m_s=0.0) for _ in range(axes)]
-    return RestMovement(leader, moved, positions_m, travel_m, pulled_m, CYCLE_S), leader, moved
+    return StandstillExcitation(leader, moved, positions_m, travel_m, pulled_m, CYCLE_S), leader, moved
 
 
 def line_model(name: str, **changes: object) -> ModelParameters:
@@ -160,7 +160,7 @@ def test_rollers_that_nothing_holds_go_no_farther_than_is_permitted(
     name: str, tension_N: float, travel_m: float
 ) -> None:
     model = line_model(name)
-    pulled_m = pulls_m(model, [tension_N] * model.span_count, travel_m)
+    pulled_m = excitation_amplitudes_m(model, [tension_N] * model.span_count, travel_m)
     movement, leader, axes = movement_of(model.axis_count, travel_m, pulled_m, lambda _: [0.0] * model.axis_count)
     travels_m = np.zeros((round(15.0 / CYCLE_S), len(axes)))
     for way in travels_m:
@@ -187,7 +187,7 @@ def test_a_roller_that_is_turned_by_something_else_is_noticed() -> None:
 def test_the_tension_of_every_span_goes_up_and_down_alike(share: float) -> None:
     set_points_N = share * np.array([80.0, 85.0, 90.0])
     model = line_model("line_three_spans.yaml")
-    told_m = pulls_m(model, set_points_N.tolist(), 1e-3)
+    told_m = excitation_amplitudes_m(model, set_points_N.tolist(), 1e-3)
     # Springs in a row, of the webs and of what holds the rollers; the first is held as it is told.
     web = np.array([model.stiffness_N(span) / model.span_length_m(span) for span in (1, 2, 3)])
     held = model.drive_stiffness_N_per_m(2)

@@ -36,7 +36,7 @@ def collect(link: Link, count: int) -> list[Frame]:
     return frames
 
 
-def heard(frames: list[Frame]) -> list[tuple[int, bytes]]:
+def received(frames: list[Frame]) -> list[tuple[int, bytes]]:
     return [(frame.can_id, frame.data) for frame in frames]
 
 

@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 import pytest
-from tests.can.embedded_links import VIRTUAL, Start, collect, heard
+from tests.can.embedded_links import VIRTUAL, Start, collect, received
 
 from hilbench.can import hub_client
 from hilbench.can.confinement import ControllerState
@@ -43,7 +43,7 @@ def test_everybody_else_hears_a_batch_in_order(runtime: Any, address: BusAddress
     sent.append(Frame(0x1ABCDEF | EXTENDED_FLAG, bytes(range(8))))
     sender.send(sent)
     for link in others:
-        assert heard(collect(link, 4)) == heard(sent)
+        assert received(collect(link, 4)) == received(sent)
     assert sender.receive(0.0) == []
     for link in (sender, *others):
         link.close()
@@ -116,10 +116,10 @@ def test_filters_act_when_the_call_returns(runtime: Any, address: BusAddress) ->
 def test_processes_talk_and_descriptors_tell(runtime: Any, start: Start, address: BusAddress) -> None:
     link = open_link(address)
     child = start(ECHO, address.timing)
-    assert heard(collect(link, 1)) == [(0x700, b"up")]
+    assert received(collect(link, 1)) == [(0x700, b"up")]
     for n in range(20):
         link.send([Frame(0x100 + 2 * n, bytes([n]))])
-        assert heard(collect(link, 1)) == [(0x101 + 2 * n, bytes([n]))]
+        assert received(collect(link, 1)) == [(0x101 + 2 * n, bytes([n]))]
     link.send([Frame(0x7FF, b"")])
     assert child.wait(20) == 0
     link.close()
@@ -139,14 +139,14 @@ def test_a_flood_blocks_its_sender(runtime: Any) -> None:
     fast = BusAddress(bitrate=1_000_000)
     a, b = open_link(fast), open_link(fast)
     total = 3000
-    received: list[Frame] = []
-    reader = threading.Thread(target=lambda: received.extend(collect(b, total)))
+    frames: list[Frame] = []
+    reader = threading.Thread(target=lambda: frames.extend(collect(b, total)))
     reader.start()
     for n in range(total):
         a.send([Frame(0x100, n.to_bytes(4, "big"))])
     still_queued = total - hub_client.statistics(fast.channel).frames
     reader.join()
-    assert [int.from_bytes(frame.data, "big") for frame in received] == list(range(total))
+    assert [int.from_bytes(frame.data, "big") for frame in frames] == list(range(total))
     assert still_queued < total // 2  # the hub's transmit queue, and what the socket between holds
     assert (a.dropped, b.dropped) == (0, 0)
     a.close()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.can.embedded_links import REAL, VIRTUAL, collect, heard
+from tests.can.embedded_links import REAL, VIRTUAL, collect, received
 
 from hilbench.can import hub_client, protocol
 from hilbench.can.claims import MASTER, claim
@@ -49,7 +49,7 @@ def test_rubbish_does_not_upset_the_hub(runtime: Any) -> None:
         rude.send(packet())
     assert runtime.eventually(lambda: hub_client.statistics(VIRTUAL.channel).malformed == len(RUBBISH))
     a.send([Frame(0x1, b"")])
-    assert heard(collect(b, 1)) == [(0x1, b"")]
+    assert received(collect(b, 1)) == [(0x1, b"")]
     rude.close()
     a.close()
     b.close()

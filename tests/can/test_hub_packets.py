@@ -64,11 +64,11 @@ def test_what_a_station_hears_of_a_packet_is_one_packet(loaded):
         stations.serve()
         stations.say_no_more()
         _, second, third, single = stations.left()
-        heard = [
+        received = [
             [record[0] for record in protocol.STAMPED_CAN_RECORD.iter_unpack(packet[protocol.HEADER.size :])]
             for packet in second
         ]
-        assert heard == 3 * [[1, 5]]
+        assert received == 3 * [[1, 5]]
         assert third == []
         assert len(single) == 24
         assert stations.hub.taken == (1 if loaded else 3)
@@ -133,7 +133,7 @@ def test_who_comes_goes_or_asks_while_packets_are_forwarded_is_served(loaded, ti
         stations.serve()
         sender, narrow = stations.ends[0], stations.ends[1]
 
-        def heard(by: socket.socket, count: int) -> list[int]:
+        def received(by: socket.socket, count: int) -> list[int]:
             """Where time is real, in as many packets as it takes."""
             found: list[int] = []
             while len(found) < count:
@@ -143,7 +143,7 @@ def test_who_comes_goes_or_asks_while_packets_are_forwarded_is_served(loaded, ti
 
         def passed(*by: tuple[socket.socket, int]) -> list[list[int]]:
             sender.send(packet_of(frames))
-            return [heard(*each) for each in by]
+            return [received(*each) for each in by]
 
         assert [passed((narrow, 1)) for _ in range(2)] == 2 * [[[1]]]
         newcomer, joined = stations.ask(request="join")

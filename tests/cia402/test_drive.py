@@ -31,7 +31,7 @@ class Loop:
         self.drive = Drive(self.chosen, od)
         self.drive.units = DriveUnits.from_objects(default_reader(od))
         self.target = SETPOINT_OBJECTS[self.chosen.mode]
-        self.heard = True
+        self.received = True
         self.answering = True
         self.sent = self.drive.encode()
 
@@ -47,7 +47,7 @@ class Loop:
         for _ in range(count):
             self.drive.decode(self.frames())
             self.sent = self.drive.encode()
-            if self.heard:
+            if self.received:
                 controlword, target = self.drive.pdos.rpdo.unpack(self.sent[0].data)
                 self.slave.write(0x6040, controlword)
                 self.slave.write(self.target, target)
@@ -186,13 +186,13 @@ def test_enabling_a_faulted_drive_is_refused_at_once() -> None:
 def test_hanging_names_state_goal_and_controlword() -> None:
     loop = Loop(settings(time_out_s=0.1))
     loop.cycle(3)
-    loop.heard = False
+    loop.received = False
     loop.drive.request(DriveGoal.ENABLED)
     with pytest.raises(
         BenchFaultError, match=r"hung in SWITCH ON DISABLED for 0.1 s, wanted OPERATION ENABLED; controlword sent 0006h"
     ):
         loop.cycle(100)
-    loop.heard = True
+    loop.received = True
     loop.cycle(20)
     assert loop.slave.drive.state is State.SWITCH_ON_DISABLED, "a drive that failed is not enabled later"
 
@@ -211,7 +211,7 @@ def test_leaving_enabled_by_itself_is_told() -> None:
     loop = Loop()
     loop.go(DriveGoal.ENABLED)
     loop.slave.write(0x6040, 0x00)
-    loop.heard = False
+    loop.received = False
     with pytest.raises(BenchFaultError, match="left OPERATION ENABLED, is in SWITCH ON DISABLED"):
         loop.cycle(3)
 
@@ -225,8 +225,8 @@ def test_impossible_set_points_are_refused(value: float) -> None:
         loop.cycle()
 
 
-def test_copies_carry_the_same_data() -> None:
-    loop = Loop(settings(copies=(RpdoCopy(0x211),)))
+def test_forked_workers_carry_the_same_data() -> None:
+    loop = Loop(settings(forked_workers=(RpdoCopy(0x211),)))
     loop.cycle(2)
     assert [frame.can_id for frame in loop.sent] == [0x201, 0x211]
     assert loop.sent[0].data == loop.sent[1].data

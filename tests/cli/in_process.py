@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from unittest.mock import patch
 
-from hilbench.canopen import mastery
+from hilbench.canopen import master_guard
 from hilbench.cli.main import main
 
 
@@ -33,5 +33,5 @@ def hilbench(*arguments: object, typed: str = "") -> subprocess.CompletedProcess
 @contextmanager
 def nobody_else() -> Iterator[None]:
     """On a bus that nobody else uses: who writes to it listens for another master less long than over a second."""
-    with patch.object(mastery, "LISTEN_S", 0.05):
+    with patch.object(master_guard, "LISTEN_S", 0.05):
         yield

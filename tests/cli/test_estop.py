@@ -76,10 +76,10 @@ class Machine:
         return wire.open_link()
 
     def stopped(self) -> list[str]:
-        return sorted(bus for bus, link in self.listeners.items() if heard(link.receive(0.0)))
+        return sorted(bus for bus, link in self.listeners.items() if received(link.receive(0.0)))
 
 
-def heard(frames: Iterable[Frame]) -> bool:
+def received(frames: Iterable[Frame]) -> bool:
     return any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in frames)
 
 

@@ -45,7 +45,7 @@ class Done:
     """A run, and what a monitor heard of it meanwhile."""
 
     folder: Path
-    heard: dict[str, Any]
+    received: dict[str, Any]
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +74,10 @@ def run_folder(done: Done) -> Path:
 
 
 def test_a_monitor_hears_a_running_bench(done: Done) -> None:
-    assert done.heard["cycles"] > 10
-    assert done.heard["F_sim_N"] == pytest.approx(80.0, abs=30.0)
-    assert {node["drive_state"] for node in done.heard["nodes"][:3]} == {"OPERATION ENABLED"}
-    assert done.heard["faults"] == []
+    assert done.received["cycles"] > 10
+    assert done.received["F_sim_N"] == pytest.approx(80.0, abs=30.0)
+    assert {node["drive_state"] for node in done.received["nodes"][:3]} == {"OPERATION ENABLED"}
+    assert done.received["faults"] == []
 
 
 def test_of_the_shipped_scenario_only_what_was_made_wrong_fails(run_folder: Path) -> None:

@@ -88,7 +88,7 @@ def wrong_boot_up(bus: VirtualBus) -> None:
 def toggle_bit_is_not_checked(bus: VirtualBus) -> None:
     toggle = [0x00]
 
-    def hear(frame: Frame) -> Frame:
+    def receive(frame: Frame) -> Frame:
         if frame.can_id != REQUEST or frame.data[0] & 0xE0 != 0x60:
             toggle[0] = 0x00
             return frame
@@ -96,7 +96,7 @@ def toggle_bit_is_not_checked(bus: VirtualBus) -> None:
         toggle[0] ^= 0x10
         return Frame(REQUEST, asked)
 
-    bus.hears.append(hear)
+    bus.hears.append(receive)
 
 
 def remote_bit_is_missing(bus: VirtualBus) -> None:

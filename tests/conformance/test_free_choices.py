@@ -21,45 +21,45 @@ REAL32, VISIBLE_STRING = 8, 9
 
 
 def counts_from_another_sync(bus: VirtualBus) -> None:
-    def hear(frame: Frame) -> Frame:
+    def receive(frame: Frame) -> Frame:
         if (frame.can_id, frame.data) == (0, bytes((1, NODE))):
             bus.device.handle(frame)
             for _ in range(2):
                 bus.device.sync(b"")
         return frame
 
-    bus.hears.append(hear)
+    bus.hears.append(receive)
 
 
 def answers_the_second_of_two_syncs(bus: VirtualBus) -> None:
     """From its SYNC start value on: that is the first of two."""
 
-    def hear(frame: Frame) -> Frame:
+    def receive(frame: Frame) -> Frame:
         if frame.can_id == 0x80 and len(frame.data) == 1:
             return Frame(0x80, bytes((frame.data[0] - 1 or 10,)))
         return frame
 
-    bus.hears.append(hear)
+    bus.hears.append(receive)
 
 
 def begins_with_a_heartbeat(bus: VirtualBus) -> None:
     """Soon after 1017h is written, not a period later."""
 
-    def hear(frame: Frame) -> Frame:
+    def receive(frame: Frame) -> Frame:
         if frame.data[:4] == b"\x2b\x17\x10\x00" and any(frame.data[4:6]):
             bus.device.handle(frame)
             bus.device._producer.said_until(bus.clock.ns + 20_000_000)
             return Frame(0x7FF, b"")
         return frame
 
-    bus.hears.append(hear)
+    bus.hears.append(receive)
 
 
 def tells_an_error_once(bus: VirtualBus) -> None:
     """It has had a short RPDO before the examination, and tells of the next one after a right one only."""
     told = [True]
 
-    def hear(frame: Frame) -> Frame:
+    def receive(frame: Frame) -> Frame:
         if frame.can_id == 0x205 and len(frame.data) == 2:
             told[0] = False
         return frame
@@ -70,7 +70,7 @@ def tells_an_error_once(bus: VirtualBus) -> None:
         again, told[0] = told[0], True
         return None if again else frame
 
-    bus.hears.append(hear)
+    bus.hears.append(receive)
     bus.says.append(say)
 
 

@@ -23,14 +23,17 @@ class Given:
 
 def test_what_waits_is_heard_in_no_time() -> None:
     wire = LinkWire(Given(Frame(0x585, b"\x01"), Frame(0x705, b"\x7f")))
-    assert [heard.can_id for heard in wire.listen(0.0)] == [0x585, 0x705]
+    assert [received.can_id for received in wire.listen(0.0)] == [0x585, 0x705]
     assert wire.listen(0.0) == []
 
 
 def test_what_comes_behind_the_awaited_frame_is_kept_for_the_next_look() -> None:
     wire = LinkWire(Given(Frame(0x705, b"\x00"), Frame(0x585, b"\x01"), Frame(0x185, b"\x02")))
-    assert [heard.can_id for heard in wire.listen(5.0, lambda heard: heard.can_id == 0x585)] == [0x705, 0x585]
-    assert [heard.can_id for heard in wire.listen(0.0)] == [0x185]
+    assert [received.can_id for received in wire.listen(5.0, lambda received: received.can_id == 0x585)] == [
+        0x705,
+        0x585,
+    ]
+    assert [received.can_id for received in wire.listen(0.0)] == [0x185]
 
 
 def test_who_is_asked_to_end_is_interrupted_once_and_can_put_things_in_order() -> None:

@@ -11,7 +11,7 @@ from hilbench.can.frame import Frame
 from hilbench.canopen.identifiers import NMT
 from hilbench.conformance.description import Description
 from hilbench.conformance.dut import Allowed, DeviceUnderTest
-from hilbench.conformance.wire import Heard
+from hilbench.conformance.wire import ReceivedFrame
 from hilbench.devices.application import DrivesApplication
 from hilbench.devices.behaviour import Behaviour
 from hilbench.devices.simulation import simulated_axes
@@ -33,18 +33,18 @@ class VirtualBus:
         self.says: list[Callable[[Frame], Frame | None]] = []
         self.hears: list[Callable[[Frame], Frame]] = []
         self.steps: list[Callable[[], None]] = []
-        self._heard: list[Heard] = []
+        self._received: list[ReceivedFrame] = []
         self.device.boot()
         self._collect()
-        self._heard.clear()
+        self._received.clear()
 
     def now_s(self) -> float:
         return self.clock.ns * 1e-9
 
     def send(self, can_id: int, data: bytes) -> None:
         self._step()
-        for hear in self.hears:
-            can_id, data, _ = hear(Frame(can_id, data))
+        for receive in self.hears:
+            can_id, data, _ = receive(Frame(can_id, data))
         if can_id == self.device.sync_cob_id and can_id != NMT:
             self.application.before_sync(0)
             self.device.sync(data)
@@ -53,12 +53,12 @@ class VirtualBus:
             self.device.handle(Frame(can_id, data))
         self._collect()
 
-    def listen(self, duration_s: float, until: Callable[[Heard], bool] | None = None) -> list[Heard]:
-        found: list[Heard] = []
+    def listen(self, duration_s: float, until: Callable[[ReceivedFrame], bool] | None = None) -> list[ReceivedFrame]:
+        found: list[ReceivedFrame] = []
         deadline_ns = self.clock.ns + round(duration_s * 1e9)
         while True:
-            while self._heard:
-                found.append(self._heard.pop(0))
+            while self._received:
+                found.append(self._received.pop(0))
                 if until is not None and until(found[-1]):
                     return found
             if self.clock.ns >= deadline_ns:
@@ -80,7 +80,7 @@ class VirtualBus:
             for say in self.says:
                 said = None if said is None else say(said)
             if said is not None:
-                self._heard.append(Heard(self.clock.ns * 1e-9, said.can_id, said.data))
+                self._received.append(ReceivedFrame(self.clock.ns * 1e-9, said.can_id, said.data))
         device.replies.clear()
         device.outbox.clear()
 

@@ -26,7 +26,7 @@ class Driven:
 
     def _ask(self, request: bytes) -> bytes:
         self.bus.send(REQUEST, request)
-        (answer,) = (heard.data for heard in self.bus.listen(0.01) if heard.can_id == ANSWER)
+        (answer,) = (received.data for received in self.bus.listen(0.01) if received.can_id == ANSWER)
         return answer
 
     def read(self, index: int, sub: int = 0) -> int:
@@ -59,7 +59,7 @@ class Driven:
     def sync(self) -> list[bytes]:
         """A SYNC 10 ms after the last one; what TPDO1 brings."""
         self.bus.send(0x80, b"")
-        return [heard.data for heard in self.bus.listen(0.01) if heard.can_id == 0x180 + NODE]
+        return [received.data for received in self.bus.listen(0.01) if received.can_id == 0x180 + NODE]
 
 
 @pytest.mark.parametrize("drive", DRIVES)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from tests.plant.models import effect, lone_axis, model
 
 from hilbench.diagnosis.measured import Measured
-from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.proposals import Proposer
+from hilbench.diagnosis.residual_analysis import Condition
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Term
 from hilbench.plant.effects import find_effect

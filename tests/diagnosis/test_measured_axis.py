@@ -15,7 +15,7 @@ from tests.tiers import slow
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.measured_motion import MotionFilter, OnMeasuredMotion
-from hilbench.diagnosis.rest import Uncertainty, uncertainty, with_guess, with_noisy_columns
+from hilbench.diagnosis.residual_noise import Uncertainty, uncertainty, with_guess, with_noisy_columns
 from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Place

@@ -10,7 +10,7 @@ from tests.diagnosis.axis_rig import Rig, axis_model
 from tests.tiers import slow
 
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
-from hilbench.diagnosis.rest import by_waves
+from hilbench.diagnosis.residual_noise import by_waves
 from hilbench.diagnosis.steady_sine import evenly_with, frequency_of_sine, harmonics
 from hilbench.plant.effects import find_effect
 

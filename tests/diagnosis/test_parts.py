@@ -11,9 +11,9 @@ from tests.plant.models import DEMONSTRATOR, effect, lone_axis, model
 
 from hilbench.diagnosis.diagnosis import Value
 from hilbench.diagnosis.measured import measured_from
-from hilbench.diagnosis.misfit import Condition, largest_ratio, located, misfits
 from hilbench.diagnosis.noise import floor, repeats, whitening
 from hilbench.diagnosis.proposals import Proposer, peaks
+from hilbench.diagnosis.residual_analysis import Condition, largest_ratio, located, misfits
 from hilbench.diagnosis.space import Linear, Split
 from hilbench.diagnosis.terms import Term, extended, pack_with
 from hilbench.diagnosis.web_line.free_run import FreeRun, between

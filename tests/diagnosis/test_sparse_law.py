@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilbench.diagnosis.misfit import Condition
+from hilbench.diagnosis.residual_analysis import Condition
 from hilbench.diagnosis.sparse_law import law, presliding
 
 N = 6000

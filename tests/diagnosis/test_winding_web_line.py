@@ -88,8 +88,8 @@ def test_what_the_data_do_not_excite_is_not_told() -> None:
     line = simulated(5, 0.05)
     still = LineRecording(**{**line.__dict__, "rewinder_current": np.zeros(ROWS)})
     found = {p.name: p for p in fit_line(still, *halves()).parameters}
-    assert not found["rewinder_torque_2"].told
-    assert found["draw_friction"].told
+    assert not found["rewinder_torque_2"].is_identified
+    assert found["draw_friction"].is_identified
 
 
 def test_lags_are_those_of_scipy() -> None:

@@ -16,7 +16,7 @@ from hilbench.bench.lifecycle.in_process import InProcess
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.canopen.sdo_client import SdoClient
 from hilbench.doctor.asked import LastRun, last_run
-from hilbench.doctor.drift import Drift, Said, drifts
+from hilbench.doctor.drift import Drift, NodeAnswers, drifts
 from hilbench.exchange.node_data import ask_all
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import ExperimentConfig, load, load_with_overrides
@@ -112,7 +112,7 @@ def last(folder: Path) -> LastRun:
     return found
 
 
-def said_by(config: ExperimentConfig) -> Said:
+def said_by(config: ExperimentConfig) -> NodeAnswers:
     """What simulated drives with the EDS files of a config say."""
     here = InProcess(config)
     here.boot()
@@ -121,11 +121,11 @@ def said_by(config: ExperimentConfig) -> Said:
 
 
 @pytest.fixture(scope="module")
-def usual(folder: Path) -> Said:
+def usual(folder: Path) -> NodeAnswers:
     return said_by(load(folder / "line.yaml")[0])
 
 
-def device(folder: Path, scratch: Path, part: str, defaults: Mapping[str, object]) -> Said:
+def device(folder: Path, scratch: Path, part: str, defaults: Mapping[str, object]) -> NodeAnswers:
     """What the drives say when one is another device: its objects have other values after power-on."""
     group = "load_motors" if part == "load" else "drives"
     eds = with_defaults(folder / f"{part}.eds", scratch / "device.eds", defaults)
@@ -133,13 +133,13 @@ def device(folder: Path, scratch: Path, part: str, defaults: Mapping[str, object
 
 
 def found_in(
-    folder: Path, last: LastRun, said: Said, *, fresh: bool = True, changes: tuple[str, ...] = ()
+    folder: Path, last: LastRun, said: NodeAnswers, *, fresh: bool = True, changes: tuple[str, ...] = ()
 ) -> list[Drift]:
     config = load_with_overrides(folder / "line.yaml", changes=changes).config
     return drifts(config, said, last.data, last.config, fresh=frozenset(PARTS if fresh else ()))
 
 
-def as_left(said: Said, last: LastRun) -> dict[str, dict[tuple[int, int], bytes | None]]:
+def as_left(said: NodeAnswers, last: LastRun) -> dict[str, dict[tuple[int, int], bytes | None]]:
     """The drives as the last run has left them: not restarted since."""
     left = {part: dict(objects) for part, objects in said.items()}
     for part, objects in left.items():
@@ -148,7 +148,7 @@ def as_left(said: Said, last: LastRun) -> dict[str, dict[tuple[int, int], bytes 
     return left
 
 
-def test_nothing_has_drifted_where_nothing_was_changed(folder: Path, last: LastRun, usual: Said) -> None:
+def test_nothing_has_drifted_where_nothing_was_changed(folder: Path, last: LastRun, usual: NodeAnswers) -> None:
     assert found_in(folder, last, usual) == []
     assert found_in(folder, last, as_left(usual, last), fresh=False) == []
 
@@ -161,7 +161,7 @@ def seeded() -> Iterator[tuple[int, str]]:
 
 @pytest.mark.parametrize(("seed", "kind"), list(seeded()))
 def test_each_change_is_found_and_nothing_else(
-    seed: int, kind: str, folder: Path, last: LastRun, usual: Said, tmp_path: Path
+    seed: int, kind: str, folder: Path, last: LastRun, usual: NodeAnswers, tmp_path: Path
 ) -> None:
     rng = np.random.default_rng(seed)
     part = str(rng.choice(PARTS))

@@ -21,7 +21,7 @@ from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.listening import present, sort_by_node
 from hilbench.canopen.sdo_client import Refusal, SdoClient
 from hilbench.doctor.bench_subject import expected_nodes
-from hilbench.doctor.check_stations import check_heard, check_node
+from hilbench.doctor.check_stations import check_node, check_received
 from hilbench.doctor.findings import Check, Finding, Level
 from hilbench.doctor.scan import scan
 from hilbench.doctor.stations import ExpectedNode, NodeAnswers, ask
@@ -61,34 +61,34 @@ def test_the_nodes_of_the_config_are_known_by_their_eds(nodes: list[ExpectedNode
 
 
 def test_only_what_a_node_sends_counts_as_heard() -> None:
-    heard = sort_by_node(frames(0x000, 0x080, 0x085, 0x181, 0x201, 0x281, 0x583, 0x603, 0x77F, 0x100))
-    assert heard.sync
-    assert heard.nodes == {1: {0x181, 0x281}, 3: {0x583}, 5: {0x085}, 127: {0x77F}}
+    received = sort_by_node(frames(0x000, 0x080, 0x085, 0x181, 0x201, 0x281, 0x583, 0x603, 0x77F, 0x100))
+    assert received.sync
+    assert received.nodes == {1: {0x181, 0x281}, 3: {0x583}, 5: {0x085}, 127: {0x77F}}
 
 
 def test_strangers_and_another_master(nodes: list[ExpectedNode]) -> None:
-    quiet = check_heard(sort_by_node(frames(0x181, 0x703)), nodes, 127, "can0")
+    quiet = check_received(sort_by_node(frames(0x181, 0x703)), nodes, 127, "can0")
     assert levels(quiet) == {Check.OTHER_MASTER: Level.OK, Check.STRANGERS: Level.OK}
-    stranger = check_heard(sort_by_node(frames(0x185, 0x705)), nodes, 127, "can0")
+    stranger = check_received(sort_by_node(frames(0x185, 0x705)), nodes, 127, "can0")
     assert levels(stranger) == {Check.OTHER_MASTER: Level.OK, Check.STRANGERS: Level.WARNING}
     assert "node 5 (185h 705h)" in stranger[1].found
     for identifier in (0x000, 0x080, 0x201, 0x543, 0x77F):
-        busy = check_heard(sort_by_node(frames(identifier)), nodes, 127, "can0")
+        busy = check_received(sort_by_node(frames(identifier)), nodes, 127, "can0")
         assert levels(busy) == {Check.OTHER_MASTER: Level.ERROR, Check.STRANGERS: Level.OK}
         assert f"{identifier:03X}h" in busy[0].found
         assert "no program of this machine" in busy[0].found
-        on_a_bus_alone = check_heard(sort_by_node(frames(identifier)), [], 127, "can0")
+        on_a_bus_alone = check_received(sort_by_node(frames(identifier)), [], 127, "can0")
         assert levels(on_a_bus_alone)[Check.OTHER_MASTER] is Level.ERROR
-    idle = check_heard(sort_by_node([]), nodes, 127, "can0", claimed_by="bench line2 (process 4711)")
+    idle = check_received(sort_by_node([]), nodes, 127, "can0", claimed_by="bench line2 (process 4711)")
     assert levels(idle)[Check.OTHER_MASTER] is Level.ERROR
     assert "bench line2 (process 4711)" in idle[0].found
 
 
 def test_an_emergency_stop_on_the_bus_is_no_other_master() -> None:
-    heard = sort_by_node([*EMERGENCY_STOP, *frames(0x701)])
-    assert heard.signs_of_master(127) == []
-    heard = sort_by_node([EMERGENCY_STOP[1]])  # the NMT command alone is one
-    assert heard.signs_of_master(127) == ["NMT commands (000h, 1 frame)"]
+    received = sort_by_node([*EMERGENCY_STOP, *frames(0x701)])
+    assert received.signs_of_master(127) == []
+    received = sort_by_node([EMERGENCY_STOP[1]])  # the NMT command alone is one
+    assert received.signs_of_master(127) == ["NMT commands (000h, 1 frame)"]
 
 
 class Idle:

@@ -29,7 +29,7 @@ from tests.estimation.shift_score import (
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.tasks.task import Pieces
+from hilbench.bench.tasks.task import CompiledStages
 from hilbench.errors import BenchFaultError
 from hilbench.results.keeping import Keeping
 from hilbench.results.recording import RecordingBuilder
@@ -105,7 +105,7 @@ class Watch:
         """One cycle by itself."""
         self.rows.append_packed(sample.reals.data[: len(self.rows.names)].cast("B"))
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """The same as a piece of a cycle."""
         return self._keeping.pieces(sample)
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilbench.estimation.web_line import blocks
+from hilbench.estimation.web_line import block_means
 
 MASS_KG, CYCLE_S, WEB = 30.0, 0.002, 2.8e-8
 
@@ -20,10 +20,10 @@ def blocks_of(accel_m_s2: float, tension_N: float, strange: int | None = None) -
     if strange is not None:
         x_m[strange] += 0.5 * CYCLE_S * 3.0
     v_m_s = np.diff(x_m, prepend=2.0 * x_m[0] - x_m[1]) / CYCLE_S
-    state, found = blocks.new_state(MASS_KG, CYCLE_S), []
+    state, found = block_means.new_state(MASS_KG, CYCLE_S), []
     for v in v_m_s:
-        if blocks.take(state, tension_N + MASS_KG * accel_m_s2, WEB, v):
-            found.append((state[blocks.FORCE_N], state[blocks.WEB_PER_PA]))
+        if block_means.take(state, tension_N + MASS_KG * accel_m_s2, WEB, v):
+            found.append((state[block_means.FORCE_N], state[block_means.WEB_PER_PA]))
     return found
 
 
@@ -47,12 +47,12 @@ def test_a_position_of_another_instant_hardly_shows(strange: int) -> None:
 @pytest.mark.parametrize("collected", [0, 4])
 def test_a_block_that_begins_behind_a_gap_lasts_since_then(collected: int) -> None:
     """By its duration the way of the web is counted: what is missing before it began is no part of it."""
-    state = blocks.new_state(MASS_KG, CYCLE_S)
+    state = block_means.new_state(MASS_KG, CYCLE_S)
     for _ in range(collected):
-        blocks.take(state, 80.0, WEB, 3.0)
-    blocks.begin_behind_gap(state)
+        block_means.take(state, 80.0, WEB, 3.0)
+    block_means.begin_behind_gap(state)
     cycles = 1
-    while not blocks.take(state, 80.0, WEB, 3.0):
+    while not block_means.take(state, 80.0, WEB, 3.0):
         cycles += 1
-    assert cycles == 1 + round(blocks.BLOCK_S / CYCLE_S)  # the first speed is one across the gap
-    assert state[blocks.DURATION_S] == pytest.approx(cycles * CYCLE_S)
+    assert cycles == 1 + round(block_means.BLOCK_S / CYCLE_S)  # the first speed is one across the gap
+    assert state[block_means.DURATION_S] == pytest.approx(cycles * CYCLE_S)

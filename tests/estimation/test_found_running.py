@@ -13,7 +13,7 @@ from tests.estimation.runs import CYCLE_S, NEW_PA, OLD_PA, times, tracked
 from tests.plant.models import model
 from tests.tiers import slow
 
-from hilbench.bench.tasks.web_rest_movement import RestMovement, pulls_m
+from hilbench.bench.tasks.web_standstill_excitation import StandstillExcitation, excitation_amplitudes_m
 from hilbench.estimation.web_line.config import (
     ChangepointConfig,
     EkfConfig,
@@ -101,8 +101,8 @@ def at_rest(share_of_tension: float, moved_mm: float = 0.0) -> Measurements:
     leader, axes = SimpleNamespace(creep_m_s=0.0), [SimpleNamespace(pull_m_s=0.0) for _ in range(2)]
     if moved_mm:
         travel_m = 1e-3 * moved_mm
-        pulled_m = pulls_m(plant, [80.0], travel_m)
-        movement = RestMovement(leader, axes, lambda _: (0.0, 0.0), travel_m, pulled_m, CYCLE_S)
+        pulled_m = excitation_amplitudes_m(plant, [80.0], travel_m)
+        movement = StandstillExcitation(leader, axes, lambda _: (0.0, 0.0), travel_m, pulled_m, CYCLE_S)
         for row in np.flatnonzero((t_s >= 1.0) & (t_s < 9.0)):
             movement.go_on()
             speeds[row] += [leader.creep_m_s + axis.pull_m_s for axis in axes]

@@ -32,8 +32,8 @@ from hilbench.estimation.web_line.config import (
     SynchronizerConfig,
 )
 from hilbench.estimation.web_line.offline import Track, run_offline
+from hilbench.estimation.web_line.span_estimator import SpanEstimator
 from hilbench.estimation.web_line.synthetic import simulated_measurements
-from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.runs.figures import noise_pct, overshoot_pct
@@ -154,7 +154,7 @@ def test_an_offset_at_constant_tension_is_held_and_said_not_to_be_separable() ->
     ports = (MotorPort(), MotorPort())
     plant = model()
     twin = EstimationConfig(estimate=[ChangepointConfig(also=AlsoEstimated(torque_offset_Nm=0.05))])
-    tracking = Tracking(plant, twin, Line(plant, ports), ports[1], CYCLE_S)
+    tracking = SpanEstimator(plant, twin, Line(plant, ports), ports[1], CYCLE_S)
     data = measured(np.full(2000, OLD_PA), torque_offset_Nm=0.05, speed_m_s=0.0)
     for row in range(len(data.t_s)):
         tracking.compare(*data.x_m[row], data.tau2_Nm[row], data.strain_prev[row], data.F_next_N[row])

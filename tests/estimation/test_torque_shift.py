@@ -11,7 +11,7 @@ from tests.tiers import slow
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.estimation.web_line import blocks, torque_shift
+from hilbench.estimation.web_line import block_means, torque_shift
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.sample import CycleSample
 
@@ -34,9 +34,9 @@ def look(
     may_be_off_N: float = 0.0,
 ) -> bool:
     """Whether a shift is sure with the balance of this cycle."""
-    if not blocks.take(block, force_N, web_per_Pa, v_m_s):
+    if not block_means.take(block, force_N, web_per_Pa, v_m_s):
         return False
-    means = block[blocks.FORCE_N], block[blocks.WEB_PER_PA], block[blocks.VELOCITY_M_S]
+    means = block[block_means.FORCE_N], block[block_means.WEB_PER_PA], block[block_means.VELOCITY_M_S]
     return bool(torque_shift.look(state, *means, E_PA, may_decide, may_be_off_N))
 
 
@@ -63,7 +63,7 @@ class Found:
         deviation of what moves the strain beside the loop, half of it with the force of the web and half without;
         `may_be_off_N`: what the balance may have been off by all the time."""
         rng = np.random.default_rng(seed)
-        block, state = blocks.new_state(mass_kg=30.0, cycle_s=CYCLE_S), torque_shift.new_state()
+        block, state = block_means.new_state(mass_kg=30.0, cycle_s=CYCLE_S), torque_shift.new_state()
         self.at_s: float | None = None
         self.shift_N: float | None = None
         self.modulus_Pa = np.nan
@@ -131,7 +131,7 @@ def test_nothing_is_said_of_a_torque_that_changes_with_the_speed() -> None:
 
 
 def test_a_finder_that_may_not_decide_keeps_it_to_itself() -> None:
-    block, state = blocks.new_state(mass_kg=30.0, cycle_s=CYCLE_S), torque_shift.new_state()
+    block, state = block_means.new_state(mass_kg=30.0, cycle_s=CYCLE_S), torque_shift.new_state()
     h = TENSION_N / E_PA
     said = []
     for k in range(5000):

@@ -24,7 +24,7 @@ from hilbench.estimation.web_line.config import (
     RlsConfig,
 )
 from hilbench.estimation.web_line.measurements import Measurements
-from hilbench.estimation.web_line.tracking import Tracking
+from hilbench.estimation.web_line.span_estimator import SpanEstimator
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -35,7 +35,7 @@ FROM, TO = 1500, 1800  #: rows in which something is wrong
 
 @dataclass
 class Twin:
-    tracking: Tracking
+    tracking: SpanEstimator
     line: Line
     ports: tuple[MotorPort, MotorPort]
     plant: ModelParameters
@@ -52,7 +52,7 @@ def twin(plant: ModelParameters | None = None, **options: object) -> Twin:
     ports = (MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY))
     line = Line(plant, ports)
     config = EstimationConfig.model_validate({"estimate": [ChangepointConfig()], **options})
-    return Twin(Tracking(plant, config, line, ports[1], CYCLE_S), line, ports, plant)
+    return Twin(SpanEstimator(plant, config, line, ports[1], CYCLE_S), line, ports, plant)
 
 
 def rows(data: Measurements) -> Iterator[int]:

@@ -7,7 +7,7 @@ import pytest
 from tests.twin.beside_a_line import BesideALine, line_model
 
 from hilbench.estimation.web_line.config import EstimationConfig
-from hilbench.estimation.web_line.unknown_webs import UnknownWebs, unknown_webs
+from hilbench.estimation.web_line.initial_strains import InitialStrains, initial_strains
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.span import SpanFollower
 
@@ -27,7 +27,7 @@ def test_a_strain_that_is_off_goes_through_the_line_as_its_shares_say(span: int,
         line.set_input("strain_prev", model.upstream_strain)
         line.set_input("F_next_N", 80.0)
         line.reset([0.0] * 4, strain=list(strains + more))
-    webs = unknown_webs(model)
+    webs = initial_strains(model)
     for cycle in range(1, round(1.5 / CYCLE_S)):
         for line in lines:
             line.follow([SPEED_M_S * cycle * CYCLE_S] * 4, CYCLE_S)
@@ -38,7 +38,7 @@ def test_a_strain_that_is_off_goes_through_the_line_as_its_shares_say(span: int,
 
 
 def test_rollers_that_go_to_and_fro_bring_back_what_they_have_taken() -> None:
-    webs = UnknownWebs(LENGTHS_M, [0.0] * 3, [1.0] * 3)
+    webs = InitialStrains(LENGTHS_M, [0.0] * 3, [1.0] * 3)
     for cycle in range(10_000):
         webs.move(0, 1.3e-3 * np.sign(np.sin(8.0 * cycle * CYCLE_S)), CYCLE_S)
     assert webs.shares[0, 0] > 0.999
@@ -46,7 +46,7 @@ def test_rollers_that_go_to_and_fro_bring_back_what_they_have_taken() -> None:
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_a_web_enters_known_only_when_those_that_it_comes_from_are(direction: float) -> None:
-    webs = UnknownWebs(LENGTHS_M, [0.0] * 3, [1.0] * 3)
+    webs = InitialStrains(LENGTHS_M, [0.0] * 3, [1.0] * 3)
     order = [0, 1, 2] if direction > 0.0 else [2, 1, 0]
     for known in order:
         for span in order:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilbench.estimation.web_line.unknowns import Unknowns
+from hilbench.estimation.web_line.augmented_filter import AugmentedFilter
 
 #: A parameter of 20 %, of which 1 % is 0.8 N, and a state of 2 N; a measurement with a slow error of 0.4 N.
 _PARAMETER, _STATE_N, _OFFSET_N, _NOISE_N, _PER_SHARE_N = 0.2, 2.0, 0.4, 0.1, 80.0
@@ -15,14 +15,14 @@ _NOTHING = np.zeros(2)
 _JUMPS = (np.array([[_PARAMETER**2]]), np.eye(2))
 
 
-def unknowns(rate_N_per_m: float = 0.0) -> Unknowns:
+def unknowns(rate_N_per_m: float = 0.0) -> AugmentedFilter:
     """The parameter first; the state changes with the way of the web by so much."""
     start, parameters = np.diag([_PARAMETER**2, _STATE_N**2]), np.array([True, False])
     rates = np.array([0.0, rate_N_per_m])
-    return Unknowns(start, parameters, rates, np.array([_OFFSET_N]), np.zeros(1), np.zeros(1), np.zeros(1))
+    return AugmentedFilter(start, parameters, rates, np.array([_OFFSET_N]), np.zeros(1), np.zeros(1), np.zeros(1))
 
 
-def let_pass(filtered: Unknowns, windows: int, travel_m: float = 0.0) -> None:
+def let_pass(filtered: AugmentedFilter, windows: int, travel_m: float = 0.0) -> None:
     """So many windows: the change of the parameter, and the offset, are others within a shift."""
     prior = np.zeros((len(filtered.mean),) * 2)
     changes, offset = 2, filtered.first_offset
@@ -31,7 +31,7 @@ def let_pass(filtered: Unknowns, windows: int, travel_m: float = 0.0) -> None:
     filtered.grow(left, (1.0 - np.outer(left, left)) * prior, travel_m)
 
 
-def look(filtered: Unknowns, innovation_N: float, *, learns: bool = True) -> np.ndarray:
+def look(filtered: AugmentedFilter, innovation_N: float, *, learns: bool = True) -> np.ndarray:
     """One measurement of parameter and state."""
     slopes, variances = np.array([[_PER_SHARE_N, 1.0]]), np.array([_NOISE_N**2])
     learned = None if learns else np.zeros((2, 1), bool)

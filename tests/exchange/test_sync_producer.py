@@ -114,8 +114,8 @@ def hold_the_interpreter(duration_s: float) -> None:
 
 def counted(bench: Bench) -> bool:
     """Whether what the bench counts as missed is what went by, and no more than that and what was never sent."""
-    missed, gone_by = bench.cycle.pacing.missed, bench.cycle.gone_by
-    return gone_by <= missed <= gone_by + bench.producer.without
+    missed, elapsed_cycles = bench.cycle.pacing.missed, bench.cycle.elapsed_cycles
+    return elapsed_cycles <= missed <= elapsed_cycles + bench.producer.without
 
 
 def test_a_bench_whose_interpreter_is_held_for_three_periods_shifts_no_sync_and_counts_what_went_by() -> None:
@@ -129,7 +129,7 @@ def test_a_bench_whose_interpreter_is_held_for_three_periods_shifts_no_sync_and_
         assert counted(bench)
         assert bench.cycle.timing.cycles == 20
         marks = [frame.time_ns for frame in bench.trace.frames if frame.can_id == SYNC]
-        assert len(marks) == 20 + bench.cycle.gone_by, "each is in the trace, once"
+        assert len(marks) == 20 + bench.cycle.elapsed_cycles, "each is in the trace, once"
         while len(bench.drive.syncs_ns) < len(marks):
             time.sleep(1e-3)
         assert bench.drive.syncs_ns[: len(marks)] == marks, "and on the bus"
@@ -142,13 +142,13 @@ def test_a_bench_whose_interpreter_is_held_for_three_periods_shifts_no_sync_and_
 
 def cycle_of(bench: Bench, read: Tpdo) -> None:
     """One more, of which the bench reads this TPDO."""
-    gone_by = bench.cycle.gone_by
+    elapsed_cycles = bench.cycle.elapsed_cycles
     [received] = bench.run(1)
     read.begin()
     for at, frame in enumerate(received):
         if frame.can_id == TPDO:
             read.add(frame.data, before_sync=at < bench.cycle.before_sync)
-    read.end(bench.cycle.gone_by - gone_by)
+    read.end(bench.cycle.elapsed_cycles - elapsed_cycles)
 
 
 def test_answers_are_those_to_the_sync_of_their_cycle_also_behind_ones_that_went_by() -> None:
@@ -159,10 +159,10 @@ def test_answers_are_those_to_the_sync_of_their_cycle_also_behind_ones_that_went
             hold_the_interpreter((0.5 + 2 * cycle) * PERIOD_NS * 1e-9)
             cycle_of(bench, read)
             assert read.surplus == 0, "what came for SYNCs that went by is no second sender's"
-        while not read.is_plain:  # until the drive, which was held as well, has caught up
+        while not read.fits_fast_path:  # until the drive, which was held as well, has caught up
             cycle_of(bench, read)
         assert read.data is not None
-        assert int.from_bytes(read.data, "little") == bench.cycle.timing.cycles + bench.cycle.gone_by
+        assert int.from_bytes(read.data, "little") == bench.cycle.timing.cycles + bench.cycle.elapsed_cycles
 
 
 def test_set_points_that_come_behind_their_sync_are_counted_and_its_answers_taken() -> None:
@@ -172,7 +172,7 @@ def test_set_points_that_come_behind_their_sync_are_counted_and_its_answers_take
             time.sleep(1e-4)
         bench.run(1)
         pacing = bench.cycle.pacing
-        assert (pacing.late_set_points, pacing.missed, bench.cycle.gone_by) == (1, 0, 0)
+        assert (pacing.late_set_points, pacing.missed, bench.cycle.elapsed_cycles) == (1, 0, 0)
         bench.run(1)
         assert pacing.late_set_points == 1
     kinds = ["SYNC" if frame.can_id == SYNC else "set points" for frame in bench.trace.frames if frame.can_id != TPDO]

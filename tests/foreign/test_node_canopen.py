@@ -114,12 +114,12 @@ def test_it_starts_stops_and_resets_by_nmt_and_hears_the_heartbeat(drive: Foreig
 
 def test_it_hears_emergencies(drive: ForeignStation) -> None:
     drive.download(0x2001, 0, (0x7300).to_bytes(2, "little"))
-    heard = drive.event("emergency", code=0x7300)
-    assert (heard["cob_id"], heard["register"], heard["info"]) == (0x085, 0x21, "0000000000")
+    received = drive.event("emergency", code=0x7300)
+    assert (received["cob_id"], received["register"], received["info"]) == (0x085, 0x21, "0000000000")
     assert drive.upload(0x1003, 1) == (0x7300).to_bytes(4, "little")
     drive.download(0x6040, 0, (0x80).to_bytes(2, "little"))
-    heard = drive.event("emergency", code=0)
-    assert (heard["register"], heard["info"]) == (0, "0073000000")
+    received = drive.event("emergency", code=0)
+    assert (received["register"], received["info"]) == (0, "0073000000")
 
 
 def test_its_heartbeat_is_watched(drive: ForeignStation) -> None:

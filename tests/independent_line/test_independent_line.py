@@ -9,7 +9,7 @@ import pytest
 from tests.independent_line import PROFILES, STEP_OF_E, Line, Loops, effect
 from tests.independent_line.spans import LineOfSpans
 
-QUIET = Line(noise=0.0)
+BELOW_LIMITS = Line(noise=0.0)
 
 
 def settled(line: Line) -> dict[str, float]:
@@ -21,7 +21,7 @@ def settled(line: Line) -> dict[str, float]:
 
 
 def test_at_constant_speed_the_tension_is_that_of_the_strain_and_torques_balance_it() -> None:
-    found = settled(QUIET)
+    found = settled(BELOW_LIMITS)
     assert found["F_true_N"] == pytest.approx(80.0, abs=1.0)  # the controller is slow
     assert found["F_true_N"] == pytest.approx(8.7e9 * 0.5 * 65e-6 * found["strain"], rel=1e-6)
     assert found["tau2_Nm"] == pytest.approx(0.04 * (found["F_true_N"] - 70.0), abs=1e-3)
@@ -68,7 +68,7 @@ def test_dry_friction_gives_way_elastically_before_it_slides() -> None:
 
 
 def test_drives_differ_by_their_loops_and_a_recording_by_its_rows() -> None:
-    plain = QUIET.record("production", duration_s=8.0).channels
+    plain = BELOW_LIMITS.record("production", duration_s=8.0).channels
     slow = Line(noise=0.0, loops=Loops(kp=(0.7, 0.7), lag_s=(0.004, 0.004))).record("production", duration_s=8.0)
     error, slower = (np.max(np.abs(c["v2_m_s"] - c["v2_cmd_m_s"])) for c in (plain, slow.channels))
     assert slower > 1.2 * error
@@ -103,7 +103,7 @@ def test_what_it_can_not_hide_it_says() -> None:
 @pytest.mark.slow
 def test_of_one_span_the_line_of_several_is_the_same_machine() -> None:
     several = LineOfSpans(lengths_m=(1.0,), loops=Loops()).record("production", seed=2, duration_s=5.0)
-    one = replace(QUIET, noise=1.0).record("production", seed=2, duration_s=5.0)
+    one = replace(BELOW_LIMITS, noise=1.0).record("production", seed=2, duration_s=5.0)
     assert several.truth["F1_true_N"] == pytest.approx(one.truth["F_true_N"], abs=1e-8)
 
 

@@ -16,7 +16,7 @@ from hilbench.report.html import write_report
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import LoadedConfig, load_with_overrides
-from hilbench.runs.found import find_metric
+from hilbench.runs.estimated_errors import find_metric
 
 LOADED = load_with_overrides(Path(__file__).resolve().parents[2] / "bench_configs" / "live_line_friction.yaml")
 MODEL, CYCLE_S, CHUNK = LOADED.config.web_line, LOADED.config.cycle_time_s, 250

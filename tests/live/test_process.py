@@ -15,7 +15,7 @@ import pytest
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.model_changes.process import LiveProcess
-from hilbench.bench.reports.found import CHUNK_CYCLES, Samples
+from hilbench.bench.reports.diagnosis_updates import CHUNK_CYCLES, Samples
 from hilbench.errors import BenchFaultError
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hilbench.bench.reports.found import CHUNK_CYCLES, News, Samples
+from hilbench.bench.reports.diagnosis_updates import CHUNK_CYCLES, DiagnosisUpdate, Samples
 from hilbench.live.session import Session
 from hilbench.live.web_line.machine import LiveLine
 from hilbench.runs.config import load_with_overrides
@@ -17,7 +17,7 @@ MODEL, CYCLE_S = CONFIG.web_line, CONFIG.cycle_time_s
 SPEED_M_S, TORQUE_NOISE_Nm, MORE_Nm = 3.0, 0.05, 0.2
 
 
-def told(end_s: float, *more_s: tuple[float, float]) -> list[News]:
+def told(end_s: float, *more_s: tuple[float, float]) -> list[DiagnosisUpdate]:
     """Of a line that runs at one speed, with more torque at axis 2 in these times."""
     count = round(end_s / CYCLE_S)
     t_s, noise = np.arange(count) * CYCLE_S, np.random.default_rng(2)
@@ -33,7 +33,7 @@ def told(end_s: float, *more_s: tuple[float, float]) -> list[News]:
     channels["F_sim_N"] = np.full(count, boundary.upstream_tension_N)
     channels["E_sim_Pa"] = np.full(count, MODEL.youngs_modulus_Pa(1))
     session = Session(list(channels), LiveLine(MODEL, None, CYCLE_S), LiveDiagnosisConfig(), CYCLE_S)
-    news: list[News] = []
+    news: list[DiagnosisUpdate] = []
     for end in range(CHUNK_CYCLES, count + 1, CHUNK_CYCLES):
         chunk = np.column_stack([values[end - CHUNK_CYCLES : end] for values in channels.values()])
         news += session.samples(Samples.of(end - 1, chunk)).news

@@ -198,18 +198,18 @@ def test_only_a_confirmed_key_sends(bench: BenchConfig) -> None:
             for keys, sent, answer, said in PRESSED:
                 before = log.line_count
                 await pilot.press(*keys)
-                heard: list[Frame] = []
-                while len(heard) < len(sent):
+                received: list[Frame] = []
+                while len(received) < len(sent):
                     await pilot.pause(0.05)
-                    heard += theirs.receive(0.0)
+                    received += theirs.receive(0.0)
                 if answer is not None:
                     theirs.send([Frame(0x5FF, answer)])
                 while said and not any(said in line for line in log.lines):
                     await pilot.pause(0.05)
                 await pilot.pause(0.2)  # what must not be sent would be by now
-                heard += theirs.receive(0.0)
+                received += theirs.receive(0.0)
                 # What nobody has read yet competes by identifier.
-                assert sorted(frame[:2] for frame in heard) == sorted(frame[:2] for frame in sent), keys
+                assert sorted(frame[:2] for frame in received) == sorted(frame[:2] for frame in sent), keys
                 assert log.line_count == before + bool(said), keys
 
     asyncio.run(asyncio.wait_for(press(), 60.0))
@@ -242,7 +242,7 @@ def test_what_is_said_is_whole_in_a_terminal_of_80_columns(bench: BenchConfig) -
 
     async def say() -> list[str]:
         async with dashboard.run_test(size=(80, 24)) as pilot:
-            dashboard._say(told)
+            dashboard._notify(told)
             await pilot.pause(0.1)
             return list(dashboard.query_one("#faults", Log).lines)
 
@@ -279,17 +279,17 @@ def test_a_probe_and_a_proposed_model_are_allowed_or_refused_by_two_keys() -> No
             log = dashboard.query_one("#faults", Log)
             for keys, (sent, answer, said) in YES_NO.items():
                 await pilot.press(*keys)
-                heard: list[Frame] = []
-                while sent and not heard:
+                received: list[Frame] = []
+                while sent and not received:
                     await pilot.pause(0.05)
-                    heard = theirs.receive(0.0)
+                    received = theirs.receive(0.0)
                 if answer:
                     theirs.send([Frame(0x5FF, bytes.fromhex(answer))])
                 while said and not any(said in line for line in log.lines):
                     await pilot.pause(0.05)
                 await pilot.pause(0.2)
-                heard += theirs.receive(0.0)
-                assert [frame[:2] for frame in heard] == ([(0x67F, bytes.fromhex(sent))] if sent else []), keys
+                received += theirs.receive(0.0)
+                assert [frame[:2] for frame in received] == ([(0x67F, bytes.fromhex(sent))] if sent else []), keys
 
     asyncio.run(asyncio.wait_for(press(), 60.0))
 
@@ -352,8 +352,8 @@ def test_what_would_come_is_said_from_what_the_monitor_has_heard(tmp_path: Path)
     frames = list(TraceReader(outcome.folder.trace))
     ends = [at for at, frame in enumerate(frames) if frame.can_id == 0x80]
     requests = ChangeRequests(loaded.config, lambda: cast("SdoClient", Node()))
-    heard = frames[ends[700] : ends[900]]  # 1.4 to 1.8 s after the first SYNC
-    requests.look_ahead(requests.foreseeable["v"], 9.0, heard)
+    received = frames[ends[700] : ends[900]]  # 1.4 to 1.8 s after the first SYNC
+    requests.look_ahead(requests.foreseeable["v"], 9.0, received)
     (said,) = ended(requests)
     assert said.startswith("what if line speed 9 m/s: within ")
     assert "tension of the web" in said
@@ -410,16 +410,16 @@ def test_the_emergency_stop_works_in_every_dialogue(bench: BenchConfig, opened: 
             await pilot.pause(0.1)
             assert not theirs.receive(0.0)
             await pilot.press(confirmed)
-            heard: list[Frame] = []
-            while len(heard) < 3 * len(EMERGENCY_STOP):
+            received: list[Frame] = []
+            while len(received) < 3 * len(EMERGENCY_STOP):
                 await pilot.pause(0.05)
-                heard += theirs.receive(0.0)
+                received += theirs.receive(0.0)
             await pilot.pause(0.2)
             assert len(dashboard.screen_stack) == 1  # no dialogue is left that would take the next keys
-            return heard + theirs.receive(0.0)
+            return received + theirs.receive(0.0)
 
-    heard = asyncio.run(asyncio.wait_for(press(), 60.0))
-    assert sorted(frame[:2] for frame in heard) == sorted(frame[:2] for frame in 3 * list(EMERGENCY_STOP))
+    received = asyncio.run(asyncio.wait_for(press(), 60.0))
+    assert sorted(frame[:2] for frame in received) == sorted(frame[:2] for frame in 3 * list(EMERGENCY_STOP))
 
 
 @pytest.mark.parametrize("columns", [40, 60, 200])
@@ -566,8 +566,8 @@ def test_the_dashboard_says_it_instead_of_old_values(bench: BenchConfig, patient
     async def watch() -> list[tuple[str, ...]]:
         seen = []
         async with dashboard.run_test(size=(110, 36)) as pilot:
-            heard = ([], "not received"), (cycles(bench, 100, 80.0), "running"), ([*EMERGENCY_STOP], "E-STOP")
-            for frames, said in heard:
+            received = ([], "not received"), (cycles(bench, 100, 80.0), "running"), ([*EMERGENCY_STOP], "E-STOP")
+            for frames, said in received:
                 theirs.send(frames)
                 while not str(dashboard.query_one("#condition", Static).render()).startswith(said):
                     await pilot.pause(0.05)

@@ -66,8 +66,8 @@ def test_the_machine_is_stopped_from_a_page_that_others_hold_connections_to(tmp_
         link = open_ones.enter_context(closing(open_link(load(path)[0].bus_address.as_it_runs())))
         viewer = open_ones.enter_context(site.viewer())
         assert answered(viewer, do="stop", name="anna") == "emergency stop sent"
-        heard = link.receive(1.0)
-        assert {frame[:2] for frame in heard} == {frame[:2] for frame in EMERGENCY_STOP}
+        received = link.receive(1.0)
+        assert {frame[:2] for frame in received} == {frame[:2] for frame in EMERGENCY_STOP}
     server.end()
 
 

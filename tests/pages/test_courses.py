@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from hilbench.pages.live.courses import courses
-from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.pages.live.forecast_bands import courses
+from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
 
 SPIKE = 640
 
@@ -21,9 +21,9 @@ def outlook() -> Outlook:
     rows[SPIKE, :, 0] += 50.0
     rows[:, :, 1] = 2.0
     watched = [
-        Watched("tension", "F", "N", 150.0, 200.0),
-        Watched("torque", "tau", "N·m"),
-        Watched("speed", "v", "m/s"),
+        DiagnosisAnswer("tension", "F", "N", 150.0, 200.0),
+        DiagnosisAnswer("torque", "tau", "N·m"),
+        DiagnosisAnswer("speed", "v", "m/s"),
     ]
     none = np.zeros((41, 3))
     times_s = 5.0 + 0.01 * np.arange(1, 1001)

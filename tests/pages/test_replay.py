@@ -18,7 +18,7 @@ from tests.pages.told_samples import keep
 from hilbench.canopen.identifiers import SYNC
 from hilbench.pages import replay
 from hilbench.pages.access import Access
-from hilbench.pages.live.played import FAST, PlayedTrace
+from hilbench.pages.live.replay import FAST, PlayedTrace
 from hilbench.pages.runs import routes
 from hilbench.pages.site import site
 from hilbench.results.recording import read_recording
@@ -149,8 +149,8 @@ def test_a_trace_is_heard_at_the_pace_that_is_asked_for(ran: Ran) -> None:
     trace.pace = 4.0
     assert syncs(0.05) == 100
     trace.pace = FAST
-    heard = [syncs(0.02) for _ in range(3)]
-    assert heard == [200, 200, 200]
+    received = [syncs(0.02) for _ in range(3)]
+    assert received == [200, 200, 200]
     assert trace.clock_s() == pytest.approx(0.002 * 750, abs=0.003)
 
 

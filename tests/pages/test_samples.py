@@ -16,7 +16,7 @@ from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
 from hilbench.library.live_run import LiveRun
 from hilbench.pages.live.history import History
-from hilbench.pages.live.listener import told
+from hilbench.pages.live.listener import event_of
 from hilbench.pages.live.machines.kinds import panel_of
 from hilbench.pages.live.samples import LiveSamples
 from hilbench.results.journal import append_to_journal
@@ -39,12 +39,12 @@ class GoingOn:
     samples: LiveSamples
     history: History
 
-    def go_on(self, first: int, last: int, heard: bool = True) -> None:
+    def go_on(self, first: int, last: int, received: bool = True) -> None:
         for at in range(first, last, 500):
             end = min(at + 500, last)
             with open(self.folder / "trace.log", "ab") as trace:
                 trace.writelines(self.lines[at:end])
-            if heard:
+            if received:
                 self.samples.take(self.frames[at:end])
 
     def signal(self, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -92,7 +92,7 @@ def test_a_run_that_is_heard_from_its_start_is_shown_as_it_is_recorded(going_on:
 
 def test_a_run_that_is_joined_under_way_has_its_time_and_its_set_points(going_on: GoingOn, ran: Ran) -> None:
     middle = len(going_on.frames) // 2
-    going_on.go_on(1, middle, heard=False)
+    going_on.go_on(1, middle, received=False)
     going_on.go_on(middle, len(going_on.frames))
     recording = recorded(ran)
     t_s, set_points = going_on.signal("F_ref_N")
@@ -104,7 +104,7 @@ def test_a_run_that_is_joined_under_way_has_its_time_and_its_set_points(going_on
 
 def test_what_is_emulated_is_not_shown_before_it_is_right(going_on: GoingOn, ran: Ran) -> None:
     middle = len(going_on.frames) // 4
-    going_on.go_on(1, middle, heard=False)
+    going_on.go_on(1, middle, received=False)
     going_on.go_on(middle, len(going_on.frames))
     _, true = going_on.signal("F_true_N")
     assert np.isnan(true[:200]).all()
@@ -124,13 +124,13 @@ def test_the_events_of_a_run_are_those_of_its_journal(going_on: GoingOn) -> None
     said = [str(event) for event in going_on.samples.log.events()]
     assert "line speed 0 → 3 m/s" in said
     assert "set-point 80 → 90 N" in said
-    assert [change.what for _, change in going_on.samples.told()] == ["enabled", "stopping"]
+    assert [change.what for _, change in going_on.samples.reported()] == ["enabled", "stopping"]
 
 
 def test_a_tension_loop_that_is_open_for_long_is_a_warning_of_the_page(going_on: GoingOn) -> None:
     append_to_journal(going_on.folder / "journal.log", Change(20, "loop_open", "tension loop", 0.01))
     going_on.go_on(1, len(going_on.frames))
-    (entry,) = [told(change, t_s) for t_s, change in going_on.samples.told() if change.what == "loop_open"]
+    (entry,) = [event_of(change, t_s) for t_s, change in going_on.samples.reported() if change.what == "loop_open"]
     assert (entry.weight, entry.text) == ("warning", "tension loop open for long")
 
 

@@ -54,7 +54,7 @@ class Place:
     def viewer(self, known: str | None = None) -> Viewer:
         return Viewer(self.client.websocket_connect(f"ws{HERE[4:]}/live", headers={"Origin": HERE}), known)
 
-    def heard(self, count: int) -> list[Frame]:
+    def received(self, count: int) -> list[Frame]:
         frames: list[Frame] = []
         until_s = time.monotonic() + PATIENCE_S
         while len(frames) < count and time.monotonic() < until_s:
@@ -172,8 +172,8 @@ def test_anybody_may_stop_the_machine_and_all_see_who(place: Place) -> None:
     with place.viewer() as anna, place.viewer() as ben:
         assert anna.ask(do="take", name="anna") == ("you control", True)
         assert ben.ask(do="stop", name="ben") == ("emergency stop sent", True)
-        heard = place.heard(3 * len(EMERGENCY_STOP))
-        assert sorted(frame[:2] for frame in heard) == sorted(frame[:2] for frame in 3 * list(EMERGENCY_STOP))
+        received = place.received(3 * len(EMERGENCY_STOP))
+        assert sorted(frame[:2] for frame in received) == sorted(frame[:2] for frame in 3 * list(EMERGENCY_STOP))
         for viewer in (anna, ben):
             viewer.until(lambda viewer, told: any("emergency stop" in event for event in viewer.events))
             assert any(event.startswith("ben (testclient)") for event in viewer.events)
@@ -203,7 +203,7 @@ def test_a_change_is_the_request_of_the_terminals_monitor(place: Place, answer: 
     with place.viewer() as anna:
         anna.ask(do="take", name="anna")
         anna.send(do="set", key="t", value=95.0)
-        assert [frame[:2] for frame in place.heard(1)] == [(0x67F, ASKED)]
+        assert [frame[:2] for frame in place.received(1)] == [(0x67F, ASKED)]
         place.far.send([Frame(0x5FF, answer)])
         assert anna.said() == said
 
@@ -212,7 +212,7 @@ def test_an_emergency_stop_does_not_wait_for_an_answer_of_the_bench(place: Place
     with place.viewer() as anna:
         anna.ask(do="take", name="anna")
         anna.send(do="set", key="t", value=95.0)
-        place.heard(1)  # and nobody answers
+        place.received(1)  # and nobody answers
         assert anna.ask(do="stop", name="anna") == ("emergency stop sent", True)
         place.far.send([Frame(0x5FF, DONE)])
         assert anna.said() == ("tension set-point 95 N: set", True)
@@ -223,9 +223,9 @@ def test_what_a_viewer_asked_goes_with_him_and_a_stop_behind_a_hundred_requests_
         anna.ask(do="take", name="anna")
         for _ in range(100):
             anna.send(do="set", key="t", value=95.0)
-        place.heard(1)  # and nobody answers
+        place.received(1)  # and nobody answers
         assert anna.ask(do="stop", name="anna") == ("emergency stop sent", True)
-        place.heard(len(EMERGENCY_STOP))
+        place.received(len(EMERGENCY_STOP))
     with place.viewer() as ben:
         place.far.send([Frame(0x5FF, DONE)])
         ben.until(lambda viewer, told: any("95 N: set" in event for event in viewer.events))
@@ -289,7 +289,7 @@ def test_a_viewer_that_takes_nothing_delays_nobody(place: Place) -> None:
     with place.viewer(), place.viewer() as awake:  # the first reads nothing at all
         for burst in range(20):
             place.far.send(cycles(place.bench, 50)[1 if burst else 0 :])
-            awake.until(lambda viewer, told, heard=50 * (burst + 1): viewer.state.get("cycles") == heard)
+            awake.until(lambda viewer, told, received=50 * (burst + 1): viewer.state.get("cycles") == received)
         assert awake.ask(do="stop", name="anna")[1]
 
 

@@ -14,9 +14,9 @@ from tests.twin.beside_stations import dancer_line, guided_line, winding_line
 from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.plant.measured_motion import HasFollowed
 from hilbench.plant.motor_port import MotorPort
-from hilbench.plant.pairing import play
+from hilbench.plant.sample_coherence import play
 from hilbench.plant.web_line.line import Line
-from hilbench.plant.web_line.line_follower import Handover, LineFollower, LinesTogether
+from hilbench.plant.web_line.line_follower import LineFollower, PerturbedCopies, StateTransfer
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_travel_m
 
@@ -40,7 +40,7 @@ def motion(axes: int, cycles: int, seed: int) -> list[list[float]]:
 def test_together_they_do_what_each_does_alone(model: Callable[[], ModelParameters]) -> None:
     further_m = [0.0, 2e-5, -3e-5]
     alone, beside = ([LineFollower(model()) for _ in further_m] for _ in range(2))
-    together, axes = LinesTogether(beside), model().axis_count
+    together, axes = PerturbedCopies(beside), model().axis_count
     for each in (alone, beside):
         each[1].set_parameter("span1.youngs_modulus_Pa", 9.1e9)
         for follower, more in zip(each, further_m, strict=True):
@@ -65,7 +65,7 @@ def test_they_go_on_from_a_motion_that_is_put(model: Callable[[], ModelParameter
     travels = motion(axes, 200, 2)
     for x in travels[:100]:
         first.follow(x, CYCLE_S)
-    together = LinesTogether([second])
+    together = PerturbedCopies([second])
     together.motions[0] = first.motion
     together.put()
     assert second.tension_N == pytest.approx(first.tension_N, rel=1e-9)
@@ -83,13 +83,13 @@ def test_a_closed_line_takes_over_all_that_no_motor_drives(model: Callable[[], M
     for x in motion(len(ports), 90, 3):
         follower.follow(x, CYCLE_S)
     before = line.outputs()
-    Handover(follower, line)()
+    StateTransfer(follower, line)()
     has, found = follower.get_state().values, line.get_state().values
     driven = {f"{name}{axis}_{unit}" for axis in range(1, len(ports) + 1) for name, unit in _OF_AN_AXIS}
     assert {name for name in found if found[name] != pytest.approx(has[name], rel=1e-12)} <= driven
     assert all(line.outputs()[name] == before[name] for name in driven)
     assert line.tension_N == pytest.approx(follower.tension_N, rel=1e-12)
-    Handover(follower, line, [2])()
+    StateTransfer(follower, line, [2])()
     assert line.outputs()["x2_m"] == follower.outputs()["x2_m"] != before["x2_m"]
     assert line.outputs()["x1_m"] == before["x1_m"]
 

@@ -6,14 +6,14 @@ from math import nan
 
 import pytest
 
-from hilbench.plant.pairing import OwnTravels, Pairing, play
+from hilbench.plant.sample_coherence import OwnIncrements, SampleCoherence, play
 
 WAY_M = 0.006  #: of a cycle, 2 ms at 3 m/s
 
 
 @pytest.mark.parametrize("late", [0, 1, 2])
 def test_positions_of_which_one_is_a_cycle_old_are_of_no_instant(late: int) -> None:
-    pairing = Pairing(1e-4)
+    pairing = SampleCoherence(1e-4)
     assert pairing.update(0.0, 0.0, 0.0)
     assert pairing.update(WAY_M, 1.0001 * WAY_M, 0.9999 * WAY_M)
     now = [2.0 * WAY_M] * 3
@@ -25,7 +25,7 @@ def test_positions_of_which_one_is_a_cycle_old_are_of_no_instant(late: int) -> N
 
 @pytest.mark.parametrize("place", [0, 1, 2])
 def test_position_that_is_no_number_is_of_no_instant(place: int) -> None:
-    pairing = Pairing(1e-4)
+    pairing = SampleCoherence(1e-4)
     pairing.update(0.0, 0.0, 0.0)
     now = [WAY_M] * 3
     now[place] = nan
@@ -34,13 +34,13 @@ def test_position_that_is_no_number_is_of_no_instant(place: int) -> None:
 
 def test_axes_that_stand_may_differ_by_the_least_way() -> None:
     for least_travel_m, alike in ((1e-4, True), (1e-5, False)):
-        pairing = Pairing(least_travel_m)
+        pairing = SampleCoherence(least_travel_m)
         pairing.update(0.0, 0.0)
         assert pairing.update(0.0, 5e-5) is alike
 
 
 def test_after_cycles_that_nobody_has_counted_a_position_that_is_a_cycle_old_is_still_told() -> None:
-    pairing = Pairing(1e-4)
+    pairing = SampleCoherence(1e-4)
     for cycle in range(3):
         assert pairing.update(cycle * WAY_M, cycle * WAY_M)
     assert not pairing.update(7.0 * WAY_M, 8.0 * WAY_M)
@@ -48,7 +48,7 @@ def test_after_cycles_that_nobody_has_counted_a_position_that_is_a_cycle_old_is_
 
 
 def test_a_line_that_speeds_up_from_rest_is_followed() -> None:
-    pairing = Pairing(1e-5)
+    pairing = SampleCoherence(1e-5)
     travels = [5.0 * (0.002 * cycle) ** 2 / 2.0 for cycle in range(400)]
     assert all(pairing.update(way, 1.0005 * way) for way in travels)
 
@@ -58,9 +58,9 @@ CYCLE_S = 0.003
 OWN_M = (0.006, 0.0, 0.0035)
 
 
-def under_way() -> OwnTravels:
+def under_way() -> OwnIncrements:
     """Two cycles on, with these ways."""
-    axes = OwnTravels(3, play("m", CYCLE_S))
+    axes = OwnIncrements(3, play("m", CYCLE_S))
     for cycles in range(3):
         assert axes.update(*(cycles * way for way in OWN_M))
     return axes

@@ -8,7 +8,7 @@ import pytest
 from tests.twin.beside_stations import dancer_line, guided_line, winding_line
 
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.varied_line import VariedLine
+from hilbench.plant.web_line.sensitivity_model import SensitivityModel
 
 CYCLE_S = 0.003
 LINES = {"dancer": dancer_line, "idlers": guided_line, "reels": winding_line}
@@ -21,7 +21,7 @@ def test_a_line_that_starts_under_way_has_the_tensions_of_its_strains_at_once(
 ) -> None:
     """Its web damps swings, and nothing swings: all rollers go as fast as the web."""
     parameters = model()
-    varied = VariedLine(parameters)
+    varied = SensitivityModel(parameters)
     positions_m = [40.0 + axis for axis in range(parameters.axis_count)]
     varied.reset(positions_m, speed_m_s)
     strained_N = [parameters.stiffness_N(span) * float(e) for span, e in enumerate(varied.line.strain, 1)]

@@ -12,7 +12,7 @@ from tests.report.parsed import EVIL, parsed
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Profile, Unobservable, Value
 from hilbench.diagnosis.live import LiveGap
 from hilbench.diagnosis.live_figure import LiveFigure
-from hilbench.diagnosis.misfit import Misfit
+from hilbench.diagnosis.residual_analysis import Misfit
 from hilbench.diagnosis.synchronization import Comparison, MethodResult
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.offline import Track

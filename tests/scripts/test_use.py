@@ -155,27 +155,27 @@ class Heartbeats:
 class Hanging:
     """An observer in which a cycle hangs for some periods of the heartbeat; notes how many were sent meanwhile."""
 
-    def __init__(self, heard: Heartbeats) -> None:
-        self._heard = heard
+    def __init__(self, received: Heartbeats) -> None:
+        self._received = received
         self.sent: int | None = None
 
     def sample(self, sample: object) -> None:
         if self.sent is None:
-            before = self._heard.count
+            before = self._received.count
             time.sleep(0.5)
-            self.sent = self._heard.count - before
+            self.sent = self._received.count - before
 
 
 def test_a_cycle_that_hangs_says_nothing_and_a_pause_does(tmp_path: Path) -> None:
     loaded = load(bench_config(tmp_path, master={"heartbeat_ms": 20}))[0]
-    heard = Heartbeats()
-    hanging = Hanging(heard)
+    received = Heartbeats()
+    hanging = Hanging(received)
     with library.Bench(
-        loaded, observers=[hanging], tap=heard, may_idle=True, participants=Participants.IN_PROCESS
+        loaded, observers=[hanging], tap=received, may_idle=True, participants=Participants.IN_PROCESS
     ) as bench:
         bench.cycle()
-        before = heard.count
-        while heard.count < before + 3:
+        before = received.count
+        while received.count < before + 3:
             time.sleep(0.01)
     assert hanging.sent == 0
 

@@ -87,10 +87,10 @@ def test_foxglove_s_own_client_hears_the_channels_and_their_messages(bench: Benc
         assert_are_the_groups(channels)
         while client.poll() is None:  # a subscription has no answer: until it has heard enough
             feed(stream, bench, 3)
-        heard = [json.loads(line) for line in client.stdout]
+        received = [json.loads(line) for line in client.stdout]
     finally:
         stream.close()
     assert client.returncode == 0
-    assert {told["topic"] for told in heard} == TOPICS
-    (measured, *_) = (told["data"] for told in heard if told["topic"] == "/measured")
+    assert {told["topic"] for told in received} == TOPICS
+    (measured, *_) = (told["data"] for told in received if told["topic"] == "/measured")
     assert {"t_s", "x1_m", "tau2_Nm"} <= set(measured)

@@ -45,13 +45,13 @@ class Listener:
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 23)
         self.socket.bind(("127.0.0.1", 0))
         self.port = self.socket.getsockname()[1]
-        self.heard: list[dict[str, Any]] = []
+        self.received: list[dict[str, Any]] = []
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
 
     def _listen(self) -> None:
         while data := self.socket.recv(1 << 16):
-            self.heard.append(json.loads(data))
+            self.received.append(json.loads(data))
 
     def close(self) -> None:
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM).sendto(b"", ("127.0.0.1", self.port))
@@ -69,7 +69,7 @@ def streamed(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunFolder, Path,
     code, out, err = run_here(path, *words)
     listener.close()
     assert code == 0, err
-    return RunFolder(run_folders(path)[0]), file, listener.heard, out
+    return RunFolder(run_folders(path)[0]), file, listener.received, out
 
 
 def columns_of(file: Path) -> dict[tuple[str, str], list[float]]:
@@ -111,19 +111,19 @@ def test_a_file_says_what_its_values_are_in_which_unit(streamed: tuple[RunFolder
 
 
 def test_plotjuggler_hears_every_cycle_by_groups(streamed: tuple[RunFolder, Path, Any, str]) -> None:
-    folder, _, heard, _ = streamed
+    folder, _, received, _ = streamed
     recording = read_recording(folder.recording)
-    assert len(heard) == len(recording)
-    np.testing.assert_array_equal([each["timestamp"] for each in heard], recording.time_s)
-    np.testing.assert_array_equal([each["measured"]["x1_m"] for each in heard], recording["x1_m"])
+    assert len(received) == len(recording)
+    np.testing.assert_array_equal([each["timestamp"] for each in received], recording.time_s)
+    np.testing.assert_array_equal([each["measured"]["x1_m"] for each in received], recording["x1_m"])
 
 
 def test_the_result_says_how_much_went_where(streamed: tuple[RunFolder, Path, Any, str]) -> None:
-    folder, file, heard, said = streamed
+    folder, file, received, said = streamed
     records = Result.read(folder.result).streams
     assert records is not None
-    assert [(each.samples, each.dropped) for each in records] == [(len(heard), 0)] * 2
-    assert f"stream to {file}: {len(heard)} samples" in said.replace("\n", "")
+    assert [(each.samples, each.dropped) for each in records] == [(len(received), 0)] * 2
+    assert f"stream to {file}: {len(received)} samples" in said.replace("\n", "")
 
 
 def test_a_recording_becomes_the_file_that_its_stream_would_have_been(
@@ -157,9 +157,9 @@ def test_a_stream_that_hangs_drops_and_the_bench_goes_on(bench: BenchConfig, tmp
     os.kill(stream.pid, signal.SIGCONT)
     stream.close()
     listener.close()
-    times = [each["timestamp"] for each in listener.heard]
+    times = [each["timestamp"] for each in listener.received]
     assert times == sorted(times)  # what did come is whole
-    assert all(len(each["measured"]) == len(listener.heard[0]["measured"]) for each in listener.heard)
+    assert all(len(each["measured"]) == len(listener.received[0]["measured"]) for each in listener.received)
 
 
 def test_a_stream_that_is_killed_ends_no_run_and_says_what_is_missing(bench: BenchConfig, tmp_path: Path) -> None:

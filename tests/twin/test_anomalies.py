@@ -15,7 +15,7 @@ from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.config import EstimationConfig
-from hilbench.estimation.web_line.tracking import Tracking
+from hilbench.estimation.web_line.span_estimator import SpanEstimator
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -63,7 +63,7 @@ def slipping(
     data.x_m[:, 1] += np.cumsum(slip * 3.0) * CYCLE_S
     ports = (MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY))
     estimation = EstimationConfig(unmodelled_torque_Nm=0.0 if known else None)
-    tracking = Tracking(plant, estimation, Line(plant, ports), ports[1], CYCLE_S)
+    tracking = SpanEstimator(plant, estimation, Line(plant, ports), ports[1], CYCLE_S)
     told = set()
     for row, t_s in enumerate(data.t_s):
         x1, x2 = data.x_m[row]

@@ -7,7 +7,7 @@ from tests.plant.models import DEMONSTRATOR
 
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.twin.found import as_text, read_text
+from hilbench.twin.estimated_errors import as_text, read_text
 from hilbench.twin.machines.web_line_errors import as_effects
 
 

@@ -24,7 +24,7 @@ from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.machines.kinds import new_machine
 from hilbench.twin.machines.machine import TwinMachine
 from hilbench.twin.machines.web_line import boundary
-from hilbench.twin.model_change import ChangeableMachine
+from hilbench.twin.model_switch import ModelSwitcher
 from hilbench.twin.process import TwinApplication
 from hilbench.twin.process import twin as make_twin
 from hilbench.twin.setup import twin_setup
@@ -98,8 +98,8 @@ class OnTheBus:
         node = setup.virtual_io
         self.device = Device(load_eds(node.eds, node.node_id), node.node_id, self.clock)
         virtual_io = VirtualIo(self.device, process_data(MachineKind(MODEL.kind), setup.shape), boundary(MODEL))
-        self.machine = ChangeableMachine(
-            lambda _: lambda: new_machine(MODEL, setup.twin, setup.shape, cycle_s, virtual_io.told), cycle_s
+        self.machine = ModelSwitcher(
+            lambda _: lambda: new_machine(MODEL, setup.twin, setup.shape, cycle_s, virtual_io.boundary_inputs), cycle_s
         )
         self.device.boot()
         self.said: list[str] = []
@@ -197,7 +197,7 @@ def test_until_the_bench_says_what_is_around_the_web_a_twin_that_was_reset_holds
     application, virtual_io = hosted.application, hosted.devices[-1]
     assert isinstance(application, TwinApplication)
     virtual_io.reset_node()
-    told = {name: application.io.told(name) for name in boundary(MODEL)}
+    told = {name: application.io.boundary_inputs(name) for name in boundary(MODEL)}
     assert told == pytest.approx(boundary(MODEL), rel=1e-6)
 
 

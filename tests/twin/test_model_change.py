@@ -14,7 +14,7 @@ from hilbench.runs.config import load_with_overrides
 from hilbench.twin.machines.kinds import new_machine
 from hilbench.twin.machines.machine import TwinMachine
 from hilbench.twin.machines.web_line import boundary
-from hilbench.twin.model_change import HAND_OVER_S, ChangeableMachine, Coming, Make, with_effects
+from hilbench.twin.model_switch import HAND_OVER_S, Make, ModelSwitcher, PendingModel, with_effects
 
 CONFIG = load_with_overrides(Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml").config
 MODEL = CONFIG.web_line
@@ -24,20 +24,20 @@ FRICTION = json.dumps([{"effect": "coulomb_friction", "axis": 2, "parameters": {
 RAD_PER_M = MODEL.motor_rad_per_m(2)
 
 
-def machine(beside: Callable[[Make], Coming] | None = None) -> ChangeableMachine:
+def machine(beside: Callable[[Make], PendingModel] | None = None) -> ModelSwitcher:
     told = boundary(MODEL)
 
     def make(effects: str) -> Make:
         changed = with_effects(MODEL, effects)
         return lambda: new_machine(changed, CONFIG.twin, CONFIG.shape, CYCLE_S, told.__getitem__)
 
-    return ChangeableMachine(make, CYCLE_S, beside)
+    return ModelSwitcher(make, CYCLE_S, beside)
 
 
 class Line:
     """What is measured of a line at a constant speed, whose web pulls with 80 N and whose axis 2 rubs with 5 N."""
 
-    def __init__(self, twin: ChangeableMachine) -> None:
+    def __init__(self, twin: ModelSwitcher) -> None:
         self.twin = twin
         self.travel_m = 0.0
         self.shown_N: list[float] = []

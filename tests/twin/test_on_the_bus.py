@@ -102,12 +102,12 @@ def test_standstill_under_dry_friction_is_told_by_emcy_and_taken_back(tmp_path: 
 def test_positions_that_are_for_once_a_cycle_old_are_no_web_break(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original, heard, said = AxisListener.decode, defaultdict[int, int](int), {}
+    original, received, said = AxisListener.decode, defaultdict[int, int](int), {}
 
     def late(self: AxisListener, data: bytes) -> tuple[float, float]:
-        heard[self.cob_id] += 1
+        received[self.cob_id] += 1
         now = original(self, data)
-        if heard[self.cob_id] % 400 != 0:  # else what it said at the SYNC before
+        if received[self.cob_id] % 400 != 0:  # else what it said at the SYNC before
             said[self.cob_id] = now
         return said[self.cob_id]
 

@@ -7,7 +7,7 @@ from math import inf
 import numpy as np
 import pytest
 
-from hilbench.twin.smooth_change import SmoothChange
+from hilbench.twin.bumpless_transfer import BumplessTransfer
 
 STEP_N, CYCLES = 0.4, 1500
 SHARES = [way * way * (3.0 - 2.0 * way) for way in np.linspace(0.001, 0.999, CYCLES)]
@@ -15,7 +15,7 @@ AT = np.arange(CYCLES)
 
 
 def shown(old_N: np.ndarray, new_N: np.ndarray) -> np.ndarray:
-    smooth = SmoothChange([STEP_N, inf])
+    smooth = BumplessTransfer([STEP_N, inf])
     rows = [smooth.show([old, 1.0], [new, 2.0], share)[0] for old, new, share in zip(old_N, new_N, SHARES, strict=True)]
     return np.array(rows)
 
@@ -52,7 +52,7 @@ def test_a_step_that_both_models_make_is_shown_at_once() -> None:
 
 
 def test_what_is_left_of_a_jump_at_the_end_goes_as_slowly() -> None:
-    smooth = SmoothChange([STEP_N])
+    smooth = BumplessTransfer([STEP_N])
     before_N = smooth.show([80.0], [82.0], 0.999)[0]
     smooth.show([80.0], [88.0], 0.9995)
     assert not smooth.is_over

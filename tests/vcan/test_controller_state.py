@@ -24,7 +24,7 @@ CONTROLLER, BUS_OFF, RESTARTED = 0x20000004, 0x20000040, 0x20000100
 TRANSMIT_PASSIVE, ACTIVE = bytes((0, 0x20, 0, 0, 0, 0, 128, 0)), bytes((0, 0x40, 0, 0, 0, 0, 0, 0))
 
 
-def tell(can_id: int, data: bytes = bytes(8)) -> None:
+def set_value(can_id: int, data: bytes = bytes(8)) -> None:
     """As the driver of the controller."""
     with socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as driver:
         driver.bind((os.environ["HILBENCH_VCAN"],))
@@ -40,20 +40,20 @@ def link() -> Iterator[SocketCanLink]:
 
 
 def test_error_passive_is_known_and_its_end(link: SocketCanLink) -> None:
-    tell(CONTROLLER, TRANSMIT_PASSIVE)
+    set_value(CONTROLLER, TRANSMIT_PASSIVE)
     assert link.receive(0.1) == []
     assert link.controller is ControllerState.ERROR_PASSIVE
-    tell(CONTROLLER, ACTIVE)
+    set_value(CONTROLLER, ACTIVE)
     link.receive(0.1)
     assert link.controller is ControllerState.ERROR_ACTIVE
 
 
 def test_bus_off_is_a_lost_bus_until_the_controller_is_restarted(link: SocketCanLink) -> None:
-    tell(BUS_OFF)
+    set_value(BUS_OFF)
     with pytest.raises(BusError, match="bus off"):
         link.receive(0.1)
     assert link.controller is ControllerState.BUS_OFF
-    tell(RESTARTED)
+    set_value(RESTARTED)
     link.receive(0.1)
     assert link.controller is ControllerState.ERROR_ACTIVE
     with socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as other:
@@ -63,7 +63,7 @@ def test_bus_off_is_a_lost_bus_until_the_controller_is_restarted(link: SocketCan
 
 
 def test_other_errors_are_none_of_the_controllers_states(link: SocketCanLink) -> None:
-    tell(0x20000008)  # protocol violation
+    set_value(0x20000008)  # protocol violation
     assert link.receive(0.05) == []
     assert link.controller is ControllerState.ERROR_ACTIVE
     link.send([Frame(0x1, b"")])

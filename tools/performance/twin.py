@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.estimation.web_line.synthetic import simulated_measurements
-from hilbench.plain.layout import PORT_SIZE
+from hilbench.fast_path.layout import PORT_SIZE
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.twin.machines.machine import InVectors, MachineVectors
@@ -99,7 +99,7 @@ def _in_vectors(machines: list[WebLineTwin], inputs: _Inputs, count: int) -> Non
         asked[:] = inputs.speeds[row]
         for each in going:
             code = each.piece.function(each.piece.argument, each.piece.table)
-            if code != each.piece.goes_on:
+            if code != each.piece.continues:
                 each.go_on_from(code)
 
 
@@ -111,5 +111,5 @@ def _begun(model: ModelParameters, machine: WebLineTwin, measured: Rows, asked: 
     behind = range(len(told), len(values))
     return machine.in_vectors(
         MachineVectors(measured, asked, shown, values, places, behind, np.zeros(2, np.int64), number=0, status=1),
-        otherwise=lambda code: False,
+        fallback=lambda code: False,
     )

@@ -31,7 +31,8 @@ from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.hardware_effects import HardwareEffects
 from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.bench.tasks.watches import ControllerWatch, EmergencyWatch, LatenessWatch, SupervisorWatch
-from hilbench.copies import Copy
+from hilbench.crash_report import TRACEBACK_FILE, crash_report
+from hilbench.did_you_mean import expected_one_of
 from hilbench.errors import BenchFaultError, NoAnswerError, UnusableValueError
 from hilbench.estimation.web_line.config import METHODS
 from hilbench.exchange import measured
@@ -39,15 +40,14 @@ from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.timeliness import Timeliness
+from hilbench.forked_workers import ForkedWorker
 from hilbench.plant.effect import MachineKind
 from hilbench.prediction.plan import Asked, Move, Plan
 from hilbench.processes import ChildProcess, finishing
-from hilbench.suggest import expected_one_of
 from hilbench.topology import quantities
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample, sample_type
-from hilbench.twin.found import FoundBeside, read_text
-from hilbench.unexpected import TRACEBACK_FILE, unexpected
+from hilbench.twin.estimated_errors import EstimatedModelError, read_text
 
 __all__ = ["Bench", "CycleObserver", "InterruptedByOperatorError", "StepEvent"]
 
@@ -77,7 +77,7 @@ class Bench:
     (`hilbench.bench.lifecycle.idle`).
     A bench is the only master of its bus: one that has another is refused (UnusableInputError), with `force` only where
     a program of this machine claims to be the master. `bus_is_held`: whoever made this bench is inside
-    `startup.held_bus` already. `copies`: of this process, by the names of those that it starts
+    `startup.held_bus` already. `forked_workers`: of this process, by the names of those that it starts
     (`startup.processes_beside`).
 
     What an operator must know of a run that goes on collects in `notices`, counted by source and kind: warnings of the
@@ -99,7 +99,7 @@ class Bench:
         may_idle: bool = False,
         force: bool = False,
         bus_is_held: bool = False,
-        copies: dict[str, Copy] | None = None,
+        forked_workers: dict[str, ForkedWorker] | None = None,
     ) -> None:
         self.config = config
         self.timeliness = Timeliness((), config.cycle_time_s)  #: whose answers came late, since the drives were enabled
@@ -112,7 +112,7 @@ class Bench:
         self._participants = participants
         self._force = force
         self._bus_is_held = bus_is_held
-        self._copies = {} if copies is None else copies
+        self._copies = {} if forked_workers is None else forked_workers
         self._announce = announce
         self._may_idle = may_idle and idle.may_idle(config)
         self._resources = ExitStack()
@@ -127,7 +127,7 @@ class Bench:
         self._twin: TwinConnection
         self._cycle: BenchCycle
         #: What the twin has found of errors of its model, once the drives were disabled.
-        self.found_beside: Sequence[FoundBeside] = ()
+        self.found_beside: Sequence[EstimatedModelError] = ()
         self._drives: Drives | None = None  # before the nodes are operational
 
     # -- start and end -----------------------------------------------------------------------------------
@@ -154,7 +154,7 @@ class Bench:
                     work_folder=self._work_folder,
                     participants=self._participants,
                     announce=self._announce,
-                    copies=self._copies,
+                    forked_workers=self._copies,
                 )
             )
             drives = self._run_on(started)
@@ -212,7 +212,7 @@ class Bench:
             stop_on_unexpected_frames=config.safety.on_foreign_frames == "stop",
         )
         self._drives = Drives(
-            state, nodes, exchange, self._cycle, lockstep=exchange.in_step, unexpected=self._unexpected
+            state, nodes, exchange, self._cycle, lockstep=exchange.in_step, crash_report=self._unexpected
         )
         for warning in started.warnings:
             state.reports.note("realtime", warning)
@@ -283,9 +283,9 @@ class Bench:
         self._state.end(reason)
         if self._drives is not None:
             self._drives.stop(reason)
-            self._say_what_coasts(self._drives, reason)
+            self._report_coasting_axes(self._drives, reason)
 
-    def _say_what_coasts(self, drives: Drives, reason: BaseException | None) -> None:
+    def _report_coasting_axes(self, drives: Drives, reason: BaseException | None) -> None:
         """A fault has it as its consequence."""
         if isinstance(reason, BenchFaultError):
             for name, what in drives.coasting.items():
@@ -297,7 +297,7 @@ class Bench:
         self._resources.close()
 
     def _unexpected(self, error: Exception) -> str:
-        return unexpected(error, self._work_folder / TRACEBACK_FILE if self._work_folder else None)
+        return crash_report(error, self._work_folder / TRACEBACK_FILE if self._work_folder else None)
 
     # -- what it is doing --------------------------------------------------------------------------------
 
@@ -374,7 +374,7 @@ class Bench:
             lasts_s = abs(goal - reference.present) / config.quick_stop_per_s2
             plan = plan.with_moves([Move(reference.path, now_s, now_s + lasts_s, goal)])
         ceilings = {} if reference.ceiling is None else {reference.path: reference.ceiling}
-        return Asked({path: self._operator.get(path) for path in config.plain_paths}, plan, ceilings)
+        return Asked({path: self._operator.get(path) for path in config.fast_path_places}, plan, ceilings)
 
     # -- time --------------------------------------------------------------------------------------------
 
@@ -421,7 +421,7 @@ class Bench:
         """Run at most so many cycles without Python, from the next one on; how many, 0 where that is not to be run so.
         Raises as `cycle`."""
         self._state.running()
-        return self._cycle.run_chained(most)
+        return self._cycle.run_compiled(most)
 
     def wait_until(self, condition: Callable[[CycleSample], bool], *, timeout_s: float, for_s: float = 0.0) -> bool:
         """Run until `condition` has held for `for_s` without a break; False when it did not within `timeout_s`.

@@ -119,8 +119,10 @@ def _check_drives(config: BenchConfig, document: Document, nodes: Nodes) -> None
         return
     for real, virtual in zip(config.parts_of(Role.AXIS), config.parts_of(Role.VIRTUAL_AXIS), strict=True):
         ours, theirs = (declared_units(part, nodes.dictionary(part.name)).velocity_rad_s for part in (real, virtual))
-        told, heard = ([_of_axis(entry) for entry in nodes.pdo_maps(part.name)[0].mapping] for part in (real, virtual))
-        same_layout = told == heard
+        mapped, received_back = (
+            [_of_axis(entry) for entry in nodes.pdo_maps(part.name)[0].mapping] for part in (real, virtual)
+        )
+        same_layout = mapped == received_back
         if not same_layout or not isclose(ours, theirs, rel_tol=1e-9):
             raise UnusableInputError(
                 document.place(real.location),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from hilbench.bench.chained import ChainedBench
+from hilbench.bench.compiled_cycles import CompiledCycles
 from hilbench.bench.observer import CycleObserver
 from hilbench.bench.stamp import Stamp
 from hilbench.bench.state import BenchState
@@ -44,7 +44,7 @@ class BenchCycle:
         self._state = state
         self._exchange = exchange
         self._in_order = watches, machine
-        self._chained: ChainedBench | None = None
+        self._chained: CompiledCycles | None = None
         self._stamp = Stamp(state, exchange)
         self._command = [task.before for task in machine if overrides(task, "before")]
         self._rest = [task.rest for task in machine if overrides(task, "rest")]
@@ -66,13 +66,13 @@ class BenchCycle:
     def run_many(self, cycles: int) -> None:
         """So many, one by one where they must be. Raises as `run`."""
         while cycles > 0:
-            gone = self.run_chained(cycles)
+            gone = self.run_compiled(cycles)
             if not gone:
                 self.run()
                 gone = 1
             cycles -= gone
 
-    def run_chained(self, cycles: int) -> int:
+    def run_compiled(self, cycles: int) -> int:
         """At most so many without Python; how many, 0 where the next one is not to be run so. Raises as `run`."""
         if not self._state.enabled or self._state.interrupt_requested:
             return 0
@@ -83,9 +83,9 @@ class BenchCycle:
         finally:
             self._in_cycle = False
 
-    def _chain(self) -> ChainedBench:
+    def _chain(self) -> CompiledCycles:
         watches, machine = self._in_order
-        self._chained = ChainedBench(
+        self._chained = CompiledCycles(
             self._state, self._exchange, self._stamp, watches, machine, self._observers, self._finish
         )
         return self._chained
@@ -132,10 +132,10 @@ class BenchCycle:
         try:
             inputs = exchange.cycle(outputs)
         finally:
-            if exchange.unexpected:
-                self._report(exchange.unexpected)
-        if exchange.unexpected:
-            self._check(exchange.unexpected)
+            if exchange.crash_report:
+                self._report(exchange.crash_report)
+        if exchange.crash_report:
+            self._check(exchange.crash_report)
         inputs.fill(sample)
         self._stamp()
         if state.enabled:
@@ -143,19 +143,19 @@ class BenchCycle:
                 follow(sample, inputs)
         return inputs
 
-    def _report(self, unexpected: Sequence[Unexpected]) -> None:
+    def _report(self, crash_report: Sequence[Unexpected]) -> None:
         """Somebody else who sends as the bench or its nodes do, or changes them."""
         reports = self._state.reports
-        for found in unexpected:
+        for found in crash_report:
             source = f"foreign frames, {found.about}"
             reports.note(source, found.text, count=found.count)
             if found.certain:
                 reports.condition("foreign frames", f"{source}: {found.text}")
 
-    def _check(self, unexpected: Sequence[Unexpected]) -> None:
+    def _check(self, crash_report: Sequence[Unexpected]) -> None:
         if not self._stop_on_unexpected_frames or self._state.stopping:
             return
-        for found in unexpected:
+        for found in crash_report:
             if found.certain:
                 time_s = self._state.sample.t_s
                 raise BenchFaultError(f"t = {time_s:.3f} s: foreign frames, {found.about}: {found.text}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-from hilbench.bench.tasks.task import Pieces
+from hilbench.bench.tasks.task import CompiledStages
 from hilbench.topology.sample import CycleSample
 
 
@@ -16,8 +16,8 @@ class CycleObserver(Protocol):
 
 
 @runtime_checkable
-class ChainedObserver(Protocol):
+class CompiledObserver(Protocol):
     """An observer that need not see a cycle by itself."""
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """What it does in cycles that go without Python."""

@@ -50,9 +50,9 @@ def schedule(
 ) -> list[Slot]:
     """Of all frames of a cycle (`Nodes.cyclic_frames`), in the order of the wire: SYNC and answers, then set points.
     `bits_of`: bit times of a frame."""
-    told = [frame for frame in frames if frame.can_id & FUNCTION_CODE in RPDOS]
+    rpdos = [frame for frame in frames if frame.can_id & FUNCTION_CODE in RPDOS]
     at_any_time = [frame for frame in frames if frame.can_id & FUNCTION_CODE == HEARTBEAT]
-    answers = sorted((f for f in frames if f not in told and f not in at_any_time), key=lambda frame: frame.can_id)
+    answers = sorted((f for f in frames if f not in rpdos and f not in at_any_time), key=lambda frame: frame.can_id)
     slots: list[Slot] = []
     before = 0.0
     for place, frame in enumerate(answers):
@@ -63,7 +63,7 @@ def schedule(
         slots.append(Slot(frame.name, frame.can_id, ends_s, (1.0 - GUARD_FRACTION) * cycle_s, False))
         before += bits_of(frame)
     blocked, before = max((bits_of(frame) for frame in at_any_time), default=0.0), 0.0
-    for frame in told:  # the bench's alone, sent in this order
+    for frame in rpdos:  # the bench's alone, sent in this order
         before += bits_of(frame)
         slots.append(Slot(frame.name, frame.can_id, (blocked + before) / bitrate, GUARD_FRACTION * cycle_s, True))
     return slots

@@ -10,8 +10,8 @@ from hilbench.topology.config import BenchConfig
 
 def check_servo_axis(config: BenchConfig, document: Document) -> None:
     """Raise UnusableInputError when the loop of emulated inertia, shaft and bus is unstable from the start."""
-    told: Location = ("load", "shaft", "inertia_kg_m2") if config.load.shaft.inertia_kg_m2 else ("machine", "shaft")
-    check_emulated_inertia(config, document, config.emulated_shaft().inertia_kg_m2, told)
+    location: Location = ("load", "shaft", "inertia_kg_m2") if config.load.shaft.inertia_kg_m2 else ("machine", "shaft")
+    check_emulated_inertia(config, document, config.emulated_shaft().inertia_kg_m2, location)
 
 
 def imitable_inertias_kg_m2(config: BenchConfig) -> tuple[float, float]:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.bench.state import BenchState
-from hilbench.chain import GOES_ON, Chained, never
 from hilbench.compiled import COUNT, TABLE, entry_point, floats, integers, table_of
+from hilbench.cycle_program import CONTINUE, CompiledStage, never
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.measured import BITS, CYCLES, TWIN_SYNC, twin_age_cycles
 
@@ -24,7 +24,7 @@ _NUMBERS = ["cycle", "t_s", "twin_age_cycles", "bus_bits"]
 @entry_point(COUNT, TABLE)
 def _stamp(_: int, table: Table) -> int:
     if len(table) == 0:
-        return GOES_ON
+        return CONTINUE
     counted, began, at = integers(table, _COUNTED, (1,)), integers(table, _BEGAN, (1,)), integers(table, _AT, (1,))
     values, words = floats(table, _VALUES, (1,)), integers(table, _WORDS, (1,))
     cycle = counted[CYCLES]
@@ -32,7 +32,7 @@ def _stamp(_: int, table: Table) -> int:
     values[at[_T_S_AT]] = (cycle - began[_FIRST]) * floats(table, _CYCLE_S, (1,))[0]
     words[at[_AGE_AT]] = twin_age_cycles(cycle - began[_TWIN_STARTED], counted[TWIN_SYNC])
     words[at[_BITS_AT]] = counted[BITS]
-    return GOES_ON
+    return CONTINUE
 
 
 class Stamp:
@@ -45,7 +45,7 @@ class Stamp:
         places = type(sample).places(_NUMBERS)
         kept = exchange.counted, self._began, np.array([state.cycle_s]), sample.reals, sample.wholes, places
         #: The same as a piece of a cycle, which goes by the last `begin`.
-        self.piece = Chained(_stamp, 0, table_of(kept), otherwise=never, keeps=kept)
+        self.piece = CompiledStage(_stamp, 0, table_of(kept), fallback=never, keeps=kept)
 
     def __call__(self) -> None:
         """Of this cycle."""

@@ -139,9 +139,9 @@ def check_stability(config: BenchConfig, document: Document, point: OperatingPoi
 
 def operating_point_text(point: OperatingPoint) -> str:
     """An operating point as a message names it."""
-    text = f"E {_told(point.moduli_Pa)} N/mm²"
+    text = f"E {_moduli_text(point.moduli_Pa)} N/mm²"
     if not alike(point.estimates_Pa, point.moduli_Pa):
-        text += f" (believed: {_told(point.estimates_Pa)})"
+        text += f" (believed: {_moduli_text(point.estimates_Pa)})"
     return f"{text}, {point.line_speed_m_s:g} m/s"
 
 
@@ -150,7 +150,7 @@ def alike(some: Moduli, others: Moduli) -> bool:
     return all(abs(one / other - 1.0) <= SAME_MODULUS for one, other in zip(some, others, strict=True))
 
 
-def _told(moduli_Pa: Moduli) -> str:
+def _moduli_text(moduli_Pa: Moduli) -> str:
     """One number where all spans have the same."""
     return ", ".join(dict.fromkeys(f"{modulus * 1e-6:.4g}" for modulus in moduli_Pa))
 

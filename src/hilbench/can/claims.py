@@ -180,7 +180,7 @@ def _bind(place: str, role: str, expected: str, bus: str, patience_s: float) -> 
 def _own_words(place: str, role: str, what: str, bitrate: int | None) -> bytes:
     program = Path(sys.argv[0]).name if sys.argv and sys.argv[0] else "python"
     command = " ".join(["hilbench" if program == "__main__.py" else program, *sys.argv[1:]])
-    said = {
+    answers = {
         "place": place,
         "role": role,
         "what": what,
@@ -189,7 +189,7 @@ def _own_words(place: str, role: str, what: str, bitrate: int | None) -> bytes:
         "since_s": time.time(),
         "bitrate": bitrate,
     }
-    return json.dumps(said).encode()
+    return json.dumps(answers).encode()
 
 
 def _here() -> str:
@@ -200,15 +200,15 @@ def _here() -> str:
 
 
 @contextmanager
-def _answered(said: Mapping[socket.socket, bytes]) -> Iterator[None]:
+def _answered(answers: Mapping[socket.socket, bytes]) -> Iterator[None]:
     """Meanwhile everybody who connects is told, by a thread that does nothing else."""
-    if not said:  # nobody can connect, nor wake the thread at the end
+    if not answers:  # nobody can connect, nor wake the thread at the end
         yield
         return
 
     def serve() -> None:
         with selectors.DefaultSelector() as waiting:
-            for claimed in said:
+            for claimed in answers:
                 waiting.register(claimed, selectors.EVENT_READ, claimed)
             while True:
                 for key, _ in waiting.select():
@@ -217,7 +217,7 @@ def _answered(said: Mapping[socket.socket, bytes]) -> Iterator[None]:
                     except OSError:  # the end: it was shut down
                         return
                     with connection, suppress(OSError):  # who asked has left
-                        connection.send(said[key.data], socket.MSG_DONTWAIT)
+                        connection.send(answers[key.data], socket.MSG_DONTWAIT)
 
     thread = threading.Thread(target=serve, name="claim", daemon=True)
     before = threading.stack_size(_STACK_BYTES)
@@ -228,7 +228,7 @@ def _answered(said: Mapping[socket.socket, bytes]) -> Iterator[None]:
     try:
         yield
     finally:
-        for claimed in said:
+        for claimed in answers:
             with suppress(OSError):
                 claimed.shutdown(socket.SHUT_RDWR)
         thread.join()
@@ -246,29 +246,29 @@ def _ask(name: str, answer_s: float) -> Holder | None:
             return Holder(place, role, pid=0, uid=-1)
         pid, uid = peer(connection)
         try:
-            said = json.loads(connection.recv(_ANSWER_BYTES))
+            answers = json.loads(connection.recv(_ANSWER_BYTES))
         except (OSError, ValueError):  # it was stopped (SIGSTOP), or is ending
-            said = {}
-    if not isinstance(said, dict):
-        said = {}
+            answers = {}
+    if not isinstance(answers, dict):
+        answers = {}
     if place.startswith(_SHORTENED):  # then the process says it, and it must be the one that is claimed
-        place = told if _name(told := _text(said, "place"), role) == name else ""
-    since_s, bitrate = said.get("since_s"), said.get("bitrate")
+        place = stated_place if _name(stated_place := _text(answers, "place"), role) == name else ""
+    since_s, bitrate = answers.get("since_s"), answers.get("bitrate")
     return Holder(
         place=place,
         role=role,
         pid=pid,
         uid=uid,
-        what=_text(said, "what"),
-        command=_text(said, "command") or command_line(pid),
-        folder=_text(said, "folder"),
+        what=_text(answers, "what"),
+        command=_text(answers, "command") or command_line(pid),
+        folder=_text(answers, "folder"),
         since_s=since_s if isinstance(since_s, float) and 0.0 < since_s < 1e11 else None,
         bitrate=bitrate if isinstance(bitrate, int) and 0 < bitrate <= _HIGHEST_BITRATE else None,
     )
 
 
-def _text(said: dict[str, Any], key: str) -> str:
-    value = said.get(key)
+def _text(answers: dict[str, Any], key: str) -> str:
+    value = answers.get(key)
     return _one_line(value) if isinstance(value, str) else ""
 
 

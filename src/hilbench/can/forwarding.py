@@ -109,17 +109,18 @@ class Forwarder:
             yield station, [row[:_STAMPED_WORDS].tobytes() for row in carried[since:] if row[kernel.TO] >> station & 1]
             since = 0
 
-    def learn(self, packet: bytes, heard_by: Callable[[int], int]) -> None:
-        """What there is to know of the frames of a packet; `heard_by`: stations that hear an identifier, a bit each."""
+    def learn(self, packet: bytes, received_by: Callable[[int], int]) -> None:
+        """What there is to know of the frames of a packet; `received_by`: stations that hear an identifier, a bit
+        each."""
         body = memoryview(packet)[protocol.HEADER.size :]
         if len(packet) < protocol.HEADER.size or packet[0] != protocol.KIND_CLASSICAL:
             return
         if len(body) % protocol.CAN_RECORD.size == 0:
             for can_id, length, _, _ in protocol.CAN_RECORD.iter_unpack(body):
                 if is_classical(can_id, length):
-                    self._know(can_id, length, heard_by(can_id))
+                    self._know(can_id, length, received_by(can_id))
 
-    def _know(self, can_id: int, length: int, heard_by: int) -> None:
+    def _know(self, can_id: int, length: int, received_by: int) -> None:
         if 2 * self._known_count >= kernel.KNOWN_ROWS:
             self.forget()
         key = kernel.key_of(can_id, length)
@@ -131,7 +132,7 @@ class Forwarder:
         known[kernel.KEY] = key + 1
         known[[kernel.CRC, kernel.STUFFING, kernel.BITS]] = wire.header(can_id, length)
         known[kernel.DATA_BYTES] = 0 if can_id & REMOTE_FLAG else length
-        known[kernel.PRIORITY], known[kernel.HEARD_BY] = priority(can_id), heard_by
+        known[kernel.PRIORITY], known[kernel.RECEIVED_BY] = priority(can_id), received_by
 
     def forget(self) -> None:
         """Somebody has come or gone, or has other filters."""

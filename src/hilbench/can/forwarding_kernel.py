@@ -33,7 +33,7 @@ _LAST_ROW = KNOWN_ROWS - 1
 LIMIT, HEADER, OWN, OF_STATION = range(4)
 #: Columns of a known frame: its key, one more than `key_of` says (0: nothing is known there); `wire.header`, data bytes
 #: on the wire, `arbitration.priority`, stations that hear it (a bit each).
-KEY, CRC, STUFFING, BITS, DATA_BYTES, PRIORITY, HEARD_BY, OF_FRAME = range(8)
+KEY, CRC, STUFFING, BITS, DATA_BYTES, PRIORITY, RECEIVED_BY, OF_FRAME = range(8)
 #: Columns of a packet that has come: whose, its size in bytes (-1: none came after all), its frames, the next of them.
 STATION, SIZE, FRAMES, NEXT, OF_PACKET = range(5)
 #: Columns of a frame that was carried: a `protocol.STAMPED_CAN_RECORD`, who hears it.
@@ -186,7 +186,7 @@ def carry(
         state[CARRIED_BITS] += bits
         found[STAMPED], found[DATA] = received[winner, 1 + frame * _RECORD], received[winner, 2 + frame * _RECORD]
         found[TIME_NS] = state[FREE_NS]
-        found[TO] = of_frame[HEARD_BY] & ~(1 << packets[winner, STATION])
+        found[TO] = of_frame[RECEIVED_BY] & ~(1 << packets[winner, STATION])
         over += 1
 
 

@@ -192,7 +192,7 @@ class Hub:
             return False
         return not any(client.blocked or not client.reading for client in self._clients.values())
 
-    def _heard_by(self, can_id: int) -> int:
+    def _received_by(self, can_id: int) -> int:
         """The stations that hear an identifier, a bit each."""
         hearing = self._listeners.of(can_id)
         return sum(1 << at for at, client in enumerate(self._medium.stations) if client in hearing)
@@ -281,7 +281,7 @@ class Hub:
     def _take_frames(self, client: Client, packet: bytes) -> None:
         kind = packet[0]
         if self._forwarder is not None:
-            self._forwarder.learn(packet, self._heard_by)
+            self._forwarder.learn(packet, self._received_by)
         body = memoryview(packet)[protocol.HEADER.size :]
         record = protocol.FD_RECORD if kind == protocol.KIND_FD else protocol.CAN_RECORD
         known = kind == protocol.KIND_CLASSICAL or (kind == protocol.KIND_FD and client.fd)
@@ -331,7 +331,7 @@ class Hub:
             self._hand_out(delivered)
             self._resume()
         if self._medium.changed:
-            self._tell_states()
+            self._send_states()
         if self._departed:
             self._forget_departed()
 
@@ -359,7 +359,7 @@ class Hub:
             if client.state is not ControllerState.BUS_OFF:
                 self._deliver(client, selected)
 
-    def _tell_states(self) -> None:
+    def _send_states(self) -> None:
         """Each station hears of its own controller, whatever its filters are."""
         changed, self._medium.changed = self._medium.changed, []
         for client in self._clients.values():

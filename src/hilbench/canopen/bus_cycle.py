@@ -49,11 +49,11 @@ class BusCycle:
         """Whether SYNC comes by the cycle that is gone by, as far as jitter lets that be seen at once."""
         return abs(self._period_ns - self._cycle_ns) <= _PARTED * self._cycle_ns if self._period_ns else True
 
-    def heard(self, behind: int) -> int:
+    def received(self, behind: int) -> int:
         """A SYNC was read, and `behind` more wait; how many cycles have passed since the one before: more than 1 after
         lost ones, 0 for one too many. Of the first it is 1."""
         first = self._sync.at_ns is None
-        periods = self._sync.heard(self._now_ns(), behind)
+        periods = self._sync.received(self._now_ns(), behind)
         passed_ns = periods * self._sync.period_ns
         jumped = self._sync.pop_new_period()
         period_ns = self._sync.period_ns
@@ -96,7 +96,7 @@ def _as_expressed(period_ns: int) -> int:
         unit_ns = 1
         while period_ns / unit_ns > largest:
             unit_ns *= 10
-        said_ns = round(period_ns / unit_ns) * unit_ns
-        if abs(said_ns - period_ns) <= near * period_ns:
-            return said_ns
+        nominal_ns = round(period_ns / unit_ns) * unit_ns
+        if abs(nominal_ns - period_ns) <= near * period_ns:
+            return nominal_ns
     return period_ns

@@ -81,7 +81,7 @@ class Device:
         self._check_pdo_objects(od)
         self._storage = Storage(self._store, store)
         self._sdo = DeviceSdoServer(node_id, self._store, self._reply)
-        self._emcy = EmergencyProducer(self._store, self._say, clock.now_ns, self._communicates)
+        self._emcy = EmergencyProducer(self._store, self._send, clock.now_ns, self._communicates)
         self._producer = HeartbeatProducer(self._store, clock.now_ns)
         self._consumer = HeartbeatConsumer(self._store, clock.now_ns, self._heartbeat_lost, self._heartbeat_back)
         lost, back = partial(self._heartbeat_lost, _GUARD), partial(self._heartbeat_back, _GUARD)
@@ -93,7 +93,7 @@ class Device:
             if (0x13FF + n, 1) in self._store and (0x15FF + n, 0) in self._store
         ]
         self._tpdos = [
-            Tpdo(self._store, n, self._say)
+            Tpdo(self._store, n, self._send)
             for n in numbers
             if (0x17FF + n, 1) in self._store and (0x19FF + n, 0) in self._store
         ]
@@ -136,14 +136,14 @@ class Device:
     # -- host side ---------------------------------------------------------------------------------------
 
     @property
-    def is_plain(self) -> bool:
+    def fits_fast_path(self) -> bool:
         """Whether it is OPERATIONAL and has nothing to say but synchronous PDOs and heartbeats."""
         return (
             self.nmt_state is NmtState.OPERATIONAL
             and not (self.silent or self.heartbeat_fails or self.replies or self.outbox or self._event_driven)
             and not (self._sync_counter is not None and self._sync_counter.value)
             and not (self._emcy.waits or self._emcy.stands(SYNC_LENGTH) or self._guarding.watches)
-            and all(tpdo.is_plain for tpdo in self._synchronous)
+            and all(tpdo.fits_fast_path for tpdo in self._synchronous)
         )
 
     @property
@@ -204,7 +204,7 @@ class Device:
                 self._reply(HEARTBEAT + self.node_id, self._guarding.answer(self.nmt_state))
         elif sender := node_of(can_id, HEARTBEAT):
             if len(frame.data) == 1 and frame.data != NmtState.INITIALISING.heartbeat:
-                self._consumer.heard(sender)
+                self._consumer.received(sender)
         elif can_id & REMOTE_FLAG and not can_id & EXTENDED_FLAG and self.nmt_state is NmtState.OPERATIONAL:
             for tpdo in self._tpdos:
                 if tpdo.valid and tpdo.cob_id == can_id & COB_ID:
@@ -236,7 +236,7 @@ class Device:
         """Time has passed: heartbeats, time-outs, event-driven PDOs, held-back EMCYs."""
         now_ns = self._clock.now_ns()
         if self._producer.due(now_ns) and not self.heartbeat_fails:
-            self._say(HEARTBEAT + self.node_id, self.nmt_state.heartbeat)
+            self._send(HEARTBEAT + self.node_id, self.nmt_state.heartbeat)
         self._consumer.poll(now_ns)
         self._guarding.poll(now_ns)
         self._emcy.poll(now_ns)
@@ -385,7 +385,7 @@ class Device:
 
     # -- frames out --------------------------------------------------------------------------------------
 
-    def _say(self, cob_id: int, data: bytes) -> None:
+    def _send(self, cob_id: int, data: bytes) -> None:
         if not self.silent:
             self.outbox.append(Frame(cob_id, bytes(data)))
 

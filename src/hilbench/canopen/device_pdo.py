@@ -204,7 +204,7 @@ class Rpdo(_Pdo):
         """Whether it has received nothing that acts later, or is supervised."""
         return self._waiting is None and self._deadline_ns is None
 
-    def is_plain(self, cycle_ns: int) -> bool:
+    def fits_fast_path(self, cycle_ns: int) -> bool:
         """Whether a frame a cycle does no more than to give its objects their values at SYNC."""
         timer_ns = self._timer_ns(5, 1_000_000) if self._timer_ms is not None else 0
         return (
@@ -284,7 +284,7 @@ class Tpdo(_Pdo):
         self._started = (self._index, 6) not in self._store or not self._store.cell(self._index, 6).value
 
     @property
-    def is_plain(self) -> bool:
+    def fits_fast_path(self) -> bool:
         """Whether it goes out with every so many SYNCs, and has begun to."""
         return self._started and 1 <= self._type.value <= 240
 

@@ -30,7 +30,7 @@ class HeartbeatProducer:
         """When the next one is due."""
         return self._next_ns
 
-    def said_until(self, next_ns: int) -> None:
+    def sent_until(self, next_ns: int) -> None:
         """Heartbeats were said by somebody else; the next one is due then."""
         self._next_ns = next_ns
 
@@ -82,7 +82,7 @@ class HeartbeatConsumer:
             if entry.value & 0xFFFF and 1 <= entry.value >> 16 & 0xFF <= 127
         }
 
-    def heard(self, node_id: int) -> None:
+    def received(self, node_id: int) -> None:
         """A heartbeat of a node has come."""
         time_ns = self.times_ns().get(node_id)
         if time_ns is None:

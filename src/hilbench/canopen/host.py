@@ -122,9 +122,9 @@ class DeviceHost:
         self._time_passes()
 
     @property
-    def is_plain(self) -> bool:
-        """Whether SYNC is running, and no device has more to say than `Device.is_plain`."""
-        return self._sync_running and not self._passive and all(d.is_plain for d in self._devices)
+    def fits_fast_path(self) -> bool:
+        """Whether SYNC is running, and no device has more to say than `Device.fits_fast_path`."""
+        return self._sync_running and not self._passive and all(d.fits_fast_path for d in self._devices)
 
     def addressees(self, can_id: int) -> Sequence[Device]:
         """The devices that an identifier means something to."""

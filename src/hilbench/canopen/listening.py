@@ -42,9 +42,9 @@ class Received:
         return signs
 
 
-def master_at_work(heard: Received, claimed_by: str | None, master_id: int) -> str | None:
+def master_at_work(received: Received, claimed_by: str | None, master_id: int) -> str | None:
     """What tells of another master: the program that has claimed the bus, or else what was heard. None: nothing."""
-    signs = ", ".join(heard.signs_of_master(master_id))
+    signs = ", ".join(received.signs_of_master(master_id))
     if claimed_by is not None:
         return f"{claimed_by}; received: {signs or 'nothing of it'}"
     return f"received {signs}; no program of this machine has claimed the bus" if signs else None

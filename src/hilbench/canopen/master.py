@@ -73,15 +73,15 @@ class Master(SdoClient):
                 self._booted.add(can_id - HEARTBEAT)
                 self._boot_seen.notify_all()
 
-    def heard_within(self, duration_s: float) -> set[int]:
+    def responding_within(self, duration_s: float) -> set[int]:
         """Who sends a heartbeat (or boots) within a time; blocks for so long. Not after `receive_only_answers`."""
         with self._boot_seen:
             before, self._booted = self._booted, set()
         time.sleep(duration_s)
         with self._boot_seen:
-            heard = set(self._booted)
+            received = set(self._booted)
             self._booted |= before
-        return heard
+        return received
 
     def wait_for_boot(
         self,

@@ -209,7 +209,7 @@ def _configure(master: Master, slave: Slave) -> None:
 def _await_heartbeat(master: Master, slave: Slave) -> None:
     if not slave.heartbeat_s:
         return
-    if slave.node_id not in master.heard_within(max(slave.heartbeat_s, _HEARTBEAT_S)):
+    if slave.node_id not in master.responding_within(max(slave.heartbeat_s, _HEARTBEAT_S)):
         raise _FailedError(BootError.NO_HEARTBEAT, f"no heartbeat within {max(slave.heartbeat_s, _HEARTBEAT_S):g} s")
 
 

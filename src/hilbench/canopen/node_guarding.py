@@ -37,13 +37,13 @@ class NodeGuarding:
     def reset(self) -> None:
         """Boot-up: the toggle bit of the first answer is 0, and nobody is missed until the first remote frame."""
         self._toggle = 0
-        self._heard_ns: int | None = None
+        self._received_ns: int | None = None
         self._lost = False
 
     @property
     def watches(self) -> bool:
         """Whether a master that falls silent is missed."""
-        return self._heard_ns is not None and self._life_time_ns > 0
+        return self._received_ns is not None and self._life_time_ns > 0
 
     @property
     def _life_time_ns(self) -> int:
@@ -51,17 +51,17 @@ class NodeGuarding:
 
     def answer(self, state: NmtState) -> bytes:
         """What is said to a remote frame of the master."""
-        self._heard_ns = self._now_ns()
+        self._received_ns = self._now_ns()
         if self._lost:
             self._lost = False
             self._on_back()
-        said = bytes([state.value | self._toggle])
+        reply = bytes([state.value | self._toggle])
         self._toggle ^= _TOGGLE
-        return said
+        return reply
 
     def poll(self, now_ns: int) -> None:
         """Report the master whose time is over."""
-        heard_ns = self._heard_ns
-        if heard_ns is not None and self.watches and not self._lost and now_ns - heard_ns > self._life_time_ns:
+        received_ns = self._received_ns
+        if received_ns is not None and self.watches and not self._lost and now_ns - received_ns > self._life_time_ns:
             self._lost = True
             self._on_lost()

@@ -31,7 +31,7 @@ class SyncTime:
         self.period_ns = period_ns
         self.at_ns: int | None = None  #: of the last SYNC, None before the first
         self._most_jitter_ns = period_ns
-        self._heard_ns = 0
+        self._received_ns = 0
         self._intervals: deque[int] = deque(maxlen=_ALIKE)
         self._regular = self._too_many = 0
 
@@ -46,20 +46,20 @@ class SyncTime:
         assert self.at_ns is not None, "after the first SYNC"
         return self.at_ns + self.period_ns
 
-    def heard(self, now_ns: int, behind: int = 0) -> int:
+    def received(self, now_ns: int, behind: int = 0) -> int:
         """A SYNC was read, and `behind` more that came after it wait: it came by as many periods earlier.
 
         Returns how many periods have passed since the one before: 1, more after lost ones, 0 for one too many.
         """
         came_ns = now_ns - behind * self.period_ns
         if self.at_ns is None:
-            self.at_ns = self._heard_ns = came_ns
+            self.at_ns = self._received_ns = came_ns
             return 0
         if behind == 0:
-            self._intervals.append(came_ns - self._heard_ns)
+            self._intervals.append(came_ns - self._received_ns)
         else:
             self._intervals.clear()
-        self._heard_ns = came_ns
+        self._received_ns = came_ns
         periods = max(0, 1 + round((came_ns - self.next_ns) / self.period_ns))
         late_ns = came_ns - self.at_ns - periods * self.period_ns
         self._too_many = self._too_many + 1 if periods == 0 else 0
@@ -87,5 +87,5 @@ class SyncTime:
         expected = abs(mean_ns - self.period_ns) <= min(surely_ns, _ALIKE_WITHIN * self.period_ns)
         if expected or not alike or mean_ns < _SHORTEST_NS:
             return False
-        self.period_ns, self.at_ns, self._regular = mean_ns, self._heard_ns, 0
+        self.period_ns, self.at_ns, self._regular = mean_ns, self._received_ns, 0
         return True

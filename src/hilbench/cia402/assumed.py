@@ -15,7 +15,7 @@ from canopen.objectdictionary import ODVariable, datatypes
 
 from hilbench.canopen.object_store import Cell
 from hilbench.cia402 import objects
-from hilbench.cia402.units import RPM, DriveUnits, ObjectReader, factors_told
+from hilbench.cia402.units import RPM, DriveUnits, ObjectReader, factors_read
 
 if TYPE_CHECKING:
     from hilbench.cia402.axis import AxisDevice
@@ -131,8 +131,8 @@ def assumed_units(read: ObjectReader, given: Mapping[str, float], place: str) ->
     }
     known, notes = dict(given), []
     for name, (value, text) in assumed.items():  # velocity last: its unit may be increments per second
-        told, problem = factors_told(read, known, place)[name]
-        if told is None:
+        factor, problem = factors_read(read, known, place)[name]
+        if factor is None:
             known[name] = value
             notes.append(f"{problem}: {text}")
     return DriveUnits.from_objects(read, known, place), notes

@@ -169,9 +169,9 @@ class Homing(Mode):
         if direction != edge.value:
             yield from self._while(lambda: not home.holds(self._position_rad), direction * slow)
 
-    def _while(self, goes_on: Callable[[], bool], velocity_rad_s: float, to_limit: bool = False) -> Iterator[float]:
+    def _while(self, continues: Callable[[], bool], velocity_rad_s: float, to_limit: bool = False) -> Iterator[float]:
         """That speed as long as it goes on; `to_limit`: a limit switch is looked for, else it is the end."""
-        while goes_on():
+        while continues():
             side = 1 if velocity_rad_s > 0.0 else -1
             if not to_limit and self._limit_zone(side).holds(self._position_rad):
                 raise _NotFoundError

@@ -65,17 +65,19 @@ class DriveUnits:
             raise UnusableInputError(
                 place, f"unknown unit '{unknown[0]}', expected position_rad, velocity_rad_s or rated_torque_Nm"
             )
-        factors = factors_told(read, given, place)
+        factors = factors_read(read, given, place)
         missing = [
-            f"{problem}, expected it or the unit '{name}'" for name, (told, problem) in factors.items() if told is None
+            f"{problem}, expected it or the unit '{name}'"
+            for name, (factor, problem) in factors.items()
+            if factor is None
         ]
         if missing:
             raise UnusableInputError(place, "; ".join(missing))
-        position, rated, velocity = (told or 0.0 for told, _ in factors.values())
+        position, rated, velocity = (factor or 0.0 for factor, _ in factors.values())
         return cls(position, velocity, rated / 1000.0)
 
 
-def factors_told(
+def factors_read(
     read: ObjectReader, given: Mapping[str, float], place: str = ""
 ) -> dict[str, tuple[float | None, str]]:
     """position_rad, velocity_rad_s and rated_torque_Nm as `given` or the objects tell them.

@@ -11,7 +11,7 @@ import canopen
 from hilbench.can.open import BusAddress, open_python_can
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.master import Master
-from hilbench.canopen.mastery import mastery
+from hilbench.canopen.master_guard import mastery
 from hilbench.canopen.sdo_client import SdoClient
 from hilbench.cli.options import SDO_TIMEOUT_S
 from hilbench.doctor.eds_match import find_eds

@@ -6,8 +6,8 @@ from typing import Any
 
 from typer.core import TyperGroup
 
+from hilbench.crash_report import crash_report
 from hilbench.errors import HilbenchError
-from hilbench.unexpected import unexpected
 
 
 class Commands(TyperGroup):
@@ -18,7 +18,7 @@ class Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except OSError as error:  # typer takes a broken pipe, whosever it is, for the terminal's
-            raise _RefusedError(unexpected(error)) from error
+            raise _RefusedError(crash_report(error)) from error
 
 
 class _RefusedError(HilbenchError):

@@ -112,7 +112,7 @@ def _examined(
             with end_requests() as asked:
                 wire = LinkWire(link, asked)
                 dut = DeviceUnderTest(wire, node, description, Allowed(motion, store), Patience(boot_s=boot_s))
-                cases = examine(dut, only, display.tell)
+                cases = examine(dut, only, display.on_result)
         finally:
             link.close()
     name = description.od.device_information.product_name or eds.stem
@@ -128,7 +128,7 @@ class _Display:
         self._group: list[CaseResult] = []
         self._width = max(len(group) for group in [*groups, "Afterwards"])
 
-    def tell(self, result: CaseResult) -> None:
+    def on_result(self, result: CaseResult) -> None:
         """One more case has ended."""
         if self._quiet:
             return

@@ -165,8 +165,8 @@ def _remember(found: _Found, source: Path, data: dict[str, Any], errors: Console
 def _next_line(found: _Found, written: Path | None) -> str:
     if found.proposed is None:
         return "next experiment: none of the library would tell more"
-    said = f"next experiment: {found.proposed.moves}, {found.proposed.duration_s:.1f} s: {written}"
-    return said if found.config is None else f"{said}\nhilbench run {written}"
+    shown_text = f"next experiment: {found.proposed.moves}, {found.proposed.duration_s:.1f} s: {written}"
+    return shown_text if found.config is None else f"{shown_text}\nhilbench run {written}"
 
 
 def _proposed(diagnosis: Diagnosis, recording: Recording, place: Path) -> NextExperiment | None:
@@ -421,9 +421,9 @@ def _effects_table(found: Diagnosis, *, changes: bool) -> Table:
     for effect in found.effects:
         for k, (name, value) in enumerate(effect.parameters.items()):
             first = (effect.effect, effect.place.where) if k == 0 else ("", "")
-            said, low, high = (f"{each:.{value.digits}g}" for each in (value.value, *value.ci95))
+            shown_text, low, high = (f"{each:.{value.digits}g}" for each in (value.value, *value.ci95))
             was = ("" if value.before is None else f"{value.before:.5g}",) if changes else ()
-            shown.add_row(*first, name, said, f"{low} to {high}", value.unit, *was)
+            shown.add_row(*first, name, shown_text, f"{low} to {high}", value.unit, *was)
     return shown
 
 

@@ -65,7 +65,7 @@ def drift(
         raise typer.BadParameter("--in-process and --no-start exclude each other")
     last, problems = last_run(runs, bench.stand_name)
     console = Console(stderr=True, highlight=False)
-    said, fresh = ask_stand(
+    answers, fresh = ask_stand(
         bench,
         start=start,
         in_process=in_process,
@@ -74,7 +74,7 @@ def drift(
     folders = dict.fromkeys(part.node.eds.parent for part in drives_of(bench))
     found = drifts(
         bench,
-        said,
+        answers,
         None if last is None else last.data,
         None if last is None else last.config,
         fresh=fresh,

@@ -22,7 +22,7 @@ from hilbench.errors import EXIT_BENCH_FAULT, EXIT_PASSED, BusError, HilbenchErr
 #: How long the nodes' heartbeats are listened to afterwards.
 _LISTEN_S = 0.5
 #: For a program to say what it does there; it is stopped without that, too.
-_SAYS_WITHIN_S = 0.05
+_ANSWERS_WITHIN_S = 0.05
 #: Interfaces that are joined with the bit rate at which they run, whatever we ask for.
 _RATE_IS_THERE = ("embedded", "socketcan")
 
@@ -61,7 +61,7 @@ class Outcome:
     problem: str = ""
 
     @property
-    def said(self) -> str:
+    def text(self) -> str:
         """For a person."""
         place, who = self.target.place, self.target.who
         there = f" ({who})" if who else ""
@@ -78,9 +78,9 @@ def estop_command(names: list[str] | None) -> int:
         outcomes = list(pool.map(_stop, targets))
     for outcome in outcomes:
         if outcome.problem:
-            print(f"hilbench: {outcome.said}", file=sys.stderr)
+            print(f"hilbench: {outcome.text}", file=sys.stderr)
         else:
-            print(outcome.said)
+            print(outcome.text)
     return exit_code(outcomes, all_count=bool(names)) if complete else EXIT_BENCH_FAULT
 
 
@@ -102,7 +102,7 @@ def everything() -> tuple[list[Target], bool]:
     """
     found: dict[str, list[Holder]] = {}
     others = set()
-    known, complete = _said()
+    known, complete = _holders_and_bus()
     for claimed in known:
         if _may_stop(claimed):
             found.setdefault(claimed.place, []).append(claimed)
@@ -123,10 +123,10 @@ def everything() -> tuple[list[Target], bool]:
     return [Target(place, tuple(there)) for place, there in found.items()], complete
 
 
-def _said() -> tuple[list[Holder], bool]:
+def _holders_and_bus() -> tuple[list[Holder], bool]:
     """Who says where he is; what else is found is stopped, too, where that can't be asked."""
     try:
-        return claims.holders(_SAYS_WITHIN_S), True
+        return claims.holders(_ANSWERS_WITHIN_S), True
     except BusError as error:
         print(f"hilbench: NOT ALL BENCHES ARE KNOWN: {error}", file=sys.stderr)
         return [], False

@@ -61,7 +61,7 @@ def history(
     from hilbench.history import entries
     from hilbench.history.quantities import quantities_of
     from hilbench.history.store import History, history_beside, history_of
-    from hilbench.history.told import as_data
+    from hilbench.history.wording import as_data
     from hilbench.runs.config import load
 
     bench = None if config is None else load(config)[0]
@@ -107,7 +107,7 @@ def _show(found: dict[str, list[QuantityTrend]], path: Path, problems: Sequence[
     from rich.console import Console
     from rich.table import Table
 
-    from hilbench.history.told import figures, sentences
+    from hilbench.history.wording import figures, sentences
 
     console = Console(highlight=False)
     console.width = max(console.width, _WIDTH)

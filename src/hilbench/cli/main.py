@@ -48,8 +48,8 @@ from hilbench.cli.options import (
     RunArgument,
     SetOption,
 )
-from hilbench.ending import ended
 from hilbench.errors import UnusableInputError
+from hilbench.exit_status import ended
 from hilbench.real_time import for_good
 
 app = typer.Typer(
@@ -62,7 +62,7 @@ app = typer.Typer(
 )
 
 
-def _say_version(wanted: bool) -> None:
+def _print_version(wanted: bool) -> None:
     if wanted:
         print(f"hilbench {version('hilbench')}")
         raise typer.Exit
@@ -71,7 +71,7 @@ def _say_version(wanted: bool) -> None:
 @app.callback()
 def hilbench(
     show_version: Annotated[
-        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="say the version and exit")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="say the version and exit")
     ] = False,
 ) -> None:
     """Hardware-in-the-loop test bench over CAN/CANopen with a synchronized twin of the machine."""

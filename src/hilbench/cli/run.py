@@ -16,11 +16,11 @@ from rich.table import Table
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.tasks.task import MANY, Pieces
+from hilbench.bench.tasks.task import MANY, CompiledStages
 from hilbench.cli.shown import servo_axis, web_line
 from hilbench.cli.shown.machine import Shown
-from hilbench.copies import Copy
 from hilbench.errors import EXIT_CRITERION_FAILED, UnusableInputError
+from hilbench.forked_workers import ForkedWorker
 from hilbench.processes import finishing
 from hilbench.results.commissioned import commissioned_text
 from hilbench.results.result import Result, StepRecord, Timing
@@ -47,7 +47,7 @@ def run_command(
     participants: Participants,
     with_report: bool,
     as_json: bool,
-    beside: dict[str, Copy],
+    beside: dict[str, ForkedWorker],
     force: bool = False,
     stream: Sequence[str] = (),
     require_criteria: bool = False,
@@ -87,7 +87,7 @@ def _run(
     participants: Participants,
     with_report: bool,
     quiet: bool,
-    beside: dict[str, Copy],
+    beside: dict[str, ForkedWorker],
     force: bool,
     streams: Sequence[Streamed],
 ) -> RunOutcome:
@@ -199,7 +199,7 @@ class Progress:
             self._next_s = sample.t_s + _PLAIN_LINE_EVERY_S
             self._console.print("  ".join(f"{name} {value}" for name, value in self._rows(sample)), soft_wrap=True)
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Nothing is shown of cycles before it is time to."""
 
         def cycles() -> int:
@@ -207,7 +207,7 @@ class Progress:
                 return MANY if time.monotonic() < self._next_s else 0
             return max(0, int((self._next_s - sample.t_s) / self._cycle_s) - 1)
 
-        return Pieces(cycles=cycles)
+        return CompiledStages(cycles=cycles)
 
     def _rows(self, sample: CycleSample) -> list[tuple[str, str]]:
         factor = max(0.0, sample.t_s) / max(1e-3, time.monotonic() - self._started_s)
@@ -256,8 +256,8 @@ def _show_criteria(console: Console, result: Result) -> None:
         console.print(_criteria_table(rows))
     for row in rows:
         if row.reason:
-            said = f"[{_COLOURS[row.verdict]}]{row.verdict}[/] {escape(row.name)}: {escape(row.reason)}"
-            console.print(said, soft_wrap=True)
+            line = f"[{_COLOURS[row.verdict]}]{row.verdict}[/] {escape(row.name)}: {escape(row.reason)}"
+            console.print(line, soft_wrap=True)
     if left_out:
         some = f"{len(left_out)} of {len(result.criteria)} criteria"
         console.print(f"[red]error[/red] {some} could not be judged: the run ended by the fault below", soft_wrap=True)

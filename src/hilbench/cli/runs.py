@@ -162,7 +162,7 @@ def _metrics_of(query: Query) -> list[str]:
 
 
 def _check_names(library: Library, names: Sequence[str], runs: Sequence[RunEntry]) -> None:
-    from hilbench.suggest import did_you_mean
+    from hilbench.did_you_mean import did_you_mean
 
     known = library.known_names(runs)
     for name in names:
@@ -390,7 +390,7 @@ def delete(
 
     Example: hilbench runs delete web_section_step-20260101-120000 --yes
     """
-    from hilbench.library.clearing import check_deletable
+    from hilbench.library.retention import check_deletable
 
     query = _query(name, bench, result, tag, since, until, where)
     if bool(run) == query.asks:
@@ -415,7 +415,7 @@ def _given(library: Library, run: str) -> Path:
 
 
 def _delete(given: Sequence[tuple[Path, str]], *, yes: bool) -> None:
-    from hilbench.library.clearing import delete_all
+    from hilbench.library.retention import delete_all
 
     for path, why in given:
         typer.echo(f"{path}  {why}".rstrip(), err=True)
@@ -462,8 +462,8 @@ def gc(
     import time
     from json import dumps
 
-    from hilbench.library.clearing import Keep, delete_all, to_clear
     from hilbench.library.query import seconds_of
+    from hilbench.library.retention import Keep, delete_all, to_clear
 
     if older_than is None and max_size is None:
         raise UnusableInputError("--older-than", "missing, expected --older-than or --max-size")

@@ -49,7 +49,7 @@ def scan(
     from hilbench.can.open import open_link, open_python_can
     from hilbench.canopen.eds import load_eds
     from hilbench.canopen.lss_master import shown as address_of
-    from hilbench.canopen.mastery import master_of
+    from hilbench.canopen.master_guard import master_of
     from hilbench.canopen.sdo_client import SdoClient
     from hilbench.cli.attach import MASTER_ID, config_and_bus, left_out
     from hilbench.doctor.eds_match import EdsFile, eds_files, identity

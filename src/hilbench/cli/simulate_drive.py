@@ -11,7 +11,7 @@ from typing import Final
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.identifiers import LAST_NODE
-from hilbench.canopen.mastery import nodes_of_ours
+from hilbench.canopen.master_guard import nodes_of_ours
 from hilbench.cia402.configuration import place_of
 from hilbench.cli.model_option import model_from
 from hilbench.devices import SimulatedDrive

@@ -54,8 +54,8 @@ def what_if(
     """Predict tension, torques and speeds by Monte Carlo if something were asked for, with bands; nothing is moved.
 
     The futures start from what the run's recording has, or the trace of a run that still goes on; of a config, from
-    what is heard on the bus of the bench that runs by it, whose folder may be elsewhere. The rest of the experiment is
-    not in them.
+    what is received on the bus of the bench that runs by it, whose folder may be elsewhere. The rest of the experiment
+    is not in them.
 
     Exit code: 0 looked, whatever is seen; 2 unusable input.
 
@@ -71,7 +71,7 @@ def what_if(
     question = Question(dict(map(_asked, asked)), over, horizon, futures, at)
     name, config, recording = _running(run, bus, at) if run.is_file() else _run(run, bus)
     answer = answer_to(config, recording, question, str(run))
-    texts = told(answer)
+    texts = lines(answer)
     if out is not None:
         from hilbench.report.what_if_page import write_what_if_page
 
@@ -101,14 +101,14 @@ def _run(run: Path, bus: str | None) -> tuple[str, ExperimentConfig, Recording]:
 
 
 def _running(path: Path, bus: str | None, at_s: float | None) -> tuple[str, ExperimentConfig, Recording]:
-    """The same of a bench that runs, as it is heard on its bus."""
+    """The same of a bench that runs, as it is received on its bus."""
     from contextlib import closing
 
     from hilbench.can.open import open_link, open_python_can
     from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
     from hilbench.errors import UnusableInputError
     from hilbench.monitor.changes import PATIENCE_S
-    from hilbench.results.heard import heard
+    from hilbench.results.received import received
     from hilbench.results.what_if import require_predictable
     from hilbench.runs.config import load_with_overrides
 
@@ -118,10 +118,10 @@ def _running(path: Path, bus: str | None, at_s: float | None) -> tuple[str, Expe
     require_predictable(config, str(path))
     address = config.bus_address.as_it_runs()
     with closing(open_link(address)) as link, SdoClient(open_python_can(address, SDO_ANSWERS), PATIENCE_S) as client:
-        return config.name, config, heard(config, link, client)
+        return config.name, config, received(config, link, client)
 
 
-def told(answer: Answer) -> list[str]:
+def lines(answer: Answer) -> list[str]:
     """What was asked, a text each."""
     texts = []
     for move in answer.moves:

@@ -25,7 +25,7 @@ from hilbench.canopen.identifiers import (
 from hilbench.canopen.sdo_client import Answer, Refusal
 from hilbench.conformance.description import Description
 from hilbench.conformance.record import CaseEndedError, NotAllowedError, NotApplicableError, Step
-from hilbench.conformance.wire import Heard, Wire
+from hilbench.conformance.wire import ReceivedFrame, Wire
 
 #: Heartbeat period while a case looks at NMT states, and how long it waits for one.
 _HEARTBEAT_MS: Final = 100
@@ -76,7 +76,7 @@ class DeviceUnderTest:
         self.touched: set[tuple[int, int]] = set()
         self.was_reset = False
         self._sent: list[str] = []
-        self._heard: list[Heard] = []
+        self._received: list[ReceivedFrame] = []
 
     # -- what a case needs -----------------------------------------------------------------------------------
 
@@ -113,7 +113,7 @@ class DeviceUnderTest:
 
     def begin(self) -> None:
         """A case begins."""
-        self.steps, self.notes, self._sent, self._heard = [], [], [], []
+        self.steps, self.notes, self._sent, self._received = [], [], [], []
         self.wire.listen(0.0)
 
     def send(self, can_id: int, data: bytes = b"") -> None:
@@ -122,33 +122,33 @@ class DeviceUnderTest:
         self._sent.append(f"{can_id & COB_ID:03X}{remote} {data.hex(' ')}".strip())
         self.wire.send(can_id, data)
 
-    def hear(self, duration_s: float) -> list[Heard]:
+    def receive(self, duration_s: float) -> list[ReceivedFrame]:
         """What came since the last look, and comes in this time; answers to SDO requests left out."""
-        found = [*self._heard, *self.wire.listen(duration_s)]
-        self._heard = []
-        return [heard for heard in found if heard.can_id != SDO_ANSWER + self.node_id]
+        found = [*self._received, *self.wire.listen(duration_s)]
+        self._received = []
+        return [received for received in found if received.can_id != SDO_ANSWER + self.node_id]
 
-    def hear_of(self, can_id: int, duration_s: float) -> list[Heard]:
+    def receive_id(self, can_id: int, duration_s: float) -> list[ReceivedFrame]:
         """The same, of one identifier."""
-        return [heard for heard in self.hear(duration_s) if heard.can_id == can_id]
+        return [received for received in self.receive(duration_s) if received.can_id == can_id]
 
     def wait(self, duration_s: float) -> None:
         """Time passes; what comes meanwhile is kept for the next look."""
-        self._heard += self.wire.listen(duration_s)
+        self._received += self.wire.listen(duration_s)
 
     def forget(self) -> None:
         """What came up to now does not count."""
-        self.hear(0.0)
+        self.receive(0.0)
 
     def nmt(self, command: int, node_id: int | None = None) -> None:
         """An NMT command, by default to the device."""
         self.send(NMT, bytes((command, self.node_id if node_id is None else node_id)))
-        self.hear(_SYNC_PAUSE_S)
+        self.receive(_SYNC_PAUSE_S)
 
-    def sync(self, data: bytes = b"") -> list[Heard]:
+    def sync(self, data: bytes = b"") -> list[ReceivedFrame]:
         """A SYNC, and what it brings."""
         self.send(self.sync_id, data)
-        return self.hear(_SYNC_PAUSE_S)
+        return self.receive(_SYNC_PAUSE_S)
 
     @property
     def sync_id(self) -> int:
@@ -175,13 +175,13 @@ class DeviceUnderTest:
         if not ok:
             raise CaseEndedError
 
-    def frames(self, what: str, found: Sequence[Heard], can_id: int, *expected: str) -> bool:
+    def frames(self, what: str, found: Sequence[ReceivedFrame], can_id: int, *expected: str) -> bool:
         """Expect exactly these data, in this order, of an identifier."""
-        seen = [heard.data.hex() for heard in found if heard.can_id == can_id]
+        seen = [received.data.hex() for received in found if received.can_id == can_id]
         ok = len(seen) == len(expected) and all(map(matches, expected, seen))
         return self.check(what, _frames_text(can_id, expected), _frames_text(can_id, seen), ok)
 
-    def silent(self, what: str, found: Sequence[Heard], can_id: int) -> bool:
+    def silent(self, what: str, found: Sequence[ReceivedFrame], can_id: int) -> bool:
         """Expect nothing of an identifier."""
         return self.frames(what, found, can_id)
 
@@ -191,16 +191,16 @@ class DeviceUnderTest:
         """The answer to an SDO request; None: there is none. An answer that is late is not taken for the next one's."""
         answer_id = SDO_ANSWER + self.node_id
         names_object = request[0] >> 5 in _NAMES_OBJECT and len(request) == _SDO_BYTES
-        self._heard += [heard for heard in self.wire.listen(0.0) if heard.can_id != answer_id]
+        self._received += [received for received in self.wire.listen(0.0) if received.can_id != answer_id]
 
-        def answers(heard: Heard) -> bool:
-            return heard.can_id == answer_id and (not names_object or heard.data[1:4] == request[1:4])
+        def answers(received: ReceivedFrame) -> bool:
+            return received.can_id == answer_id and (not names_object or received.data[1:4] == request[1:4])
 
         self.send(SDO_REQUEST + self.node_id, request)
         found = self.wire.listen(self.patience.answer_s, answers)
-        self._heard += [heard for heard in found if heard.can_id != answer_id]
-        said = [heard for heard in found if heard.can_id == answer_id]
-        return said[-1].data if said else None
+        self._received += [received for received in found if received.can_id != answer_id]
+        replies = [received for received in found if received.can_id == answer_id]
+        return replies[-1].data if replies else None
 
     def ask(self, what: str, request: str, *expected: str) -> bytes:
         """A request whose answer is one of the expected ones; what was answered, empty when there is none."""
@@ -221,9 +221,9 @@ class DeviceUnderTest:
         answer_id = SDO_ANSWER + self.node_id
         found: list[bytes] = []
         while len(found) < count:
-            heard = self.wire.listen(self.patience.answer_s, lambda heard: heard.can_id == answer_id)
-            answers = [each.data for each in heard if each.can_id == answer_id]
-            self._heard += [each for each in heard if each.can_id != answer_id]
+            received = self.wire.listen(self.patience.answer_s, lambda received: received.can_id == answer_id)
+            answers = [each.data for each in received if each.can_id == answer_id]
+            self._received += [each for each in received if each.can_id != answer_id]
             if not answers:
                 break
             found += answers
@@ -351,7 +351,7 @@ class DeviceUnderTest:
         can_id = HEARTBEAT + self.node_id
         self.forget()
         self.send(NMT, command.to(self.node_id))
-        found = self.wire.listen(self.patience.boot_s, lambda heard: heard.can_id == can_id)
+        found = self.wire.listen(self.patience.boot_s, lambda received: received.can_id == can_id)
         self.must(self.frames("boot-up message", found, can_id, "00"))
         self.wire.listen(_AFTER_BOOT_S)
 
@@ -364,8 +364,8 @@ class DeviceUnderTest:
         """Expect an NMT state in the next heartbeat."""
         can_id = HEARTBEAT + self.node_id
         self.forget()
-        found = self.wire.listen(_HEARTBEAT_S, lambda heard: heard.can_id == can_id)
-        beats = [heard for heard in found if heard.can_id == can_id]
+        found = self.wire.listen(_HEARTBEAT_S, lambda received: received.can_id == can_id)
+        beats = [received for received in found if received.can_id == can_id]
         return self.frames(f"heartbeat in {state.name.replace('_', '-')}", beats, can_id, state.heartbeat.hex())
 
     def first(self, of: Collection[int], what: str) -> int:
@@ -397,9 +397,9 @@ def aborted(index: int, sub: int, code: int) -> str:
     return f"80{_mux(index, sub)}{code.to_bytes(4, 'little').hex()}"
 
 
-def answers(values: Sequence[Heard], can_id: int, test: Callable[[bytes], bool]) -> bool:
+def answers(values: Sequence[ReceivedFrame], can_id: int, test: Callable[[bytes], bool]) -> bool:
     """Whether some frame of an identifier passes a test."""
-    return any(heard.can_id == can_id and test(heard.data) for heard in values)
+    return any(received.can_id == can_id and test(received.data) for received in values)
 
 
 def _mux(index: int, sub: int) -> str:

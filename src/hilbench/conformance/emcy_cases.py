@@ -11,7 +11,7 @@ from hilbench.canopen.sdo_client import Refusal
 from hilbench.conformance.dut import DeviceUnderTest, answer_text
 from hilbench.conformance.process_data import Pdo, receive_pdo, set_up
 from hilbench.conformance.record import NotApplicableError
-from hilbench.conformance.wire import Heard
+from hilbench.conformance.wire import ReceivedFrame
 
 TOO_SHORT: Final = "10 82"
 _SOON_S: Final = 0.1
@@ -59,17 +59,17 @@ def _too_short(dut: DeviceUnderTest, pdo: Pdo) -> int:
     """The message comes: what it says of 1001h."""
     dut.forget()
     dut.send(pdo.cob_id)
-    found = dut.hear(_SOON_S)
+    found = dut.receive(_SOON_S)
     dut.must(dut.frames("an RPDO without data", found, dut.emergency_id, f"{TOO_SHORT} ?? ??????????"))
-    return next(heard.data[2] for heard in found if heard.can_id == dut.emergency_id)
+    return next(received.data[2] for received in found if received.can_id == dut.emergency_id)
 
 
-def _right_length(dut: DeviceUnderTest, pdo: Pdo) -> list[Heard]:
+def _right_length(dut: DeviceUnderTest, pdo: Pdo) -> list[ReceivedFrame]:
     """The RPDO with what its object has (of a drive: no command), and what it brings."""
     dut.touched.add(pdo.carries.key)
     value = 0 if dut.eds.is_drive else dut.value(*pdo.carries.key)
     dut.send(pdo.cob_id, value.to_bytes(pdo.size, "little"))
-    return dut.hear(_SOON_S)
+    return dut.receive(_SOON_S)
 
 
 def force(dut: DeviceUnderTest) -> None:

@@ -61,23 +61,25 @@ AFTERWARDS: Final = Case("Afterwards", 1, "Every parameter is what it was before
 def examine(
     dut: DeviceUnderTest,
     groups: Collection[str] = (),
-    tell: Callable[[CaseResult], None] = lambda _result: None,
+    on_result: Callable[[CaseResult], None] = lambda _result: None,
 ) -> list[CaseResult]:
-    """Every case, or those of some groups; `tell` hears of each as it ends.
+    """Every case, or those of some groups; `on_result` hears of each as it ends.
 
     Raises BenchFaultError when the device does not answer at the beginning, or is gone between two cases;
     UnusableInputError for a drive with power.
     """
     _check_ready(dut)
     try:
-        return _examine_all(dut, groups, tell)
+        return _examine_all(dut, groups, on_result)
     except CaseEndedError as error:
         last = dut.steps[-1]
-        said = f"{last.what}: expected {last.expected}, seen {last.seen}"
-        raise BenchFaultError(f"node {dut.node_id} can't be examined: {said}") from error
+        text = f"{last.what}: expected {last.expected}, seen {last.seen}"
+        raise BenchFaultError(f"node {dut.node_id} can't be examined: {text}") from error
 
 
-def _examine_all(dut: DeviceUnderTest, groups: Collection[str], tell: Callable[[CaseResult], None]) -> list[CaseResult]:
+def _examine_all(
+    dut: DeviceUnderTest, groups: Collection[str], on_result: Callable[[CaseResult], None]
+) -> list[CaseResult]:
     before = snapshot(dut)
     power_on = _at_power_on(dut, before) if dut.allowed.store else None
     results: list[CaseResult] = []
@@ -89,11 +91,11 @@ def _examine_all(dut: DeviceUnderTest, groups: Collection[str], tell: Callable[[
             for result in _of_each_axis(dut, case):
                 lost += _as_steps(f"after {result.name}", restore(dut, before))
                 results.append(result)
-                tell(result)
+                on_result(result)
     finally:
         lost += _as_steps("at the end", _leave(dut, before, power_on))
     results.append(_afterwards(lost, len(before)))
-    tell(results[-1])
+    on_result(results[-1])
     return results
 
 

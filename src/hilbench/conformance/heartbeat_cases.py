@@ -11,7 +11,7 @@ from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, NmtCommand, NmtSt
 from hilbench.canopen.object_store import INCOMPATIBLE, NO_OBJECT
 from hilbench.conformance.dut import DeviceUnderTest, aborted
 from hilbench.conformance.record import NotApplicableError
-from hilbench.conformance.wire import Heard, periods, steady
+from hilbench.conformance.wire import ReceivedFrame, periods, steady
 
 LOST: Final = "30 81"
 _PERIOD_MS: Final = 100
@@ -20,9 +20,9 @@ _PRE_OPERATIONAL: Final = NmtState.PRE_OPERATIONAL.heartbeat
 _MOST_ENTRIES: Final = 4
 
 
-def _produced(dut: DeviceUnderTest, duration_s: float) -> list[Heard]:
+def _produced(dut: DeviceUnderTest, duration_s: float) -> list[ReceivedFrame]:
     dut.forget()
-    return dut.hear_of(HEARTBEAT + dut.node_id, duration_s)
+    return dut.receive_id(HEARTBEAT + dut.node_id, duration_s)
 
 
 def period_is_written(dut: DeviceUnderTest) -> None:
@@ -36,8 +36,8 @@ def count(dut: DeviceUnderTest) -> None:
     dut.produce_heartbeats(_PERIOD_MS)
     found = _produced(dut, 2.0)
     ok = 19 <= len(found) <= 21 and steady(found, _PERIOD_MS / 1000.0)
-    ok = ok and all(heard.data == _PRE_OPERATIONAL for heard in found)
-    seen = f"{len(found)}{periods(found)}, {', '.join(sorted({heard.data.hex() for heard in found}))}"
+    ok = ok and all(received.data == _PRE_OPERATIONAL for received in found)
+    seen = f"{len(found)}{periods(found)}, {', '.join(sorted({received.data.hex() for received in found}))}"
     dut.check("heartbeats of 100 ms", "20 in 2 s, 100 ms on average, 7f", seen, ok)
 
 
@@ -61,9 +61,9 @@ def _entries(dut: DeviceUnderTest) -> list[int]:
 
 def _strangers(dut: DeviceUnderTest) -> list[int]:
     """Node ids that nobody has who was heard, and that no entry watches."""
-    heard = {each.can_id - HEARTBEAT for each in dut.hear(0.2)}
+    received = {each.can_id - HEARTBEAT for each in dut.receive(0.2)}
     watched = {dut.value(0x1016, sub) >> 16 & 0x7F for sub in _entries(dut)}
-    return [node for node in range(LAST_NODE, 0, -1) if node not in heard | watched | {dut.node_id}]
+    return [node for node in range(LAST_NODE, 0, -1) if node not in received | watched | {dut.node_id}]
 
 
 def _watch(dut: DeviceUnderTest, entry: int, node: int, time_ms: int = _WATCHED_MS) -> None:
@@ -91,10 +91,10 @@ def heard_in_time(dut: DeviceUnderTest) -> None:
         _watch(dut, entry, node)
         dut.nmt(NmtCommand.START)
         dut.forget()
-        found: list[Heard] = []
+        found: list[ReceivedFrame] = []
         for _ in range(5):
             _beat(dut, node)
-            found += dut.hear(_WATCHED_MS * 0.6e-3)
+            found += dut.receive(_WATCHED_MS * 0.6e-3)
         dut.silent(f"entry {entry}: heartbeats in time", found, dut.emergency_id)
         dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
         dut.write(0x1016, entry, 0)
@@ -107,7 +107,7 @@ def missed(dut: DeviceUnderTest) -> None:
         _watch(dut, entry, node)
         dut.forget()
         _beat(dut, node)
-        found = dut.hear(2.5e-3 * _WATCHED_MS)
+        found = dut.receive(2.5e-3 * _WATCHED_MS)
         dut.frames(f"entry {entry}: no heartbeat any more", found, dut.emergency_id, f"{LOST} ?? ??????????")
         dut.write(0x1016, entry, 0)
         dut.forget()
@@ -118,12 +118,12 @@ def reset_ends_watch(dut: DeviceUnderTest) -> None:
     entry, node = _entries(dut)[0], _strangers(dut)[0]
     _watch(dut, entry, node)
     dut.forget()
-    dut.silent("not heard yet", dut.hear(3e-3 * _WATCHED_MS), dut.emergency_id)
+    dut.silent("not heard yet", dut.receive(3e-3 * _WATCHED_MS), dut.emergency_id)
     _beat(dut, node)
-    dut.frames("heard once", dut.hear(2.5e-3 * _WATCHED_MS), dut.emergency_id, f"{LOST} ?? ??????????")
+    dut.frames("heard once", dut.receive(2.5e-3 * _WATCHED_MS), dut.emergency_id, f"{LOST} ?? ??????????")
     dut.reset()
     dut.forget()
-    dut.silent("after the reset", dut.hear(3e-3 * _WATCHED_MS), dut.emergency_id)
+    dut.silent("after the reset", dut.receive(3e-3 * _WATCHED_MS), dut.emergency_id)
 
 
 # -- node guarding ---------------------------------------------------------------------------------------------
@@ -140,9 +140,9 @@ def guarding_objects(dut: DeviceUnderTest) -> None:
     dut.ask("read 100Dh:0", "40 0d 10 00 00000000", "4f 0d 10 00 ????????")
 
 
-def _guard(dut: DeviceUnderTest) -> list[Heard]:
+def _guard(dut: DeviceUnderTest) -> list[ReceivedFrame]:
     dut.send(REMOTE_FLAG | HEARTBEAT + dut.node_id, b"\0")
-    found = dut.hear_of(HEARTBEAT + dut.node_id, 0.1)
+    found = dut.receive_id(HEARTBEAT + dut.node_id, 0.1)
     return found
 
 
@@ -156,7 +156,7 @@ def _guarded(dut: DeviceUnderTest) -> None:
 def guarding_answers(dut: DeviceUnderTest) -> None:
     """A remote frame brings the NMT state."""
     _guarded(dut)
-    found = [heard.data for heard in _guard(dut)]
+    found = [received.data for received in _guard(dut)]
     ok = len(found) == 1 and found[0][:1] in (b"\x7f", b"\xff")
     dut.check("remote request", "7f or ff", " ".join(data.hex() for data in found) or "nothing", ok)
 
@@ -164,7 +164,7 @@ def guarding_answers(dut: DeviceUnderTest) -> None:
 def guarding_toggles(dut: DeviceUnderTest) -> None:
     """The top bit alternates."""
     _guarded(dut)
-    found = [heard.data[0] for _ in range(4) for heard in _guard(dut)]
+    found = [received.data[0] for _ in range(4) for received in _guard(dut)]
     ok = len(found) == 4 and all(a ^ b == 0x80 for a, b in pairwise(found))
     dut.check("four remote requests", "bit 7 alternates", " ".join(f"{value:02x}" for value in found) or "nothing", ok)
 
@@ -183,7 +183,7 @@ def life_guarding(dut: DeviceUnderTest) -> None:
     guarding_times(dut)
     _guarded(dut)
     _guard(dut)
-    dut.frames("no request any more", dut.hear(0.7), dut.emergency_id, f"{LOST} ?? ??????????")
+    dut.frames("no request any more", dut.receive(0.7), dut.emergency_id, f"{LOST} ?? ??????????")
 
 
 def both(dut: DeviceUnderTest) -> None:
@@ -213,7 +213,7 @@ def heartbeat_alone(dut: DeviceUnderTest) -> None:
     _expect_beats(dut, "heartbeats of 500 ms", _produced(dut, 2.1))
 
 
-def _expect_beats(dut: DeviceUnderTest, what: str, found: list[Heard]) -> None:
+def _expect_beats(dut: DeviceUnderTest, what: str, found: list[ReceivedFrame]) -> None:
     ok = len(found) in (4, 5) and steady(found, 0.5)
     dut.check(what, "4 or 5 heartbeats in 2.1 s", f"{len(found)}{periods(found)}", ok)
 
@@ -228,10 +228,10 @@ def not_disturbed(dut: DeviceUnderTest) -> None:
 def _beats_beside_requests(dut: DeviceUnderTest) -> None:
     dut.produce_heartbeats(500)
     dut.forget()
-    found: list[Heard] = []
+    found: list[ReceivedFrame] = []
     for _ in range(7):
         dut.send(REMOTE_FLAG | HEARTBEAT + dut.node_id, b"\0")
-        found += dut.hear_of(HEARTBEAT + dut.node_id, 0.3)
+        found += dut.receive_id(HEARTBEAT + dut.node_id, 0.3)
     _expect_beats(dut, "requests every 300 ms", found)
 
 

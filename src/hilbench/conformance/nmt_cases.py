@@ -129,7 +129,7 @@ def _others(dut: DeviceUnderTest) -> None:
     dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
     for data in (bytes((1, dut.node_id % 127 + 1)), bytes((0x77, dut.node_id)), bytes((1,))):
         dut.send(NMT, data)
-        dut.hear(_SOON_S)
+        dut.receive(_SOON_S)
         dut.shows(NmtState.PRE_OPERATIONAL)
 
 

@@ -52,9 +52,9 @@ def eds_checker(dut: DeviceUnderTest) -> None:
     meant = [warning for warning in warnings if _is_number_of_a_real(dut, warning)]
     dut.notes += [f"{warning}: it takes the digits for bits, the file has the number" for warning in meant]
     left = [warning for warning in warnings if warning not in meant]
-    said = "; ".join(left) or ("" if warnings else " ".join((done.stdout + done.stderr).split()))
-    ok = not said and (done.returncode == 0 or bool(meant))
-    dut.check(f"dcfchk {dut.eds.path.name}", "nothing", said or "nothing", ok)
+    remark = "; ".join(left) or ("" if warnings else " ".join((done.stdout + done.stderr).split()))
+    ok = not remark and (done.returncode == 0 or bool(meant))
+    dut.check(f"dcfchk {dut.eds.path.name}", "nothing", remark or "nothing", ok)
 
 
 def _is_number_of_a_real(dut: DeviceUnderTest, warning: str) -> bool:
@@ -74,7 +74,7 @@ def access(dut: DeviceUnderTest, area: tuple[int, int]) -> None:
     for entry in found:
         if entry.readable and not entry.flags & REFUSE_READ:
             _access(dut, entry)
-    _tell_of_makers(dut, found)
+    _note_maker_objects(dut, found)
 
 
 def _access(dut: DeviceUnderTest, entry: Entry) -> None:
@@ -98,7 +98,7 @@ def _may_write_back(dut: DeviceUnderTest, entry: Entry, data: bytes) -> bool:
     return dut.allowed.motion or not _MAKERS[0] <= entry.index <= _MAKERS[1]
 
 
-def _tell_of_makers(dut: DeviceUnderTest, found: list[Entry]) -> None:
+def _note_maker_objects(dut: DeviceUnderTest, found: list[Entry]) -> None:
     makers = [entry for entry in found if _MAKERS[0] <= entry.index <= _MAKERS[1] and entry.writable]
     if makers and not dut.allowed.motion:
         dut.notes.append(
@@ -228,7 +228,7 @@ def write_back(dut: DeviceUnderTest) -> None:
             dut.check(f"read {entry}", "data", answer_text(data), False)
         elif _may_write_back(dut, entry, data):
             _write_back(dut, entry, data)
-    _tell_of_makers(dut, found)
+    _note_maker_objects(dut, found)
 
 
 CASES: Final[Mapping[str, Callable[[DeviceUnderTest], None]]] = {

@@ -36,7 +36,7 @@ from hilbench.conformance.process_data import (
     transmit_pdo,
 )
 from hilbench.conformance.record import NotApplicableError
-from hilbench.conformance.wire import Heard, periods, steady
+from hilbench.conformance.wire import ReceivedFrame, periods, steady
 
 #: "Sub-index can't be written, sub-index 0 must be 0 for write access" (CiA 301, table 22).
 _COUNT_NOT_ZERO: Final = 0x06010003
@@ -74,7 +74,7 @@ def remote_request(dut: DeviceUnderTest, state: NmtCommand) -> None:
     dut.nmt(state)
     dut.forget()
     dut.send(REMOTE_FLAG | pdo.cob_id, bytes(pdo.size))
-    found = [each for each in dut.hear(_SOON_S) if not each.can_id & REMOTE_FLAG]
+    found = [each for each in dut.receive(_SOON_S) if not each.can_id & REMOTE_FLAG]
     if forbidden and not found and state is NmtCommand.START:
         raise NotApplicableError(f"{pdo.index:04X}h:1 forbids remote requests; allowed by hand, none is answered")
     wanted = [_any_data(pdo)] if state is NmtCommand.START else []
@@ -89,12 +89,12 @@ def event_driven(dut: DeviceUnderTest, state: NmtCommand) -> None:
     if state is not NmtCommand.START:
         if state is NmtCommand.ENTER_PRE_OPERATIONAL:
             change(dut, pdo)
-        dut.silent("nothing is sent", dut.hear(_QUIET_S), pdo.cob_id)
+        dut.silent("nothing is sent", dut.receive(_QUIET_S), pdo.cob_id)
         return
-    dut.hear(_SOON_S)
-    dut.silent("nothing changes", dut.hear(_QUIET_S), pdo.cob_id)
+    dut.receive(_SOON_S)
+    dut.silent("nothing changes", dut.receive(_QUIET_S), pdo.cob_id)
     change(dut, pdo)
-    found = dut.hear_of(pdo.cob_id, _SOON_S)
+    found = dut.receive_id(pdo.cob_id, _SOON_S)
     dut.check("a change", f"{pdo.cob_id:03X} with the new value", _frames(found), bool(found))
     if dut.eds.can_write(pdo.index, 3):
         _inhibit_time(dut, pdo)
@@ -106,11 +106,11 @@ def _inhibit_time(dut: DeviceUnderTest, pdo: Pdo) -> None:
     dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
     set_up(dut, pdo, 254, inhibit=round(_INHIBIT_S * 10_000))
     dut.nmt(NmtCommand.START)
-    dut.hear(2.0 * _INHIBIT_S)
+    dut.receive(2.0 * _INHIBIT_S)
     change(dut, pdo)
-    found = dut.hear_of(pdo.cob_id, 0.1 * _INHIBIT_S)
+    found = dut.receive_id(pdo.cob_id, 0.1 * _INHIBIT_S)
     change(dut, pdo)
-    found += dut.hear_of(pdo.cob_id, 3.0 * _INHIBIT_S)
+    found += dut.receive_id(pdo.cob_id, 3.0 * _INHIBIT_S)
     gaps = [later.at_s - earlier.at_s for earlier, later in pairwise(found)]
     seen = ", ".join(f"{1000.0 * gap:.1f} ms" for gap in gaps) or f"{len(found)} frames"
     ok = bool(gaps) and min(gaps) >= _INHIBIT_S - _TOLERANCE_S
@@ -124,7 +124,7 @@ def event_timer(dut: DeviceUnderTest, state: NmtCommand) -> None:
     dut.nmt(state)
     dut.forget()
     duration_s = 10.0 * _EVENT_S
-    found = dut.hear_of(pdo.cob_id, duration_s if state is NmtCommand.START else 3.0 * _EVENT_S)
+    found = dut.receive_id(pdo.cob_id, duration_s if state is NmtCommand.START else 3.0 * _EVENT_S)
     if state is not NmtCommand.START:
         dut.silent("nothing is sent", found, pdo.cob_id)
         return
@@ -153,7 +153,7 @@ def acyclic(dut: DeviceUnderTest, state: NmtCommand) -> None:
     dut.silent("SYNC without a change", dut.sync(), pdo.cob_id)
     if state is not NmtCommand.STOP:
         change(dut, pdo)
-    dut.silent("a change before the SYNC", dut.hear(_SOON_S), pdo.cob_id)
+    dut.silent("a change before the SYNC", dut.receive(_SOON_S), pdo.cob_id)
     dut.frames("SYNC after it", dut.sync(), pdo.cob_id, *([_any_data(pdo)] if active else []))
     dut.silent("the next SYNC", dut.sync(), pdo.cob_id)
 
@@ -176,7 +176,7 @@ def start_value(dut: DeviceUnderTest, state: NmtCommand) -> None:
     dut.check("SYNC 1 to 10", expected, f"with {came or 'none'}", came in wanted)
 
 
-def _frames(found: list[Heard]) -> str:
+def _frames(found: list[ReceivedFrame]) -> str:
     return "; ".join(f"{each.can_id & COB_ID:03X} {each.data.hex(' ')}" for each in found[:4]) or "nothing"
 
 

@@ -248,9 +248,9 @@ def find_connection(dut: DeviceUnderTest) -> None:
 
 def _stranger(dut: DeviceUnderTest) -> int:
     """A node id that nobody has who was heard, and that no entry watches."""
-    heard = {each.can_id & 0x7F for each in dut.hear(0.1) if each.can_id & 0x780 == 0x700}
+    received = {each.can_id & 0x7F for each in dut.receive(0.1) if each.can_id & 0x780 == 0x700}
     watched = {dut.value(*entry.key) >> 16 & 0x7F for entry in dut.eds.entries(0x1016, 0x1016) if entry.sub}
-    return next(node for node in range(127, 0, -1) if node not in heard | watched | {dut.node_id})
+    return next(node for node in range(127, 0, -1) if node not in received | watched | {dut.node_id})
 
 
 def fail(dut: DeviceUnderTest) -> None:

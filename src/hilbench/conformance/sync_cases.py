@@ -10,7 +10,7 @@ from hilbench.canopen.object_store import GENERAL_ERROR, INVALID_VALUE, PRESENT_
 from hilbench.conformance.dut import DeviceUnderTest, answers
 from hilbench.conformance.process_data import set_up, transmit_pdo
 from hilbench.conformance.store_cases import store
-from hilbench.conformance.wire import Heard
+from hilbench.conformance.wire import ReceivedFrame
 
 _PRODUCED_US: Final = 100_000
 _SYNC_LENGTH: Final = "40 82"
@@ -22,14 +22,14 @@ def default_identifier(dut: DeviceUnderTest) -> None:
     dut.ask("read 1005h:0", "40 05 10 00 00000000", "43 05 10 00 80000000", "43 05 10 00 80000080")
 
 
-def _produced(dut: DeviceUnderTest) -> list[Heard]:
+def _produced(dut: DeviceUnderTest) -> list[ReceivedFrame]:
     """What a producer sends in 1 s with a period of 100 ms. Raises NotApplicableError for a device that is none."""
     dut.needs_to_write((0x1005, 0), (0x1006, 0))
     dut.configure(0x1006, 0, 0, "no period")
     dut.configure(0x1005, 0, PRODUCE_SYNC | SYNC, "the device is no SYNC producer")
     dut.configure(0x1006, 0, _PRODUCED_US, "a period of 100 ms")
     dut.forget()
-    return dut.hear_of(SYNC, 1.0)
+    return dut.receive_id(SYNC, 1.0)
 
 
 def producer(dut: DeviceUnderTest) -> None:
@@ -89,7 +89,7 @@ def counter_of_producer(dut: DeviceUnderTest) -> None:
     if dut.eds.can_write(0x1006):
         dut.write(0x1006, 0, 0)
     dut.write(0x1019, 0, 5)
-    seen = [heard.data.hex() for heard in _produced(dut)][:7]
+    seen = [received.data.hex() for received in _produced(dut)][:7]
     first = int(seen[0], 16) if seen and seen[0] else 1
     wanted = [f"{(first - 1 + number) % 5 + 1:02x}" for number in range(len(seen))]
     dut.check(

@@ -18,7 +18,7 @@ _LONGEST_WAIT_S: Final = 0.1
 
 
 @dataclass(frozen=True)
-class Heard:
+class ReceivedFrame:
     """A frame from the bus; `at_s` (seconds) is for differences only. `can_id` has the flag bits of `Frame`."""
 
     at_s: float
@@ -35,7 +35,7 @@ class Wire(Protocol):
     def send(self, can_id: int, data: bytes) -> None:
         """Put a frame on the bus."""
 
-    def listen(self, duration_s: float, until: Callable[[Heard], bool] | None = None) -> list[Heard]:
+    def listen(self, duration_s: float, until: Callable[[ReceivedFrame], bool] | None = None) -> list[ReceivedFrame]:
         """What comes in this time; up to the first frame for which `until` says so, that one included."""
 
 
@@ -50,7 +50,7 @@ class LinkWire:
         self._link = link
         self._asked_to_end = asked_to_end
         self._interrupted = False
-        self._waiting: deque[Heard] = deque()
+        self._waiting: deque[ReceivedFrame] = deque()
 
     def now_s(self) -> float:
         """The monotonic clock."""
@@ -60,9 +60,9 @@ class LinkWire:
         """At once."""
         self._link.send([Frame(can_id, data)])
 
-    def listen(self, duration_s: float, until: Callable[[Heard], bool] | None = None) -> list[Heard]:
+    def listen(self, duration_s: float, until: Callable[[ReceivedFrame], bool] | None = None) -> list[ReceivedFrame]:
         """Sleeps between frames. With no time it is what waits already."""
-        found: list[Heard] = []
+        found: list[ReceivedFrame] = []
         deadline_s = time.monotonic() + duration_s
         looked = False
         while True:
@@ -79,10 +79,10 @@ class LinkWire:
             looked = True
             for frame in self._link.receive(min(left_s, _LONGEST_WAIT_S)):
                 at_s = frame.time_ns * 1e-9 if frame.time_ns else time.monotonic()
-                self._waiting.append(Heard(at_s, frame.can_id, frame.data))
+                self._waiting.append(ReceivedFrame(at_s, frame.can_id, frame.data))
 
 
-def steady(found: list[Heard], period_s: float) -> bool:
+def steady(found: list[ReceivedFrame], period_s: float) -> bool:
     """Whether the mean of the periods is as it should be."""
     if len(found) < 2:
         return False
@@ -90,7 +90,7 @@ def steady(found: list[Heard], period_s: float) -> bool:
     return abs(mean_s - period_s) <= _SLACK * period_s
 
 
-def periods(found: list[Heard]) -> str:
+def periods(found: list[ReceivedFrame]) -> str:
     """The mean of the periods, for a person."""
     if len(found) < 2:
         return ""

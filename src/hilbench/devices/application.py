@@ -124,8 +124,8 @@ class FaultyDrive:
         if event.fault is not None:
             self._node.drive.fault(event.fault)
         elif event.emergency is not None:
-            told = event.emergency
-            device.emergency(told.code, told.register_bits, bytes(told.data))
+            raised = event.emergency
+            device.emergency(raised.code, raised.register_bits, bytes(raised.data))
         elif event.emergency_over is not None:
             device.clear_emergency(event.emergency_over)
         elif event.encoder_jump_turns is not None:

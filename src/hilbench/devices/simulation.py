@@ -54,7 +54,7 @@ def simulated_axes(
     """
     behaviour = behaviour or Behaviour()
     od = load_eds(eds, node_id)
-    _give_what_the_header_says(od)
+    _fill_in_header_objects(od)
     if serial_number is not None:
         _give_serial_number(eds, od, serial_number)
     name = od.device_information.product_name or eds.stem
@@ -89,16 +89,16 @@ def _bytes_of_unknown_types(eds: Path) -> list[str]:
     return [f"of data types that the file does not define, taken as bytes: {named}{more}"] if found else []
 
 
-def _give_what_the_header_says(od: ObjectDictionary) -> None:
+def _fill_in_header_objects(od: ObjectDictionary) -> None:
     """Identity and name of the device where their objects have no value: makers leave them to [DeviceInfo]."""
     header = od.device_information
-    said: dict[tuple[int, int], Any] = {
+    defaults: dict[tuple[int, int], Any] = {
         (IDENTITY, 1): header.vendor_number,
         (IDENTITY, 2): header.product_number,
         (IDENTITY, 3): header.revision_number,
         (_DEVICE_NAME, 0): header.product_name,
     }
-    for (index, sub), value in said.items():
+    for (index, sub), value in defaults.items():
         with suppress(KeyError):
             found = variable(od, index, sub)
             if value and found.default is None and found.value is None:

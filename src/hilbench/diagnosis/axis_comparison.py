@@ -19,10 +19,10 @@ from scipy.stats import t as student
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Unobservable, Value
 from hilbench.diagnosis.measured import Measured
-from hilbench.diagnosis.misfit import located
 from hilbench.diagnosis.noise import repeats, rms
 from hilbench.diagnosis.predictor import Predictor, predictor_for
 from hilbench.diagnosis.proposals import Proposer
+from hilbench.diagnosis.residual_analysis import located
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Term, extended, pack_with
 from hilbench.plant.effect import Domain
@@ -519,7 +519,7 @@ def _named(model: Machine, found: _Found, one: int, problem: _Problem, chosen: l
         if gain - problem.gain(without, rest, k) < allowed:
             tied.append(other.effect.id)
     tied += [other for other in _left_out_of_the_torque(term, then, change) if other not in tied]
-    advice = term.effect.told_apart_from(machines.effect_of(model, tied[0])) if tied else None
+    advice = term.effect.distinguished_from(machines.effect_of(model, tied[0])) if tied else None
     evidence = {"likelihood_ratio": gain / max(problem.colour(found.solved.residual), 1e-300)}
     return NamedEffect(term.effect.id, term.axis, values, evidence, tied, advice)
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.measured import Measured
-from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
+from hilbench.diagnosis.residual_analysis import Condition
 from hilbench.plant.servo_axis.emulated_run import EmulatedRun, ShaftEmulation, simulate_emulated
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 

@@ -83,7 +83,7 @@ def propose(found: Diagnosis, reach: AxisReach) -> NextExperiment | None:
     noise_Nm = found.gap.noise_floor if exact else max(found.gap.noise_floor, found.gap.after)
     every = 1 if exact else round(_APART_S / _PERIOD_S)
 
-    def told(steps: list[Step]) -> Array:
+    def is_identified(steps: list[Step]) -> Array:
         x, v, a = _motion(steps)
         rows = np.flatnonzero(np.abs(v) > _STANDS * reach.top)[::every]
 
@@ -93,9 +93,9 @@ def propose(found: Diagnosis, reach: AxisReach) -> NextExperiment | None:
                 machines.required_Nm(one, machines.pack(one), x, v, a, _PERIOD_S, out)
             return np.asarray(torques[:, rows] / max(noise_Nm, 1e-300))
 
-        return np.array([question.told(predicted(question)) for question in questions])
+        return np.array([question.is_identified(predicted(question)) for question in questions])
 
-    return best(moves(reach, _SPEED[model.position_unit]), questions, told)
+    return best(moves(reach, _SPEED[model.position_unit]), questions, is_identified)
 
 
 def _motion(steps: list[Step]) -> Array:

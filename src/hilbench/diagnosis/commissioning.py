@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.fit_beside_rest import firsts, weights
+from hilbench.diagnosis.fit_with_residual_noise import firsts, weights
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.predictor import choice
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.rest import Uncertainty, uncertainty
+from hilbench.diagnosis.residual_noise import Uncertainty, uncertainty
 from hilbench.diagnosis.space import Space, noise_model
 from hilbench.diagnosis.terms import Place, Term
 from hilbench.diagnosis.web_line.commissioning import WIDE, believed_sizes, has_own

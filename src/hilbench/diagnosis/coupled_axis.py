@@ -14,7 +14,7 @@ from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion, is_coupled
 from hilbench.diagnosis.predictor import Predictor
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.rest import uncertainty
+from hilbench.diagnosis.residual_noise import uncertainty
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import pack_with
 from hilbench.plant.effect import Effect

@@ -99,8 +99,8 @@ def likelier(left: Mapping[Arm, Sequence[float]]) -> Arm:
     """Where the joint stands, from what each arm leaves unseen of the torque's rms by corner: the one that leaves less,
     in the geometric mean of the corners at which either may be one and both are known."""
     shares = np.array([left[arm] for arm in Arm])
-    told = np.all(np.isfinite(shares), axis=0) & np.any(shares < _MOST_LEFT, axis=0)
-    counted = shares[:, told] if np.any(told) else np.min(shares, axis=1, keepdims=True)
+    is_identified = np.all(np.isfinite(shares), axis=0) & np.any(shares < _MOST_LEFT, axis=0)
+    counted = shares[:, is_identified] if np.any(is_identified) else np.min(shares, axis=1, keepdims=True)
     return list(Arm)[int(np.argmin(np.mean(np.log(np.maximum(counted, 1e-300)), axis=1)))]
 
 

@@ -13,22 +13,30 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, untold_beside
+from hilbench.diagnosis.data_cleaning import Repair
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_profile
-from hilbench.diagnosis.fit_beside_rest import stated_uncertainty, weights
+from hilbench.diagnosis.fit_with_residual_noise import stated_uncertainty, weights
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
-from hilbench.diagnosis.misfit import Condition, Misfit, beyond_noise, largest_ratio, located, misfits, ratios
 from hilbench.diagnosis.noise import NORMAL_95, Whitening, floor, rms
 from hilbench.diagnosis.predictor import Choice, choice
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.repairs import Repair
+from hilbench.diagnosis.residual_analysis import (
+    Condition,
+    Misfit,
+    beyond_noise,
+    largest_ratio,
+    located,
+    misfits,
+    ratios,
+)
 from hilbench.diagnosis.select import Search, Selection
 from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
-from hilbench.diagnosis.swinging import beside_swinging, untold
 from hilbench.diagnosis.terms import Place, Term, extended, pack_with
+from hilbench.diagnosis.torsional_mode import beside_swinging, untold
 from hilbench.diagnosis.unseen_resonance import first_unseen
 from hilbench.diagnosis.web_line.loop_check import nuisance_of
 from hilbench.plant.effect import Effect, Section
@@ -522,7 +530,7 @@ def _experiment(model: Machine, effect: Effect, other: str) -> str:
     """What tells an effect from another effect, by its id, or from what it may be mistaken for."""
     if effect.lookalike is not None and other == effect.lookalike.name:
         return effect.lookalike.told_apart_by
-    return effect.told_apart_from(machines.effect_of(model, other))
+    return effect.distinguished_from(machines.effect_of(model, other))
 
 
 def rounded(value: float) -> float:

@@ -54,11 +54,11 @@ def run_bench(
 
 def completed(outcome: RunOutcome) -> RunOutcome:
     """The outcome of a run to its end. Raises as `run_bench` for one that was cut short."""
-    said = f"{outcome.folder.path}: {'; '.join(fault.text for fault in outcome.result.faults)}"
+    problem_text = f"{outcome.folder.path}: {'; '.join(fault.text for fault in outcome.result.faults)}"
     if outcome.exit_code == EXIT_INTERRUPTED:
-        raise InterruptedByOperatorError(said)
+        raise InterruptedByOperatorError(problem_text)
     if outcome.exit_code == EXIT_BENCH_FAULT:
-        raise BenchFaultError(said)
+        raise BenchFaultError(problem_text)
     return outcome
 
 

@@ -15,8 +15,8 @@ from scipy.integrate import cumulative_trapezoid
 
 from hilbench.diagnosis import machines
 from hilbench.diagnosis import web_torque_checks as torque_checks
+from hilbench.diagnosis.data_cleaning import Repair, mended
 from hilbench.diagnosis.noise import floor
-from hilbench.diagnosis.repairs import Repair, mended
 from hilbench.diagnosis.web_tensions import StationSensor, carriage_forces, station_sensors, tension_channels
 from hilbench.errors import UnusableInputError
 from hilbench.plant.model_file import Machine
@@ -188,7 +188,7 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         return {axis: np.asarray(recording[key], np.float64) for axis, key in names.items() if key in recording}
 
     n = len(recording)
-    told = free and all(name in recording for name in commands)
+    is_identified = free and all(name in recording for name in commands)
     boundary = np.zeros((n, 2))
     if web:
         boundary = np.column_stack([np.asarray(recording[name], np.float64) for name in _BOUNDARY])
@@ -200,7 +200,7 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         t_s=recording.time_s - recording.time_s[0],
         period_s=period_s,
         commands_m_s=np.column_stack([np.asarray(recording[name], np.float64) for name in commands])
-        if told
+        if is_identified
         else np.empty((n, 0)),
         boundary=boundary,
         tau_Nm=channels(torques),
@@ -350,17 +350,17 @@ def _check_units(measured: Measured, model: Machine, place: str | Path) -> None:
         if both < _ALIKE or abs(np.log(max(ratio, 1e-300))) < np.log(1.0 + _SAME_MOTION):
             continue
         position, rate_of = machines.position_channel(model, axis), machines.speed_channel(model, axis)
-        said = f"channel {rate_of} is {ratio:.4g} times the rate of {position}"
+        text = f"channel {rate_of} is {ratio:.4g} times the rate of {position}"
         for known, letter, unit, factor in (*_UNITS, *_of_the_machine(model, axis)):
             if abs(ratio / known - 1.0) < _RATIO:
                 name = rate_of if letter == "v" else position
                 raise UnusableInputError(
                     place,
-                    f"{said}, as if {name} were in {unit}, expected SI units: say so with 'hilbench convert --columns'"
+                    f"{text}, as if {name} were in {unit}, expected SI units: say so with 'hilbench convert --columns'"
                     f" and {name}: {{column: {name}, factor: {factor:.6g}}}",
                 )
         raise UnusableInputError(
-            place, f"{said}, expected both in the same unit, of the same axis, by the times in t_s"
+            place, f"{text}, expected both in the same unit, of the same axis, by the times in t_s"
         )
 
 
@@ -416,12 +416,12 @@ def _check_driven(measured: Measured, model: Machine, place: str | Path) -> None
             continue
         unit = torque_checks.unit_of(share)
         as_if = f", as if it were in {unit}" if unit else ""
-        said = f"channel tau{axis}_Nm is {share:.3g} times the torque that accelerates axis {axis} by the model{as_if}"
+        text = f"channel tau{axis}_Nm is {share:.3g} times the torque that accelerates axis {axis} by the model{as_if}"
         if machines.is_lone(model):  # of which it may be the model that has another inertia
             if unit is not None:
-                measured.repairs.append(Repair("unit", f"tau{axis}_Nm", 0, f"{said}: taken as N·m all the same"))
+                measured.repairs.append(Repair("unit", f"tau{axis}_Nm", 0, f"{text}: taken as N·m all the same"))
         elif unit is not None or not torque_checks.accelerates(share):
-            raise UnusableInputError(place, f"{said}, expected N·m of the motor, positive where it drives forward")
+            raise UnusableInputError(place, f"{text}, expected N·m of the motor, positive where it drives forward")
     if isinstance(model, ModelParameters) and not machines.is_lone(model):
         for one, two in torque_checks.exchanged(motion, model, measured.boundary):
             raise UnusableInputError(
@@ -436,13 +436,13 @@ def _check_positions(measured: Measured, model: Machine, place: str | Path) -> N
     for axis, x in measured.x_m.items():
         if axis > measured.commands_m_s.shape[1]:
             continue
-        told = float(np.sum(np.abs(measured.commands_m_s[:-1, axis - 1]))) * measured.period_s
+        is_identified = float(np.sum(np.abs(measured.commands_m_s[:-1, axis - 1]))) * measured.period_s
         moved = float(np.sum(np.abs(np.diff(x[:: max(1, round(0.1 / measured.period_s))]))))
-        if told > 0.1 and not 0.5 < moved / told < 2.0:
+        if is_identified > 0.1 and not 0.5 < moved / is_identified < 2.0:
             raise UnusableInputError(
                 place,
                 f"channel {machines.position_channel(model, axis)} moves {moved:.4g} while"
-                f" {machines.speed_channel(model, axis, '_cmd')} says {told:.4g} {model.position_unit},"
+                f" {machines.speed_channel(model, axis, '_cmd')} says {is_identified:.4g} {model.position_unit},"
                 f" expected position in {model.position_unit} and speed in {machines.speed_unit(model)}",
             )
 

@@ -16,9 +16,9 @@ from scipy.signal import butter, sosfiltfilt
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.coupling import Arm, Motion, by_accelerations, columns, explains, left_unseen, likelier
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
-from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import NORMAL_95, floor
 from hilbench.diagnosis.presliding import Presliding, presliding, unseen
+from hilbench.diagnosis.residual_analysis import Condition
 from hilbench.diagnosis.smooth_motion import smoothed
 from hilbench.diagnosis.steady_sine import evenly_with, frequency_of_sine, harmonics
 from hilbench.plant.model_file import Machine

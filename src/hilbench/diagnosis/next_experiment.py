@@ -67,7 +67,7 @@ class Question:
         """All of them, in this order."""
         return [self.with_it, self.without, *self.instead]
 
-    def told(self, predicted: Array) -> float:
+    def is_identified(self, predicted: Array) -> float:
         """By predictions (models, n), in units of the noise: how far they lie apart, squared, with the other effect
         fitted."""
         with_it, without, *instead = predicted
@@ -116,19 +116,19 @@ def duration_s(steps: Sequence[Step]) -> float:
 
 
 def best(
-    library: Mapping[str, list[Step]], questions: Sequence[Question], told: Callable[[list[Step]], Array]
+    library: Mapping[str, list[Step]], questions: Sequence[Question], is_identified: Callable[[list[Step]], Array]
 ) -> NextExperiment | None:
     """The move, or two, that would tell most of the questions; None where no move would tell of any.
 
     library: moves from standstill to standstill, by what they are. told: what steps tell of each question
-    (questions,), as `Question.told`.
+    (questions,), as `Question.is_identified`.
     """
     if not questions:
         return None
     library = {name: steps for name, steps in library.items() if _takes({name: steps}, (name,)) <= LONGEST_S}
     options: list[tuple[str, ...]] = [(name,) for name in library]
     options += [pair for pair in combinations(library, 2) if _takes(library, pair) <= LONGEST_S]
-    of_move = {name: told([hold(START_S), *steps]) for name, steps in library.items()}
+    of_move = {name: is_identified([hold(START_S), *steps]) for name, steps in library.items()}
     chosen, score = None, 0.0
     for names in options:
         # What moves tell adds up; longer ones have to tell more.
@@ -141,7 +141,7 @@ def best(
         return None
     gains = np.sum([of_move[name] for name in chosen], axis=0)
     reasons = [
-        f"{q.text}: chi-square {g:.3g}, {'told' if g > q.least else 'not told'} from {q.least:g} on"
+        f"{q.text}: chi-square {g:.3g}, {'is_identified' if g > q.least else 'not told'} from {q.least:g} on"
         for q, g in zip(questions, gains, strict=True)
         if g > q.least or q.weight > 1.0
     ]

@@ -13,7 +13,7 @@ from hilbench.diagnosis.coupling import Arm
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion, coupled_motion
-from hilbench.diagnosis.misfit import Condition
+from hilbench.diagnosis.residual_analysis import Condition
 from hilbench.diagnosis.web_line.free_run import FreeRun
 from hilbench.diagnosis.web_line.loop_check import Loop
 from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion

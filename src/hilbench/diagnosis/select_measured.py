@@ -1,8 +1,8 @@
 """Which terms the data ask for where a right model would not leave noise alone: prediction on measured motion.
 
 There the torque is nearly linear in every strength, so that one Gram matrix tells what any term explains beside any
-others. What is left at the end is never noise; its spectrum is taken for one (`hilbench.diagnosis.rest`). A term is
-certain when
+others. What is left at the end is never noise; its spectrum is taken for one (`hilbench.diagnosis.residual_noise`). A
+term is certain when
 
 - it is neutral by less than a small chance, with the spectrum of what is left beside it as noise,
 - it lowers the sum of squares of what is left by more than a share: what is significant and tiny is a part of the
@@ -23,10 +23,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.fit import Fit
-from hilbench.diagnosis.fit_beside_rest import firsts, fitted, stated_uncertainty, uncertainty_of
-from hilbench.diagnosis.noise import Whitening
-from hilbench.diagnosis.offers import (
+from hilbench.diagnosis.candidate_ranking import (
     LEAST_SHARE,
     RANK,
     TIED,
@@ -36,16 +33,19 @@ from hilbench.diagnosis.offers import (
     is_beside_a_whole_order,
     least_share,
 )
+from hilbench.diagnosis.fit import Fit
+from hilbench.diagnosis.fit_with_residual_noise import firsts, fitted, stated_uncertainty, uncertainty_of
+from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.rest import Uncertainty
+from hilbench.diagnosis.residual_noise import Uncertainty
 from hilbench.diagnosis.select import Selection
 from hilbench.diagnosis.side_bands import NEAR, is_near_present, order_of, side_bands, without_side_bands
+from hilbench.diagnosis.single_sine_identifiability import identifiable_on_one_sine, is_on_one_sine
 from hilbench.diagnosis.space import Space, noise_model
-from hilbench.diagnosis.steadiness import in_both_halves, in_every_band
+from hilbench.diagnosis.stationarity import in_both_halves, in_every_band
 from hilbench.diagnosis.steps import CandidateSet
 from hilbench.diagnosis.stretched_problem import StretchedProblem, basis, without
 from hilbench.diagnosis.terms import Key, Place, Term
-from hilbench.diagnosis.told_on_one_sine import is_on_one_sine, told_on_one_sine
 
 Array = NDArray[np.float64]
 Announce = Callable[[str, float], None]
@@ -138,18 +138,18 @@ class MeasuredSearch:
         responses = space.strengths(current.terms, current.residual, candidates)
         own = space.point(current.terms, current.residual).derivatives
         moving = np.concatenate([own, *(r for t, r in zip(candidates, responses, strict=True) if not t.has_phase)])
-        told = [
+        is_identified = [
             not term.has_phase
             or term.effect.id in self._as_simple
             or self._own_share_beside(moving, response) >= _OWN_SHARE
             for term, response in zip(candidates, responses, strict=True)
         ]
-        candidates, responses = list(compress(candidates, told)), list(compress(responses, told))
+        candidates, responses = list(compress(candidates, is_identified)), list(compress(responses, is_identified))
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         searched = self._searched(current, white)
         more = space.strengths(current.terms, current.residual, searched)
-        told = [self._own_share_beside(moving, response) >= _OWN_SHARE_OF_WAVE for response in more]
-        searched, more = list(compress(searched, told)), list(compress(more, told))
+        is_identified = [self._own_share_beside(moving, response) >= _OWN_SHARE_OF_WAVE for response in more]
+        searched, more = list(compress(searched, is_identified)), list(compress(more, is_identified))
         return CandidateSet(white, current.residual, own, candidates + searched, responses + more)
 
     def _searched(self, current: Fit, white: Whitening) -> list[Term]:
@@ -224,8 +224,8 @@ class MeasuredSearch:
             for term, group in zip(offered.candidates, groups, strict=True)
             if term.held
         ]
-        told, offers = told_on_one_sine(self._space, current.terms, offered), []
-        for term, group in compress(zip(offered.candidates, groups, strict=True), told):
+        is_identified, offers = identifiable_on_one_sine(self._space, current.terms, offered), []
+        for term, group in compress(zip(offered.candidates, groups, strict=True), is_identified):
             started = self._started(problem, mine, term, group)
             least = least_share(term)
             if started is None or before - started[0] < least * before:
@@ -410,9 +410,9 @@ class MeasuredSearch:
 
     def _untold(self, current: Fit, tied: dict[Key, list[Place]], offered: CandidateSet) -> list[Term]:
         """A candidate of each place of which this motion can tell none, and that is tied with nothing."""
-        told = told_on_one_sine(self._space, current.terms, offered)
+        is_identified = identifiable_on_one_sine(self._space, current.terms, offered)
         known = {*(term.place for term in current.terms), *chain.from_iterable(tied.values())}
-        known |= {term.place for term in compress(offered.candidates, told)}
+        known |= {term.place for term in compress(offered.candidates, is_identified)}
         return list({term.place: term for term in offered.candidates if term.place not in known}.values())
 
     def _evidence(self, current: Fit) -> dict[Key, dict[str, float]]:

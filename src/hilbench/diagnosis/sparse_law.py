@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.misfit import Condition
+from hilbench.diagnosis.residual_analysis import Condition
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]

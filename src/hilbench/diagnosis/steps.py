@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.fit import Fit, fit, sums, with_best_time
-from hilbench.diagnosis.misfit import largest_ratio
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
+from hilbench.diagnosis.residual_analysis import largest_ratio
 from hilbench.diagnosis.space import Linear, Space, noise_model
 from hilbench.diagnosis.terms import Key, Place, Term
 from hilbench.plant.effect import Effect, Section

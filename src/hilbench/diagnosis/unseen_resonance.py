@@ -14,7 +14,7 @@ from itertools import groupby, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.offers import least_share
+from hilbench.diagnosis.candidate_ranking import least_share
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.select import Selection
 from hilbench.diagnosis.space import Space

@@ -93,10 +93,10 @@ def propose(found: Diagnosis, reach: Reach) -> NextExperiment | None:
         questions_of(found, lambda axis: machine_sizes(machine, axis, top_speed_m_s=reach.top_m_s, torque_Nm=1.0))
     )
     noise = {gap.signal: gap.noise_floor for gap in found.gaps}
-    return best(moves(reach), questions, lambda steps: _told(steps, found, machine, reach, questions, noise))
+    return best(moves(reach), questions, lambda steps: _information(steps, found, machine, reach, questions, noise))
 
 
-def _told(
+def _information(
     steps: list[Step],
     found: Diagnosis,
     model: ModelParameters,
@@ -116,7 +116,7 @@ def _told(
         rows = predictor.predict(np.array([lay.pack(one) for one in models]))
         return np.asarray((rows[:, kept] / sigma[kept, None])[:, :, predictor.rows].reshape(len(models), -1))
 
-    return np.array([question.told(predicted(question)) for question in questions])
+    return np.array([question.is_identified(predicted(question)) for question in questions])
 
 
 def _as_measured(steps: list[Step], model: ModelParameters, reach: Reach) -> Measured:

@@ -14,9 +14,9 @@ from hilbench.bench.lifecycle.participants import check_in_process
 from hilbench.bench.lifecycle.startup import start_children
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.listening import listen, master_at_work, present
-from hilbench.canopen.mastery import master_of
+from hilbench.canopen.master_guard import master_of
 from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
-from hilbench.doctor.drift import Said
+from hilbench.doctor.drift import NodeAnswers
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.exchange.node_data import StandData, ask_all, drives_of
 from hilbench.processes import ChildProcess
@@ -59,7 +59,7 @@ def last_run(runs: Path, stand: str) -> tuple[LastRun | None, list[str]]:
 
 def ask_stand(
     config: BenchConfig, *, start: bool, in_process: bool, announce: Callable[[str], None]
-) -> tuple[Said, frozenset[str]]:
+) -> tuple[NodeAnswers, frozenset[str]]:
     """What the drives say, by part, and which of them were started for that; nothing is written to any.
 
     start: simulated drives are started when none of them is there. in_process: they are, without processes. Raises
@@ -94,10 +94,10 @@ def ask_stand(
             _wait_for(lambda: len(present(link, ids, _PRESENT_S)) == len(ids), children, config)
         announce("ask the drives")
         with SdoClient(open_python_can(bus, SDO_ANSWERS), config.master.sdo_timeout_s) as reader:
-            said = ask_all(reader, config)
-    if not any(said.values()):
-        raise UnusableInputError(str(bus), f"none of {', '.join(said)} answers, expected the drives of the config")
-    return said, fresh
+            answers = ask_all(reader, config)
+    if not any(answers.values()):
+        raise UnusableInputError(str(bus), f"none of {', '.join(answers)} answers, expected the drives of the config")
+    return answers, fresh
 
 
 def _wait_for(there: Callable[[], bool], children: list[ChildProcess], config: BenchConfig) -> None:

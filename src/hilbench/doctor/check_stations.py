@@ -13,19 +13,19 @@ _PROFILE_MASK = 0xFFFF  # 1000h: device profile number in the low half
 _WRITE_ONLY = 0x06010001
 
 
-def check_heard(
-    heard: Received, expected: Sequence[ExpectedNode], master_id: int, bus: str, claimed_by: str | None = None
+def check_received(
+    received: Received, expected: Sequence[ExpectedNode], master_id: int, bus: str, claimed_by: str | None = None
 ) -> list[Finding]:
     """Findings on who talks without having been asked; `claimed_by`: who has said that it is the master."""
     findings = []
-    master = master_at_work(heard, claimed_by, master_id)
+    master = master_at_work(received, claimed_by, master_id)
     if master is not None:
         advice = "end the other bench or master first; nodes are not asked meanwhile, so that nothing disturbs it"
         findings.append(error(Check.OTHER_MASTER, bus, master, "no other master on the bus", advice))
     else:
         findings.append(ok(Check.OTHER_MASTER, bus, "none received"))
     known = {node.node_id for node in expected} | {master_id}
-    strangers = {node_id: ids for node_id, ids in heard.nodes.items() if node_id not in known}
+    strangers = {node_id: ids for node_id, ids in received.nodes.items() if node_id not in known}
     if strangers:
         found = "; ".join(
             f"node {node_id} ({' '.join(f'{cob_id:03X}h' for cob_id in sorted(ids))})"

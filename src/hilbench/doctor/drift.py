@@ -27,7 +27,7 @@ from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, parse_object
 
 Kind = Literal["config", "eds", "missing", "identity", "units", "parameter", "pdo", "reset"]
-Said = Mapping[str, Mapping[Key, bytes | None]]
+NodeAnswers = Mapping[str, Mapping[Key, bytes | None]]
 
 #: Keys of a config that say nothing of the stand.
 _NOT_OF_THE_STAND: Final = frozenset(
@@ -66,29 +66,30 @@ class Drift:
     write: tuple[Write, ...] = ()
 
     def __str__(self) -> str:
-        said = [f"{self.before} in the last run"] if self.before is not None else []
-        said += [f"{self.by_file} by its EDS file"] if self.by_file is not None else []
-        return f"{self.key}: {self.what}: {self.now}" + (f", {', '.join(said)}" if said else "")
+        by_node = [f"{self.before} in the last run"] if self.before is not None else []
+        by_node += [f"{self.by_file} by its EDS file"] if self.by_file is not None else []
+        return f"{self.key}: {self.what}: {self.now}" + (f", {', '.join(by_node)}" if by_node else "")
 
 
 def drifts(
     config: ExperimentConfig,
-    said: Said,
+    by_node: NodeAnswers,
     last: StandData | None,
     last_config: BenchConfig | None,
     *,
     fresh: frozenset[str],
     files: Sequence[EdsFile] = (),
 ) -> list[Drift]:
-    """All that has changed. `said`: what the drives say now, by part (nothing of one that is silent, no entry for one
-    that was not asked); `last`: what the last run of the stand kept; `fresh`: the parts that have just been started;
-    `files`: EDS files among which that of an exchanged device may be. Raises UnusableInputError for an EDS file.
+    """All that has changed. `by_node`: what the drives say now, by part (nothing of one that is silent, no entry for
+    one that was not asked); `last`: what the last run of the stand kept; `fresh`: the parts that have just been
+    started; `files`: EDS files among which that of an exchanged device may be. Raises UnusableInputError for an EDS
+    file.
     """
     found = [] if last_config is None else list(_of_config(config, last_config))
     found += [] if last is None else list(_of_files(config, last))
     for part in drives_of(config):
-        if part.name in said:
-            found += _of_node(config, part, said[part.name], last, fresh=part.name in fresh, files=files)
+        if part.name in by_node:
+            found += _of_node(config, part, by_node[part.name], last, fresh=part.name in fresh, files=files)
     return found
 
 
@@ -140,8 +141,8 @@ def _of_files(config: BenchConfig, last: StandData) -> Iterator[Drift]:
         now = eds_objects(part.node.eds)
         for name in sorted(now.keys() | before.keys()):
             if now.get(name) != before.get(name):
-                said = _eds_text(now.get(name)), _eds_text(before.get(name))
-                yield Drift("eds", f"{part.node.eds.name}.{name}", "EDS file", said[0], said[1])
+                by_node = _eds_text(now.get(name)), _eds_text(before.get(name))
+                yield Drift("eds", f"{part.node.eds.name}.{name}", "EDS file", by_node[0], by_node[1])
 
 
 def _eds_text(found: EdsObject | None) -> str:

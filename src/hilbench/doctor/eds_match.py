@@ -24,8 +24,8 @@ class EdsFile:
 
     def fits(self, found: tuple[int | None, ...]) -> bool:
         """Whether vendor-ID and product code are a device's; what the file leaves open the device has as 0."""
-        said = zip((_VENDOR, _PRODUCT), found, strict=False)
-        return bool(self.identity[_PRODUCT]) and all(value in (self.identity[at] or {0}) for at, value in said)
+        values = zip((_VENDOR, _PRODUCT), found, strict=False)
+        return bool(self.identity[_PRODUCT]) and all(value in (self.identity[at] or {0}) for at, value in values)
 
     def is_of_revision(self, revision: int | None) -> bool:
         """Whether the file is of this revision, or says nothing about it."""

@@ -16,11 +16,11 @@ from pathlib import Path
 from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link, open_python_can
 from hilbench.canopen.listening import listen, present
-from hilbench.canopen.mastery import master_of
+from hilbench.canopen.master_guard import master_of
 from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
 from hilbench.doctor.check_interface import InterfaceNeeds, check_interface
 from hilbench.doctor.check_machine import MachineNeeds, check_machine
-from hilbench.doctor.check_stations import check_heard, check_node
+from hilbench.doctor.check_stations import check_node, check_received
 from hilbench.doctor.findings import Check, Finding, Level, error, ok, warning
 from hilbench.doctor.interface import read_interface
 from hilbench.doctor.machine import Lateness, measure_lateness, read_machine
@@ -131,12 +131,12 @@ def _on_bus(
     link = open_link(bus)
     resources.callback(link.close)
     announce(f"listen on {bus}")
-    heard = listen(link, _LISTEN_S)
+    received = listen(link, _LISTEN_S)
     findings = [ok(Check.BUS, str(bus), "opens")]
     master = master_of(bus)
     claimed_by = None if master is None else str(master)
-    findings += check_heard(heard, subject.nodes, subject.master_id, str(bus), claimed_by)
-    if not subject.nodes or claimed_by or heard.signs_of_master(subject.master_id):
+    findings += check_received(received, subject.nodes, subject.master_id, str(bus), claimed_by)
+    if not subject.nodes or claimed_by or received.signs_of_master(subject.master_id):
         return findings
     ours = [node.node_id for node in subject.nodes if node.ours]
     if start is not None and ours and not present(link, ours, _PRESENT_S):

@@ -105,8 +105,8 @@ def read_interface(name: str) -> InterfaceFacts:
 
 def bitrate_of(bus: BusAddress) -> int:
     """Of an interface that says it, in bit/s; else the address's."""
-    told = read_interface(bus.channel).bitrate if bus.interface == "socketcan" else None
-    return told or bus.bitrate
+    known_bitrate = read_interface(bus.channel).bitrate if bus.interface == "socketcan" else None
+    return known_bitrate or bus.bitrate
 
 
 def _number(path: Path) -> int:

@@ -72,11 +72,11 @@ def scan(
     has said it is the master. Raises BusError when the bus is lost.
     """
     frames = receive_for(link, listen_s)
-    heard = sort_by_node(frames)
-    master = master_at_work(heard, claimed_by, master_id)
+    received = sort_by_node(frames)
+    master = master_at_work(received, claimed_by, master_id)
     states = nmt_states(frames)
     if master or not ask:
-        known = sorted(heard.nodes.keys() - {master_id})
+        known = sorted(received.nodes.keys() - {master_id})
         return Scan([Station(node_id, states.get(node_id)) for node_id in known], master)
     wait_s = _ANSWER_S + 2 * _AT_ONCE * _FRAME_BITS / bitrate
     answering = {
@@ -84,7 +84,7 @@ def scan(
         for first in range(_NODE_IDS.start, _NODE_IDS.stop, _AT_ONCE)
         for node_id in present(link, range(first, min(first + _AT_ONCE, _NODE_IDS.stop)), wait_s)
     }
-    found = sorted(answering | heard.nodes.keys())
+    found = sorted(answering | received.nodes.keys())
     return Scan([_ask(reader, node_id, states.get(node_id), files) for node_id in found], waited_s=wait_s)
 
 

@@ -12,7 +12,7 @@ turn), a *drift* (a rate of it), and, of a drift, its *end*.
 
 Means (n, H) and covariances (n, n, H) of all hypotheses stand beside each other, with a record (H, RECORD) of each.
 What kind of filter it is the bank does not know: a cycle is a step of all filters, whose log likelihoods are added to
-their weights (`weigh`), then `compare`, `mix` and `births`. Filters that have gone are stepped with the others.
+their weights (`reweight`), then `compare`, `mix` and `births`. Filters that have gone are stepped with the others.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def births(z: Array, p: Array, records: Array, settings: Array, watched: int, ra
 
 
 @compiled
-def weigh(records: Array, likelihoods: Array) -> None:
+def reweight(records: Array, likelihoods: Array) -> None:
     """Add the log likelihoods (H,) of this cycle to the weights."""
     for i in range(records.shape[0]):
         if records[i, ALIVE] != 0.0:

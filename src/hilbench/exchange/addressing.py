@@ -29,7 +29,9 @@ class IoMaps:
     data: ProcessData
     sent: tuple[PdoMap, ...]  #: what is simulated and estimated, and how sure that is, in the order of `data.sent`
     status: PdoMap  #: TPDO3: SYNC that the data are of, age, status bits
-    boundary: tuple[PdoMap, ...]  #: RPDO1 and following: what the twin is told, in the order of `data.told`
+    boundary: tuple[
+        PdoMap, ...
+    ]  #: RPDO1 and following: boundary inputs of the twin, in the order of `data.boundary_inputs`
 
     @classmethod
     def of(cls, config: BenchConfig, od: canopen.ObjectDictionary) -> IoMaps:
@@ -48,7 +50,9 @@ class IoMaps:
                     f"file with {len(data.sent) + 1} of them, such as hilbench_virtual_io_long.eds for up to 24 rollers"
                 )
         if len(data.boundary) > len(RPDOS):
-            raise ValueError(f"{len(data.told)} values for the twin, expected at most {PER_PDO * len(RPDOS)}")
+            raise ValueError(
+                f"{len(data.boundary_inputs)} values for the twin, expected at most {PER_PDO * len(RPDOS)}"
+            )
         return cls(
             data,
             tuple(pdo_map(_tpdo_id(config, pdo.number), pdo) for pdo in data.sent),
@@ -97,9 +101,9 @@ def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary
     parameters = {(object_of(part.node_axis, index), 0): value for index, value in values.items()}
     real = config.parts_of(Role.AXIS)[part.axis - 1]
     listened = rpdo_identifier(real.node.node_id, real.node_axis)
-    copies: tuple[RpdoCopy, ...] = ()
+    forked_workers: tuple[RpdoCopy, ...] = ()
     if config.mirroring == "copy" and not virtual and not load:
-        copies = (_copy_for(config.parts_of(Role.VIRTUAL_AXIS)[part.axis - 1], units, torqued=torqued),)
+        forked_workers = (_copy_for(config.parts_of(Role.VIRTUAL_AXIS)[part.axis - 1], units, torqued=torqued),)
     return DriveSettings(
         name=part.label,
         node_id=node.node_id,
@@ -111,7 +115,7 @@ def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary
         heartbeat_ms=config.master.node_heartbeat_ms,
         master_heartbeat=_master_heartbeat(config, virtual),
         listens_to=listened if virtual and config.mirroring == "listen" else None,
-        copies=copies,
+        forked_workers=forked_workers,
         tpdo_type=(config.twin.virtual_tpdo_every or None) if virtual else 1,
         time_out_s=config.safety.drive_timeout_s,
         axis=part.node_axis,

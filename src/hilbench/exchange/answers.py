@@ -59,7 +59,7 @@ class Tpdo:
             self._behind.append(data)
 
     @property
-    def is_plain(self) -> bool:
+    def fits_fast_path(self) -> bool:
         """Whether one answer to each SYNC that asks for it is all that is to be expected."""
         return self.is_regular and not self._owed
 

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from hilbench.can.confinement import ControllerState
 from hilbench.can.link import Link
 from hilbench.canopen.object_store import ObjectStore
-from hilbench.chain import Chained
+from hilbench.cycle_program import CompiledStage
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.emergencies import Emergency
 from hilbench.exchange.frame_tap import FrameTap
+from hilbench.exchange.master_node import MasterNode
 from hilbench.exchange.nodes import Nodes
-from hilbench.exchange.own_node import OwnNode
 from hilbench.exchange.sync_cycle import SyncCycle
 from hilbench.exchange.sync_producer import SyncProducer
 from hilbench.exchange.unexpected_senders import Unexpected
@@ -49,13 +49,13 @@ class Inputs(Protocol):
         """Put the measurements into a sample; SI, positions and velocities in the machine's unit."""
 
 
-class ChainedCycles(Protocol):
+class ExchangeStages(Protocol):
     """Cycles as pieces that need no Python, from a sample that shows the outputs to one that has the inputs."""
 
     @property
-    def pieces(self) -> Sequence[Chained]:
-        """Those of a cycle. The one that sends the outputs raises `hilbench.chain.LeftError` where the cycle is none of
-        these: `Exchange.cycle` runs it, or goes on with it, then."""
+    def pieces(self) -> Sequence[CompiledStage]:
+        """Those of a cycle. The one that sends the outputs raises `hilbench.cycle_program.StageAbortedError` where the
+        cycle is none of these: `Exchange.cycle` runs it, or goes on with it, then."""
 
     def cycles(self) -> int:
         """How many from the next one on may be run by these; called right before they are."""
@@ -64,13 +64,13 @@ class ChainedCycles(Protocol):
         """All that count cycles learn of those that were run. Raises as `SyncCycle` and `Nodes.decode`."""
 
 
-class PlainCycles(Protocol):
+class FastPathCycles(Protocol):
     """Runs cycles in which nothing but set points and feedback changes, in the place of the interpreted ones."""
 
     def cycle(self, outputs: Mapping[str, float]) -> bool:
         """Run one, as `Exchange.cycle`; False where it was none, and nothing was done."""
 
-    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[ChainedCycles | None]:
+    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[ExchangeStages | None]:
         """While nobody else uses the bus: cycles that need no Python, as the last one was; None: they do. `shown`: the
         signals of the sample that show the outputs, by the names of these."""
 
@@ -97,7 +97,7 @@ class Exchange:
         self.in_step = in_process or config.pace == "lockstep"  #: everybody waits for SYNC, and SYNC for everybody
         self._by_clock = in_process and config.pace == "realtime"
         self._nodes = nodes
-        self._own = OwnNode(config.master.node_id, objects)
+        self._own = MasterNode(config.master.node_id, objects)
         self._sync = sync = SyncCycle(
             link,
             cycle_ns=config.cycle_ns,
@@ -110,7 +110,7 @@ class Exchange:
             tap=tap,
             producer=producer,
         )
-        self._plain: PlainCycles | None = None
+        self._plain: FastPathCycles | None = None
         self._foreign_between: list[Unexpected] = []  # among what was discarded since the last cycle, and before it
         self._foreign_before: list[Unexpected] = []
         self.timing = sync.timing
@@ -123,7 +123,7 @@ class Exchange:
     def cycle(self, outputs: Mapping[str, float]) -> Inputs:
         """Outputs and SYNC onto the bus, then what the nodes answer. `outputs` as in `Nodes.encode`."""
         nodes, sync, own = self._nodes, self._sync, self._own
-        nodes.unexpected = []
+        nodes.crash_report = []
         self._foreign_before, self._foreign_between = self._foreign_between, []
         if self._by_clock:
             sync.wait_for_turn()
@@ -135,10 +135,10 @@ class Exchange:
             received = sync.exchange([*set_points, *answers], may_be_left_out=nodes.follow and not answers)
         except BenchFaultError:
             if sync.received:  # an answer that stays away may be a stranger's doing
-                nodes.unexpected, sync.received = nodes.foreign_among(sync.received), []
+                nodes.crash_report, sync.received = nodes.foreign_among(sync.received), []
             raise
         own.handle(received)
-        nodes.decode(received, sync.before_sync, sync.gone_by)
+        nodes.decode(received, sync.before_sync, sync.elapsed_cycles)
         self._count()
         return nodes
 
@@ -146,13 +146,13 @@ class Exchange:
         self._nodes.measured.count(self.timing.cycles, self._sync.last_bits)
 
     @property
-    def unexpected(self) -> Sequence[Unexpected]:
+    def crash_report(self) -> Sequence[Unexpected]:
         """What came in the last cycle, and is not of the bench or its nodes; also where a fault of a drive has ended
         it, which may be a stranger's doing."""
-        return [*self._foreign_before, *self._nodes.unexpected]
+        return [*self._foreign_before, *self._nodes.crash_report]
 
-    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[ChainedCycles | None]:
-        """See `PlainCycles.chained`."""
+    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[ExchangeStages | None]:
+        """See `FastPathCycles.chained`."""
         return self._plain.chained(sample, shown) if self._plain is not None else nullcontext()
 
     @property
@@ -165,17 +165,17 @@ class Exchange:
         """As of `exchange.measured`, after each cycle."""
         return self._nodes.measured.counted
 
-    def filling(self, sample: CycleSample) -> Chained:
+    def filling(self, sample: CycleSample) -> CompiledStage:
         """`Inputs.fill` as a piece of a cycle."""
         return self._nodes.measured.filling(sample)
 
-    def use(self, made: Callable[[SyncCycle, OwnNode], PlainCycles | None]) -> None:
+    def use(self, made: Callable[[SyncCycle, MasterNode], FastPathCycles | None]) -> None:
         """Let cycles that are plain be run by what `made` makes."""
         self._plain = made(self._sync, self._own)
 
     def discard_waiting(self, timeout_s: float = 0.0) -> None:
         """What waits to be read, or comes within `timeout_s`, is no answer to the last SYNC; a stranger's frames among
-        it are `unexpected` with the next cycle."""
+        it are `crash_report` with the next cycle."""
         self._foreign_between += self._nodes.foreign_among(self._sync.discard_waiting(timeout_s))
 
     def sync_only(self) -> None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import GOES_ON, Chained, never
 from hilbench.compiled import (
     COUNT,
     TABLE,
@@ -19,6 +18,7 @@ from hilbench.compiled import (
     integers,
     table_of,
 )
+from hilbench.cycle_program import CONTINUE, CompiledStage, never
 from hilbench.topology.sample import CycleSample
 
 Vector = NDArray[np.float64]
@@ -36,7 +36,7 @@ CYCLES, BITS, TWIN_SYNC, TWIN_STATUS, _COUNTED = range(5)
 
 
 @compiled
-def take_twin(came: Whole, torques: Whole, before_Nm: Vector, of_drives: Vector, said: Vector) -> None:
+def take_twin(came: Whole, torques: Whole, before_Nm: Vector, of_drives: Vector, virtual_io: Vector) -> None:
     """A cycle on, in which these TPDOs of the twin `came` (P,): simulated torques from their residuals.
 
     The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
@@ -44,7 +44,7 @@ def take_twin(came: Whole, torques: Whole, before_Nm: Vector, of_drives: Vector,
     for k in range(len(before_Nm)):
         row = torques[k * _OF_TORQUE : (k + 1) * _OF_TORQUE]
         if came[row[_BROUGHT_BY]] != 0:
-            said[row[_SIMULATED]] = before_Nm[k] - said[row[_RESIDUAL]]
+            virtual_io[row[_SIMULATED]] = before_Nm[k] - virtual_io[row[_RESIDUAL]]
         before_Nm[k] = of_drives[row[_MEASURED]]
 
 
@@ -66,10 +66,10 @@ def _take(table: NDArray[np.int64]) -> None:
 @entry_point(COUNT, TABLE)
 def _fill(twin_status: int, table: NDArray[np.int64]) -> int:
     if len(table) == 0:
-        return GOES_ON
+        return CONTINUE
     reals, wholes = floats(table, 9, (1,)), integers(table, 10, (1,))
-    of_drives, said = floats(table, 3, (1,)), floats(table, 4, (1,))
-    places, of_said, rad_per_unit = integers(table, 5, (1,)), integers(table, 6, (1,)), floats(table, 7, (1,))
+    of_drives, virtual_io = floats(table, 3, (1,)), floats(table, 4, (1,))
+    places, of_virtual_io, rad_per_unit = integers(table, 5, (1,)), integers(table, 6, (1,)), floats(table, 7, (1,))
     for k in range(len(rad_per_unit)):
         place, shown = places[k * OF_DRIVE : (k + 1) * OF_DRIVE], of_drives[k * OF_DRIVE : (k + 1) * OF_DRIVE]
         reals[place[POSITION]] = shown[POSITION] / rad_per_unit[k]
@@ -77,10 +77,10 @@ def _fill(twin_status: int, table: NDArray[np.int64]) -> int:
             reals[place[VELOCITY]] = shown[VELOCITY] / rad_per_unit[k]
         reals[place[TORQUE]] = shown[TORQUE]
         wholes[place[STATUSWORD]] = int(shown[STATUSWORD])
-    for k in range(len(said)):
-        reals[of_said[k]] = said[k]
+    for k in range(len(virtual_io)):
+        reals[of_virtual_io[k]] = virtual_io[k]
     wholes[twin_status] = integers(table, 8, (1,))[TWIN_STATUS]
-    return GOES_ON
+    return CONTINUE
 
 
 @dataclass(frozen=True)
@@ -109,25 +109,25 @@ class SimulatedTorque:
 
 
 class Measured:
-    """Vectors of what has been answered. `of_drives` (4 D,); `said` (S,): the twin's signals, TPDO by TPDO, then the
-    torques that follow from residuals; `came` (P,): which of these TPDOs brought something in this cycle; `counted`: by
-    CYCLES and so on.
+    """Vectors of what has been answered. `of_drives` (4 D,); `virtual_io` (S,): the twin's signals, TPDO by TPDO, then
+    the torques that follow from residuals; `came` (P,): which of these TPDOs brought something in this cycle;
+    `counted`: by CYCLES and so on.
 
-    `said_by`: the signals of each TPDO of the twin.
+    `sent_by`: the signals of each TPDO of the twin.
     """
 
     def __init__(
         self,
         kind: type[CycleSample],
         drives: Sequence[ShownBy],
-        said_by: Sequence[Sequence[str]],
+        sent_by: Sequence[Sequence[str]],
         torques: Sequence[SimulatedTorque],
     ) -> None:
-        names = [name for content in said_by for name in content]
-        ends = np.cumsum([len(content) for content in said_by]).tolist()
+        names = [name for content in sent_by for name in content]
+        ends = np.cumsum([len(content) for content in sent_by]).tolist()
         #: Where the signals of each TPDO are in `said`.
-        self.parts = [slice(end - len(content), end) for end, content in zip(ends, said_by, strict=True)]
-        brought_by = {name: at for at, content in enumerate(said_by) for name in content}
+        self.parts = [slice(end - len(content), end) for end, content in zip(ends, sent_by, strict=True)]
+        brought_by = {name: at for at, content in enumerate(sent_by) for name in content}
         rows = [
             (
                 OF_DRIVE * (each.axis - 1) + TORQUE,
@@ -138,19 +138,19 @@ class Measured:
             for at, each in enumerate(torques)
         ]
         names += [each.signal for each in torques]
-        self.of_drives, self.said = np.zeros(OF_DRIVE * len(drives)), np.zeros(len(names))
-        self.came, self.counted = np.zeros(len(said_by), np.int64), np.zeros(_COUNTED, np.int64)
+        self.of_drives, self.virtual_io = np.zeros(OF_DRIVE * len(drives)), np.zeros(len(names))
+        self.came, self.counted = np.zeros(len(sent_by), np.int64), np.zeros(_COUNTED, np.int64)
         self._counted = self.counted.data  # one value goes faster through this than through the vector
         self.torques, self.before_Nm = np.array(rows, np.int64).reshape(-1), np.zeros(len(torques))
         places = [kind.place(name) if name else _NOWHERE for drive in drives for name in drive.signals]
         self._kept = (
-            *(self.came, self.torques, self.before_Nm, self.of_drives, self.said),
+            *(self.came, self.torques, self.before_Nm, self.of_drives, self.virtual_io),
             *(np.array(places, np.int64), kind.places(names), np.array([each.rad_per_unit for each in drives])),
             self.counted,
         )
         self._table = table_of(self._kept)
         self._filled: CycleSample | None = None
-        self._filling: Chained
+        self._filling: CompiledStage
 
     def count(self, cycles: int, bits: int) -> None:
         """So many cycles by now, and so many bits in the last one."""
@@ -164,12 +164,15 @@ class Measured:
         """Into a sample; SI, positions and velocities in the machine's unit; and the twin's status."""
         self.filling(sample)()
 
-    def filling(self, sample: CycleSample) -> Chained:
+    def filling(self, sample: CycleSample) -> CompiledStage:
         """The same as a piece of a cycle."""
         if sample is not self._filled:
             kept = *self._kept, sample.reals, sample.wholes
             place = type(sample).place("twin_status")
-            self._filled, self._filling = sample, Chained(_fill, place, table_of(kept), otherwise=never, keeps=kept)
+            self._filled, self._filling = (
+                sample,
+                CompiledStage(_fill, place, table_of(kept), fallback=never, keeps=kept),
+            )
         return self._filling
 
 

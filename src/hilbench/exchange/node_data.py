@@ -24,7 +24,7 @@ from hilbench.canopen.sdo_client import Refusal, SdoClient
 from hilbench.cia402 import configuration, objects
 from hilbench.cia402.axis import MOST_AXES, is_of, object_of, of_first_axis, pdos_behind
 from hilbench.exchange.addressing import drive_settings
-from hilbench.exchange.to_each import ToEach
+from hilbench.exchange.parallel import ForEachNode
 from hilbench.json_file import JsonFile
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
@@ -98,14 +98,16 @@ def drives_of(config: BenchConfig) -> tuple[Part, ...]:
     return (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))
 
 
-def ask_all(reader: SdoClient, config: BenchConfig, to_each: ToEach = map) -> dict[str, dict[Key, bytes | None]]:
+def ask_all(
+    reader: SdoClient, config: BenchConfig, for_each_node: ForEachNode = map
+) -> dict[str, dict[Key, bytes | None]]:
     """What each drive of a bench says, by part: bytes by object, None where it refuses; nothing of one that is silent.
 
     Raises BusError when the bus is lost.
     """
     parts = drives_of(config)
-    said = to_each(partial(ask, reader, config), parts)
-    return {part.name: of_part for part, of_part in zip(parts, said, strict=True)}
+    answers = for_each_node(partial(ask, reader, config), parts)
+    return {part.name: of_part for part, of_part in zip(parts, answers, strict=True)}
 
 
 def ask(reader: SdoClient, config: BenchConfig, part: Part) -> dict[Key, bytes | None]:
@@ -126,8 +128,8 @@ def ask(reader: SdoClient, config: BenchConfig, part: Part) -> dict[Key, bytes |
         if (index, sub) in {(mapping, 0) for _, mapping in pdos} and isinstance(answer, bytes):
             count = min(int.from_bytes(answer[:1], "little"), _MOST_MAPPED)
             for entry in range(1, count + 1):
-                said = reader.read(part.node.node_id, index, entry)
-                found[index, entry] = said if isinstance(said, bytes) else None
+                answers = reader.read(part.node.node_id, index, entry)
+                found[index, entry] = answers if isinstance(answers, bytes) else None
     return found
 
 

@@ -33,8 +33,8 @@ from hilbench.exchange.measured import (
     SimulatedTorque,
     twin_age_cycles,
 )
+from hilbench.exchange.parallel import ForEachNode
 from hilbench.exchange.sync_cycle import ExpectedPdo
-from hilbench.exchange.to_each import ToEach
 from hilbench.exchange.unexpected_senders import Owned, Unexpected, UnexpectedSenders
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
@@ -81,12 +81,12 @@ class Nodes:
         )
         self._drives = (*self.axes, *self.load_motors)
         self.io = io or IoMaps.of(config, self._ods["virtual_io"])
-        self._boundary_names = tuple(signal.name for signal in self.io.data.told)
-        self._told = [
+        self._boundary_names = tuple(signal.name for signal in self.io.data.boundary_inputs)
+        self._boundary_values = [
             (pdo, tuple(signal.name for signal in content.signals))
             for pdo, content in zip(self.io.boundary, self.io.data.boundary, strict=True)
         ]
-        self._said = [
+        self._virtual_io_values = [
             (pdo, tuple(signal.name for signal in content.signals))
             for pdo, content in zip(self.io.sent, self.io.data.sent, strict=True)
         ]
@@ -103,7 +103,7 @@ class Nodes:
         self._shown_by = self._drive_signals()
         #: What drives and twin have answered.
         self.measured = Measured(
-            sample_type(config.signals), self._shown_by, [names for _, names in self._said], torques
+            sample_type(config.signals), self._shown_by, [names for _, names in self._virtual_io_values], torques
         )
         self._status_cob_id = self.io.status.cob_id
         #: One value goes faster through this than through the vector.
@@ -111,7 +111,7 @@ class Nodes:
         self.twin_reported_cycle = 0  #: cycle, counted by `decode`, in which the twin last reported its status
         self._twin_ids = dict.fromkeys(config.virtual_nodes)  # in the order of the config
         self.twin_problem = ""  #: why the twin's nodes can't be counted on; "" while they can
-        self.twin_heard = False  #: a heartbeat or boot-up of the virtual I/O has come since this was last reset
+        self.twin_alive = False  #: a heartbeat or boot-up of the virtual I/O has come since this was last reset
         self._inbox = EmergencyInbox()
         self.malformed = 0  #: frames with the COB-ID, but not the length, of a PDO that the bench reads
         self._tpdos = {
@@ -124,9 +124,9 @@ class Nodes:
         self._twin_tpdos = [Tpdo(pdo.cob_id, pdo.size, pdo.period, self.twin_name) for _, pdo in self.io.tpdos]
         self._tpdos |= {pdo.cob_id: pdo for pdo in self._twin_tpdos}
         self._watch: UnexpectedSenders | None = None  # from when the master is known
-        self.unexpected: list[Unexpected] = []  #: what came in this cycle and is not of the bench or its nodes
+        self.crash_report: list[Unexpected] = []  #: what came in this cycle and is not of the bench or its nodes
         self._cycle = 0
-        self._gone_by = 0
+        self._elapsed_cycles = 0
         self._heartbeat_cycle: dict[int, int] = {}
         self.supervised = 0  #: how often it has changed whether the twin is counted on
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
@@ -217,17 +217,17 @@ class Nodes:
         rpdos |= {pdo.cob_id: self.twin_name for pdo in self.io.boundary}
         return Owned(self.config.master.node_id, self._known, self._ods_of_nodes, rpdos)
 
-    def configure_drives(self, master: Master, to_each: ToEach = map) -> None:
+    def configure_drives(self, master: Master, for_each_node: ForEachNode = map) -> None:
         """Configure axes and load motors by SDO. Raises BenchFaultError naming node, object and reason."""
-        for _ in to_each(lambda drive: drive.configure(master), self.drives):
+        for _ in for_each_node(lambda drive: drive.configure(master), self.drives):
             pass
         for part, drive in zip(self.config.parts_of(Role.AXIS), self.axes, strict=True):
             self._check_units(part, drive)
 
-    def configure_twin(self, master: Master, to_each: ToEach = map) -> None:
+    def configure_twin(self, master: Master, for_each_node: ForEachNode = map) -> None:
         """The same for the virtual axes and the virtual I/O."""
         of_axes = (drive.configure for drive in self.virtual_axes)
-        for _ in to_each(lambda configure: configure(master), (*of_axes, self._configure_io)):
+        for _ in for_each_node(lambda configure: configure(master), (*of_axes, self._configure_io)):
             pass
 
     def _check_units(self, part: Part, drive: Drive) -> None:
@@ -279,7 +279,7 @@ class Nodes:
         self._counted[TWIN_STATUS] = 0
         self._supervise_twin(False)
         self._expected_boots = set(self._twin_ids)
-        self.twin_problem, self.twin_heard = "", False
+        self.twin_problem, self.twin_alive = "", False
 
     def twin_is_not_waited_for(self) -> None:
         """While the drives are stopped nobody waits for the twin: it may answer several SYNCs at once."""
@@ -361,18 +361,18 @@ class Nodes:
         for drive, name, per_unit in self._set_points:
             drive.setpoint = outputs.get(name, 0.0) * per_unit
             frames += drive.encode()
-        for pdo, names in self._told:
+        for pdo, names in self._boundary_values:
             frames.append(Frame(pdo.cob_id, pdo.pack([outputs[name] for name in names])))
         return frames
 
-    def decode(self, frames: Sequence[Frame], before_sync: int = 0, gone_by: int = 0) -> None:
-        """Take what came in this cycle, the first `before_sync` frames of it before its SYNC. `gone_by`: so many SYNCs
-        of ours were on the bus for which there was no cycle, in all. Raises BenchFaultError when a drive has a fault,
-        has left OPERATIONAL, or is silent; the twin's nodes only get a `twin_problem`."""
+    def decode(self, frames: Sequence[Frame], before_sync: int = 0, elapsed_cycles: int = 0) -> None:
+        """Take what came in this cycle, the first `before_sync` frames of it before its SYNC. `elapsed_cycles`: so many
+        SYNCs of ours were on the bus for which there was no cycle, in all. Raises BenchFaultError when a drive has a
+        fault, has left OPERATIONAL, or is silent; the twin's nodes only get a `twin_problem`."""
         self._cycle += 1
         self._inbox.clear()
-        data = self._answers(frames, before_sync, gone_by - self._gone_by)
-        self._gone_by = gone_by
+        data = self._answers(frames, before_sync, elapsed_cycles - self._elapsed_cycles)
+        self._elapsed_cycles = elapsed_cycles
         for can_id, content, _ in frames:
             if can_id in self._tpdos:
                 continue
@@ -394,25 +394,25 @@ class Nodes:
         """What the twin says, simulates and estimates, by the values of its answers to this SYNC."""
         measured = self.measured
         self._take_status(data.get(self._status_cob_id))
-        for at, ((pdo, _), part) in enumerate(zip(self._said, measured.parts, strict=True)):
+        for at, ((pdo, _), part) in enumerate(zip(self._virtual_io_values, measured.parts, strict=True)):
             content = data.get(pdo.cob_id)
             measured.came[at] = content is not None
             if content is not None:
-                measured.said[part] = content
+                measured.virtual_io[part] = content
         measured.take_twin()
 
     def _take_status(self, status: Sequence[Any] | None) -> None:
         if status is not None:
             counted, _, self._counted[TWIN_STATUS] = status
-            self._counted[TWIN_SYNC] = counted - self._gone_by  # it has counted those, too
+            self._counted[TWIN_SYNC] = counted - self._elapsed_cycles  # it has counted those, too
             self.twin_reported_cycle = self._cycle
 
-    def _answers(self, frames: Sequence[Frame], before_sync: int, gone_by: int) -> dict[int, bytes]:
-        """The answers to this SYNC by COB-ID; what is beside them is counted, and in `unexpected`."""
+    def _answers(self, frames: Sequence[Frame], before_sync: int, elapsed_cycles: int) -> dict[int, bytes]:
+        """The answers to this SYNC by COB-ID; what is beside them is counted, and in `crash_report`."""
         tpdos = self._tpdos
         for tpdo in tpdos.values():
             tpdo.begin()
-        other_syncs = gone_by
+        other_syncs = elapsed_cycles
         for at, (can_id, content, _) in enumerate(frames):
             if can_id in tpdos:
                 tpdos[can_id].add(content, before_sync=at < before_sync)
@@ -425,7 +425,7 @@ class Nodes:
             if tpdo.data is not None:
                 data[cob_id] = tpdo.data
         self._ages_cycles = tuple(max(tpdo.age_cycles for tpdo in of_drive) for of_drive in self._tpdos_of)
-        self.unexpected = self._watch.look(frames, tpdos.values()) if self._watch else []
+        self.crash_report = self._watch.look(frames, tpdos.values()) if self._watch else []
         return data
 
     def foreign_among(self, frames: Sequence[Frame]) -> list[Unexpected]:
@@ -449,12 +449,14 @@ class Nodes:
         """The SYNC before that which the twin counts as its first, where its last answer was one to SYNC `syncs`."""
         return syncs - self._counted[TWIN_SYNC]
 
-    # -- cycles that somebody else runs (`hilbench.batch`) -----------------------------------------------
+    # -- cycles that somebody else runs (`hilbench.in_process_cycle`) -----------------------------------------------
 
     @property
-    def is_plain(self) -> bool:
+    def fits_fast_path(self) -> bool:
         """Whether all drives are enabled and follow their set points, and all answers come as they are asked for."""
-        return all(drive.is_plain for drive in self.drives) and all(tpdo.is_regular for tpdo in self._tpdos.values())
+        return all(drive.fits_fast_path for drive in self.drives) and all(
+            tpdo.is_regular for tpdo in self._tpdos.values()
+        )
 
     @property
     def follow(self) -> bool:
@@ -480,19 +482,19 @@ class Nodes:
         """The TPDOs that answer SYNC."""
         return self._tpdos
 
-    def begin_plain(self) -> None:
+    def begin_fast_path(self) -> None:
         """From the next cycle on there is nothing but answers."""
         self._inbox.clear()
-        self.unexpected = []
+        self.crash_report = []
         self._ages_cycles = self._in_time
 
-    def take_plain(self, status: Sequence[int] | None, heartbeats: Iterable[int]) -> None:
+    def take_fast_path(self, status: Sequence[int] | None, heartbeats: Iterable[int]) -> None:
         """A cycle with nothing but answers, which are in `measured` already: values of the twin's status, if that came,
-        and node ids of heartbeats. The drives get theirs with `end_plain`. Raises as `decode`."""
-        self.pass_plain(1, [(node_id, 1) for node_id in heartbeats])
+        and node ids of heartbeats. The drives get theirs with `end_fast_path`. Raises as `decode`."""
+        self.pass_fast_path(1, [(node_id, 1) for node_id in heartbeats])
         self._take_status(status)
 
-    def pass_plain(self, cycles: int, heartbeats: Iterable[tuple[int, int]], reported: int = 0) -> None:
+    def pass_fast_path(self, cycles: int, heartbeats: Iterable[tuple[int, int]], reported: int = 0) -> None:
         """So many such cycles, with the twin's status in `measured`, too: node ids with the cycle, from 1 on, of their
         last heartbeat, and that in which the twin has `reported` last (0: in none). Raises as `decode`."""
         before = self._cycle
@@ -508,10 +510,10 @@ class Nodes:
     @property
     def not_silent_cycles(self) -> int:
         """For so many cycles from now on no node counts as silent, whether it is heard or not."""
-        heard = min(self._heartbeat_cycle.values(), default=self._cycle)
-        return heard + self._silence_cycles - self._cycle if self._silence_cycles else _LONG
+        received = min(self._heartbeat_cycle.values(), default=self._cycle)
+        return received + self._silence_cycles - self._cycle if self._silence_cycles else _LONG
 
-    def end_plain(self, cycles: int) -> None:
+    def end_fast_path(self, cycles: int) -> None:
         """So many cycles were plain."""
         measured = self.measured.of_drives.reshape(-1, OF_DRIVE).tolist()
         for drive, of_drive in zip(self._drives, measured, strict=True):
@@ -527,7 +529,7 @@ class Nodes:
             return
         state = content[0]
         if node_id == self.config.twin.node.node_id:
-            self.twin_heard = True
+            self.twin_alive = True
         if state == NmtState.OPERATIONAL:
             self._heartbeat_cycle[node_id] = self._cycle
             self._expected_boots.discard(node_id)
@@ -537,9 +539,9 @@ class Nodes:
             self._lost(node_id, f"{what} during the run")
 
     def _look_for_silent_nodes(self) -> None:
-        for node_id, heard in self._heartbeat_cycle.items():
-            if 0 < self._silence_cycles < self._cycle - heard and node_id not in self._expected_boots:
-                silent_s = (self._cycle - heard) * self.config.cycle_time_s
+        for node_id, received in self._heartbeat_cycle.items():
+            if 0 < self._silence_cycles < self._cycle - received and node_id not in self._expected_boots:
+                silent_s = (self._cycle - received) * self.config.cycle_time_s
                 self._lost(node_id, f"has sent no heartbeat for {silent_s:.2f} s")
 
     def _lost(self, node_id: int, what: str) -> None:
@@ -577,7 +579,8 @@ class Nodes:
         return float(self._sdo().sdo_read(self.config.twin.node.node_id, *_TWIN_STEP))
 
     def twin_found(self) -> str:
-        """Errors of its model that the twin has found (JSON, `hilbench.twin.found`); "" of one that tells nothing."""
+        """Errors of its model that the twin has estimated (JSON, `hilbench.twin.estimated_errors`); "": none
+        reported."""
         if _TWIN_FOUND[0] not in self._ods["virtual_io"]:
             return ""
         return str(self._sdo().sdo_read(self.config.twin.node.node_id, *_TWIN_FOUND))

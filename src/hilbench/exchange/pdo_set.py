@@ -42,7 +42,11 @@ def _process_data(config: BenchConfig) -> dict[tuple[int, int], Signal]:
     """What the objects of the virtual I/O are on a machine of this kind, by index and sub-index."""
     known = {signal.name: signal for signal in config.signals}
     data = process_data(config.machine_kind, config.shape)
-    return {(each.index, each.sub): known[each.name] for each in (*data.published, *data.told) if each.name in known}
+    return {
+        (each.index, each.sub): known[each.name]
+        for each in (*data.published, *data.boundary_inputs)
+        if each.name in known
+    }
 
 
 def _message(

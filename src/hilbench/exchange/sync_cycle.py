@@ -22,8 +22,8 @@ from hilbench.canopen.identifiers import HEARTBEAT, SYNC, NmtState
 from hilbench.errors import BenchFaultError, EmergencyStopError, NoAnswerError
 from hilbench.exchange import pacing
 from hilbench.exchange.frame_tap import FrameTap
-from hilbench.exchange.sync_marks import Met, SyncMarks
 from hilbench.exchange.sync_producer import SyncProducer
+from hilbench.exchange.sync_tracker import SyncReceived, SyncTracker
 
 #: Lockstep: part of the time-out after which a bench that waits for an answer says that it is alive.
 _ALIVE = 0.3
@@ -102,7 +102,7 @@ class SyncCycle:
     ) -> None:
         self.timing = CycleTiming()
         self.pacing = pacing.Pacing(period_ns=cycle_ns)
-        self._marks = None if producer is None else SyncMarks(link, producer, self.pacing)
+        self._marks = None if producer is None else SyncTracker(link, producer, self.pacing)
         self._link = link
         self._cycle_ns = cycle_ns
         self._bit_ns = 1e9 / bitrate
@@ -221,7 +221,7 @@ class SyncCycle:
         late: list[Frame],
         came: list[Frame],
         trace_fault: BenchFaultError | None,
-        met: Met | None = None,
+        met: SyncReceived | None = None,
     ) -> list[Frame]:
         """The rest of a cycle: `late` came before its SYNC, `came` behind it so far; `met`: the producer's SYNC."""
         timing = self.timing
@@ -308,12 +308,12 @@ class SyncCycle:
             trace_fault = self._write_last_answers()
             if trace_fault is not None:
                 raise trace_fault
-            self._say_alive()
+            self._send_heartbeat()
             end_s = time.monotonic() + longest_s
             while (left_s := end_s - time.monotonic()) > 0.0:
                 if not wait_for([done], timeout=min(left_s, _ALIVE * self._timeout_s, _LONGEST_SILENCE_S)).not_done:
                     return
-                self._say_alive()
+                self._send_heartbeat()
                 self._came_between += self._link.receive(_A_MOMENT_S)
 
     def stay_alive(self, silence_s: float) -> None:
@@ -329,18 +329,18 @@ class SyncCycle:
             self.before_use()
             if self._fault_between is None:
                 self._fault_between = self._write_last_answers()
-                self._say_alive()
+                self._send_heartbeat()
                 came = self._link.receive(_A_MOMENT_S)
                 self._came_between += came
                 if any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in came):
                     self._heartbeat = self._heartbeat._replace(data=_PRE_OPERATIONAL)
-                    self._say_alive()
+                    self._send_heartbeat()
         except Exception as fault:
             self._fault_between = fault
         finally:
             self.lock.release()
 
-    def _say_alive(self) -> None:
+    def _send_heartbeat(self) -> None:
         """In lockstep heartbeats come with the cycles; one that lasts is no stalled bench."""
         if self._heartbeat_cycles:
             self._alive_s = time.monotonic()
@@ -349,9 +349,9 @@ class SyncCycle:
                 self._tap.write([self._heartbeat._replace(time_ns=self.next_sync_ns)])
 
     @property
-    def gone_by(self) -> int:
+    def elapsed_cycles(self) -> int:
         """So many SYNCs were on the bus that no cycle was run for."""
-        return self._marks.gone_by if self._marks is not None else 0
+        return self._marks.elapsed_cycles if self._marks is not None else 0
 
     @property
     def next_sync_ns(self) -> int:
@@ -368,10 +368,10 @@ class SyncCycle:
         """State of the bench's own CAN controller."""
         return self._link.controller
 
-    # -- cycles that somebody else runs (`hilbench.batch`) ---------------------------------------------------
+    # -- cycles that somebody else runs (`hilbench.in_process_cycle`) --------------------------------------------------
 
     @property
-    def is_plain(self) -> bool:
+    def fits_fast_path(self) -> bool:
         """Whether nothing stands from the last cycle: with all that was expected there, in its phase."""
         return (
             self.timing.cycles > 0
@@ -408,7 +408,9 @@ class SyncCycle:
         """What the last cycle has left for the trace; what the trace has to say against it."""
         return self._write_last_answers()
 
-    def count(self, cycles: int, bits: int, last_bits: int, begun_ns: int, ended_ns: int, *, said_alive: bool) -> None:
+    def count(
+        self, cycles: int, bits: int, last_bits: int, begun_ns: int, ended_ns: int, *, heartbeat_sent: bool
+    ) -> None:
         """Cycles of so many bits, and the last of them, were run by somebody else, between these times of the monotonic
         clock."""
         timing = self.timing
@@ -418,11 +420,11 @@ class SyncCycle:
         timing.ended_ns = ended_ns
         self.last_bits = last_bits
         self.before_sync = 0
-        if said_alive:
+        if heartbeat_sent:
             self._alive_s = begun_ns * 1e-9
 
     def _due(self) -> dict[int, ExpectedPdo]:
-        cycle, silent = self.timing.cycles + self.gone_by, self.silent
+        cycle, silent = self.timing.cycles + self.elapsed_cycles, self.silent
         due = self._due_always.copy()
         for pdo in self._due_at_times:
             if (cycle - pdo.since) % pdo.every == 0 and pdo.cob_id not in self._out_of_phase:
@@ -444,7 +446,7 @@ class SyncCycle:
                     failure = self._missing(due)
                     break
                 if self._lockstep:
-                    self._say_alive()
+                    self._send_heartbeat()
             for can_id, data, _ in batch:
                 if self._size.get(can_id, len(data)) != len(data):
                     continue
@@ -475,7 +477,7 @@ class SyncCycle:
     def _look_at_phase(self, cob_id: int) -> None:
         """A PDO of every n-th SYNC that comes between: its sender has heard a SYNC twice, or missed one, or it is none
         of the sender's. It is not waited for until one comes when it was due, or n SYNCs after the one between."""
-        cycle, doubt = self.timing.cycles + self.gone_by, self._out_of_phase
+        cycle, doubt = self.timing.cycles + self.elapsed_cycles, self._out_of_phase
         for at, pdo in enumerate(self._due_at_times):
             if pdo.cob_id != cob_id:
                 continue
@@ -536,7 +538,7 @@ class SyncCycle:
             timed.append(Frame(SYNC, b"", start_ns + int(self._sync_bits * self._bit_ns)))
             self._tap.write(timed)
 
-    def _account_met(self, outgoing: Sequence[Frame], met: Met) -> None:
+    def _account_met(self, outgoing: Sequence[Frame], met: SyncReceived) -> None:
         """The same where each SYNC has come in its place. What we have sent behind it stands behind it in the trace."""
         sent_bits = [frame_bits(frame) for frame in outgoing]
         self._since_sync_bits = self._sync_bits

@@ -54,7 +54,7 @@ class SyncProducer:
         self._lateness_ns = np.zeros(REMEMBERED, np.int64)
         #: SYNCs that go out behind a `go_on`: the one that the bench then waits for, and those without it.
         self._alone = 1 + max(1, min(REMEMBERED // 2, round(LONGEST_ALONE_S * 1e9 / period_ns)))
-        self._told = 0  # so many of them `tell_lateness` has told
+        self._lateness_read = 0  # so many of them `tell_lateness` has told
         self._loop = partial(
             produce,
             self._shared,
@@ -109,12 +109,12 @@ class SyncProducer:
         """The bench is there: SYNC goes on for `LONGEST_ALONE_S` from now."""
         self._shared[LAST] = self._shared[SENT] + self._alone
 
-    def tell_lateness(self, to: array[int]) -> None:
+    def read_lateness(self, to: array[int]) -> None:
         """Append how late each SYNC was (ns) of those that were sent since the last call."""
         sent = self.sent
-        for number in range(max(self._told, sent - REMEMBERED), sent):
+        for number in range(max(self._lateness_read, sent - REMEMBERED), sent):
             to.append(int(self._lateness_ns[number % REMEMBERED]))
-        self._told = sent
+        self._lateness_read = sent
 
     def check(self, waited_s: float) -> None:
         """Raise BusError when a SYNC that is due for so long has not gone out, or its controller is off the bus."""

@@ -2,7 +2,7 @@
 
 import sys
 
-from hilbench.ending import ended
+from hilbench.exit_status import ended
 from hilbench.hardware.simulation import simulate
 from hilbench.processes import report_lost_frames
 from hilbench.topology.resolved import config_of_process

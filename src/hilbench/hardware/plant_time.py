@@ -94,7 +94,7 @@ class ByClock:
         self._now_ns = now_ns
         self._report = report
         self._sync = SyncTime(self._cycle_ns)
-        self._told = False
+        self._reported = False
         self._gone = 0  #: sample times that the plant has gone
         #: A time, and how many sample times are due then; None: the plant has not begun.
         self._anchor_ns: int | None = None
@@ -109,13 +109,13 @@ class ByClock:
 
     def before_sync(self, behind: int) -> int:
         first = self._sync.at_ns is None
-        periods = self._sync.heard(self._now_ns(), behind)
+        periods = self._sync.received(self._now_ns(), behind)
         if first or self._sync.pop_new_period():
             self._lock()
         else:
             self._follow(periods)
-        if not self._told and self._sync.settled:
-            self._tell_period()
+        if not self._reported and self._sync.settled:
+            self._report_period()
         return self._go_to(self._at_ns, nearest=True)
 
     def after_sync(self) -> int:
@@ -226,10 +226,10 @@ class ByClock:
         self._gone += samples
         return samples
 
-    def _tell_period(self) -> None:
+    def _report_period(self) -> None:
         period_ns, cycle_ns = self._sync.period_ns, self._cycle_ns
         if abs(period_ns - cycle_ns) > _ANOTHER * cycle_ns:
-            self._told = True
+            self._reported = True
             self._report(
                 f"SYNC comes every {period_ns * 1e-6:.3g} ms, cycle_time_s is {cycle_ns * 1e-6:.3g} ms: "
                 "the simulated hardware goes by time"

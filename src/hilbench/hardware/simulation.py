@@ -14,17 +14,17 @@ from hilbench.canopen.clock import Clock, MonotonicClock, SyncClock
 from hilbench.canopen.device import Device
 from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.host import DeviceHost, HostedDevices
-from hilbench.canopen.mastery import nodes_of_ours
+from hilbench.canopen.master_guard import nodes_of_ours
 from hilbench.canopen.object_store import INVALID_VALUE, SdoAbort
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.exchange.addressing import declared_units
 from hilbench.exchange.device_clock import device_clock
 from hilbench.exchange.effect_objects import bind_effect_objects
+from hilbench.fast_path.host import FastPathHost, PacketRun, run_devices, warm_up_packets
+from hilbench.fast_path.rig_run import RigFastCycle
+from hilbench.fast_path.sync_answers import SyncAnswers
 from hilbench.hardware.plant_time import ByClock, BySync, PlantTime
 from hilbench.hardware.rigs import new_rig
-from hilbench.plain.host import PacketRun, PlainHost, run_devices, warm_up_packets
-from hilbench.plain.rig_run import RigRun
-from hilbench.plain.sync_answers import SyncAnswers
 from hilbench.plant.interface import Plant, Steps, StepsInModes
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.processes import log, started_by_bench, stop_request
@@ -75,7 +75,7 @@ class RigApplication:
         return self._rig
 
     @property
-    def is_plain(self) -> bool:
+    def fits_fast_path(self) -> bool:
         """Whether the rig goes on with each SYNC, and has begun to."""
         return self.plain_step_s() is not None
 
@@ -132,11 +132,11 @@ def simulate(config: BenchConfig) -> int | None:
     stop, bus, by_bench = stop_request(), config.bus_address, started_by_bench()
     with nodes_of_ours(bus, config.simulated_drives, "simulated hardware", by_bench=by_bench):
         hosted = hardware(config)
-        plain = partial(plain_host, hosted=hosted, config=config)
+        plain = partial(fast_path_host, hosted=hosted, config=config)
         return run_devices(bus, hosted, plain, config.process_settings("hardware"), stop, log)
 
 
-def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, config: BenchConfig) -> PlainHost | None:
+def fast_path_host(host: DeviceHost, link: Link, hosted: HostedDevices, config: BenchConfig) -> FastPathHost | None:
     """Who serves the host's devices on the embedded bus in lockstep."""
     devices, clock, application, cycle_ns = hosted.devices, hosted.clock, hosted.application, config.cycle_ns
     if not isinstance(link, EmbeddedLink) or not isinstance(clock, SyncClock):
@@ -146,9 +146,9 @@ def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, config: Benc
     drives = application.drives
 
     def begin(expected: Sequence[Frame]) -> PacketRun:
-        return RigRun(SyncAnswers(link, devices, drives, clock, expected, cycle_ns), application)
+        return RigFastCycle(SyncAnswers(link, devices, drives, clock, expected, cycle_ns), application)
 
-    return PlainHost(host, link, application, begin)
+    return FastPathHost(host, link, application, begin)
 
 
 def hardware(config: BenchConfig) -> HostedDevices:

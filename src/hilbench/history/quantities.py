@@ -9,10 +9,10 @@ from typing import Final
 
 import numpy as np
 
+from hilbench.did_you_mean import expected_one_of
 from hilbench.errors import UnusableInputError
 from hilbench.history.store import Row
 from hilbench.history.trend import Trend, trend
-from hilbench.suggest import expected_one_of
 
 SECONDS_PER_DAY: Final = 86400.0
 #: How far ahead of the last run a band goes, as a share of the time that is known.

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, Self
 
 from hilbench.canopen.identifiers import SYNC
-from hilbench.library.under_way import goes_on
+from hilbench.library.active_runs import continues
 from hilbench.results.journal import JournalReader
 from hilbench.results.run_folder import RunFolder
 
@@ -34,14 +34,14 @@ class LiveRun:
         newest = sorted(_folders(runs), key=lambda entry: entry[0], reverse=True)[:_LOOKED_AT]
         for _, path in newest:
             folder = RunFolder(path)
-            if goes_on(folder) and _channel(folder.trace) == channel and folder.journal.exists():
+            if continues(folder) and _channel(folder.trace) == channel and folder.journal.exists():
                 return cls(folder, JournalReader(folder.journal))
         return None
 
     @property
-    def goes_on(self) -> bool:
+    def continues(self) -> bool:
         """Whether it still does."""
-        return goes_on(self.folder)
+        return continues(self.folder)
 
     def cycles(self, sync_ns: int, cycle_ns: int) -> int:
         """SYNCs before one that was heard at `sync_ns`, by its trace, which may be a little behind, or ahead."""

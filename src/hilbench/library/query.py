@@ -11,13 +11,13 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final
 
+from hilbench.did_you_mean import did_you_mean
 from hilbench.errors import UnusableInputError
+from hilbench.library.active_runs import continues
 from hilbench.library.entry import STATES, RunEntry, read_entry
 from hilbench.library.index import Index
-from hilbench.library.under_way import goes_on
 from hilbench.library.where import Condition, parse_condition
 from hilbench.results.run_folder import RunFolder
-from hilbench.suggest import did_you_mean
 
 _AGE: Final = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|h|d|w)")
 _SECONDS: Final = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 7 * 86400.0}
@@ -210,6 +210,6 @@ class Library:
 
 def _as_it_is(base: Path, run: RunEntry) -> RunEntry:
     """A run without a result either goes on or was cut off; no file of its folder says which."""
-    if run.state != "unfinished" or not goes_on(RunFolder(base / run.path)):
+    if run.state != "unfinished" or not continues(RunFolder(base / run.path)):
         return run
     return replace(run, state="running")

@@ -67,8 +67,8 @@ def parse_condition(text: str) -> Condition:
     try:
         evaluate = _node(ast.parse(text.strip(), mode="eval").body, text, names)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        said = error.msg if isinstance(error, SyntaxError) else str(error)
-        raise _unusable(text, f"is none ({' '.join(said.split())}), {_EXPECTED}") from error
+        message = error.msg if isinstance(error, SyntaxError) else str(error)
+        raise _unusable(text, f"is none ({' '.join(message.split())}), {_EXPECTED}") from error
     return Condition(text, frozenset(names), evaluate)
 
 

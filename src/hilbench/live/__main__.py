@@ -6,11 +6,11 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import get_args
 
-from hilbench.bench.reports.found import Ready, Samples, Told
-from hilbench.ending import ended
+from hilbench.bench.reports.diagnosis_updates import ProposalOutcome, Ready, Samples
+from hilbench.cpu_throttle import throttle_cpu
+from hilbench.exit_status import ended
 from hilbench.live.create import session_of
 from hilbench.real_time import give_way
-from hilbench.slices import work_in_slices
 from hilbench.topology.blocks import Pace
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import read_resolved
@@ -35,17 +35,17 @@ def answer(connection: Connection, config: BenchConfig) -> None:
         cores = config.realtime.cores
         taken = {core for core in (cores.bench, cores.hardware, cores.twin) if core is not None}
         give_way(taken, before=config.realtime.priority)
-        work_in_slices()
+        throttle_cpu()
     connection.send(Ready())
     while True:
         try:
-            said = connection.recv()
+            message = connection.recv()
         except EOFError:
             return
-        if isinstance(said, Samples):
-            connection.send(session.samples(said))
-        elif isinstance(said, Told):
-            session.told(said)
+        if isinstance(message, Samples):
+            connection.send(session.samples(message))
+        elif isinstance(message, ProposalOutcome):
+            session.outcome(message)
 
 
 if __name__ == "__main__":

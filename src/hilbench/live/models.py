@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from typing import TypeVar, cast
 
-from hilbench.bench.reports.found import FoundEffect, FoundValue
+from hilbench.bench.reports.diagnosis_updates import FoundEffect, FoundValue
 from hilbench.diagnosis.diagnosis import NamedEffect
 from hilbench.plant.effect import Effect, MachineKind, ProbeOver, Section
 from hilbench.plant.effects import find_effect

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from hilbench.plant.pairing import cycles_gone, play
+from hilbench.plant.sample_coherence import cycles_elapsed, play
 from hilbench.topology.signal_kinds import TIME
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ class OnPlantTime:
         """The next row that was in time is taken as it is."""
         self._kept = np.empty((0, self._width))  # last rows, of these cycles of the plant:
         self._kept_cycles = np.empty(0, np.int64)
-        self._said: Array | None = None  # last row, whenever it was measured
+        self._last_row: Array | None = None  # last row, whenever it was measured
         self._more = 0  # cycles that the plant has gone, less those that the bench has counted
         self._way: Array | None = None  # of a cycle
         self._odd = 0
@@ -92,32 +92,33 @@ class OnPlantTime:
         now, behind that of the call before or after a gap; None: nothing more."""
         placed: list[tuple[int, int, bool]] = []  # the plant's cycle, row, whether it was measured then
         last = (int(self._kept_cycles[-1]), self._kept[-1]) if len(self._kept) else None
-        for at, (told, is_late) in enumerate(zip(cycles.astype(int).tolist(), late.tolist(), strict=True)):
-            if last is not None and (told + self._more - last[0] > self._longest or self._odd > _MOST_ODD):
+        for at, (outcome, is_late) in enumerate(zip(cycles.astype(int).tolist(), late.tolist(), strict=True)):
+            if last is not None and (outcome + self._more - last[0] > self._longest or self._odd > _MOST_ODD):
                 self._begin()
                 placed, last = [], None
-            cycle = None if is_late else self._place(rows[at], told + self._more, last)
+            cycle = None if is_late else self._place(rows[at], outcome + self._more, last)
             # At a SYNC that the drives were ahead of nothing is measured; what was commanded with it acts from then.
             new = cycle is not None and (last is None or cycle > last[0])
             self._odd = 0 if new else self._odd + 1
-            placed.append((told + self._more if cycle is None else cycle, at, new))
+            placed.append((outcome + self._more if cycle is None else cycle, at, new))
             if cycle is not None:
-                self._more = cycle - told
+                self._more = cycle - outcome
             if cycle is not None and new:
                 last = cycle, rows[at]
         if not any(measured for _, _, measured in placed):
             return None
         return self._filled(rows, placed, last_sync + 1 - len(rows))
 
-    def _place(self, row: Array, told: int, last: tuple[int, Array] | None) -> int | None:
-        """The plant's cycle of a row, by the bench that of `told`: behind the last, or that again; None: of neither."""
+    def _place(self, row: Array, outcome: int, last: tuple[int, Array] | None) -> int | None:
+        """The plant's cycle of a row, by the bench that of `outcome`: behind the last, or that again; None: of
+        neither."""
         if last is None:
-            return told
-        way, expected, gone = (row - last[1])[self._positions], self._way, told - last[0]
+            return outcome
+        way, expected, gone = (row - last[1])[self._positions], self._way, outcome - last[0]
         if expected is None:
             self._way = way / max(gone, 1)
-            return told
-        found = cycles_gone(way.tolist(), expected.tolist(), self._plays, gone)
+            return outcome
+        found = cycles_elapsed(way.tolist(), expected.tolist(), self._plays, gone)
         if found is None or found < 0:
             return None
         if found:
@@ -133,12 +134,16 @@ class OnPlantTime:
         in_time[cycle[measured] - begin] = True
         given_cycles = np.concatenate([self._kept_cycles, cycle[measured]])
         given = np.vstack([self._kept, rows[at[measured]]])
-        said = rows[at]
-        if self._said is not None:
-            said, cycle, at = np.vstack([self._said, said]), np.append(begin - 1, cycle), np.append(-1, at)
+        last_rows = rows[at]
+        if self._last_row is not None:
+            last_rows, cycle, at = (
+                np.vstack([self._last_row, last_rows]),
+                np.append(begin - 1, cycle),
+                np.append(-1, at),
+            )
         # What the bench said last, in whichever row.
         held = np.searchsorted(np.maximum.accumulate(cycle), cycles, side="right") - 1
-        result, syncs = said[held], first_sync + at[held]
+        result, syncs = last_rows[held], first_sync + at[held]
         if not np.all(in_time):
             lacking = ~in_time
             for column in self._of_drives:
@@ -149,7 +154,7 @@ class OnPlantTime:
         missed = cycles - syncs
         if np.any(missed):
             result[:, self._time] += self._cycle_s * missed
-        self._said = rows[-1].copy()
+        self._last_row = rows[-1].copy()
         self._kept, self._kept_cycles = given[-_BEFORE:].copy(), given_cycles[-_BEFORE:]
         return PlantRows(begin, result, in_time, _nearly(in_time), syncs)
 

@@ -17,10 +17,19 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.reports.found import CHUNK_CYCLES, FoundEffect, FoundGap, GapRow, News, Samples, Told, Watched
+from hilbench.bench.reports.diagnosis_updates import (
+    CHUNK_CYCLES,
+    DiagnosisAnswer,
+    DiagnosisUpdate,
+    FoundEffect,
+    FoundGap,
+    GapRow,
+    ProposalOutcome,
+    Samples,
+)
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnosed
-from hilbench.diagnosis.misfit import largest_ratio, misfits, ratios
 from hilbench.diagnosis.noise import floor, rms
+from hilbench.diagnosis.residual_analysis import largest_ratio, misfits, ratios
 from hilbench.errors import UnusableInputError
 from hilbench.live import models
 from hilbench.live.machine import SHORT, LiveMachine
@@ -29,7 +38,7 @@ from hilbench.live.watch import ROW, Piece, Watch
 from hilbench.live.window import Window
 from hilbench.plant.model_file import Machine
 from hilbench.topology.live_config import LiveDiagnosisConfig
-from hilbench.twin.model_change import with_effects
+from hilbench.twin.model_switch import with_effects
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
@@ -80,11 +89,11 @@ class Session:
         self._pieces: deque[Piece] = deque(maxlen=round(config.memory_s / (CHUNK_CYCLES * cycle_s)))
         self._pieces_calm = 0  # while waiting
         self._seen_until = 0  # cycle of the plant
-        self._news: list[News] = []
+        self._news: list[DiagnosisUpdate] = []
 
     # -- what comes from the bench ---------------------------------------------------------------------------
 
-    def samples(self, samples: Samples) -> Watched:
+    def samples(self, samples: Samples) -> DiagnosisAnswer:
         """The next chunk."""
         self._window.add(samples.cycle, samples.rows)
         piece, original = self._watched()
@@ -99,7 +108,7 @@ class Session:
             self._pieces_calm = 0 if self._watch.in_a_row else self._pieces_calm + 1
             if self._pieces_calm >= ROW:
                 self._begin_anew()
-        return Watched(samples.cycle, tuple(self._news), self._gap_rows(samples.cycle, piece, original))
+        return DiagnosisAnswer(samples.cycle, tuple(self._news), self._gap_rows(samples.cycle, piece, original))
 
     def _watched(self) -> tuple[Piece | None, Piece | None]:
         """What has come since the last time, in whole means, as both watches see it."""
@@ -125,12 +134,12 @@ class Session:
         at = slice(len(rows) - counted, None)
         return {name: self._window.column(rows, name)[at] for name in self._machine.needed}, known[at]
 
-    def told(self, told: Told) -> None:
+    def outcome(self, outcome: ProposalOutcome) -> None:
         """What became of a change, or was announced."""
-        if told.what == "refused":
+        if outcome.what == "refused":
             self._rest_until_it_ends()
             return
-        self._use(with_effects(self._configured, told.model))
+        self._use(with_effects(self._configured, outcome.model))
 
     def _gap_rows(self, cycle: int, piece: Piece | None, original: Piece | None) -> tuple[GapRow, ...]:
         """Of each axis."""
@@ -161,7 +170,7 @@ class Session:
             return
         begun = self._watch.begun_cycle
         self._state, self._case = "naming", _Case(begun, self._cycles(self._config.window_s))
-        self._say("seen", begun, "model and measurement part")
+        self._send("seen", begun, "model and measurement part")
 
     def _follow_estimate(self) -> None:
         """Keep to what the twin finds, while nothing is wrong."""
@@ -185,13 +194,13 @@ class Session:
         assert case is not None
         if self._is_another(case):
             case = self._case = _Case(self._watch.begun_cycle, self._cycles(self._config.window_s))
-            self._say("seen", case.begun, "model and measurement part again")
+            self._send("seen", case.begun, "model and measurement part again")
         earliest, end = case.begun + self._cycles(_SETTLED_S), self._window.end
         first = self._machine.quiet_cycle(self._window, earliest, end)
         if first is None or end - first < case.lacking:
             return
         if sum(piece.parts for piece in self._pieces if piece.cycle >= first) < ROW:
-            self._say("ended", case.begun, "it has passed by itself: the model stays as it is")
+            self._send("ended", case.begun, "it has passed by itself: the model stays as it is")
             self._state, self._case = "watching", None
             return
         try:
@@ -209,7 +218,7 @@ class Session:
             settled = case.lacking < self._longest
             found = diagnosed(replace(data, settled=settled), before, emulation=self._machine.emulation)
         except UnusableInputError as error:
-            self._say("ended", case.begun, f"can't be diagnosed: {error}")
+            self._send("ended", case.begun, f"can't be diagnosed: {error}")
             self._rest_until_it_ends()
             return
         self._judge(found, case, end)
@@ -255,13 +264,13 @@ class Session:
         undecided = found.verdict == "unknown" or any(map(self._machine.is_of_estimate, _tied(found)))
         if found.verdict == "complete" or (found.effects and not structure and found.verdict == "named"):
             why = "nothing is missing" if found.verdict == "complete" else "it is the twin's estimate that has changed"
-            self._say("ended", case.begun, f"{why}: the model stays as it is")
+            self._send("ended", case.begun, f"{why}: the model stays as it is")
             self._estimate = self._machine.estimate_at(found.model, float(found.t_s[-1]))
             self._begin_anew()
             return
         if undecided:
             if case.lacking >= self._longest:
-                self._say("unknown", case.begun, "no effect explains for certain what the model lacks")
+                self._send("unknown", case.begun, "no effect explains for certain what the model lacks")
                 self._rest_until_it_ends()
             else:
                 self._case = replace(case, lacking=2 * case.lacking)
@@ -273,7 +282,7 @@ class Session:
     def _found(self, case: _Case) -> None:
         what = [*map(_text, case.effects), *(f"no {_place(effect)} any more" for effect in case.gone)]
         self._case, self._state = case, "trial"
-        self._say("named", case.begun, f"named: {', '.join(what)}; tried on new data beside the model in use")
+        self._send("named", case.begun, f"named: {', '.join(what)}; tried on new data beside the model in use")
 
     # -- trial -----------------------------------------------------------------------------------------------
 
@@ -291,7 +300,7 @@ class Session:
         try:
             segment = Segment.of(self._machine, self._window, new, first, end, case.begun)
         except UnusableInputError as error:
-            self._say("ended", case.begun, f"can't be tried: {error}")
+            self._send("ended", case.begun, f"can't be tried: {error}")
             self._begin_anew()
             return
         before = segment.residual(self._machine.packed(self._machine.with_estimate(self._in_use, self._estimate)))
@@ -302,7 +311,7 @@ class Session:
         if gain > _DECISIVE and shows_in_torque(segment, before, after):
             self._decide(case, self._gap(case.candidate, first, end, segment.predictor.rows))
         elif gain < 0.0 or end - first >= _TRIALS * length:
-            self._say("dismissed", case.begun, "on new data the model in use is as good as the changed one: it stays")
+            self._send("dismissed", case.begun, "on new data the model in use is as good as the changed one: it stays")
             self._begin_anew()
 
     def _fitted(self, segment: Segment, model: Machine) -> tuple[Array, float]:
@@ -348,11 +357,13 @@ class Session:
         self._state = "waiting"
         why = next(filter(None, (self._machine.why_not_carried(effect.effect) for effect in case.effects)), "")
         if why:
-            self._say("ended", case.begun, f"{why}: the model stays as it is")
+            self._send("ended", case.begun, f"{why}: the model stays as it is")
             return
         text = models.as_text(case.candidate, self._configured)
         smaller = f"{gap.signal} {gap.before:.3g} → {gap.after:.3g} {gap.unit} on new data, noise {gap.noise_floor:.3g}"
-        news = News("decided", self._window.sync(case.begun), f"decided: {smaller}", case.effects, case.gone, text, gap)
+        news = DiagnosisUpdate(
+            "decided", self._window.sync(case.begun), f"decided: {smaller}", case.effects, case.gone, text, gap
+        )
         self._news.append(news)
 
     def _begin_anew(self) -> None:
@@ -361,10 +372,10 @@ class Session:
 
     # -- words -----------------------------------------------------------------------------------------------
 
-    def _say(self, what: Literal["seen", "named", "dismissed", "ended", "unknown"], begun: int, text: str) -> None:
+    def _send(self, what: Literal["seen", "named", "dismissed", "ended", "unknown"], begun: int, text: str) -> None:
         case = self._case
         effects, gone = (case.effects, case.gone) if case is not None and what == "named" else ((), ())
-        self._news.append(News(what, self._window.sync(begun), text, effects, gone))
+        self._news.append(DiagnosisUpdate(what, self._window.sync(begun), text, effects, gone))
 
     @property
     def _longest(self) -> int:

@@ -20,7 +20,7 @@ from hilbench.canopen.sdo_client import SdoClient
 from hilbench.errors import BusError, HilbenchError
 from hilbench.monitor.web_line_switches import Switch, switches
 from hilbench.prediction.outlook import Outlook
-from hilbench.results.heard import from_frames
+from hilbench.results.received import from_frames
 from hilbench.results.what_if import Question, what_if
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.main_quantities.of_kind import find_quantity
@@ -74,7 +74,7 @@ class ChangeRequests:
         """Ask for a value, in the quantity's unit, as soon as those before it have been answered."""
         return self._submit(self._thread, self._change, quantity, value)
 
-    def tell(self, switch: Switch, on: bool) -> Future[str]:
+    def send(self, switch: Switch, on: bool) -> Future[str]:
         """Say yes or no, as soon as what was asked before has been answered."""
         asked = f"{switch.title}: {'yes' if on else 'no'}"
         return self._submit(self._thread, self._write, switch.path, asked, float(on), "0 or 1")
@@ -133,10 +133,10 @@ class ChangeRequests:
             outlook = what_if(self._config, recording, question, "now").outlook
         except HilbenchError as error:
             return Foreseen(f"{asked}: {error}")
-        return Foreseen(f"{asked}: {said(outlook)}", outlook)
+        return Foreseen(f"{asked}: {wording(outlook)}", outlook)
 
     def upload(self, node_id: int, index: int, sub: int) -> bytes:
-        """The content of an object (`hilbench.results.heard.Reader`)."""
+        """The content of an object (`hilbench.results.received.Reader`)."""
         with self._on_bus:
             return self._joined().upload(node_id, index, sub)
 
@@ -146,7 +146,7 @@ class ChangeRequests:
         return self._client
 
 
-def said(outlook: Outlook) -> str:
+def wording(outlook: Outlook) -> str:
     """Tensions and torques to come, and the limits that are crossed more likely than not, in a line."""
     seconds = outlook.times_s[-1] - outlook.now_s
     parts = []

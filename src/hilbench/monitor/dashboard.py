@@ -27,9 +27,9 @@ from hilbench.canopen.emergency_stop import EMERGENCY_STOP, send_emergency_stop
 from hilbench.errors import BusError, UnusableInputError
 from hilbench.monitor.changes import ChangeRequests
 from hilbench.monitor.condition import Condition
+from hilbench.monitor.frame_buffer import RecentFrames
 from hilbench.monitor.operator_journal import OperatorJournal
 from hilbench.monitor.picture import BusPicture, NodePicture
-from hilbench.monitor.recent import RecentFrames
 from hilbench.monitor.trends import Trend
 from hilbench.topology.main_quantities.quantity import MainQuantity
 
@@ -228,11 +228,11 @@ class Dashboard(App[None]):
         """Ask for yes or no, and tell the bench."""
         switch = self._changes.switches[key]
 
-        def tell(on: bool | None) -> None:
+        def send(on: bool | None) -> None:
             if on is not None:
-                self._noted_when_answered(self._changes.tell(switch, on), float(on))
+                self._noted_when_answered(self._changes.send(switch, on), float(on))
 
-        self.push_screen(_YesOrNo(switch.title, switch.yes, switch.no), tell)
+        self.push_screen(_YesOrNo(switch.title, switch.yes, switch.no), send)
 
     def action_what_if(self) -> None:
         """Ask of what, and for which value, to look ahead; nothing is sent that moves anything."""
@@ -254,9 +254,9 @@ class Dashboard(App[None]):
             try:
                 send_emergency_stop(self._link)
                 self._picture.take(EMERGENCY_STOP)  # a link does not hear what it sends
-                self._say("emergency stop sent")
+                self._notify("emergency stop sent")
             except BusError as error:
-                self._say(f"EMERGENCY STOP NOT SENT: {error}")
+                self._notify(f"EMERGENCY STOP NOT SENT: {error}")
                 return
             self.run_worker(partial(self._note, "emergency stop"), thread=True)
 
@@ -272,9 +272,9 @@ class Dashboard(App[None]):
         try:
             self._operator_journal.note(text, value)
         except UnusableInputError as error:
-            self.call_from_thread(self._say, str(error))
+            self.call_from_thread(self._notify, str(error))
 
-    def _say(self, text: str) -> None:
+    def _notify(self, text: str) -> None:
         self._write([f"cycle {self._picture.cycles}  monitor: {text}"])
 
     def _write(self, texts: Iterable[str]) -> None:
@@ -290,7 +290,7 @@ class Dashboard(App[None]):
         self._picture.take(frames)
         self._recent.take(frames)
         for text in self._changes.ended():
-            self._say(text)
+            self._notify(text)
 
     def _draw(self) -> None:
         with suppress(NoMatches):  # when the program ends, its widgets go before its timers
@@ -321,7 +321,7 @@ class Dashboard(App[None]):
         picture = self._picture
         if not values:
             now = Condition.NOT_RECEIVED.value
-        elif picture.twin_is_heard:
+        elif picture.twin_is_alive:
             number = partial(_number, digits=_digits(max(map(abs, values))))
             now = f"{number(values[-1])} {trend.unit}  ({number(least)} to {number(max(values))})"
         else:

@@ -39,6 +39,6 @@ class OperatorJournal:
             append_to_journal(run.folder.journal, Change(cycle, "asked", text, value, who=self.who))
 
     def _of_now(self) -> LiveRun | None:
-        if self._run is None or not self._run.goes_on:
+        if self._run is None or not self._run.continues:
             self._run = LiveRun.on(self._runs, self._channel)
         return self._run

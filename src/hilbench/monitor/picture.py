@@ -65,7 +65,7 @@ class NodePicture:
 
 
 @dataclass
-class _Heard:
+class _Received:
     """When something was last heard: in which cycle, and at which time of the monotonic clock, s."""
 
     cycle: int
@@ -130,7 +130,9 @@ class BusPicture:
         self._sync_ns: deque[int] = deque(maxlen=_WINDOW)
         self._watch = BenchWatch(self.config.master.node_id)
         self._now_s = time.monotonic()
-        self._heard: dict[tuple[int | str, str], _Heard] = {}  # by node, and what: PDOs, heartbeat, the twin's answer
+        self._received: dict[
+            tuple[int | str, str], _Received
+        ] = {}  # by node, and what: PDOs, heartbeat, the twin's answer
         self._heartbeat_cycles = self.config.master.node_heartbeat_ms * 1e-3 / self.config.cycle_time_s
 
     # -- what was heard --------------------------------------------------------------------------------------
@@ -147,7 +149,7 @@ class BusPicture:
             self._watch.take(frame, self._now_s)
             if frame.can_id == NMT and frame.data == START_ALL:  # a bench begins
                 self.cycles = 0
-                self._heard.clear()
+                self._received.clear()
             elif frame.can_id == SYNC:
                 self._sync(frame)
             elif node_of(frame.can_id, EMERGENCY):
@@ -188,25 +190,25 @@ class BusPicture:
 
     def _hear(self, who: int | str, what: str, within_cycles: float) -> None:
         """`who`: a node by its id, or a part by its name."""
-        self._heard[who, what] = _Heard(self.cycles, self._now_s, within_cycles)
+        self._received[who, what] = _Received(self.cycles, self._now_s, within_cycles)
 
     def _look_for_silence(self) -> None:
         """Who is not heard in time has no values any more."""
         running = self.condition is Condition.RUNNING
         for part, node in self.nodes.items():
-            said = {what: heard for (who, what), heard in self._heard.items() if who in (part, node.node_id)}
-            silent = {what for what, heard in said.items() if self._is_silent(heard, running=running)}
+            said = {what: received for (who, what), received in self._received.items() if who in (part, node.node_id)}
+            silent = {what for what, received in said.items() if self._is_silent(received, running=running)}
             node.stale = bool(silent)
             if not running or "PDO" in silent:
                 node.forget()
             if "heartbeat" in silent:
                 node.nmt_state = None
 
-    def _is_silent(self, heard: _Heard, *, running: bool) -> bool:
+    def _is_silent(self, received: _Received, *, running: bool) -> bool:
         """By the clock, and while SYNC runs by the cycles as well: in lockstep these may take their time."""
-        if self._now_s - heard.time_s <= SILENCE_S:
+        if self._now_s - received.time_s <= SILENCE_S:
             return False
-        return not running or self.cycles - heard.cycle > heard.within_cycles
+        return not running or self.cycles - received.cycle > received.within_cycles
 
     @property
     def condition(self) -> Condition:
@@ -219,11 +221,11 @@ class BusPicture:
         return self._watch.text(self._now_s)
 
     @property
-    def twin_is_heard(self) -> bool:
+    def twin_is_alive(self) -> bool:
         """Whether what the twin says is so now."""
-        heard = self._heard.get((self.config.twin.node.node_id, "PDO"))
+        received = self._received.get((self.config.twin.node.node_id, "PDO"))
         running = self.condition is Condition.RUNNING
-        return running and heard is not None and not self._is_silent(heard, running=running)
+        return running and received is not None and not self._is_silent(received, running=running)
 
     def _sync(self, frame: Frame) -> None:
         if self.cycles:
@@ -326,7 +328,7 @@ class BusPicture:
             "model": self.model or "as configured",
             "of_the_model": [trend.signal for trend in self.trends if trend.is_of_the_model],
             **{
-                trend.signal: trend.values[-1] if trend.values and self.twin_is_heard else None for trend in self.trends
+                trend.signal: trend.values[-1] if trend.values and self.twin_is_alive else None for trend in self.trends
             },
             "nodes": [vars(node) for node in self.nodes.values()],
             "faults": [vars(note) for note in self.faults],

@@ -19,9 +19,9 @@ from hilbench.errors import HilbenchError, UnusableInputError
 from hilbench.library.live_run import LiveRun
 from hilbench.library.query import Library
 from hilbench.pages.live.control_lock import ControlLock
-from hilbench.pages.live.controls import Said, Viewer
+from hilbench.pages.live.controls import ControlAnswer, Viewer
 from hilbench.pages.live.listener import Listener
-from hilbench.pages.live.played import FAST, PlayedTrace
+from hilbench.pages.live.replay import FAST, PlayedTrace
 from hilbench.pages.live.viewer import Viewers
 from hilbench.pages.templates_of import page
 from hilbench.results.journal import JournalReader
@@ -51,14 +51,14 @@ class Playing:
         """What can be asked for."""
         return {"quantities": [], "switches": [], "replay": self._trace.channel}
 
-    async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> Said:
+    async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> ControlAnswer:
         """What became of it."""
         try:
             pace = Pace.model_validate(asked).pace
         except ValidationError:
-            return Said(f"{self._trace.channel} is played again: nothing of that reaches a machine", False)
+            return ControlAnswer(f"{self._trace.channel} is played again: nothing of that reaches a machine", False)
         self._trace.pace = FAST if pace is None else pace
-        return Said("", True)
+        return ControlAnswer("", True)
 
 
 def routes(base: Path) -> list[BaseRoute]:

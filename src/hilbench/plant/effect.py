@@ -277,7 +277,7 @@ class Effect:
         """All parameters, with the neutral value of those not given."""
         return {p.name: float(parameters.get(p.name, p.neutral)) for p in self.parameters}
 
-    def told_apart_from(self, other: Effect) -> str:
+    def distinguished_from(self, other: Effect) -> str:
         """The experiment that separates it from another effect that a recording can't tell it from."""
         for one, two in ((self, other), (other, self)):
             for effect_id, experiment in one.alike:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from math import inf, pi
 
+from hilbench.did_you_mean import expected_one_of
 from hilbench.plant.effect import (
     AT_A_ROLLER,
     Domain,
@@ -24,7 +25,6 @@ from hilbench.plant.effect import (
     Section,
     Size,
 )
-from hilbench.suggest import expected_one_of
 
 _EVERY_KIND = frozenset(MachineKind)
 

@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import Chained, Function
 from hilbench.compiled import TABLE_WIDTH, table_of
+from hilbench.cycle_program import CompiledStage, Function
 from hilbench.plant.measured_motion import HasFollowed
-from hilbench.plant.pairing import Vector
+from hilbench.plant.sample_coherence import Vector
 
 
 class CompiledInStep(ABC):
@@ -36,10 +36,10 @@ class CompiledInStep(ABC):
         """See there."""
         return self.has_followed(self._function(int(late), self._table_on(values, places)))
 
-    def piece(self, values: Vector, places: NDArray[np.int64], otherwise: Callable[[int], bool]) -> Chained:
+    def piece(self, values: Vector, places: NDArray[np.int64], fallback: Callable[[int], bool]) -> CompiledStage:
         """See there."""
         table, kept = self._table_on(values, places), (self._kept, values, places)
-        return Chained(self._function, 0, table, goes_on=self._followed, otherwise=otherwise, keeps=kept)
+        return CompiledStage(self._function, 0, table, continues=self._followed, fallback=fallback, keeps=kept)
 
     @abstractmethod
     def has_followed(self, code: int) -> HasFollowed:

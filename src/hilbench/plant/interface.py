@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.did_you_mean import expected_one_of
 from hilbench.plant.motor_port import MotorPort
-from hilbench.suggest import expected_one_of
 
 if TYPE_CHECKING:  # numba, which a check of a config does not need
-    from hilbench.chain import Chained
+    from hilbench.cycle_program import CompiledStage
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,7 @@ class StepsInModes(Protocol):
 
     def steps_in_modes(
         self, set_points: NDArray[np.float64], duration_s: float, shown: NDArray[np.float64]
-    ) -> Chained | None:
+    ) -> CompiledStage | None:
         """What lets it go on with set points (M,); `shown`, (5 M,): position, velocity, torque, reference, torque
         limited. None for a machine that can't."""
 

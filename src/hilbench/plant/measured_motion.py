@@ -13,10 +13,10 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import Chained
 from hilbench.compiled import FLAG, VECTOR, compiled, entry_point
-from hilbench.plant import pairing
-from hilbench.plant.pairing import Pairing, Vector, own_travels, paired
+from hilbench.cycle_program import CompiledStage
+from hilbench.plant import sample_coherence
+from hilbench.plant.sample_coherence import SampleCoherence, Vector, coherent, own_travels
 
 #: So many cycles that a sample is late by are made good by prediction; an older one has too little in it.
 MOST_PREDICTED_CYCLES = 3.0
@@ -32,24 +32,24 @@ _LEAST_TRAVEL, _CYCLE_S, _AXIS, _BEHIND, _POSITION, _SPEED, _LEAD_S, _OWN, _SIZE
 def _own_elapsed_s(m: Vector, travels: Vector, positions: Vector, late: bool) -> float:
     gone = 0.0
     if late:
-        pairing.miss_own(travels)
+        sample_coherence.miss_own(travels)
     elif own_travels(travels, positions):
-        gone = travels[pairing.OWN_GONE]
-    m[_BEHIND] = travels[pairing.OWN_BEHIND]
+        gone = travels[sample_coherence.OWN_GONE]
+    m[_BEHIND] = travels[sample_coherence.OWN_BEHIND]
     return float(gone * m[_CYCLE_S])
 
 
 @compiled
 def elapsed_s(m: Vector, travels: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
     """A cycle on, with these positions and speeds (N,): the time in s by which the machine has to follow; 0 where they
-    are not of one instant (`travels`: of `paired`, or `own_travels`), `late`, or of the instant it is at already."""
+    are not of one instant (`travels`: of `coherent`, or `own_travels`), `late`, or of the instant it is at already."""
     if m[_OWN] != 0.0:
         return _own_elapsed_s(m, travels, positions, late)
     m[_BEHIND] += 1.0
     if late:
-        pairing.miss(travels)
+        sample_coherence.miss(travels)
         return 0.0
-    if not paired(travels, positions, m[_LEAST_TRAVEL]):
+    if not coherent(travels, positions, m[_LEAST_TRAVEL]):
         return 0.0
     axis, cycle_s = int(m[_AXIS]), m[_CYCLE_S]
     travel, of_a_cycle = positions[axis] - m[_POSITION], 0.5 * (speeds[axis] + m[_SPEED]) * cycle_s
@@ -85,7 +85,7 @@ def take(values: Vector, at: NDArray[np.int64], positions: Vector, speeds: Vecto
 
 
 @compiled
-def tell(values: Vector, at: NDArray[np.int64], torques: Vector, shown: Vector) -> None:
+def publish(values: Vector, at: NDArray[np.int64], torques: Vector, shown: Vector) -> None:
     """What it puts behind them, into `values`: torques (M,), then pairs of a place there and one of those shown."""
     for k in range(len(torques)):
         values[at[k]] = torques[k]
@@ -117,17 +117,17 @@ class MeasuredMotion:
         self.state = np.zeros(_SIZE)  #: of `elapsed_s`
         self.state[[_LEAST_TRAVEL, _CYCLE_S, _AXIS, _LEAD_S]] = least_travel, cycle_s, counted, lead_s
         self.state[_OWN] = own_play is not None
-        self._pairing = Pairing(least_travel)
+        self._pairing = SampleCoherence(least_travel)
         self.travels, self.positions = self._pairing.vectors(axes)
         if own_play is not None:
-            self.travels = pairing.own_travels_state(axes, own_play)
+            self.travels = sample_coherence.own_travels_state(axes, own_play)
         self.speeds = np.zeros(axes)
         self._format = f"={axes}d"
 
     def begin(self, positions: Sequence[float], speeds: Sequence[float]) -> None:
         """The machine is at these positions."""
         if self.state[_OWN]:
-            pairing.forget_own_travels(self.travels)
+            sample_coherence.forget_own_travels(self.travels)
             self.elapsed_s(positions, speeds, late=False)
         else:
             self._pairing.reset()
@@ -175,8 +175,8 @@ class InStep(Protocol):
     def is_shown(self) -> bool:
         """Whether nothing was changed since it has followed last."""
 
-    def piece(self, values: Vector, places: NDArray[np.int64], otherwise: Callable[[int], bool]) -> Chained:
-        """The same as a piece of a cycle with samples that are not late, of which all but ALL is `otherwise`."""
+    def piece(self, values: Vector, places: NDArray[np.int64], fallback: Callable[[int], bool]) -> CompiledStage:
+        """The same as a piece of a cycle with samples that are not late, of which all but ALL is `fallback`."""
 
     def has_followed(self, code: int) -> HasFollowed:
         """What the piece has done where it has returned this."""

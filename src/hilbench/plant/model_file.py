@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from hilbench import strict_yaml
+from hilbench.did_you_mean import did_you_mean
 from hilbench.errors import UnusableInputError
 from hilbench.files import writing
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.web_line.parameters import ModelParameters, load_model
-from hilbench.suggest import did_you_mean
 
 Machine = ModelParameters | ServoAxisParameters
 

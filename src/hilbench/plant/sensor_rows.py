@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import Chained, Function
 from hilbench.compiled import compiled, table_of
+from hilbench.cycle_program import CompiledStage, Function
 from hilbench.plant.sensors import SensorNoise
 
 #: In the place of the row of the next step: there is one row for all of them.
@@ -35,7 +35,7 @@ def take_row(rows: NDArray[np.float64], next_row: NDArray[np.int64]) -> int:
 
 def chained_with_noise(
     function: Function, argument: int, vectors: Sequence[NDArray[Any]], noise: SensorNoise | None
-) -> Chained:
+) -> CompiledStage:
     """A step as a piece of a cycle, of a function that takes a row as above, and does nothing where there is none."""
     table = table_of(vectors)
 
@@ -45,4 +45,4 @@ def chained_with_noise(
         function(argument, table)
         return True
 
-    return Chained(function, argument, table, otherwise=draw, keeps=vectors)
+    return CompiledStage(function, argument, table, fallback=draw, keeps=vectors)

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
 
-from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
 from hilbench.prediction.tally import Offsets
 
 Present = TypeVar("Present")
@@ -19,7 +19,7 @@ class Futures(ABC, Generic[Present, Courses]):
     `Present`: what is known of it now; `Courses`: what it will be asked for.
     """
 
-    def __init__(self, watched: Sequence[Watched]) -> None:
+    def __init__(self, watched: Sequence[DiagnosisAnswer]) -> None:
         self.watched = tuple(watched)
 
     @property

@@ -16,7 +16,7 @@ LEVELS: Final[tuple[Level, Level]] = ("warning", "trip")
 
 
 @dataclass(frozen=True, slots=True)
-class Watched:
+class DiagnosisAnswer:
     """A quantity that has limits: what messages call it, the signal that shows it, its unit, and levels of its size."""
 
     name: str
@@ -35,7 +35,7 @@ class Crossing:
     """That the size of a quantity goes beyond a level: with which probability, and when if it does (experiment time, s:
     median, and the times before and after which one future in ten crosses it)."""
 
-    watched: Watched
+    watched: DiagnosisAnswer
     level: Level
     limit: float
     probability: float
@@ -58,7 +58,7 @@ class Outlook:
     """
 
     now_s: float
-    watched: Sequence[Watched]
+    watched: Sequence[DiagnosisAnswer]
     times_s: Array
     rows: Array
     largest: Array

@@ -60,8 +60,8 @@ class Asked:
     plan: Plan = Plan()
     ceilings: Mapping[str, float] = field(default_factory=dict)
 
-    def course(self, path: str, otherwise: float, now_s: float, times_s: Array) -> Array:
-        """As `Plan.course`; `otherwise`: the present value where it is not given."""
-        course = self.plan.course(path, self.present.get(path, otherwise), now_s, times_s)
+    def course(self, path: str, fallback: float, now_s: float, times_s: Array) -> Array:
+        """As `Plan.course`; `fallback`: the present value where it is not given."""
+        course = self.plan.course(path, self.present.get(path, fallback), now_s, times_s)
         ceiling = self.ceilings.get(path)
         return course if ceiling is None else np.clip(course, -ceiling, ceiling)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import table_of
 from hilbench.prediction.judging import FARTHEST, NEVER, TallyVectors
-from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
 
 Array = NDArray[np.float64]
 
@@ -42,13 +42,13 @@ class Tally:
     """Of B futures and Q quantities, as the kernels of the machines fill it, in T steps of `step_s`; a row of the
     courses is kept `every` so many."""
 
-    watched: tuple[Watched, ...]
+    watched: tuple[DiagnosisAnswer, ...]
     step_s: float
     every: int
     vectors: TallyVectors
 
     @classmethod
-    def of(cls, watched: tuple[Watched, ...], offsets: Offsets, z: Array, step_s: float, steps: int) -> Self:
+    def of(cls, watched: tuple[DiagnosisAnswer, ...], offsets: Offsets, z: Array, step_s: float, steps: int) -> Self:
         """Before the first step; z (B, Q): drawn for what is lasting."""
         (b, q), every = z.shape, max(1, round(_ROW_S / step_s))
         levels = _levels_of(watched)
@@ -85,6 +85,6 @@ def whole_step_s(fastest_per_s: float, horizon_s: float, most_s: float) -> float
     return horizon_s / ceil(horizon_s / longest_s)
 
 
-def _levels_of(watched: Sequence[Watched]) -> Array:
+def _levels_of(watched: Sequence[DiagnosisAnswer]) -> Array:
     """Warning and trip level of each (Q, 2); infinite where there is none."""
     return np.array([(each.warning or np.inf, each.trip or np.inf) for each in watched], float).reshape(-1, 2)

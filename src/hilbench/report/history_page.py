@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from hilbench.history.quantities import SECONDS_PER_DAY, QuantityTrend
-from hilbench.history.told import date, figures, sentences
+from hilbench.history.wording import date, figures, sentences
 from hilbench.report.chart import BLUE, INK, ORANGE, VERMILLION
 from hilbench.report.page import typeset, write_page
 from hilbench.report.plots import Drawing, Panel, Picture

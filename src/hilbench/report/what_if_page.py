@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
 from hilbench.report.chart import BLUE, VERMILLION, Band, Chart, Curve
 from hilbench.report.page import quantity, write_page
 from hilbench.report.plots import Picture, drawn
 from hilbench.results.what_if import Answer
 
-Summary = tuple[Watched, list[float], list[float], float]
+Summary = tuple[DiagnosisAnswer, list[float], list[float], float]
 
 
 def rows_of(outlook: Outlook) -> list[Summary]:
@@ -28,7 +28,7 @@ def rows_of(outlook: Outlook) -> list[Summary]:
     return found
 
 
-def levels_of(watched: Watched) -> list[float]:
+def levels_of(watched: DiagnosisAnswer) -> list[float]:
     """Its limits."""
     return [level for level in (watched.warning, watched.trip) if level is not None]
 

@@ -5,7 +5,7 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.ending import ended
+from hilbench.exit_status import ended
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides
 

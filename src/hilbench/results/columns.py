@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from hilbench.suggest import closest
+from hilbench.did_you_mean import closest
 from hilbench.topology.signals import example_names, unit_of
 
 
@@ -21,11 +21,11 @@ def unknown_columns(names: Collection[str]) -> list[str]:
     known_names = example_names()
     numbered = {_without_numbers(known) for known in known_names if _without_numbers(known) != known}
     missing = [known for known in known_names if known not in names]
-    said = []
+    messages = []
     for name in names:
         meant = closest(name, [known for known in missing if _without_numbers(known) != _without_numbers(name)])
         of_another = _without_numbers(name) != name and _without_numbers(name) in numbered
         if name in known_names or (unit_of(name) and (of_another or not meant)):
             continue
-        said.append(f"'{name}'" + (f" (did you mean {meant[0]}?)" if meant else ""))
-    return said
+        messages.append(f"'{name}'" + (f" (did you mean {meant[0]}?)" if meant else ""))
+    return messages

@@ -27,9 +27,9 @@ from pydantic import Field, field_validator
 
 from hilbench import strict_yaml
 from hilbench.block import Block
+from hilbench.did_you_mean import did_you_mean, expected_one_of
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import MOST_COLUMNS, Recording, check_recording, open_text, read_recording
-from hilbench.suggest import did_you_mean, expected_one_of
 from hilbench.topology.signal_kinds import TIME
 from hilbench.topology.signals import example_names, find_signal, unit_of
 
@@ -81,13 +81,13 @@ class ColumnMapping(Block):
         return value
 
 
-def read_foreign(path: Path, mapping_path: Path, tell: Callable[[str], None] = lambda text: None) -> Recording:
-    """Read a recording of another machine; `tell` hears which columns the mapping leaves out.
+def read_foreign(path: Path, mapping_path: Path, report: Callable[[str], None] = lambda text: None) -> Recording:
+    """Read a recording of another machine; `report` hears which columns the mapping leaves out.
 
     Raises UnusableInputError: file, what was found, what was expected.
     """
     mapping = strict_yaml.validate(strict_yaml.load(mapping_path), ColumnMapping)
-    columns = _columns(path, mapping.file, tell)
+    columns = _columns(path, mapping.file, report)
     channels = {}
     for name, source in sorted(mapping.channels.items(), key=lambda item: item[0] != TIME):
         if source.column not in columns:
@@ -96,13 +96,13 @@ def read_foreign(path: Path, mapping_path: Path, tell: Callable[[str], None] = l
         channels[name] = source.factor * columns[source.column] + source.offset
     left_out = [name for name in columns if name not in {source.column for source in mapping.channels.values()}]
     if left_out:
-        tell(f"columns that {mapping_path} does not name: {', '.join(left_out)}")
+        report(f"columns that {mapping_path} does not name: {', '.join(left_out)}")
     recording = Recording(channels, comment=f"from {path.name}")
     check_recording(recording, path)
     return recording
 
 
-def _columns(path: Path, file: TextFile, tell: Callable[[str], None]) -> dict[str, NDArray[np.float64]]:
+def _columns(path: Path, file: TextFile, report: Callable[[str], None]) -> dict[str, NDArray[np.float64]]:
     if path.suffix.lower() not in _CSV:
         recording = read_recording(path)
         return {name: np.asarray(values, np.float64) for name, values in recording.channels.items()}
@@ -113,7 +113,7 @@ def _columns(path: Path, file: TextFile, tell: Callable[[str], None]) -> dict[st
             header, first = (*islice(text, file.skip_rows, file.skip_rows + 2), "", "")[:2]
         units = _is_row_of_units(first, file)
         if units:
-            tell(
+            report(
                 f"line {file.skip_rows + 2} of {path} is no row of numbers, and taken as one of units: {first.strip()}"
             )
         if header.count(file.delimiter) >= MOST_COLUMNS:

@@ -115,8 +115,8 @@ def read_journal(path: Path) -> list[Change]:
 
 
 def _line(change: Change) -> bytes:
-    said = {name: value for name, value in vars(change).items() if name != "who" or value is not None}
-    return (_ENCODER.encode(said) + "\n").encode()
+    fields = {name: value for name, value in vars(change).items() if name != "who" or value is not None}
+    return (_ENCODER.encode(fields) + "\n").encode()
 
 
 def _change(line: bytes, place: str) -> Change:

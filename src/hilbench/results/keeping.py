@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.tasks.task import Pieces
-from hilbench.chain import GOES_ON, Chained, never
+from hilbench.bench.tasks.task import CompiledStages
 from hilbench.compiled import COUNT, TABLE, entry_point, integers, table_of
+from hilbench.cycle_program import CONTINUE, CompiledStage, never
 from hilbench.results.recording import RecordingBuilder
 from hilbench.topology.sample import CycleSample
 
@@ -16,13 +16,13 @@ from hilbench.topology.sample import CycleSample
 @entry_point(COUNT, TABLE)
 def _keep(_: int, table: NDArray[np.int64]) -> int:
     if len(table) == 0:
-        return GOES_ON
+        return CONTINUE
     words, block, used = integers(table, 0, (1,)), integers(table, 1, (1, 2)), integers(table, 2, (1,))
     at = used[0]
     for k in range(block.shape[1]):
         block[at, k] = words[k]
     used[0] = at + 1
-    return GOES_ON
+    return CONTINUE
 
 
 class Keeping:
@@ -31,7 +31,7 @@ class Keeping:
     def __init__(self, builder: RecordingBuilder) -> None:
         self._builder = builder
 
-    def pieces(self, sample: CycleSample) -> Pieces:
+    def pieces(self, sample: CycleSample) -> CompiledStages:
         """Of a cycle with this sample. The next block is Python's."""
         builder, kept = self._builder, [sample.wholes, self._builder.block.view(np.int64), self._builder.used]
         table = table_of(kept)
@@ -43,4 +43,4 @@ class Keeping:
                 table[:] = table_of(kept)
             return len(block) - int(builder.used[0])
 
-        return Pieces(after=[Chained(_keep, 0, table, otherwise=never, keeps=kept)], cycles=cycles)
+        return CompiledStages(after=[CompiledStage(_keep, 0, table, fallback=never, keeps=kept)], cycles=cycles)

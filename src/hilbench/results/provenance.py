@@ -128,8 +128,8 @@ def _git(path: Path, *questions: Sequence[str]) -> list[str | None]:
                     env=environment,
                 )
             )
-    said = [_answer(each) for each in asked]
-    return said if len(said) == len(questions) else [None for _ in questions]
+    answers = [_answer(each) for each in asked]
+    return answers if len(answers) == len(questions) else [None for _ in questions]
 
 
 def _answer(asked: subprocess.Popen[str]) -> str | None:

@@ -26,9 +26,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.did_you_mean import did_you_mean
 from hilbench.errors import UnusableInputError
 from hilbench.files import written_whole
-from hilbench.suggest import did_you_mean
 from hilbench.topology.signal_kinds import TIME
 from hilbench.topology.signals import find_signal, unit_of
 
@@ -293,8 +293,8 @@ _WRITERS = {".mf4": _write_mdf, ".csv": _write_csv, ".csv.gz": _write_csv, ".par
 def read_rows(path: Path) -> Recording:
     """Read a recording as it is: its time may be missing, out of order, repeated or no number.
 
-    For who mends rows before using them (`hilbench.diagnosis.repairs`). Raises UnusableInputError, one line, for what
-    is no table of numbers.
+    For who cleans rows before using them (`hilbench.diagnosis.data_cleaning`). Raises UnusableInputError, one line,
+    for what is no table of numbers.
     """
     path = Path(path)
     return _READERS[_kind(path)](path)

@@ -28,8 +28,8 @@ from hilbench.cia402.configuration import DriveSettings, default_reader
 from hilbench.cia402.state_machine import State
 from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError, UnusableInputError
+from hilbench.exchange.master_node import answer_id
 from hilbench.exchange.nodes import Nodes
-from hilbench.exchange.own_node import answer_id
 from hilbench.results.journal import read_journal
 from hilbench.results.junit import write_junit
 from hilbench.results.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
@@ -54,7 +54,7 @@ class CycleFrames:
     late: list[Frame] = field(default_factory=list)
     sync: Frame | None = None
     received: list[Frame] = field(default_factory=list)
-    gone_by: int = 0  #: SYNCs until then for which there was no cycle
+    elapsed_cycles: int = 0  #: SYNCs until then for which there was no cycle
 
 
 @dataclass
@@ -210,14 +210,14 @@ def _run_by_the_bench(cycles: Iterator[CycleFrames], nodes: Nodes) -> Iterator[C
     came at the others it has read as late in its next cycle."""
     set_points = nodes.axes[0].pdos.rpdo.cob_id
     late: list[Frame] = []
-    gone_by = 0
+    elapsed_cycles = 0
     for cycle in cycles:
         if cycle.sent or any(frame.can_id == set_points for frame in cycle.received):
-            cycle.late[:0], late, cycle.gone_by = late, [], gone_by
+            cycle.late[:0], late, cycle.elapsed_cycles = late, [], elapsed_cycles
             yield cycle
         else:
             late += [*cycle.late, *cycle.received]
-            gone_by += 1
+            elapsed_cycles += 1
 
 
 def _complete(cycles: Iterator[CycleFrames], nodes: Nodes) -> Iterator[CycleFrames]:
@@ -240,19 +240,19 @@ def _own_frames(nodes: Nodes) -> Iterator[tuple[int, str]]:
 
 def take_units(nodes: Nodes, frames: Iterable[Frame]) -> None:
     """Units as the drives told them by SDO when they were configured (expedited uploads); else by their EDS."""
-    told: dict[tuple[int, int, int], bytes] = {}
+    values: dict[tuple[int, int, int], bytes] = {}
     for can_id, data, _ in frames:
         node_id = node_of(can_id, SDO_ANSWER)
         if node_id and len(data) == 8 and data[0] & 0xE2 == 0x42:
             size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
-            told[node_id, int.from_bytes(data[1:3], "little"), data[3]] = data[4 : 4 + size]
+            values[node_id, int.from_bytes(data[1:3], "little"), data[3]] = data[4 : 4 + size]
     for drive in nodes.drives:
         settings, default = drive.settings, default_reader(drive.od, axis=drive.settings.axis)
 
         def read(
             index: int, sub: int, settings: DriveSettings = settings, default: object = default
         ) -> int | float | None:
-            data = told.get((settings.node_id, settings.object(index), sub))
+            data = values.get((settings.node_id, settings.object(index), sub))
             return default(index, sub) if data is None else int.from_bytes(data, "little")  # type: ignore[operator]
 
         drive.units = DriveUnits.from_objects(read, drive.settings.units, drive.settings.name)
@@ -316,7 +316,7 @@ class Decoder:
         if self._first is not None:
             self._take_commands(cycle.sent)
         sample.cycle += 1
-        nodes.decode([*cycle.late, *cycle.received], len(cycle.late), cycle.gone_by)
+        nodes.decode([*cycle.late, *cycle.received], len(cycle.late), cycle.elapsed_cycles)
         nodes.fill(sample)
         if self._joins_twin and nodes.twin_reported_cycle:
             state.twin.started_cycle, self._joins_twin = nodes.twin_started(nodes.twin_reported_cycle), False

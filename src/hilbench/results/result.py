@@ -20,7 +20,7 @@ from pydantic import (
 )
 
 from hilbench.bench.prediction.announcements import Announcement
-from hilbench.bench.reports.found import FoundEffect, GapRow, ModelChange, part_words
+from hilbench.bench.reports.diagnosis_updates import FoundEffect, GapRow, ModelChange, part_words
 from hilbench.block import Strict
 from hilbench.json_file import JsonFile
 from hilbench.plant.effects import find_effect
@@ -29,7 +29,7 @@ from hilbench.results.verdict import RunVerdict, verdict_of
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import Event
 from hilbench.runs.metrics import Judgement, StepFigures
-from hilbench.twin.found import FoundBeside
+from hilbench.twin.estimated_errors import EstimatedModelError
 
 Count = Annotated[int, Field(ge=0)]
 
@@ -135,18 +135,18 @@ class Timing(_WithOptions):
 
     def warnings(self) -> list[str]:
         """What a reader of the run must know before trusting it: one line for each process that lost frames."""
-        told = []
+        texts = []
         if self.lost_frames:
             since = "" if self.first_loss_s is None else f", first noticed at t = {self.first_loss_s:.3f} s"
-            told.append(f"the bench lost {self.lost_frames} frames{since}: they are missing in trace and measurements")
+            texts.append(f"the bench lost {self.lost_frames} frames{since}: they are missing in trace and measurements")
         for process, lost in (self.lost_frames_of or {}).items():
             if lost:
-                told.append(f"the {process} lost {lost} frames: set points or measurements are missing there")
+                texts.append(f"the {process} lost {lost} frames: set points or measurements are missing there")
         for participant, late in (self.late or {}).items():
             if late.share_pct >= _LATE_WARNING_PCT:
                 oldest = f"up to {late.oldest_cycles} cycles old" if late.oldest_cycles > 1 else "a cycle old"
-                told.append(f"{participant}: {late.share_pct:.1f} % of the samples came late, {oldest}")
-        return told
+                texts.append(f"{participant}: {late.share_pct:.1f} % of the samples came late, {oldest}")
+        return texts
 
 
 def jitter(lateness_us: ArrayLike) -> tuple[Jitter, Histogram] | tuple[None, None]:
@@ -344,7 +344,7 @@ class EstimatedRecord(Strict):
     tied_with: list[str] = Field(default_factory=list)
 
     @classmethod
-    def of(cls, found: FoundBeside) -> Self:
+    def of(cls, found: EstimatedModelError) -> Self:
         """As it stands in the file."""
         half = _NORMAL_95 * found.deviation
         return cls(
@@ -523,7 +523,7 @@ class Result(_WithOptions, JsonFile):
         predicted: Sequence[Announcement] | None = None,
         found: Sequence[FoundRecord] | None = None,
         gap_history: GapHistory | None = None,
-        estimated: Sequence[FoundBeside] = (),
+        estimated: Sequence[EstimatedModelError] = (),
         began: datetime | None = None,
         streams: Sequence[StreamRecord] = (),
         commissioned: str | None = None,

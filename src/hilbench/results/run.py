@@ -18,8 +18,8 @@ from hilbench.bench.lifecycle.participants import Participants, check_in_process
 from hilbench.bench.lifecycle.startup import copies_beside, held_bus
 from hilbench.bench.reports.change import Change
 from hilbench.bench.reports.notice import Notice
-from hilbench.bench.tasks.task import Pieces
-from hilbench.copies import Copy
+from hilbench.bench.tasks.task import CompiledStages
+from hilbench.crash_report import crash_report
 from hilbench.errors import (
     EXIT_BENCH_FAULT,
     EXIT_CRITERION_FAILED,
@@ -31,6 +31,7 @@ from hilbench.errors import (
     printable,
 )
 from hilbench.exchange.timeliness import Timeliness
+from hilbench.forked_workers import ForkedWorker
 from hilbench.processes import HeldSignals, finishing
 from hilbench.results.commissioned import commissioned_text
 from hilbench.results.journal import JournalWriter
@@ -57,13 +58,12 @@ from hilbench.runs import config as config_files
 from hilbench.runs.check import check_experiment
 from hilbench.runs.config import LoadedConfig
 from hilbench.runs.criteria import Criterion, CriterionResult, evaluate
+from hilbench.runs.estimated_errors import metrics as found_metrics
 from hilbench.runs.events import EventLog
-from hilbench.runs.found import metrics as found_metrics
 from hilbench.runs.look_ahead import LookAhead
 from hilbench.runs.metrics import Judgement, judge
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signal_kinds import Signal
-from hilbench.unexpected import unexpected
 
 #: What a signal waits for once a run has ended.
 WRITING = "recording and result are written"
@@ -127,7 +127,7 @@ class Recorder:
             self._of, self._row = sample, sample.reals.data[: len(self._builder.names)].cast("B")
         self._builder.append_packed(self._row)
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """The same as a piece of a cycle."""
         return self._keeping.pieces(sample)
 
@@ -145,7 +145,7 @@ def run_experiment(
     participants: Participants = Participants.STARTED,
     announce: Callable[[str], None] = lambda text: None,
     force: bool = False,
-    beside: dict[str, Copy] | None = None,
+    beside: dict[str, ForkedWorker] | None = None,
 ) -> RunOutcome:
     """Run all steps of a config, evaluate its criteria, write the run folder (the report is made from it).
 
@@ -173,7 +173,7 @@ def run_experiment(
             announce=announce,
             journal=record.note,
             bus_is_held=True,
-            copies=waiting,
+            forked_workers=waiting,
         )
         kept = record.ending.kept("bench", lambda: bench.fault_time_s)
         with finishing(WRITING, partial(_end_at_once, bench)) as held:
@@ -277,8 +277,8 @@ class RunRecord:
             result.write(folder.result)
             write_junit(result, config.name, self._started, folder.junit)
         except UnusableInputError as error:
-            said = "".join(f"{fault.text}; " for fault in ending.faults)
-            raise BenchFaultError(f"{said}drives were stopped; then {error}") from error
+            texts = "".join(f"{fault.text}; " for fault in ending.faults)
+            raise BenchFaultError(f"{texts}drives were stopped; then {error}") from error
         if ending.exit_code == EXIT_PASSED and result.passed is False:
             ending.exit_code = EXIT_CRITERION_FAILED
         return RunOutcome(folder, result, ending.exit_code)
@@ -308,7 +308,7 @@ class Ending:
         elif isinstance(error, HilbenchError):
             self._add(EXIT_BENCH_FAULT, time_s, source, str(error))
         else:  # nobody foresaw it: told like all the others, with its traceback for who mends it
-            self._add(EXIT_BENCH_FAULT, time_s, source, unexpected(error, self._folder.traceback))
+            self._add(EXIT_BENCH_FAULT, time_s, source, crash_report(error, self._folder.traceback))
 
     def look_after_folder(self) -> None:
         """Somebody may have removed the run folder: what is still known is written all the same."""

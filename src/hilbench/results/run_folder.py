@@ -9,8 +9,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Self
 
+from hilbench.crash_report import TRACEBACK_FILE
 from hilbench.errors import UnusableInputError
-from hilbench.unexpected import TRACEBACK_FILE
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 _LONGEST_NAME = 100

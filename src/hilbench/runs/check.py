@@ -10,16 +10,16 @@ from hilbench.bench.check import CheckedBench, check_bench
 from hilbench.bench.prediction.create import foreseeable
 from hilbench.bench.tasks.tension_loop import Margins, OperatingPoint, TensionLoop
 from hilbench.bench.web_line_check import check_stability, operating_point_text, stiffness_reserves
+from hilbench.did_you_mean import expected_one_of
 from hilbench.errors import UnusableInputError, UnusableValueError
 from hilbench.exchange.effect_objects import effect_place
 from hilbench.plant.effect import MachineKind
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.drive_check import drive_warnings
-from hilbench.runs.found import find_metric as find_found_metric
+from hilbench.runs.estimated_errors import find_metric as find_found_metric
 from hilbench.runs.metrics import OF_RUNS, metrics_of
-from hilbench.runs.prospect import Move, moves
+from hilbench.runs.set_point_schedule import Move, moves
 from hilbench.runs.web_line_check import operating_points, step_warnings, stiffness_of
-from hilbench.suggest import expected_one_of
 
 #: Margins below which a loop is noted.
 _LEAST_GAIN, _LEAST_PHASE_DEG = 2.0, 30.0

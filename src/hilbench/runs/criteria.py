@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from hilbench.block import Block, Strict
+from hilbench.did_you_mean import expected_one_of
 from hilbench.runs.figures import LEAST_SETTLED_S
 from hilbench.runs.metrics import METRICS, Judgement, find_metric, reasons
 from hilbench.runs.segment import Figure, Metric
-from hilbench.suggest import expected_one_of
 
 
 class Criterion(Block):
@@ -119,11 +119,16 @@ class CriterionResult(Strict):
         if not self.passed:
             return self
         until = "" if self.value is None else f", {self.value:.6g} until then"
-        told = {"value": None, "passed": False, "marginal": False, "reason": f"not judged: the run was cut off{until}"}
-        return self.model_copy(update=told)
+        as_json = {
+            "value": None,
+            "passed": False,
+            "marginal": False,
+            "reason": f"not judged: the run was cut off{until}",
+        }
+        return self.model_copy(update=as_json)
 
     @model_serializer(mode="wrap")
-    def _without_what_says_nothing(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_empty_fields(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
         fields: dict[str, Any] = serialize(self)
         silent = ("reason", "marginal", "never", "step", "verifies")
         return {name: value for name, value in fields.items() if value or name not in silent}

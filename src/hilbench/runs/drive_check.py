@@ -14,7 +14,7 @@ from hilbench.exchange.addressing import declared_units
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
-from hilbench.runs.prospect import Move
+from hilbench.runs.set_point_schedule import Move
 from hilbench.topology.parts import Part, Role
 from hilbench.topology.quantities import LINE_SPEED, SPEED
 

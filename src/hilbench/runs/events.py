@@ -241,8 +241,8 @@ def _groups(positions: Sequence[int]) -> list[list[int]]:
 def merged(journal: Iterable[Event], shown: Iterable[Event], same_s: float) -> list[Event]:
     """One list in order of time: what the journal says, and what only the signals show; steps at the same time are
     one."""
-    said = list(journal)
-    found = said + [event for event in shown if not any(_same(event, known, same_s) for known in said)]
+    entries = list(journal)
+    found = entries + [event for event in shown if not any(_same(event, known, same_s) for known in entries)]
     result: list[Event] = []
     for event in sorted(found, key=lambda event: (event.start_s, event.kind)):
         at = next((k for k, e in enumerate(result) if e.kind == "step" and event.start_s - e.start_s <= same_s), None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hilbench.prediction.plan import Move, Plan
 from hilbench.runs.config import ExperimentConfig
-from hilbench.runs.prospect import moves, start_of
+from hilbench.runs.set_point_schedule import moves, start_of
 
 #: Steps that take as long as they take, or do what only their own code knows.
 _OPEN = {"wait_until", "python", "restart_twin"}

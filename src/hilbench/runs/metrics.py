@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from hilbench.runs import found
+from hilbench.runs import estimated_errors
 from hilbench.runs.events import Event, find_events, of_open_loop
 from hilbench.runs.figures import finite_or_none, working_window
 from hilbench.runs.machines import servo_axis, web_line
@@ -74,7 +74,7 @@ METRICS: Final[Mapping[str, Metric]] = {
         if name not in OF_STEPS[FIRST_KIND].metrics
     },
     **OF_RUNS,
-    **found.METRICS,
+    **estimated_errors.METRICS,
 }
 
 #: Steps whose reasons are told in one line.
@@ -93,7 +93,7 @@ def find_metric(name: str) -> Metric | None:
         return METRICS[name]
     numbered = _NUMBERED.fullmatch(name)
     if numbered is None:
-        return found.find_metric(name)
+        return estimated_errors.find_metric(name)
     spans = tuple(range(1, max(int(numbered[1]), 2) + 1))  # of the shortest line with so many
     return web_line.metrics_of(Shape(len(spans) + 1, (), len(spans), spans, spans)).metrics.get(name)
 
@@ -187,9 +187,9 @@ class Metrics(dict[str, float | None]):
 
 def reasons(missing: Sequence[tuple[StepFigures, Figure]]) -> str:
     """Why steps have no value: of many the first."""
-    told = [f"{step}: {figure.reason}" for step, figure in missing[:_MOST_REASONS]]
-    more = len(missing) - len(told)
-    return "; ".join([*told, f"and {more} more steps"] if more else told)
+    causes = [f"{step}: {figure.reason}" for step, figure in missing[:_MOST_REASONS]]
+    more = len(missing) - len(causes)
+    return "; ".join([*causes, f"and {more} more steps"] if more else causes)
 
 
 def evaluate_metrics(channels: Channels, *, journal: Sequence[Event] = ()) -> dict[str, float | None]:

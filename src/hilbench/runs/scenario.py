@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from hilbench import strict_yaml
 from hilbench.bench.bench import Bench
+from hilbench.did_you_mean import did_you_mean
 from hilbench.errors import UnusableInputError
 from hilbench.files import content
 from hilbench.runs.criteria import CriterionResult
-from hilbench.suggest import did_you_mean
 from hilbench.topology.quantities import LONGEST_S, permitted, rampable_path, settable_path
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import example_names, find_signal, unit_of

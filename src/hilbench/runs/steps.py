@@ -20,12 +20,12 @@ from pydantic import (
 
 from hilbench.bench.bench import Bench
 from hilbench.block import Block
+from hilbench.did_you_mean import did_you_mean
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.web_line.config import METHODS
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.python_file import load_experiment, run_experiment_function
 from hilbench.runs.scenario import read_scenario
-from hilbench.suggest import did_you_mean
 from hilbench.topology.quantities import LONGEST_S, permitted, rampable_path, settable_path
 from hilbench.topology.signals import example_names, find_signal
 

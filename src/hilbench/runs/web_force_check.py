@@ -9,7 +9,7 @@ from typing import Final
 from hilbench.bench.tasks.web_winding_control import CarriageForce, eased
 from hilbench.plant.web_line.stations import LineCarriage
 from hilbench.runs.config import ExperimentConfig
-from hilbench.runs.prospect import Move
+from hilbench.runs.set_point_schedule import Move
 from hilbench.topology.web_line_positions import FEED, FORCE_SET_POINT, position_path
 
 #: Parts of a ramp at which the force is looked at.

@@ -11,7 +11,7 @@ from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.drive_check import torque_limit_Nm
-from hilbench.runs.prospect import Move, State, start_of
+from hilbench.runs.set_point_schedule import Move, State, start_of
 from hilbench.runs.web_force_check import beyond_cylinders
 from hilbench.strict_yaml import Location
 from hilbench.topology.parts import Role

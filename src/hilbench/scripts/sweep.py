@@ -20,8 +20,7 @@ import numpy as np
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants, can_be_in_process
-from hilbench.canopen.mastery import mastery
-from hilbench.copies import Copy, copies
+from hilbench.canopen.master_guard import mastery
 from hilbench.errors import (
     EXIT_BENCH_FAULT,
     EXIT_CRITERION_FAILED,
@@ -31,6 +30,7 @@ from hilbench.errors import (
     UnusableInputError,
 )
 from hilbench.files import make_folder, writing
+from hilbench.forked_workers import ForkedWorker, forked_workers
 from hilbench.processes import ChildProcess
 from hilbench.real_time import for_good
 from hilbench.results.recording import mdf_library
@@ -93,7 +93,7 @@ class _UnderWay:
     log: Path
 
     @classmethod
-    def begin(cls, job: Job, copy: Copy | None = None) -> Self:
+    def begin(cls, job: Job, copy: ForkedWorker | None = None) -> Self:
         """Start it, or let a copy of this process become it."""
         log = Path(job.folder).with_suffix(".log")
         log.parent.mkdir(parents=True, exist_ok=True)
@@ -261,7 +261,7 @@ class Sweep:
         try:
             while waiting or under_way:
                 while waiting and len(under_way) < jobs:
-                    with copies({_RUN: lambda: None}) as made:
+                    with forked_workers({_RUN: lambda: None}) as made:
                         run = _UnderWay.begin(waiting.popleft(), made.pop(_RUN, None))
                     end = os.pidfd_open(run.process.pid)
                     under_way[end] = run

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hilbench.ending import ended
 from hilbench.errors import UnusableInputError
+from hilbench.exit_status import ended
 from hilbench.real_time import give_way
 from hilbench.streams.messages import rows_of
 from hilbench.streams.sinks import Sink, open_sink

@@ -77,12 +77,14 @@ class Stream:
         self._socket.settimeout(_LONGEST_START_S)
         try:
             self._socket.sendall(json.dumps(asked).encode() + b"\n")
-            said = self._socket.recv(4096).decode()
+            message = self._socket.recv(4096).decode()
         except OSError as error:
-            said = str(error)
-        if said != "ready":
+            message = str(error)
+        if message != "ready":
             self._end()
-            raise UnusableInputError(*(said.partition("\0")[::2] if "\0" in said else (str(target), said or "ended")))
+            raise UnusableInputError(
+                *(message.partition("\0")[::2] if "\0" in message else (str(target), message or "ended"))
+            )
 
     @property
     def pid(self) -> int:

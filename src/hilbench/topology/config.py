@@ -35,7 +35,7 @@ from hilbench.topology.blocks import (
 )
 from hilbench.topology.misfits import misfits, one_node_misfit, whole_misfits
 from hilbench.topology.parts import DriveConfig, LoadMotorConfig, Part, PartName, Role
-from hilbench.topology.quantities import MODEL_CHANGE, TENSION_PROBE, parse_effect_path, path_problem, plain_paths
+from hilbench.topology.quantities import MODEL_CHANGE, TENSION_PROBE, fast_path_places, parse_effect_path, path_problem
 from hilbench.topology.safety import SafetyConfig
 from hilbench.topology.signal_kinds import Signal
 from hilbench.topology.signals import Shape, signals_of
@@ -338,9 +338,9 @@ class BenchConfig(Block):
         return set_point_controls(self.web_line, self.controllers.values())
 
     @property
-    def plain_paths(self) -> tuple[str, ...]:
+    def fast_path_places(self) -> tuple[str, ...]:
         """The quantities of this bench that can be set, without those of effects."""
-        known = plain_paths(self.machine_kind, self.shape)
+        known = fast_path_places(self.machine_kind, self.shape)
         return tuple(path for path in known if self.path_problem(path) is None)
 
     def path_problem(self, path: str) -> str | None:

@@ -26,11 +26,11 @@ from itertools import product
 from math import isfinite
 from numbers import Real
 
+from hilbench.did_you_mean import closest, did_you_mean
 from hilbench.errors import UnusableValueError
 from hilbench.plant.effect import EffectPlace, MachineKind
 from hilbench.plant.effects import effect_problem, effects_of, find_effect
 from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
-from hilbench.suggest import closest, did_you_mean
 from hilbench.topology import web_line_quantities as numbered
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_positions import FEED, FORCE_SET_POINT, SET_POINT, position_quantity, positions
@@ -128,7 +128,7 @@ def span_of_set_point(path: str) -> str | None:
     return found[1] if found else "" if path == TENSION_SET_POINT else None
 
 
-def is_plain(path: str) -> bool:
+def fits_fast_path(path: str) -> bool:
     """Whether a quantity is none of an effect, whatever the machine."""
     if path in _PLAIN or _NUMBERED_SET_POINT.fullmatch(path) is not None:
         return True
@@ -206,7 +206,7 @@ def _expected(text: str) -> str:
     return f"one of {known}, or load|hardware.effects.ID[.axisN|.spanN].PARAMETER"
 
 
-def plain_paths(kind: MachineKind, shape: Shape) -> tuple[str, ...]:
+def fast_path_places(kind: MachineKind, shape: Shape) -> tuple[str, ...]:
     """The quantities of a machine, without those of its effects."""
     several = {
         TENSION_SET_POINT: [tension_set_point(shape.numbered(span)) for span in shape.controlled],
@@ -218,10 +218,10 @@ def plain_paths(kind: MachineKind, shape: Shape) -> tuple[str, ...]:
 
 def path_problem(path: str, kind: MachineKind, shape: Shape, loaded: Collection[int]) -> str | None:
     """Why a machine has no such quantity, in one line, or None; `loaded`: axes on whose shaft a load motor is."""
-    known = plain_paths(kind, shape)
+    known = fast_path_places(kind, shape)
     if path in known:
         return None
-    if is_plain(path):
+    if fits_fast_path(path):
         other = "another kind of machine" if path in _PLAIN and path not in _PLAIN_OF[kind] else "another machine"
         return f"a quantity of a {kind} ({', '.join(known)}), '{path}' is of {other}"
     try:
@@ -250,7 +250,7 @@ def is_of_load(path: str) -> bool:
 
 def settable_path(text: str) -> str:
     """The path itself when it names a quantity that can be set; ValueError otherwise."""
-    if not is_plain(text):
+    if not fits_fast_path(text):
         parse_effect_path(text)
     return text
 
@@ -265,7 +265,7 @@ def rampable_path(text: str) -> str:
 @cache
 def permitted(path: str) -> Permitted:
     """What values a quantity may have. Raises ValueError for an unknown path."""
-    if is_plain(path):
+    if fits_fast_path(path):
         if position := position_quantity(path):
             return _OF_POSITIONS[position]
         return _PLAIN.get(path, _PLAIN[numbered.YOUNGS_MODULUS if numbered.is_modulus(path) else TENSION_SET_POINT])

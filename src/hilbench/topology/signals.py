@@ -77,7 +77,7 @@ class Shape:
     estimated: tuple[int, ...] = ()
     controlled: tuple[int, ...] = ()
     axes_before: tuple[int, ...] = ()
-    told: tuple[int, ...] = ()
+    listed_spans: tuple[int, ...] = ()
     carriages: tuple[str, ...] = ()
     reels: tuple[str, ...] = ()
     measured: tuple[str, ...] = ()
@@ -119,7 +119,7 @@ class Shape:
     @property
     def simulated(self) -> tuple[int, ...]:
         """The spans whose tension the twin tells."""
-        return self.told or tuple(range(1, self.spans + 1))
+        return self.listed_spans or tuple(range(1, self.spans + 1))
 
     def numbered(self, number: int) -> str:
         """The number of a span as it stands in names: none where there is only one."""

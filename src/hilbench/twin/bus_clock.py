@@ -15,7 +15,7 @@ from hilbench.canopen.device import Device
 from hilbench.twin.reports import PROFILE_SPECIFIC
 
 
-class Heard(NamedTuple):
+class ReceivedFrame(NamedTuple):
     """What the clock says of a SYNC."""
 
     skipped: int  #: cycles between it and the last in which none came; -1: it is one too many
@@ -25,26 +25,28 @@ class Heard(NamedTuple):
 
 
 class BusClock:
-    """Of a bus whose config says `cycle_s`, by `now_ns`. The virtual I/O `device` and `say` tell of other cycles."""
+    """Of a bus whose config says `cycle_s`, by `now_ns`. The virtual I/O `device` and `report` tell of other cycles."""
 
-    def __init__(self, cycle_s: float, now_ns: Callable[[], int], device: Device, say: Callable[[str], None]) -> None:
+    def __init__(
+        self, cycle_s: float, now_ns: Callable[[], int], device: Device, report: Callable[[str], None]
+    ) -> None:
         self._config_ns = round(cycle_s * 1e9)
         self._cycle = BusCycle(self._config_ns, now_ns)
-        self._device, self._say = device, say
+        self._device, self._say = device, report
         self.apart = False  #: SYNC comes by another cycle than is gone by
 
-    def hear(self, behind: int) -> Heard:
+    def sync_received(self, behind: int) -> ReceivedFrame:
         """A SYNC is here, and `behind` more wait."""
-        cycles, other_ns = self._cycle.heard(behind), self._cycle.pop_other()
+        cycles, other_ns = self._cycle.received(behind), self._cycle.pop_other()
         were_apart, self.apart = self.apart, not self._cycle.in_step
-        return Heard(cycles - 1, other_ns, were_apart, self.apart)
+        return ReceivedFrame(cycles - 1, other_ns, were_apart, self.apart)
 
-    def tell(self, cycle_ns: int) -> None:
+    def report_period(self, cycle_ns: int) -> None:
         """Say that this cycle is gone by from here on, by EMCY and to people."""
         self._device.clear_emergency(OTHER_CYCLE)
-        said, of_config = f"SYNC comes every {cycle_ns * 1e-6:.4g} ms", f"{self._config_ns * 1e-6:.4g} ms"
+        found, of_config = f"SYNC comes every {cycle_ns * 1e-6:.4g} ms", f"{self._config_ns * 1e-6:.4g} ms"
         if cycle_ns != self._config_ns:
             self._device.emergency(OTHER_CYCLE, PROFILE_SPECIFIC, pack("<fx", cycle_ns * 1e-9))
-            self._say(f"{said}, cycle_time_s is {of_config}: the twin goes by SYNC")
+            self._say(f"{found}, cycle_time_s is {of_config}: the twin goes by SYNC")
         else:
-            self._say(f"{said} again, as cycle_time_s says")
+            self._say(f"{found} again, as cycle_time_s says")

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from hilbench.canopen.object_store import Cell
-from hilbench.chain import Chained
-from hilbench.plain import layout as lay
-from hilbench.plain.devices import HostFrames
-from hilbench.plain.motors import Motors
-from hilbench.plain.tables import NO_SLOT, NotPlainError, Slots, reals
+from hilbench.cycle_program import CompiledStage
+from hilbench.fast_path import layout as lay
+from hilbench.fast_path.devices import HostFrames
+from hilbench.fast_path.motors import Motors
+from hilbench.fast_path.tables import NO_SLOT, FastPathRefusedError, Slots, reals
 from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.machines.machine import MachineVectors
 from hilbench.twin.process import TwinApplication
@@ -47,11 +47,11 @@ class TwinInArrays:
     def _find_slots(self) -> None:
         """All that the machine says and hears is in the arrays."""
         slots, shown = self._slots, self._application.io
-        real = [slots.of(cell, is_float=True) for cell in (*shown.published_cells, *shown.told_cells.values())]
+        real = [slots.of(cell, is_float=True) for cell in (*shown.published_cells, *shown.boundary_cells.values())]
         whole = [slots.of(cell) for cell in shown.status_cells]
         known = {(slot, is_float) for _, slot, is_float in self._cells}
         if not {(slot, True) for slot in real} | {(slot, False) for slot in whole} <= known:
-            raise NotPlainError
+            raise FastPathRefusedError
 
     def _find_cells(self, of_host: HostFrames) -> None:
         """The objects that its PDOs read and write."""
@@ -61,7 +61,7 @@ class TwinInArrays:
         self._read_real = [(cell, slot) for cell, slot, is_float in read if is_float]
         self._read_whole = [(cell, slot) for cell, slot, is_float in read if not is_float]
         if not all(is_float for _, _, is_float in written):
-            raise NotPlainError
+            raise FastPathRefusedError
         self._written = [(cell, slot) for cell, slot, _ in written]
         self._of_io = {id(cell) for cell, _, _ in (*read, *written)}
 
@@ -92,7 +92,7 @@ class TwinInArrays:
                 asked=asked,
                 shown=shown,
                 values=real,
-                told={name: place[id(cell)] for name, cell in application.io.told_cells.items()},
+                boundary_places={name: place[id(cell)] for name, cell in application.io.boundary_cells.items()},
                 published=[place[id(cell)] for cell in application.io.published_cells],
                 whole=whole,
                 number=place[id(number)],
@@ -109,7 +109,7 @@ class TwinInArrays:
         return not (looks and self._application.goes_in_vectors)
 
     @property
-    def piece(self) -> Chained | None:
+    def piece(self) -> CompiledStage | None:
         """Of a cycle: the same as `go_on`, with nothing to do before SYNC; None while it has not all in vectors."""
         return self._application.in_vectors if self._in_vectors else None
 
@@ -117,12 +117,12 @@ class TwinInArrays:
         """What the TPDOs of the next SYNC carry goes into the arrays."""
         if self._in_vectors:
             return
-        cells, values = self._application.io.status_cells, self._application.begin_plain()
-        said: dict[int, Any] = {id(cell): value for cell, value in zip(cells, values, strict=True)}
+        cells, values = self._application.io.status_cells, self._application.begin_fast_path()
+        values_of: dict[int, Any] = {id(cell): value for cell, value in zip(cells, values, strict=True)}
         for cell, slot in self._read_real:
             self._real_at[slot] = cell.value
         for cell, slot in self._read_whole:
-            value: Any = said.get(id(cell), cell.value)
+            value: Any = values_of.get(id(cell), cell.value)
             self._whole_at[slot] = value
 
     def go_on(self) -> None:
@@ -131,11 +131,11 @@ class TwinInArrays:
         if self._in_vectors:
             self._application.go_on_in_vectors()
             return
-        self._give_told()
+        self._give_boundary_inputs()
         values = self._measured.tolist()
         self._application.go_on(list(zip(values[::4], values[2::4], strict=True)), self._motors.step)
 
-    def _give_told(self) -> None:
+    def _give_boundary_inputs(self) -> None:
         for cell, slot in self._written:
             cell.value = self._real_at[slot]
 
@@ -151,16 +151,16 @@ class TwinInArrays:
         """The objects get what the arrays have; `awaits`: the axes have not answered the last SYNC yet."""
         self._motors.give()
         if awaits:
-            self._give_told()
+            self._give_boundary_inputs()
             self._application.awaits_measurements()
         self._application.end_in_vectors()
 
 
-def heard_row(listener: AxisListener, position: int, torque: int) -> tuple[object, ...]:
-    """An axis as the twin hears it, a row of `layout.SEEN`: slots of position and torque. Raises NotPlainError."""
+def received_row(listener: AxisListener, position: int, torque: int) -> tuple[object, ...]:
+    """An axis as the twin hears it, a row of `layout.FEEDBACK`: slots of position and torque. Raises NotPlainError."""
     counter, units = listener.counter, listener.units
     if counter.value is None:
-        raise NotPlainError
+        raise FastPathRefusedError
     return (
         *(position, NO_SLOT, torque, position),  # a state is not looked for
         *(counter.value, counter.last, units.position_rad, 0.0, units.torque_Nm),

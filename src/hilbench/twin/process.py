@@ -15,8 +15,8 @@ from hilbench.canopen.device import Device, SdoAbort
 from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.identifiers import NmtState
-from hilbench.chain import Chained
 from hilbench.cia402.simulated import SimulatedDrive
+from hilbench.cycle_program import CompiledStage
 from hilbench.plant.interface import Steps
 from hilbench.plant.motor_port import MotorMode
 from hilbench.processes import log
@@ -27,8 +27,8 @@ from hilbench.topology.signals import Shape
 from hilbench.twin import virtual_io
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
 from hilbench.twin.bus_clock import BusClock
-from hilbench.twin.cycles_by_travel import CyclesByTravel
-from hilbench.twin.found import as_text
+from hilbench.twin.cycle_count_from_position import CycleCountFromPosition
+from hilbench.twin.estimated_errors import as_text
 from hilbench.twin.machines.kinds import boundary, new_machine, warm_up
 from hilbench.twin.machines.machine import (
     LOOK,
@@ -38,7 +38,7 @@ from hilbench.twin.machines.machine import (
     Measured,
     VectorMachine,
 )
-from hilbench.twin.model_change import ChangeableMachine, Coming, Make, with_effects
+from hilbench.twin.model_switch import Make, ModelSwitcher, PendingModel, with_effects
 from hilbench.twin.reports import Reports
 from hilbench.twin.virtual_io import VirtualIo
 
@@ -85,11 +85,11 @@ class TwinApplication:
     def __init__(
         self,
         setup: TwinSetup,
-        machine: ChangeableMachine,
+        machine: ModelSwitcher,
         drives: Sequence[SimulatedDrive],
         device: Device,
         virtual_io: VirtualIo,
-        say: Callable[[str], None] = log,
+        report: Callable[[str], None] = log,
     ) -> None:
         self.missed = 0
         self.malformed = 0  #: frames with the COB-ID, but not the length, of an axis' TPDO
@@ -116,10 +116,10 @@ class TwinApplication:
         self._time_s = self._kept_s = 0.0
         # In lockstep one SYNC is one cycle, however long it took.
         in_lockstep = isinstance(setup.clock, SyncClock)
-        self._clock = None if in_lockstep else BusClock(setup.cycle_s, setup.clock.now_ns, device, say)
+        self._clock = None if in_lockstep else BusClock(setup.cycle_s, setup.clock.now_ns, device, report)
         self._skipped = 0  # cycles that by the clock the axes have gone, less the SYNCs that came
-        self._travels = CyclesByTravel(setup.model, setup.cycle_s)
-        self._said = (0, 0, 0)  # with the last SYNC of a plain cycle
+        self._travels = CycleCountFromPosition(setup.model, setup.cycle_s)
+        self._last_status = (0, 0, 0)  # with the last SYNC of a plain cycle
         self._in_vectors: InVectors | None = None
         self.leaves_vectors = False  #: what is in vectors has to go on in objects
         virtual_io.on_method(self._use_method)
@@ -166,18 +166,18 @@ class TwinApplication:
         is, who sends SYNC says."""
         if self._clock is None:
             return
-        heard = self._clock.hear(behind)
-        if heard.skipped and not heard.were_apart:
+        received = self._clock.sync_received(behind)
+        if received.skipped and not received.were_apart:
             self._measured_before = None
-        self._skipped = self._skipped + heard.skipped if self._released else 0
-        if heard.apart is not heard.were_apart:
-            self._machine.freeze_adaptation(frozen=heard.apart)
-        if heard.cycle_ns is not None:
-            self._go_by(heard.cycle_ns * 1e-9)
-            self._clock.tell(heard.cycle_ns)
-        elif heard.were_apart and not heard.apart:
+        self._skipped = self._skipped + received.skipped if self._released else 0
+        if received.apart is not received.were_apart:
+            self._machine.freeze_adaptation(frozen=received.apart)
+        if received.cycle_ns is not None:
+            self._go_by(received.cycle_ns * 1e-9)
+            self._clock.report_period(received.cycle_ns)
+        elif received.were_apart and not received.apart:
             self._go_by(self._cycle_s)
-        elif not heard.apart:
+        elif not received.apart:
             self._keep()
 
     @property
@@ -196,7 +196,7 @@ class TwinApplication:
         self._cycle_s = cycle_s
         self._machine.set_cycle_time(cycle_s)
         self._reports.set_cycle_time(cycle_s)
-        self._travels = CyclesByTravel(self._model, cycle_s)
+        self._travels = CycleCountFromPosition(self._model, cycle_s)
         self._measured_before, self._skipped = None, 0
 
     def _catch_up(self) -> bool:
@@ -246,7 +246,7 @@ class TwinApplication:
     # -- cycles that somebody else runs (`twin.in_arrays`) -----------------------------------------------
 
     @property
-    def is_plain(self) -> bool:
+    def fits_fast_path(self) -> bool:
         """Whether the machine goes on with every SYNC, by what the axes measure at it."""
         powered = all(port.mode is not MotorMode.OFF for port in self._ports) and max(self._owed) < _MOST_OWED
         in_step = not (self._behind or self._skipped or self._apart)
@@ -282,18 +282,18 @@ class TwinApplication:
         """What it shows and hears."""
         return self._io
 
-    def begin_plain(self) -> tuple[int, int, int]:
+    def begin_fast_path(self) -> tuple[int, int, int]:
         """`before_sync` of a cycle in which all that is asked for comes in time, as far as it shows: nothing is owed
         behind it. What is said with that SYNC: its number, age and status, which the objects have once it goes on."""
         self._behind = 0
-        self._said = (self._sync_number + 1) & 0xFFFF, 0, self._status()
-        return self._said
+        self._last_status = (self._sync_number + 1) & 0xFFFF, 0, self._status()
+        return self._last_status
 
     def go_on(self, measured: list[Measured], step: Callable[[], object]) -> None:
-        """The rest of a cycle after `begin_plain`: what the axes (N,) have measured at SYNC. `step`: what lets the
+        """The rest of a cycle after `begin_fast_path`: what the axes (N,) have measured at SYNC. `step`: what lets the
         virtual axes go on with what they turn, in the place of their `sync` and the machine's `step`."""
         self._sync_number += 1
-        self._io.publish_status(*self._said)
+        self._io.publish_status(*self._last_status)
         self._compare(measured)
         self._machine.listen()
         step()
@@ -308,7 +308,7 @@ class TwinApplication:
         self._owed = [owed + 1 for owed in self._owed]
         self._pending = True
         if self._in_vectors is None:
-            self._io.publish_status(*self._said)
+            self._io.publish_status(*self._last_status)
 
     @property
     def goes_in_vectors(self) -> bool:
@@ -326,8 +326,8 @@ class TwinApplication:
         self._vectors = vectors
 
     @property
-    def in_vectors(self) -> Chained | None:
-        """`begin_plain` and `go_on` as a piece of a cycle, which may be another one after Python's part of it; None
+    def in_vectors(self) -> CompiledStage | None:
+        """`begin_fast_path` and `go_on` as a piece of a cycle, which may be another one after Python's part of it; None
         while each cycle has one."""
         return self._in_vectors.piece if self._in_vectors is not None and self._reports.quiet else None
 
@@ -336,7 +336,7 @@ class TwinApplication:
         assert self._in_vectors is not None, "begun"
         piece = self._in_vectors.piece
         code = piece.function(piece.argument, piece.table)
-        if code != piece.goes_on or not self._reports.quiet:
+        if code != piece.continues or not self._reports.quiet:
             self._go_on_from(code)
 
     def _go_on_from(self, code: int) -> bool:
@@ -375,8 +375,8 @@ class TwinApplication:
         if self._in_vectors is not None:
             if not self._pending:
                 self._count_syncs(0)
-            said, vectors = self._in_vectors.give(), self._vectors
-            status = int(vectors.whole[vectors.status]) if self._pending else said
+            outputs, vectors = self._in_vectors.give(), self._vectors
+            status = int(vectors.whole[vectors.status]) if self._pending else outputs
             self._io.publish_status(self._sync_number, 0, status)
             self._in_vectors = None
 
@@ -485,7 +485,7 @@ class TwinApplication:
         self._io.publish(self._machine.published())
 
 
-def _beside(process: ProcessSettings) -> Callable[[Make], Coming]:
+def _beside(process: ProcessSettings) -> Callable[[Make], PendingModel]:
     """Who makes another machine while the cycle goes on by the clock."""
     from concurrent.futures import ThreadPoolExecutor
 
@@ -503,13 +503,13 @@ def twin(setup: TwinSetup) -> HostedDevices:
 
     def make(effects: str) -> Make:
         changed = with_effects(model, effects)
-        return lambda: new_machine(changed, setup.twin, setup.shape, setup.cycle_s, virtual_io.told)
+        return lambda: new_machine(changed, setup.twin, setup.shape, setup.cycle_s, virtual_io.boundary_inputs)
 
     beside = None
     if setup.process is not None:
         beside = _beside(setup.process)
         make("[]")  # what checks a model is slow the first time
-    machine = ChangeableMachine(make, setup.cycle_s, beside)
+    machine = ModelSwitcher(make, setup.cycle_s, beside)
     drives = [SimulatedDrive(device, port) for device, port in zip(devices, machine.ports, strict=True)]
     application = TwinApplication(setup, machine, drives, io_device, virtual_io)
 
@@ -517,7 +517,7 @@ def twin(setup: TwinSetup) -> HostedDevices:
         if state is NmtState.INITIALISING:
             application.reset()
         elif state is NmtState.PRE_OPERATIONAL:  # behind a reset the objects have what the EDS file says
-            virtual_io.forget_told()
+            virtual_io.reset_boundary_inputs()
         elif state is NmtState.OPERATIONAL:
             application.start()
 

@@ -8,7 +8,7 @@ from typing import Final
 from hilbench.canopen.device import Device
 from hilbench.estimation.problems import TORQUE_SHIFT, UNDECIDED
 from hilbench.twin.alarms import Alarms
-from hilbench.twin.model_change import ChangeableMachine
+from hilbench.twin.model_switch import ModelSwitcher
 
 #: Error register (1001h): generic and device profile.
 PROFILE_SPECIFIC: Final = 0x21
@@ -17,7 +17,7 @@ PROFILE_SPECIFIC: Final = 0x21
 class Reports:
     """Of `machine`, by the virtual I/O `device`; nothing is on at the start."""
 
-    def __init__(self, device: Device, machine: ChangeableMachine, cycle_s: float) -> None:
+    def __init__(self, device: Device, machine: ModelSwitcher, cycle_s: float) -> None:
         self._device, self._machine = device, machine
         self._alarms = {part: Alarms(cycle_s) for part in machine.problems}
         self._forget()

@@ -10,13 +10,13 @@ from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.host import DeviceHost, HostedDevices
-from hilbench.canopen.mastery import nodes_of_ours
-from hilbench.plain.host import PacketRun, PlainHost, run_devices, warm_up_packets
-from hilbench.plain.sync_answers import SyncAnswers
+from hilbench.canopen.master_guard import nodes_of_ours
+from hilbench.fast_path.host import FastPathHost, PacketRun, run_devices, warm_up_packets
+from hilbench.fast_path.sync_answers import SyncAnswers
 from hilbench.processes import log, started_by_bench, stop_request
 from hilbench.topology.config import BenchConfig
+from hilbench.twin.fast_path_run import TwinFastCycle
 from hilbench.twin.machines.kinds import warm_up, warm_up_in_vectors
-from hilbench.twin.plain_run import TwinRun
 from hilbench.twin.process import TwinApplication, TwinSetup, twin
 from hilbench.twin.setup import twin_setup
 
@@ -41,16 +41,18 @@ def load(config: BenchConfig) -> None:
         warm_up_in_vectors(*of_machine)
 
 
-def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], None]) -> int | None:
+def run_twin(setup: TwinSetup, stop: Callable[[], bool], report: Callable[[str], None]) -> int | None:
     """Run the twin on its bus until `stop` says so. Raises BusError when the bus is lost.
 
     Returns how many frames were lost because they were not read in time (None: the bus cannot tell).
     """
     hosted = twin(setup)
-    return run_devices(setup.bus, hosted, partial(plain_host, hosted=hosted, setup=setup), setup.process, stop, say)
+    return run_devices(
+        setup.bus, hosted, partial(fast_path_host, hosted=hosted, setup=setup), setup.process, stop, report
+    )
 
 
-def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, setup: TwinSetup) -> PlainHost | None:
+def fast_path_host(host: DeviceHost, link: Link, hosted: HostedDevices, setup: TwinSetup) -> FastPathHost | None:
     """Who serves the twin's devices on the embedded bus in lockstep."""
     devices, clock, application = hosted.devices, hosted.clock, hosted.application
     if not isinstance(link, EmbeddedLink) or not isinstance(clock, SyncClock):
@@ -61,6 +63,6 @@ def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, setup: TwinS
 
     def begin(expected: Sequence[Frame]) -> PacketRun:
         cycle_ns = round(application.cycle_s * 1e9)
-        return TwinRun(link, SyncAnswers(link, devices, drives, clock, expected, cycle_ns), application)
+        return TwinFastCycle(link, SyncAnswers(link, devices, drives, clock, expected, cycle_ns), application)
 
-    return PlainHost(host, link, application, begin)
+    return FastPathHost(host, link, application, begin)

@@ -42,7 +42,7 @@ class VirtualIo:
 
     def __init__(self, device: Device, data: ProcessData, boundary: Mapping[str, float]) -> None:
         self._published = [device.cell(signal.index, signal.sub) for signal in data.published]
-        self._told = {signal.name: device.cell(signal.index, signal.sub) for signal in data.told}
+        self._boundary_inputs = {signal.name: device.cell(signal.index, signal.sub) for signal in data.boundary_inputs}
         self._sync_number = device.cell(_STATUS, 1)
         self._age = device.cell(_STATUS, 2)
         self._status = device.cell(_STATUS, 3)
@@ -52,12 +52,12 @@ class VirtualIo:
         self._found = device.cell(_FOUND, 1) if device.has(_FOUND, 1) else None
         self._names = [signal.name for signal in data.published]
         self._boundary = boundary
-        self.forget_told()
+        self.reset_boundary_inputs()
 
-    def forget_told(self) -> None:
+    def reset_boundary_inputs(self) -> None:
         """Nobody has written the outputs yet."""
         for name, value in self._boundary.items():
-            self._told[name].value = value
+            self._boundary_inputs[name].value = value
 
     @property
     def published_cells(self) -> Sequence[Cell]:
@@ -65,9 +65,9 @@ class VirtualIo:
         return self._published
 
     @property
-    def told_cells(self) -> Mapping[str, Cell]:
+    def boundary_cells(self) -> Mapping[str, Cell]:
         """What the bench says: the objects of 6413h by signal."""
-        return self._told
+        return self._boundary_inputs
 
     @property
     def status_cells(self) -> tuple[Cell, Cell, Cell]:
@@ -98,11 +98,11 @@ class VirtualIo:
         tensions = [place for place, name in enumerate(self._names) if name.startswith("F")]
         self._step.on_read = lambda: max((steps()[place] for place in tensions if steps()), default=0.0)
 
-    def on_found(self, say: Callable[[], str]) -> None:
+    def on_found(self, report: Callable[[], str]) -> None:
         """What is read as that which was found of the machine beside what is followed (2103h)."""
         if self._found is not None:
-            self._found.on_read = say
+            self._found.on_read = report
 
-    def told(self, name: str) -> float:
+    def boundary_inputs(self, name: str) -> float:
         """A signal of the boundary, as the bench last said."""
-        return float(self._told[name].value)
+        return float(self._boundary_inputs[name].value)

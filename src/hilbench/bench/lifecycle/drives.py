@@ -21,7 +21,7 @@ _SETTLE_S = 0.3
 
 
 class Drives:
-    """Brings the drives up and down. `unexpected`: one line of an exception that nobody foresaw.
+    """Brings the drives up and down. `crash_report`: one line of an exception that nobody foresaw.
 
     In `lockstep` SYNC stands still while something is asked by SDO, in real time it goes on.
     """
@@ -34,14 +34,14 @@ class Drives:
         cycle: BenchCycle,
         *,
         lockstep: bool,
-        unexpected: Callable[[Exception], str],
+        crash_report: Callable[[Exception], str],
     ) -> None:
         self._state = state
         self._nodes = nodes
         self._exchange = exchange
         self._cycle = cycle
         self._lockstep = lockstep
-        self._unexpected = unexpected
+        self._unexpected = crash_report
         self._was_enabled = False
         #: Axes that their drives did not hold any more as the others were brought to rest, with what is known of it.
         self.coasting: dict[str, str] = {}
@@ -126,14 +126,14 @@ class Drives:
         axes = zip(names, self._nodes.axes, strict=True)
         moving = {name: drive for name, drive in axes if commands[name]}
         timing = self._exchange.timing
-        told_torques = {names[axis - 1] for axis in config.shape.torqued}  # their tasks go on, by `speed_share`
+        torque_axes = {names[axis - 1] for axis in config.shape.torqued}  # their tasks go on, by `speed_share`
         cycles = ceil(fastest_m_s / (config.quick_stop_per_s2 * state.cycle_s))
         state.enabled = True
         try:
             for left in range(cycles - 1, -1, -1):
                 self._look_who_coasts(moving)
                 before, state.speed_share = timing.cycles, left / cycles
-                speeds = {name: speed * left / cycles for name, speed in commands.items() if name not in told_torques}
+                speeds = {name: speed * left / cycles for name, speed in commands.items() if name not in torque_axes}
                 try:
                     self._cycle.exchange(speeds)
                 except (BusError, EmergencyStopError):

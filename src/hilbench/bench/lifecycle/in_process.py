@@ -13,26 +13,26 @@ import time
 from collections.abc import Callable
 
 import can
-from hilbench.batch import counting
-from hilbench.batch.cycles import PlainCycles
-from hilbench.batch.wiring import InOneProcess, Served
 from hilbench.can.confinement import ControllerState
 from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus, MemoryCanBus
 from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.host import DeviceHost
 from hilbench.exchange.frame_tap import FrameTap
+from hilbench.exchange.master_node import MasterNode
 from hilbench.exchange.nodes import Nodes
-from hilbench.exchange.own_node import OwnNode
 from hilbench.exchange.sync_cycle import SyncCycle
+from hilbench.fast_path import kernel
 from hilbench.hardware.simulation import RigApplication, hardware, warm_up_in_modes
-from hilbench.plain import kernel
+from hilbench.in_process_cycle import counting
+from hilbench.in_process_cycle.cycles import FastPathCycles
+from hilbench.in_process_cycle.wiring import InOneProcess, Served
 from hilbench.topology.config import BenchConfig
 from hilbench.twin.machines.kinds import warm_up_in_vectors
 from hilbench.twin.process import TwinApplication, twin
 from hilbench.twin.setup import twin_setup
 
-MakePlainCycles = Callable[[SyncCycle, OwnNode], PlainCycles | None]
+MakeFastPathCycles = Callable[[SyncCycle, MasterNode], FastPathCycles | None]
 #: While nobody sends anything the devices are served so often: their timers go by the wall clock then.
 _IDLE_S = 0.001
 
@@ -66,11 +66,11 @@ class InProcess:
             for host in self._hosts:
                 host.serve(0.0)
 
-    def plain_cycles(self, link: ServingLink, nodes: Nodes, tap: FrameTap | None) -> MakePlainCycles:
+    def fast_path_cycles(self, link: ServingLink, nodes: Nodes, tap: FrameTap | None) -> MakeFastPathCycles:
         """For `Exchange.use`: cycles of the bench that has this link, compiled where they are plain."""
         rig, machine = (hosted.application for hosted in self._hosted)
 
-        def make(sync: SyncCycle, own: OwnNode) -> PlainCycles | None:
+        def make(sync: SyncCycle, own: MasterNode) -> FastPathCycles | None:
             served = [
                 Served(host, station, hosted.devices, hosted.clock)
                 for host, station, hosted in zip(self._own_hosts, self._links, self._hosted, strict=True)
@@ -81,7 +81,7 @@ class InProcess:
             if not (isinstance(rig, RigApplication) and isinstance(machine, TwinApplication)):
                 return None
             here = InOneProcess(self.bus, link.station, self._lock, served[0], rig, served[1], machine)
-            return PlainCycles(here, nodes, sync, own, tap)
+            return FastPathCycles(here, nodes, sync, own, tap)
 
         return make
 

@@ -25,17 +25,17 @@ from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.canopen.identifiers import NmtCommand
 from hilbench.canopen.master import Master
-from hilbench.canopen.mastery import mastery
+from hilbench.canopen.master_guard import mastery
 from hilbench.canopen.object_store import ObjectStore
 from hilbench.canopen.sdo_client import SentFrames
-from hilbench.copies import Copy, Preparation, copies
 from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap, LineTap
 from hilbench.exchange.node_data import FILE, ask_all, stand_data
 from hilbench.exchange.nodes import Nodes
+from hilbench.exchange.parallel import ForEachNode
 from hilbench.exchange.sync_producer import SyncProducer
-from hilbench.exchange.to_each import ToEach
+from hilbench.forked_workers import ForkedWorker, Preparation, forked_workers
 from hilbench.processes import ChildProcess
 from hilbench.real_time import comes_first, kept_ready
 from hilbench.topology.config import BenchConfig
@@ -45,9 +45,9 @@ from hilbench.twin.machines.kinds import warm_up
 
 if TYPE_CHECKING:
     from hilbench.bench.lifecycle.in_process import InProcess
-    from hilbench.exchange.own_node import OwnNode
+    from hilbench.exchange.master_node import MasterNode
     from hilbench.exchange.sync_cycle import SyncCycle
-    from hilbench.plain.exchange import PlainExchange
+    from hilbench.fast_path.exchange import FastPathExchange
 
 #: Of a node that does not wait for SYNC one comes for certain.
 _HEARTBEATS_TO_WAIT = 1.5
@@ -102,12 +102,12 @@ def bring_up(
     work_folder: Path | None,
     participants: Participants,
     announce: Callable[[str], None],
-    copies: dict[str, Copy],
+    forked_workers: dict[str, ForkedWorker],
 ) -> Iterator[StartedBench]:
     """Start the simulated hardware and the twin (unless they run already), configure the nodes, start them (NMT).
 
-    `objects`: those of the bench's own node. `copies`: taken for processes, as far as they go. All is ended again
-    on leaving. Raises BenchFaultError when a process ends, a node does not answer, or refuses what it is sent.
+    `objects`: those of the bench's own node. `forked_workers`: taken for processes, as far as they go. All is ended
+    again on leaving. Raises BenchFaultError when a process ends, a node does not answer, or refuses what it is sent.
     """
     with ExitStack() as resources:
         folder = work_folder or Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="hilbench-")))
@@ -130,16 +130,16 @@ def bring_up(
                 here.boot()
             elif participants is Participants.STARTED:
                 announce("start simulated hardware and twin")
-                children = start_children(config, folder, copies)
+                children = start_children(config, folder, forked_workers)
             else:
                 announce("look for simulated hardware and twin")
             for child in children:
                 resources.callback(child.end)
             if not here:  # whoever ends this process ends the devices with it
-                supervisor = _start_supervisor(config, folder, copies)
+                supervisor = _start_supervisor(config, folder, forked_workers)
             if supervisor is not None:
                 resources.callback(supervisor.end)
-            plain = None if here else _plain_cycles(config, link, nodes, tap)  # loaded while they start
+            plain = None if here else _fast_path_cycles(config, link, nodes, tap)  # loaded while they start
             announce("configure nodes")
             found = _configure(config, nodes, master, children, participants)
             brought = {} if participants is Participants.PRESENT else config.simulated_drives
@@ -156,7 +156,7 @@ def bring_up(
         producer = None if here else sync_producer(config, link)
         exchange = Exchange(nodes, link, objects, tap=tap, in_process=here is not None, producer=producer)
         if here and inside:
-            exchange.use(here.plain_cycles(inside, nodes, tap))
+            exchange.use(here.fast_path_cycles(inside, nodes, tap))
         elif plain is not None:
             exchange.use(plain)
         resources.callback(_release_nodes, master, exchange)
@@ -165,18 +165,18 @@ def bring_up(
         yield StartedBench(nodes, exchange, children, supervisor, warnings)
 
 
-def _plain_cycles(
+def _fast_path_cycles(
     config: BenchConfig, link: Link, nodes: Nodes, tap: FrameTap | None
-) -> Callable[[SyncCycle, OwnNode], PlainExchange] | None:
+) -> Callable[[SyncCycle, MasterNode], FastPathExchange] | None:
     """How who runs the plain cycles on the embedded bus is made; what it calls is loaded. None: nobody does, in real
     time, on other buses or for a tap that takes no text."""
     lockstep = config.pace == "lockstep"
     if not lockstep or not isinstance(link, EmbeddedLink) or not (tap is None or isinstance(tap, LineTap)):
         return None
-    from hilbench.plain.exchange import PlainExchange  # machine code, which other benches do without
+    from hilbench.fast_path.exchange import FastPathExchange  # machine code, which other benches do without
 
-    PlainExchange.warm_up()
-    return partial(PlainExchange, link, nodes, tap=tap)
+    FastPathExchange.warm_up()
+    return partial(FastPathExchange, link, nodes, tap=tap)
 
 
 def wire_first(config: BenchConfig) -> list[str]:
@@ -225,11 +225,11 @@ def check_that_they_wait(config: BenchConfig, master: Master) -> None:
     """
     if config.pace != "lockstep":
         return
-    heard = master.heard_within(_HEARTBEATS_TO_WAIT * config.master.node_heartbeat_ms * 1e-3)
+    received = master.responding_within(_HEARTBEATS_TO_WAIT * config.master.node_heartbeat_ms * 1e-3)
     by_clock = [
         f"{part.label} (node {part.node.node_id})"
         for part in config.parts
-        if (part.is_simulated or part.is_virtual) and part.node.node_id in heard
+        if (part.is_simulated or part.is_virtual) and part.node.node_id in received
     ]
     if by_clock:
         master.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
@@ -254,13 +254,13 @@ def _in_process(config: BenchConfig) -> InProcess:
 
 
 @contextmanager
-def copies_beside(config: BenchConfig, participants: Participants) -> Iterator[dict[str, Copy]]:
+def copies_beside(config: BenchConfig, participants: Participants) -> Iterator[dict[str, ForkedWorker]]:
     """Copies of this process for what `bring_up` starts, by name: the sooner they are made, the more of what they load
     they have loaded by then. One that is not taken ends on leaving."""
     with suppress(UnusableInputError):  # the bench says so
         for part in config.parts:  # once, here, and not in each of them
             shared_eds(part.node.eds, part.node.node_id)
-    with copies(_processes_beside(config, participants)) as waiting:
+    with forked_workers(_processes_beside(config, participants)) as waiting:
         yield waiting
 
 
@@ -290,9 +290,11 @@ def _load_twin(config: BenchConfig) -> None:
     load(config)
 
 
-def start_children(config: BenchConfig, folder: Path, copies: dict[str, Copy] | None = None) -> list[ChildProcess]:
+def start_children(
+    config: BenchConfig, folder: Path, forked_workers: dict[str, ForkedWorker] | None = None
+) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
-    waiting = {} if copies is None else copies
+    waiting = {} if forked_workers is None else forked_workers
     if TWIN not in waiting:
         # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
         warm_up(config.machine, config.twin, config.shape, config.cycle_time_s)
@@ -309,13 +311,17 @@ def start_children(config: BenchConfig, folder: Path, copies: dict[str, Copy] | 
     return children
 
 
-def _start_supervisor(config: BenchConfig, folder: Path, copies: dict[str, Copy]) -> ChildProcess | None:
+def _start_supervisor(
+    config: BenchConfig, folder: Path, forked_workers: dict[str, ForkedWorker]
+) -> ChildProcess | None:
     if not config.master.heartbeat_ms:
         return None
     # In lockstep the bench waits for its participants, and no heartbeat comes meanwhile.
     patience_s = config.safety.cycle_timeout_s if config.pace == "lockstep" else 0.0
     watch = Watch(config.bus_address, config.master.node_id, patience_s + config.safety.supervisor_timeout_s)
-    return ChildProcess(_SUPERVISOR, watch.arguments(), folder / "supervisor.log", copy=copies.pop(_SUPERVISOR, None))
+    return ChildProcess(
+        _SUPERVISOR, watch.arguments(), folder / "supervisor.log", copy=forked_workers.pop(_SUPERVISOR, None)
+    )
 
 
 def _configure(
@@ -344,17 +350,17 @@ def _configure(
     drives = [part.node.node_id for part in config.parts if part.node.node_id not in twin]
     wait_until_prepared(_HARDWARE)
     master.wait_for_boot(drives, timeout_s, check, beside=twin)
-    with _beside_each_other(len(config.parts), participants) as to_each:
-        found = ask_all(master, config, to_each)
-        nodes.configure_drives(master, to_each)
+    with _beside_each_other(len(config.parts), participants) as for_each_node:
+        found = ask_all(master, config, for_each_node)
+        nodes.configure_drives(master, for_each_node)
         wait_until_prepared(TWIN)
         master.wait_for_boot(twin, timeout_s, check)
-        nodes.configure_twin(master, to_each)
+        nodes.configure_twin(master, for_each_node)
     return found
 
 
 @contextmanager
-def _beside_each_other(most: int, participants: Participants) -> Iterator[ToEach]:
+def _beside_each_other(most: int, participants: Participants) -> Iterator[ForEachNode]:
     """Who asks one node need not wait for the answers of the others; in one process an answer is there at once."""
     if participants is Participants.IN_PROCESS:
         yield map

@@ -13,7 +13,7 @@ from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.shaft_limits import ShaftLimitWatch
-from hilbench.bench.tasks.task import MANY, CyclicTask, OfSample, Outputs, Pieces
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, PerSample
 from hilbench.bench.tasks.watches import QuietWatch
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.fmu.follower import FmuFollower
@@ -72,7 +72,7 @@ class SpeedTask(CyclicTask):
 
     def __init__(self, drive: str, speed: Reference) -> None:
         self._drive = drive
-        self._piece = OfSample(lambda sample: speed.shown_in(sample, _COMMAND))
+        self._piece = PerSample(lambda sample: speed.shown_in(sample, _COMMAND))
         speed.warm_up_shown()
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
@@ -80,9 +80,9 @@ class SpeedTask(CyclicTask):
         self._piece(sample)()
         outputs[self._drive] = getattr(sample, _COMMAND)
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """The same."""
-        return Pieces(before=[self._piece(sample)], shown={self._drive: _COMMAND})
+        return CompiledStages(before=[self._piece(sample)], shown={self._drive: _COMMAND})
 
 
 class ShaftLoadTask(LoadTask):
@@ -103,9 +103,11 @@ class ShaftLoadTask(LoadTask):
         sample.J_true_kg_m2 = machine.parameter("inertia_kg_m2") if self._has_inertia else nan
         sample.coulomb_true_Nm = machine.parameter("coulomb_friction_Nm") if self._has_friction else nan
 
-    def in_pieces(self, sample: CycleSample) -> Pieces | None:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
         """The same; the truth stays what it is."""
         piece = self.model.piece(sample.reals, self._at.of(sample), lambda _: True)
         if piece is None:
             return None
-        return Pieces(after=[piece], cycles=lambda: MANY if self.model.goes_on else 0, shown=dict(self._commands))
+        return CompiledStages(
+            after=[piece], cycles=lambda: MANY if self.model.continues else 0, shown=dict(self._commands)
+        )

@@ -21,13 +21,13 @@ from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
-from hilbench.bench.tasks.task import MANY, CyclicTask, OfSample, Outputs, Pieces
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, PerSample
 from hilbench.bench.tasks.tension_control import TensionController, strains_around
 from hilbench.bench.tasks.tension_cycle import SPEEDS
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_probing import Probing
 from hilbench.bench.tasks.tension_task import FeedForward, Leader, LoopNames, TensionTask
-from hilbench.bench.tasks.tension_trust import TwinTrust
+from hilbench.bench.tasks.tension_trust import VirtualSensorSupervision
 from hilbench.bench.tasks.tension_watch import TensionWatch, watched_loops
 from hilbench.bench.tasks.watches import QuietWatch
 from hilbench.bench.tasks.web_carriage_force import CarriageForceTask
@@ -35,11 +35,11 @@ from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.bench.tasks.web_positions import CarriageStops, PositionTask
 from hilbench.bench.tasks.web_reel_torque import LoadCells, ReelTorqueTask
 from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelTravel
-from hilbench.bench.tasks.web_rest_movement import RestMovement, pulls_m
+from hilbench.bench.tasks.web_standstill_excitation import StandstillExcitation, excitation_amplitudes_m
 from hilbench.bench.tasks.web_strain_trajectory import EnteringStrain, StrainTrajectory
 from hilbench.bench.tasks.web_winding_control import DancerPosition
-from hilbench.chain import Chained, Function, never
 from hilbench.compiled import table_of
+from hilbench.cycle_program import CompiledStage, Function, never
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.problems import Problem
 from hilbench.exchange.exchange import Inputs
@@ -90,7 +90,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         for axis, control in torqued.items()
     ]
     axes: list[LeadingAxis | FollowingAxis | TensionTask | PositionTask] = [leading]
-    trusts: list[TwinTrust] = []
+    trusts: list[VirtualSensorSupervision] = []
     forces: list[CarriageForceTask] = []
     for axis in range(leads - 1, 0, -1):
         if axis in torqued:
@@ -107,7 +107,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
             axes.append(FollowingAxis(drives[axis - 1], axis, axes[-1], plan))
             continue
         names = LoopNames.of(drives[axis - 1], control.span, config.shape)
-        trusts.append(TwinTrust(control, limits.tension_N.trip or inf, cycle_s, names.twin))
+        trusts.append(VirtualSensorSupervision(control, limits.tension_N.trip or inf, cycle_s, names.twin))
         ahead = None
         if plan is not None and axis in ways:
             ahead = FeedForward(ways[axis], *neighbour_strains(config, axis), plan)
@@ -164,7 +164,7 @@ def _probing(
     state: BenchState,
     loops: Mapping[int, TensionTask],
     line_speed: Reference,
-    at_rest: RestMovement | None,
+    at_rest: StandstillExcitation | None,
 ) -> Probing:
     """Probes of the loop of a span at which E is found, the first that is to be probed; none where there is none."""
     controls = config.tension_controls
@@ -178,7 +178,7 @@ def _probing(
 
 def _rest_movement(
     config: BenchConfig, leading: LeadingAxis, axes: Sequence[LeadingAxis | FollowingAxis | TensionTask]
-) -> RestMovement | None:
+) -> StandstillExcitation | None:
     """Of a line of driven rollers `axes`, in its direction; None where none is permitted."""
     controls, model = config.tension_controls, config.web_line
     travel_mm = max((control.probes.at_rest_mm for control in controls.values()), default=0.0)
@@ -190,8 +190,8 @@ def _rest_movement(
     ]
     positions_m = attrgetter(*(f"x{axis}_m" for axis in range(1, model.axis_count + 1)))
     travel_m = 1e-3 * travel_mm
-    pulled_m = pulls_m(model, set_points_N, travel_m)
-    return RestMovement(leading, axes, positions_m, travel_m, pulled_m, config.cycle_time_s)
+    pulled_m = excitation_amplitudes_m(model, set_points_N, travel_m)
+    return StandstillExcitation(leading, axes, positions_m, travel_m, pulled_m, config.cycle_time_s)
 
 
 def _tension_task(
@@ -200,7 +200,7 @@ def _tension_task(
     control: TensionControlConfig,
     names: LoopNames,
     leader: Leader,
-    trust: TwinTrust,
+    trust: VirtualSensorSupervision,
     ahead: FeedForward | None,
 ) -> TensionTask:
     model, cycle_s, section = section_model(config.web_line), config.cycle_time_s, names.axis
@@ -303,10 +303,10 @@ class BoundaryTask(CyclicTask):
         """Sensors have said something."""
         self._moved = True
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """The sample shows all of it, and keeps it."""
         shown = {name: name for name in ("strain_prev", "F_next_N", *self._at_start)}
-        return Pieces(cycles=lambda: MANY if self._moved else 0, shown=shown)
+        return CompiledStages(cycles=lambda: MANY if self._moved else 0, shown=shown)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The same; stations are as at the start when the drives are enabled again."""
@@ -322,20 +322,22 @@ class _AxisWithoutLoop(CyclicTask):
         self._command = f"v{axis}_cmd_m_s"
         self._function = function
         self.speeds, self._moved = np.zeros(SPEEDS), web_axis_cycle.not_moved()
-        self._piece = OfSample(self._on)
+        self._piece = PerSample(self._on)
         web_axis_cycle.warm_up(function)
 
     @abstractmethod
     def _vectors(self, sample: CycleSample) -> tuple[NDArray[np.float64], ...]:
         """Of the table of `function`."""
 
-    def _on(self, sample: CycleSample) -> Chained:
+    def _on(self, sample: CycleSample) -> CompiledStage:
         kept = self._vectors(sample)
-        return Chained(self._function, type(sample).place(self._command), table_of(kept), otherwise=never, keeps=kept)
+        return CompiledStage(
+            self._function, type(sample).place(self._command), table_of(kept), fallback=never, keeps=kept
+        )
 
     @property
     def pull_m_s(self) -> float:
-        """Of this axis alone, see `RestMovement`; nan: there is no movement."""
+        """Of this axis alone, see `StandstillExcitation`; nan: there is no movement."""
         return float(self._moved[web_axis_cycle.PULL_M_S])
 
     @pull_m_s.setter
@@ -347,9 +349,9 @@ class _AxisWithoutLoop(CyclicTask):
         self._piece(sample)()
         outputs[self._drive] = getattr(sample, self._command)
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """The same."""
-        return Pieces(before=[self._piece(sample)], shown={self._drive: self._command})
+        return CompiledStages(before=[self._piece(sample)], shown={self._drive: self._command})
 
 
 class LeadingAxis(_AxisWithoutLoop):
@@ -364,7 +366,7 @@ class LeadingAxis(_AxisWithoutLoop):
 
     @property
     def creep_m_s(self) -> float:
-        """Of all axes, see `RestMovement`."""
+        """Of all axes, see `StandstillExcitation`."""
         return float(self._moved[web_axis_cycle.CREEP_M_S])
 
     @creep_m_s.setter
@@ -444,24 +446,26 @@ class WebLoadTask(LoadTask):
         if followed is not HasFollowed.ALL:
             self._show(sample)
         for signal, name in self._forces:
-            self.model.tell(name, getattr(sample, signal))
+            self.model.set_value(name, getattr(sample, signal))
 
     def _show(self, sample: CycleSample) -> None:
         true = self.model.outputs()
         for signal, place in self._places:
             setattr(sample, signal, true[place])
 
-    def in_pieces(self, sample: CycleSample) -> Pieces | None:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
         """The same."""
 
-        def otherwise(_: HasFollowed) -> bool:
+        def fallback(_: HasFollowed) -> bool:
             self._show(sample)
             return True
 
-        piece = self.model.piece(sample.reals, self._at, otherwise)
+        piece = self.model.piece(sample.reals, self._at, fallback)
         if piece is None or self._forces:  # these are told anew in each cycle
             return None
-        return Pieces(after=[piece], cycles=lambda: MANY if self.model.goes_on else 0, shown=dict(self._commands))
+        return CompiledStages(
+            after=[piece], cycles=lambda: MANY if self.model.continues else 0, shown=dict(self._commands)
+        )
 
 
 def _of_stations(shape: Shape) -> list[tuple[str, str, str]]:
@@ -478,7 +482,7 @@ class OpenLoops(CyclicTask):
         self._loops, self._line_speed, self._limit_s, self._state = loops, line_speed, limit_s, state
         self._set_points_N = [loop.set_point_N for loop in loops]
         self._since_s: dict[TensionTask, float] = {}
-        self._told: set[TensionTask] = set()
+        self._reported: set[TensionTask] = set()
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Look, when it is time to."""
@@ -491,11 +495,11 @@ class OpenLoops(CyclicTask):
                 self._since_s.pop(loop, None)
             else:
                 since_s = max(self._since_s.setdefault(loop, sample.t_s), loop.opened_s)
-                if sample.t_s - since_s >= self._limit_s and loop not in self._told:
+                if sample.t_s - since_s >= self._limit_s and loop not in self._reported:
                     self._open(loop, sample, since_s)
 
     def _open(self, loop: TensionTask, sample: CycleSample, since_s: float) -> None:
-        self._told.add(loop)
+        self._reported.add(loop)
         name, axis = loop.names.of_loop, loop.names.axis
         self._state.journal(Change(int(sample.cycle), "loop_open", name, since_s))
         self._state.reports.note(
@@ -507,24 +511,24 @@ class OpenLoops(CyclicTask):
 
     def _closed(self, loop: TensionTask, sample: CycleSample) -> None:
         self._since_s.pop(loop, None)
-        if loop in self._told:
-            self._told.remove(loop)
+        if loop in self._reported:
+            self._reported.remove(loop)
             self._state.journal(Change(int(sample.cycle), "loop_closed", loop.names.of_loop))
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Nothing is to be done until the next look; a loop that is closed needs none."""
 
         def cycles() -> int:
-            busy = self._told or not all(loop.closed for loop in self._loops)
+            busy = self._reported or not all(loop.closed for loop in self._loops)
             return -int(sample.cycle + 1) % _LOOK_CYCLES if busy else MANY
 
-        return Pieces(cycles=cycles)
+        return CompiledStages(cycles=cycles)
 
 
 class WebAlarms(CyclicTask):
     """The twin's alarms of the web: slip and a break open the tension loops, a break is a fault where wanted."""
 
-    def __init__(self, trusts: Sequence[TwinTrust], twin: TwinState, *, stop_on_break: bool) -> None:
+    def __init__(self, trusts: Sequence[VirtualSensorSupervision], twin: TwinState, *, stop_on_break: bool) -> None:
         self._trusts = tuple(trusts)
         self._twin = twin
         self._stop_on_break = stop_on_break
@@ -540,6 +544,6 @@ class WebAlarms(CyclicTask):
             if emergency.code == Problem.WEB_BREAK and self._stop_on_break:
                 raise BenchFaultError(f"t = {sample.t_s:.3f} s: {emergency.node} reports a web break{emergency.where}")
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Nobody sends any there."""
-        return Pieces()
+        return CompiledStages()

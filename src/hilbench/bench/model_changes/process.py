@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from hilbench.bench.reports.found import Ready, Samples, Told, Watched
+from hilbench.bench.reports.diagnosis_updates import DiagnosisAnswer, ProposalOutcome, Ready, Samples
 from hilbench.errors import BenchFaultError
 from hilbench.processes import ChildProcess
 from hilbench.real_time import beside_the_cycle
@@ -47,11 +47,11 @@ class LiveProcess:
     def wait_until_ready(self) -> None:
         """Until it has loaded and compiled what it runs. Raises BenchFaultError when it ends instead, or never is."""
         try:
-            said = self._connection.recv() if self._connection.poll(_LONGEST_START_S) else None
+            update = self._connection.recv() if self._connection.poll(_LONGEST_START_S) else None
         except (EOFError, OSError):
             self.end()
             raise BenchFaultError(f"{LIVE_DIAGNOSIS} ended by itself: {self.last_words()}") from None
-        if not isinstance(said, Ready):
+        if not isinstance(update, Ready):
             raise BenchFaultError(f"{LIVE_DIAGNOSIS} is not ready after {_LONGEST_START_S:g} s")
 
     @property
@@ -59,18 +59,18 @@ class LiveProcess:
         """Its process id."""
         return self._child.pid
 
-    def ask(self, samples: Samples) -> Future[Watched]:
+    def ask(self, samples: Samples) -> Future[DiagnosisAnswer]:
         """Hand a chunk over; the future is its answer, or EOFError or OSError of a process that is gone."""
         return self._pool.submit(self._ask, samples)
 
-    def tell(self, told: Told) -> None:
+    def send_outcome(self, outcome: ProposalOutcome) -> None:
         """Say what became of a change, before the next samples."""
-        self._pool.submit(self._connection.send, told)
+        self._pool.submit(self._connection.send, outcome)
 
-    def _ask(self, samples: Samples) -> Watched:
+    def _ask(self, samples: Samples) -> DiagnosisAnswer:
         self._connection.send(samples)
         answer = self._connection.recv()
-        assert isinstance(answer, Watched), "it answers samples with nothing else"
+        assert isinstance(answer, DiagnosisAnswer), "it answers samples with nothing else"
         return answer
 
     def last_words(self) -> str:

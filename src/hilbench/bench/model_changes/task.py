@@ -17,16 +17,16 @@ from typing import Final
 
 from hilbench.bench.model_changes.process import LIVE_DIAGNOSIS, LiveProcess
 from hilbench.bench.reports.change import Change, What
-from hilbench.bench.reports.found import (
+from hilbench.bench.reports.diagnosis_updates import (
     CHUNK_CYCLES,
+    DiagnosisAnswer,
+    DiagnosisUpdate,
     FoundEffect,
     GapRow,
     ModelChange,
-    News,
+    OutcomeKind,
+    ProposalOutcome,
     Samples,
-    Told,
-    Watched,
-    WhatBecame,
 )
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.task import CyclicTask, Outputs
@@ -79,7 +79,7 @@ class ModelChanges(CyclicTask):
         self._apply = apply
         self._lockstep = last is None
         self._rows: list[bytes] = []
-        self._answers: deque[Future[Watched]] = deque()
+        self._answers: deque[Future[DiagnosisAnswer]] = deque()
         self._pool = ThreadPoolExecutor(1, "twin-model", initializer=beside_the_cycle, initargs=(last,))
         self._request: Future[None] | None = None
         self._in_use = ""  # effects of the twin's model
@@ -127,7 +127,7 @@ class ModelChanges(CyclicTask):
         now_s = self._state.sample.t_s
         self._state.journal(Change(self._cycle, "model_announced", f"{path.split('.effects.', 1)[1]}", value))
         self._state.reports.note(_SOURCE, f"announced: {path} {value:g}: the twin's model follows")
-        self._tell("announced", model)
+        self._send_outcome("announced", model)
         self._announced = ModelChange(now_s, (), (), now_s, decided_s=now_s, model=model)
         self._entries = json.loads(model)
 
@@ -135,7 +135,7 @@ class ModelChanges(CyclicTask):
         change.refused = True
         self._journal("model_refused", change)
         self._state.reports.note(_SOURCE, f"refused by the operator: {_names(change)}")
-        self._tell("refused")
+        self._send_outcome("refused")
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Take an answer that is due, and go on with a change of the model."""
@@ -155,8 +155,8 @@ class ModelChanges(CyclicTask):
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Keep the sample for the next chunk."""
         if self._process is not None:
-            gone_by = 0 if self._exchange.in_step else self._exchange.pacing.missed  # for the plant
-            cycle, late = sample.cycle + gone_by, any(inputs.ages_cycles())
+            elapsed_cycles = 0 if self._exchange.in_step else self._exchange.pacing.missed  # for the plant
+            cycle, late = sample.cycle + elapsed_cycles, any(inputs.ages_cycles())
             self._rows.append(self._pack(*self._row(sample), cycle, late))
 
     # -- the diagnosis ---------------------------------------------------------------------------------------
@@ -172,7 +172,7 @@ class ModelChanges(CyclicTask):
         self._answers.append(process.ask(Samples(sample.cycle, b"".join(self._rows))))
         self._rows.clear()
 
-    def _take(self, answer: Future[Watched]) -> None:
+    def _take(self, answer: Future[DiagnosisAnswer]) -> None:
         try:
             watched = answer.result()
         except (EOFError, OSError):
@@ -183,9 +183,9 @@ class ModelChanges(CyclicTask):
             return
         self.gaps += watched.gaps
         for news in watched.news:
-            self._heard(news)
+            self._received(news)
 
-    def _heard(self, news: News) -> None:
+    def _received(self, news: DiagnosisUpdate) -> None:
         self._state.reports.note(_SOURCE, news.text)
         if news.what == "seen":
             self._state.journal(Change(self._cycle, "gap_seen", value=self._time_s(news.begun_cycle)))
@@ -239,7 +239,7 @@ class ModelChanges(CyclicTask):
         except BenchFaultError as error:
             self._state.reports.note(_SOURCE, f"the twin does not take the model: {error}")
             self._applying = None
-            self._tell("refused")
+            self._send_outcome("refused")
             return
         self._written = True
         self._written_cycle = self._cycle
@@ -268,7 +268,7 @@ class ModelChanges(CyclicTask):
         self._entries = json.loads(change.model) if change.model else self._configured
         self._journal("model_applied", change)
         self._state.reports.note(_SOURCE, f"the twin goes on with {_names(change)}")
-        self._tell("applied", change.model or "")
+        self._send_outcome("applied", change.model or "")
 
     # -- words -----------------------------------------------------------------------------------------------
 
@@ -279,9 +279,9 @@ class ModelChanges(CyclicTask):
     def _time_s(self, cycle: int) -> float:
         return self._state.experiment_time_s(cycle)
 
-    def _tell(self, what: WhatBecame, model: str = "") -> None:
+    def _send_outcome(self, what: OutcomeKind, model: str = "") -> None:
         if self._process is not None:
-            self._process.tell(Told(self._cycle, what, model))
+            self._process.send_outcome(ProposalOutcome(self._cycle, what, model))
 
     def _journal(self, what: What, change: ModelChange, effects: Sequence[FoundEffect] | None = None) -> None:
         for effect in [*change.effects, *change.gone] if effects is None else effects:

@@ -13,7 +13,7 @@ from hilbench.bench.operator.operator_objects import OperatorObjects
 from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.task import MANY, CyclicTask, Outputs, Pieces, SettableQuantity
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, SettableQuantity
 from hilbench.errors import UnusableValueError
 from hilbench.topology import quantities
 from hilbench.topology.config import BenchConfig
@@ -97,7 +97,7 @@ class Operator(CyclicTask):
         self._ramped = path
         try:
             while len(values):
-                gone = self._on_course(path, values, cycles)
+                gone = self._follow_compiled(path, values, cycles)
                 if not gone:
                     self.set(path, float(values[0]))
                     cycles.cycle()
@@ -106,16 +106,16 @@ class Operator(CyclicTask):
         finally:
             self._ramped = ""
 
-    def _on_course(self, path: str, values: NDArray[np.float64], cycles: Cycles) -> int:
+    def _follow_compiled(self, path: str, values: NDArray[np.float64], cycles: Cycles) -> int:
         """The same in cycles that go without Python; in how many, 0: the next one does not."""
         reference, before = self._reference, self._reference.present
         if not (reference.owns(path) and reference.is_free):
             return 0
-        first, count = self._state.running().timing.cycles, reference.lay_course(values)
+        first, count = self._state.running().timing.cycles, reference.load_trajectory(values)
         try:
             return cycles.cycles_at_once(count)
         finally:
-            for at, value in enumerate(values[: reference.end_course()].tolist()):
+            for at, value in enumerate(values[: reference.end_trajectory()].tolist()):
                 self._state.journal(Change(first + at, "set", path, value, before))
                 before = value
 
@@ -124,7 +124,7 @@ class Operator(CyclicTask):
         for path, value in self.objects.changes():
             self._state.reports.note("operator", f"{path} from {self.get(path):.6g} to {value:.6g}")
             if self._reference.owns(path):
-                self._reference.head_for(value)
+                self._reference.move_to(value)
             elif path == quantities.MODEL_CHANGE:
                 self.set(path, value)
             else:
@@ -134,11 +134,11 @@ class Operator(CyclicTask):
             value, is_there = self._reference.step_to(goal)
             self.set(self._reference.path, value)
             if not is_there:
-                self._reference.head_for(goal)
+                self._reference.move_to(goal)
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """The course of the reference, while nothing else is asked for."""
-        return Pieces(
+        return CompiledStages(
             before=[self._reference.piece],
             cycles=lambda: 0 if self.objects.asked or self._reference.goal is not None else MANY,
         )

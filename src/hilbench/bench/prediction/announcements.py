@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from hilbench.prediction.outlook import LEVELS, Crossing, Level, Watched
+from hilbench.prediction.outlook import LEVELS, Crossing, DiagnosisAnswer, Level
 
 #: An announcement is over when its probability has fallen below this share of that from which it is made.
 _RELEASE: Final = 0.5
@@ -30,14 +30,14 @@ class Unannounced:
     """A crossing that came without an announcement."""
 
     t_s: float
-    watched: Watched
+    watched: DiagnosisAnswer
     level: Level
 
 
 class Announcements:
     """Of one run."""
 
-    def __init__(self, watched: Sequence[Watched], above: float) -> None:
+    def __init__(self, watched: Sequence[DiagnosisAnswer], above: float) -> None:
         self.made: list[Announcement] = []
         self.missed: list[Unannounced] = []
         self._above = above

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from hilbench.bench.prediction.task import Look, Prediction
+from hilbench.bench.prediction.task import LimitReading, Prediction
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.reference import Reference
 from hilbench.plant.fmu.axis import FmuAxisParameters
@@ -33,7 +33,7 @@ def prediction_task(
     )
 
 
-def look_of(config: BenchConfig, prediction: PredictionConfig) -> Look:
+def look_of(config: BenchConfig, prediction: PredictionConfig) -> LimitReading:
     """How the machine of a config looks ahead. Its futures can be run (`foreseeable`)."""
     if isinstance(config.machine, ServoAxisParameters):
         from hilbench.bench.prediction.servo_axis import ShaftLook

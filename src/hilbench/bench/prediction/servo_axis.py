@@ -13,7 +13,7 @@ from hilbench.bench.prediction.window import Reading, Window
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.shaft_limits import limited
 from hilbench.prediction.config import PredictionConfig
-from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
 from hilbench.prediction.plan import Asked, Move
 from hilbench.prediction.servo_axis.futures import ShaftCourses, ShaftFutures, ShaftPresent
 from hilbench.prediction.tally import Offsets
@@ -45,7 +45,7 @@ class ShaftLook:
     def __init__(self, config: BenchConfig, prediction: PredictionConfig) -> None:
         (motor,) = config.load_motors
         self.watched = tuple(
-            Watched(each.name, each.signal, each.unit, each.limit.warning, each.limit.trip)
+            DiagnosisAnswer(each.name, each.signal, each.unit, each.limit.warning, each.limit.trip)
             for each in limited(config.safety.limits, motor)
         )
         self._quantities = tuple(each.signal for each in self.watched)

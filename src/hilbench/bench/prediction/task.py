@@ -20,7 +20,7 @@ from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Inputs
 from hilbench.prediction.config import PredictionConfig
-from hilbench.prediction.outlook import Crossing, Outlook, Watched
+from hilbench.prediction.outlook import Crossing, DiagnosisAnswer, Outlook
 from hilbench.prediction.plan import Asked, Move
 from hilbench.real_time import leave_the_cycle
 from hilbench.topology.sample import CycleSample
@@ -37,10 +37,10 @@ class PredictedLimitError(BenchFaultError):
     """A quantity is going to go beyond its trip level."""
 
 
-class Look(Protocol):
+class LimitReading(Protocol):
     """How a kind of machine looks ahead."""
 
-    watched: tuple[Watched, ...]
+    watched: tuple[DiagnosisAnswer, ...]
     signals: tuple[str, ...]  #: that a look goes by
     unready: str  #: what is the matter where the present is not known
 
@@ -78,7 +78,7 @@ class Prediction(CyclicTask):
 
     def __init__(
         self,
-        look: Look,
+        look: LimitReading,
         config: PredictionConfig,
         state: BenchState,
         asked: Callable[[], Asked],

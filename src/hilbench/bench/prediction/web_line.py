@@ -20,7 +20,7 @@ from hilbench.bench.tasks.tension_feed_forward import RollerForces
 from hilbench.bench.tasks.web_limits import limited
 from hilbench.bench.tasks.web_strain_trajectory import trajectory_per_s
 from hilbench.prediction.config import PredictionConfig
-from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
 from hilbench.prediction.plan import Asked, Move
 from hilbench.prediction.tally import Offsets
 from hilbench.prediction.web_line import kernel
@@ -62,7 +62,7 @@ class LineLook:
         self._config = config
         axes, spans = range(1, shape.axes + 1), range(1, shape.spans + 1)
         self.watched = tuple(
-            Watched(each.name, each.signal, each.unit, each.limit.warning, each.limit.trip)
+            DiagnosisAnswer(each.name, each.signal, each.unit, each.limit.warning, each.limit.trip)
             for each in limited(config.safety.limits, shape)
         )
         self._speeds = [f"v{k}_m_s" for k in axes]

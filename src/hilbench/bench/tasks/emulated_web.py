@@ -8,7 +8,7 @@ from math import isfinite
 from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.plant.fmu.follower import FmuFollower
 from hilbench.plant.interface import Follower
-from hilbench.plant.pairing import play
+from hilbench.plant.sample_coherence import play
 from hilbench.plant.web_line.emulation import lead_s
 from hilbench.plant.web_line.line_follower import follower_of
 from hilbench.plant.web_line.parameters import ModelParameters

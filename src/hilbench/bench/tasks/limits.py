@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import Function
+from hilbench.cycle_program import Function
 from hilbench.errors import BenchFaultError
 from hilbench.topology.safety import Limit
 from hilbench.topology.sample import CycleSample
@@ -25,15 +25,15 @@ class LimitTripError(BenchFaultError):
 
 
 #: What is watched in a cycle: its name, its value (a size), its unit with a space before it, and its levels.
-Watched = tuple[str, float, str, Limit]
+DiagnosisAnswer = tuple[str, float, str, Limit]
 
 
 #: What a compiled look at a sample finds.
-QUIET, LOUD = 0, 1
+BELOW_LIMITS, LIMIT_REACHED = 0, 1
 
 
 @dataclass(frozen=True)
-class Look:
+class LimitReading:
     """A compiled look at a sample: whether it is QUIET, so that there is nothing to say."""
 
     function: Function
@@ -42,15 +42,15 @@ class Look:
     keeps: object
 
     @property
-    def is_quiet(self) -> bool:
+    def is_below_limits(self) -> bool:
         """What it finds now."""
-        return self.function(self.argument, self.table) == QUIET
+        return self.function(self.argument, self.table) == BELOW_LIMITS
 
 
-class Watching(Protocol):
+class LimitMonitor(Protocol):
     """Looks at each sample whether something is to be said of it."""
 
-    def look(self, sample: CycleSample) -> Look:
+    def look(self, sample: CycleSample) -> LimitReading:
         """The look at this sample, which is mostly the same object."""
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
@@ -81,7 +81,7 @@ class Levels:
         """Whether none is on."""
         return not self._warned
 
-    def check(self, t_s: float, quantities: Iterable[Watched]) -> list[tuple[str, str]]:
+    def check(self, t_s: float, quantities: Iterable[DiagnosisAnswer]) -> list[tuple[str, str]]:
         """The warnings that begin in this cycle, each after its quantity.
 
         Raises LimitTripError; no number counts as beyond the trip level.
@@ -101,7 +101,7 @@ class Levels:
         return warnings
 
 
-def least_told(limit: Limit) -> float:
+def lowest_threshold(limit: Limit) -> float:
     """The least size of a quantity at which `Levels.check` has anything to do, while no warning is on."""
     levels = (limit.trip, None if limit.warning is None else _RELEASE * limit.warning)
     return min((level for level in levels if level is not None), default=inf)

@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import Chained
+from hilbench.cycle_program import CompiledStage
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
 from hilbench.plant.interface import Follower
 from hilbench.plant.measured_motion import FollowsInStep, HasFollowed, MeasuredMotion
 from hilbench.plant.parameters import EffectEntry
-from hilbench.topology.quantities import EffectPath, is_plain, parse_effect_path
+from hilbench.topology.quantities import EffectPath, fits_fast_path, parse_effect_path
 
 Vector = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -96,7 +96,7 @@ class LoadModel:
         self._torques_Nm = self.machine.load_torques_Nm(self._load_axes, speeds, self._motion.ahead_s)
         return self._torques_Nm
 
-    def tell(self, name: str, value: float) -> None:
+    def set_value(self, name: str, value: float) -> None:
         """What acts on the machine from where it has followed to. Raises ValueError for what it does not know."""
         self.machine.set_input(name, value)
 
@@ -109,15 +109,15 @@ class LoadModel:
         self._is_ahead = self._is_ahead or followed is not HasFollowed.NOT
         return followed
 
-    def piece(self, values: Vector, places: Places, otherwise: Callable[[HasFollowed], bool]) -> Chained | None:
-        """`follow_in` as a piece of a cycle, while `goes_on` says so; None of a machine that does not follow so."""
+    def piece(self, values: Vector, places: Places, fallback: Callable[[HasFollowed], bool]) -> CompiledStage | None:
+        """`follow_in` as a piece of a cycle, while `continues` says so; None of a machine that does not follow so."""
         in_step = self._in_step
         if in_step is None:
             return None
-        return in_step.piece(values, places, lambda code: otherwise(in_step.has_followed(code)))
+        return in_step.piece(values, places, lambda code: fallback(in_step.has_followed(code)))
 
     @property
-    def goes_on(self) -> bool:
+    def continues(self) -> bool:
         """Whether the machine follows in one call, and nothing was changed since it did so last."""
         in_step = self._in_step
         return self._running and self._is_ahead and in_step is not None and in_step.usable and in_step.is_shown
@@ -129,13 +129,13 @@ class LoadModel:
 
     def value(self, path: str) -> float:
         """Present value of a quantity of the emulated mechanics. Raises ValueError for an unknown path."""
-        if is_plain(path):
+        if fits_fast_path(path):
             return self.machine.parameter(_parameter(path))
         return self._effect_value(parse_effect_path(path, self._kind))
 
     def set(self, path: str, value: float) -> None:
         """Give a quantity a value from now on. Raises ValueError for an unknown path or an impossible value."""
-        if is_plain(path):
+        if fits_fast_path(path):
             self.machine.set_parameter(_parameter(path), value)
         else:
             self._set_effect_value(parse_effect_path(path, self._kind), value)

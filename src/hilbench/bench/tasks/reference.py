@@ -7,8 +7,8 @@ from math import copysign
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import GOES_ON, Chained, never
 from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, table_of
+from hilbench.cycle_program import CONTINUE, CompiledStage, never
 from hilbench.topology.sample import CycleSample
 
 #: Cycles that a course is laid down for at once.
@@ -22,19 +22,19 @@ _NEXT, _END = range(2)
 @entry_point(COUNT, TABLE)
 def _follow(_: int, table: NDArray[np.int64]) -> int:
     if len(table) == 0:
-        return GOES_ON
+        return CONTINUE
     at = integers(table, 2, (1,))
     if at[_NEXT] < at[_END]:
         floats(table, 0, (1,))[0] = floats(table, 1, (1,))[at[_NEXT]]
         at[_NEXT] += 1
-    return GOES_ON
+    return CONTINUE
 
 
 @entry_point(COUNT, TABLE)
 def _show(place: int, table: NDArray[np.int64]) -> int:
     if len(table) > 0:
         floats(table, 1, (1,))[place] = floats(table, 0, (1,))[0]
-    return GOES_ON
+    return CONTINUE
 
 
 class Reference:
@@ -45,10 +45,10 @@ class Reference:
         self.path = path
         self.vector = np.zeros(1)  #: of the present value
         self._at = self.vector.data.cast("B").cast("d")  # one value goes faster through this
-        self._course, self._on_course = np.zeros(_LONGEST_COURSE), np.zeros(2, np.int64)
-        kept = self.vector, self._course, self._on_course
+        self._course, self._follow_compiled = np.zeros(_LONGEST_COURSE), np.zeros(2, np.int64)
+        kept = self.vector, self._course, self._follow_compiled
         #: A piece of a cycle: follow the course.
-        self.piece = Chained(_follow, 0, table_of(kept), otherwise=never, keeps=kept)
+        self.piece = CompiledStage(_follow, 0, table_of(kept), fallback=never, keeps=kept)
         self._step = step
         self._goal: float | None = None
         self._ceiling: float | None = None
@@ -68,10 +68,10 @@ class Reference:
         """Compile, or load, what `shown_in` makes, before anybody waits for a cycle."""
         _show(0, np.zeros((0, TABLE_WIDTH), np.int64))
 
-    def shown_in(self, sample: CycleSample, signal: str) -> Chained:
+    def shown_in(self, sample: CycleSample, signal: str) -> CompiledStage:
         """A piece of a cycle: a signal shows what it is."""
         kept = self.vector, sample.reals
-        return Chained(_show, type(sample).place(signal), table_of(kept), otherwise=never, keeps=kept)
+        return CompiledStage(_show, type(sample).place(signal), table_of(kept), fallback=never, keeps=kept)
 
     def owns(self, path: str) -> bool:
         """Whether it is this reference."""
@@ -102,20 +102,20 @@ class Reference:
         """Whether it becomes what it is set to, and nothing else moves it."""
         return self._goal is None and self._ceiling is None
 
-    def lay_course(self, values: NDArray[np.float64]) -> int:
+    def load_trajectory(self, values: NDArray[np.float64]) -> int:
         """Take these in the next cycles, one in each that begins with `piece`; for how many of them there is room."""
         count = min(len(values), _LONGEST_COURSE)
         self._course[:count] = values[:count]
-        self._on_course[:] = 0, count
+        self._follow_compiled[:] = 0, count
         return count
 
-    def end_course(self) -> int:
+    def end_trajectory(self) -> int:
         """Stay what it is now; how many values of the course it has had."""
-        had = int(self._on_course[_NEXT])
-        self._on_course[:] = 0
+        had = int(self._follow_compiled[_NEXT])
+        self._follow_compiled[:] = 0
         return had
 
-    def head_for(self, goal: float) -> None:
+    def move_to(self, goal: float) -> None:
         """Go there by itself, step by step."""
         self._goal = goal
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.tasks.limits import LOUD, QUIET, Look, load_motor_labels
-from hilbench.bench.tasks.task import OfSample
+from hilbench.bench.tasks.limits import BELOW_LIMITS, LIMIT_REACHED, LimitReading, load_motor_labels
+from hilbench.bench.tasks.task import PerSample
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
 from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, table_of
 from hilbench.plant.parameters import per_item
@@ -44,12 +44,12 @@ Places = NDArray[np.int64]
 @entry_point(COUNT, TABLE)
 def _look(_: int, table: Places) -> int:
     if len(table) == 0:
-        return QUIET
+        return BELOW_LIMITS
     values, words, at = floats(table, 0, (1,)), integers(table, 1, (1,)), integers(table, 2, (1,))
     at_limit_Nm, limited = floats(table, 3, (1,)), integers(table, 4, (1,))[0]
     for k in range(len(at_limit_Nm)):
         limited += abs(values[at[2 * k]]) >= at_limit_Nm[k] or words[at[2 * k + 1]] & _LIMITED != 0
-    return QUIET if limited == 0 else LOUD
+    return BELOW_LIMITS if limited == 0 else LIMIT_REACHED
 
 
 _LIMITED = int(STATUS_INTERNAL_LIMIT)
@@ -70,24 +70,24 @@ class SaturationWatch:
         self._limited: dict[str, _Limited] = {}
         self._at = PlacesIn([name for _, torque, status in self._signals for name in (torque, status)])
         self._at_limit_Nm = np.array([_AT_LIMIT * self._limits_Nm[drive] for drive, _, _ in self._signals])
-        self._known, self._looks = np.zeros(1, np.int64), OfSample(self._on)
+        self._known, self._looks = np.zeros(1, np.int64), PerSample(self._on)
         # Compiled, or loaded, before anybody waits for a cycle.
         _look(0, np.zeros((0, TABLE_WIDTH), np.int64))
 
-    def _on(self, sample: CycleSample) -> Look:
+    def _on(self, sample: CycleSample) -> LimitReading:
         kept = sample.reals, sample.wholes, self._at.of(sample), self._at_limit_Nm, self._known
-        return Look(_look, 0, table_of(kept), kept)
+        return LimitReading(_look, 0, table_of(kept), kept)
 
-    def look(self, sample: CycleSample) -> Look:
-        """See `limits.Watching`."""
+    def look(self, sample: CycleSample) -> LimitReading:
+        """See `limits.LimitMonitor`."""
         return self._looks(sample)
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """What begins or ends in this cycle, as text for the operator, with the kind of notice that it is."""
-        return [] if self.look(sample).is_quiet else self.found(sample)
+        return [] if self.look(sample).is_below_limits else self.found(sample)
 
     def found(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """See `limits.Watching`."""
+        """See `limits.LimitMonitor`."""
         found = []
         for drive, torque, status in self._signals:
             torque_Nm, statusword = getattr(sample, torque), getattr(sample, status)

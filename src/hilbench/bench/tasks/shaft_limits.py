@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hilbench.bench.tasks.limit_look import LimitLook
-from hilbench.bench.tasks.limits import Levels, Limited, Look, Watched, apart, is_synchronized, least_told
+from hilbench.bench.tasks.limit_check import LimitCheck
+from hilbench.bench.tasks.limits import (
+    DiagnosisAnswer,
+    Levels,
+    Limited,
+    LimitReading,
+    apart,
+    is_synchronized,
+    lowest_threshold,
+)
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.safety import LimitsConfig
 from hilbench.topology.sample import CycleSample
@@ -28,28 +36,28 @@ class ShaftLimitWatch:
         self._levels = Levels()
         limits = config.safety.limits
         self._limited, self._ratio = limited(limits, motor), limits.estimate_ratio
-        self._look = LimitLook(
+        self._look = LimitCheck(
             [each.signal for each in self._limited],
-            [least_told(each.limit) for each in self._limited],
+            [lowest_threshold(each.limit) for each in self._limited],
             [("J_sim_kg_m2", self._inertia_kg_m2)],
-            least_told(self._ratio),
+            lowest_threshold(self._ratio),
         )
 
-    def look(self, sample: CycleSample) -> Look:
-        """See `limits.Watching`."""
+    def look(self, sample: CycleSample) -> LimitReading:
+        """See `limits.LimitMonitor`."""
         return self._look.of(sample)
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """The warnings that begin in this cycle, each after its quantity. Raises LimitTripError."""
-        return [] if self.look(sample).is_quiet else self.found(sample)
+        return [] if self.look(sample).is_below_limits else self.found(sample)
 
     def found(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """See `limits.Watching`."""
+        """See `limits.LimitMonitor`."""
         found = self._levels.check(sample.t_s, self._quantities(sample))
         self._look.warned(self._levels)
         return found
 
-    def _quantities(self, sample: CycleSample) -> Iterator[Watched]:
+    def _quantities(self, sample: CycleSample) -> Iterator[DiagnosisAnswer]:
         for each in self._limited:
             yield each.name, abs(getattr(sample, each.signal)), f" {each.unit}", each.limit
         if is_synchronized(sample):

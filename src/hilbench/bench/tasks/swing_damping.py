@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import REAL, VECTOR, compiled, entry_point, interpreted
-from hilbench.plant.pairing import paired, pairing_state
 from hilbench.plant.parameters import per_item
+from hilbench.plant.sample_coherence import coherence_state, coherent
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_travel_m
 
@@ -174,9 +174,9 @@ def _elongated_m(plant: Vector, s: Vector, travel1_m: float, travel2_m: float) -
 
 @compiled
 def damp(plant: Vector, gains: Vector, ways: Vector, s: Vector, positions_m: Vector, planned_m_s: float) -> float:
-    """`SwingDamping.velocity` on its vectors (`ways`: of `paired`); positions (2,)."""
+    """`SwingDamping.velocity` on its vectors (`ways`: of `coherent`); positions (2,)."""
     s[_CYCLES] += 1.0
-    if not paired(ways, positions_m, plant[_LEAST_TRAVEL_M]):
+    if not coherent(ways, positions_m, plant[_LEAST_TRAVEL_M]):
         return float(s[_COMMANDS])
     travel1_m, travel2_m, cycles = positions_m[0] - s[_X1_M], positions_m[1] - s[_X2_M], s[_CYCLES]
     started = s[_STARTED] != 0.0
@@ -224,7 +224,7 @@ class SwingDamping:
         self._figures = np.array(figures)
         self._gains = np.zeros(_GAINS + self._sent)
         self._state = np.zeros(_COMMANDS + self._sent)
-        self._ways, self._positions_m = pairing_state(2), np.zeros(2)
+        self._ways, self._positions_m = coherence_state(2), np.zeros(2)
         self._use(modulus_Pa)
         self.velocity(0.0, 0.0)  # compiled, or loaded, before anybody waits for a cycle
         self.reset()
@@ -236,7 +236,7 @@ class SwingDamping:
 
     def reset(self) -> None:
         """The web is strained as upstream, and at rest (drives off)."""
-        self._ways[:] = pairing_state(2)
+        self._ways[:] = coherence_state(2)
         self._state[:] = 0.0
         self._state[_UNSTRETCHED_M] = self._plant.span_length_m / (1.0 + self._plant.upstream_strain)
         self._state[_STRAIN] = self._plant.upstream_strain

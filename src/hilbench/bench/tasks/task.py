@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Generic, Literal, Protocol, TypeVar
 
-from hilbench.chain import Chained
+from hilbench.cycle_program import CompiledStage
 from hilbench.exchange.exchange import Inputs
 from hilbench.topology.sample import CycleSample
 
@@ -28,15 +28,15 @@ def _nothing(cycles: int) -> None:
 
 
 @dataclass(frozen=True)
-class Pieces:
+class CompiledStages:
     """What a task does in cycles that go without Python; none of it: it has nothing to do in such.
 
     `cycles`: how many from the next one on may go so (0: the next one is Python's); asked right before they do. `went`:
     so many have. `shown`: the signals that show what it puts into the outputs, by the names of these.
     """
 
-    before: Sequence[Chained] = ()
-    after: Sequence[Chained] = ()
+    before: Sequence[CompiledStage] = ()
+    after: Sequence[CompiledStage] = ()
     cycles: Callable[[], int] = _many
     went: Callable[[int], None] = _nothing
     shown: Mapping[str, str] = field(default_factory=dict)
@@ -45,7 +45,7 @@ class Pieces:
 Made = TypeVar("Made")
 
 
-class OfSample(Generic[Made]):
+class PerSample(Generic[Made]):
     """What is made on the vectors of a sample, for who gets samples one by one: mostly the same object."""
 
     def __init__(self, make: Callable[[CycleSample], Made]) -> None:
@@ -77,7 +77,7 @@ class CyclicTask:
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The drives are off; one that has no set point gets zero."""
 
-    def in_pieces(self, sample: CycleSample) -> Pieces | None:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
         """`before` and `after` as pieces of a cycle, on this sample; None: it is Python's in every cycle."""
         return None
 

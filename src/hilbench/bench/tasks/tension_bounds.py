@@ -80,7 +80,7 @@ IDLERS_KG, IDLERS_DRY_N, IDLERS_VISCOUS, SECTION_M2, SPAN = range(9, 14)
 #: of it; then the mean tension of the twin, its interval, E of the twin and its interval, E by torques and encoders,
 #: and what of that an open loop goes by; of the difference: blocks that are in it, its least and most in this interval,
 #: how long that is, and half of what it went to and fro in the two before (below 0: nobody knows).
-FILLED, NEXT, CONSTANT_S, KNOWN, DIFFERENCE_N, KNOWN_AT_M_S, BEYOND_S, BACK_S, SAID = range(9)
+FILLED, NEXT, CONSTANT_S, KNOWN, DIFFERENCE_N, KNOWN_AT_M_S, BEYOND_S, BACK_S, REPORTED = range(9)
 (MEAN_N, LOW_N, HIGH_N, MEAN_PA, LOW_PA, HIGH_PA, BY_TORQUES_PA, ASSUMED_PA) = range(9, 17)
 (LEARNED, LEAST_N, MOST_N, INTERVAL_S, SWINGS_N, SWUNG_N, STATE) = range(17, 24)
 #: What is said of a twin.
@@ -131,7 +131,9 @@ def _kept_of_a_turn(radius_m: float, travel_m: float) -> float:
 
 
 @compiled
-def weigh(p: Vector, f: Vector, rollers: Matrix, motion: Matrix, first: int, mean_s: float, block: Vector) -> None:
+def momentum_balance(
+    p: Vector, f: Vector, rollers: Matrix, motion: Matrix, first: int, mean_s: float, block: Vector
+) -> None:
     """Tension before the roller of index `first`, and what it may be off, into a block: `rollers` (N, ROLLER) and their
     `motion` (N, MOTION); block[TENSION_N]: tension behind the line at first; `mean_s`: what turns is averaged over."""
     block[VARIANCE_N2], block[STICKS_N], turning_N2 = 0.0, 0.0, 0.0
@@ -233,7 +235,7 @@ def judge(f: Vector, s: Vector, ring: Matrix, block: Vector) -> bool:
     (ASSUMED_PA). `f` (SPAN,), `s` (STATE,), `ring`
     (BLOCK, BLOCKS)."""
     newest = int(s[NEXT])
-    if block[CLOSED] == 0.0 and s[SAID] == NOTHING:  # another reason holds the loop open: nobody goes by the twin
+    if block[CLOSED] == 0.0 and s[REPORTED] == NOTHING:  # another reason holds the loop open: nobody goes by the twin
         s[FILLED], s[CONSTANT_S], s[KNOWN], s[BEYOND_S] = 0.0, 0.0, 0.0, 0.0
         return False
     for row in range(BLOCK):
@@ -241,14 +243,14 @@ def judge(f: Vector, s: Vector, ring: Matrix, block: Vector) -> bool:
     s[NEXT], s[FILLED] = (newest + 1) % BLOCKS, min(s[FILLED] + 1.0, BLOCKS)
     if s[FILLED] < BLOCKS:
         return False
-    if s[SAID] == NOTHING:
+    if s[REPORTED] == NOTHING:
         _learn(f, s, ring, block, newest)
     found = _find(f, s, ring, newest)
-    if s[SAID] == NOTHING:
+    if s[REPORTED] == NOTHING:
         s[BEYOND_S] = s[BEYOND_S] + block[BLOCK_S] if found != NOTHING else 0.0
         if s[BEYOND_S] < PERSISTS_S:
             return False
-        s[SAID], s[BACK_S], s[ASSUMED_PA] = found, 0.0, s[BY_TORQUES_PA]
+        s[REPORTED], s[BACK_S], s[ASSUMED_PA] = found, 0.0, s[BY_TORQUES_PA]
         return True
     comparable = _is_comparable(s, block)
     s[BACK_S] = s[BACK_S] + block[BLOCK_S] if found == NOTHING and comparable else 0.0
@@ -276,7 +278,7 @@ def _is_comparable(s: Vector, block: Vector) -> bool:
 @compiled
 def _find(f: Vector, s: Vector, ring: Matrix, newest: int) -> float:
     """What of the twin is beyond its interval; both are left in the state."""
-    share = 1.0 if s[SAID] == NOTHING else _RETURN_SHARE
+    share = 1.0 if s[REPORTED] == NOTHING else _RETURN_SHARE
     tension_N = _mean(ring, TENSION_N, newest, 0, BLOCKS)
     turning_N = _mean(ring, TURNING_N, newest, 0, BLOCKS)
     lacks_N = DEVIATIONS * (_mean(ring, VARIANCE_N2, newest, 0, BLOCKS) + turning_N**2) ** 0.5
@@ -295,7 +297,7 @@ def _find(f: Vector, s: Vector, ring: Matrix, newest: int) -> float:
         s[LOW_N], s[HIGH_N] = tension_N + around_N - bound_N, tension_N + around_N + bound_N
         if _lasts_beyond(ring, newest, around_N, share * bound_N):
             return CHANGE
-    if s[SAID] != CHANGE:
+    if s[REPORTED] != CHANGE:
         s[LOW_N], s[HIGH_N] = tension_N - lacks_N, tension_N + lacks_N
     if _lasts_beyond(ring, newest, 0.0, share * lacks_N):
         s[LOW_N], s[HIGH_N] = tension_N - lacks_N, tension_N + lacks_N
@@ -319,5 +321,5 @@ def forget(s: Vector) -> None:
 def change_conditions(s: Vector) -> None:
     """Somebody, or the twin, has said that the machine is another one now: a difference is to be found anew."""
     s[CONSTANT_S] = 0.0
-    if s[SAID] == NOTHING:
+    if s[REPORTED] == NOTHING:
         s[KNOWN] = 0.0

@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 from hilbench.bench.tasks.swing_damping import damp, has_changed
 from hilbench.bench.tasks.tension_control import control
-from hilbench.bench.tasks.tension_trust import TOLD, TRUSTED, judged
+from hilbench.bench.tasks.tension_trust import REPORTED, TRUSTED, judged
 from hilbench.bench.tasks.web_strain_trajectory import (
     entering_strain,
     shown_m_s,
     trajectory_tension_N,
     trajectory_velocity,
 )
-from hilbench.chain import GOES_ON
 from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, compiled, entry_point, floats, integers
+from hilbench.cycle_program import CONTINUE
 
 Table = NDArray[np.int64]
 Vector = NDArray[np.float64]
@@ -134,7 +134,7 @@ def _control(table: Table, loop: Vector, values: Vector, words: Places, at: Plac
 @entry_point(COUNT, TABLE)
 def run(stage: int, table: Table) -> int:
     if len(table) == 0:
-        return GOES_ON
+        return CONTINUE
     loop, values, words = floats(table, _LOOP, (1,)), floats(table, _VALUES, (1,)), integers(table, _WORDS, (1,))
     at = integers(table, _AT, (1,))
     if stage == JUDGE:
@@ -144,12 +144,12 @@ def run(stage: int, table: Table) -> int:
         found = judged(floats(table, _TRUST, (1,)), state, values, words, integers(table, _TRUST_AT, (1,)))
         if found != TRUSTED:
             return found
-        if (state[TOLD] != 0.0) != (loop[CLOSED] == 1.0):
+        if (state[REPORTED] != 0.0) != (loop[CLOSED] == 1.0):
             return CHANGED
         if loop[CLOSED] == 1.0 and has_changed(floats(table, _PLANT, (1,)), values[at[_MODULUS_AT]]):
             return OTHER_MODULUS
     _control(table, loop, values, words, at)
-    return GOES_ON
+    return CONTINUE
 
 
 def warm_up() -> None:

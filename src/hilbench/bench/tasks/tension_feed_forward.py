@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.task import CyclicTask, Outputs, Pieces
+from hilbench.bench.tasks.task import CompiledStages, CyclicTask, Outputs
 from hilbench.bench.tasks.tension_cycle import MODULUS_PA, SET_POINT_N, SHIFT_N
 from hilbench.bench.tasks.web_strain_trajectory import (
     StrainTrajectory,
@@ -35,7 +35,6 @@ from hilbench.bench.tasks.web_strain_trajectory import (
     trajectory_tension_N,
     trajectory_update,
 )
-from hilbench.chain import GOES_ON, Chained, never
 from hilbench.compiled import (
     COUNT,
     TABLE,
@@ -46,6 +45,7 @@ from hilbench.compiled import (
     interpreted,
     table_of,
 )
+from hilbench.cycle_program import CONTINUE, CompiledStage, never
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.sample import CycleSample
@@ -90,7 +90,7 @@ def _pull_N(table: Table, way: float, sign: float) -> float:
 @entry_point(COUNT, TABLE)
 def _plan(_: int, table: Table) -> int:
     if len(table) == 0:
-        return GOES_ON
+        return CONTINUE
     for row in range(_WAYS, len(table), 2):
         loop = floats(table, row + 1, (1,))
         trajectory_update(floats(table, row, (1,)), loop[SET_POINT_N] + loop[SHIFT_N], loop[MODULUS_PA])
@@ -113,7 +113,7 @@ def _plan(_: int, table: Table) -> int:
     leading_m_s = leads_m_s[int(rollers[0, _AXIS])]
     for k in range(len(leads_m_s)):
         leads_m_s[k] -= leading_m_s
-    return GOES_ON
+    return CONTINUE
 
 
 _lead_once = interpreted(_lead_m_s)
@@ -188,7 +188,7 @@ class FeedForwardTask(CyclicTask):
         for way in ways.values():
             way.reset(self._upstream_strain)
         self._rollers = np.array([self._roller(model, axis, cycle_s) for axis in range(model.axis_count, 0, -1)])
-        self._piece: Chained | None = None
+        self._piece: CompiledStage | None = None
         _plan(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before anybody waits for a cycle
 
     def _roller(self, model: ModelParameters, axis: int, cycle_s: float) -> Vector:
@@ -204,22 +204,22 @@ class FeedForwardTask(CyclicTask):
         return self._leads_m_s[axis - 1 : axis]
 
     @property
-    def piece(self) -> Chained:
+    def piece(self) -> CompiledStage:
         """One cycle further."""
         if self._piece is None:
             kept = [self._rollers, self._leads_m_s, self._line_speed.vector, self._own]
             for span, way in self._ways.items():
                 kept += [way.vector, self._loops[span].loop]
-            self._piece = Chained(_plan, 0, table_of(kept), otherwise=never, keeps=kept)
+            self._piece = CompiledStage(_plan, 0, table_of(kept), fallback=never, keeps=kept)
         return self._piece
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """One cycle further."""
         self.piece()
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """The same."""
-        return Pieces(before=[self.piece])
+        return CompiledStages(before=[self.piece])
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """Nothing turns: the web is strained as upstream, and the ways begin there."""

@@ -1,14 +1,15 @@
 """Asks the machine: a small known change of the tension, where production data can't tell E from friction.
 
 While the line runs steadily, dry friction, an offset of the torque and a wrong E look the same. What the torque does
-when the tension moves by a little tells them apart (`hilbench.estimation.web_line.known_change`, in the twin): the
+when the tension moves by a little tells them apart (`hilbench.estimation.web_line.probing_step`, in the twin): the
 set-point goes up and down by a small share for some seconds. It is done when the twin states a wide deviation of E, or
 when somebody asks for it (path `tension_control.probe`, object 2200h sub 7); it is told when it begins and ends, it
 stands in the journal, and the recorded set-point shows it.
 
 At rest it is the whole of E and of the web's strain that nothing tells, to a twin that is started beside a web that is
-there already. Where that is permitted, the rollers make a movement of a millimetre at most (`RestMovement`) until the
-twin knows both, or for some seconds; begun, told and refused in the same way, and shown by the recorded commands.
+there already. Where that is permitted, the rollers make a movement of a millimetre at most (`StandstillExcitation`)
+until the twin knows both, or for some seconds; begun, told and refused in the same way, and shown by the recorded
+commands.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.task import MANY, CyclicTask, Outputs, Pieces
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
 from hilbench.bench.tasks.tension_trust import TwinSignals
-from hilbench.bench.tasks.web_rest_movement import RestMovement
+from hilbench.bench.tasks.web_standstill_excitation import StandstillExcitation
 from hilbench.topology.quantities import TENSION_PROBE
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import ProbingConfig
@@ -66,7 +67,7 @@ class Probing(CyclicTask):
         signals: TwinSignals,
         line_speed: Reference,
         state: BenchState,
-        at_rest: RestMovement | None = None,
+        at_rest: StandstillExcitation | None = None,
         of_all: Sequence[TwinSignals] = (),
     ) -> None:
         self._config = config
@@ -125,9 +126,9 @@ class Probing(CyclicTask):
             half = int(2.0 * self._since_s / self._config.period_s)
             self._loop.set_point_shift_N = self._size_N if half % 2 == 0 else -self._size_N
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Nothing, where there are no probes."""
-        return Pieces(cycles=lambda: MANY if self._config.mode == "off" else 0)
+        return CompiledStages(cycles=lambda: MANY if self._config.mode == "off" else 0)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The drives are off."""
@@ -137,8 +138,8 @@ class Probing(CyclicTask):
 
     def _is_over(self, sample: CycleSample) -> bool:
         """After its time, or when a whole period has told enough."""
-        told = self._since_s is not None and self._since_s >= self._config.period_s and not self._is_wide(sample)
-        return told or (self._since_s or 0.0) >= self._config.duration_s
+        is_due = self._since_s is not None and self._since_s >= self._config.period_s and not self._is_wide(sample)
+        return is_due or (self._since_s or 0.0) >= self._config.duration_s
 
     @property
     def _size_N(self) -> float:

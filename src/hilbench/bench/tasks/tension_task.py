@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from hilbench.bench.state import Reports, TwinState
 from hilbench.bench.tasks import tension_cycle as cycle
 from hilbench.bench.tasks.swing_damping import SwingDamping
-from hilbench.bench.tasks.task import MANY, CyclicTask, OfSample, Outputs, Pieces
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, PerSample
 from hilbench.bench.tasks.tension_control import TensionController
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
-from hilbench.bench.tasks.tension_trust import TwinSignals, TwinTrust
+from hilbench.bench.tasks.tension_trust import TwinSignals, VirtualSensorSupervision
 from hilbench.bench.tasks.web_strain_trajectory import EnteringStrain, StrainTrajectory, entering_vectors
-from hilbench.chain import Chained
 from hilbench.compiled import table_of
+from hilbench.cycle_program import CompiledStage
 from hilbench.exchange.exchange import Inputs
 from hilbench.topology.quantities import tension_set_point
 from hilbench.topology.sample import CycleSample
@@ -105,7 +105,7 @@ class TensionTask(CyclicTask):
         set_point_N: float,
         controller: TensionController,
         damping: SwingDamping,
-        trust: TwinTrust,
+        trust: VirtualSensorSupervision,
         twin: TwinState,
         reports: Reports,
         cycle_s: float,
@@ -127,10 +127,10 @@ class TensionTask(CyclicTask):
         self.loop[cycle.PULL_M_S] = np.nan
         self.speeds = self.loop[cycle.SPEED_M_S : cycle.DAMPED_M_S + 1]
         self._at = self.loop.data.cast("B").cast("d")
-        self._piece = OfSample(self._on)
+        self._piece = PerSample(self._on)
         cycle.warm_up()
 
-    def _on(self, sample: CycleSample) -> Chained:
+    def _on(self, sample: CycleSample) -> CompiledStage:
         """The piece of a cycle."""
         self._sample = sample
         names, kind, ahead = self._names, type(sample), None
@@ -150,7 +150,7 @@ class TensionTask(CyclicTask):
             self._trust.vectors(sample),
             ahead,
         )
-        return Chained(cycle.run, cycle.JUDGE, table_of(kept), otherwise=self._decide, keeps=kept)
+        return CompiledStage(cycle.run, cycle.JUDGE, table_of(kept), fallback=self._decide, keeps=kept)
 
     @property
     def speed_m_s(self) -> float:
@@ -179,7 +179,7 @@ class TensionTask(CyclicTask):
 
     @property
     def pull_m_s(self) -> float:
-        """See `RestMovement`."""
+        """See `StandstillExcitation`."""
         return float(self.loop[cycle.PULL_M_S])
 
     @pull_m_s.setter
@@ -244,7 +244,7 @@ class TensionTask(CyclicTask):
         """Record the set-point."""
         setattr(sample, self._names.set_point, self.goal_N)
 
-    def in_pieces(self, sample: CycleSample) -> Pieces | None:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
         """The same; the set-point stays what it is."""
         if self._ways is not None:
             return None
@@ -254,7 +254,9 @@ class TensionTask(CyclicTask):
             shown = getattr(sample, self._names.set_point) == self.goal_N
             return MANY if fresh == bool(self._at[cycle.FRESH]) and shown else 0
 
-        return Pieces(before=[self._piece(sample)], cycles=cycles, shown={self._names.drive: self._names.command})
+        return CompiledStages(
+            before=[self._piece(sample)], cycles=cycles, shown={self._names.drive: self._names.command}
+        )
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The web is at rest, strained as upstream."""

@@ -46,7 +46,7 @@ class TwinSignals:
 _AGE_LIMIT, _REFUSES_CYCLES, _LOWEST_N, _HIGHEST_N, _DEVIATION_PCT, _FIGURES = range(6)
 #: Places in a sample: age in cycles, status, tension in N, E and its deviation in Pa.
 _AGE, _STATUS, _TENSION_N, _MODULUS_PA, _DEVIATION_PA, _PLACES = range(6)
-TOLD, _DIVERGED_CYCLES, _UNSURE_CYCLES, _REFUSED_BY_WATCH, _STATE = range(5)
+REPORTED, _DIVERGED_CYCLES, _UNSURE_CYCLES, _REFUSED_BY_WATCH, _STATE = range(5)
 #: What `judged` says.
 TRUSTED, _OLD, _DIVERGED, _NO_WEB, _OUTSIDE, _UNSURE = range(6)
 
@@ -75,17 +75,17 @@ def judged(figures: Vector, state: Vector, values: Vector, words: Places, at: Pl
         state[_UNSURE_CYCLES] = 0.0
     elif deviation_Pa > limit_Pa:
         state[_UNSURE_CYCLES] += 1.0
-    if state[TOLD] != 0.0:
+    if state[REPORTED] != 0.0:
         if state[_UNSURE_CYCLES] > figures[_REFUSES_CYCLES]:
             return _UNSURE
     elif synchronized and not closes:
         return _UNSURE
     if synchronized and state[_REFUSED_BY_WATCH] == 0.0:
-        state[TOLD] = 1.0
+        state[REPORTED] = 1.0
     return TRUSTED
 
 
-class TwinTrust:
+class VirtualSensorSupervision:
     """Checks the twin cycle by cycle. `highest_tension_N`: what a simulated tension may reach and be believed."""
 
     def __init__(
@@ -109,7 +109,7 @@ class TwinTrust:
     @property
     def trusted(self) -> bool:
         """Whether the loop may be closed."""
-        return self._synchronized[TOLD] != 0.0
+        return self._synchronized[REPORTED] != 0.0
 
     @property
     def doubt(self) -> str:
@@ -118,7 +118,7 @@ class TwinTrust:
 
     def forget(self, reason: str) -> None:
         """Open the loop until the twin is synchronized anew."""
-        self._synchronized[TOLD] = 0.0
+        self._synchronized[REPORTED] = 0.0
         self._why = reason
 
     def refuse(self, reason: str) -> None:

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from hilbench.bench.state import TwinState
 from hilbench.bench.tasks import tension_bounds as bounds
-from hilbench.bench.tasks.task import MANY, CyclicTask, OfSample, Outputs, Pieces
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, PerSample
 from hilbench.bench.tasks.tension_task import TensionTask
-from hilbench.bench.tasks.tension_trust import TwinTrust
-from hilbench.chain import GOES_ON, Chained
+from hilbench.bench.tasks.tension_trust import VirtualSensorSupervision
 from hilbench.compiled import (
     COUNT,
     TABLE,
@@ -31,11 +30,12 @@ from hilbench.compiled import (
     interpreted,
     table_of,
 )
+from hilbench.cycle_program import CONTINUE, CompiledStage
 from hilbench.estimation.problems import TORQUE_SHIFT, UNDECIDED
 from hilbench.estimation.web_line.config import EstimationConfig, ModelErrorsConfig, PidConfig
 from hilbench.exchange.exchange import Inputs
-from hilbench.plant.pairing import paired, pairing_state
 from hilbench.plant.parameters import per_item
+from hilbench.plant.sample_coherence import coherence_state, coherent
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans, section_model
@@ -57,7 +57,7 @@ _TURNING = ("unbalance", "torque_ripple", "torque_ripple_load")
 
 #: The twin goes over to another model.
 #: What `run` says: something else is said of a twin than before.
-_LOOK = GOES_ON + 1
+_LOOK = CONTINUE + 1
 # Rows of the table.
 (_VALUES, _WORDS, _AT, _PARAMETERS, _ROLLERS, _MOTION, _BEGUN, _LINE, _WAYS, _POSITIONS, _WEB) = range(11)
 (_FIGURES, _STATES, _RINGS, _SUMS, _PLACED, _BLOCK) = range(11, 17)
@@ -134,7 +134,7 @@ def _follow(values: Vector, at: Places, line: Vector, ways: Vector, positions: M
     now_m, last_m, travel_m = positions[_NOW_M], positions[_LAST_M], positions[_TRAVEL]
     for j in range(axes):
         now_m[j] = values[at[3 * j]]
-    if not paired(ways, now_m, line[_TRAVEL_M]):
+    if not coherent(ways, now_m, line[_TRAVEL_M]):
         return
     of_line = at[_OF_AXIS * axes :]
     if line[_HAS_WEB] == 0.0:  # at rest, and strained as the web upstream
@@ -180,17 +180,17 @@ def _fill(line: Vector, web: Matrix, sums: Vector, placed: Places, f: Vector, la
 @entry_point(COUNT, TABLE)
 def _run(_: int, table: Places) -> int:
     if len(table) == 0:
-        return GOES_ON
+        return CONTINUE
     values, words, at = floats(table, _VALUES, (1,)), integers(table, _WORDS, (1,)), integers(table, _AT, (1,))
     begun, line, web = floats(table, _BEGUN, (1, 2)), floats(table, _LINE, (1,)), floats(table, _WEB, (1, 2))
     sums, placed = floats(table, _SUMS, (1, 2)), integers(table, _PLACED, (1, 2))
     _follow(values, at, line, floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1, 2)), web)
     if line[_HAS] == 0.0:
         _begin(values, words, at, begun, line, web, sums)
-        return GOES_ON
+        return CONTINUE
     _add(values, words, at, begun, line, sums)
     if line[_COUNTED] < line[_CYCLES]:
-        return GOES_ON
+        return CONTINUE
     motion, rollers = floats(table, _MOTION, (1, 2)), floats(table, _ROLLERS, (1, 2))
     figures, states, rings = (
         floats(table, _FIGURES, (1, 2)),
@@ -200,13 +200,13 @@ def _run(_: int, table: Places) -> int:
     block, p = floats(table, _BLOCK, (1,)), floats(table, _PARAMETERS, (1,))
     lasted_s = (words[at[_OF_AXIS * begun.shape[1] + _CYCLE_AT]] - line[_BEGAN]) * line[_CYCLE_S]
     _move(values, at, begun, line[_COUNTED], lasted_s, motion)
-    code = GOES_ON
+    code = CONTINUE
     for k in range(len(sums)):
         _fill(line, web, sums[k], placed[k], figures[k], lasted_s, block)
         block[bounds.TENSION_N] = line[_NEXT_SUM_N] / line[_COUNTED]
         block[bounds.LINE_M_S] = motion[len(motion) - 1, bounds.SPEED_M_S]
         mean_s = bounds.BLOCKS * lasted_s
-        bounds.weigh(p, figures[k], rollers, motion, placed[k, _FIRST], mean_s, block)
+        bounds.momentum_balance(p, figures[k], rollers, motion, placed[k, _FIRST], mean_s, block)
         if bounds.judge(figures[k], states[k], rings[k], block):
             code = _LOOK
     _begin(values, words, at, begun, line, web, sums)
@@ -219,7 +219,7 @@ class WatchedLoop:
     `tension_bounds.PERSISTS_S`."""
 
     task: TensionTask
-    trust: TwinTrust
+    trust: VirtualSensorSupervision
     follows_at_once: bool
 
 
@@ -248,7 +248,7 @@ class TensionWatch(CyclicTask):
             per_item(sections.drives.torque_limit_Nm, k + 1) if sections.drives else np.inf for k in range(axes)
         ]
         self._begun[_LIMIT_NM] = _AT_LIMIT * np.array(limits_Nm)
-        self._line, self._ways = np.zeros(_LINE_SIZE), pairing_state(axes)
+        self._line, self._ways = np.zeros(_LINE_SIZE), coherence_state(axes)
         self._line[_CYCLES] = max(1, round(_BLOCK_S / cycle_s))
         self._line[[_CYCLE_S, _TRAVEL_M, _DOWNSTREAM]] = cycle_s, least_travel_m(model), model.downstream_strain
         self._web = np.zeros((_WEB_SIZE, axes - 1))
@@ -263,12 +263,12 @@ class TensionWatch(CyclicTask):
         self._states = np.zeros((len(loops), bounds.STATE))
         self._rings = np.zeros((len(loops), bounds.BLOCK, bounds.BLOCKS))
         self._sums, self._block = np.zeros((len(loops), _SUMS_SIZE)), np.zeros(bounds.BLOCK)
-        self._said = [bounds.NOTHING] * len(loops)
+        self._reported = [bounds.NOTHING] * len(loops)
         twin.refusals = 0
-        self._piece = OfSample(self._on)
+        self._piece = PerSample(self._on)
         _run(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before anybody waits for a cycle
 
-    def _on(self, sample: CycleSample) -> Chained:
+    def _on(self, sample: CycleSample) -> CompiledStage:
         kind, axes = type(sample), len(self._rollers)
         names = [name for k in range(1, axes + 1) for name in (f"x{k}_m", f"v{k}_m_s", f"tau{k}_Nm")]
         names += [f"v{axes}_cmd_m_s", "strain_prev", "F_next_N", "cycle", "twin_status"]
@@ -280,7 +280,7 @@ class TensionWatch(CyclicTask):
             *(self._begun, self._line, self._ways, self._positions, self._web),
             *(self._figures, self._states, self._rings, self._sums, self._placed, self._block),
         )
-        return Chained(_run, 0, table_of(kept), otherwise=self._say, keeps=kept)
+        return CompiledStage(_run, 0, table_of(kept), fallback=self._report, keeps=kept)
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """A cycle."""
@@ -290,19 +290,19 @@ class TensionWatch(CyclicTask):
                 _change_conditions(state)
         self._piece(sample)()
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """The same; nobody sends EMCY messages there."""
 
         def cycles() -> int:
             self._look_for_a_new_twin()
             return MANY
 
-        return Pieces(after=[self._piece(sample)], cycles=cycles)
+        return CompiledStages(after=[self._piece(sample)], cycles=cycles)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The drives are off: nothing is known of the web or the twin when they are enabled again."""
         self._line[[_HAS, _HAS_WEB]] = 0.0
-        self._ways[:] = pairing_state(len(self._rollers))
+        self._ways[:] = coherence_state(len(self._rollers))
         self._begin_anew()
 
     def _look_for_a_new_twin(self) -> None:
@@ -313,18 +313,18 @@ class TensionWatch(CyclicTask):
 
     def _begin_anew(self) -> None:
         self._states[:] = 0.0
-        self._say(_LOOK)
+        self._report(_LOOK)
 
-    def _say(self, _: int) -> bool:
+    def _report(self, _: int) -> bool:
         """Open loops, or let them close, by what is said of their twin."""
         for k, (loop, state) in enumerate(zip(self._loops, self._states, strict=True)):
-            said, before = state.item(bounds.SAID), self._said[k]
-            if said != bounds.NOTHING and state.item(bounds.ASSUMED_PA) > 0.0:
+            verdict, before = state.item(bounds.REPORTED), self._reported[k]
+            if verdict != bounds.NOTHING and state.item(bounds.ASSUMED_PA) > 0.0:
                 loop.task.assume_modulus(state.item(bounds.ASSUMED_PA))
-            self._said[k] = said
-            if said == before:
+            self._reported[k] = verdict
+            if verdict == before:
                 continue
-            if said == bounds.NOTHING:
+            if verdict == bounds.NOTHING:
                 loop.trust.allow()
             else:
                 self._twin.refusals = (self._twin.refusals or 0) + 1
@@ -334,15 +334,15 @@ class TensionWatch(CyclicTask):
 
 def _reason(span: int, state: Vector) -> str:
     """What is beyond which interval, and why."""
-    where, said = f" of span {span}" if span else "", state.item(bounds.SAID)
-    if said == bounds.MODULUS:
+    where, verdict = f" of span {span}" if span else "", state.item(bounds.REPORTED)
+    if verdict == bounds.MODULUS:
         found_Pa, low_Pa, high_Pa = state[[bounds.MEAN_PA, bounds.LOW_PA, bounds.HIGH_PA]].tolist()
         return (
             f"E{where} by the twin is {found_Pa:.4g} Pa, torques and encoders allow {max(low_Pa, 0.0):.4g} to "
             f"{high_Pa:.4g} Pa with any usual errors of the model"
         )
     found_N, low_N, high_N = state[[bounds.MEAN_N, bounds.LOW_N, bounds.HIGH_N]].tolist()
-    why = "with any usual errors of the model" if said == bounds.TENSION else "by how they have changed since"
+    why = "with any usual errors of the model" if verdict == bounds.TENSION else "by how they have changed since"
     return f"tension{where} by the twin is {found_N:.1f} N, the torques allow {low_N:.1f} to {high_N:.1f} N {why}"
 
 
@@ -350,7 +350,10 @@ _change_conditions = interpreted(bounds.change_conditions)
 
 
 def watched_loops(
-    model: ModelParameters, tasks: Sequence[TensionTask], trusts: Sequence[TwinTrust], twin: EstimationConfig
+    model: ModelParameters,
+    tasks: Sequence[TensionTask],
+    trusts: Sequence[VirtualSensorSupervision],
+    twin: EstimationConfig,
 ) -> list[WatchedLoop]:
     """Loops of the spans behind which there are driven rollers and idlers alone, up to the end of the line: what they
     pull is in the torques. With a dancer, an accumulator or a reel there a balance has more than that in it."""

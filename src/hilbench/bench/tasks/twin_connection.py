@@ -14,7 +14,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
-from hilbench.bench.tasks.task import MANY, CyclicTask, Outputs, Pieces
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.nodes import Nodes
@@ -97,9 +97,9 @@ class TwinConnection(CyclicTask):
         elif self._counts_anew():
             self._lose("the twin counts SYNC anew, as after an NMT command of somebody else")
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Nothing is to be done while the twin answers."""
-        return Pieces(cycles=self._goes_well)
+        return CompiledStages(cycles=self._goes_well)
 
     def _goes_well(self) -> int:
         """For so many cycles nothing is, if answers come as they did."""
@@ -127,7 +127,7 @@ class TwinConnection(CyclicTask):
         sends no heartbeat), and ever more seldom while it is lost again and again."""
         waited = self._exchange.timing.cycles - self._lost_cycle
         again = max(0, self._losses - _LOSSES_FREE)
-        if self._nodes.twin_heard and not again:
+        if self._nodes.twin_alive and not again:
             return True
         return waited >= _RETRY_CYCLES << min(again, _MOST_DOUBLINGS)
 
@@ -155,8 +155,8 @@ class TwinConnection(CyclicTask):
         self._exchange.expect_drives()
 
     def _begin_return(self) -> None:
-        answers = self._planned or self._nodes.twin_heard
-        self._nodes.twin_heard = False
+        answers = self._planned or self._nodes.twin_alive
+        self._nodes.twin_alive = False
         pool = ThreadPoolExecutor(1, thread_name_prefix="twin-return")
         self._return = pool.submit(self._nodes.restart_twin)
         pool.shutdown(wait=False)

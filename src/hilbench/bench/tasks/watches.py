@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from hilbench.bench.state import Reports, TwinState
-from hilbench.bench.tasks.limits import QUIET, Watching
-from hilbench.bench.tasks.task import MANY, CyclicTask, Outputs, Pieces
+from hilbench.bench.tasks.limits import BELOW_LIMITS, LimitMonitor
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
 from hilbench.can.confinement import ControllerState
-from hilbench.chain import Chained
+from hilbench.cycle_program import CompiledStage
 from hilbench.exchange.exchange import Exchange, Inputs
 from hilbench.exchange.timeliness import Timeliness
 from hilbench.processes import ChildProcess
@@ -38,20 +38,22 @@ class Watch(CyclicTask):
 class QuietWatch(Watch):
     """The same of what is quiet in nearly every cycle."""
 
-    def __init__(self, source: str, watching: Watching, reports: Reports) -> None:
+    def __init__(self, source: str, watching: LimitMonitor, reports: Reports) -> None:
         super().__init__(source, watching.update, reports)
         self._watching = watching
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """The same."""
         look = self._watching.look(sample)
 
-        def otherwise(_: int) -> bool:
+        def fallback(_: int) -> bool:
             self._note(self._watching.found(sample))
             return True
 
-        piece = Chained(look.function, look.argument, look.table, goes_on=QUIET, otherwise=otherwise, keeps=look)
-        return Pieces(after=[piece])
+        piece = CompiledStage(
+            look.function, look.argument, look.table, continues=BELOW_LIMITS, fallback=fallback, keeps=look
+        )
+        return CompiledStages(after=[piece])
 
 
 class SupervisorWatch(CyclicTask):
@@ -66,9 +68,9 @@ class SupervisorWatch(CyclicTask):
         if self._exchange.timing.cycles % _LOOK_CYCLES == 0:
             self._supervisor.check()
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Nothing is to be done until then."""
-        return Pieces(cycles=lambda: -self._exchange.timing.cycles % _LOOK_CYCLES)
+        return CompiledStages(cycles=lambda: -self._exchange.timing.cycles % _LOOK_CYCLES)
 
 
 class LatenessWatch(CyclicTask):
@@ -87,14 +89,14 @@ class LatenessWatch(CyclicTask):
         if trouble:
             self._reports.condition("late samples", trouble)
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Nobody is late there."""
 
         def cycles() -> int:
             on_time = self._twin.away or sample.twin_age_cycles == 0
             return MANY if on_time and not self._timeliness.trouble() else 0
 
-        return Pieces(cycles=cycles, went=self._timeliness.pass_on_time)
+        return CompiledStages(cycles=cycles, went=self._timeliness.pass_on_time)
 
 
 class ControllerWatch(CyclicTask):
@@ -112,9 +114,9 @@ class ControllerWatch(CyclicTask):
             self._state = state
             self._reports.note("bus", f"the bench's CAN controller is {state.value}")
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Nothing happens to a frame there."""
-        return Pieces(cycles=lambda: MANY if self._exchange.controller is self._state else 0)
+        return CompiledStages(cycles=lambda: MANY if self._exchange.controller is self._state else 0)
 
 
 class EmergencyWatch(CyclicTask):
@@ -129,6 +131,6 @@ class EmergencyWatch(CyclicTask):
             source = f"{emergency.node} (node {emergency.node_id})"
             self._reports.note(source, str(emergency), kind=emergency.kind, count=count)
 
-    def in_pieces(self, sample: CycleSample) -> Pieces:
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Nobody sends any there."""
-        return Pieces()
+        return CompiledStages()

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.bench.tasks.tension_cycle import LEADS_BY, LEADS_DAMPED_BY
-from hilbench.chain import GOES_ON, Function
 from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, inlined
+from hilbench.cycle_program import CONTINUE, Function
 
 Table = NDArray[np.int64]
 
@@ -32,7 +32,7 @@ def _with_pull(speed_m_s: float, pull_m_s: float) -> float:
 @entry_point(COUNT, TABLE)
 def lead(command: int, table: Table) -> int:
     if len(table) == 0:
-        return GOES_ON
+        return CONTINUE
     line_speed, moved, speeds, values = (
         floats(table, 0, (1,)),
         floats(table, 1, (1,)),
@@ -41,13 +41,13 @@ def lead(command: int, table: Table) -> int:
     )
     speeds[LEADS_BY] = speeds[LEADS_DAMPED_BY] = line_speed[0] + moved[CREEP_M_S]
     values[command] = _with_pull(speeds[LEADS_BY], moved[PULL_M_S])
-    return GOES_ON
+    return CONTINUE
 
 
 @entry_point(COUNT, TABLE)
 def follow(command: int, table: Table) -> int:
     if len(table) == 0:
-        return GOES_ON
+        return CONTINUE
     leader, leads_m_s, speeds, values, moved = (
         floats(table, 0, (1,)),
         floats(table, 1, (1,)),
@@ -57,7 +57,7 @@ def follow(command: int, table: Table) -> int:
     )
     speeds[LEADS_BY], speeds[LEADS_DAMPED_BY] = leader[LEADS_BY], leader[LEADS_DAMPED_BY]
     values[command] = _with_pull(speeds[LEADS_DAMPED_BY] + leads_m_s[0], moved[PULL_M_S])
-    return GOES_ON
+    return CONTINUE
 
 
 def warm_up(function: Function) -> None:

@@ -56,7 +56,7 @@ class CarriageForceTask(OneSetPoint, CyclicTask):
         before_m_s, behind_m_s = (motion.speed_m_s for motion in motions)
         position_m = getattr(sample, self._measured) if self._moved else self._starts_m
         moving = before_m_s, behind_m_s, before_m_s2, behind_m_s2, position_m
-        self._tell(sample, outputs, self._force.force_N(self._set_point, *moving))
+        self._command(sample, outputs, self._force.force_N(self._set_point, *moving))
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """The sensor has said something."""
@@ -68,8 +68,8 @@ class CarriageForceTask(OneSetPoint, CyclicTask):
         for motion in self._motions:
             motion.reset()
         standing = 0.0, 0.0, 0.0, 0.0, self._starts_m
-        self._tell(sample, outputs, self._force.force_N(self._set_point, *standing))
+        self._command(sample, outputs, self._force.force_N(self._set_point, *standing))
 
-    def _tell(self, sample: CycleSample, outputs: Outputs, force_N: float) -> None:
-        outputs[self._signal] = told_N = min(max(force_N, 0.0), self._limit_N)
-        setattr(sample, self._signal, told_N)
+    def _command(self, sample: CycleSample, outputs: Outputs, force_N: float) -> None:
+        outputs[self._signal] = commanded_N = min(max(force_N, 0.0), self._limit_N)
+        setattr(sample, self._signal, commanded_N)

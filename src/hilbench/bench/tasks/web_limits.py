@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from hilbench.bench.tasks.limit_look import LimitLook
+from hilbench.bench.tasks.limit_check import LimitCheck
 from hilbench.bench.tasks.limits import (
+    DiagnosisAnswer,
     Levels,
     Limited,
-    Look,
-    Watched,
+    LimitReading,
     apart,
     is_synchronized,
-    least_told,
     load_motor_labels,
+    lowest_threshold,
 )
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.safety import LimitsConfig
@@ -58,32 +58,32 @@ class LimitWatch:
             f"position difference of {f'axes {axis} and {axis + 1}' if shape.axes > 2 else 'the axes'}"
             for axis in axes[:-1]
         ]
-        self._look = LimitLook(
+        self._look = LimitCheck(
             [each.signal for each in watched],
-            [least_told(each.limit) for each in watched],
+            [lowest_threshold(each.limit) for each in watched],
             self._moduli,
-            least_told(limits.estimate_ratio),
+            lowest_threshold(limits.estimate_ratio),
             [f"x{axis}_m" for axis in axes],
             [f"v{axis}_cmd_m_s" for axis in axes],
-            least_told(limits.position_difference_m),
+            lowest_threshold(limits.position_difference_m),
             cycle_s,
         )
 
-    def look(self, sample: CycleSample) -> Look:
-        """See `limits.Watching`."""
+    def look(self, sample: CycleSample) -> LimitReading:
+        """See `limits.LimitMonitor`."""
         return self._look.of(sample)
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """The warnings that begin in this cycle, each after its quantity. Raises LimitTripError."""
-        return [] if self.look(sample).is_quiet else self.found(sample)
+        return [] if self.look(sample).is_below_limits else self.found(sample)
 
     def found(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """See `limits.Watching`."""
+        """See `limits.LimitMonitor`."""
         found = self._levels.check(sample.t_s, self._quantities(sample, self._look.apart))
         self._look.warned(self._levels)
         return found
 
-    def _quantities(self, sample: CycleSample, apart_m: Sequence[float]) -> Iterator[Watched]:
+    def _quantities(self, sample: CycleSample, apart_m: Sequence[float]) -> Iterator[DiagnosisAnswer]:
         limits = self._limits
         for name, signal, unit, limit in self._limited:
             value = getattr(sample, signal)

@@ -50,7 +50,7 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
         self._radius, self._torque = f"r_{control.reel}_sim_m", f"tau{axis}_cmd_Nm"
         self._position, self._speed = f"x{axis}_m", f"v{axis}_cmd_m_s"
         self._at_m: float | None = None
-        self._told = False  # what the load cell says
+        self._reported = False  # what the load cell says
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Torque, N·m at the motor, from the last sample. Nobody commands its speed: what is recorded in the place of
@@ -60,7 +60,7 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
         if self._ahead is not None:
             radius_m = self._radius_m(sample)
             acceleration_m_s2 = self._ahead.acceleration_m_s2(speed_m_s)
-        tension_N = getattr(sample, self._cell) if self._told else self._set_point
+        tension_N = getattr(sample, self._cell) if self._reported else self._set_point
         now = self._set_point, tension_N, acceleration_m_s2, radius_m, self._state.cycle_s, self._counted_m
         outputs[self._drive] = torque_Nm = self._loop.torque_Nm(*now)
         setattr(sample, self._torque, torque_Nm)
@@ -68,7 +68,7 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
         went_m = 0.0 if self._at_m is None else position_m - self._at_m
         setattr(sample, self._speed, went_m / self._state.cycle_s)
         self._at_m = position_m
-        setattr(sample, self._closed, int(self._told))
+        setattr(sample, self._closed, int(self._reported))
 
     def _radius_m(self, sample: CycleSample) -> float:
         """That which the twin has told last; before that the one at the start."""
@@ -77,12 +77,12 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Record the set-point."""
-        self._told = True
+        self._reported = True
         setattr(sample, self._shown, self._set_point)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """No torque, and nothing is known of the line."""
-        self._told = False
+        self._reported = False
         self._at_m = None
         self._loop.reset()
         if self._ahead is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hilbench.topology.main_quantities.quantity import told_as
+from hilbench.topology.main_quantities.quantity import text_of_deviation
 from hilbench.topology.sample import CycleSample
 
 
@@ -23,7 +23,7 @@ class LiveRow:
 
     def heading(self, sample: CycleSample) -> str:
         """The title beside the values of a sample."""
-        return f"{self.title} / {told_as(getattr(sample, self.deviation))}" if self.deviation else self.title
+        return f"{self.title} / {text_of_deviation(getattr(sample, self.deviation))}" if self.deviation else self.title
 
     def text(self, sample: CycleSample) -> str:
         """The values of a sample."""

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Before, Measured
-from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
+from hilbench.diagnosis.residual_analysis import Condition
 from hilbench.diagnosis.web_line.loop_check import Loop
 from hilbench.diagnosis.web_tensions import tension_names
 from hilbench.plant.web_line import laws
@@ -352,7 +352,7 @@ class FreeRun:
             start = self._starts(parameters)
             run = simulate_emulated(self.emulation, self._model, parameters, start, commands, boundary)
         else:
-            forces_N = {name: np.repeat(told_N, whole) for name, told_N in self._forces_N.items()}
+            forces_N = {name: np.repeat(commanded_N, whole) for name, commanded_N in self._forces_N.items()}
             given = self.emulation, self._model, parameters, commands, boundary, self._sensors, forces_N
             run = simulate_emulated_line(*given)
         if whole == 1:

@@ -68,7 +68,7 @@ class LineParameter:
     variance_inflation: float
 
     @property
-    def told(self) -> bool:
+    def is_identified(self) -> bool:
         """Whether the data tell it by itself: not zero, and not to be made up for by the others."""
         return abs(self.value) > NORMAL_95 * self.deviation and self.variance_inflation < _COLLINEAR
 

@@ -404,16 +404,16 @@ class FilterInputs:
             s[_ODD] = 0.0
             return expected
         found, way_of_a_cycle = expected, abs(self._motion.motion.item(1)) * sample.cycle_s
-        tells = way_of_a_cycle > 2.0 * self._accelerated_rad(sample, 1)
-        if tells:
+        is_telling = way_of_a_cycle > 2.0 * self._accelerated_rad(sample, 1)
+        if is_telling:
             found = min(range(expected + _MORE_CYCLES + 1), key=lambda n: self._off_rad(sample, n))
         off_rad = self._off_rad(sample, found)
         s[_ODD] = s[_ODD] + 1.0 if found != expected else 0.0
-        between = tells and off_rad > _BETWEEN * way_of_a_cycle
+        between = is_telling and off_rad > _BETWEEN * way_of_a_cycle
         if between or off_rad > self._accelerated_rad(sample, found) or s[_ODD] > _MOST_ODD:
             self.interrupt()
             return 1
-        self.in_doubt = not tells
+        self.in_doubt = not is_telling
         return found
 
     def _accelerated_rad(self, sample: ShaftSample, cycles: int) -> float:

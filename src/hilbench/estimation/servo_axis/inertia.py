@@ -83,7 +83,7 @@ def _step(v: BankVectors, u: Array) -> bool:
         bank.births(v.z, v.p, v.records, v.settings, kalman.BETA, kalman.RATE)
         v.settings[_QUIET_S] = 0.0
     kalman.step(v.z, v.p, u, v.places, g, rows, likelihoods)
-    bank.weigh(v.records, likelihoods)
+    bank.reweight(v.records, likelihoods)
     bank.compare(v.records, shares)
     bank.mix(v.z, v.p, shares, v.places, v.out)
     if not excited:

@@ -23,7 +23,7 @@ from hilbench.compiled import compiled, inlined
 from hilbench.estimation import ring
 from hilbench.estimation.bank import Array
 from hilbench.estimation.problems import Problem
-from hilbench.estimation.web_line import blocks
+from hilbench.estimation.web_line import block_means
 
 #: Ratio below which the web is broken, and above which it is whole again.
 BROKEN, WHOLE = 0.15, 0.3
@@ -108,7 +108,7 @@ def is_judging(s: Array) -> bool:
 @compiled
 def look(s: Array, block: Array) -> None:
     """Take a block that is complete. `block`: state of `blocks`."""
-    block_N, block_per_Pa = block[blocks.FORCE_N], block[blocks.WEB_PER_PA]
+    block_N, block_per_Pa = block[block_means.FORCE_N], block[block_means.WEB_PER_PA]
     first, gained_N = s[_HAS_LAST] == 0.0, block_N - s[_LAST_N]
     tension_N, web_per_Pa = 0.5 * (s[_LAST_N] + block_N), 0.5 * (s[_LAST_PER_PA] + block_per_Pa)
     s[_HAS_LAST], s[_LAST_N], s[_LAST_PER_PA] = 1.0, block_N, block_per_Pa
@@ -119,19 +119,19 @@ def look(s: Array, block: Array) -> None:
         s[_SINCE_CHANGE_M] = _NONE
         s[_QUIET_M] = PASSED_SPANS * s[_SPAN_M]
         return
-    if block[blocks.MOTION_N] > _MOTION * promised_N:
+    if block[block_means.MOTION_N] > _MOTION * promised_N:
         suspend(s)
         return
     ratio, threshold = tension_N / promised_N, WHOLE if s[_BROKEN_NOW] != 0.0 else BROKEN
     sure_N = _SURE * sqrt(0.25 * s[_SCATTER_N2])  # of the mean of two blocks
     broken = ratio < threshold and tension_N < min(threshold * s[_USUAL_N], promised_N - sure_N)
     s[_BROKEN_NOW] = 1.0 if broken else 0.0
-    smoothing = min(block[blocks.DURATION_S] / _USUAL_S, 1.0)
+    smoothing = min(block[block_means.DURATION_S] / _USUAL_S, 1.0)
     if not broken:
         s[_USUAL_N] += smoothing * (tension_N - s[_USUAL_N])
     s[_SCATTER_N2] += smoothing * (gained_N * gained_N - s[_SCATTER_N2])
     changed = max(_CHANGED, sure_N / promised_N)
-    _look_for_slip(s, ratio, changed, abs(block[blocks.VELOCITY_M_S]) * block[blocks.DURATION_S])
+    _look_for_slip(s, ratio, changed, abs(block[block_means.VELOCITY_M_S]) * block[block_means.DURATION_S])
 
 
 @inlined

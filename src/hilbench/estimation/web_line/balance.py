@@ -82,7 +82,7 @@ def creep_per_N(balance: BalanceVectors) -> float:
 
 
 @compiled
-def weigh(
+def momentum_balance(
     balance: BalanceVectors,
     x1_m: float,
     x2_m: float,
@@ -160,7 +160,7 @@ class MeasuredBalance:
         self.state[STARTED] = _NOT_STARTED
 
     def begin(self, x1_m: float, x2_m: float, strain_prev: float) -> None:
-        """Put the web where the rollers are, unless it is followed already; to be called before `weigh`."""
+        """Put the web where the rollers are, unless it is followed already; to be called before `momentum_balance`."""
         if self.state[STARTED] == _NOT_STARTED:
             self.web.reset((x1_m, x2_m), strain=[strain_prev])
             self.state[STARTED] = _BEGUN

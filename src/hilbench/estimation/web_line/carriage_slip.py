@@ -37,7 +37,7 @@ class CarriageSlip:
         self._kept: deque[_Kept] = deque()
         self._travel_m = self._lost_m = 0.0
         self.since_s = inf  #: when no web slipped yet; inf where none does
-        self._told_m = 0.0  # way until it slipped
+        self._judged_m = 0.0  # way until it slipped
 
     def take(self, time_s: float, before_m: float, behind_m: float, room_m: float) -> None:
         """Until now went so much in by the roller before the section, out by that behind it, and the web between them
@@ -59,8 +59,8 @@ class CarriageSlip:
             return
         if self.since_s == inf:
             if any(self._is_lost(each, _SLIPS, self._unsure_m) for each in self._kept):
-                self.since_s, self._told_m = self._kept[0].time_s, self._travel_m
-        elif self._travel_m - self._told_m > self._length_m and not self._is_lost(self._kept[0], _ENDS, 0.0):
+                self.since_s, self._judged_m = self._kept[0].time_s, self._travel_m
+        elif self._travel_m - self._judged_m > self._length_m and not self._is_lost(self._kept[0], _ENDS, 0.0):
             self.since_s = inf
 
     def _is_lost(self, since: _Kept, strains: float, unsure_m: float) -> bool:

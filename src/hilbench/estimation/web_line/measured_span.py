@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hilbench.compiled import interpreted
-from hilbench.estimation.web_line import tracking_cycle as cycle
+from hilbench.estimation.web_line import span_estimator_cycle as cycle
 from hilbench.estimation.web_line.balance import MeasuredBalance
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.splices import Piece

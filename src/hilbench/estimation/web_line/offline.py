@@ -13,7 +13,7 @@ from hilbench.estimation.plausibility import STANDSTILL_M_S
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.estimation.web_line.even_rows import EvenRows, even_rows
 from hilbench.estimation.web_line.measurements import Measurements
-from hilbench.estimation.web_line.tracking import UNKNOWN_AT_REST, UNKNOWN_STRAIN, Tracking
+from hilbench.estimation.web_line.span_estimator import UNKNOWN_AT_REST, UNKNOWN_STRAIN, SpanEstimator
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -52,7 +52,7 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
     cycles, cycle_s, tau2_Nm = even.data, even.cycle_s, even.data.tau2_Nm
     ports = (MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY))
     line = Line(model, ports)
-    tracking = Tracking(model, config, line, ports[1], cycle_s)
+    tracking = SpanEstimator(model, config, line, ports[1], cycle_s)
     rad_per_m = [model.motor_rad_per_m(axis) for axis in (1, 2)]
     n = len(cycles.t_s)
     modulus, deviation, tension, residual = (np.empty(n) for _ in range(4))
@@ -92,7 +92,7 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
     )
 
 
-def _join(line: Line, tracking: Tracking, cycles: Measurements, cycle_s: float, *, unknown_at_rest: bool) -> None:
+def _join(line: Line, tracking: SpanEstimator, cycles: Measurements, cycle_s: float, *, unknown_at_rest: bool) -> None:
     """Where the recording begins under way, let the simulation begin there, with a web that is not known."""
     start_m = cycles.x_m[0]
     speeds = (cycles.x_m[min(1, len(cycles.x_m) - 1)] - start_m) / cycle_s

@@ -16,7 +16,7 @@ import numpy as np
 from hilbench.compiled import COUNT, VECTOR, entry_point
 from hilbench.estimation.bank import Array
 from hilbench.estimation.problems import Problem
-from hilbench.estimation.web_line import anomalies, blocks
+from hilbench.estimation.web_line import anomalies, block_means
 
 #: Way of a block, as a share of the section's length: that of a block of 20 ms on a span of 1 m at 3 m/s.
 _BLOCK_SHARE: Final = 0.06
@@ -55,27 +55,27 @@ class SectionSlip:
         """The web is let go; of one that is under way nobody knows the strain until it has left."""
         # Promised are tensions, by the model's E: what is left for the detector to multiply with is 1.
         self._detector = anomalies.new_state(1.0, self._usual_N, self._length_m)
-        self._block = np.zeros(blocks.MOTION_N + 1)
+        self._block = np.zeros(block_means.MOTION_N + 1)
         self._corrected_N = 0.0
         self._begin()
         self._begins_s: deque[float] = deque(maxlen=_BEFORE)  # of the last blocks
         self._since_s = inf
-        self._said = _NOTHING
-        self._say(_RESET if under_way else _SUSPEND)
+        self._reported = _NOTHING
+        self._report(_RESET if under_way else _SUSPEND)
 
     @property
     def slips(self) -> bool:
         """Whether the web slips."""
-        return self._said == _SLIPS
+        return self._reported == _SLIPS
 
     @property
     def since_s(self) -> float:
         """When it had not begun yet, at the latest, where it `slips`."""
         return self._since_s
 
-    def _say(self, what: int) -> None:
-        before, self._said = self._said, _look(self._detector, self._block, what)
-        if before == _NOTHING and self._said == _CHANGES:
+    def _report(self, what: int) -> None:
+        before, self._reported = self._reported, _look(self._detector, self._block, what)
+        if before == _NOTHING and self._reported == _CHANGES:
             self._since_s = self._begins_s[0]
 
     def _begin(self) -> None:
@@ -87,7 +87,7 @@ class SectionSlip:
         """The measurement can't be used: what was before says nothing any more."""
         self._begin()
         self._begins_s.clear()
-        self._say(_SUSPEND)
+        self._report(_SUSPEND)
 
     def correct(self, change_N: float) -> None:
         """The tension that the followed line has by the model's E was corrected by so much."""
@@ -109,8 +109,8 @@ class SectionSlip:
         if abs(self._travel_m) < _BLOCK_SHARE * self._length_m:
             return
         block = self._block
-        block[blocks.FORCE_N], block[blocks.WEB_PER_PA] = self._sums_N / self._count
-        block[blocks.VELOCITY_M_S], block[blocks.DURATION_S] = self._travel_m / self._lasted_s, self._lasted_s
+        block[block_means.FORCE_N], block[block_means.WEB_PER_PA] = self._sums_N / self._count
+        block[block_means.VELOCITY_M_S], block[block_means.DURATION_S] = self._travel_m / self._lasted_s, self._lasted_s
         self._begins_s.append(time_s - self._lasted_s)
-        self._say(_BLOCK)
+        self._report(_BLOCK)
         self._begin()

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import MATRIX, VECTOR, compiled, entry_point, interpreted
 from hilbench.estimation.web_line.balance import BalanceSample
-from hilbench.estimation.web_line.blocks import BLOCK_S, SAME_SPEED
+from hilbench.estimation.web_line.block_means import BLOCK_S, SAME_SPEED
 
 Array = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -241,8 +241,8 @@ class SpliceFinder:
         rest = (total - max(fit.gain for fit in fits.values())) / len(compliances)
         inside_yet = [fit.gain for fit in fits.values() if travels_m[-1] - fit.front_m < _THROUGH * self._length_m]
         self.suspects = max(inside_yet, default=0.0) > _SUSPECTED * max(rest, 1.0)
-        told = {kind for kind, fit in fits.items() if self._can_be_told(kind, fit, float(travels_m[-1]))}
-        if not self._decide({kind: fit.gain / max(rest, 1.0) for kind, fit in fits.items()}, told):
+        identifiable = {kind for kind, fit in fits.items() if self._is_identifiable(kind, fit, float(travels_m[-1]))}
+        if not self._decide({kind: fit.gain / max(rest, 1.0) for kind, fit in fits.items()}, identifiable):
             return None
         kind = self._kind
         assert kind is not None, "it was decided"
@@ -275,12 +275,12 @@ class SpliceFinder:
             fits[kind] = _Fit(explained / noise**2, float(fronts_m[int(place)]), share)
         return fits
 
-    def _can_be_told(self, kind: _Kind, fit: _Fit, now_m: float) -> bool:
+    def _is_identifiable(self, kind: _Kind, fit: _Fit, now_m: float) -> bool:
         """Whether an explanation is one of a web, and its joint so far in that a step would look otherwise."""
         softer, stiffer = _SHARES[kind]
         return stiffer < fit.share < softer and now_m - fit.front_m > _LEAST_TRAVEL * self._length_m
 
-    def _decide(self, gains: Mapping[_Kind, float], told: Set[_Kind]) -> bool:
+    def _decide(self, gains: Mapping[_Kind, float], identifiable: Set[_Kind]) -> bool:
         """Which of the explanations it is, by their gains, of those that can be told; whether there is something to
         tell.
 
@@ -292,9 +292,9 @@ class SpliceFinder:
         than = next_best
         if self._kind is not None and best is not _Kind.STEP:
             than = self._kind if best is not self._kind else next_best
-        if best in told and gains[best] > gains[than] + _BETTER:
+        if best in identifiable and gains[best] > gains[than] + _BETTER:
             self._kind = best
-        return self._kind in told
+        return self._kind in identifiable
 
     def _forget_before(self, front_m: float) -> None:
         """What was before a step says nothing any more."""

@@ -26,7 +26,7 @@ import numpy as np
 from hilbench.compiled import compiled, inlined
 from hilbench.estimation import ring
 from hilbench.estimation.bank import Array
-from hilbench.estimation.web_line.blocks import SAME_SPEED
+from hilbench.estimation.web_line.block_means import SAME_SPEED
 
 #: Blocks that say what was before, and how many are enough.
 _BEFORE, _ENOUGH = 60, 24
@@ -63,7 +63,7 @@ _LEAST, _LONG, _LONGEST = 15, 150, 3000
 (
     _OPEN,
     _MODULUS_PA,
-    _TOLD_PA,
+    _STATED_PA,
     _WEB_PER_PA,
     _WEB_VARIANCE_PER_PA2,
     _VARIANCE_N2,
@@ -83,7 +83,7 @@ _LEAST, _LONG, _LONGEST = 15, 150, 3000
     _FORCES,
     _WEBS,
     _SPEEDS,
-    _TOLD,
+    _STATED,
 ) = range(23)
 _SIZE = 23
 
@@ -95,7 +95,7 @@ def reset(s: Array) -> None:
     ring.clear(s, int(s[_FORCES]))
     ring.clear(s, int(s[_WEBS]))
     ring.clear(s, int(s[_SPEEDS]))
-    ring.clear(s, int(s[_TOLD]))
+    ring.clear(s, int(s[_STATED]))
 
 
 @compiled
@@ -104,7 +104,7 @@ def look(
     block_N: float,
     block_per_Pa: float,
     velocity_m_s: float,
-    told_Pa: float,
+    stated_Pa: float,
     may_decide: bool,
     deviation_N: float,
 ) -> bool:
@@ -127,7 +127,7 @@ def look(
         ring.push(s, int(s[_FORCES]), block_N)
         ring.push(s, int(s[_WEBS]), block_per_Pa)
         ring.push(s, before, velocity_m_s)
-        ring.push(s, int(s[_TOLD]), told_Pa)
+        ring.push(s, int(s[_STATED]), stated_Pa)
     return False
 
 
@@ -157,7 +157,7 @@ def _is_noticed(s: Array, block_N: float, block_per_Pa: float) -> bool:
     s[_OPEN], s[_MODULUS_PA], s[_WEB_PER_PA], s[_VARIANCE_N2] = 1.0, modulus_Pa, web_per_Pa / count, variance_N2
     s[_WEB_VARIANCE_PER_PA2] = spread_per_Pa2 / (count - 1)
     s[_SLOWNESS] = (1.0 + alike) / (1.0 - alike)
-    s[_TOLD_PA] = ring.value(s, int(s[_TOLD]), count - 1)
+    s[_STATED_PA] = ring.value(s, int(s[_STATED]), count - 1)
     s[_HITS], s[_LEANS_TO_MODULUS], s[_HAS_FOLLOWED] = _HIT, 0.0, 0.0
     for place in (_COUNT, _F, _H, _FF, _FH, _HH):
         s[place] = 0.0
@@ -189,7 +189,7 @@ def _explain(s: Array, f: float, h: float, may_decide: bool, deviation_N: float)
     shift_N, of_shift = _of_shift(s, precision)
     of_shift, of_modulus = (of_shift - free) / variance, (_of_modulus(s, precision) - free) / variance
     if of_modulus - of_shift > _DECIDED and of_shift < _ACCEPTED and _has_moved(s):
-        s[FOUND_N], s[FOUND_PA] = shift_N, s[_TOLD_PA]
+        s[FOUND_N], s[FOUND_PA] = shift_N, s[_STATED_PA]
         reset(s)
         return True
     better = of_shift - of_modulus
@@ -271,7 +271,7 @@ def new_state() -> Array:
     """State of what looks at the blocks of axis 2."""
     size = ring.size(_BEFORE)
     s = np.zeros(_SIZE + 4 * size)
-    for number, place in enumerate((_FORCES, _WEBS, _SPEEDS, _TOLD)):
+    for number, place in enumerate((_FORCES, _WEBS, _SPEEDS, _STATED)):
         s[place] = _SIZE + number * size
         ring.put(s, _SIZE + number * size, _BEFORE)
     return s

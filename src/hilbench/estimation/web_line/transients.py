@@ -67,7 +67,7 @@ def _take(
             sizes[i] += energies[i, j] / variances[j]
 
 
-class TransientWatch:
+class TransientDetector:
     """`transients` (n, M, m): what each of m torques does in M cycles from a step of E on, over its size;
     `shares` (n,): these sizes; `loads` (M, m): what it does from a step of the load at its own roller on."""
 

@@ -32,7 +32,7 @@ import numpy as np
 from hilbench.compiled import compiled, inlined, noinline
 from hilbench.estimation import noise_level
 from hilbench.estimation.bank import Array
-from hilbench.estimation.web_line import ripples, unmodelled_evidence
+from hilbench.estimation.web_line import periodic_disturbance, unmodelled_evidence
 from hilbench.estimation.web_line.unmodelled_evidence import EVIDENCE
 
 # States; from OFFSET on what the model may lack, from CREEP on what it lacks in the strain: times E.
@@ -121,8 +121,8 @@ FILTER = np.dtype(
         ("stated_jumped", "f8"),
         ("torque_noise", "f8", (noise_level.SIZE,)),
         ("position_noise", "f8", (noise_level.SIZE,)),
-        ("orders", "f8", (ripples.ORDERS, ripples.COLUMNS)),
-        ("ripples", "f8", (ripples.KEPT,)),
+        ("orders", "f8", (periodic_disturbance.ORDERS, periodic_disturbance.COLUMNS)),
+        ("ripples", "f8", (periodic_disturbance.KEPT,)),
         ("evidence", EVIDENCE),
     ]
 )
@@ -196,7 +196,7 @@ def interrupt(f: Record) -> None:
     """A cycle is missing, or can't be used: no mean goes across."""
     f.count = 0.0
     f.soon_before = f.before = 0.0
-    ripples.interrupt(f.ripples)
+    periodic_disturbance.interrupt(f.ripples)
 
 
 @inlined
@@ -580,8 +580,10 @@ def take(
     for j in range(STATES):
         f.sums[j] += f.now[j]
     expected_N = web_N * f.x[E] + f.beyond_N
-    changed = ripples.look(f.orders, f.ripples, force_N, expected_N, velocity_m_s, motor_angle, f.mass_kg, dt)
-    ripple_N = ripples.ripple_N(f.orders, motor_angle)
+    changed = periodic_disturbance.look(
+        f.orders, f.ripples, force_N, expected_N, velocity_m_s, motor_angle, f.mass_kg, dt
+    )
+    ripple_N = periodic_disturbance.ripple_N(f.orders, motor_angle)
     f.y_N += force_N - ripple_N
     f.count += 1.0
     _transport(f, velocity_m_s, web_N * f.modulus, next_N, phi_1, phi_2)

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from hilbench.bench.reports.found import CHUNK_CYCLES, Samples
+from hilbench.bench.reports.diagnosis_updates import CHUNK_CYCLES, Samples
 from hilbench.diagnosis.diagnosis import diagnosed
 from hilbench.diagnosis.measured import SHORTEST_S
 from hilbench.errors import UnusableInputError

@@ -13,11 +13,11 @@ from pydantic import Field, FiniteFloat, StringConstraints, TypeAdapter, Validat
 
 from hilbench.block import Strict
 from hilbench.errors import HilbenchError
-from hilbench.expected import expected
 from hilbench.monitor.changes import Answered, ChangeRequests
 from hilbench.pages.live.control_lock import ControlLock
-from hilbench.pages.live.courses import courses
+from hilbench.pages.live.forecast_bands import courses
 from hilbench.pages.live.listener import Listener
+from hilbench.pydantic_messages import expected
 
 _NAME: Final = r"^[^\x00-\x1f\x7f<>]{1,32}$"
 Name = Annotated[str, StringConstraints(pattern=_NAME, strip_whitespace=True)]
@@ -85,7 +85,7 @@ class Viewer:
         return f"{name} ({self.address})"
 
 
-class Said(NamedTuple):
+class ControlAnswer(NamedTuple):
     """What became of something that was asked: in a line, whether it was done, and courses to come."""
 
     text: str
@@ -118,19 +118,21 @@ class Controls:
         switches = [vars(switch) for switch in self._changes.switches.values()]
         return {"quantities": quantities, "switches": switches}
 
-    async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> Said:
+    async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> ControlAnswer:
         """What became of it."""
         try:
             action = _ACTION.validate_python(asked)
         except ValidationError as error:
             first = error.errors()[0]
-            return Said(f"not understood: {'.'.join(map(str, first['loc']))}: expected {expected(first)}", False)
+            return ControlAnswer(
+                f"not understood: {'.'.join(map(str, first['loc']))}: expected {expected(first)}", False
+            )
         try:
             return await self._do(viewer, action)
         except HilbenchError as error:
-            return Said(str(error), False)
+            return ControlAnswer(str(error), False)
 
-    async def _do(self, viewer: Viewer, action: Action) -> Said:
+    async def _do(self, viewer: Viewer, action: Action) -> ControlAnswer:
         if isinstance(action, Stop):
             return await asyncio.to_thread(self._stop, viewer, action.name)
         if isinstance(action, WhatIf):
@@ -140,57 +142,57 @@ class Controls:
         if isinstance(action, Give):
             name = self.control_lock.name
             if not self.control_lock.give_back(viewer.secret):
-                return Said("control is not yours to give back", False)
+                return ControlAnswer("control is not yours to give back", False)
             self._listener.note(viewer.named(name), "control given back")
-            return Said("control given back", True)
+            return ControlAnswer("control given back", True)
         if not self.control_lock.use(viewer.secret):
-            return Said(
+            return ControlAnswer(
                 f"control is with {self.control_lock.name}" if self.control_lock.name else "take control first", False
             )
         return await self._change(viewer.named(self.control_lock.name), action)
 
-    def _stop(self, viewer: Viewer, name: str) -> Said:
+    def _stop(self, viewer: Viewer, name: str) -> ControlAnswer:
         try:
             self._listener.stop_everything()
         except HilbenchError as error:
-            return Said(f"EMERGENCY STOP NOT SENT: {error}", False)
+            return ControlAnswer(f"EMERGENCY STOP NOT SENT: {error}", False)
         self._listener.note(viewer.named(name), "emergency stop")
-        return Said("emergency stop sent", True)
+        return ControlAnswer("emergency stop sent", True)
 
-    def _take(self, viewer: Viewer, name: str) -> Said:
+    def _take(self, viewer: Viewer, name: str) -> ControlAnswer:
         held = self.control_lock.is_of(viewer.secret)
         if not self.control_lock.take(viewer.secret, name):
-            return Said(f"control is with {self.control_lock.name}", False)
+            return ControlAnswer(f"control is with {self.control_lock.name}", False)
         if not held:
             self._listener.note(viewer.named(name), "control taken")
-        return Said("you control", True)
+        return ControlAnswer("you control", True)
 
-    async def _change(self, who: str, action: Set | Answer) -> Said:
+    async def _change(self, who: str, action: Set | Answer) -> ControlAnswer:
         known = self._changes.changeable if isinstance(action, Set) else self._changes.switches
         if action.key not in known:
-            return Said(f"'{action.key}', expected one of {', '.join(known)}", False)
+            return ControlAnswer(f"'{action.key}', expected one of {', '.join(known)}", False)
         if isinstance(action, Set):
             future, value = self._changes.ask(self._changes.changeable[action.key], action.value), action.value
         else:
-            future, value = self._changes.tell(self._changes.switches[action.key], action.yes), float(action.yes)
+            future, value = self._changes.send(self._changes.switches[action.key], action.yes), float(action.yes)
         future.add_done_callback(partial(self._note, who, value))  # also of who has left meanwhile
-        said = await self._ended(future)
-        return Said(said, said.endswith(": set"))
+        answer = await self._ended(future)
+        return ControlAnswer(answer, answer.endswith(": set"))
 
     def _note(self, who: str, value: float, future: Future[str]) -> None:
         if not future.cancelled():
             self._listener.note(who, future.result(), value)
 
-    async def _look_ahead(self, action: WhatIf) -> Said:
+    async def _look_ahead(self, action: WhatIf) -> ControlAnswer:
         if action.key not in self._changes.foreseeable:
-            return Said(f"'{action.key}', expected one of {', '.join(self._changes.foreseeable)}", False)
+            return ControlAnswer(f"'{action.key}', expected one of {', '.join(self._changes.foreseeable)}", False)
         quantity = self._changes.foreseeable[action.key]
         async with self._looking:  # who leaves before his turn has asked for nothing
             asked = self._changes.look_ahead(quantity, action.value, self._listener.recent_frames())
             foreseen = await self._ended(asked)
-        return Said(foreseen.text, True, () if foreseen.outlook is None else courses(foreseen.outlook))
+        return ControlAnswer(foreseen.text, True, () if foreseen.outlook is None else courses(foreseen.outlook))
 
     async def _ended(self, future: Future[Answered]) -> Answered:
-        said = await asyncio.wrap_future(future)
+        answer = await asyncio.wrap_future(future)
         self._changes.ended()  # each is answered to who has asked
-        return said
+        return answer

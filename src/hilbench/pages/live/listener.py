@@ -18,11 +18,11 @@ from hilbench.can.link import Link
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP, send_emergency_stop
 from hilbench.canopen.identifiers import SYNC
 from hilbench.errors import BusError, HilbenchError
+from hilbench.library.active_runs import continues
 from hilbench.library.entry import read_entry
-from hilbench.library.under_way import goes_on
 from hilbench.monitor.condition import Condition
+from hilbench.monitor.frame_buffer import RecentFrames
 from hilbench.monitor.picture import BusPicture
-from hilbench.monitor.recent import RecentFrames
 from hilbench.pages.live.events import Entry, Events, Weight
 from hilbench.pages.live.history import History
 from hilbench.pages.live.machines.kinds import panel_of
@@ -140,8 +140,8 @@ class Listener:
             self._folder = self._samples.run.folder
         self._note_faults()
         self._note_journal(self._samples.log)
-        for t_s, change in self._samples.told():
-            self.events.add(told(change, t_s))
+        for t_s, change in self._samples.reported():
+            self.events.add(event_of(change, t_s))
         if self._samples.problem and self._picture.condition is Condition.RUNNING:  # else a consequence of its end
             problem = Entry(self._now_s(), "bench", self._samples.problem, "fault")
             self.events.put(("problem", self._generation, problem.text), problem)
@@ -175,7 +175,7 @@ class Listener:
         if self._picture.condition is Condition.RUNNING:
             return
         self._look_again_s = now_s + _AGAIN_S
-        if self._folder.result.exists() and not goes_on(self._folder):
+        if self._folder.result.exists() and not continues(self._folder):
             with suppress(HilbenchError):  # it is being written just now
                 result = Result.read(self._folder.result)
                 known, self._ended = self._ended, ended(self._folder, result)
@@ -211,7 +211,7 @@ class Listener:
         """The picture as it is now."""
         with self.lock:
             picture, link = self._picture.as_data(), self._link
-            heard = self._newest_ns > 0
+            received = self._newest_ns > 0
             return {
                 **{key: value for key, value in picture.items() if key != "faults"},
                 "running": self._picture.condition is Condition.RUNNING,
@@ -220,13 +220,13 @@ class Listener:
                 "values": self.history.latest(),
                 "dropped": None if link is None else link.dropped,
                 "bus_problem": self._bus_problem,
-                "sync_s": self._newest_ns * 1e-9 if heard else None,
+                "sync_s": self._newest_ns * 1e-9 if received else None,
                 "run": None if self._folder is None else self._folder.name,
                 "ended": self._ended,
             }
 
 
-def told(change: Change, t_s: float) -> Entry:
+def event_of(change: Change, t_s: float) -> Entry:
     """What a journal says beside quantities that were set."""
     words: dict[str, tuple[str, str, Weight]] = {
         "enabled": ("bench", "drives enabled", "note"),

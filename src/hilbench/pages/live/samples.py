@@ -29,7 +29,7 @@ from hilbench.topology.signal_kinds import TIME
 #: Of what comes before the first SYNC, the drives' answers say their units.
 _MOST_WAITING: Final = 50_000
 #: What is told of a journal one by one.
-TOLD: Final = frozenset(
+REPORTED: Final = frozenset(
     {"enabled", "stopping", "loop_open", "loop_closed", "predicted", "gap_seen", "model_proposed", "asked"}
 )
 
@@ -62,8 +62,8 @@ class LiveSamples:
         self.log = EventLog(self._config.cycle_time_s)  #: what its journal says
         self.problem = ""  #: why there are no samples any more
         self._changes: list[Change] = []
-        self._to_tell: list[Change] = []
-        self._told: list[Change] = []
+        self._to_report: list[Change] = []
+        self._reported: list[Change] = []
         self._first_cycle = 0
         self._nodes = Nodes(self._config)
         self._splitter = CycleSplitter(self._nodes)
@@ -78,10 +78,10 @@ class LiveSamples:
         """Number of the last cycle, as the journal counts them; 0 where that is not known."""
         return self._cycle if self.run is not None else 0
 
-    def told(self) -> list[tuple[float, Change]]:
+    def reported(self) -> list[tuple[float, Change]]:
         """What the journal says beside what was set and what `log` has, since the last call: time, s, and change."""
-        told, self._told = self._told, []
-        return [((change.cycle - self._first_cycle) * self._config.cycle_time_s, change) for change in told]
+        due, self._reported = self._reported, []
+        return [((change.cycle - self._first_cycle) * self._config.cycle_time_s, change) for change in due]
 
     def take(self, frames: Iterable[Frame]) -> None:
         """More frames, in the order in which they were heard."""
@@ -137,18 +137,18 @@ class LiveSamples:
             self.problem = str(error)
             return
         self._changes += [change for change in new if change.what != "asked"]
-        self._to_tell += new
-        self._tell(math.inf if not self.run.is_played else self._cycle)
+        self._to_report += new
+        self._report(math.inf if not self.run.is_played else self._cycle)
 
-    def _tell(self, until: float) -> None:
+    def _report(self, until: float) -> None:
         """What the journal says of the cycles so far: of a run that is played again it knows those to come."""
-        while self._to_tell and self._to_tell[0].cycle <= until:
-            change = self._to_tell.pop(0)
+        while self._to_report and self._to_report[0].cycle <= until:
+            change = self._to_report.pop(0)
             self.log.add(change)
             if change.what == "enabled":
                 self._first_cycle = change.cycle
-            if change.what in TOLD:
-                self._told.append(change)
+            if change.what in REPORTED:
+                self._reported.append(change)
 
     def _store(self) -> None:
         if not self._rows:

@@ -14,7 +14,7 @@ import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hilbench.pages.live.control_lock import ControlLock
-from hilbench.pages.live.controls import Said, Viewer
+from hilbench.pages.live.controls import ControlAnswer, Viewer
 from hilbench.pages.live.history import LEVELS, Stretches
 from hilbench.pages.live.listener import Listener
 
@@ -51,7 +51,7 @@ class Asked(Protocol):
     def as_data(self) -> dict[str, Any]:
         """What can be asked for."""
 
-    async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> Said:
+    async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> ControlAnswer:
         """What became of it."""
 
 
@@ -73,7 +73,7 @@ class Viewers:
             return
         self._connections += 1
         try:
-            hello = await asyncio.wait_for(_heard(socket), _HELLO_S)
+            hello = await asyncio.wait_for(_received(socket), _HELLO_S)
             if hello is not None:
                 await self._serve(socket, hello.get("viewer"))
         except TimeoutError:
@@ -101,7 +101,7 @@ class Viewers:
 
     async def _receive(self, socket: WebSocket, viewer: Viewer, tasks: set[asyncio.Task[None]]) -> None:
         """`tasks`: what is done for the viewer, the sending of what is new among it."""
-        while (asked := await _heard(socket)) is not None:
+        while (asked := await _received(socket)) is not None:
             number = asked.pop("number", None)
             # Done whatever else was asked, and whether answers are taken or not.
             stopped = await self._controls.do(viewer, asked) if asked.get("do") == "stop" else None
@@ -113,13 +113,13 @@ class Viewers:
             task.add_done_callback(tasks.discard)
 
     async def _answer(
-        self, socket: WebSocket, viewer: Viewer, asked: dict[str, Any], number: object, stopped: Said | None
+        self, socket: WebSocket, viewer: Viewer, asked: dict[str, Any], number: object, stopped: ControlAnswer | None
     ) -> None:
         if asked.get("do") == "past":
             await self._past(socket, asked)
             return
-        said = stopped or await self._controls.do(viewer, asked)
-        answer = {"kind": "said", "number": number, "to": asked.get("do"), **said._asdict()}
+        reply = stopped or await self._controls.do(viewer, asked)
+        answer = {"kind": "said", "number": number, "to": asked.get("do"), **reply._asdict()}
         await _sent(socket, json.dumps(answer))
 
     async def _past(self, socket: WebSocket, asked: dict[str, Any]) -> None:
@@ -184,7 +184,7 @@ class Viewers:
         return {**self._listener.state(), "control": control, "viewers": len(self._present)}
 
 
-async def _heard(socket: WebSocket) -> dict[str, Any] | None:
+async def _received(socket: WebSocket) -> dict[str, Any] | None:
     """The next message; None once the connection is gone, or for what is none: no JSON, or deeper than Python goes."""
     try:
         message = await socket.receive_json()

@@ -8,12 +8,12 @@ from typing import Any, Literal, Self
 from pydantic import Field, FiniteFloat, ModelWrapValidatorHandler, model_validator
 
 from hilbench.block import Block
+from hilbench.did_you_mean import did_you_mean
 from hilbench.plant.fmu.config import FmuBlock, VariableName
 from hilbench.plant.fmu.description import FmuDescription, Variable
 from hilbench.plant.servo_axis.layout import PARAMETERS
 from hilbench.plant.servo_axis.parameters import MotorParameters, ServoAxisParameters, ShaftParameters
 from hilbench.plant.unit_names import unit_of_name
-from hilbench.suggest import did_you_mean
 
 
 class ScaledVariable(Block):

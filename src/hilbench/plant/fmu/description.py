@@ -11,8 +11,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from hilbench.did_you_mean import closest
 from hilbench.errors import UnusableInputError
-from hilbench.suggest import closest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -1,7 +1,7 @@
 """An FMU that runs, through FMPy, in the process that loads its code: what `process` talks to from the other side.
 
 What comes and goes over the connection is plain: requests ``(name, arguments…)``, answers ``(problem, value, said)``,
-problem "" when all went well, `said` what the FMU has logged meanwhile.
+problem "" when all went well, `log` what the FMU has logged meanwhile.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Instance:
         self._version = version
         self._states: dict[int, Any] = {}
         self._next_state = 0
-        self.said: list[str] = []
+        self.log: list[str] = []
         if version == 2:
             from fmpy.fmi2 import FMU2Slave as Slave
         else:
@@ -68,7 +68,7 @@ class Instance:
     def _keep(self, status: int, message: bytes | None) -> None:
         text = " ".join((message or b"").decode("utf-8", "replace").split())
         level = _LEVELS[status] if 0 <= status < len(_LEVELS) else str(status)
-        self.said.append(text if level == "ok" else f"{level}: {text}")
+        self.log.append(text if level == "ok" else f"{level}: {text}")
 
     def start(self, time_s: float, references: References, values: Values) -> None:
         """Begin (again) at a time, with values given before the start."""
@@ -176,9 +176,9 @@ def serve(connection: Connection, folder: str, opened: Mapping[str, Any]) -> Non
                 value = getattr(instance, name)(*arguments) if name != "open" else None
             except Exception as error:  # FMPy has no narrower one; it goes to the bench as a line
                 problem = " ".join(str(error).split()) or type(error).__name__
-            said = instance.said if instance else []
-            connection.send((problem, value, said))
-            said.clear()
+            log = instance.log if instance else []
+            connection.send((problem, value, log))
+            log.clear()
         if instance is not None:
             instance.end()
     finally:

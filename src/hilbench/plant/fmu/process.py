@@ -26,7 +26,7 @@ from hilbench.plant.fmu.description import FmuDescription
 #: Until the process has loaded FMPy and the FMU, s.
 _LONGEST_START_S: Final = 60.0
 _END_TIMEOUT_S: Final = 2.0
-_SAID: Final = "said.txt"
+_LOG: Final = "said.txt"
 #: Of what an FMU logs so many messages are reported.
 _MOST_MESSAGES: Final = 20
 
@@ -48,11 +48,11 @@ class FmuProcess:
         try:
             _unpack(description.path, folder)
             arguments = [str(folder), str(description.version), description.identifier, description.token]
-            with theirs, (folder / _SAID).open("wb") as said:
+            with theirs, (folder / _LOG).open("wb") as log:
                 self._process = subprocess.Popen(
                     [sys.executable, "-m", "hilbench.plant.fmu", str(theirs.fileno()), *arguments],
                     stdin=subprocess.DEVNULL,
-                    stdout=said,
+                    stdout=log,
                     stderr=subprocess.STDOUT,
                     pass_fds=(theirs.fileno(),),
                 )
@@ -74,16 +74,16 @@ class FmuProcess:
             self._connection.send((request, *arguments))
             if not self._connection.poll(timeout_s):
                 self._fail(f"{silent} within {timeout_s:g} s")
-            problem, value, said = self._connection.recv()
+            problem, value, log = self._connection.recv()
         except (EOFError, OSError):
             self._fail(f"{self._how_it_ended()} in '{request}'")
-        for text in said:
-            self._tell(text)
+        for text in log:
+            self._log(text)
         if problem:
             self._fail(problem)
         return value
 
-    def _tell(self, text: str) -> None:
+    def _log(self, text: str) -> None:
         self._messages += 1
         if self._messages <= _MOST_MESSAGES:
             self._report(f"{self.name}: {text}")
@@ -104,7 +104,7 @@ class FmuProcess:
 
     def _last_words(self) -> str:
         try:
-            lines = (self._folder / _SAID).read_text(encoding="utf-8", errors="replace").strip().splitlines()
+            lines = (self._folder / _LOG).read_text(encoding="utf-8", errors="replace").strip().splitlines()
         except OSError:
             return ""
         return f"; it said: {lines[-1]}" if lines else ""

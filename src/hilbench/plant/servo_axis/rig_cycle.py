@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import GOES_ON
 from hilbench.compiled import COUNT, TABLE, VECTOR, entry_point, floats, integers
+from hilbench.cycle_program import CONTINUE
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.sensor_rows import take_row
 from hilbench.plant.servo_axis import kernel
@@ -56,4 +56,4 @@ def step_by(samples: int, table: Table) -> int:
     if row < 0:
         return DRAW
     step(table, samples, numbers[row])
-    return GOES_ON
+    return CONTINUE

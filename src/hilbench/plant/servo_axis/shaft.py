@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.chain import Chained
+from hilbench.cycle_program import CompiledStage
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
@@ -126,7 +126,7 @@ class Shaft:
         for row, port in zip(lay.motor_inputs(self._inputs), self._ports, strict=False):
             row[:] = port.mode, port.setpoint, port.slope, port.torque_limit_Nm
 
-    def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> Chained | None:
+    def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> CompiledStage | None:
         """`step` with set points (M,) in place of those of the ports, whose modes and limits stay what they are; what
         the ports would show goes into `shown`, (5 M,): position, velocity, torque, reference, torque limited.
 

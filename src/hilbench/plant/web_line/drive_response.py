@@ -12,13 +12,13 @@ from hilbench.plant.web_line.layout import Vector
 
 @entry_point(CUBE, CUBE, MATRIX, MATRIX, MATRIX, MATRIX, FLAG)
 def _answer(
-    states: Vector, transition: Vector, inputs: Vector, gains: Vector, loads: Vector, torques: Vector, goes_on: bool
+    states: Vector, transition: Vector, inputs: Vector, gains: Vector, loads: Vector, torques: Vector, continues: bool
 ) -> None:
-    """The torques (N, L); `goes_on`: after a cycle with these loads (N, L)."""
+    """The torques (N, L); `continues`: after a cycle with these loads (N, L)."""
     for i in range(states.shape[0]):
         for j in range(states.shape[2]):
             speed, integral = states[i, 0, j], states[i, 1, j]
-            if goes_on:
+            if continues:
                 load = loads[i, j]
                 states[i, 0, j] = transition[i, 0, 0] * speed + transition[i, 0, 1] * integral + inputs[i, 0] * load
                 states[i, 1, j] = transition[i, 1, 0] * speed + transition[i, 1, 1] * integral + inputs[i, 1] * load

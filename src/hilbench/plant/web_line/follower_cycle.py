@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, TABLE, entry_point, floats, integers
-from hilbench.plant.measured_motion import ahead_s, elapsed_s, take, tell
+from hilbench.plant.measured_motion import ahead_s, elapsed_s, publish, take
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import span_kernel
 
@@ -67,5 +67,5 @@ def follow(late: int, table: Table) -> int:
     span_kernel.pull(p, s, ahead, w, v, boundary, ahead_s(motion), tension_ahead, loads, speeds, torques)
     shown = floats(table, _SHOWN, (1,))
     span_kernel.show(p, s, v, tension, shown)
-    tell(values, at[2 * len(x) :], torques, shown)
+    publish(values, at[2 * len(x) :], torques, shown)
     return WITH_PIECES if s[len(s) - lay.PIECES_SIZE + lay.PIECES_COUNT] > 0.0 else FOLLOWED

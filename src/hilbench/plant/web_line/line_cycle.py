@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers
-from hilbench.plant.measured_motion import ahead_s, elapsed_s, take, tell
+from hilbench.plant.measured_motion import ahead_s, elapsed_s, publish, take
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import line_kernel, places
 from hilbench.plant.web_line.layout import Vector
@@ -66,5 +66,5 @@ def follow(late: int, table: Table) -> int:
         integers(table, _STATES, (1,)), integers(table, _REELS, (1,)), shown,
     )  # fmt: skip
     line_kernel.pull_alone(table, ahead_s(motion))
-    tell(values, at[2 * len(x) :], floats(table, line_kernel.TORQUES, (1,)), shown)
+    publish(values, at[2 * len(x) :], floats(table, line_kernel.TORQUES, (1,)), shown)
     return FOLLOWED

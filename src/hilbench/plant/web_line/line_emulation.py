@@ -171,8 +171,8 @@ def simulate_emulated_line(
     per_m = np.array([model.motor_rad_per_m(axis) for axis in axes])
     pulls = np.array([float(model.carries_web_load(axis)) for axis in axes]) / per_m
     rows = np.array(lay.driven_rows(many[0]), np.int64)
-    told, samples = np.array(_rows_of(model, sensors), np.int64), samples_per(emulation.cycle_s, _sample_s(many))
-    out = np.empty((len(many), len(commands), layout.output_size + 2 * of_line.spans + len(told)))
+    sensor_rows, samples = np.array(_rows_of(model, sensors), np.int64), samples_per(emulation.cycle_s, _sample_s(many))
+    out = np.empty((len(many), len(commands), layout.output_size + 2 * of_line.spans + len(sensor_rows)))
     at_motors, limits = np.ascontiguousarray(commands * per_m), np.ascontiguousarray(boundary, dtype=np.float64)
     lead, longest_s = lead_s(model, emulation.cycle_s), line_follower.step_s(model)
 
@@ -183,8 +183,8 @@ def simulate_emulated_line(
     def run(share: slice) -> None:
         _simulate(
             stands[share], starts[share], inputs.copy(), layout.new_work(), many[share], lines[share],
-            of_line.new_inputs(), of_line.new_work(), rows, told, pulls, at_motors, limits, samples, emulation.cycle_s,
-            lead, longest_s, pushed, forces, bases, out[share],
+            of_line.new_inputs(), of_line.new_work(), rows, sensor_rows, pulls, at_motors, limits, samples,
+            emulation.cycle_s, lead, longest_s, pushed, forces, bases, out[share],
         )  # fmt: skip
 
     on_all_cores(run, len(many))

@@ -61,7 +61,7 @@ def step_s(parameters: ModelParameters) -> float:
     return min(sample_s / needed_substeps(parameters), LONGEST_STEP_S)
 
 
-class LinesTogether:
+class PerturbedCopies:
     """Followers (F,) of one line, on the same measured motion but for how much further each is taken to be: all of them
     in one call. What they show may be changed; `put` brings them to it."""
 
@@ -95,7 +95,7 @@ class LinesTogether:
         line_kernel.put(0.0, self._table)
 
 
-class Handover:
+class StateTransfer:
     """Lets a closed line go on with the web, and with all that no motor drives, as the follower of an equal one has
     them; so also driven rollers on `axes`, from 1."""
 
@@ -144,7 +144,7 @@ class LineFollower(Line):
         self.memory[[line_kernel.SAMPLE_S, line_kernel.STEP_S]] = sample_s, step_s(self.parameters)
         loads = [(axis, parameters.motor_rad_per_m(axis + 1), carries(axis + 1)) for axis in range(count)]
         self._all_loads = np.array(loads, float).reshape(count, 3)
-        self._alone = LinesTogether([self])
+        self._alone = PerturbedCopies([self])
         self._pulls: dict[tuple[int, ...], _Pull] = {}
         self._described = _description(self._description)
         self._forget_motion()
@@ -225,7 +225,7 @@ class LineFollower(Line):
         return self._pull_of(tuple(axes)).kept
 
     @property
-    def is_plain(self) -> bool:
+    def fits_fast_path(self) -> bool:
         """Whether its web is whole, and E of each span the parameter."""
         return self._torn_Pa is None and not self._elastic
 
@@ -336,7 +336,7 @@ class LineInStep(CompiledInStep):
     @property
     def usable(self) -> bool:
         """Whether the web is whole, and E what it is told to be."""
-        return self._line.is_plain
+        return self._line.fits_fast_path
 
     @property
     def is_shown(self) -> bool:

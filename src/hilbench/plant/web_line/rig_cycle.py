@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import GOES_ON
 from hilbench.compiled import COUNT, INDICES, TABLE, VECTOR, compiled, entry_point, floats, integers
+from hilbench.cycle_program import CONTINUE
 from hilbench.plant.sensor_rows import take_row
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.kernel import advance, observe
@@ -82,4 +82,4 @@ def step_by(samples: int, table: Table) -> int:
     work, out, motors = floats(table, 3, (1,)), floats(table, 4, (1,)), integers(table, 5, (1,))
     set_points, sensors, shown = floats(table, 6, (1,)), floats(table, 7, (1,)), floats(table, 8, (1,))
     step(p, s, u, work, out, motors, set_points, samples, sensors, numbers[row], shown)
-    return GOES_ON
+    return CONTINUE

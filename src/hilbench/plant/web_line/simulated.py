@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from hilbench.chain import Chained
+from hilbench.cycle_program import CompiledStage
 from hilbench.plant.drive_loops import OFF
 from hilbench.plant.effect import Effect, MachineKind
 from hilbench.plant.effects import find_effect
@@ -262,7 +262,7 @@ class SimulatedLine:
         kernel.advance(self._p, self._state, self._inputs, self._work, samples)
         self._observe()
 
-    def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> Chained:
+    def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> CompiledStage:
         """`step` with set points (M,) in place of those of the ports, whose modes and limits stay what they are; what
         the ports would show goes into `shown`, (5 M,): position, velocity, torque, reference, torque limited.
 

@@ -20,7 +20,7 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigPa
 from hilbench.plant.servo_axis.stability import sampled_shaft
 from hilbench.prediction.draws import normal_draws
 from hilbench.prediction.futures import Futures
-from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
 from hilbench.prediction.servo_axis import kernel
 from hilbench.prediction.tally import Offsets, Tally, whole_step_s
 
@@ -84,7 +84,7 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         self,
         model: ServoAxisParameters,
         real: ServoRigParameters,
-        watched: Sequence[Watched],
+        watched: Sequence[DiagnosisAnswer],
         *,
         cycle_s: float,
         horizon_s: float,

@@ -18,7 +18,7 @@ from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.prediction.draws import normal_draws
 from hilbench.prediction.futures import Futures
-from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
 from hilbench.prediction.tally import Offsets, Tally, whole_step_s
 from hilbench.prediction.web_line import kernel
 
@@ -108,7 +108,7 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         self,
         model: ModelParameters,
         gains: Gains,
-        watched: Sequence[Watched],
+        watched: Sequence[DiagnosisAnswer],
         load_axes: Sequence[int],
         *,
         span: int,
@@ -239,11 +239,11 @@ class LineFutures(Futures[LinePresent, LineCourses]):
 
     def _as_found(self, factor: Array) -> Array:
         """What the twin tells of E over the present one (T, K), where `factor` is what there is."""
-        told = factor.copy()
+        stated = factor.copy()
         for span in np.flatnonzero((factor != 1.0).any(axis=0)):
             changes = np.diff(factor[:, span], prepend=1.0)
-            told[:, span] = 1.0 + np.convolve(changes, self._found[span])[: len(factor)]
-        return told
+            stated[:, span] = 1.0 + np.convolve(changes, self._found[span])[: len(factor)]
+        return stated
 
 
 def _found_after(step_s: float, steps: int, cycle_s: float, model: ModelParameters) -> Array:

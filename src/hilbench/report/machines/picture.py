@@ -120,20 +120,22 @@ def estimate(quantity: MainQuantity) -> MakeChart:
             return None
         estimated = run.get(signal) / scale
         curves, bands = [], []
-        told = ~np.isinf(run.get(deviation)) if deviation in run else np.full(len(estimated), True)
+        is_stated = ~np.isinf(run.get(deviation)) if deviation in run else np.full(len(estimated), True)
         if quantity.signal in run:
             true = run.get(quantity.signal) / scale
             bands.append(Band(run.t_s, true * (1 - ESTIMATE_BAND), true * (1 + ESTIMATE_BAND), INK, 0.16))
             curves.append(Curve("true", run.t_s, true, INK, 1.1))
         if deviation in run:
-            spread = np.where(told, run.get(deviation), np.nan) / scale
+            spread = np.where(is_stated, run.get(deviation), np.nan) / scale
             bands.append(Band(run.t_s, estimated - 2 * spread, estimated + 2 * spread, VERMILLION, 0.25))
         if run.reference is not None:
             curves.append(Curve("PID", run.t_s, run.reference / scale, SKY))
-        if told.any():
-            curves.append(Curve(ESTIMATED, run.t_s, np.where(told, estimated, np.nan), VERMILLION))
-        if not told.all():
-            curves.append(Curve(OF_THE_MODEL, run.t_s, np.where(told, np.nan, estimated), VERMILLION, dash=_OF_MODEL))
+        if is_stated.any():
+            curves.append(Curve(ESTIMATED, run.t_s, np.where(is_stated, estimated, np.nan), VERMILLION))
+        if not is_stated.all():
+            curves.append(
+                Curve(OF_THE_MODEL, run.t_s, np.where(is_stated, np.nan, estimated), VERMILLION, dash=_OF_MODEL)
+            )
         least = 2 * ESTIMATE_BAND * float(np.max(np.abs(estimated), initial=0.0, where=np.isfinite(estimated)))
         return Chart(f"{quantity.short} in {quantity.in_unit}", curves, bands, least=least)
 

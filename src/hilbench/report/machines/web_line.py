@@ -78,8 +78,8 @@ def _beyond_the_line(run: ShownRun) -> Chart:
             if entering in run and strain in run:
                 came = run.get(entering) if axis == 1 else run.averaged(entering)
                 asked = 1e3 * (expected_v1_m_s(v_behind, came, run.averaged(strain)) - v_behind)
-                label, told = "mass balance" if axis == shape.axes - 1 else "", steady & (v_behind > _REVERSE_M_S)
-                fine.append(Curve(label, run.t_s, np.where(told, asked, np.nan), INK, 0.9, (4, 2)))
+                label, shown_at = "mass balance" if axis == shape.axes - 1 else "", steady & (v_behind > _REVERSE_M_S)
+                fine.append(Curve(label, run.t_s, np.where(shown_at, asked, np.nan), INK, 0.9, (4, 2)))
         entering = strain
     label = "v1 − line in mm/s" if shape.axes == 2 else "difference in mm/s"
     return Chart(label, fine, least=0.05)
@@ -222,10 +222,14 @@ def _stations(shape: Shape) -> list[RunPicture]:
         )
         if names:
             found.append(RunPicture(key, title, text, (lines(label, *true, *simulated, *wanted, least=0.01),)))
-    told = [Line(f"f_{name}_cmd_N", name, colour) for name, colour in zip(shape.pushed, cycle(_COLOURS), strict=False)]
-    if told:
+    force_lines = [
+        Line(f"f_{name}_cmd_N", name, colour) for name, colour in zip(shape.pushed, cycle(_COLOURS), strict=False)
+    ]
+    if force_lines:
         title = "Forces on the carriages"
-        found.append(RunPicture("forces", title, f"{title}, as they are told ahead.", (lines("force in N", *told),)))
+        found.append(
+            RunPicture("forces", title, f"{title}, as they are told ahead.", (lines("force in N", *force_lines),))
+        )
     return found
 
 

@@ -11,7 +11,7 @@ ESTIMATED: Final = "estimated"
 OF_THE_MODEL: Final = "of the model"
 
 
-def told_as(deviation: float) -> str:
+def text_of_deviation(deviation: float) -> str:
     """What a twin's value with this standard deviation is: its model's where that is inf, as nothing tells it."""
     return OF_THE_MODEL if isinf(deviation) else ESTIMATED
 

@@ -32,7 +32,7 @@ def process_data() -> ProcessData:
     )
     return ProcessData(
         published=(inertia, friction, deviation, torque, residual, friction_sd, viscous, viscous_sd),
-        told=(),
+        boundary_inputs=(),
         sent=(
             IoPdo(1, (inertia, friction)),
             IoPdo(2, (deviation, residual), QUALITY_EVERY),

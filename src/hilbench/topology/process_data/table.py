@@ -53,19 +53,19 @@ class SimulatedTorque:
 class ProcessData:
     """What goes between the bench and the twin of a machine.
 
-    `published`: signals of 6403h in the order of their sub-indices; `told`: those of 6413h, none for a machine with
-    nothing around it; `sent`: TPDOs, without the status.
+    `published`: signals of 6403h in the order of their sub-indices; `boundary_inputs`: those of 6413h, none for a
+    machine with nothing around it; `sent`: TPDOs, without the status.
     """
 
     published: tuple[IoSignal, ...]
-    told: tuple[IoSignal, ...]
+    boundary_inputs: tuple[IoSignal, ...]
     sent: tuple[IoPdo, ...]
     torques: tuple[SimulatedTorque, ...]
 
     @property
     def boundary(self) -> tuple[IoPdo, ...]:
         """The RPDOs with what the twin is told, in its order; none where that is nothing."""
-        pairs = [self.told[at : at + PER_PDO] for at in range(0, len(self.told), PER_PDO)]
+        pairs = [self.boundary_inputs[at : at + PER_PDO] for at in range(0, len(self.boundary_inputs), PER_PDO)]
         return tuple(IoPdo(number, pair) for number, pair in enumerate(pairs, 1))
 
     @property

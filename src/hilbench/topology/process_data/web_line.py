@@ -116,7 +116,7 @@ def process_data(shape: Shape) -> ProcessData:
     ]
     return ProcessData(
         published=(*published, *(signal for pair in stations for signal in pair)),
-        told=(
+        boundary_inputs=(
             IoSignal("strain_prev", OUTPUTS, 1, "Upstream strain [1]"),
             IoSignal("F_next_N", OUTPUTS, 2, "Downstream tension [N]"),
             *sensors,

@@ -9,11 +9,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import Chained
+from hilbench.cycle_program import CompiledStage
 from hilbench.estimation.problems import Problem
 from hilbench.plant.interface import Plant
 from hilbench.plant.motor_port import MotorPort
-from hilbench.twin.found import FoundBeside
+from hilbench.twin.estimated_errors import EstimatedModelError
 
 #: Position in rad and torque in N·m of one axis, at the motor.
 Measured = tuple[float, float]
@@ -103,7 +103,7 @@ class TwinMachine(Protocol):
         Raises ValueError for a number that there is not.
         """
 
-    def found(self) -> Sequence[FoundBeside]:
+    def found(self) -> Sequence[EstimatedModelError]:
         """What is known by now of errors of the model."""
 
     def published(self) -> Sequence[float]:
@@ -126,15 +126,15 @@ class MachineVectors:
 
     `measured` (4 N,): position and torque of an axis in the first and third of its four; `asked` (N,), `shown` (5 N,):
     set points and feedback of the motors as of `hilbench.plant.interface.StepsInModes`. `values`: with what the bench
-    says of the boundary at the places `told`, by signal, and what is published at `published`; `whole`: with number and
-    status of the next SYNC at these places.
+    says of the boundary at the places `boundary_places`, by signal, and what is published at `published`; `whole`: with
+    number and status of the next SYNC at these places.
     """
 
     measured: NDArray[np.float64]
     asked: NDArray[np.float64]
     shown: NDArray[np.float64]
     values: NDArray[np.float64]
-    told: Mapping[str, int]
+    boundary_places: Mapping[str, int]
     published: Sequence[int]
     whole: NDArray[np.int64]
     number: int
@@ -145,7 +145,7 @@ class InVectors(Protocol):
     """A released machine, with the model that it was configured with, while it goes on in vectors."""
 
     @property
-    def piece(self) -> Chained:
+    def piece(self) -> CompiledStage:
         """Of a cycle: `compare`, `listen`, a step of the plant, `published`, and the status for the next SYNC; another
         one once `go_on_from` has made its vectors others."""
 
@@ -170,5 +170,5 @@ class VectorMachine(Protocol):
     def warm_up_in_vectors(self) -> None:
         """Compile, or load, what it runs on then."""
 
-    def in_vectors(self, vectors: MachineVectors, otherwise: Callable[[int], bool]) -> InVectors:
-        """The machine in vectors; its objects are to be left alone until it gives. `otherwise`: of its piece."""
+    def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> InVectors:
+        """The machine in vectors; its objects are to be left alone until it gives. `fallback`: of its piece."""

@@ -18,7 +18,7 @@ from hilbench.plant.servo_axis.layout import Vector
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.processes import log
 from hilbench.topology.blocks import TwinConfig
-from hilbench.twin.found import FoundBeside
+from hilbench.twin.estimated_errors import EstimatedModelError
 from hilbench.twin.machines import servo_axis_cycle as cycle
 from hilbench.twin.machines.machine import BoundaryInputs, MachineVectors, Measured
 from hilbench.twin.machines.servo_axis_cycle import ShaftInVectors
@@ -158,10 +158,10 @@ class ServoAxisTwin:
         """Compile, or load, what it runs on then."""
         cycle.warm_up()
 
-    def in_vectors(self, vectors: MachineVectors, otherwise: Callable[[int], bool]) -> ShaftInVectors:
+    def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> ShaftInVectors:
         """While this goes on in vectors; see `VectorMachine`."""
         before_Nm = nan if self._torque_before_Nm is None else self._torque_before_Nm
-        said = {
+        estimates = {
             cycle.RESIDUAL_NM: self._residual_Nm,
             cycle.BEFORE_NM: before_Nm,
             cycle.PROBLEM: float(self.problem or 0),
@@ -174,23 +174,23 @@ class ServoAxisTwin:
             self.plant.step_in_vectors(self._cycle_s, vectors.asked, vectors.shown),
             self._cycle_s,
             0.01 * self._config.synchronized_pct,
-            said,
+            estimates,
             self._take_over,
             vectors,
-            otherwise,
+            fallback,
         )
 
-    def _take_over(self, said: Vector) -> None:
+    def _take_over(self, estimates: Vector) -> None:
         """What was said in vectors."""
-        self._estimate, self.problem = self._estimator.estimate, cycle.problem_of(said)
-        self._residual_Nm, before_Nm = said.item(cycle.RESIDUAL_NM), said.item(cycle.BEFORE_NM)
+        self._estimate, self.problem = self._estimator.estimate, cycle.problem_of(estimates)
+        self._residual_Nm, before_Nm = estimates.item(cycle.RESIDUAL_NM), estimates.item(cycle.BEFORE_NM)
         self._torque_before_Nm = None if isnan(before_Nm) else before_Nm
-        self._found = {_COULOMB: said.item(cycle.COULOMB), _VISCOUS: said.item(cycle.VISCOUS)}
+        self._found = {_COULOMB: estimates.item(cycle.COULOMB), _VISCOUS: estimates.item(cycle.VISCOUS)}
 
     def listen(self) -> None:
         """There is nothing around the shaft."""
 
-    def found(self) -> Sequence[FoundBeside]:
+    def found(self) -> Sequence[EstimatedModelError]:
         """No errors of the model are looked for."""
         return ()
 

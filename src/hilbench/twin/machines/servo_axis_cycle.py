@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import Chained
 from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers, table_of
+from hilbench.cycle_program import CompiledStage
 from hilbench.estimation.plausibility import Plausibility, find_problem
 from hilbench.estimation.problems import PROBLEMS, Problem
 from hilbench.estimation.servo_axis import balance, inertia
@@ -38,7 +38,7 @@ _STAGE_OF = {NOT_NEXT: inertia.NOT_NEXT, _MISLED: inertia.MISLED}
 _ENDS = {_DONE: WENT_ON, _LOOK: LOOK}
 # Rows of the table: those of `rig_cycle.step`, then the machine's own, then those of the estimator.
 _P, _S, _U, _OUT, _SET_POINTS, _SENSORS, _SHOWN = range(7)
-_SILENCE, _FIGURES, _SAID, _MEASURED, _VALUES, _WHOLE, _AT, _PLAUSIBILITY, _TOLD, _INPUTS = range(7, 17)
+_SILENCE, _FIGURES, _OUTPUTS, _MEASURED, _VALUES, _WHOLE, _AT, _PLAUSIBILITY, _STATED, _INPUTS = range(7, 17)
 _BANK = _INPUTS + len(balance.InputVectors._fields)
 #: Figures: drive samples of a cycle, share of the inertia up to which its deviation is that of a known one.
 _SAMPLES, _KNOWN = range(2)
@@ -53,38 +53,38 @@ _NUMBERS = 0x10000
 
 
 @compiled
-def _ripple_Nm(said: Vector, out: Vector, simulated_Nm: float) -> float:
+def _ripple_Nm(outputs: Vector, out: Vector, simulated_Nm: float) -> float:
     """What the mean of the simulated torque is more than that of both ends of the cycle."""
-    before_Nm, said[BEFORE_NM] = said[BEFORE_NM], simulated_Nm
+    before_Nm, outputs[BEFORE_NM] = outputs[BEFORE_NM], simulated_Nm
     return 0.0 if isnan(before_Nm) else out[lay.O_MEAN] - 0.5 * (before_Nm + simulated_Nm)
 
 
 @compiled
 def _simulate(
-    p: Vector, s: Vector, out: Vector, said: Vector, stated: Vector, figures: Vector, position_rad: float
+    p: Vector, s: Vector, out: Vector, outputs: Vector, stated: Vector, figures: Vector, position_rad: float
 ) -> None:
     """`ServoAxisTwin._simulate`; `figures`: those of the bank."""
     if figures[inertia.PRIORS + 1] > 0.0:
-        said[VISCOUS] = stated[inertia.VISCOUS]
+        outputs[VISCOUS] = stated[inertia.VISCOUS]
     if figures[inertia.PRIORS + 2] > 0.0:
-        said[COULOMB] = stated[inertia.COULOMB]
+        outputs[COULOMB] = stated[inertia.COULOMB]
     p[lay.P_INERTIA] = stated[inertia.INERTIA] / laws.inertia_factor(p, s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S])
-    p[lay.P_COULOMB], p[lay.P_VISCOUS] = max(said[COULOMB], 0.0), max(said[VISCOUS], 0.0)
+    p[lay.P_COULOMB], p[lay.P_VISCOUS] = max(outputs[COULOMB], 0.0), max(outputs[VISCOUS], 0.0)
     s[lay.S_X], speed = position_rad, s[lay.S_V]
     s[lay.S_DIRECTION] = 1.0 if speed > 0.0 else (-1.0 if speed < 0.0 else 0.0)
     kernel.report(p, s, out, 0)
 
 
 @compiled
-def _publish(values: Vector, at: Places, stated: Vector, said: Vector, torque_Nm: float) -> None:
+def _publish(values: Vector, at: Places, stated: Vector, outputs: Vector, torque_Nm: float) -> None:
     """`ServoAxisTwin.published`."""
     values[at[_PUBLISHED]] = stated[inertia.INERTIA]
-    values[at[_PUBLISHED + 1]] = said[COULOMB]
+    values[at[_PUBLISHED + 1]] = outputs[COULOMB]
     values[at[_PUBLISHED + 2]] = stated[inertia.DEVIATION]
     values[at[_PUBLISHED + 3]] = torque_Nm
-    values[at[_PUBLISHED + 4]] = said[RESIDUAL_NM]
+    values[at[_PUBLISHED + 4]] = outputs[RESIDUAL_NM]
     values[at[_PUBLISHED + 5]] = stated[inertia.COULOMB_SD]
-    values[at[_PUBLISHED + 6]] = said[VISCOUS]
+    values[at[_PUBLISHED + 6]] = outputs[VISCOUS]
     values[at[_PUBLISHED + 7]] = stated[inertia.VISCOUS_SD]
 
 
@@ -106,29 +106,33 @@ def _run(stage: int, table: Places) -> int:
     if stage < 0:
         return stage
     out, shown = floats(table, _OUT, (1,)), floats(table, _SHOWN, (1,))
-    measured, said, stated = floats(table, _MEASURED, (1,)), floats(table, _SAID, (1,)), floats(table, _TOLD, (1,))
+    measured, outputs, stated = (
+        floats(table, _MEASURED, (1,)),
+        floats(table, _OUTPUTS, (1,)),
+        floats(table, _STATED, (1,)),
+    )
     figures, whole, at = floats(table, _FIGURES, (1,)), integers(table, _WHOLE, (1,)), integers(table, _AT, (1,))
     position_rad, torque_Nm = measured[_POSITION], measured[_TORQUE]
     if stage == _COMPARE:
-        said[RESIDUAL_NM], said[_PROBLEM_BEFORE] = torque_Nm - shown[_TORQUE], said[PROBLEM]
-        said[PROBLEM] = find_problem(floats(table, _PLAUSIBILITY, (1,)), torque_Nm, 1.0, position_rad)
-        if said[PROBLEM] != 0.0:
+        outputs[RESIDUAL_NM], outputs[_PROBLEM_BEFORE] = torque_Nm - shown[_TORQUE], outputs[PROBLEM]
+        outputs[PROBLEM] = find_problem(floats(table, _PLAUSIBILITY, (1,)), torque_Nm, 1.0, position_rad)
+        if outputs[PROBLEM] != 0.0:
             return HOLD
-        said[_RIPPLE_NM] = _ripple_Nm(said, out, shown[_TORQUE])
+        outputs[_RIPPLE_NM] = _ripple_Nm(outputs, out, shown[_TORQUE])
         inputs, of_bank = balance.of_table(table, _INPUTS), inertia.of_table(table, _BANK)
-        found = take_next(inputs, of_bank, position_rad, torque_Nm, said[_RIPPLE_NM], stated)
+        found = take_next(inputs, of_bank, position_rad, torque_Nm, outputs[_RIPPLE_NM], stated)
         if found != inertia.TAKEN:
             return NOT_NEXT if found == inertia.NOT_NEXT else _MISLED
         stage = _SIMULATE
     p, s = floats(table, _P, (1,)), floats(table, _S, (1,))
     if stage == _SIMULATE:
-        _simulate(p, s, out, said, stated, floats(table, _BANK + 7, (1,)), position_rad)
+        _simulate(p, s, out, outputs, stated, floats(table, _BANK + 7, (1,)), position_rad)
     rig_cycle.step(table, int(figures[_SAMPLES]), floats(table, _SILENCE, (1,)))
-    _publish(floats(table, _VALUES, (1,)), at, stated, said, shown[_TORQUE])
-    said[_STATUS] = whole[at[_STATUS_AT]]
-    whole[at[_STATUS_AT]] = _status(stated, said[PROBLEM], figures[_KNOWN])
+    _publish(floats(table, _VALUES, (1,)), at, stated, outputs, shown[_TORQUE])
+    outputs[_STATUS] = whole[at[_STATUS_AT]]
+    whole[at[_STATUS_AT]] = _status(stated, outputs[PROBLEM], figures[_KNOWN])
     whole[at[_NUMBER]] = (whole[at[_NUMBER]] + 1) % _NUMBERS
-    return _DONE if said[PROBLEM] == 0.0 and said[_PROBLEM_BEFORE] == 0.0 else _LOOK
+    return _DONE if outputs[PROBLEM] == 0.0 and outputs[_PROBLEM_BEFORE] == 0.0 else _LOOK
 
 
 def warm_up() -> None:
@@ -139,8 +143,8 @@ def warm_up() -> None:
 class ShaftInVectors:
     """A `ServoAxisTwin` that goes on in vectors; see `machine.InVectors`.
 
-    `said`: by RESIDUAL_NM and so on, what it has said last; `keeps`: who takes what was said over, in the end and when
-    there is a problem, or none any more.
+    `outputs`: by RESIDUAL_NM and so on, what it has said last; `keeps`: who takes what was said over, in the end and
+    when there is a problem, or none any more.
     """
 
     def __init__(
@@ -150,20 +154,20 @@ class ShaftInVectors:
         shaft: ShaftStep,
         cycle_s: float,
         known: float,
-        said: dict[int, float],
+        outputs: dict[int, float],
         keeps: Callable[[Vector], None],
         vectors: MachineVectors,
-        otherwise: Callable[[int], bool],
+        fallback: Callable[[int], bool],
     ) -> None:
-        self._otherwise = otherwise
+        self._otherwise = fallback
         self._estimator, self._cycle_s, self._keeps = estimator, cycle_s, keeps
         self._measured = vectors.measured
-        self._said = np.zeros(_PROBLEM_BEFORE + 1)
-        for place, value in said.items():
-            self._said[place] = value
+        self._outputs = np.zeros(_PROBLEM_BEFORE + 1)
+        for place, value in outputs.items():
+            self._outputs[place] = value
         at = np.array([vectors.number, vectors.status, *vectors.published], np.int64)
         figures = np.array([float(shaft.samples), known])
-        own = figures, self._said, vectors.measured, vectors.values, vectors.whole, at
+        own = figures, self._outputs, vectors.measured, vectors.values, vectors.whole, at
         self._own: tuple[NDArray[Any], ...] = (
             *(*shaft.vectors, shaft.silence, *own),
             *(of_torque.state, estimator.stated),
@@ -174,7 +178,7 @@ class ShaftInVectors:
         """What the estimator consists of may be other vectors."""
         self._of = self._estimator.table
         self._table = np.concatenate([table_of(self._own), self._of])
-        self.piece = Chained(_run, _COMPARE, self._table, goes_on=_DONE, otherwise=self._otherwise)
+        self.piece = CompiledStage(_run, _COMPARE, self._table, continues=_DONE, fallback=self._otherwise)
 
     def has_ended(self, code: int) -> bool:
         """See `machine.InVectors`."""
@@ -185,17 +189,17 @@ class ShaftInVectors:
         if code not in _ENDS:
             code = self._go_on_by_objects(code)
         if code == _LOOK:
-            self._keeps(self._said)
+            self._keeps(self._outputs)
         return _ENDS[code]
 
     def _go_on_by_objects(self, stage: int) -> int:
         """What is Python's of a stage, and what is behind that."""
         if stage == HOLD:
-            self._said[BEFORE_NM] = nan
+            self._outputs[BEFORE_NM] = nan
             self._estimator.hold(self._cycle_s)
         else:
             position_rad, torque_Nm = self._measured.item(_POSITION), self._measured.item(_TORQUE)
-            sample = ShaftSample(self._cycle_s, position_rad, torque_Nm, self._said.item(_RIPPLE_NM))
+            sample = ShaftSample(self._cycle_s, position_rad, torque_Nm, self._outputs.item(_RIPPLE_NM))
             self._estimator.go_on_from(_STAGE_OF[stage], sample)
         if self._of is not self._estimator.table:
             self._take_table()
@@ -203,10 +207,10 @@ class ShaftInVectors:
 
     def give(self) -> int:
         """See `machine.InVectors`."""
-        self._keeps(self._said)
-        return int(self._said.item(_STATUS))
+        self._keeps(self._outputs)
+        return int(self._outputs.item(_STATUS))
 
 
-def problem_of(said: Vector) -> Problem | None:
+def problem_of(outputs: Vector) -> Problem | None:
     """Why the last measurement could not be used."""
-    return PROBLEMS[int(said.item(PROBLEM))]
+    return PROBLEMS[int(outputs.item(PROBLEM))]

@@ -16,24 +16,24 @@ from hilbench.estimation.web_line.config import (
     InputConfig,
     SynchronizerConfig,
 )
+from hilbench.estimation.web_line.initial_strains import InitialStrains, creeps_per_N, initial_strains
 from hilbench.estimation.web_line.rollers import Rollers
-from hilbench.estimation.web_line.tracking import (
+from hilbench.estimation.web_line.span_estimator import (
     UNKNOWN_AT_REST,
     UNKNOWN_STRAIN,
     Known,
-    Tracking,
+    SpanEstimator,
 )
-from hilbench.estimation.web_line.tracking_cycle import DIVERGED_S, LARGEST_STRAIN, equivalent_strain
-from hilbench.estimation.web_line.unknown_webs import UnknownWebs, creeps_per_N, unknown_webs
+from hilbench.estimation.web_line.span_estimator_cycle import DIVERGED_S, LARGEST_STRAIN, equivalent_strain
 from hilbench.estimation.web_line.unmodelled_effects import priors_behind
 from hilbench.plant.motor_port import MotorPort
-from hilbench.plant.pairing import Pairing, SteadyTravel
+from hilbench.plant.sample_coherence import IncrementCheck, SampleCoherence
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.plant.web_line.span import SpanFollower
 from hilbench.topology.signals import Shape
-from hilbench.twin.found import FoundBeside
+from hilbench.twin.estimated_errors import EstimatedModelError
 from hilbench.twin.machines import web_line_cycle
 from hilbench.twin.machines.machine import BoundaryInputs, MachineVectors, Measured
 from hilbench.twin.machines.web_line_cycle import EstimatedSpan, LineInVectors
@@ -81,12 +81,12 @@ class WebLineTwin:
             section = WebSection(model, self.plant, self.ports, span, self._rollers, along)
             method = _over_rollers(method, model.axis_count - span)
             of_span = config.of_span(method, priors_behind(config.priors, span, model))
-            tracking = Tracking(section.model, of_span, section, section, cycle_s)
+            tracking = SpanEstimator(section.model, of_span, section, section, cycle_s)
             self._estimated[span] = EstimatedSpan(span, section, tracking)
         self._all = tuple(self._estimated.values())
         #: What is asked for in every cycle is asked of it without a loop.
         self._only = self._all[0] if len(self._all) == 1 else None
-        first, joined = self._all[0].span, list[Tracking]()
+        first, joined = self._all[0].span, list[SpanEstimator]()
         for span in range(first, len(spans) + 1):
             if span not in self._estimated:
                 break
@@ -97,7 +97,7 @@ class WebLineTwin:
         self._others = _OtherSpans(model, others, config.transfer.strain_limit) if others else None
         self._boundary_inputs = boundary_inputs
         self._metres_per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in axes]
-        self._pairing = Pairing(least_travel_m(model))
+        self._pairing = SampleCoherence(least_travel_m(model))
         self._last_at: tuple[float, Sequence[float]] | None = None  # while it may have to be brought back
         self._must_come_back = False
         self._set_cycle(cycle_s)
@@ -110,7 +110,7 @@ class WebLineTwin:
         # What is measured is a torque a cycle, while the set points of a ramp go in steps: where drives have followed
         # them well before the next, as on the longer cycles of several spans, the mean is another one.
         self._ripples = self._several or self._model.velocity_loop_per_s(2) * cycle_s > _RIPPLES_FROM
-        self._steady = SteadyTravel(cycle_s)  # of the axis behind the first of the spans at which E is found
+        self._steady = IncrementCheck(cycle_s)  # of the axis behind the first of the spans at which E is found
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
         """See `TwinMachine`."""
@@ -228,7 +228,7 @@ class WebLineTwin:
         )
         known_at_rest = self._known_at_rest and not under_way
         unknown = UNKNOWN_STRAIN if moves else 0.0 if known_at_rest else UNKNOWN_AT_REST
-        webs = unknown_webs(self._model)
+        webs = initial_strains(self._model)
         for each in self._all:
             each.tracking.release(unknown, webs, each.span - 1)
         self._start_anew()
@@ -359,7 +359,7 @@ class WebLineTwin:
             first.upstream_strain(self._boundary_inputs("strain_prev")), self._boundary_inputs("F_next_N")
         )
 
-    def found(self) -> Sequence[FoundBeside]:
+    def found(self) -> Sequence[EstimatedModelError]:
         """What the methods of all spans know of errors of the model."""
         return [found for each in self._all for found in as_effects(each.tracking.errors, self._model, each.span)]
 
@@ -377,7 +377,7 @@ class WebLineTwin:
         if self._others is None:
             web_line_cycle.warm_up()
 
-    def in_vectors(self, vectors: MachineVectors, otherwise: Callable[[int], bool]) -> LineInVectors:
+    def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> LineInVectors:
         """While this goes on in vectors; see `VectorMachine`."""
         return LineInVectors(
             self._all,
@@ -391,7 +391,7 @@ class WebLineTwin:
             self._rollers,
             self._splice_tracker,
             vectors,
-            otherwise,
+            fallback,
         )
 
     def use_method(self, number: int) -> None:
@@ -451,7 +451,7 @@ class _OtherSpans:
         self._limit = strain_limit
         self._passed_m = PASSED_SPANS * max(model.span_length_m(span) for span in range(1, model.span_count + 1))
         self._moduli = [f"span{span}.youngs_modulus_Pa" for span in range(1, model.span_count + 1)]
-        self.webs: UnknownWebs | None = None  #: of the line, as of the release
+        self.webs: InitialStrains | None = None  #: of the line, as of the release
         self.reset()
 
     def reset(self) -> None:
@@ -483,7 +483,7 @@ class _OtherSpans:
 
     @property
     def diverged(self) -> bool:
-        """As `Tracking.diverged`."""
+        """As `SpanEstimator.diverged`."""
         return self._refused_s > DIVERGED_S and self._refused_m > self._passed_m
 
     def strain(self, span: int) -> float:

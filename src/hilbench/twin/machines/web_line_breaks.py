@@ -20,15 +20,15 @@ import numpy as np
 from hilbench.estimation.plausibility import SLACK
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.anomalies import BROKEN, LEAST_SHARE, WHOLE
-from hilbench.estimation.web_line.blocks import BLOCK_S, ENDS
+from hilbench.estimation.web_line.block_means import BLOCK_S, ENDS
 from hilbench.estimation.web_line.carriage_slip import CarriageSlip
 from hilbench.estimation.web_line.section_slip import SectionSlip
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
+from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Unknown
 from hilbench.plant.web_line.stations import Reel, reel_name
-from hilbench.plant.web_line.varied_line import Kind, Unknown, VariedLine
 
 #: Share below which nothing is learned, and for how long: a web that tears has this on its way, another one for good.
 _DOUBTFUL, _DOUBT_S = 0.5, 0.15
@@ -159,7 +159,7 @@ class SectionWatch:
         time_s: float,
         positions_m: Sequence[float],
         torques_Nm: Sequence[float],
-        followed: VariedLine,
+        followed: SensitivityModel,
         inertia_kg_m2: Vector,
         *,
         swings: bool,
@@ -184,12 +184,12 @@ class SectionWatch:
             self._judged_m = self._travel_m[-1]
             self.interrupt()
 
-    def corrected(self, followed: VariedLine) -> None:
+    def corrected(self, followed: SensitivityModel) -> None:
         """The line that is followed was corrected since the last look."""
         for axis, after_N in self._by_model_N(followed).items():
             self._slips[axis].correct(after_N - self._now_N[axis])
 
-    def _by_model_N(self, followed: VariedLine) -> dict[int, float]:
+    def _by_model_N(self, followed: SensitivityModel) -> dict[int, float]:
         """Tension of the sections that may slip, by the axis before, with the model's E."""
         tensions_N = followed.tensions_N
         return {axis: tensions_N.item(self._spans[axis][-1]) / followed.modulus_factor(axis) for axis in self._slips}
@@ -214,7 +214,7 @@ class SectionWatch:
                 steady = abs(np.sum(accelerates_N[axis:])) < _ACCELERATES * usual_N
                 self._look_for_slip(time_s, axis, is_N, ratios.item(axis), steady=bool(steady))
 
-    def _look_for_lost_web(self, time_s: float, followed: VariedLine, swings: bool) -> None:
+    def _look_for_lost_web(self, time_s: float, followed: SensitivityModel, swings: bool) -> None:
         """A block is complete: of the sections whose carriage has a sensor."""
         before_m, self._lengths_m = (
             self._lengths_m,

@@ -15,16 +15,16 @@ from math import nan
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.chain import Chained
 from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers, table_of
+from hilbench.cycle_program import CompiledStage
 from hilbench.estimation.web_line import rollers, torque_shift
-from hilbench.estimation.web_line import tracking_cycle as cycle
+from hilbench.estimation.web_line import span_estimator_cycle as cycle
 from hilbench.estimation.web_line.rollers import Rollers
+from hilbench.estimation.web_line.span_estimator import SpanEstimator
+from hilbench.estimation.web_line.span_estimator_cycle import run_vectors
 from hilbench.estimation.web_line.synchronizers import changepoint
-from hilbench.estimation.web_line.tracking import Tracking
-from hilbench.estimation.web_line.tracking_cycle import run_vectors
-from hilbench.plant import pairing
-from hilbench.plant.pairing import Pairing, SteadyTravel, comes_steadily, paired
+from hilbench.plant import sample_coherence
+from hilbench.plant.sample_coherence import IncrementCheck, SampleCoherence, coherent, increments_steadily
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import line_vectors, rig_cycle, span_kernel
 from hilbench.plant.web_line.layout import Vector
@@ -51,7 +51,7 @@ _ENDS = {_DONE: WENT_ON, _LOOK: LOOK, _WITHOUT: MISSED}
     _FIGURES,
     _SPANS,
     _RAD_PER_M,
-    _SAID,
+    _OUTPUTS,
     _POSITIONS,
     _TORQUES,
     _MEASURED,
@@ -109,10 +109,10 @@ def _measured(table: Places) -> bool:
     steady, figures = floats(table, _STEADY, (1,)), floats(table, _FIGURES, (1,))
     for axis in range(len(x_m)):
         x_m[axis] = measured[_MEASURED_SIZE * axis] * (1.0 / rad_per_m[axis])
-    if not paired(floats(table, _WAYS, (1,)), x_m, figures[_LEAST_TRAVEL_M]):
-        steady[pairing.STEADY_MISSED] += 1.0
+    if not coherent(floats(table, _WAYS, (1,)), x_m, figures[_LEAST_TRAVEL_M]):
+        steady[sample_coherence.STEADY_MISSED] += 1.0
         return False
-    if not comes_steadily(steady, x_m[1]):
+    if not increments_steadily(steady, x_m[1]):
         return False
     if figures[_RIPPLES] != 0.0:  # as `WebLineTwin.compare`
         torques_Nm, p, s = floats(table, _TORQUES, (1,)), floats(table, _LINE, (1,)), floats(table, _LINE + 1, (1,))
@@ -157,7 +157,7 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
         compared = x_m[k], x_m[k + 1], torque_Nm, torque_sim_Nm, *around
         stage = run_vectors(cycle.COMPARE, compared, of_span)
         if stage != cycle.DONE:
-            floats(table, _SAID, (1,))[_AT_SPAN], spans[k, _STRAIN_BEFORE] = k, strain_before
+            floats(table, _OUTPUTS, (1,))[_AT_SPAN], spans[k, _STRAIN_BEFORE] = k, strain_before
             return stage
     of_passage = floats(table, _OF_PASSAGE, (1,))
     if len(of_passage) > 0:
@@ -237,40 +237,40 @@ def _status(table: Places) -> int:
 
 
 @compiled
-def _told(table: Places) -> bool:
+def _is_published(table: Places) -> bool:
     """Whether all that was reported of the torques is so still."""
-    spans, told = floats(table, _SPANS, (1, 2)), True
+    spans, boundary = floats(table, _SPANS, (1, 2)), True
     for k in range(len(spans)):
         of_span = table[_OWN + k * cycle.ROWS :]
         shift_Nm = floats(of_span, cycle.STATE_ROW, (1,))[cycle.SHIFT_NM]
         undecided = 1.0 if torque_shift.undecided(floats(of_span, cycle.SHIFT_ROW, (1,))) else 0.0
-        told = told and spans[k, _SHIFT_NM] == shift_Nm and spans[k, _UNDECIDED] == undecided
+        boundary = boundary and spans[k, _SHIFT_NM] == shift_Nm and spans[k, _UNDECIDED] == undecided
         spans[k, _SHIFT_NM], spans[k, _UNDECIDED] = shift_Nm, undecided
-    return told
+    return boundary
 
 
 @entry_point(COUNT, TABLE)
 def _run(stage: int, table: Places) -> int:
     if stage < 0:
         return stage
-    said, whole, at = floats(table, _SAID, (1,)), integers(table, _WHOLE, (1,)), integers(table, _AT, (1,))
+    outputs, whole, at = floats(table, _OUTPUTS, (1,)), integers(table, _WHOLE, (1,)), integers(table, _AT, (1,))
     values = floats(table, _VALUES, (1,))
     strain_prev, F_next_N = values[at[_STRAIN_PREV]], values[at[_F_NEXT_N]]
     if stage == cycle.COMPARE and not _measured(table):
         return _UNPAIRED
     if stage == cycle.COMPARE or stage == _NEXT_SPAN:
-        stage = _compare(table, 0 if stage == cycle.COMPARE else int(said[_AT_SPAN]) + 1, strain_prev, F_next_N)
+        stage = _compare(table, 0 if stage == cycle.COMPARE else int(outputs[_AT_SPAN]) + 1, strain_prev, F_next_N)
         if stage != _FINISH:
             return stage
     _go_on(table, strain_prev, F_next_N)
     for k in range(len(floats(table, _SPANS, (1, 2)))):
         _publish(table, k)
     status = _status(table)
-    said[_STATUS], whole[at[_STATUS_AT]] = whole[at[_STATUS_AT]], status
+    outputs[_STATUS], whole[at[_STATUS_AT]] = whole[at[_STATUS_AT]], status
     whole[at[_NUMBER]] = (whole[at[_NUMBER]] + 1) % _NUMBERS
     if stage == _FINISH_WITHOUT:
         return _WITHOUT
-    return _DONE if _told(table) and not status & (HOLDING | TRANSFER_REFUSED) else _LOOK
+    return _DONE if _is_published(table) and not status & (HOLDING | TRANSFER_REFUSED) else _LOOK
 
 
 def warm_up() -> None:
@@ -284,7 +284,7 @@ class EstimatedSpan:
 
     span: int
     section: WebSection
-    tracking: Tracking
+    tracking: SpanEstimator
     residual_Nm: float = 0.0  #: torque of the axis behind it, measured less simulated
 
 
@@ -298,8 +298,8 @@ class LineInVectors:
     def __init__(
         self,
         estimated: Sequence[EstimatedSpan],
-        pairing_of_axes: Pairing,
-        steady: SteadyTravel,
+        pairing_of_axes: SampleCoherence,
+        steady: IncrementCheck,
         line: LineStep,
         rad_per_m: Sequence[float],
         least_travel_m: float,
@@ -308,21 +308,21 @@ class LineInVectors:
         of_rollers: Rollers,
         passage: SpliceTracker | None,
         vectors: MachineVectors,
-        otherwise: Callable[[int], bool],
+        fallback: Callable[[int], bool],
     ) -> None:
-        self._otherwise = otherwise
+        self._otherwise = fallback
         self._estimated, self._splice_tracker, self._values = estimated, passage, vectors.values
         travels, positions_m = pairing_of_axes.vectors(len(rad_per_m))
         self._positions_m = positions_m
         self._figures = np.array([least_travel_m, float(line.samples), cycle_s, 0.0, float(ripples)])
         known = [(each.tracking.config.synchronized_pct, each.residual_Nm) for each in estimated]
         self._spans = np.array([(pct, 1.0, 0.0, residual_Nm, nan, nan) for pct, residual_Nm in known])
-        self._said = np.zeros(_STATUS + 1)
-        told = vectors.told["strain_prev"], vectors.told["F_next_N"]
-        self._at = np.array([*told, vectors.number, vectors.status, *vectors.published], np.int64)
+        self._outputs = np.zeros(_STATUS + 1)
+        boundary = vectors.boundary_places["strain_prev"], vectors.boundary_places["F_next_N"]
+        self._at = np.array([*boundary, vectors.number, vectors.status, *vectors.published], np.int64)
         nothing = np.zeros(0)
         self._own = (
-            *(travels, steady.state, self._figures, self._spans, np.array(rad_per_m), self._said),
+            *(travels, steady.state, self._figures, self._spans, np.array(rad_per_m), self._outputs),
             *(positions_m, np.zeros(len(rad_per_m)), vectors.measured, vectors.asked, vectors.shown),
             *(line.motors, line.sensors, line.silence, vectors.values, vectors.whole, self._at),
             *(of_rollers.p, of_rollers.masses_kg, of_rollers.state),
@@ -337,7 +337,7 @@ class LineInVectors:
         if not len(self._table) or any(now is not then for now, then in zip(tables, self._of, strict=True)):
             self._of = tables
             self._table = np.concatenate([table_of(self._own), *tables])
-            self.piece = Chained(_run, cycle.COMPARE, self._table, goes_on=_DONE, otherwise=self._otherwise)
+            self.piece = CompiledStage(_run, cycle.COMPARE, self._table, continues=_DONE, fallback=self._otherwise)
         self._figures[_INPUT_STRAIN] = self._estimated[0].tracking.input_strain
         self._spans[:, _SEPARABLE] = [each.tracking.separable for each in self._estimated]
 
@@ -364,7 +364,7 @@ class LineInVectors:
             self._splice_tracker.update(self._positions_m.tolist())
             behind = _FINISH
         else:
-            span = int(self._said.item(_AT_SPAN))
+            span = int(self._outputs.item(_AT_SPAN))
             strain_before = self._spans.item(span, _STRAIN_BEFORE)
             self._estimated[span].tracking.go_on_from(stage, strain_before)
             behind = _NEXT_SPAN
@@ -376,4 +376,4 @@ class LineInVectors:
         for each, residual_Nm in zip(self._estimated, self._spans[:, _RESIDUAL_NM].tolist(), strict=True):
             each.tracking.has_gone_on()
             each.residual_Nm = residual_Nm
-        return int(self._said.item(_STATUS))
+        return int(self._outputs.item(_STATUS))

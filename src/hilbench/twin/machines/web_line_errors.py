@@ -8,7 +8,7 @@ from typing import Final
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.plant.effects import find_effect
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.twin.found import FoundBeside
+from hilbench.twin.estimated_errors import EstimatedModelError
 
 #: Effect and parameter of each error that is handed out, by the name that the estimator gives it.
 _EFFECTS: Final = {
@@ -23,7 +23,7 @@ _EFFECTS: Final = {
 _TIED: Final = {"inertia_share": ("torque_scale",)}
 
 
-def as_effects(errors: Sequence[Nuisance], model: ModelParameters, span: int) -> Iterator[FoundBeside]:
+def as_effects(errors: Sequence[Nuisance], model: ModelParameters, span: int) -> Iterator[EstimatedModelError]:
     """What was found at a span; the model's own comes on top.
 
     Of a line with one span the errors are those of axis 2; behind one of several they are of all rollers together.
@@ -44,4 +44,4 @@ def as_effects(errors: Sequence[Nuisance], model: ModelParameters, span: int) ->
             value, deviation = (1.0 + of_model) * (1.0 + error.value) - 1.0, (1.0 + of_model) * deviation
         place = f"axis{axis}" if of_axis else ("web" if alone else f"span{span}")
         tied_with = _TIED.get(error.name, ())
-        yield FoundBeside(effect, parameter, place, value, deviation, error.separable, tied_with)
+        yield EstimatedModelError(effect, parameter, place, value, deviation, error.separable, tied_with)

@@ -13,8 +13,8 @@ import numpy as np
 
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Unknown
 from hilbench.plant.web_line.stations import Idler, Reel, reel_name
-from hilbench.plant.web_line.varied_line import Kind, Unknown, VariedLine
 
 # How wrong they are, as standard deviations.
 _CARRIAGE_M: Final = 2e-4
@@ -25,13 +25,14 @@ _CELL_SHARE, _CELL_OFFSET_SHARE = 3e-3, 2e-3
 
 
 class StationSensors:
-    """Those of the stations that are `measured`, by name; `varied`: the line that is followed, with its n unknowns.
+    """Those of the stations that are `measured`, by name; `sensitivities`: the line that is followed, with its n
+    unknowns.
 
     Vectors (s,) are of the sensors: carriages, reels, then load cells.
     """
 
-    def __init__(self, model: ModelParameters, varied: VariedLine, measured: Sequence[str]) -> None:
-        self._varied = varied
+    def __init__(self, model: ModelParameters, sensitivities: SensitivityModel, measured: Sequence[str]) -> None:
+        self._varied = sensitivities
         direct = [(name, unknown) for name, unknown in _stations(model).items() if name in measured]
         idlers = {each.name: row for row, each in enumerate(model.line_rollers) if isinstance(each.station, Idler)}
         cells = {name: row for name, row in idlers.items() if name in measured}
@@ -40,14 +41,14 @@ class StationSensors:
         self._names = [name for name, _ in direct] + list(cells)
         count = len(self._names)
         # What each sensor shows, by what is integrated and by the tensions of a line, and by the radii of reels.
-        self._of_motions = np.zeros((count, varied.motion_count))
+        self._of_motions = np.zeros((count, sensitivities.motion_count))
         self._of_tensions, self._of_ratios = np.zeros((count, model.span_count)), np.zeros((count, model.axis_count))
-        self._own, self._scales = np.zeros((count, len(varied.unknowns))), np.ones(count)
+        self._own, self._scales = np.zeros((count, len(sensitivities.unknowns))), np.ones(count)
         for at, unknown in enumerate(self.sensed):
             if unknown.kind is Kind.CARRIAGE:
-                self._of_motions[at, varied.carriage_row(unknown.number)] = 1.0
+                self._of_motions[at, sensitivities.carriage_row(unknown.number)] = 1.0
             else:
-                self._of_ratios[at, unknown.number - 1] = self._own[at, varied.places[unknown]] = 1.0
+                self._of_ratios[at, unknown.number - 1] = self._own[at, sensitivities.places[unknown]] = 1.0
                 self._scales[at] = model.radius_m(unknown.number)
         for at, row in enumerate(cells.values(), len(direct)):
             self._of_tensions[at, [row - 1, row]] = 0.5
@@ -60,12 +61,12 @@ class StationSensors:
         self.variances = (noise + _CELL_SHARE * self.tensions_N) ** 2
         self.offsets = _CELL_OFFSET_SHARE * self.tensions_N
 
-    def look(self, told: Mapping[str, float]) -> tuple[Vector, Vector]:
+    def look(self, readings: Mapping[str, float]) -> tuple[Vector, Vector]:
         """What they say, by name of the station, less what the line that is followed does (s,); how what they say
         depends on each unknown (s, n)."""
         shown, slopes = self._varied.shown(self._of_motions, self._of_tensions)
-        says = np.array([told[name] for name in self._names]) / self._scales
-        return says - shown - self._of_ratios @ self._varied.ratios, slopes + self._own
+        readings_now = np.array([readings[name] for name in self._names]) / self._scales
+        return readings_now - shown - self._of_ratios @ self._varied.ratios, slopes + self._own
 
 
 def _stations(model: ModelParameters) -> dict[str, Unknown]:

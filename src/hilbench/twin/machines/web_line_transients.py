@@ -7,15 +7,15 @@ from typing import Final
 
 import numpy as np
 
-from hilbench.estimation.web_line.transients import TransientWatch
+from hilbench.estimation.web_line.transients import TransientDetector
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.drive_response import DriveResponse
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
-from hilbench.plant.web_line.line_follower import Handover, LineFollower
+from hilbench.plant.web_line.line_follower import LineFollower, StateTransfer
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
-from hilbench.plant.web_line.varied_line import damped_follower
+from hilbench.plant.web_line.sensitivity_model import damped_follower
 
 #: Steps of E as shares: a stiffer web swings faster.
 _SHARES: Final = (-0.5, -0.3, -0.15, 0.15, 0.3, 0.5)
@@ -23,9 +23,9 @@ _SHARES: Final = (-0.5, -0.3, -0.15, 0.15, 0.3, 0.5)
 _SETTLE_S, _KICK_S, _MOST = 0.9, 0.24, 0.9
 
 
-def kick_watch(
+def transient_detector(
     model: ModelParameters, axis: int, rows: Sequence[int], response: DriveResponse, cycle_s: float
-) -> TransientWatch:
+) -> TransientDetector:
     """For the section behind an axis; `rows`: of the torques that say something, from 0; `response`: of the drives, to
     one load each."""
     transients = np.stack([_kick(model, axis, share, cycle_s)[:, rows] / share for share in _SHARES])
@@ -36,7 +36,7 @@ def kick_watch(
     for _ in range(cycles):
         loads.append(response.torques_Nm[rows, 0])
         response.step(np.ones((model.axis_count, 1)))
-    return TransientWatch(transients[:, :cycles], _SHARES, np.array(loads))
+    return TransientDetector(transients[:, :cycles], _SHARES, np.array(loads))
 
 
 def _kick(model: ModelParameters, axis: int, share: float, cycle_s: float) -> Vector:
@@ -67,7 +67,7 @@ class _Pair:
         self._cycle_s = cycle_s
         for line in (self.line, self._closed):
             line.lock_to(cycle_s)
-        self._transfer = Handover(self._followed, self._closed)
+        self._transfer = StateTransfer(self._followed, self._closed)
         self._followed.reset(self._positions_m)
         self._transfer()
 

@@ -18,18 +18,18 @@ import numpy as np
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.motor_port import MotorPort
-from hilbench.plant.pairing import OwnTravels, Pairing, play
+from hilbench.plant.sample_coherence import OwnIncrements, SampleCoherence, play
 from hilbench.plant.web_line.line import Line
-from hilbench.plant.web_line.line_follower import Handover
+from hilbench.plant.web_line.line_follower import StateTransfer
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.plant.web_line.stations import Reel, force_input
 from hilbench.topology.signals import Shape
-from hilbench.twin.found import FoundBeside
+from hilbench.twin.estimated_errors import EstimatedModelError
 from hilbench.twin.machines.machine import BoundaryInputs, Measured
 from hilbench.twin.machines.web_line_breaks import SectionWatch
-from hilbench.twin.machines.web_line_unknowns import Found, LineUnknowns
+from hilbench.twin.machines.web_line_filter import Found, LineFilter
 
 
 class LineWithStationsTwin:
@@ -54,7 +54,7 @@ class LineWithStationsTwin:
         self.refused, self.synchronized = False, False
         self.torque_shift_Nm, self.torque_undecided = 0.0, False
         emulated = bool(shape.load_motors)
-        self._unknowns = LineUnknowns(model, cycle_s, shape.measured, shape.torqued, emulated=emulated)
+        self._unknowns = LineFilter(model, cycle_s, shape.measured, shape.torqued, emulated=emulated)
         self._model = model
         self._shape = shape
         self._boundary_inputs = boundary_inputs
@@ -74,17 +74,17 @@ class LineWithStationsTwin:
         self._carriages = range(1, len(model.carriages) + 1)
         self._reels = [roller.axis for roller in model.line_rollers if isinstance(roller.station, Reel) and roller.axis]
         #: A reel that is told torques goes as it was measured, all other driven rollers as their drives let them.
-        self._transfer = Handover(self._unknowns.varied.line, self.plant, shape.torqued)
+        self._transfer = StateTransfer(self._unknowns.sensitivities.line, self.plant, shape.torqued)
 
     def _set_cycle(self, cycle_s: float) -> None:
         model, shape, least_m = self._model, self._shape, least_travel_m(self._model)
         self._cycle_s = cycle_s
         of_a_cycle = play(model.position_unit, cycle_s)
-        self._pairing = Pairing(least_m) if isfinite(least_m) else OwnTravels(model.axis_count, of_a_cycle)
-        told_by = {self._before[span - 1]: span for span in shape.simulated}
+        self._pairing = SampleCoherence(least_m) if isfinite(least_m) else OwnIncrements(model.axis_count, of_a_cycle)
+        strain_from = {self._before[span - 1]: span for span in shape.simulated}
         unknowns = self._unknowns
         self._watch = SectionWatch(
-            model, cycle_s, told_by, unknowns.varied.unknowns, shape.measured, unknowns.sensed_length_m
+            model, cycle_s, strain_from, unknowns.sensitivities.unknowns, shape.measured, unknowns.sensed_length_m
         )
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
@@ -155,7 +155,9 @@ class LineWithStationsTwin:
             return False
         if not self._missed:
             self._unknowns.sense({name: self._boundary_inputs(signal) for name, signal in self._shape.sensors})
-        self._unknowns.varied.set_boundary(self._boundary_inputs("strain_prev"), self._boundary_inputs("F_next_N"))
+        self._unknowns.sensitivities.set_boundary(
+            self._boundary_inputs("strain_prev"), self._boundary_inputs("F_next_N")
+        )
         self._unknowns.follow(positions, self._gone * self._cycle_s)
         self._let_out(abs(positions[-1] - self._positions_m[-1]))
         self._positions_m, self._missed = positions, 0
@@ -164,12 +166,12 @@ class LineWithStationsTwin:
         self._residuals_Nm = (left - self._unknowns.torques_missing_Nm).tolist()
         limited, since_s = self._limited or self._watch.doubtful or self._frozen, self._watch.slips_since_s
         if self._unknowns.compare(time_s, left, limited=limited, slips_since_s=since_s):
-            self._watch.corrected(self._unknowns.varied)
+            self._watch.corrected(self._unknowns.sensitivities)
             self._take_moduli()
         belied_N = self._watch.take_belied()
         if belied_N:
             self._unknowns.put_tensions(belied_N)
-            self._watch.corrected(self._unknowns.varied)
+            self._watch.corrected(self._unknowns.sensitivities)
         self._transfer()
         return True
 
@@ -181,7 +183,7 @@ class LineWithStationsTwin:
         else:
             unknowns = self._unknowns
             inertia_kg_m2, swings = unknowns.inertia_kg_m2, unknowns.swings
-            self._watch.look(time_s, positions_m, torques_Nm, unknowns.varied, inertia_kg_m2, swings=swings)
+            self._watch.look(time_s, positions_m, torques_Nm, unknowns.sensitivities, inertia_kg_m2, swings=swings)
 
     def _let_out(self, travel_m: float) -> None:
         """So much more web has left the line."""
@@ -208,7 +210,7 @@ class LineWithStationsTwin:
     @property
     def _gone(self) -> int:
         """Cycles from the motion that was followed last to the one that was measured now."""
-        return self._pairing.gone if isinstance(self._pairing, OwnTravels) else self._missed + 1
+        return self._pairing.gone if isinstance(self._pairing, OwnIncrements) else self._missed + 1
 
     def miss(self) -> None:
         """A cycle without measurement."""
@@ -226,13 +228,13 @@ class LineWithStationsTwin:
         self.plant.set_input("F_next_N", self._boundary_inputs("F_next_N"))
         for name, force_N in self._forces():
             self.plant.set_input(name, force_N)
-            self._unknowns.varied.set_input(name, force_N)
+            self._unknowns.sensitivities.set_input(name, force_N)
 
     def _forces(self) -> list[tuple[str, float]]:
         """What pushes the carriages whose force the bench tells, from the last SYNC on."""
         return [(force_input(name), self._boundary_inputs(signal)) for name, signal in self._shape.forces]
 
-    def found(self) -> Sequence[FoundBeside]:
+    def found(self) -> Sequence[EstimatedModelError]:
         """What is found is told as signals of its own."""
         return ()
 

@@ -20,7 +20,7 @@ from hilbench.plant.web_line.simulated import YOUNGS_MODULUS
 
 
 class WebSection:
-    """Rollers `span` and those behind it of a line, as a line of two rollers (see `TrackedLine`, `SimulatedMotor`).
+    """Rollers `span` and those behind it of a line, as a line of two rollers (see `SpanModel`, `SimulatedMotor`).
 
     `ports` (N,): of the line's motors; `rollers`: what is measured of the line's rollers; `along`: spans whose E goes
     with that of the section's, in the ratio of the model. Of a line of two rollers it is the line as it is.

@@ -15,10 +15,10 @@ from math import isinf
 import numpy as np
 
 from hilbench.compiled import compiled
+from hilbench.estimation.web_line import span_estimator_cycle as cycle
 from hilbench.estimation.web_line import splices
-from hilbench.estimation.web_line import tracking_cycle as cycle
+from hilbench.estimation.web_line.span_estimator import Known, SpanEstimator
 from hilbench.estimation.web_line.splices import Entered, Joint, SpliceFinder
-from hilbench.estimation.web_line.tracking import Known, Tracking
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.splices import Piece
 
@@ -63,7 +63,7 @@ class _Inside:
 class _Span:
     """A span with the joints in it, by the way of the roller before it."""
 
-    tracking: Tracking
+    tracking: SpanEstimator
     joints: list[_Inside] = field(default_factory=list)
 
     def put(self) -> None:
@@ -79,7 +79,7 @@ class _Span:
 class SpliceTracker:
     """Joints in spans that follow each other, from the first of them on; `trackings` of these spans."""
 
-    def __init__(self, trackings: Sequence[Tracking], cycle_s: float) -> None:
+    def __init__(self, trackings: Sequence[SpanEstimator], cycle_s: float) -> None:
         self._spans = [_Span(tracking) for tracking in trackings]
         first = trackings[0]
         self._finder = SpliceFinder(first.span.length_m, first.span.mass_kg, cycle_s)

@@ -40,7 +40,7 @@ class BankVectors(NamedTuple):
     s: Array  #: what is told, over the reference E; reference E, Pa; deviation to be cautious at
 
 
-_TOLD, _REFERENCE_PA, _CAUTIOUS, _BESIDE = range(4)
+_STATED, _REFERENCE_PA, _CAUTIOUS, _BESIDE = range(4)
 
 
 @compiled
@@ -60,7 +60,7 @@ def follow(
     b.settings[bank.CYCLE] += 1.0
     g, likelihoods, shares = b.work[size + 3], b.work[size + 4], b.work[size + 5]
     kalman.step(z, p, b.inputs.u, b.places, g, b.work, likelihoods)
-    bank.weigh(records, likelihoods)
+    bank.reweight(records, likelihoods)
     bank.compare(records, shares)
     bank.mix(z, p, shares, b.places, out)
     if b.s[_BESIDE] != 0.0:
@@ -76,22 +76,22 @@ def follow(
 
 
 @compiled
-def tell(b: BankVectors, of_what_is_held: float) -> None:
+def set_held_share(b: BankVectors, of_what_is_held: float) -> None:
     """What E is told as after a cycle; `of_what_is_held`: what it has of parameters that count as 0."""
     s, out = b.s, b.out
     found = out[0, kalman.E] - of_what_is_held
     # A few samples after a jump the mixture still has the noise of a few samples.
     share = min(1.0, (s[_CAUTIOUS] / out[2, kalman.E]) ** 2)
-    s[_TOLD] += share * (found - s[_TOLD])
+    s[_STATED] += share * (found - s[_STATED])
 
 
 @compiled
-def told(b: BankVectors) -> tuple[float, float]:
+def stated(b: BankVectors) -> tuple[float, float]:
     """E and its deviation, Pa: that of the mixture, and what is told is from its mean. Where parameters count as their
     prior it is so far from it as it has of them."""
-    apart, deviation = b.out[0, kalman.E] - b.s[_TOLD], b.out[1, kalman.E]
+    apart, deviation = b.out[0, kalman.E] - b.s[_STATED], b.out[1, kalman.E]
     reference_Pa = b.s[_REFERENCE_PA]
-    return b.s[_TOLD] * reference_Pa, hypot(deviation, apart) * reference_Pa
+    return b.s[_STATED] * reference_Pa, hypot(deviation, apart) * reference_Pa
 
 
 @compiled
@@ -101,7 +101,7 @@ def rebase(b: BankVectors, change_Pa: float) -> None:
     for i in range(b.z.shape[1]):
         b.z[kalman.E, i] += change
     b.out[0, kalman.E] += change
-    b.s[_TOLD] += change
+    b.s[_STATED] += change
 
 
 @compiled
@@ -114,7 +114,7 @@ def separable(u: Array, places: Places, out: Array) -> bool:
     return True
 
 
-_NOTHING, _STEP, _TELL, _REBASE = range(4)
+_NOTHING, _STEP, _PUBLISH, _REBASE = range(4)
 
 
 @entry_point(COUNT, *[VECTOR] * 4, MATRIX, CUBE, MATRIX, VECTOR, INDICES, *[MATRIX] * 3, VECTOR, reals(6))
@@ -140,11 +140,11 @@ def _act(
     b = BankVectors(of_filters, z, p, records, settings, places, work, out, covariance, s)
     if what == _STEP:
         done = follow(b, values[0], values[1], values[2], values[3], values[4], values[5])
-    elif what == _TELL:
-        tell(b, values[0])
+    elif what == _PUBLISH:
+        set_held_share(b, values[0])
     elif what == _REBASE:
         rebase(b, values[0])
-    modulus_Pa, deviation_Pa = told(b)
+    modulus_Pa, deviation_Pa = stated(b)
     return done, modulus_Pa, deviation_Pa
 
 
@@ -195,7 +195,7 @@ class ChangepointSynchronizer:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether `follow` and `tell` are all of an update: it has started, and nothing is held beside E."""
+        """Whether `follow` and `set_held_share` are all of an update: it has started, and nothing is held beside E."""
         return self._started and not self._beside
 
     def update(self, sample: SyncSample) -> Estimate:
@@ -205,7 +205,7 @@ class ChangepointSynchronizer:
         balance = sample.balance
         now = (balance.x2_m, balance.force_N, balance.web_per_Pa, balance.velocity_m_s)
         if self._act(_STEP, sample.cycle_s, sample.torque_real_Nm, *now):
-            self._act(_TELL, self._of_what_is_held() if self._beside else 0.0)
+            self._act(_PUBLISH, self._of_what_is_held() if self._beside else 0.0)
         return self.estimate
 
     def _act(self, what: int, *values: float) -> bool:

@@ -94,8 +94,8 @@ def _link(work: Path, header: str, kernel: bytes, library: Path) -> None:
     ended = subprocess.run(command, cwd=work, capture_output=True, text=True, check=False)
     if ended.returncode:
         lines = ended.stderr.strip().splitlines() or ["it said nothing"]
-        said = next((line for line in lines if "error" in line), lines[0])
-        raise UnusableInputError("fmu export", f"{found} fails: {said}, expected a C compiler that links the FMU")
+        log = next((line for line in lines if "error" in line), lines[0])
+        raise UnusableInputError("fmu export", f"{found} fails: {log}, expected a C compiler that links the FMU")
 
 
 def _token(machine: ExportedMachine, fmi: int, code: bytes) -> str:

@@ -1,0 +1,106 @@
+"""Many cycles of a bench in one call, where nothing of them is Python's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from hilbench.bench.observer import CompiledObserver, CycleObserver
+from hilbench.bench.stamp import Stamp
+from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.cycle_program import CompiledStage, CycleProgram, StageAbortedError
+from hilbench.exchange.exchange import Exchange, ExchangeStages
+
+#: Fewer cycles are not worth it.
+_LEAST = 2
+
+
+class CompiledCycles:
+    """The cycles of a bench as a chain, whose pieces are those of its tasks, in the order in which they run.
+
+    `finish`: run the rest of a cycle in which nothing but set points is there yet.
+    """
+
+    def __init__(
+        self,
+        state: BenchState,
+        exchange: Exchange,
+        stamp: Stamp,
+        watches: Sequence[CyclicTask],
+        machine: Sequence[CyclicTask],
+        observers: Sequence[CycleObserver],
+        finish: Callable[[Outputs], None],
+    ) -> None:
+        self._state, self._exchange, self._stamp, self._finish = state, exchange, stamp, finish
+        self._chain: CycleProgram | None = None
+        self._of: Sequence[CompiledStage] = ()
+        sample = state.sample
+        found = [each.compiled_stages(sample) for each in (*watches, *machine)]
+        found += [each.compiled_stages(sample) if isinstance(each, CompiledObserver) else None for each in observers]
+        #: Whether every part of a cycle can be done so.
+        self._possible = None not in found and not exchange.runs_by_clock
+        parts = [each for each in found if each is not None]
+        count, all_of = len(watches), len(watches) + len(machine)
+        self._watches, self._machine, self._observers = parts[:count], parts[count:all_of], parts[all_of:]
+        self._parts = parts
+        self._shown = {output: signal for each in self._machine for output, signal in each.shown.items()}
+
+    def run(self, cycles: int) -> int:
+        """At most so many; how many, 0 where the next one is not to be run so. Raises as `BenchCycle.run`."""
+        if not self._possible:
+            return 0
+        with self._exchange.chained(self._state.sample, self._shown) as plain:
+            if plain is None:
+                return 0
+            for each in self._parts:
+                cycles = min(cycles, each.cycles())
+                if cycles < _LEAST:
+                    return 0
+            cycles = min(cycles, plain.cycles())
+            if cycles < _LEAST:
+                return 0
+            done, left = self._run(plain, cycles)
+        if left:
+            sample = self._state.sample
+            self._finish({output: getattr(sample, signal) for output, signal in self._shown.items()})
+        return done + left
+
+    def _run(self, plain: ExchangeStages, cycles: int) -> tuple[int, bool]:
+        """How many were run whole, and whether a further one has set points."""
+        chain, left = self._chain_of(plain), False
+        stopped: int | None = None
+        try:
+            chain.run(cycles)
+        except StageAbortedError:
+            left = True
+        except BaseException:
+            stopped = chain.stopped_at
+            raise
+        finally:
+            self._pass(plain, chain.done, stopped)
+        return chain.done, left
+
+    def _pass(self, plain: ExchangeStages, done: int, stopped: int | None) -> None:
+        """Who counts cycles learns of them; of one that something has ended those whose turn was before that, too."""
+        plain.passed()
+        for each, turn in zip(self._parts, self._turns, strict=True):
+            each.went(done + (stopped is not None and turn <= stopped))
+
+    def _chain_of(self, plain: ExchangeStages) -> CycleProgram:
+        self._stamp.begin()
+        if self._chain is None or self._of is not plain.pieces:
+            self._of = plain.pieces
+            self._chain = CycleProgram(self._put_together(plain.pieces))
+        return self._chain
+
+    def _put_together(self, exchange: Sequence[CompiledStage]) -> list[CompiledStage]:
+        pieces: list[CompiledStage] = []
+        for each in (*self._watches, *self._machine):
+            pieces += each.before
+        pieces += [*exchange, self._stamp.piece]
+        turns: dict[int, int] = {}
+        for each in (*self._machine, *self._watches, *self._observers):
+            turns[id(each)] = len(pieces)
+            pieces += each.after
+        self._turns = [turns[id(each)] for each in self._parts]
+        return pieces

@@ -1,0 +1,145 @@
+"""Compiled pieces of a cycle, one behind the other, for many cycles in one call.
+
+Every piece is an entry point `function(argument, table) -> code` that Python can call by itself just as well. As long
+as each returns what it returns as a rule, nothing of a cycle is Python's; where one returns something else Python does
+its part of that piece, and the chain goes on behind it. So who makes a piece describes it once, for both ways.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import COUNT, INDICES, TABLE, TABLE_WIDTH, address_of, call_at, entry_point
+
+Table = NDArray[np.int64]
+Function = Callable[[int, Table], int]
+
+#: What a piece's function returns where nothing else is said.
+CONTINUE = 0
+#: Columns of the chain's table: where the function is, its argument, where its table stands and how long it is, what it
+#: returns as a rule.
+_FUNCTION, _ARGUMENT, _TABLE, _ROWS, _CONTINUE, _COLUMNS = range(6)
+#: Of its state: cycles to run, and the piece to begin with; cycles that were run whole; the piece that has returned
+#: something else, and what; -1: none.
+_CYCLES, _FIRST, _DONE, _STOPPED, _CODE, _STATE = range(6)
+
+
+class CompiledStage:
+    """A piece of a cycle: `function`, with `argument` and a table of the vectors that `keeps` keeps.
+
+    `fallback`: what Python does where it returns anything but `continues`; whether the next cycle may follow without
+    Python all the same.
+    """
+
+    __slots__ = ("argument", "continues", "fallback", "function", "keeps", "table")
+
+    def __init__(
+        self,
+        function: Function,
+        argument: int,
+        table: Table,
+        *,
+        fallback: Callable[[int], bool],
+        continues: int = CONTINUE,
+        keeps: object = None,
+    ) -> None:
+        self.function, self.argument, self.table = function, argument, table
+        self.fallback, self.continues, self.keeps = fallback, continues, keeps
+
+    def __call__(self) -> bool:
+        """Do it by itself; as `fallback`."""
+        code = self.function(self.argument, self.table)
+        return code == self.continues or self.fallback(code)
+
+
+class StageAbortedError(Exception):
+    """A piece can't be done, or not to its end: Python has the cycle from there on."""
+
+
+def never(code: int) -> bool:
+    """Of a piece of which nothing is Python's."""
+    raise AssertionError(f"a compiled piece of a cycle has returned {code}")
+
+
+class CycleProgram:
+    """Pieces in their order. Where the table of one becomes another the chain is to be made anew."""
+
+    def __init__(self, pieces: Sequence[CompiledStage]) -> None:
+        self._pieces = tuple(pieces)
+        rows = [
+            (address_of(each.function), each.argument, each.table.ctypes.data, len(each.table), each.continues)
+            for each in self._pieces
+        ]
+        self._rows = np.array(rows, np.int64).reshape(-1, _COLUMNS)
+        self._state = np.zeros(_STATE, np.int64)
+        self._at = self._state.data
+        self.stopped_at = -1  #: the piece whose part Python does, or has done last
+
+    def run(self, cycles: int) -> int:
+        """So many cycles, or fewer, where Python has the next one; how many. What Python does may raise; `done` and
+        `stopped_at` say where."""
+        at, pieces = self._at, self._pieces
+        at[_CYCLES], at[_FIRST], at[_DONE] = cycles, 0, 0
+        while _run(self._rows, self._state):
+            stopped = self.stopped_at = at[_STOPPED]
+            if not pieces[stopped].fallback(at[_CODE]):
+                at[_CYCLES] = 1
+            if stopped + 1 == len(pieces):
+                at[_DONE] += 1
+                at[_CYCLES] -= 1
+                at[_FIRST] = 0
+            else:
+                at[_FIRST] = stopped + 1
+        return self.done
+
+    @property
+    def done(self) -> int:
+        """Cycles of the last `run` until now that were run whole."""
+        return int(self._at[_DONE])
+
+
+def _entry_point() -> Callable[[Table, NDArray[np.int64]], bool]:
+    """For Python."""
+
+    @entry_point(TABLE, INDICES)
+    def run(pieces: Table, state: NDArray[np.int64]) -> bool:
+        first = state[_FIRST]
+        while state[_CYCLES] > 0:
+            for k in range(first, len(pieces)):
+                row = pieces[k]
+                code = call_at(row[_FUNCTION], row[_ARGUMENT], row[_TABLE], row[_ROWS])
+                if code != row[_CONTINUE]:
+                    state[_STOPPED], state[_CODE] = k, code
+                    return True
+            first = 0
+            state[_DONE] += 1
+            state[_CYCLES] -= 1
+        return False
+
+    return run
+
+
+#: run(the chain's table, its state): whether a piece has something for Python.
+_run = _entry_point()
+
+
+def _handing_over() -> Function:
+    """For Python."""
+
+    @entry_point(COUNT, TABLE)
+    def hand_over(code: int, _: Table) -> int:
+        return code
+
+    return hand_over
+
+
+_hand_over = _handing_over()
+
+
+def python_stage(act: Callable[[], bool]) -> CompiledStage:
+    """A piece that Python does in each cycle; as `fallback` of `CompiledStage`."""
+    table = np.zeros((0, TABLE_WIDTH), np.int64)
+    return CompiledStage(_hand_over, CONTINUE + 1, table, fallback=lambda _: act(), keeps=table)

@@ -1,0 +1,500 @@
+"""What can be wrong with the rows of a recording and is no reason to refuse it: mended, left out, and said.
+
+Rows out of order are sorted, repeated ones dropped, missing ones filled in and left out of every comparison, counters
+that wrap are unwrapped, samples that are no number, stay as they were or stand at the end of a sensor's range are left
+out. What can't be mended without guessing is refused, in one line.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.noise import floor
+from hilbench.errors import UnusableInputError
+from hilbench.results.recording import LEAST_SAMPLES, Recording
+from hilbench.topology.signal_kinds import TIME
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
+
+#: Share of the rows that may be left out, repeated or without a time; what is more is no recording to judge by.
+_MOST_LEFT_OUT: Final = 0.2
+#: Share of the period by which rows may be off an even grid, and periods between two rows from which some are missing
+#: where rows are not even.
+_UNEVEN: Final = 0.01
+_MISSING: Final = 2.5
+#: Share of the steps of time that may be less than this share of the period, before rows are those of two recordings.
+_CROWDED, _CLOSE = 0.01, 0.6
+#: Steps back in time, as a share of the rows, up to which the rows between them are parts that belong together.
+_PARTS: Final = 0.1
+#: Rows on either side with which a step of a counter is compared, and how many times as large a wrap is.
+_BESIDE, _WRAP, _LARGEST_STEP = 5, 4.0, 3.0
+#: Rows over which the speed is taken with which a repeated row is compared, and share of a step to spare.
+_AROUND, _SHARE = 10, 0.6
+#: Share of a position's range that is no step of it but what was lost in calculating it (another unit, another grid).
+_ROUNDED: Final = 1e-9
+#: Encoder steps that a position moves by at least while a row stands still.
+_QUANTA: Final = 3.0
+#: Rows at one extreme value in a row, from which a torque is taken for cut off, and how many times as many are at it as
+#: in the next share of its range.
+_FLAT, _PILED, _NEXT = 5, 3.0, 0.002
+#: Share of a limit within which a torque is at it.
+_AT_LIMIT: Final = 0.01
+#: Rows from which a value that stays is looked at, and the chance up to which it stays by itself.
+_STUCK, _BY_CHANCE = 20, 1e-9
+#: Share of its usual step that the noise of a torque is at least.
+_ROUGH: Final = 0.1
+#: Share of the usual speed up to which an axis creeps.
+_CREEPS: Final = 0.01
+#: Share of its rows in which a torque with noise is at most what it was in the row before.
+_HARDLY_EVER: Final = 0.1
+#: What a diagnosis reads; other channels may hold what they like.
+_READ: Final = re.compile(r"(x|v|tau)\d+(_cmd)?_(m|m_s|rad|rad_s|Nm)|strain_prev|F_next_N|F\d*_meas_N")
+_MEASURED: Final = re.compile(r"(x|v|tau)\d+_(m|m_s|rad|rad_s|Nm)")
+_POSITION: Final = re.compile(r"x\d+_(m|rad)")
+_TORQUE: Final = re.compile(r"tau\d+_Nm")
+
+
+@dataclass(frozen=True)
+class Repair:
+    """One thing that was mended or left out."""
+
+    what: str  #: order, repeated, gap, uneven, wrap, not_finite, stuck, saturated, stretch or unit
+    channel: str
+    rows: int  #: how many it concerns
+    text: str  #: for a person, one line
+
+
+@dataclass(frozen=True)
+class Mended:
+    """A recording at even times; `left_out` (n,) are rows that nothing is to be compared on."""
+
+    recording: Recording
+    left_out: Rows
+    repairs: list[Repair] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Rows on their way through the repairs."""
+
+    t_s: Array
+    channels: Mapping[str, Array]  #: of float64
+    left_out: Rows
+    repairs: tuple[Repair, ...] = ()
+
+    def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice, *repairs_made: Repair) -> _Table:
+        channels = {name: values[chosen] for name, values in self.channels.items()}
+        return replace(
+            self,
+            t_s=self.t_s[chosen],
+            channels=channels,
+            left_out=self.left_out[chosen],
+            repairs=(*self.repairs, *repairs_made),
+        )
+
+    def with_channel(self, name: str, values: Array, *repairs_made: Repair, left_out: Rows | None = None) -> _Table:
+        out = self.left_out if left_out is None else self.left_out | left_out
+        return replace(
+            self, channels={**self.channels, name: values}, left_out=out, repairs=(*self.repairs, *repairs_made)
+        )
+
+    def named(self, pattern: re.Pattern[str]) -> list[str]:
+        return [name for name in self.channels if pattern.fullmatch(name)]
+
+
+def mended(
+    recording: Recording,
+    place: str | Path,
+    *,
+    longest_gap_s: float = float("inf"),
+    limits_Nm: Mapping[str, float] | None = None,
+) -> Mended:
+    """The recording with what can be mended mended, as it came where nothing is wrong.
+
+    longest_gap_s: where more than that is missing the longest stretch without such a gap is taken. limits_Nm: of torque
+    channels, at which a prediction cuts off as well; standing there is no fault of the recording.
+    Raises UnusableInputError, one line, for what would have to be guessed.
+    """
+    time_s = recording.time_s
+    channels = {name: np.asarray(v, np.float64) for name, v in recording.channels.items() if name != TIME}
+    table = _Table(time_s, channels, np.zeros(len(time_s), bool))
+    recording.require([name for name in table.named(_READ) if _mostly_missing(channels[name])], place)
+    steps: Sequence[Callable[[_Table], _Table]] = (
+        lambda t: _timed(t, place),
+        lambda t: _in_order(t, place),
+        _without_frozen_rows,
+        _without_stuck_values,
+        _unwrapped,
+        _finite,
+        lambda t: _unsaturated(t, limits_Nm or {}),
+        _even,
+        lambda t: _longest_stretch(t, longest_gap_s),
+    )
+    for step in steps:
+        table = step(table)
+    if not table.repairs:
+        return Mended(recording, table.left_out)
+    share = float(np.mean(table.left_out))
+    if share > _MOST_LEFT_OUT:
+        worst = max(table.repairs, key=lambda repair: repair.rows)
+        raise UnusableInputError(
+            place,
+            f"{100.0 * share:.0f} % of the rows can't be used ({worst.text}), expected at most "
+            f"{100.0 * _MOST_LEFT_OUT:.0f} %",
+        )
+    whole = replace(recording, channels={TIME: table.t_s, **table.channels})
+    return Mended(whole, table.left_out, list(table.repairs))
+
+
+def _mostly_missing(values: Array) -> bool:
+    return len(values) > 0 and float(np.mean(~np.isfinite(values))) > _MOST_LEFT_OUT
+
+
+def _timed(table: _Table, place: str | Path) -> _Table:
+    """Without rows whose time is no number."""
+    bad = ~np.isfinite(table.t_s)
+    count = int(np.count_nonzero(bad))
+    if count == 0:
+        return table
+    if count > _MOST_LEFT_OUT * len(bad) or len(bad) - count < LEAST_SAMPLES:
+        raise UnusableInputError(
+            place, f"{count} row(s) of {len(bad)} without a time, expected {TIME} in s in every row"
+        )
+    return table.rows(~bad, Repair("not_finite", TIME, count, f"{count} row(s) without a time dropped"))
+
+
+def _in_order(table: _Table, place: str | Path) -> _Table:
+    """Sorted by time, each time once."""
+    t = table.t_s
+    backward = np.flatnonzero(np.diff(t) < 0.0)
+    # In a file of a few parts the rows of each are as far apart as they were taken.
+    forward = np.diff(t) if len(backward) < _PARTS * len(t) else np.diff(np.sort(t))
+    period_s = float(np.median(forward[forward > 0.0])) if np.any(forward > 0.0) else 0.0
+    if len(backward):
+        at = int(backward[0])
+        text = f"{len(backward)} step(s) back in time, the first from {t[at]:g} to {t[at + 1]:g} s: rows sorted"
+        table = table.rows(np.argsort(t, kind="stable"), Repair("order", TIME, len(backward), text))
+    steps = np.diff(table.t_s)
+    again = np.concatenate([[False], steps == 0.0])
+    crowded = int(np.count_nonzero((steps > 0.0) & (steps < _CLOSE * period_s)))
+    other = _differs_from_the_row_before(table, again)
+    if len(backward) and crowded + other > _CROWDED * len(steps):
+        at = int(backward[0])
+        raise UnusableInputError(
+            place,
+            f"{TIME} starts over in sample {at + 2} (from {t[at]:g} to {t[at + 1]:g} s) with other rows for the same "
+            "time, as of two recordings in one file; expected one",
+        )
+    if other > _CROWDED * len(steps):
+        raise UnusableInputError(
+            place,
+            f"{other} row(s) have the time of the row before and other values, expected one row for each time",
+        )
+    count = int(np.count_nonzero(again))
+    if count == 0:
+        return table
+    text = f"{count} row(s) with the time of another one dropped" + (
+        f", {other} of them differ from it" if other else ""
+    )
+    return table.rows(~again, Repair("repeated", TIME, count, text))
+
+
+def _differs_from_the_row_before(table: _Table, again: Rows) -> int:
+    """How many of the rows with the time of the one before have another value than it."""
+    at = np.flatnonzero(again)
+    differs = np.zeros(len(at), bool)
+    for name in table.named(_READ):
+        values = table.channels[name]
+        differs |= ~((values[at] == values[at - 1]) | (np.isnan(values[at]) & np.isnan(values[at - 1])))
+    return int(np.count_nonzero(differs))
+
+
+def _without_frozen_rows(table: _Table) -> _Table:
+    """Without rows in which every measured channel repeats the row before while the axis moves on."""
+    measured, positions = table.named(_MEASURED), table.named(_POSITION)
+    if not positions or len(table.t_s) < 4 * _AROUND:
+        return table
+    same = np.ones(len(table.t_s) - 1, bool)
+    for name in measured:
+        same &= np.diff(table.channels[name]) == 0.0
+    again = np.concatenate([[False], same])
+    first = np.flatnonzero(again & ~np.concatenate([[False], again[:-1]]))
+    after = np.array([k + np.argmin(again[k:]) if not np.all(again[k:]) else -1 for k in first], int)
+    frozen = np.zeros(len(again), bool)
+    moving = [(table.channels[name], _quantum(table.channels[name])) for name in positions]
+    for start, end in zip(first, after, strict=True):
+        if end > 0 and any(_moved_on(x, int(start), int(end), quantum) for x, quantum in moving):
+            frozen[start:end] = True
+    count = int(np.count_nonzero(frozen))
+    if count == 0:
+        return table
+    at = table.t_s[np.argmax(frozen)]
+    text = f"{count} row(s) repeat the row before while the axis moves, the first at t = {at:g} s: dropped"
+    return table.rows(~frozen, Repair("repeated", "", count, text))
+
+
+def _without_stuck_values(table: _Table) -> _Table:
+    """Positions and torques that stay what they are for a while, as of a bus that lost them: rows left out.
+
+    A position does that where it has caught up by the end of it; a torque where it hardly ever is the same twice.
+    """
+    positions = table.named(_POSITION)
+    for name in [*positions, *table.named(_TORQUE)]:
+        values, stuck = table.channels[name], np.zeros(len(table.t_s), bool)
+        again = np.concatenate([[False], np.diff(values) == 0.0])
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], again.astype(int), [0]]))).reshape(-1, 2)
+        long = edges[edges[:, 1] - edges[:, 0] >= _STUCK]
+        if not len(long) or float(np.ptp(values)) == 0.0:
+            continue
+        quantum = _quantum(values)
+        for start, end in map(tuple, long):
+            if name in positions:
+                stuck[start:end] = end < len(values) and _moved_on(values, start, end, quantum)
+            elif np.min(values) < values[start] < np.max(values):  # at an end of its range it may be cut off
+                elsewhere = (np.count_nonzero(again) - (end - start)) / len(values)
+                stuck[start:end] = (
+                    _is_noisy(values, elsewhere, quantum)
+                    and len(values) * max(elsewhere, 1e-3) ** (end - start) < _BY_CHANCE
+                    and any(_moves(table.channels[x], start, end) for x in positions)
+                )
+        if np.any(stuck):
+            filled = values.copy()
+            filled[stuck] = np.interp(table.t_s[stuck], table.t_s[~stuck], values[~stuck])
+            count, at = int(np.count_nonzero(stuck)), table.t_s[np.argmax(stuck)]
+            text = f"channel {name} stays at one value in {count} row(s), the first at t = {at:g} s: rows left out"
+            table = table.with_channel(name, filled, Repair("stuck", name, count, text), left_out=stuck)
+    return table
+
+
+def _is_noisy(values: Array, repeated: float, quantum: float) -> bool:
+    """Whether a torque changes by more than its counts nearly always, and not smoothly: without noise one that stays is
+    no wonder.
+
+    `repeated`: share of the rows, but for those in question, in which it is what it was.
+    """
+    steps = np.abs(np.diff(values))
+    usual = float(np.median(steps[steps > 0.0]))
+    return repeated < _HARDLY_EVER and usual > _QUANTA * quantum and floor(values) > _ROUGH * usual
+
+
+def _moves(x: Array, start: int, end: int) -> bool:
+    """Whether a position moves in rows start to end - 1 by more than counts, and than an axis creeps that friction
+    holds: there a torque may well stay what it is."""
+    usual = float(np.mean(np.abs(np.diff(x)))) * (end - start)
+    return float(np.ptp(x[start:end])) > max(_QUANTA * _quantum(x), _CREEPS * usual)
+
+
+def _moved_on(x: Array, start: int, end: int, quantum: float) -> bool:
+    """Whether a position that stood still in rows start to end - 1 has gone on meanwhile, by more than counts."""
+    low, high = max(start - _AROUND, 0), min(end + _AROUND, len(x) - 1)
+    moved = float(np.abs(x[end] - x[start - 1]))
+    speed = abs(float(x[high] - x[low])) / (high - low)
+    return moved > _QUANTA * quantum and moved >= (end - start + _SHARE) * speed > 0.0
+
+
+def _quantum(x: Array) -> float:
+    """The smallest step of a position, that of its encoder where it has one: more than numbers are rounded by."""
+    steps = np.abs(np.diff(x))
+    return float(np.min(steps[steps > _ROUNDED * float(np.ptp(x))], initial=np.inf))
+
+
+def _unwrapped(table: _Table) -> _Table:
+    """Positions without the jumps of a counter that wraps or is set anew."""
+    for name in table.named(_POSITION):
+        values = table.channels[name]
+        known = np.isfinite(values)
+        if np.count_nonzero(known) < 4 * _BESIDE:
+            continue
+        t, x = table.t_s[known], values[known]
+        jumps, sizes = _jumps(t, x)
+        if len(jumps) == 0:
+            continue
+        size = float(np.median(np.abs(sizes)))
+        regular = bool(np.all(np.abs(np.abs(sizes) - size) <= 0.05 * size))
+        moved = np.zeros(len(x))
+        moved[jumps + 1] = -np.sign(sizes) * size if regular else -sizes
+        whole = values.copy()
+        whole[known] = x + np.cumsum(moved)
+        what = f"jumps by {size:g}" if regular else "jumps"
+        text = (
+            f"channel {name} {what} {len(jumps)} time(s), the first at t = {t[jumps[0] + 1]:g} s, as a counter that"
+            " wraps or is set anew: taken out"
+        )
+        table = table.with_channel(name, whole, Repair("wrap", name, len(jumps), text))
+    return table
+
+
+def _jumps(t_s: Array, x: Array) -> tuple[NDArray[np.intp], Array]:
+    """Steps of a position that are no motion: the row before each, and by how much more it moves than beside it."""
+    steps = np.diff(x)
+    period_s = float(np.median(np.diff(t_s)))
+    rate = steps / np.maximum(np.round(np.diff(t_s) / period_s), 1.0)
+    size = np.abs(rate)
+    near = np.full((2 * _BESIDE, len(size)), np.nan)
+    for shift in range(1, _BESIDE + 1):
+        near[shift - 1, shift:] = size[:-shift]
+        near[-shift, :-shift] = size[shift:]
+    # Not the largest of them: an axis that turns round at a wrap passes it twice.
+    sudden = size > _WRAP * np.nanmedian(near, axis=0)
+    if not np.any(sudden):
+        return np.empty(0, np.intp), np.empty(0)
+    sudden &= size > _LARGEST_STEP * float(np.max(size[~sudden], initial=0.0))
+    at = np.flatnonzero(sudden)
+    usual = [np.median(np.delete(rate[max(k - 3, 0) : k + 4], min(k, 3))) for k in map(int, at)]
+    return at, steps[at] - np.array(usual)
+
+
+def _finite(table: _Table) -> _Table:
+    """Without values that are no number: filled in, and the rows left out."""
+    for name in table.named(_READ):
+        values = table.channels[name]
+        bad = ~np.isfinite(values)
+        count = int(np.count_nonzero(bad))
+        if count == 0:
+            continue
+        filled = values.copy()
+        filled[bad] = np.interp(table.t_s[bad], table.t_s[~bad], values[~bad])
+        at = table.t_s[np.argmax(bad)]
+        text = (
+            f"channel {name} has {count} value(s) that are no finite number, the first at t = {at:g} s: rows left out"
+        )
+        table = table.with_channel(name, filled, Repair("not_finite", name, count, text), left_out=bad)
+    return table
+
+
+def _unsaturated(table: _Table, limits_Nm: Mapping[str, float]) -> _Table:
+    """Rows in which a torque stands at the end of its range are left out."""
+    for name in table.named(_TORQUE):
+        values = table.channels[name]
+        cut = np.zeros(len(values), bool)
+        for sign in (1.0, -1.0):
+            top = float(np.max(sign * values, initial=0.0))
+            limit = limits_Nm.get(name, float("inf"))
+            if top <= 0.0 or abs(top - limit) <= _AT_LIMIT * limit < float("inf"):
+                continue
+            at = sign * values == top
+            below = sign * values[~at]
+            next_level = float(np.max(below, initial=-np.inf)) - _NEXT * float(np.ptp(values))
+            near = below >= next_level
+            if _longest_run(at) >= _FLAT and np.count_nonzero(at) >= _PILED * np.count_nonzero(near):
+                cut |= at
+        count = int(np.count_nonzero(cut))
+        if count and float(np.ptp(values)) > 0.0:
+            largest = float(np.max(np.abs(values[cut])))
+            text = f"channel {name} stands at {largest:g} N·m, the end of its range, in {count} row(s): left out"
+            table = table.with_channel(name, values, Repair("saturated", name, count, text), left_out=cut)
+    return table
+
+
+def _longest_run(rows: Rows) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(int), [0]])))
+    return int(np.max(edges[1::2] - edges[::2], initial=0))
+
+
+def _even(table: _Table) -> _Table:
+    """At even times: rows that are missing are filled in and left out, uneven ones put onto a grid."""
+    t = table.t_s
+    if len(t) < LEAST_SAMPLES + 1:
+        return table
+    period_s = float(np.median(np.diff(t)))
+    if np.max(np.abs(np.diff(t) - period_s)) <= _UNEVEN * period_s:
+        return table
+    number, slope, first = _numbered(t, period_s)
+    off = np.abs(t - first - slope * number)
+    if np.max(off) <= _UNEVEN * period_s:
+        if number[-1] == len(t) - 1:
+            return table
+        return _filled(table, number, float(t[-1] - t[0]) / float(number[-1]))
+    uneven = float(np.max(np.abs(np.diff(t)[np.diff(t) < _MISSING * period_s] - period_s), initial=0.0))
+    at_times, by_number = _at_times(table, period_s), None
+    if np.max(off) < period_s:
+        by_number = _filled(replace(table, t_s=first + slope * number), number, float(slope))
+    if by_number is not None and _roughness(by_number) < _roughness(at_times):
+        text = (
+            f"times up to {1e3 * uneven:.3g} ms off an even {1e3 * slope:.4g} ms, where the motion is even: made even"
+        )
+        return replace(by_number, repairs=(*by_number.repairs, Repair("uneven", TIME, len(t), text)))
+    text = f"rows up to {1e3 * uneven:.3g} ms off an even {1e3 * period_s:.4g} ms: put onto an even grid"
+    return replace(at_times, repairs=(*at_times.repairs, Repair("uneven", TIME, len(t), text)))
+
+
+def _numbered(t_s: Array, period_s: float) -> tuple[Array, float, float]:
+    """Which row of an even recording each is, were it one; its period, s, and the time of row 0."""
+    number = np.concatenate([[0.0], np.cumsum(np.maximum(np.round(np.diff(t_s) / period_s), 1.0))])
+    slope, first = np.polyfit(number, t_s, 1)
+    if np.max(np.abs(t_s - first - slope * number)) > _UNEVEN * period_s:
+        # Times that are off by much round to the wrong row: where none is missing, one after the other.
+        one_by_one = np.arange(len(t_s), dtype=np.float64)
+        even, start = np.polyfit(one_by_one, t_s, 1)
+        if np.max(np.abs(t_s - start - even * one_by_one)) < period_s:
+            return one_by_one, float(even), float(start)
+    return number, float(slope), float(first)
+
+
+def _filled(table: _Table, number: Array, period_s: float) -> _Table:
+    """With rows in between where their numbers leave some out."""
+    period_s = round(period_s, 9)
+    everything = np.arange(int(number[-1]) + 1)
+    missing = np.ones(len(everything), bool)
+    missing[number.astype(int)] = False
+    channels = {name: np.interp(everything, number, values) for name, values in table.channels.items()}
+    left_out = missing.copy()
+    left_out[number.astype(int)] = table.left_out
+    repairs_made = [_gap(table.t_s, np.diff(number) > 1.0, int(np.count_nonzero(missing)))] if np.any(missing) else []
+    t_s = table.t_s[0] + period_s * everything
+    return _Table(t_s, channels, left_out, (*table.repairs, *repairs_made))
+
+
+def _at_times(table: _Table, period_s: float) -> _Table:
+    """Interpolated where the grid's times lie between those of the rows."""
+    t = table.t_s
+    grid = t[0] + period_s * np.arange(int((t[-1] - t[0]) / period_s) + 1)
+    channels = {name: np.interp(grid, t, values) for name, values in table.channels.items()}
+    before = np.clip(np.searchsorted(t, grid, side="right") - 1, 0, len(t) - 2)
+    wide = np.diff(t) > _MISSING * period_s
+    left_out = np.interp(grid, t, table.left_out.astype(float)) > 0.0
+    missing = wide[before] & (np.abs(grid - t[before]) > _UNEVEN * period_s)
+    repairs_made = [_gap(t, wide, int(np.count_nonzero(missing)))] if np.any(missing) else []
+    return _Table(grid, channels, left_out | missing, (*table.repairs, *repairs_made))
+
+
+def _gap(t_s: Array, wide: Rows, count: int) -> Repair:
+    places = np.flatnonzero(wide)
+    text = f"{count} row(s) missing in {len(places)} place(s), the first after t = {t_s[places[0]]:g} s: left out"
+    return Repair("gap", TIME, count, text)
+
+
+def _roughness(table: _Table) -> float:
+    """How little the positions go on from row to row: times that are not those of the rows make motion rough."""
+    kept = ~table.left_out[4:]
+    found = 0.0
+    for name in table.named(_POSITION):
+        differences = np.diff(table.channels[name], 4)[kept]
+        found = max(found, float(np.sqrt(np.mean(differences**2))))
+    return found
+
+
+def _longest_stretch(table: _Table, longest_gap_s: float) -> _Table:
+    """Where too much is missing at once: the longest part without that."""
+    if not np.any(table.left_out) or not np.isfinite(longest_gap_s):
+        return table
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], table.left_out.astype(int), [0]])))
+    period_s = float(np.median(np.diff(table.t_s)))
+    gaps = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if (b - a) * period_s > longest_gap_s]
+    if not gaps:
+        return table
+    starts, ends = [0, *(b for _, b in gaps)], [*(a for a, _ in gaps), len(table.t_s)]
+    start, end = max(zip(starts, ends, strict=True), key=lambda part: part[1] - part[0])
+    text = (
+        f"more than {longest_gap_s:g} s missing at once {len(gaps)} time(s): t = {table.t_s[start]:g} to"
+        f" {table.t_s[end - 1]:g} s, the longest stretch without that, is used"
+    )
+    return table.rows(slice(int(start), int(end)), Repair("stretch", TIME, len(table.t_s) - int(end - start), text))

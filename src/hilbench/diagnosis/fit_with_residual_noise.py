@@ -1,0 +1,93 @@
+"""Fits of terms where a right model would not leave noise alone, and how sure they are: what is left is the noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.fit import Fit, fit
+from hilbench.diagnosis.measured_motion import OnMeasuredMotion
+from hilbench.diagnosis.noise import Whitening, scaling
+from hilbench.diagnosis.residual_noise import (
+    Uncertainty,
+    by_waves,
+    uncertainty,
+    with_doubts,
+    with_guess,
+    with_noisy_columns,
+)
+from hilbench.diagnosis.space import Space
+from hilbench.diagnosis.terms import Term, pack_with
+from hilbench.plant.effect import Domain
+from hilbench.plant.effects import find_effect
+
+Array = NDArray[np.float64]
+
+
+def fitted(space: Space, terms: list[Term]) -> Fit:
+    """The terms fitted to all rows that count, every frequency of the band with the same weight."""
+    return fit(space, weights(space, terms), terms, space.predictor.rows)
+
+
+def weights(space: Space, terms: list[Term]) -> Whitening:
+    """Of each signal: by what a model with the terms leaves of it."""
+    residual = space.residual(terms)[:, space.predictor.rows]
+    return scaling(np.maximum(np.std(residual, axis=-1), 1e-300))
+
+
+def uncertainty_of(space: Space, found: Fit, rows: NDArray[np.bool_] | None = None) -> Uncertainty:
+    """Of a fit's coordinates, with what it leaves as noise; rows (n,) of the fit, by default all that count.
+
+    What swings at a frequency of its own is told by few frequencies, at which friction or an inertia that are a little
+    other look alike: there it counts by what the prediction may be off.
+    """
+    rows = space.predictor.rows if rows is None else rows
+    derivatives = space.point(found.terms, found.residual).derivatives[..., rows]
+    known = uncertainty(derivatives, found.residual[..., rows])
+    doubted = np.concatenate([np.zeros(0, bool), *(np.full(len(t.coordinates()), t.swings) for t in found.terms)])
+    if not np.any(doubted):
+        return known
+    return with_doubts(known, derivatives, found.residual[..., rows], space.doubts(found.terms)[..., rows], doubted)
+
+
+def stated_uncertainty(space: Space, found: Fit) -> Uncertainty:
+    """The same with an inertia of the model that is a guess, where no term says how far it is off, and with what noise
+    in the accelerations of coupled axes moves: it hardly shows in them, and what goes with them nearly makes up for one
+    another. On one steady sine by what repeats itself alone."""
+    known, predictor = uncertainty_of(space, found), space.predictor
+    if not isinstance(predictor, OnMeasuredMotion) or not found.terms:
+        return known
+    if predictor.sine_Hz is not None and not any(term.swings for term in found.terms):
+        return _on_one_sine(space, found, predictor, predictor.repeating(predictor.sine_Hz))
+    rows = predictor.rows
+    if predictor.arm is None and not any(map(_identifies_inertia, found.terms)):
+        derivatives = space.point(found.terms, found.residual).derivatives[..., rows]
+        known = with_guess(known, derivatives, found.residual[..., rows], predictor.of_inertia[..., rows])
+    if predictor.arm is None:
+        return known
+    alone = replace(space, predictor=predictor.uncoupled)
+    beside = alone.point(found.terms, alone.residual(found.terms)).derivatives[:, 0]
+    noisy, explained = predictor.by_accelerations(pack_with(space.model, found.terms))
+    wide = np.concatenate([predictor.couplings, beside])[:, rows]
+    return with_noisy_columns(known, wide, found.residual[0, rows], noisy[..., rows], explained[:, rows])
+
+
+def _identifies_inertia(term: Term) -> bool:
+    """Whether another inertia of the model would be another size of a term."""
+    inertia = find_effect("inertia_mismatch")
+    return term.effect.domain in (Domain.INERTIA, Domain.MOTOR_TORQUE) or term.effect.is_alike(inertia)
+
+
+def _on_one_sine(space: Space, found: Fit, predictor: OnMeasuredMotion, waves: Array) -> Uncertainty:
+    """Of a fit's coordinates, by what repeats itself (waves, n) alone, and how friction turns over."""
+    derivatives = space.point(found.terms, found.residual).derivatives
+    shapes = predictor.doubt_of_turning(pack_with(space.model, found.terms))
+    rows = predictor.rows
+    return by_waves(derivatives[:, 0, rows], found.residual[0, rows], shapes[:, 0, rows], waves[:, rows])
+
+
+def firsts(terms: list[Term]) -> list[int]:
+    """The first coordinate of each term among those of all."""
+    return [int(first) for first in np.cumsum([0, *(len(term.coordinates()) for term in terms)])[:-1]]

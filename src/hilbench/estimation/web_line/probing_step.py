@@ -1,0 +1,225 @@
+"""E from a known change of strain: what does not change with it cancels.
+
+Constant speed, force and strain of many short blocks (`_BLOCK_S`), of the balance of the roller behind the span:
+
+    force - m·v2' = E·h + b + c·t
+
+with h = F/E as the encoders show it. Dry friction (while the direction of motion stays), an offset of the torque and
+whatever else is constant are b, a slow change of that is c·t; E is the slope against h alone. Its deviation is that of
+least squares with the scatter that the blocks have; where the strain did not change it is wide.
+
+A tension that moves by 2 % shows in a torque whose noise is as large. Where the velocity loop of the drive is known,
+the changes of its torque follow from the encoder without that noise: kp·e + ki·∫e dt of the speed's error e. They are
+taken as long as they agree with the measured ones, and their E is no better known than the loop's gains.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from math import hypot, isfinite, sqrt
+
+import numpy as np
+
+from hilbench.estimation.web_line.balance import BalanceSample
+from hilbench.estimation.web_line.config import EstimationConfig
+from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line.parameters import ModelParameters
+
+#: Noise of the encoder must be small in the mean of a block; a probe has many of them.
+_BLOCK_S = 0.05
+#: Way over which the speed at the edge of a block is taken.
+_EDGE_S = 0.02
+#: What a ramp has left behind is over.
+_SETTLED_S = 0.5
+#: Change of the speed set-point of the roller, as a share of it, from which it is another motion.
+_STEADY = 1e-4
+#: Least blocks, and longest time, s, over which one slope is fitted.
+_LEAST_BLOCKS, _LONGEST_S = 20, 60.0
+#: Change of the estimate of E over the blocks from which E itself must have changed.
+_CHANGED = 0.03
+#: Deviations that two slopes of the same changes may be apart.
+_AGREE = 3.0
+#: Deviation of E, in %, with which a known change of the tension tells it, and its share of what was stated before.
+_KNOWN_PCT, _BETTER_BY = 0.3, 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class DriveLoop:
+    """The velocity loop of the roller's drive, at the web, and what its gains may be off (relative deviation)."""
+
+    kp_N_s_per_m: float
+    ki_N_per_m: float
+    current_loop_s: float  #: lag of the torque behind what the loop asks for
+    sample_s: float
+    deviation: float
+
+    @property
+    def acting_kp_N_s_per_m(self) -> float:
+        """kp at a slow change of speed: an integral that lags lacks a part in proportion to the speed's error.
+
+        The hold of half a sample is made up for by the last error, which a sampled integral has in it already.
+        """
+        return self.kp_N_s_per_m - self.ki_N_per_m * self.current_loop_s
+
+    @property
+    def acting_mass_kg(self) -> float:
+        """What kp's lag adds in proportion to the acceleration."""
+        return self.kp_N_s_per_m * (self.current_loop_s + 0.5 * self.sample_s)
+
+
+@dataclass(frozen=True, slots=True)
+class KnownTension:
+    """What a change has told: E in Pa with its deviation, and the constant part of the force (N) that is no tension."""
+
+    youngs_modulus_Pa: float
+    deviation_Pa: float
+    force_N: float
+
+    def is_more_certain_than(self, youngs_modulus_Pa: float, deviation_Pa: float) -> bool:
+        """Whether it tells E, and better than it is known already, with this deviation."""
+        limit_Pa = min(0.01 * _KNOWN_PCT * youngs_modulus_Pa, _BETTER_BY * deviation_Pa)
+        return 0.0 < self.deviation_Pa <= limit_Pa and self.youngs_modulus_Pa > 0.0
+
+
+#: Of a cycle or a block: h in N/Pa, the force, and what the loop says that the force is more, N.
+_Values = tuple[float, float, float]
+
+
+class ProbingStep:
+    """Collects blocks of one steady motion. `loop`: None where only the measured torque can be believed."""
+
+    def __init__(self, mass_kg: float, loop: DriveLoop | None, cycle_s: float) -> None:
+        self._mass_kg = mass_kg
+        self._loop = loop
+        self._cycle_s = cycle_s
+        self._cycles = max(round(_BLOCK_S / cycle_s), 2)
+        self.reset()
+
+    def reset(self) -> None:
+        """What was seen is of another motion, or of another E."""
+        self._blocks: list[_Values] = []
+        self._modulus_Pa: float | None = None
+        self._speed_m_s: float | None = None
+        self._steady_s = self._lag_m = 0.0
+        reach = max(round(0.5 * _EDGE_S / self._cycle_s), 1)
+        self._positions_m: deque[float] = deque(maxlen=2 * reach + 1)
+        self._values: deque[_Values] = deque(maxlen=reach + 2)  # down to one before the middle of the positions
+        self._begin(None)
+
+    def believe(self, youngs_modulus_Pa: float) -> None:
+        """What was found is the estimate from here on: it goes on from the same blocks."""
+        self._modulus_Pa = youngs_modulus_Pa
+
+    def _begin(self, velocity_m_s: float | None) -> None:
+        self._first_m_s = velocity_m_s
+        self._sums: _Values = (0.0, 0.0, 0.0)
+        self._count = 0
+
+    def update(
+        self, now: BalanceSample, set_point_m_s: float, torque_N: float, modulus_Pa: float
+    ) -> KnownTension | None:
+        """Take a cycle: the balance, the roller's speed set-point, the part of the balance's force that comes from the
+        measured torque, and E as it is estimated. What is known when a block is complete, else None.
+        """
+        if not self._is_same(now, set_point_m_s, modulus_Pa):
+            self.reset()
+            self._speed_m_s, self._modulus_Pa = set_point_m_s, modulus_Pa
+            return None
+        self._steady_s += self._cycle_s
+        if self._steady_s < _SETTLED_S:
+            return None
+        self._lag_m += (set_point_m_s - now.velocity_m_s) * self._cycle_s
+        held_N = self._loop.ki_N_per_m * self._lag_m - torque_N if self._loop is not None else 0.0
+        self._positions_m.append(now.x2_m)
+        self._values.append((now.web_per_Pa, now.force_N, held_N))
+        positions_m = self._positions_m
+        if len(positions_m) < (positions_m.maxlen or 0):
+            return None
+        # Speed in the middle of the positions kept, the momentum there; forces from one such instant to the next.
+        speed_m_s = (positions_m[-1] - positions_m[0]) / ((len(positions_m) - 1) * self._cycle_s)
+        return self._take(speed_m_s)
+
+    def _is_same(self, now: BalanceSample, set_point_m_s: float, modulus_Pa: float) -> bool:
+        """Whether this is a cycle more of one steady motion, with one E."""
+        if self._speed_m_s is None or self._modulus_Pa is None or not set_point_m_s:
+            return False
+        steady = abs(set_point_m_s - self._speed_m_s) <= _STEADY * abs(set_point_m_s)
+        unchanged = abs(modulus_Pa / self._modulus_Pa - 1.0) <= _CHANGED
+        usable = isfinite(now.force_N) and isfinite(now.web_per_Pa) and now.web_per_Pa > 0.0
+        return steady and unchanged and usable and len(self._blocks) * _BLOCK_S <= _LONGEST_S
+
+    def _take(self, speed_m_s: float) -> KnownTension | None:
+        if self._first_m_s is None:
+            self._begin(speed_m_s)
+            return None
+        before, at = self._values[0], self._values[1]
+        web, force_N, held_N = (0.5 * (one + other) for one, other in zip(before, at, strict=True))
+        if self._loop is not None:  # the set-point is constant: its part is, too
+            held_N -= self._loop.acting_kp_N_s_per_m * speed_m_s
+        self._sums = (self._sums[0] + web, self._sums[1] + force_N, self._sums[2] + held_N)
+        self._count += 1
+        if self._count < self._cycles:
+            return None
+        taken_N = self._mass_kg * (speed_m_s - self._first_m_s) / (self._count * self._cycle_s)
+        web, force_N, held_N = (total / self._count for total in self._sums)
+        if self._loop is not None:
+            held_N += self._loop.acting_mass_kg / self._mass_kg * taken_N
+        self._blocks.append((web, force_N - taken_N, held_N))
+        self._begin(speed_m_s)
+        return self._known() if len(self._blocks) >= _LEAST_BLOCKS else None
+
+    def _known(self) -> KnownTension:
+        blocks = np.array(self._blocks)
+        measured = _Slope.of(blocks[:, 0], blocks[:, 1])
+        best = measured
+        if self._loop is not None:
+            by_loop = _Slope.of(blocks[:, 0], blocks[:, 1] + blocks[:, 2])
+            deviation_Pa = hypot(by_loop.deviation_Pa, self._loop.deviation * by_loop.slope_Pa)
+            apart_Pa = abs(by_loop.slope_Pa - measured.slope_Pa)
+            if apart_Pa <= _AGREE * hypot(deviation_Pa, measured.deviation_Pa) and deviation_Pa < measured.deviation_Pa:
+                best = _Slope(by_loop.slope_Pa, deviation_Pa)
+        # The constant is that of the measured torque: of the loop's only the changes are known.
+        constant_N = float(np.mean(blocks[:, 1] - best.slope_Pa * blocks[:, 0]))
+        return KnownTension(best.slope_Pa, best.deviation_Pa, constant_N)
+
+
+@dataclass(frozen=True, slots=True)
+class _Slope:
+    slope_Pa: float
+    deviation_Pa: float
+
+    @classmethod
+    def of(cls, web_per_Pa: np.ndarray, force_N: np.ndarray) -> _Slope:
+        """Of the force (n,) against h (n,), beside a constant and a trend."""
+        count = len(force_N)
+        trend = np.column_stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
+        # What constant and trend explain is taken out of both; the rest is a line through the origin.
+        both = np.column_stack([web_per_Pa, force_N])
+        both = both - trend @ np.linalg.lstsq(trend, both, rcond=None)[0]
+        size = float(both[:, 0] @ both[:, 0])
+        if size == 0.0:
+            return cls(0.0, np.inf)
+        slope = float(both[:, 0] @ both[:, 1]) / size
+        left = both[:, 1] - slope * both[:, 0]
+        return cls(slope, sqrt(float(left @ left) / (count - 3) / size))
+
+
+def new_probing_step(
+    model: ModelParameters, config: EstimationConfig, mass_kg: float, cycle_s: float
+) -> ProbingStep | None:
+    """What looks at known changes of the tension; None where that is not wanted."""
+    wanted = config.probing_step
+    if wanted is None:
+        return None
+    loop = None
+    if wanted.loop_gain_deviation_pct is not None and model.drives is not None:
+        squared = model.motor_rad_per_m(2) ** 2
+        loop = DriveLoop(
+            per_item(model.drives.velocity_kp_Nm_s_per_rad, 2) * squared,
+            per_item(model.drives.velocity_ki_Nm_per_rad, 2) * squared,
+            per_item(model.drives.current_loop_time_constant_s, 2),
+            model.drives.sample_time_s,
+            0.01 * wanted.loop_gain_deviation_pct,
+        )
+    return ProbingStep(mass_kg, loop, cycle_s)

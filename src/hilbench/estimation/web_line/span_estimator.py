@@ -1,0 +1,560 @@
+"""One cycle of keeping the simulation in step with the measurement: compare, estimate, transfer.
+
+The same for the twin on the bus and for a recording.
+"""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import replace
+from math import hypot, inf, nan
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import interpreted, table_of
+from hilbench.estimation.nuisance import Nuisance
+from hilbench.estimation.plausibility import Plausibility
+from hilbench.estimation.problems import PROBLEMS, Problem
+from hilbench.estimation.web_line import anomalies, block_means, delay, torque_shift
+from hilbench.estimation.web_line import span_estimator_cycle as cycle
+from hilbench.estimation.web_line.balance import BalanceSample, MeasuredBalance
+from hilbench.estimation.web_line.config import (
+    ChangepointConfig,
+    EstimationConfig,
+    InputConfig,
+    PidConfig,
+    SynchronizerConfig,
+)
+from hilbench.estimation.web_line.initial_search import InitialSearch
+from hilbench.estimation.web_line.initial_strains import SLOW_M_S, InitialStrains, initial_strains
+from hilbench.estimation.web_line.joint_initialization import InitialWeb
+from hilbench.estimation.web_line.measured_span import MeasuredSpan
+from hilbench.estimation.web_line.probing_step import new_probing_step
+from hilbench.estimation.web_line.span_model import SimulatedMotor, SpanModel
+from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchronizer, SyncSample
+from hilbench.estimation.web_line.synchronizers.changepoint import ChangepointSynchronizer
+from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
+from hilbench.estimation.web_line.synchronizers.plant import Plant
+from hilbench.estimation.web_line.unmodelled_effects import UnmodelledEffects
+from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sizes import machine_sizes
+
+#: How far off the upstream strain may be as a guess of the strain of a web that is found under way, and of one that is
+#: found at rest, which may be strained by anything.
+UNKNOWN_STRAIN, UNKNOWN_AT_REST = 0.3, 1.0
+#: Least deviation with which a method takes over the estimate of the one before.
+_LEAST_PRIOR_PCT = 0.1
+#: What is left of a shift of the torque that has gone again, as a share of it.
+_GONE = 0.1
+#: By what share dry friction of a roller that creeps may be another one than where the line runs (deviation).
+_AT_SPEED = 0.1
+
+#: Roller behind the span, of the model of two.
+_AXIS = 2
+_NOTHING_MEASURED = (nan,) * 9
+_undecided, _is_synchronized = interpreted(torque_shift.undecided), interpreted(cycle.is_synchronized)
+
+
+class Known(NamedTuple):
+    """What is known of a span at some time: E, what the torque has shifted by, and what else the model lacks."""
+
+    youngs_modulus_Pa: float
+    torque_shift_Nm: float
+    errors: UnmodelledEffects | None
+
+
+class SpanEstimator:
+    """Moves E, and the transferred states, of `line` to where it agrees with what is measured.
+
+    `axis2` is the port of the line's second motor. Positions are at the web, torques at the motor.
+    """
+
+    def __init__(
+        self,
+        model: ModelParameters,
+        config: EstimationConfig,
+        line: SpanModel,
+        axis2: SimulatedMotor,
+        cycle_s: float,
+    ) -> None:
+        self.config = config
+        self._line = line
+        self._axis2 = axis2
+        self._cycle_s = cycle_s
+        self._balance = balance = MeasuredBalance(model)
+        self._initial_Pa = config.youngs_modulus_Pa or model.youngs_modulus_Pa(1)
+        self._torque_limit_Nm = per_item(model.drives.torque_limit_Nm, 2) if model.drives else inf
+        self._strain_prev = model.upstream_strain
+        self._model_delay_s = next(
+            (e.parameters.get("delay_s", 0.0) for e in model.effects if (e.effect, e.axis) == ("torque_delay", 2)), 0.0
+        )
+        self._anomalies = anomalies.new_state(
+            model.youngs_modulus_Pa(1),
+            machine_sizes(model, 2).force_N,
+            model.span_length_m(1),
+        )
+        self._blocks = block_means.new_state(balance.mass_kg, cycle_s)
+        self._shift = torque_shift.new_state()
+        self._delay_line = delay.new_line(cycle_s)
+        self._probing_step = new_probing_step(model, config, balance.mass_kg, cycle_s)
+        self._model = model
+        self._t = self._new_state()
+        self.span = MeasuredSpan(balance, self._t)  #: with the web in it
+        self._errors: UnmodelledEffects | None = None
+        self._synchronizer: Synchronizer
+        self._nuisances: tuple[Nuisance, ...] | None = ()  # None: those that the bank has found
+        self._input_strain: float | None = None
+        # Where there is no bank, or nothing is looked for, their vectors only fill the places.
+        self._spare_errors, self._spare_bank = self._new_errors(), self._new_bank(ChangepointConfig())
+        self.reset()
+
+    def _new_state(self) -> Vector:
+        t, c, config, balance = np.zeros(cycle.SIZE), cycle, self.config, self._balance
+        t[c.CYCLE_S], t[c.FORCE_PER_TORQUE], t[c.SECTION_M2] = (
+            self._cycle_s,
+            balance.force_per_torque_per_m,
+            balance.section_m2,
+        )
+        t[c.SPAN_M], t[c.SPAN] = balance.span_length_m, self._line.first_axis
+        t[c.COMPENSATES] = config.torque_shift != "ignore"
+        t[c.FINDS_DELAY] = config.torque_delay == "estimate"
+        t[c.DELAYED] = config.torque_delay == "estimate" or self._model_delay_s != 0.0
+        transfer = config.transfer
+        t[c.TRANSFERS_STRAIN], t[c.TRANSFERS_AXES] = transfer.strain, transfer.axes
+        t[c.STRAIN_LIMIT], t[c.POSITION_LIMIT_M] = transfer.strain_limit, transfer.position_limit_m
+        t[c.VELOCITY_LIMIT_M_S] = transfer.velocity_limit_m_s
+        return t
+
+    def _new_errors(self) -> UnmodelledEffects:
+        config, balance = self.config, self._balance
+        priors = [prior for prior in config.priors if prior.axis == _AXIS]
+        return UnmodelledEffects(config.model_errors, self._model, balance, self._initial_Pa, self._cycle_s, priors)
+
+    def _new_bank(self, config: ChangepointConfig) -> ChangepointSynchronizer:
+        return ChangepointSynchronizer(config, Plant.of(self._balance, self._initial_Pa))
+
+    def _gather(self) -> None:
+        """The vectors of what there is now, and where they stand."""
+        errors, bank = self._errors or self._spare_errors, self._spare_bank
+        if isinstance(self._synchronizer, ChangepointSynchronizer):
+            bank = self._synchronizer
+        self._t[cycle.HAS_ERRORS] = self._errors is not None
+        self._vectors = cycle.SpanEstimatorVectors(
+            self._t,
+            self._plausibility.state,
+            self._anomalies,
+            self._shift,
+            self._delay_line,
+            self._delay_finder,
+            self._line.moduli,
+            self._balance.vectors,
+            errors.state,
+            bank.vectors,
+            self._line.vectors,
+            self._blocks,
+        )
+        self._table = table_of(cycle.flat(self._vectors))
+
+    @property
+    def table(self) -> NDArray[np.int64]:
+        """Where they stand, as `tracking_cycle.run_vectors` takes them; another one whenever they are."""
+        return self._table
+
+    @property
+    def in_vectors(self) -> bool:
+        """Whether all of it stands in them: a measurement has been compared, and no known change is looked for."""
+        return self._balance.is_followed and self._probing_step is None
+
+    @property
+    def input_strain(self) -> float:
+        """What a method that finds no E takes the strain upstream for, beyond what is told."""
+        return self._input_strain or 0.0
+
+    def has_gone_on(self) -> None:
+        """Compiled callers have run cycles in which nothing was left to Python."""
+        if self._t[cycle.BANK]:
+            self._nuisances = None
+
+    def reset(self) -> None:
+        """Start anew, with E as assumed at the start."""
+        t, c = self._t, cycle
+        self._line.set_parameter("youngs_modulus_Pa", self._initial_Pa)
+        if self.config.unmodelled_torque_Nm is None:
+            self._errors = self._new_errors()
+        self._look_anew()
+        t[c.MODULUS_PA], t[c.WEB_PER_PA] = self._initial_Pa, self._balance.section_m2 * self._strain_prev
+        self._begin(self.config.synchronizer, self._initial_Pa)
+        t[c.DELAY_S] = self._model_delay_s
+        t[c.RESIDUAL_NM] = t[c.USED] = t[c.SPLICED] = t[c.OTHER_WEB] = t[c.PROBLEM] = 0.0
+        t[c.SERIES_FACTOR] = t[c.END_FACTOR] = 1.0
+        t[c.SHIFT_NM] = 0.0
+        self._state(Estimate(self._initial_Pa, inf))
+        self.release()
+
+    def _look_anew(self) -> None:
+        """At what is measured, cycle by cycle."""
+        self._plausibility = Plausibility(
+            self._torque_limit_Nm,
+            self._balance.dry_friction_N,
+            self._balance.section_m2 * self._strain_prev,
+            self._cycle_s,
+        )
+        self._delay_finder = delay.new_finder(self._cycle_s)
+
+    def freeze_adaptation(self, *, frozen: bool) -> None:
+        """Whether nobody knows how long a cycle is: the web is followed by its ways, and nothing is learned."""
+        self._t[cycle.FROZEN] = frozen
+
+    def set_cycle_time(self, cycle_s: float, known: Known) -> None:
+        """A cycle is so long from the next on; goes on from what was known, with the strain as it is measured."""
+        self._cycle_s = self._t[cycle.CYCLE_S] = cycle_s
+        self._blocks = block_means.new_state(self._balance.mass_kg, cycle_s)
+        self._delay_line = delay.new_line(cycle_s)
+        self._probing_step = new_probing_step(self._model, self.config, self._balance.mass_kg, cycle_s)
+        self._look_anew()
+        self._go_back(known)
+        if self._errors is not None:
+            self._errors.set_cycle_time(cycle_s)
+        self.use(self._method)
+        self._forget(cycle.SUSPEND)
+        if self._search.is_on:  # what has been seen of the web was seen with another cycle
+            self._find_web()
+
+    def release(self, strain_uncertainty: float = 0.0, webs: InitialStrains | None = None, place: int = 0) -> None:
+        """The web is released anew, strained as upstream but for an unknown share (relative); `webs`: those of the
+        line, where it has several spans, and which of them this is, from 0."""
+        t, c = self._t, cycle
+        self._balance.reset()
+        self._forget(c.NEW_WEB)
+        t[c.MISSED_S] = t[c.MEASURED] = t[c.RUNS] = t[c.REFUSED] = t[c.REFUSED_M] = t[c.CREEP_RATIO] = t[c.FOUND] = 0.0
+        if self._probing_step is not None:
+            self._probing_step.reset()
+        if self._errors is not None:
+            self._errors.release()
+        t[c.STRAIN_UNCERTAINTY] = strain_uncertainty
+        self._search = InitialSearch(webs or initial_strains(self._model), place, strain_uncertainty)
+        if strain_uncertainty > 0.0 and not isinstance(self._method, PidConfig | InputConfig):
+            self._find_web()
+
+    def _find_web(self) -> None:
+        """E and strain of a web that nobody knows are found first."""
+        plant = Plant.of(self._balance, self.estimate.youngs_modulus_Pa)
+        friction_share = 0.01 * self.config.model_errors.friction_pct
+        self._search.begin(plant, self._strain_prev, friction_share)
+        self._state_looked_for()
+        self._t[cycle.BANK] = 0.0  # until it has started from what is found
+
+    def _forget(self, what: int) -> None:
+        cycle.forget(what, self._blocks, self._anomalies, self._shift, self._delay_line)
+
+    def use(self, synchronizer: SynchronizerConfig | None) -> None:
+        """Go on with another method (None: the configured one) from the present E, without a jump."""
+        config, known = synchronizer or self.config.synchronizer, self.estimate
+        if not isinstance(config, PidConfig):
+            share_pct = 100.0 * self._own_deviation_Pa / known.youngs_modulus_Pa
+            known_pct = min(max(share_pct, _LEAST_PRIOR_PCT), config.initial_deviation_pct)
+            config = config.model_copy(update={"initial_deviation_pct": known_pct})
+        # A black box goes on as the model that it is.
+        black_box = isinstance(config, InputConfig)
+        model_Pa = self._line.parameter("youngs_modulus_Pa")
+        self._begin(config, model_Pa if black_box else known.youngs_modulus_Pa)
+
+    def _begin(self, config: SynchronizerConfig, youngs_modulus_Pa: float) -> None:
+        self._nuisances = self.estimate.nuisances
+        self._method = config
+        self._synchronizer = new_synchronizer(config, Plant.of(self._balance, youngs_modulus_Pa))
+        self._t[cycle.BANK] = 0.0  # until it has started
+        self._gather()
+        looks_for_it = not isinstance(config, PidConfig | InputConfig) and config.also.torque_offset_Nm > 0.0
+        if self.config.unmodelled_torque_Nm is not None:
+            unmodelled_Nm = 0.0 if looks_for_it else self.config.unmodelled_torque_Nm
+            self._t[cycle.UNMODELLED_N] = unmodelled_Nm * self._balance.force_per_torque_per_m
+
+    def _state(self, estimate: Estimate) -> None:
+        """Take what the method says of E, with what the data can't tell from it."""
+        self._nuisances, self._input_strain = estimate.nuisances, estimate.upstream_strain
+        self._t[cycle.BLACK_BOX] = estimate.upstream_strain is not None
+        cycle.state(self._t, self._vectors.errors, estimate.youngs_modulus_Pa, estimate.deviation_Pa)
+
+    @property
+    def estimate(self) -> Estimate:
+        """E as it is told."""
+        modulus_Pa, deviation_Pa = self._t[cycle.MODULUS_PA : cycle.DEVIATION_PA + 1].tolist()
+        nuisances = self._nuisances
+        if nuisances is None:
+            assert isinstance(self._synchronizer, ChangepointSynchronizer), "None is said of the bank alone"
+            nuisances = self._synchronizer.nuisances
+        return Estimate(modulus_Pa, deviation_Pa, nuisances, self._input_strain)
+
+    @property
+    def modulus_and_deviation_Pa(self) -> tuple[float, float]:
+        """E as it is told, without what else is in the estimate."""
+        t = self._t
+        return t.item(cycle.MODULUS_PA), t.item(cycle.DEVIATION_PA)
+
+    @property
+    def separable(self) -> bool:
+        """Whether the data tell everything that is estimated from E."""
+        if self._nuisances is None and isinstance(self._synchronizer, ChangepointSynchronizer):
+            return self._synchronizer.separable
+        return all(nuisance.separable for nuisance in self.estimate.nuisances)
+
+    @property
+    def _own_deviation_Pa(self) -> float:
+        return self._t.item(cycle.OWN_DEVIATION_PA)
+
+    @property
+    def torque_shift_Nm(self) -> float:
+        """What the measured torque has shifted by, and is corrected for."""
+        return self._t.item(cycle.SHIFT_NM)
+
+    @property
+    def residual_Nm(self) -> float:
+        """Torque measured, less the shift, less simulated."""
+        return self._t.item(cycle.RESIDUAL_NM)
+
+    @property
+    def problem(self) -> Problem | None:
+        """Why the last measurement could not be used."""
+        return PROBLEMS[int(self._t.item(cycle.PROBLEM))]
+
+    @property
+    def refused(self) -> bool:
+        """Whether a measured state was not plausible in the last cycle, and was not taken over."""
+        return self._t.item(cycle.REFUSED) != 0.0
+
+    @property
+    def diverged(self) -> bool:
+        """Whether it is the simulation that is not plausible: measured states were refused for long, and until the web
+        that was in the span had left it: nothing that was measured wrongly then is in it any more."""
+        t = self._t
+        lasts = t.item(cycle.REFUSED) * self._cycle_s > cycle.DIVERGED_S
+        return lasts and t.item(cycle.REFUSED_M) > anomalies.PASSED_SPANS * self._balance.span_length_m
+
+    @property
+    def used(self) -> BalanceSample | None:
+        """What E was found from in the last cycle, with what is no tension."""
+        if not self._t[cycle.USED]:
+            return None
+        return BalanceSample(*self._t[cycle.USED_M : cycle.USED_M_S + 1].tolist())
+
+    @property
+    def other_web_suspected(self) -> bool:
+        """Whether E may be changing because other web comes in."""
+        return self._t.item(cycle.OTHER_WEB) != 0.0
+
+    @other_web_suspected.setter
+    def other_web_suspected(self, suspected: bool) -> None:
+        self._t[cycle.OTHER_WEB] = suspected
+
+    @property
+    def synchronized(self) -> bool:
+        """Whether E is known as well as the config asks for, the web in the span is the one that was measured, and the
+        simulation has its strain."""
+        return _is_synchronized(self._t, self.config.synchronized_pct)
+
+    def become(self, relative_change: float) -> None:
+        """The web in the span is all of what a piece of it was: what is known of E is known of that."""
+        self._t[cycle.MODULUS_PA] *= 1.0 + relative_change
+        self.use(self._method)
+        if self._errors is not None:
+            self._errors.release()
+
+    @property
+    def errors(self) -> tuple[Nuisance, ...]:
+        """What is known of the model's errors by now; nothing where none are looked for."""
+        return () if self._errors is None else self._errors.found()
+
+    def known(self) -> Known:
+        """What is known now, to come back to."""
+        return Known(self.estimate.youngs_modulus_Pa, self.torque_shift_Nm, deepcopy(self._errors))
+
+    def believe(self, known: Known, strain: float) -> None:
+        """What has come to light since then was no change of E of the web that is in the span, but another strain."""
+        self._balance.web.set_state({"strain1": strain})
+        self._go_back(known)
+        self.use(self._method)
+        self._forget(cycle.SUSPEND)
+
+    def _go_back(self, known: Known) -> None:
+        self._errors = deepcopy(known.errors)
+        self._t[cycle.SHIFT_NM], self._t[cycle.MODULUS_PA] = known.torque_shift_Nm, known.youngs_modulus_Pa
+
+    @property
+    def torque_undecided(self) -> bool:
+        """Whether the torque has changed, and nothing tells yet whether that was E or a shift."""
+        return _undecided(self._shift)
+
+    def miss(self) -> None:
+        """A cycle without measurement."""
+        self._t[cycle.MISSED_S] += self._cycle_s
+        self._forget(cycle.INTERRUPT)
+        self.skip()
+
+    def skip(self) -> None:
+        """Hold the estimate for a cycle."""
+        if self._errors is not None:
+            self._errors.hold(self._cycle_s)
+        self._state(self._synchronizer.hold(self._cycle_s))
+
+    def compare(
+        self,
+        x1_m: float,
+        x2_m: float,
+        torque_Nm: float,
+        strain_prev: float,
+        F_next_N: float,
+        centre_m: float | None = None,
+        strain_next: float | None = None,
+        creep_ratio_prev: float = 0.0,
+    ) -> None:
+        """Take what was measured at the instant that the line has been simulated to; updates the line.
+
+        `centre_m`: of the centre of mass, where roller 2 stands for several; `strain_next`: of the web behind the span,
+        without it as the model has it at F_next; `creep_ratio_prev`: `creep_ratio` of the span before.
+        """
+        self._balance.begin(x1_m, x2_m, strain_prev)
+        others = (nan if centre_m is None else centre_m, nan if strain_next is None else strain_next)
+        values = (x1_m, x2_m, torque_Nm, self._axis2.torque_Nm, strain_prev, F_next_N, *others, creep_ratio_prev)
+        stage = cycle.run_vectors(cycle.COMPARE, tuple(map(float, values)), self._table)
+        if stage == cycle.DONE:
+            self.has_gone_on()
+        else:
+            self.go_on_from(stage, strain_prev)
+        if self._t[cycle.MOVED]:
+            self._line.show()
+
+    def go_on_from(self, stage: int, strain_prev: float) -> None:
+        """What is Python's part of a cycle, from this stage on; a compiled caller that was left with it has it done."""
+        t, c = self._t, cycle
+        if stage == c.UPDATE:
+            self._update(strain_prev)
+        elif stage in (c.HOLD, c.FOUND_WEB):
+            if stage == c.FOUND_WEB:
+                self._look_at_found_web(strain_prev)
+                t[c.USED] = 0.0
+            self.skip()
+            if self._search.is_on:
+                self._state_looked_for()
+        elif t[c.BANK]:
+            self._nuisances = None
+        if stage != c.SHIFT:
+            stage = c.run_vectors(c.LOOK_FOR_SHIFT, _NOTHING_MEASURED, self._table)
+        if stage == c.SHIFT:
+            self._take_out_shift()
+            c.run_vectors(c.TRANSFER, _NOTHING_MEASURED, self._table)
+
+    def _sample(self, strain_prev: float, force_N: float) -> SyncSample:
+        """Of this cycle, with this force in the balance."""
+        t, c = self._t, cycle
+        x2_m, _, web_per_Pa, velocity_m_s = t[c.USED_M : c.USED_M_S + 1].tolist()
+        sensitivity = t.item(c.SECTION_M2) * float(self._line.strain[0]) / t.item(c.FORCE_PER_TORQUE)
+        return SyncSample(
+            self._cycle_s,
+            t.item(c.TORQUE_NM),
+            t.item(c.TORQUE_SIM_NM),
+            sensitivity,
+            strain_prev,
+            BalanceSample(x2_m, force_N, web_per_Pa, velocity_m_s),
+        )
+
+    def _update(self, strain_prev: float) -> None:
+        """Let another method than the bank, or one that begins, take this cycle."""
+        if self._search.is_on:  # the web that could not be known has gone
+            self._believe_found(self._search.end())
+        self._search.know()
+        t, c, method = self._t, cycle, self._synchronizer
+        if t[c.REBASED_PA]:
+            method.rebase(t.item(c.REBASED_PA))
+        t[c.WEB_PER_PA] = t[c.USED_PER_PA]
+        self._state(method.update(self._sample(strain_prev, t.item(c.CORRECTED_N))))
+        t[c.BANK] = isinstance(method, ChangepointSynchronizer) and method.is_compiled
+
+    def _state_looked_for(self) -> None:
+        """E is told as it was believed until the web is known, with what it may be off by."""
+        looked_for_Pa = self._search.deviation_Pa(self._t.item(cycle.MODULUS_PA))
+        self._state(replace(self.estimate, deviation_Pa=max(self._own_deviation_Pa, looked_for_Pa)))
+
+    def _look_at_found_web(self, strain_prev: float) -> None:
+        """The web was found under way: the method begins as soon as its E and strain, and the strain of the web that
+        enters, are known."""
+        t, c, search = self._t, cycle, self._search
+        enters = search.move(self._balance.sample.velocity_m_s, self._cycle_s)
+        t[c.STRAIN_UNCERTAINTY] = max(t.item(c.STRAIN_UNCERTAINTY), enters)
+        if not search.is_on:
+            return
+        sample = self._sample(strain_prev, t.item(c.USED_N)) if t[c.USED] else None
+        strain = float(self._balance.web.strain[0])
+        found = search.look(sample, self._cycle_s, strain)
+        if found is None:
+            return
+        passes = search.passes
+        self._balance.web.set_state({"strain1": strain + found.strain_error})
+        t[c.STRAIN_UNCERTAINTY], t[c.FOUND] = 0.0, 1.0
+        search.end()
+        self._believe_found(found)
+        if not passes:
+            self._know_at_rest(found)
+        search.know()
+
+    def _believe_found(self, found: InitialWeb | None) -> None:
+        """The method goes on from what has been found, if anything."""
+        if found is None or found.youngs_modulus_Pa <= 0.0:
+            return
+        self._state(Estimate(found.youngs_modulus_Pa, found.deviation_Pa))
+        self.use(self._method)
+
+    def _know_at_rest(self, found: InitialWeb) -> None:
+        """A movement tells friction from E; a roller that stands under it says nothing of either."""
+        if self._errors is not None:
+            friction_sd_N = hypot(found.friction_deviation_N, _AT_SPEED * found.friction_N)
+            self._errors.know(found.youngs_modulus_Pa, found.deviation_Pa, found.friction_N, friction_sd_N)
+        if found.sticks:
+            self._plausibility.sticks(SLOW_M_S)
+
+    def look_for_known_change(self, set_point_m_s: float) -> None:
+        """After `compare`: what the last changes of the tension tell of E, at a steady set-point of axis 2 (m/s).
+
+        It is believed, and what else the torque shows taken out of it, when it says more than what is known.
+        """
+        change, t, c = self._probing_step, self._t, cycle
+        if change is None or not t[c.MEASURED]:
+            return
+        if self.problem is not None or t[c.STRAIN_UNCERTAINTY] != 0.0 or self._input_strain is not None:
+            change.reset()
+            return
+        now, torque_Nm, estimate = self._balance.sample, t.item(c.TORQUE_NM), self.estimate
+        # The torque as it is measured: what it is corrected for may become another.
+        ratio = self._balance.force_per_torque_per_m
+        shift_N = self.torque_shift_Nm * ratio
+        measured = replace(now, force_N=now.force_N + shift_N)
+        known = change.update(measured, set_point_m_s, torque_Nm * ratio + shift_N, estimate.youngs_modulus_Pa)
+        if known is None or not known.is_more_certain_than(estimate.youngs_modulus_Pa, estimate.deviation_Pa):
+            return
+        t[c.SHIFT_NM], t[c.MODULUS_PA] = known.force_N / ratio, known.youngs_modulus_Pa
+        # An experiment tells it once and for all: nothing else is looked for from here on.
+        self._errors = None
+        self.use(self._method)
+        # It is not the web that has changed, but what is known of it.
+        self._forget(c.SUSPEND)
+        t[c.UNMODELLED_N] = known.deviation_Pa * now.web_per_Pa
+        self._state(Estimate(known.youngs_modulus_Pa, self._own_deviation_Pa))
+        change.believe(known.youngs_modulus_Pa)
+
+    def upstream_strain(self, stated_strain: float) -> float:
+        """The strain of the web that enters the simulation; `stated_strain` is what the real web's is said to be."""
+        return stated_strain + self.input_strain
+
+    def _take_out_shift(self) -> None:
+        """A shift is taken out of the torque from the next cycle on, and E goes on from what it was before it."""
+        t, shift = self._t, self._shift
+        more_Nm = shift.item(torque_shift.FOUND_N) / self._balance.force_per_torque_per_m
+        t[cycle.SHIFT_NM] += more_Nm
+        if abs(self.torque_shift_Nm) < _GONE * abs(more_Nm):
+            t[cycle.SHIFT_NM] = 0.0
+        t[cycle.MODULUS_PA] = shift[torque_shift.FOUND_PA]
+        self.use(self._method)

@@ -1,0 +1,42 @@
+"""The bench's own node on the bus: others read and write its objects by SDO."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from hilbench.can.frame import Frame
+from hilbench.canopen.identifiers import SDO_ANSWER, SDO_REQUEST
+from hilbench.canopen.object_store import ObjectStore
+from hilbench.canopen.sdo_server import DeviceSdoServer
+
+
+class MasterNode:
+    """Serves the objects of a store. A request of a cycle is answered with the next, so that it is in the trace."""
+
+    def __init__(self, node_id: int, objects: ObjectStore) -> None:
+        self._request_id = SDO_REQUEST + node_id
+        self._answers: list[Frame] = []
+        self._server = DeviceSdoServer(
+            node_id, objects, lambda cob_id, data: self._answers.append(Frame(cob_id, bytes(data)))
+        )
+
+    def handle(self, frames: Iterable[Frame]) -> None:
+        """Look for requests in what came in a cycle."""
+        for cob_id, data, _ in frames:
+            if cob_id == self._request_id:
+                self._server.handle(data)
+
+    @property
+    def has_answers(self) -> bool:
+        """Whether the next cycle brings any."""
+        return bool(self._answers)
+
+    def answers(self) -> list[Frame]:
+        """What is to be sent with the next cycle."""
+        answers, self._answers = self._answers, []
+        return answers
+
+
+def answer_id(node_id: int) -> int:
+    """COB-ID of the node's answers, which the bench sends."""
+    return SDO_ANSWER + node_id

@@ -1,0 +1,147 @@
+"""Plain cycles of a process that holds simulated drives on the embedded bus: packets in, packets out, on arrays.
+
+What came with the last SYNC is what is expected with the next one: the same frames in the same order, controlwords that
+leave the drives enabled, now and then the bench's heartbeat. Then `kernel` does the work of the devices. Whatever else
+comes, or is due, is for the host, which is the reference: before it the objects get back what the arrays have.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from hilbench.can.embedded import EmbeddedLink
+from hilbench.can.frame import Frame
+from hilbench.can.link import Link
+from hilbench.can.open import BusAddress, open_link
+from hilbench.canopen.host import DeviceHost, HostedDevices
+from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, SYNC
+from hilbench.fast_path import kernel, packet_kernel
+from hilbench.fast_path.tables import FastPathRefusedError
+from hilbench.real_time import ProcessSettings, kept_ready
+
+#: Times that it is served after which it is looked anew whether cycles are plain, when they were not.
+_LOOK_AGAIN = 8
+
+
+class PacketRun(Protocol):
+    """Plain cycles one after the other, from objects into arrays and back."""
+
+    @property
+    def came(self) -> Sequence[bytes]:
+        """The packets that are for the host, once `serve` says so."""
+
+    def serve(self, timeout_s: float) -> bool:
+        """Do what the next packet asks for, where one comes within the time; False where that, or what is due, is not
+        plain: it is for the host, and nothing was done with it."""
+
+    def end(self) -> None:
+        """The objects get what the arrays have."""
+
+
+class Application(Protocol):
+    """What stands behind the devices."""
+
+    #: Identifiers of the answers to a SYNC that it wants to see.
+    listens_to: frozenset[int]
+
+    @property
+    def fits_fast_path(self) -> bool:
+        """Whether it goes on by SYNC alone, and is between two cycles."""
+
+
+class FastPathHost:
+    """Serves the devices of a host, by packets where its cycles are plain.
+
+    `begin` makes a run, which expects such frames with each SYNC, itself the last; raises NotPlainError.
+    """
+
+    def __init__(
+        self,
+        host: DeviceHost,
+        link: EmbeddedLink,
+        application: Application,
+        begin: Callable[[Sequence[Frame]], PacketRun],
+    ) -> None:
+        warm_up_packets()
+        self._host, self._link = host, link
+        self._application, self._new_run = application, begin
+        self._run: PacketRun | None = None
+        self._expected: Sequence[Frame] = ()  # what came with the last SYNC
+        self._wait = 0  # times served until it is looked again
+
+    def serve(self, timeout_s: float) -> None:
+        """As `DeviceHost.serve`."""
+        run = self._run
+        if run is not None:
+            if run.serve(timeout_s):
+                return
+            self.settle()
+            frames = self._link.frames_from(*run.came)
+        else:
+            frames = self._link.frames_from(self._link.receive_packet(timeout_s))
+        self._host.handle(frames)
+        self._note(frames)
+        if self._wait:
+            self._wait -= 1
+        elif frames and self._expected and self._host.fits_fast_path and self._application.fits_fast_path:
+            self._begin()
+            self._wait = _LOOK_AGAIN
+
+    def settle(self) -> None:
+        """Give the objects what the arrays have."""
+        run, self._run = self._run, None
+        if run is not None:
+            run.end()
+            self._host.served_until(time.monotonic())
+
+    def _note(self, frames: Sequence[Frame]) -> None:
+        """What comes with a SYNC; nothing where there are two."""
+        cob_ids = [frame.can_id for frame in frames]
+        syncs = cob_ids.count(SYNC)
+        if syncs:
+            with_it = frames[: cob_ids.index(SYNC) + 1] if syncs == 1 else ()
+            strange = self._application.listens_to
+            self._expected = [frame for frame in with_it if not (is_heartbeat(frame.can_id) or frame.can_id in strange)]
+
+    def _begin(self) -> None:
+        try:
+            self._run = self._new_run(self._expected)
+        except FastPathRefusedError:
+            self._run = None
+
+
+def warm_up_packets() -> None:
+    """Compile, or load, what serves devices by packets."""
+    kernel.warm_up()
+    packet_kernel.warm_up()
+
+
+def run_devices(
+    bus: BusAddress,
+    hosted: HostedDevices,
+    fast_path_host: Callable[[DeviceHost, Link], FastPathHost | None],
+    process: ProcessSettings | None,
+    stop: Callable[[], bool],
+    say: Callable[[str], None],
+) -> int | None:
+    """Run devices on a bus until `stop` says so; `fast_path_host`: who serves them where cycles can be plain.
+
+    Returns how many frames were lost because they were not read in time (None: the bus cannot tell). Raises BusError
+    when the bus is lost.
+    """
+    link = open_link(bus)
+    try:
+        host = DeviceHost(link, *hosted)
+        plain = fast_path_host(host, link)
+        with kept_ready(process, say):
+            host.run(stop, None if plain is None else plain.serve)
+    finally:
+        link.close()
+    return link.dropped
+
+
+def is_heartbeat(can_id: int) -> bool:
+    """Whether an identifier is that of a node's heartbeat."""
+    return HEARTBEAT < can_id <= HEARTBEAT + LAST_NODE

@@ -1,0 +1,101 @@
+"""Drives of a host that follow, with their motors and what these turn: the part of a plain cycle that is no frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from hilbench.canopen.object_store import Cell
+from hilbench.cia402.simulated import SimulatedDrive
+from hilbench.fast_path import layout as lay
+from hilbench.plant.interface import Steps, StepsInModes
+
+
+class Motors:
+    """Drives by their rows (D,) of `layout.DRIVE`, whose objects are in the slots of `whole` and `real`.
+
+    `asked` (D,): the set points that they follow; `shown`, (D · PORT_SIZE,): what their ports show; `turned`: what
+    their motors turn, so far with each cycle (`step_s`); None where somebody else lets it go on by these; `alone`: it
+    has no other motors; `cells`: the drives' objects, each with its slot and whether that is a real one; `shows_ports`:
+    somebody looks at the ports in every cycle.
+    """
+
+    def __init__(
+        self,
+        drives: Sequence[SimulatedDrive],
+        rows: lay.Rows,
+        whole: lay.Whole,
+        real: lay.Real,
+        asked: lay.Real,
+        shown: lay.Real,
+        turned: Steps | None,
+        step_s: float,
+        cells: Sequence[tuple[Cell, int, bool]],
+        *,
+        alone: bool,
+        shows_ports: bool,
+    ) -> None:
+        self.over = False  #: the objects know more than the arrays
+        self._drives, self._rows, self._cells = drives, rows, cells
+        self._whole, self._real = whole, real
+        self._asked, self._shown = asked, shown
+        self._ports = [drive.firmware.port for drive in drives]
+        self._asked[:] = rows["set_point"]
+        self._shown[:] = self._of_ports()
+        self._turned, self._alone, self._shows_ports = turned, alone, shows_ports
+        self._keeps_ports = turned is not None
+        #: Take the set points, and go on; a piece of a cycle where nobody looks at the ports meanwhile.
+        self.step: Callable[[], object] = self._step_of(step_s)
+
+    def _step_of(self, step_s: float) -> Callable[[], object]:
+        turned = self._turned
+        if self._alone and isinstance(turned, StepsInModes):
+            step = turned.steps_in_modes(self._asked, step_s, self._shown)
+            if step is not None:
+                self._keeps_ports = False
+                return partial(self._step_and_show, step) if self._shows_ports else step
+        return partial(self._step_by_ports, step_s)
+
+    def _step_and_show(self, step: Callable[[], object]) -> None:
+        step()
+        self._give_ports()
+
+    def _step_by_ports(self, step_s: float) -> None:
+        assert self._turned is not None, "somebody else's"
+        for port, set_point in zip(self._ports, self._asked.tolist(), strict=True):
+            port.setpoint = set_point
+        self._turned.step(step_s)
+        self._shown[:] = self._of_ports()
+
+    def _of_ports(self) -> list[float]:
+        values: list[float] = []
+        for port in self._ports:
+            values += (port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited)
+        return values
+
+    def _give_ports(self) -> None:
+        values = self._shown.tolist()
+        for at, (port, set_point) in enumerate(zip(self._ports, self._asked.tolist(), strict=True)):
+            port.setpoint = set_point
+            shown = values[lay.PORT_SIZE * at : lay.PORT_SIZE * (at + 1)]
+            port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, limited = shown
+            port.torque_limited = limited != 0.0
+
+    def publish_by_objects(self) -> None:
+        """A drive can't go on as it did: from here on it is for the objects."""
+        self.give()
+        self.over = True
+        for drive in self._drives:
+            drive.publish()
+
+    def give(self) -> None:
+        """The objects, the drives and their ports get what the arrays have."""
+        if self.over:
+            return
+        if not self._keeps_ports:
+            self._give_ports()
+        whole, real = self._whole.tolist(), self._real.tolist()
+        for cell, slot, is_float in self._cells:
+            cell.value = real[slot] if is_float else whole[slot]
+        for drive, row in zip(self._drives, self._rows, strict=True):
+            drive.published_until(int(row["count"]), limited=bool(row["limited"]))

@@ -1,0 +1,208 @@
+"""The rows of `layout`, made from the objects that a bench and its devices go by in any other cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hilbench.can import wire
+from hilbench.canopen.data_types import BOOLEAN
+from hilbench.canopen.object_store import Cell
+from hilbench.canopen.pdo import PdoMap
+from hilbench.cia402 import objects
+from hilbench.cia402.drive import Drive
+from hilbench.cia402.units import RPM
+from hilbench.fast_path import layout as lay
+from hilbench.plant.motor_port import MotorMode
+
+if TYPE_CHECKING:
+    from hilbench.cia402.simulated import SimulatedDrive  # a bench without devices does not load them
+
+NO_SLOT = -1
+
+
+class FastPathRefusedError(Exception):
+    """Something of the bench is of a kind that only the interpreted cycle knows."""
+
+
+@dataclass
+class Slots:
+    """Where the values are: those of the devices' objects, a slot a cell, and others."""
+
+    whole: list[int] = field(default_factory=list)
+    real: list[float] = field(default_factory=list)
+    of_cells: dict[int, int] = field(default_factory=dict)  #: by id of the cell
+    #: With its slot, and whether that is a real one: of the hardware, and of the twin.
+    cells: tuple[list[tuple[Cell, int, bool]], ...] = field(default_factory=lambda: ([], []))
+    side: int = 0  #: whose cells are told now: place among these
+
+    def new(self, is_float: bool) -> int:
+        """One that is no object's."""
+        values: list[Any] = self.real if is_float else self.whole
+        values.append(0)
+        return len(values) - 1
+
+    def of(self, cell: Cell, is_float: bool = False) -> int:
+        """That of an object, with its value. Raises NotPlainError for what is no number."""
+        known = self.of_cells.get(id(cell))
+        if known is not None:
+            return known
+        if not isinstance(cell.value, int | float):
+            raise FastPathRefusedError
+        slot = self.new(is_float)
+        if is_float:
+            self.real[slot] = float(cell.value)
+        else:
+            self.whole[slot] = int(cell.value)
+        self.of_cells[id(cell)] = slot
+        self.cells[self.side].append((cell, slot, is_float))
+        return slot
+
+
+@dataclass
+class Frames:
+    """The frames of a cycle, with what goes into them and what is taken out."""
+
+    rows: list[tuple[Any, ...]] = field(default_factory=list)
+    sent: list[tuple[int, ...]] = field(default_factory=list)
+    received: list[tuple[int, ...]] = field(default_factory=list)
+    cob_ids: list[int] = field(default_factory=list)
+    sizes: list[int] = field(default_factory=list)
+    constants: dict[int, bytes] = field(default_factory=dict)  #: data of frames that are always the same
+
+    def add(
+        self,
+        cob_id: int,
+        part: int,
+        content: PdoMap | bytes,
+        slots: Sequence[int] = (),
+        *,
+        every: int = 1,
+        count: int = 0,
+        period_ns: int = 0,
+        next_ns: int = 0,
+        clock: int = 0,
+    ) -> int:
+        """A frame behind the others, and its row. `period_ns`: it goes by time, by that `clock`, not by cycles."""
+        row, first = len(self.rows), len(self.sent)
+        if isinstance(content, PdoMap):
+            size = content.size
+            self.sent += _fields(row, content, slots)
+        else:
+            size = len(content)
+            self.constants[row] = content
+        timing = lay.BY_TIME if period_ns else lay.BY_CYCLES
+        at_start = wire.header(cob_id, size)
+        sent = (first, len(self.sent))
+        self.rows.append((size, part, timing, clock, every, count, period_ns, next_ns, 0, *sent, *at_start, 0, 0))
+        self.cob_ids.append(cob_id)
+        self.sizes.append(size)
+        return row
+
+    def take(self, row: int, content: PdoMap, slots: Sequence[int]) -> None:
+        """What is in a frame goes into these slots. Raises NotPlainError where it has another length."""
+        if content.size != self.sizes[row]:
+            raise FastPathRefusedError
+        self.received += _fields(row, content, slots)
+
+    def row_of(self, cob_id: int) -> int:
+        """The row of an identifier. Raises NotPlainError for one that is not sent."""
+        if cob_id not in self.cob_ids:
+            raise FastPathRefusedError
+        return self.cob_ids.index(cob_id)
+
+
+def _fields(row: int, content: PdoMap, slots: Sequence[int]) -> list[tuple[int, ...]]:
+    fields: list[tuple[int, ...]] = []
+    offset = 0
+    for kind, slot in zip(content.kinds, slots, strict=True):
+        width = kind.width or 0
+        is_of = lay.FLOAT if kind.is_float else lay.SIGNED if kind.is_signed else lay.UNSIGNED
+        if kind.code == BOOLEAN or (is_of == lay.UNSIGNED and width == 8):
+            raise FastPathRefusedError  # less than a byte; no signed number of 64 bits holds it
+        fields.append((row, slot, offset, width, is_of))
+        offset += width
+    return fields
+
+
+def cell_slots(slots: Slots, content: PdoMap, cells: Iterable[Cell]) -> list[int]:
+    """Those of mapped objects."""
+    return [slots.of(cell, kind.is_float) for cell, kind in zip(cells, content.kinds, strict=True)]
+
+
+def new_slots(slots: Slots, content: PdoMap) -> list[int]:
+    """New ones for what is in a PDO."""
+    return [slots.new(kind.is_float) for kind in content.kinds]
+
+
+def drive_row(drive: SimulatedDrive, slots: Slots) -> tuple[Any, ...]:
+    """A simulated drive that follows its set point."""
+    firmware, port = drive.firmware, drive.firmware.port
+    units, velocity = firmware.units, port.mode is MotorMode.VELOCITY
+    target = firmware.target_velocity if velocity else firmware.target_torque
+    offset = firmware.velocity_offset if velocity else firmware.torque_offset
+    return (
+        int(velocity),
+        slots.of(target),
+        slots.of(offset),
+        units.velocity_rad_s if velocity else units.torque_Nm,
+        firmware.velocity_limit_rad_s if velocity else firmware.torque_limit_Nm,
+        port.setpoint,
+        int(drive.mode.limited),
+        units.position_rad,
+        units.velocity_rad_s,
+        units.torque_Nm,
+        RPM,
+        firmware.overspeed_rad_s,
+        firmware.position_origin,
+        firmware.encoder_count,
+        slots.of(firmware.position_actual),
+        slots.of(firmware.velocity_actual),
+        slots.of(firmware.torque_actual),
+        slots.of(firmware.vl_actual) if firmware.shows_vl else NO_SLOT,
+        slots.of(firmware.position_demand),
+        slots.of(firmware.velocity_demand),
+        slots.of(firmware.torque_demand),
+        slots.of(drive.statusword),
+        drive.following_bits,
+    )
+
+
+def feedback_row(drive: Drive, raw: dict[int, int]) -> tuple[Any, ...]:
+    """A drive as the bench sees it; `raw`: slots by the index of the object. Raises NotPlainError."""
+    missing = {objects.STATUSWORD, objects.TORQUE_ACTUAL_VALUE, objects.POSITION_ACTUAL_VALUE} - set(raw)
+    if missing or drive.counter.value is None:
+        raise FastPathRefusedError
+    units, feedback = drive.units, drive.feedback
+    return (
+        raw[objects.POSITION_ACTUAL_VALUE],
+        raw.get(objects.VELOCITY_ACTUAL_VALUE, NO_SLOT),
+        raw[objects.TORQUE_ACTUAL_VALUE],
+        raw[objects.STATUSWORD],
+        drive.counter.value,
+        drive.counter.last,
+        units.position_rad,
+        units.velocity_rad_s,
+        units.torque_Nm,
+        feedback.position_rad,
+        drive.tpdo_period_s,
+        int(not drive.settings.has_velocity),
+    )
+
+
+def table(rows: Sequence[tuple[Any, ...]], kind: np.dtype[Any]) -> lay.Rows:
+    """An array of rows."""
+    return np.array(list(rows), kind)
+
+
+def reals(vector: lay.Real) -> memoryview[float]:
+    """The same numbers: one at a time goes faster through these than through the array."""
+    return vector.data.cast("B").cast("d")
+
+
+def octets(least: int) -> lay.Bytes:
+    """At least so many, whole eights."""
+    return np.zeros(-(-least // 8) * 8, np.uint8)

@@ -1,0 +1,327 @@
+"""Whether the measured positions of all axes are of one instant, and those of one axis a cycle apart.
+
+On a bus that is late, or loses frames, one axis' position may be of an earlier SYNC than the other's. It is then off by
+the way of a cycle, which is many times what the web is strained by: 6 mm against 0.3 mm at 3 m/s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from struct import pack_into
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point
+
+Vector = NDArray[np.float64]
+
+#: Ways of the rollers that differ by more than this share of a cycle's way are not of one instant.
+_ALIKE = 0.3
+#: A cycle's way is at most so many times that of the cycle before: more was the way of cycles that nobody has counted.
+_LONGER = 1.5
+#: Beyond any acceleration of a line.
+_FASTEST_M_S2 = 100.0
+#: How much more the axes of one machine may go apart in a cycle than in the one before, in those plays.
+_APART = 0.5
+#: What a machine that goes its way is accelerated by at most, by the unit of its positions (1/s²).
+_ON_ITS_WAY = {"m": 20.0, "rad": 2e3}
+
+
+#: So many cycles one after the other are refused for ways that say different numbers of cycles.
+_MOST_REFUSED = 5
+
+#: What `paired` remembers (4 + N,): cycles since the positions were last of one instant, the way of a cycle (below 0:
+#: not known), cycles whose positions were not, whether there are any; then the positions.
+_CYCLES, _WAY, _UNPAIRED, _STARTED, _LAST = range(5)
+
+
+def coherence_state(rollers: int) -> Vector:
+    """What `coherent` remembers of so many rollers: nothing yet."""
+    state: Vector = np.zeros(_LAST + rollers)
+    state[_WAY] = -1.0
+    return state
+
+
+@compiled
+def coherent(state: Vector, positions: Vector, least_travel: float) -> bool:
+    """Whether positions (N,) are of one instant; see `SampleCoherence`."""
+    state[_CYCLES] += 1.0
+    count = len(positions)
+    if state[_STARTED] != 0.0:
+        longest, shortest, total = 0.0, np.inf, 0.0
+        for k in range(count):
+            travel = abs(positions[k] - state[_LAST + k])
+            total += travel
+            if travel > longest:
+                longest = travel
+            if travel < shortest:
+                shortest = travel
+        travel = longest / state[_CYCLES]
+        if state[_WAY] >= 0.0:
+            travel = min(travel, max(_LONGER * state[_WAY], least_travel))
+        if not np.isfinite(total) or longest - shortest > max(least_travel, _ALIKE * travel):
+            state[_UNPAIRED] += 1.0
+            return False
+        state[_WAY] = travel
+    for k in range(count):
+        state[_LAST + k] = positions[k]
+    state[_STARTED], state[_CYCLES] = 1.0, 0.0
+    return True
+
+
+#: What `comes_steadily` remembers: how much further than before it may have come in a cycle, m; the last position and
+#: whether there is one; the way of a cycle and whether it is known; cycles since without a position.
+_MOST_M, _LAST_M, _HAS_LAST, _TRAVEL_M, _HAS_TRAVEL, STEADY_MISSED, _STEADY_SIZE = range(7)
+
+
+@compiled
+def increments_steadily(state: Vector, x_m: float) -> bool:
+    """Whether a position is one cycle after the last, and after those missed since; see `IncrementCheck`."""
+    cycles, last_m, before_m = state[STEADY_MISSED] + 1.0, state[_LAST_M], state[_TRAVEL_M]
+    had_last, had_travel = state[_HAS_LAST] != 0.0, state[_HAS_TRAVEL] != 0.0
+    state[_LAST_M], state[_HAS_LAST], state[STEADY_MISSED] = x_m, 1.0, 0.0
+    if not had_last:
+        return True
+    state[_TRAVEL_M], state[_HAS_TRAVEL] = (x_m - last_m) / cycles, 1.0
+    return bool(not had_travel or abs(state[_TRAVEL_M] - before_m) <= state[_MOST_M] * cycles + _ALIKE * abs(before_m))
+
+
+@compiled
+def miss(state: Vector) -> None:
+    """A cycle without positions of its own."""
+    state[_CYCLES] += 1.0
+
+
+@compiled
+def _fits(travels: Vector, usual: Vector, plays: Vector, gone: float) -> bool:
+    """Whether these are ways of so many cycles, at any acceleration of a machine."""
+    fits = True
+    for k in range(len(travels)):
+        fits &= abs(travels[k] - gone * usual[k]) <= _ALIKE * abs(usual[k]) + gone * gone * plays[k]
+    return fits
+
+
+@compiled
+def _agree(travels: Vector, usual: Vector, plays: Vector, gone: float, fastest: int) -> bool:
+    """Whether all axes have gone as far as the fastest, which tells how all were accelerated: after many cycles one
+    that is a cycle further would else pass for one that was accelerated more."""
+    if usual[fastest] == 0.0:
+        return True
+    cycles, spare = travels[fastest] / usual[fastest], max(_APART * gone, 1.0)
+    agree = True
+    for k in range(len(travels)):
+        agree &= abs(travels[k] - cycles * usual[k]) <= _ALIKE * abs(usual[k]) + spare * plays[k]
+    return agree
+
+
+@compiled
+def whole_cycles(travels: Vector, usual: Vector, plays: Vector, reported: float) -> float:
+    """See `cycles_elapsed`; -1 where they disagree."""
+    fastest = 0
+    for k in range(1, len(usual)):
+        if abs(usual[k]) > abs(usual[fastest]):
+            fastest = k
+    by_travel = reported
+    if usual[fastest] != 0.0:
+        by_travel = max(np.rint(travels[fastest] / usual[fastest]), 0.0)
+    is_clear = _ALIKE * abs(usual[fastest]) > plays[fastest]
+    if not is_clear and _fits(travels, usual, plays, reported) and _agree(travels, usual, plays, reported, fastest):
+        return reported
+    agree = _fits(travels, usual, plays, by_travel) and _agree(travels, usual, plays, by_travel, fastest)
+    return by_travel if agree else -1.0
+
+
+#: What `own_ways` remembers: cycles since positions were taken, and how many were refused since; cycles between the
+#: last two that were taken, and those since for which there are none yet; whether there are any, and whether the way of
+#: a cycle is known. Then, of each axis, its last position, the way of a cycle, room for a way, and by how much that may
+#: differ.
+_SINCE, _REFUSED, OWN_GONE, OWN_BEHIND, _HAS_POSITIONS, _HAS_USUAL, _OF_AXES = range(7)
+
+
+def own_travels_state(axes: int, play: float) -> Vector:
+    """What `own_travels` remembers of so many axes: nothing yet."""
+    state: Vector = np.zeros(_OF_AXES + 4 * axes)
+    state[_OF_AXES + 3 * axes :] = play
+    return state
+
+
+@compiled
+def miss_own(state: Vector) -> None:
+    """A cycle without positions of its own."""
+    state[_SINCE] += 1.0
+    state[OWN_BEHIND] += 1.0
+
+
+@compiled
+def own_travels(state: Vector, positions: Vector) -> bool:
+    """Whether positions (N,) are of one instant; see `OwnIncrements`."""
+    miss_own(state)
+    n = len(positions)
+    last, usual = state[_OF_AXES : _OF_AXES + n], state[_OF_AXES + n : _OF_AXES + 2 * n]
+    travels, plays = state[_OF_AXES + 2 * n : _OF_AXES + 3 * n], state[_OF_AXES + 3 * n :]
+    if state[_HAS_POSITIONS] == 0.0:
+        state[OWN_BEHIND] = 0.0
+    else:
+        for k in range(n):
+            travels[k] = positions[k] - last[k]
+        gone = state[_SINCE]
+        if state[_HAS_USUAL] != 0.0:
+            gone = whole_cycles(travels, usual, plays, state[_SINCE])
+        if gone < 0.0 and state[_REFUSED] < _MOST_REFUSED:
+            state[_REFUSED] += 1.0
+            return False
+        gone = state[_SINCE] if gone < 0.0 else gone
+        # One cycle ahead of what is counted there may be: a SYNC that was sent late, and the next one on time.
+        state[OWN_BEHIND] = max(state[OWN_BEHIND] - gone, 0.0 if gone == 1.0 else -1.0)
+        state[OWN_GONE] = gone
+        if gone > 0.0:
+            for k in range(n):
+                usual[k] = travels[k] / gone
+            state[_HAS_USUAL] = 1.0
+    for k in range(n):
+        last[k] = positions[k]
+    state[_HAS_POSITIONS], state[_SINCE], state[_REFUSED] = 1.0, 0.0, 0.0
+    return True
+
+
+def forget_own_travels(state: Vector) -> None:
+    """The next positions are taken as they are."""
+    state[:_OF_AXES] = 0.0
+
+
+@entry_point(VECTOR, VECTOR, REAL)
+def _coherent(state: Vector, positions: Vector, least_travel: float) -> bool:
+    return coherent(state, positions, least_travel)
+
+
+@entry_point(VECTOR, REAL)
+def _increments_steadily(state: Vector, x_m: float) -> bool:
+    return increments_steadily(state, x_m)
+
+
+@entry_point(VECTOR, VECTOR)
+def _own_travels(state: Vector, positions: Vector) -> bool:
+    return own_travels(state, positions)
+
+
+@entry_point(VECTOR, VECTOR, VECTOR, REAL)
+def _whole_cycles(travels: Vector, usual: Vector, plays: Vector, reported: float) -> float:
+    return whole_cycles(travels, usual, plays, reported)
+
+
+class SampleCoherence:
+    """Compares the ways of all axes since their positions were last of one instant.
+
+    Ways that differ by no more than `least_travel` (m, or rad of a rotary machine) are alike. What was once taken for
+    positions of one instant is what all later ones are compared with: if it was not, none will ever be. So after a
+    pause, in which the ways grow long, they may differ by no more than before it.
+    """
+
+    def __init__(self, least_travel: float) -> None:
+        self._least_travel = least_travel
+        self._format, self._state, self._positions = "", coherence_state(0), np.zeros(0)
+
+    @property
+    def unpaired(self) -> int:
+        """Cycles whose positions were not of one instant."""
+        return int(self._state[_UNPAIRED])
+
+    def reset(self) -> None:
+        """The next positions are taken as they are."""
+        self._state[_CYCLES], self._state[_WAY], self._state[_STARTED] = 0.0, -1.0, 0.0
+
+    def miss(self) -> None:
+        """A cycle without positions of its own."""
+        self._state[_CYCLES] += 1.0
+
+    def vectors(self, rollers: int) -> tuple[Vector, Vector]:
+        """What `coherent` remembers of so many rollers, and their positions (N,): for compiled callers."""
+        if rollers != len(self._positions):
+            self._format = f"={rollers}d"
+            self._state, self._positions = coherence_state(rollers), np.zeros(rollers)
+        return self._state, self._positions
+
+    def update(self, *positions_m: float) -> bool:
+        """Whether this cycle's positions of all rollers, in m at the web, are of one instant."""
+        self.vectors(len(positions_m))
+        pack_into(self._format, self._positions.data, 0, *positions_m)
+        return _coherent(self._state, self._positions, self._least_travel)
+
+
+class IncrementCheck:
+    """Whether a roller has come as far as in the cycle before, or as it can have been accelerated since.
+
+    On a bus that is late a position may be that of the cycle before, or two cycles on: as a speed that would be an
+    acceleration that no drive has, and a force that no web bears.
+    """
+
+    def __init__(self, cycle_s: float) -> None:
+        self.state: Vector = np.zeros(_STEADY_SIZE)  #: that of `comes_steadily`
+        self.state[_MOST_M] = _FASTEST_M_S2 * cycle_s**2
+
+    def reset(self) -> None:
+        """The next positions are taken as they are."""
+        self.state[_HAS_LAST] = self.state[_HAS_TRAVEL] = self.state[STEADY_MISSED] = 0.0
+
+    def miss(self) -> None:
+        """A cycle without a position of its own."""
+        self.state[STEADY_MISSED] += 1.0
+
+    def update(self, x_m: float) -> bool:
+        """Whether this cycle's position, in m at the web, is one cycle after the last, and after those missed since."""
+        return _increments_steadily(self.state, x_m)
+
+
+class OwnIncrements:
+    """`SampleCoherence` of axes that turn at speeds of their own, as dancers, accumulators and reels let them: each is
+    compared with its own way of a cycle, which must say the same number of cycles of all.
+
+    What does not for long is taken all the same: a machine may do what none was thought to do.
+    """
+
+    def __init__(self, axes: int, of_a_cycle: float) -> None:
+        """`of_a_cycle`: by how much a way may differ, see `play`."""
+        self._state, self._positions = own_travels_state(axes, of_a_cycle), np.zeros(axes)
+
+    def reset(self) -> None:
+        """The next positions are taken as they are."""
+        forget_own_travels(self._state)
+
+    @property
+    def gone(self) -> int:
+        """Cycles between the last two positions that were taken."""
+        return int(self._state[OWN_GONE])
+
+    @property
+    def behind(self) -> int:
+        """Cycles since then for which there are none yet."""
+        return int(self._state[OWN_BEHIND])
+
+    def miss(self) -> None:
+        """A cycle without positions of its own."""
+        miss_own(self._state)
+
+    def update(self, *positions: float) -> bool:
+        """Whether this cycle's positions of all axes, in the machine's unit, are of one instant."""
+        self._positions[:] = positions
+        return _own_travels(self._state, self._positions)
+
+
+def play(position_unit: str, cycle_s: float) -> float:
+    """By how much the way of a cycle may differ from that of the cycle before, in the unit of the position ("m" at the
+    web, "rad" at a motor)."""
+    return _ON_ITS_WAY[position_unit] * cycle_s**2
+
+
+def cycles_elapsed(
+    travels: Sequence[float], usual: Sequence[float], plays: Sequence[float], reported: int
+) -> int | None:
+    """How many cycles all axes have gone on.
+
+    ways: of each axis since it was last measured; usual: those of one cycle before that; plays: see `play`; told: how
+    many cycles by some clock. Axes that are too slow to say it have gone as many as the clock says, unless they can't
+    have come so far in that time. None where they disagree, or have gone a way that is none of whole cycles.
+    """
+    found = _whole_cycles(np.array(travels), np.array(usual), np.array(plays), float(reported))
+    return None if found < 0.0 else int(found)

@@ -1,0 +1,678 @@
+"""What a twin of a line with stations finds: carriages, radii of reels, E of the sections where it shows.
+
+A line follows the measured motion; what its torques, and the sensors of stations, say otherwise is put down to the
+unknowns by how the line itself says that it depends on them (`hilbench.plant.web_line.sensitivity_model`). So the
+radius of a reel is found by v·dt = r·dphi with the strain in it, from the tension that a wrong radius would make, or
+from the carriage that it would move.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import copysign, exp, hypot, inf, sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from hilbench.estimation.noise_level import NoiseLevels
+from hilbench.estimation.web_line.augmented_filter import AugmentedFilter, Posterior
+from hilbench.estimation.web_line.transients import Transient
+from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line.drive_response import DriveResponse
+from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sections import axes_before_spans
+from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Unknown
+from hilbench.twin.machines.web_line_sensors import StationSensors
+from hilbench.twin.machines.web_line_transients import transient_detector
+
+_WINDOW_S: Final = 0.03  #: of which the means are looked at
+# What is believed at the start, as standard deviations.
+_RADIUS_SHARE: Final = 0.02
+_MODULUS_SHARE: Final = 0.2
+_SECTION_SHARE: Final = 0.03  #: by which E of a section is another than that of the whole web
+_DRIFT_APART: Final = 0.1  #: so much of that in a shift, in which the whole web goes through all of them
+#: By which E changes at once: that of the whole web, and besides that of a section.
+_JUMP_SHARE, _SECTION_JUMP_SHARE = 0.2, 0.1
+#: Share of a web of which nothing is known that has to have left before E is learned: until then it is the same as the
+#: strain to what is measured. And the deviation of E, relative, that learning both of them from their product adds.
+_SHOWN_FROM, _OF_PRODUCT = 0.1, 0.01
+#: Of the strain with which the web comes in: at rest, under way, and at rest where nobody knows it.
+_STRAIN_AT_REST, _STRAIN_UNDER_WAY, _STRAIN_UNKNOWN = 0.02, 0.5, 1.0
+#: Of its way. Of one that is under way nothing is believed but its stops, nor of one whose spring will tell.
+_CARRIAGE_AT_REST: Final = 0.01
+_USUAL_TRAVEL_M: Final = 1.0  #: of a carriage without stops
+_MODEL_SHARE: Final = 0.01  #: of E, that no model of a line is surer of
+# What changes meanwhile.
+#: Of web: at 1e-4 what goes in and out beside a measured carriage tells no drift of E of 1 % in a minute.
+_CARRIAGE_M_PER_SQRT_M: Final = 1e-5
+_SLIPPING_M_PER_SQRT_M: Final = 2e-3  #: while a web slips somewhere
+_THICKNESS_SHARE: Final = 0.1  #: error of the thickness by which a reel's radius changes
+_RADIUS_PER_SQRT_M: Final = 2e-5  #: what else
+_STRAIN_PER_SQRT_S: Final = 1e-3  #: of that with which the web comes in
+#: After which E, and the slow error of a torque, are others within their prior: a shift. So E changes from roll to roll
+#: by 1 % in a minute, 8 % in an hour, and a torque by 1 % of its slow error in 2.5 s: E is likelier to.
+_SHIFT_S: Final = 5e4
+# How wrong measurements are.
+_OFFSET_SHARE: Final = 0.002  #: slow error of a torque: friction, offset; of the drive's limit
+_LEAST_NOISE_SHARE: Final = 1e-3  #: of a window: idlers swing, by which it is no white noise
+#: Of a limit, or of the tension at a load cell, at first: the line is let go in another state than it is in, and
+#: swings; and for how long.
+_SWING_SHARE, _SWING_S = 0.2, 0.05
+#: After a change of the web: of the torques and tensions that show it, and for how long; of other sensors nothing.
+_CHANGE_SWING_SHARE, _CHANGE_SWINGS_S = 0.3, 0.13
+#: The same of torques beside a section with a carriage, which swings against its web.
+_KICK_SWING_SHARE, _KICK_SWINGS_S = 1.0, 0.3
+_KICK_SHARE: Final = 0.03  #: of a limit, of these at first
+_INERTIA_SHARE: Final = 0.05  #: of the torque that accelerates
+#: By which the strain of a section may change while a web slips somewhere, of that with which the web comes in.
+_SLIPPING_PER_SQRT_S: Final = 0.2
+#: Evidence (`Unknowns.evidence`) on which E is corrected: with a right model its errors are draws of priors, a new one
+#: in minutes. Of two sections that is passed by one draw in 20,000, which are some 100 days.
+_ACCEPTED: Final = 20.0
+_KEPT: Final = 0.5 * _ACCEPTED  #: what is left of that once more is known, with which it is kept
+#: From when on kicks are looked for: the line is let go in another state than it is in, and swings.
+_KICKS_FROM_S: Final = 0.5
+_KICK_NOISE_SHARE: Final = 1e-3  #: of a limit: what else is in a torque
+#: For how long a kick that noise may be is kept in mind, for what web of another strain tells in the next section.
+_MAY_BE_S: Final = 3.0
+#: Deviations of E by which it is another one in the next section, and the error of that, as a share.
+_BOOKED, _BOOKED_OFF = 3.0, 0.35
+_EMULATED_SHARE: Final = 0.25  #: error of the size of a kick that load motors emulate
+#: For how long from the start on, and after a change, E is corrected as it is found; and with which time constant after
+#: that, so that what comes faster than a drift is seen as evidence first.
+_LEARNS_S, _FOLLOWS_S = 1.0, 1.0
+_STARTS_S: Final = 0.5
+#: Way of the web, as a share of the shortest section, from which to which what is known is kept; and for how many
+#: lengths of the longest one.
+_KEPT_EVERY, _KEPT_LENGTHS = 0.1, 3.0
+#: Corrections stay within these.
+_LEAST_MODULUS, _MOST_MODULUS, _MOST_RADIUS = -0.8, 4.0, 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """What was known at a time: by the filter, and what the unknowns (n,) had been corrected by."""
+
+    time_s: float
+    travel_m: float
+    posterior: Posterior
+    corrected: Vector
+
+
+class Found(NamedTuple):
+    """A value and its standard deviation."""
+
+    value: float
+    deviation: float
+
+
+class LineFilter:
+    """Of a line with stations, whose axes answer once a cycle; `measured`: names of stations with a sensor; `torqued`:
+    axes whose torque is told to them, and so says nothing of the web; `emulated`: whether load motors pull as the web
+    would."""
+
+    def __init__(
+        self,
+        model: ModelParameters,
+        cycle_s: float,
+        measured: Sequence[str],
+        torqued: Sequence[int] = (),
+        *,
+        emulated: bool = False,
+    ) -> None:
+        self._emulated = emulated
+        self.sensitivities = SensitivityModel(model, measured)
+        self._model = model
+        pulled = [axis for axis in range(1, model.axis_count + 1) if model.carries_web_load(axis)]
+        self._axes = [axis for axis in pulled if axis not in torqued]
+        self._rows = np.array(self._axes, int) - 1
+        self._sensors = StationSensors(model, self.sensitivities, measured)
+        loops, axes = model.drives, range(1, model.axis_count + 1)
+        assert loops is not None, "a twin's model has drives"
+        self._limits_Nm = [per_item(loops.torque_limit_Nm, axis) for axis in self._axes]
+        limits_Nm, of_sensors = np.array(self._limits_Nm), self._sensors.offsets
+        self._least_variances = (_KICK_NOISE_SHARE * limits_Nm) ** 2  # of torques in which kicks are looked for
+        self._offsets = np.concatenate([_OFFSET_SHARE * limits_Nm, of_sensors])
+        self._shows = np.array([self._shows_in_torques(each) for each in self.sensitivities.unknowns], float)
+        self._gains = [per_item(loops.velocity_kp_Nm_s_per_rad, axis) for axis in axes]
+        self._rates = [per_item(loops.velocity_ki_Nm_per_rad, axis) for axis in axes]
+        own_kg = [model.roller_mass_kg(axis) + model.motor_mass_kg(axis) for axis in axes]
+        per_m = np.array([model.motor_rad_per_m(axis) for axis in axes])
+        wound_kg_m2 = [model.wound_inertia_kg_m2(axis) / model.gear_ratio(axis) ** 2 for axis in axes]
+        #: Of each driven roller (N,), at the motor: its own, and what is wound on it at the start.
+        self._own_kg_m2, self._wound_kg_m2 = np.array(own_kg) / per_m**2, np.array(wound_kg_m2)
+        self._rad_per_m = per_m
+        self._set_cycle(cycle_s)
+        self._loads = self.sensitivities.load_slopes  # as it is brought up to date
+        kinds = np.array([each.kind for each in self.sensitivities.unknowns])
+        self._is_strain, self._is_modulus = kinds == Kind.STRAIN, kinds == Kind.MODULUS
+        sensed = np.array([each in self._sensors.sensed for each in self.sensitivities.unknowns], bool)
+        #: What nothing but torques and tensions tells.
+        self._by_torque = ~self._is_strain & ~sensed
+        #: From what each unknown is learned while a web slips: torques tell tensions then, sensors what they sense.
+        self._learns_slipping = np.zeros((len(kinds), len(self._offsets)), bool)
+        self._learns_slipping[self._is_strain, : len(self._axes)] = True
+        self._learns_slipping[~self._by_torque, len(self._axes) :] = True
+        #: The same of a web at rest of which nothing is known, as one number says nothing of E and strain apart, and
+        #: where a reel has a wrong flywheel as it speeds up: an error that is no noise.
+        self._learns_no_modulus = np.repeat(~self._is_modulus[:, None], len(self._offsets), axis=1)
+        lengths_m = [sum(model.span_length_m(k + 1) for k in spans) for spans in _sections(model)]
+        self._keep_every_m, self._keep_m = _KEPT_EVERY * min(lengths_m), _KEPT_LENGTHS * max(lengths_m)
+        self._web_m = sum(lengths_m)
+        held = {axes_before_spans(model)[carriage.first_span - 1] for carriage in model.carriages}
+        self._beside_carriages = np.array([axis in held or axis - 1 in held for axis in self._axes], bool)
+        self.begin([0.0] * model.axis_count, 0.0)
+        self._set_kicks()
+
+    def _set_cycle(self, cycle_s: float) -> None:
+        self._cycle_s = cycle_s
+        self._window = max(round(_WINDOW_S / cycle_s), 1)
+        self._response = DriveResponse(self._gains, self._rates, len(self.sensitivities.unknowns) + 1, cycle_s)
+
+    def _set_kicks(self) -> None:
+        """Look for kicks, as they are in such cycles."""
+        model = self._model
+        held = {
+            Unknown(Kind.MODULUS, axes_before_spans(model)[carriage.first_span - 1]) for carriage in model.carriages
+        }
+        answer = DriveResponse(self._gains, self._rates, 1, self._cycle_s)
+        answer.set_inertia(self._inertia_kg_m2)
+        #: Of each section whose tension a carriage keeps: place of its E, and what looks for kicks of it.
+        self._transients = [
+            (place, transient_detector(model, unknown.number, self._rows.tolist(), answer, self._cycle_s))
+            for place, unknown in enumerate(self.sensitivities.unknowns)
+            if unknown in held and self._axes  # without torques that tell of the web there is nothing to see
+        ]
+
+    def set_cycle_time(self, cycle_s: float) -> None:
+        """Each cycle is so long from the next on; what is known stays."""
+        if cycle_s == self._cycle_s:
+            return
+        before = self._response
+        self._set_cycle(cycle_s)
+        self._response.go_on_from(before)
+        self._set_growth()
+        self._set_inertia()
+        self._set_kicks()
+        self._may_be.clear()
+        self._begin_window()
+
+    def begin(self, positions_m: Sequence[float], speed_m_s: float, *, known: bool = True) -> None:
+        """The web is let go with the driven rollers (N,) there; it has this speed, 0 at rest. Not `known`: nobody knows
+        how a web at rest is strained."""
+        self.sensitivities.reset(positions_m, speed_m_s)
+        under_way = speed_m_s != 0.0 or not known
+        strained = _STRAIN_AT_REST if not under_way else _STRAIN_UNDER_WAY if speed_m_s else _STRAIN_UNKNOWN
+        believed = np.diag([self._believed(each, under_way, strained) ** 2 for each in self.sensitivities.unknowns])
+        # Which of E and strain makes the tension of a line that is joined under way is known once its web has left and
+        # other has come; but behind a carriage, which keeps the tension, that comes with a strain that E has made.
+        self._known_from_m = self._web_m if under_way else 0.0
+        unknown_at_rest = not known and speed_m_s == 0.0
+        self._moduli_from_m = _SHOWN_FROM * self._web_m if unknown_at_rest else 0.0
+        self._model_share = hypot(_MODEL_SHARE, _OF_PRODUCT if unknown_at_rest else 0.0)
+        identifies = not under_way or not self._model.carriages
+        self._identifies_moduli = identifies and any(each.kind is Kind.MODULUS for each in self.sensitivities.unknowns)
+        nothing = np.zeros_like(believed)
+        common = sqrt(_MODULUS_SHARE**2 - _SECTION_SHARE**2)
+        moduli = self._moduli_apart(common, _SECTION_SHARE) if self._identifies_moduli else nothing
+        drifts = self._moduli_apart(common, _DRIFT_APART * _SECTION_SHARE) if self._identifies_moduli else nothing
+        #: By which E (p, p) changes suddenly, and in a shift.
+        at = np.ix_(self._is_modulus, self._is_modulus)
+        jumps = self._moduli_apart(_JUMP_SHARE, _SECTION_JUMP_SHARE) if self._identifies_moduli else nothing
+        self._jumps, self._drifts = jumps[at], drifts[at]
+        seen_in_tension = np.concatenate([np.ones(len(self._axes), bool), self._sensors.tensions_N > 0.0])
+        kicked = np.concatenate([self._beside_carriages, np.zeros(len(self._sensors.tensions_N), bool)])
+        swings = np.where(seen_in_tension, np.where(kicked, _KICK_SWING_SHARE, _CHANGE_SWING_SHARE), 0.0)
+        swings_on = np.exp(-self._window * self._cycle_s / np.where(kicked, _KICK_SWINGS_S, _CHANGE_SWINGS_S))
+        swinging = np.concatenate([_KICK_SHARE * self._beside_carriages * self._limits_Nm, 0.0 * self._sensors.offsets])
+        rates = np.array([self._rate_per_m(each) for each in self.sensitivities.unknowns])
+        self._filter = AugmentedFilter(
+            believed + moduli, self._is_modulus, rates, self._offsets, swings, swings_on, swinging
+        )
+        self._set_growth()
+        limits_Nm = np.array(self._limits_Nm)
+        self._noise = NoiseLevels(0.01 * limits_Nm, 1e-4 * limits_Nm)
+        self._positions_m, self._travel_m, self._window_travel_m = list(positions_m), 0.0, 0.0
+        self._time_s = 0.0
+        self._sensed = np.zeros(len(self._sensors.offsets))  # by sensors beside the line that is followed
+        self._speeds_m_s: Vector | None = None
+        self._speeds_rad_s: Vector | None = None  # of the motors (N,)
+        self._followed_s = self._cycle_s  # for how long the motion was followed last
+        self._loads[:] = 0.0
+        self._response.reset()
+        self._set_inertia()
+        self._slips = False
+        self._may_be: list[tuple[float, int, Transient]] = []  # kicks that noise may be, and when they began
+        #: Way from which on E beside a carriage is another one, or web comes in with another strain, or slips.
+        self._undecided_from_m = inf
+        self._corrected = np.zeros(len(self.sensitivities.unknowns))
+        self._learns_until_s = self._swings_until_s = -inf
+        self._started = np.zeros_like(self._corrected)
+        self._kept = deque([_Kept(-inf, 0.0, self._filter.posterior, self._corrected)])
+        self._begin_window()
+
+    def _believed(self, unknown: Unknown, under_way: bool, strained: float) -> float:
+        if unknown.kind is Kind.CARRIAGE:
+            station = self._model.carriages[unknown.number - 1].station
+            ends = (station.lower_stop_m, station.upper_stop_m)
+            travel_m = _USUAL_TRAVEL_M if ends[0] is None or ends[1] is None else ends[1] - ends[0]
+            known = not under_way and not self._shows_in_torques(unknown)
+            return _CARRIAGE_AT_REST * travel_m if known else travel_m / sqrt(12.0)
+        if unknown.kind is Kind.STRAIN:
+            return self._model.upstream_strain * strained
+        return _RADIUS_SHARE if unknown.kind is Kind.RADIUS else 0.0
+
+    def _rate_per_m(self, unknown: Unknown) -> float:
+        """Deviation of what a reel's radius changes by per m of web, of that at the start, besides what it does."""
+        reel = unknown.kind is Kind.RADIUS
+        return _THICKNESS_SHARE * abs(self.sensitivities.slope_per_m(unknown.number)) if reel else 0.0
+
+    def _moduli_apart(self, common: float, apart: float) -> Vector:
+        """Covariance of E of the sections, of one web: deviations of what all have, and each for itself."""
+        moduli = self._is_modulus.astype(float)
+        return common**2 * np.outer(moduli, moduli) + apart**2 * np.diag(moduli)
+
+    def _shows_in_torques(self, unknown: Unknown) -> bool:
+        """Where a carriage stands no tension tells, but against a spring or on an arm: that a longer web yields more is
+        less than any model is sure of."""
+        if unknown.kind is not Kind.CARRIAGE:
+            return True
+        station = self._model.carriages[unknown.number - 1].station
+        return station.spring_N_per_m > 0.0 or station.arm_length_m > 0.0
+
+    def _set_inertia(self) -> None:
+        """Reels by what is on them now."""
+        self._inertia_kg_m2 = self._own_kg_m2 + self._wound_kg_m2 * self.sensitivities.ratios**4
+        self._response.set_inertia(self._inertia_kg_m2)
+
+    @property
+    def inertia_kg_m2(self) -> Vector:
+        """Of each driven roller (N,) with what is on it now, at the motor."""
+        inertia_kg_m2: Vector = self._inertia_kg_m2
+        return inertia_kg_m2
+
+    @property
+    def swings(self) -> bool:
+        """Whether E has changed suddenly so lately that carriages swing against it."""
+        return self._time_s <= self._swings_until_s
+
+    def _begin_window(self) -> None:
+        self._cycles = 0
+        self._sum = np.zeros(len(self._offsets))
+        self._slopes = np.zeros((len(self._sum), len(self.sensitivities.unknowns)))
+
+    # -- each cycle --------------------------------------------------------------------------------------
+
+    def sense(self, readings: Mapping[str, float]) -> None:
+        """What the sensors of stations said of the motion that was followed last, m and N, by name."""
+        first, (left, slopes) = len(self._axes), self._sensors.look(readings)
+        self._sensed = left
+        self._sum[first:] += left
+        self._slopes[first:] += slopes
+
+    def sensed_length_m(self, axis: int) -> float:
+        """Of the section behind an axis, with its carriages where their sensors say."""
+        sensed = zip(self._sensors.sensed, self._sensed.tolist(), strict=False)
+        return self.sensitivities.length_m(axis) + sum(
+            left_m * self.sensitivities.longer_by(each, axis) for each, left_m in sensed if each.kind is Kind.CARRIAGE
+        )
+
+    def follow(self, positions_m: Sequence[float], duration_s: float) -> None:
+        """The driven rollers (N,) are there now."""
+        self.sensitivities.follow(positions_m, duration_s)
+        self._followed_s = duration_s
+        travel_m = abs(positions_m[-1] - self._positions_m[-1])
+        self._travel_m += travel_m
+        self._window_travel_m += travel_m
+        self._positions_m = list(positions_m)
+
+    @property
+    def torques_missing_Nm(self) -> Vector:
+        """What the torques (N,) of the closed line have not answered yet to what was corrected."""
+        return self._response.torques_Nm[:, -1]
+
+    def compare(self, time_s: float, residuals_Nm: Vector, *, limited: bool, slips_since_s: float = inf) -> bool:
+        """Torques (N,), measured less those of the closed line; whether something was corrected. `limited`: a torque is
+        at its limit, and says nothing; `slips_since_s`: when no web slipped yet, inf where none does: what was booked
+        since then is taken back, and of the torques nothing but tensions is learned."""
+        began, self._slips = not self._slips and slips_since_s < inf, slips_since_s < inf
+        if began:
+            self._take_back(slips_since_s)
+            self._undecided_from_m = inf
+            self._response.step(self._loads)
+            self._begin_window()
+            return True
+        answered = self._response.torques_Nm
+        left = (residuals_Nm - answered[:, -1])[self._rows]
+        self._noise.update(left)
+        if not limited and self._look_for_kicks(time_s, left):
+            self._response.step(self._loads)
+            self._begin_window()
+            return True
+        self._sum[: len(left)] += left
+        self._slopes[: len(left)] += answered[self._rows, :-1] * self._shows
+        self._cycles += 1
+        self._refresh_loads()
+        corrected = False
+        if self._cycles >= self._window:
+            corrected = not limited and self._correct(time_s)
+            self._keep(time_s)
+            self._begin_window()
+        self._response.step(self._loads)
+        return corrected
+
+    def _refresh_loads(self) -> None:
+        """Bring loads up to what is followed. A load motor in the place of a reel emulates what its web pulls, but has
+        the flywheel that the reel had at the start."""
+        self.sensitivities.refresh_load_slopes()
+        speeds = self._rad_per_m * self.sensitivities.line.v_m_s
+        before, self._speeds_rad_s = self._speeds_rad_s, speeds
+        if self._emulated and before is not None:
+            lacking_kg_m2 = self._inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2
+            self._loads[:, -1] += lacking_kg_m2 * (speeds - before) / self._followed_s
+
+    def _correct(self, time_s: float) -> bool:
+        count, unknowns = self._cycles, self.sensitivities.unknowns
+        lasted_s = count * self._cycle_s
+        self._time_s += lasted_s
+        self._filter.grow(*self._growth(lasted_s))
+        learns = self._learns_slipping if self._slips else None
+        innovations, slopes = self._sum / count, self._slopes / count
+        if learns is None and self._travel_m < self._moduli_from_m:
+            learns = self._learns_no_modulus
+        variances, jumps = self._variances(count), (self._jumps, self.sensitivities.web_changed())
+        variances[: len(self._axes)] += self._inertial_variances(lasted_s)
+        changes = self._filter.update(innovations, slopes, variances, jumps, learns)
+        if self._filter.has_begun_to_change:
+            self._answer_from_now(count // 2)
+            self._undecided_from_m = inf
+            return False
+        if learns is None:
+            changes = changes + self._parameters()
+        changes = np.array([self._bounded(each, float(change)) for each, change in zip(unknowns, changes, strict=True)])
+        self._apply(changes)
+        return True
+
+    def _parameters(self) -> Vector:
+        """By which E is corrected (n,): by what has changed, at once for a while from a sudden change on, and slowly
+        after that; not at all where something else may be. By what has been wrong from the start on overwhelming
+        evidence, or where nothing was known of it."""
+        filtered, none = self._filter, np.zeros_like(self._corrected)
+        if filtered.has_changed:
+            if self._time_s > self._learns_until_s:
+                self._swings_until_s = self._time_s + _KICK_SWINGS_S
+            self._learn()
+        found = self._from_start()
+        if self._time_s <= self._learns_until_s:
+            return found + filtered.take_changes(1.0)
+        changes, starts = filtered.evidence_of_change(), filtered.evidence_of_start(none)
+        if self._is_another(max(changes, starts)):
+            found = found + filtered.take_start()
+            self._learn(anew=changes > starts)
+        if self._undecided_from_m < inf:
+            return found
+        return found + filtered.take_changes(self._window * self._cycle_s / _FOLLOWS_S)
+
+    def _from_start(self) -> Vector:
+        """By which E is corrected (n,) as it was wrong from the start: as it is found where nothing is known of the web
+        yet, which is given back where that is no evidence."""
+        filtered, none = self._filter, np.zeros_like(self._corrected)
+        if self._time_s <= _STARTS_S or self._travel_m < self._known_from_m:
+            taken = filtered.take_start()
+            self._started = self._started + taken
+            return taken
+        started, self._started = self._started, none
+        if started.any() and filtered.evidence_of_start(started) < _KEPT:
+            return filtered.give_back(started)
+        return none
+
+    def _is_another(self, evidence: float) -> bool:
+        """Whether E is another one by this evidence: beside a carriage, once a slip would have been told."""
+        if evidence < (_ACCEPTED if self._undecided_from_m == inf else _KEPT):
+            self._undecided_from_m = inf
+            return False
+        self._undecided_from_m = min(self._undecided_from_m, self._travel_m)
+        return not self._transients or self._travel_m - self._undecided_from_m > self._keep_m
+
+    def _learn(self, *, anew: bool = False) -> None:
+        """Correct E as it is found for a while; `anew`: it has been another one for a while, and it is learned what
+        by."""
+        if anew:
+            self._filter.jump(self._jumps)
+        self._undecided_from_m = inf
+        self._learns_until_s = self._time_s + _LEARNS_S
+
+    def _look_for_kicks(self, time_s: float, left_Nm: Vector) -> bool:
+        """In torques (m,) beside those of the line that is followed; whether there was one."""
+        if not self._identifies_moduli or self._slips or self._time_s < _KICKS_FROM_S:
+            self._forget_kicks()
+            return False
+        variances = self._least_variances + self._noise.variances
+        found = [(place, watch.take(left_Nm, variances)) for place, watch in self._transients]
+        for place, transient in found:
+            if transient is not None:
+                self._may_be.append((time_s - transient.cycles * self._cycle_s, place, transient))
+        for began_s, place, transient in list(self._may_be):
+            if time_s - began_s > _MAY_BE_S:
+                self._may_be.remove((began_s, place, transient))
+            elif transient.sure and not self._emulated:
+                self._kicked(time_s, began_s, place, transient)
+                return True
+            elif (handed_on := self._handed_on(began_s, place, transient)) is not None:
+                self._kicked(time_s, began_s, place, handed_on)
+                return True
+        return False
+
+    def _handed_on(self, began_s: float, place: int, transient: Transient) -> Transient | None:
+        """The kick, where torques tell since then of the section behind what web of the strain that it makes does
+        there: it is booked as E. Of one that load motors emulate, some cycles late, not even the sign is known but by
+        that."""
+        changed, deviation = self._booked_behind(place, self._at(began_s))
+        would_be, share = -changed / (1.0 + changed), transient.share
+        if self._emulated:
+            share = copysign(share, would_be)
+            transient = replace(
+                transient, share=share, deviation=max(transient.deviation, _EMULATED_SHARE * abs(share))
+            )
+        off = abs(would_be - share)
+        readings = abs(changed) > _BOOKED * deviation and off < 3.0 * transient.deviation + _BOOKED_OFF * abs(share)
+        return transient if readings else None
+
+    def _booked_behind(self, place: int, kept: _Kept) -> tuple[float, float]:
+        """Share by which E of the section behind another one is told to be larger beside that of this one than it was,
+        and the deviation of that, then or now."""
+        behind = Unknown(Kind.MODULUS, self.sensitivities.unknowns[place].number + 1)
+        if behind not in self.sensitivities.places:
+            return 0.0, 1.0
+        at = self.sensitivities.places[behind]
+        then, readings = self._filter.of_unknowns(kept.posterior), self._filter.of_unknowns(self._filter.posterior)
+        # What has just changed suddenly is not told apart yet: then that counts, however well it was known.
+        apart = (float(known[at, at] + known[place, place] - 2.0 * known[at, place]) for known, _ in (then, readings))
+        deviation = sqrt(max(apart))
+        before, now = 1.0 + kept.corrected + then[1], 1.0 + self._corrected + readings[1]
+        return float(now[at] / now[place] * before[place] / before[at]) - 1.0, deviation
+
+    def _at(self, time_s: float) -> _Kept:
+        """What was known then."""
+        return next((kept for kept in reversed(self._kept) if kept.time_s <= time_s), self._kept[0])
+
+    def _kicked(self, time_s: float, began_s: float, place: int, transient: Transient) -> None:
+        """E of a section whose tension a carriage keeps is another one: torques have told of the others what was that,
+        and tell now how much it is by the strain of the web that comes from there."""
+        self._take_back(began_s)
+        unknown = self.sensitivities.unknowns[place]
+        factor = self.sensitivities.modulus_factor(unknown.number)
+        changes, jumps = np.zeros(len(self.sensitivities.unknowns)), np.zeros_like(self._jumps)
+        changes[place] = self._bounded(unknown, factor * transient.share)
+        self._hand_on(unknown.number, time_s - began_s, transient, changes)
+        changed = np.flatnonzero(self._filter.parameters == place)
+        jumps[changed, changed] = (factor * transient.deviation) ** 2
+        self._apply(changes)
+        self._filter.jump(jumps)
+        self._forget_kicks()
+        self._learn()
+
+    def _hand_on(self, axis: int, since_s: float, transient: Transient, changes: Vector) -> None:
+        """Web that has left the section since the kick has another strain than the line that is followed has handed
+        on: what that is of the strain in the next section."""
+        behind = Unknown(Kind.STRAIN, axis + 1)
+        if behind in self.sensitivities.places:
+            line, spans = self.sensitivities.line, _sections(self._model)
+            travel_m = abs(line.v_m_s.item(axis)) * since_s
+            gone = 1.0 - exp(-travel_m / sum(self._model.span_length_m(k + 1) for k in spans[axis]))
+            more = -transient.share / (1.0 + transient.share) * line.strain.item(spans[axis - 1][-1])
+            changes[self.sensitivities.places[behind]] = self.sensitivities.modulus_factor(axis + 1) * more * gone
+
+    def _forget_kicks(self) -> None:
+        for _, watch in self._transients:
+            watch.reset()
+        self._may_be.clear()
+
+    def _apply(self, changes: Vector) -> None:
+        """Correct the line by these of its unknowns (n,), and let them be those of now."""
+        self._corrected = self._corrected + changes
+        self.sensitivities.correct(changes)
+        self._response.add(len(changes), changes)
+        turned = self.sensitivities.renew()
+        self._filter.turn(turned)
+        self._response.turn(np.asarray(np.linalg.inv(turned), np.float64))
+        self.sensitivities.refresh_load_slopes()
+        self._set_inertia()
+
+    def put_tensions(self, tensions_N: Mapping[int, float]) -> None:
+        """The sections behind these axes have these tensions, whatever the encoders promise: of those whose strain is
+        an unknown."""
+        changes = np.zeros(len(self.sensitivities.unknowns))
+        for axis, tension_N in tensions_N.items():
+            strain = Unknown(Kind.STRAIN, axis)
+            if strain in self.sensitivities.places:
+                stiffness_N = self._model.stiffness_N(_sections(self._model)[axis - 1][0] + 1)
+                changes[self.sensitivities.places[strain]] = tension_N / stiffness_N - self.sensitivities.strain(axis)
+        self._apply(changes)
+
+    def _keep(self, time_s: float) -> None:
+        """Keep what is known, for `_take_back`."""
+        kept = self._kept
+        if self._slips or self._travel_m - kept[-1].travel_m < self._keep_every_m:
+            return
+        kept.append(_Kept(time_s, self._travel_m, self._filter.posterior, self._corrected))
+        while len(kept) > 1 and kept[1].travel_m < self._travel_m - self._keep_m:
+            kept.popleft()
+
+    def _take_back(self, since_s: float) -> None:
+        """What torques have told since then of E, and where carriages without a sensor stand, was the slip; tensions
+        stay, and are the torques' to tell from now on."""
+        earlier, self._learns_until_s = self._at(since_s), -inf
+        strains = np.where(self._is_strain, (_STRAIN_AT_REST * self._model.upstream_strain) ** 2, 0.0)
+        variances = np.maximum(strains, self._filter.deviations**2)
+        self._filter.put_back(earlier.posterior, self._by_torque, variances)
+        back = np.where(self._by_torque, earlier.corrected - self._corrected, 0.0)
+        moduli = np.where(self._is_modulus, back, 0.0)
+        self.sensitivities.rebook(moduli)
+        self._corrected = self._corrected + moduli
+        self._apply(back - moduli)
+
+    def _answer_from_now(self, cycles: int) -> None:
+        """What has changed in the web changed so many cycles ago: until then no drive had to answer to it."""
+        web = [i for i, each in enumerate(self.sensitivities.unknowns) if each.kind in (Kind.MODULUS, Kind.STRAIN)]
+        self._response.answer_from(cycles, web, self._loads)
+
+    def _bounded(self, unknown: Unknown, change: float) -> float:
+        if unknown.kind is Kind.MODULUS:
+            at = self.sensitivities.modulus_factor(unknown.number) - 1.0
+            return min(max(change, _LEAST_MODULUS - at), _MOST_MODULUS - at)
+        return min(max(change, -_MOST_RADIUS), _MOST_RADIUS) if unknown.kind is Kind.RADIUS else change
+
+    def _set_growth(self) -> None:
+        """What is left in a window of what is known of the states, and by what E and slow errors change."""
+        lasted_s, first = self._window * self._cycle_s, self._filter.first_offset
+        prior = np.zeros((first + len(self._offsets),) * 2)
+        changes = len(self._is_modulus) + np.arange(len(self._drifts))
+        prior[np.ix_(changes, changes)] = self._drifts
+        prior[first:, first:] = np.diag(self._offsets**2)
+        self._left = np.where(np.diag(prior) > 0.0, exp(-lasted_s / _SHIFT_S), 1.0)
+        self._slow_growth = (1.0 - np.outer(self._left, self._left)) * prior
+
+    def _growth(self, time_s: float) -> tuple[Vector, Vector, float]:
+        travel_m, self._window_travel_m = self._window_travel_m, 0.0
+        growth = self._slow_growth.copy()
+        for at, unknown in enumerate(self.sensitivities.unknowns):
+            if unknown.kind is Kind.CARRIAGE:
+                growth[at, at] = (_SLIPPING_M_PER_SQRT_M if self._slips else _CARRIAGE_M_PER_SQRT_M) ** 2 * travel_m
+            elif unknown.kind is Kind.RADIUS:
+                growth[at, at] = _RADIUS_PER_SQRT_M**2 * travel_m
+            elif unknown.kind is Kind.STRAIN:
+                slips = self._slips or self._undecided_from_m < inf  # or may
+                per_sqrt_s = _SLIPPING_PER_SQRT_S if slips else _STRAIN_PER_SQRT_S
+                growth[at, at] = (per_sqrt_s * self._model.upstream_strain) ** 2 * time_s
+        return self._left, growth, travel_m
+
+    def _variances(self, count: int) -> Vector:
+        noise = self._noise.variances / count + (_LEAST_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
+        swing = exp(-self._time_s / _SWING_S)
+        noise += (_SWING_SHARE * np.array(self._limits_Nm) * swing) ** 2
+        sensors = self._sensors.variances + (_SWING_SHARE * self._sensors.tensions_N * swing) ** 2
+        return np.concatenate([noise, sensors])
+
+    def _inertial_variances(self, lasted_s: float) -> Vector:
+        """Of torques (m,) in a window that lasted so long, by what accelerates."""
+        speeds_m_s = self.sensitivities.line.v_m_s[self._rows]
+        before, self._speeds_m_s = self._speeds_m_s, speeds_m_s
+        rates = self._rad_per_m[self._rows] * (speeds_m_s - (speeds_m_s if before is None else before)) / lasted_s
+        variances: Vector = (_INERTIA_SHARE * self._inertia_kg_m2[self._rows] * rates) ** 2
+        return variances
+
+    # -- what is found -----------------------------------------------------------------------------------
+
+    def carriage(self, number: int) -> Found:
+        """Position of a carriage, m; from 1."""
+        return Found(self.sensitivities.carriage_m(number), self._deviation(Unknown(Kind.CARRIAGE, number)))
+
+    def radius(self, axis: int) -> Found:
+        """Of a reel, m. Where nothing tells E the strain is another one by what is not known of that."""
+        radius_m = self._model.radius_m(axis)
+        by_strain = 0.0 if self._identifies_moduli else _MODULUS_SHARE * abs(self._model.upstream_strain)
+        deviation = hypot(self._deviation(Unknown(Kind.RADIUS, axis)), by_strain)
+        return Found(radius_m * self.sensitivities.ratio(axis), radius_m * deviation)
+
+    def separable(self, axis: int) -> bool:
+        """Whether anything has told E of the section behind an axis."""
+        if not self._identifies_moduli or self._is_undecided(axis):
+            return False
+        return self._modulus_deviation(axis) < 0.5 * _MODULUS_SHARE * self.sensitivities.modulus_factor(axis)
+
+    def modulus(self, axis: int, modulus_Pa: float) -> Found:
+        """E in the section behind an axis, Pa, of which the model says `modulus_Pa`; inf where nothing tells it."""
+        factor = self.sensitivities.modulus_factor(axis)
+        if not self._identifies_moduli:
+            return Found(modulus_Pa, inf)
+        if self._is_undecided(axis):
+            return Found(modulus_Pa * factor, inf)
+        return Found(modulus_Pa * factor, modulus_Pa * hypot(self._modulus_deviation(axis), self._model_share))
+
+    def _modulus_deviation(self, axis: int) -> float:
+        """About what E is corrected by, with what the data say otherwise but not yet for sure."""
+        at = self.sensitivities.places[Unknown(Kind.MODULUS, axis)]
+        return hypot(self._filter.deviation(at), self._filter.expected(at))
+
+    def _is_undecided(self, axis: int) -> bool:
+        """Whether E of the section behind an axis may have changed, or that of one beside it, or web whose strain
+        nobody knows is still there."""
+        if self._travel_m < self._known_from_m:
+            return True
+        if self._undecided_from_m == inf:
+            return False
+        numbers = [self.sensitivities.unknowns[place].number for place, _ in self._transients]
+        return axis in numbers or axis - 1 in numbers
+
+    def _deviation(self, unknown: Unknown) -> float:
+        return self._filter.deviation(self.sensitivities.places[unknown])
+
+
+def _sections(model: ModelParameters) -> list[list[int]]:
+    """Numbers of the spans of each section, from 0."""
+    before = axes_before_spans(model)
+    return [[k for k, of in enumerate(before) if of == axis] for axis in range(1, model.axis_count)]

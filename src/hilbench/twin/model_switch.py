@@ -1,0 +1,296 @@
+"""Another model for a twin that runs: tried beside the one in use, then taken over without a jump.
+
+The changed model finds state and E of the running plant by itself, as a twin that is started beside one does: it has
+the measurements, the set points and the boundary that the model in use has. When it calls itself synchronized, what the
+virtual I/O shows goes from the one to the other along a smooth curve, so that the tension loop, which works on what is
+shown, follows without noticing a step.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
+
+from hilbench.estimation.problems import Problem
+from hilbench.plant.interface import Plant
+from hilbench.plant.motor_port import MotorPort
+from hilbench.topology.blocks import MachineParameters
+from hilbench.twin.bumpless_transfer import BumplessTransfer
+from hilbench.twin.estimated_errors import EstimatedModelError
+from hilbench.twin.machines.machine import Measured, TwinMachine
+
+#: Time over which what is shown goes from one model to the other, and for which the changed one must have been
+#: synchronized before, s.
+HAND_OVER_S, SYNCHRONIZED_S = 3.0, 0.5
+
+
+def with_effects(model: MachineParameters, effects: str) -> MachineParameters:
+    """The model with these effects (JSON: a list of {effect, axis, parameters}) in the place of its own; "": as it is.
+
+    Raises ValueError for what is no such list, or can't be of this machine.
+    """
+    if not effects:
+        return model
+    return type(model).model_validate({**model.model_dump(), "effects": json.loads(effects)})
+
+
+class PendingModel(Protocol):
+    """A machine that is being made: a future."""
+
+    def done(self) -> bool:
+        """Whether it is."""
+
+    def result(self) -> TwinMachine:
+        """It, once it is."""
+
+
+Make = Callable[[], TwinMachine]
+
+
+class ModelSwitcher:
+    """A `TwinMachine` whose model can be exchanged while it runs.
+
+    `make`: what makes a new machine of the model with these effects (JSON) in the place of the configured ones; "": as
+    it is configured. Until the first change all calls go straight to the configured machine. `beside`: who makes it
+    while the cycle goes on, which takes some cycles' time; None: it is made at once.
+    """
+
+    def __init__(
+        self, make: Callable[[str], Make], cycle_s: float, beside: Callable[[Make], PendingModel] | None = None
+    ) -> None:
+        self._make, self._beside = make, beside
+        self._cycle_s = cycle_s
+        self._configured = self._current = make("")()
+        self.ports: Sequence[MotorPort] = self._configured.ports
+        self._pending: PendingModel | None = None
+        self._candidate: TwinMachine | None = None
+        self._effects = self._effects_beside = ""  # of the model in use, and of the candidate
+        self._before: Sequence[Measured] | None = None  # while the candidate waits to be released
+        self._released = False
+        self._synchronized_cycles = self._cycles_over = 0
+        self._share = 0.0
+        self._fresh = True  # whether what is shown is of a cycle with measurement
+        self._cycles_since = 0  # that the models have gone since the last one
+        self._apart: Sequence[float] = ()  # what is shown, less what the model in use alone would show
+        self._shown: Sequence[float] = ()
+        self._smooth = BumplessTransfer(self._configured.largest_steps)
+        #: Of each shown value the largest step from one cycle to the next that the last change has made; none before.
+        self.largest_steps: Sequence[float] = ()
+
+    def change(self, effects: str) -> None:
+        """Take a model with these effects beside the one in use, and over; "" is the configured one.
+
+        A change that still runs beside is given up for it. Raises ValueError for what is no list of effects of this
+        machine, RuntimeError while a model is being taken over.
+        """
+        if self._share > 0.0:
+            raise RuntimeError("a model is being taken over")
+        make, self._effects_beside = self._make(effects), effects
+        self._candidate, self._pending = None, None
+        if self._beside is None:
+            self._candidate = make()
+            self._candidate.set_cycle_time(self._cycle_s)
+        else:
+            self._pending = self._beside(make)
+        self._before, self._released = None, False
+        self._synchronized_cycles = self._cycles_over = 0
+        self._apart = self._shown = self.largest_steps = ()
+        self._smooth = BumplessTransfer(self._configured.largest_steps)
+
+    @property
+    def changing(self) -> bool:
+        """Whether a changed model runs beside the one in use, or is being taken over."""
+        return self._candidate is not None or self._pending is not None
+
+    @property
+    def changed(self) -> bool:
+        """Whether the model in use is another than the configured one."""
+        return self._effects != ""
+
+    @property
+    def only_plant(self) -> Plant | None:
+        """The configured model where no other is in use or tried; it then moves the ports by itself."""
+        alone = not self.changing and self._current is self._configured and self._smooth.is_over
+        return self._configured.plant if alone else None
+
+    @property
+    def in_use(self) -> TwinMachine:
+        """The machine whose model is in use."""
+        return self._current
+
+    # -- a TwinMachine -----------------------------------------------------------------------------------
+
+    @property
+    def problems(self) -> Mapping[int, Problem | None]:
+        """The same by the number of the span."""
+        return self._current.problems
+
+    @property
+    def shift_span(self) -> int:
+        """The span at which the torque has shifted."""
+        return self._current.shift_span
+
+    @property
+    def refused(self) -> bool:
+        """Whether a measured state was not plausible and was not taken over in the last cycle."""
+        return self._current.refused
+
+    def freeze_adaptation(self, *, frozen: bool) -> None:
+        """Whether nobody knows how long a cycle is."""
+        for machine in self._machines:
+            machine.freeze_adaptation(frozen=frozen)
+
+    def set_cycle_time(self, cycle_s: float) -> None:
+        """Each cycle is so long from the next on, whichever model is in use."""
+        self._cycle_s = cycle_s
+        for machine in self._machines:
+            machine.set_cycle_time(cycle_s)
+
+    def keep(self) -> None:
+        """What is known now was found with cycles of the right length."""
+        for machine in self._machines:
+            machine.keep()
+
+    @property
+    def _machines(self) -> list[TwinMachine]:
+        """All that there are."""
+        found = [self._configured]
+        for machine in (self._current, self._candidate):
+            if machine is not None and machine is not self._configured:
+                found.append(machine)
+        return found
+
+    def reset(self) -> None:
+        """Start anew with the model that was configured."""
+        self._candidate, self._current, self._share = None, self._configured, 0.0
+        self._pending, self._effects = None, ""
+        self._smooth = BumplessTransfer(self._configured.largest_steps)
+        self._configured.reset()
+
+    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
+        """The drives have been enabled; False where these measurements are of several instants."""
+        if self._candidate is not None and self._share > 0.0:
+            self._take_over(self._candidate)
+        self._pass_set_points(self._current)
+        self._before, self._released = None, False
+        return self._current.release(before, now, under_way=under_way)
+
+    def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
+        """Take what the axes (N,) measured.
+
+        A candidate is released by two measurements in a row, each of one instant as the model in use has found.
+        """
+        self._fresh = self._current.compare(time_s, measured)
+        candidate = self._candidate
+        if candidate is not None:
+            if self._released:
+                candidate.compare(time_s, measured)
+            elif self._fresh and self._before is not None:
+                self._released = candidate.release(self._before, measured)
+            self._before = measured if self._fresh else None
+        return self._fresh
+
+    def miss(self) -> None:
+        """A cycle without measurement."""
+        if self._candidate is not None:
+            if self._released:
+                self._candidate.miss()
+            self._before = None
+        self._fresh = False
+        self._current.miss()
+
+    def listen(self) -> None:
+        """Take over what the bench says of the machine's boundary."""
+        if self._candidate is not None and self._released:
+            self._candidate.listen()
+        self._current.listen()
+
+    def step(self, duration_s: float) -> None:
+        """Go on with the set points of the ports."""
+        plant = self.only_plant
+        if plant is not None:
+            plant.step(duration_s)
+            return
+        self._pass_set_points(self._current)
+        self._current.plant.step(duration_s)
+        if self._pending is not None and self._pending.done():
+            self._candidate, self._pending = self._pending.result(), None
+            self._candidate.set_cycle_time(self._cycle_s)
+        candidate = self._candidate
+        if candidate is not None and self._released:
+            self._pass_set_points(candidate)
+            candidate.plant.step(duration_s)
+            self._cycles_since += 1
+            self._go_over(candidate)
+        if self._current is not self._configured:
+            for shown, port in zip(self.ports, self._current.ports, strict=True):
+                shown.reference, shown.torque_limited = port.reference, port.torque_limited
+                shown.position_rad, shown.velocity_rad_s = port.position_rad, port.velocity_rad_s
+                shown.torque_Nm = port.torque_Nm
+
+    def use_method(self, number: int) -> None:
+        """Go on with another method from the present estimate."""
+        self._current.use_method(number)
+        if self._candidate is not None:
+            self._candidate.use_method(number)
+
+    def found(self) -> Sequence[EstimatedModelError]:
+        """What is known by now of errors of the model in use."""
+        return self._current.found()
+
+    def published(self) -> Sequence[float]:
+        """What the virtual I/O shows now: of both models where one is being taken over."""
+        shown = self._current.published()
+        if self._candidate is None or self._share == 0.0:
+            return shown if self._smooth.is_over else self._smooth.show(shown, shown, 1.0)
+        both = self._smooth.show(shown, self._candidate.published(), self._share)
+        self._note_steps([now - old for old, now in zip(shown, both, strict=True)], both)
+        return both
+
+    def _note_steps(self, apart: Sequence[float], shown: Sequence[float]) -> None:
+        """How much more the shown values change in a cycle than those of the model in use alone; where that one jumps
+        and the changed one does not, they change by less than that.
+
+        What is shown after cycles without measurement has the changes of all of them.
+        """
+        if not self._fresh:
+            return
+        cycles = max(self._cycles_since, 1)
+        more = _steps(self._apart or [0.0] * len(apart), apart)
+        steps = [
+            min(pair) / cycles for pair in zip(more, _steps(self._shown, shown) if self._shown else more, strict=True)
+        ]
+        self._cycles_since = 0
+        self.largest_steps = [max(pair) for pair in zip(steps, self.largest_steps or steps, strict=True)]
+        self._apart, self._shown = apart, shown
+
+    # -- a change ----------------------------------------------------------------------------------------
+
+    def _pass_set_points(self, machine: TwinMachine) -> None:
+        if machine is self._configured:
+            return
+        for given, port in zip(self.ports, machine.ports, strict=True):
+            port.mode, port.setpoint = given.mode, given.setpoint
+            port.slope, port.torque_limit_Nm = given.slope, given.torque_limit_Nm
+
+    def _go_over(self, candidate: TwinMachine) -> None:
+        """A cycle nearer to the changed model, when it has been synchronized for a while."""
+        if self._share == 0.0 and self._synchronized_cycles * self._cycle_s < SYNCHRONIZED_S:
+            self._synchronized_cycles = self._synchronized_cycles + 1 if candidate.synchronized else 0
+            return
+        self._cycles_over += 1
+        way = self._cycles_over * self._cycle_s / HAND_OVER_S
+        if way < 1.0:
+            self._share = way * way * (3.0 - 2.0 * way)
+            return
+        self._take_over(candidate)
+
+    def _take_over(self, candidate: TwinMachine) -> None:
+        self._current, self._candidate, self._share = candidate, None, 0.0
+        self._effects = self._effects_beside
+
+
+def _steps(before: Sequence[float], now: Sequence[float]) -> list[float]:
+    """How far each of these has gone."""
+    return [abs(new - old) for old, new in zip(before, now, strict=True)]
