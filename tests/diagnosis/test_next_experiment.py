@@ -224,7 +224,7 @@ def test_until_clear_the_bench_runs_on_with_more_steps_each_time_and_three_times
     recording = Recording({"t_s": t, "v2_cmd_m_s": 2.0 * np.sin(t), "F_ref_N": np.full(len(t), 80.0)})
     monkeypatch.setattr(command, "run_bench", run_bench)
     monkeypatch.setattr(command, "live_gap", lambda outcome: LiveGap(Path("run"), 1, ()))
-    monkeypatch.setattr(command, "read_recording", lambda path: recording)
+    monkeypatch.setattr(command, "read_section", lambda path: recording)
     monkeypatch.setattr(command, "diagnose", lambda *_: tied if len(ran) <= clear_after else clear)
     command.diagnose_command(Path("bench_configs/hidden_friction.yaml"), None, None, as_json=True, until_clear=True)
     said = json.loads(capsys.readouterr().out)

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -14,8 +15,9 @@ from hypothesis import strategies as st
 
 import can
 from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
-from hilbench.errors import BenchFaultError, UnusableInputError
+from hilbench.errors import UnusableInputError
 from hilbench.results.trace import TraceReader, TraceWriter
+from hilbench.results.trace_files import read_messages
 
 T0 = 1_700_000_000_000_123_000
 
@@ -188,11 +190,12 @@ def test_disk_full(tmp_path: Path) -> None:
     resource = pytest.importorskip("resource")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    writer = TraceWriter(tmp_path / "trace.log", "vcan0")
+    said: list[str] = []
+    writer = TraceWriter(tmp_path / "trace.log", "vcan0", warn=said.append)
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
-        writer.write([Frame(0x181, bytes(8), T0)] * 10)
-        with pytest.raises(BenchFaultError, match="the trace cannot be written"):
+        for _ in range(2):
+            writer.write([Frame(0x181, bytes(8), T0)] * 10)
             writer.end_cycle()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
@@ -201,3 +204,36 @@ def test_disk_full(tmp_path: Path) -> None:
     reader = TraceReader(tmp_path / "trace.log")
     assert len(list(reader)) == 2
     assert reader.torn
+    assert len(said) == 1
+    assert "the trace cannot be written" in said[0]
+
+
+def write_long(path: Path, cycles: int, **settings: Any) -> list[Frame]:
+    """A trace of so many cycles; its frames."""
+    frames = [Frame(0x181, k.to_bytes(8, "little"), T0 + 1000 * k) for k in range(cycles)]
+    with TraceWriter(path, "vcan0", **settings) as writer:
+        for frame in frames:
+            writer.write([frame])
+            writer.end_cycle()
+    return frames
+
+
+@pytest.mark.parametrize("compress", [False, True])
+def test_a_long_trace_goes_on_in_further_files_and_is_read_as_one(tmp_path: Path, compress: bool) -> None:
+    path = tmp_path / "trace.log"
+    frames = write_long(path, 2000, part=20_000, compress=compress)
+    names = sorted(each.name for each in tmp_path.iterdir())
+    assert len(names) == 5
+    assert names[:2] == ["trace.1.log.gz", "trace.2.log.gz"] if compress else ["trace.1.log", "trace.2.log"]
+    assert path.stat().st_size < 21_000
+    assert list(TraceReader(path)) == frames
+    assert len(list(read_messages(path))) == 2000
+
+
+def test_a_trace_ends_at_what_is_to_be_kept_and_says_so_before(tmp_path: Path) -> None:
+    said: list[str] = []
+    frames = write_long(tmp_path / "trace.log", 2000, keep=45_000, warn=said.append)
+    assert ["then the trace ends" in said[0], "keep_MB" in said[1], len(said)] == [True, True, 2]
+    found = list(TraceReader(tmp_path / "trace.log"))
+    assert 900 < len(found) < 1200
+    assert found == frames[: len(found)]

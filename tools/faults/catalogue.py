@@ -271,14 +271,14 @@ def faults() -> list[Fault]:
             embedded=True,
         ),
         Fault(
-            "disk full (at 150 kB)",
-            "quick stop, exit 3, trace so far",
-            (3,),
+            "disk full (at 2.5 MB)",
+            "the trace ends with a notice, the run goes on",
+            (0,),
             "cannot be written",
             nothing,
             {},
             (),
-            150_000,
+            2_500_000,
         ),
         Fault(
             "cycle overrun of 50 ms, real time",

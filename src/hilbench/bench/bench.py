@@ -316,6 +316,10 @@ class Bench:
         """How often torques and encoders have opened a tension loop, as of `TwinState`."""
         return self._state.twin.refusals
 
+    def note(self, source: str, text: str) -> None:
+        """Something that an operator must know, from whoever uses the bench; it is one of the `notices`."""
+        self._state.reports.note(source, text)
+
     @property
     def notices(self) -> Notices:
         """What an operator must know of the run."""

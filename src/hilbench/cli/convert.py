@@ -40,7 +40,7 @@ def convert(
     """
     from hilbench.cli.columns import report, report_unknown
     from hilbench.results.import_mapping import read_foreign
-    from hilbench.results.recording import read_recording, write_recording
+    from hilbench.results.recording import convert_recording, read_recording, write_recording
     from hilbench.results.trace_files import FORMATS, convert_trace
 
     for read in (source, columns):
@@ -50,9 +50,14 @@ def convert(
         count = convert_trace(source, target, lambda text: report(source, text), allow_loss=allow_loss)
         print(f"{target}: {count} frames")
         return
+    if columns is None and target.suffix.lower() != ".mcap":
+        samples, names = convert_recording(source, target)
+        report_unknown(names, source)
+        print(f"{target}: {samples} samples of {len(names)} channels")
+        return
     if columns is None:
         recording = read_recording(source)
-        report_unknown(recording, source)
+        report_unknown(recording.channels, source)
     else:
         recording = read_foreign(source, columns, lambda text: report(source, text))
     if target.suffix.lower() == ".mcap":

@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from hilbench.cli.columns import report_unknown
+from hilbench.cli.columns import report_section, report_unknown
 from hilbench.cli.model_option import any_model_from, config_from
 from hilbench.cli.progress import ProgressDisplay
 from hilbench.diagnosis import axis_next_experiment, machines, web_next_experiment
@@ -28,7 +28,7 @@ from hilbench.history.entries import keep_diagnosis
 from hilbench.plant.effect import Section
 from hilbench.plant.model_file import write_model
 from hilbench.report.diagnosis_page import write_diagnosis_page
-from hilbench.results.recording import Recording, read_recording, read_rows
+from hilbench.results.recording import Recording, read_section
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import LoadedConfig, load_with_overrides, write_config_over
 from hilbench.topology.config import BenchConfig
@@ -130,8 +130,9 @@ def diagnose_command(
                 )
             config, model = config_from(model_path), any_model_from(model_path)
             progress.announce("read the recording", 0.0)
-            recording = read_rows(source)
-            report_unknown(recording, source)
+            recording = read_section(source)
+            report_section(recording, source)
+            report_unknown(recording.channels, source)
             emulation = _emulation(source, config)
             diagnosis = diagnose(recording, model, source, progress.announce, emulation)
             found = _Found(diagnosis, None if config is None else model_path)
@@ -189,8 +190,9 @@ def _against(source: Path, before: Path, model_path: Path | None, progress: Prog
     runs = []
     for path in (source, before):
         progress.announce(f"read {path}", 0.0)
-        recording = read_rows(path)
-        report_unknown(recording, path)
+        recording = read_section(path)
+        report_section(recording, path)
+        report_unknown(recording.channels, path)
         runs.append(Run(recording, path, _emulation(path, config)))
     return _Found(compared(runs[0], runs[1], model, progress.announce), model_path if config else None, against=before)
 
@@ -219,9 +221,9 @@ def _on_the_bench(
     first = run_bench(loaded, model, runs, observers=[observer], announce=announce)
     before = live_gap(first)
     recording, emulation = first.folder.recording, emulation_of(loaded.config)
-    diagnosis = diagnose(read_recording(recording), model, recording, progress.announce, emulation)
+    diagnosis = diagnose(read_section(recording), model, recording, progress.announce, emulation)
     found = _Found(diagnosis, config, [before])
-    found.proposed = _proposed(diagnosis, read_recording(recording), recording)
+    found.proposed = _proposed(diagnosis, read_section(recording), recording)
     steps: list[Step] = []
     while until_clear and found.proposed is not None and len(found.rounds) < _MOST_ROUNDS and _is_tied(diagnosis):
         steps += found.proposed.steps
@@ -229,9 +231,9 @@ def _on_the_bench(
         observer, announce = progress.of_run(f"run the bench with {found.proposed.moves}", 0.0)
         again = run_bench(loaded, model, runs, more_steps=steps, observers=[observer], announce=announce)
         before, recording = live_gap(again), again.folder.recording
-        diagnosis = diagnose(read_recording(recording), model, recording, progress.announce, emulation)
+        diagnosis = diagnose(read_section(recording), model, recording, progress.announce, emulation)
         found.diagnosis, found.live = diagnosis, [before]
-        found.proposed = _proposed(diagnosis, read_recording(recording), recording)
+        found.proposed = _proposed(diagnosis, read_section(recording), recording)
     if not diagnosis.effects:
         return found
     observer, announce = progress.of_run("run the bench with the extended model", 0.97)

@@ -17,6 +17,6 @@ def recover_command(path: Path) -> None:
     if not folder.report.exists():
         written.append(write_report(folder))
     recording = read_recording(folder.recording)
-    print(f"{len(recording)} cycles, {recording.time_s[-1]:.3f} s recovered")
+    print(f"{recording.samples} samples, {recording.time_s[-1]:.3f} s recovered")
     for file in written:
         print(file)

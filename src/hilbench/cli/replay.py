@@ -73,9 +73,10 @@ def _trace(run: Path, bus: str | None, speed: float, *, commands: bool, force: b
 def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
     import numpy as np
 
+    from hilbench.cli.columns import report_section
     from hilbench.plant.effect import MachineKind
     from hilbench.results.journal import read_journal
-    from hilbench.results.recording import Recording, read_recording, write_recording
+    from hilbench.results.recording import Recording, read_section, write_recording
     from hilbench.results.run_folder import RunFolder
     from hilbench.runs.config import load
     from hilbench.runs.events import journal_events
@@ -83,7 +84,8 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
 
     folder: RunFolder = RunFolder.open(run)
     config, _ = load(folder.config)
-    recording = read_recording(folder.recording)
+    recording = read_section(folder.recording)
+    report_section(recording, folder.recording)
     of_kind = _of_a_shaft if config.machine_kind is MachineKind.SERVO_AXIS else _of_a_web
     found = of_kind(config, folder.config, recording, folder.recording, method)
     again = Recording({**recording.channels, **found.signals}, recording.start_time, recording.comment, recording.units)

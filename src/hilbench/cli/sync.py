@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hilbench.cli.columns import report, report_unknown
+from hilbench.cli.columns import report, report_section, report_unknown
 from hilbench.cli.model_option import machine_of, model_from, web_line_of
 from hilbench.diagnosis.synchronization import (
     SETTLED_AFTER_S,
@@ -27,7 +27,7 @@ from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, BenchFaultError,
 from hilbench.estimation.web_line.offline import remarks
 from hilbench.files import make_folder
 from hilbench.report.sync_page import COLUMNS, ESTIMATES, rows, write_comparison
-from hilbench.results.recording import read_recording
+from hilbench.results.recording import Recording, check_recording, read_recording, read_section
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load
 from hilbench.scripts.sweep import Row, Sweep
@@ -68,6 +68,13 @@ def sync_runs_command(config_path: Path, methods: str, out: Path | None, jobs: i
     _show(comparison, write_comparison(comparison, f"Synchronizers on {config_path.name}", folder), as_json)
 
 
+def _section(path: Path) -> Recording:
+    recording = read_section(path)
+    check_recording(recording, path)
+    report_section(recording, path)
+    return recording
+
+
 def sync_command(
     recording_path: Path,
     model_path: Path,
@@ -79,8 +86,8 @@ def sync_command(
 ) -> None:
     """Compare, print, and write page and estimates into `out`. Raises UnusableInputError for what can't be used."""
     chosen = methods_of(methods)
-    model, recording = web_line_of(model_from(model_path), model_path), read_recording(recording_path)
-    report_unknown(recording, recording_path)
+    model, recording = web_line_of(model_from(model_path), model_path), _section(recording_path)
+    report_unknown(recording.channels, recording_path)
     require_one_span(model, model_path)
     data = measurements_of(recording, recording_path)
     length_s = float(data.t_s[-1] - data.t_s[0])

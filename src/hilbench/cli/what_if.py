@@ -69,7 +69,7 @@ def what_if(
     from hilbench.results.what_if import what_if as answer_to
 
     question = Question(dict(map(_asked, asked)), over, horizon, futures, at)
-    name, config, recording = _running(run, bus, at) if run.is_file() else _run(run, bus)
+    name, config, recording = _running(run, bus, at) if run.is_file() else _run(run, bus, at)
     answer = answer_to(config, recording, question, str(run))
     texts = lines(answer)
     if out is not None:
@@ -86,7 +86,7 @@ def what_if(
         print(f"page: {out}")
 
 
-def _run(run: Path, bus: str | None) -> tuple[str, ExperimentConfig, Recording]:
+def _run(run: Path, bus: str | None, at: float | None) -> tuple[str, ExperimentConfig, Recording]:
     """Name, config and recording of a run folder."""
     from hilbench.errors import UnusableInputError
     from hilbench.results.run_folder import RunFolder
@@ -97,7 +97,7 @@ def _run(run: Path, bus: str | None) -> tuple[str, ExperimentConfig, Recording]:
         raise UnusableInputError("--bus", f"{bus} beside a run folder, expected the config of a bench that runs")
     folder = RunFolder.open(run)
     config, _ = load(folder.config)
-    return folder.name, config, recorded(folder, config)
+    return folder.name, config, recorded(folder, config, at)
 
 
 def _running(path: Path, bus: str | None, at_s: float | None) -> tuple[str, ExperimentConfig, Recording]:

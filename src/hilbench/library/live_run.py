@@ -11,6 +11,7 @@ from hilbench.canopen.identifiers import SYNC
 from hilbench.library.active_runs import continues
 from hilbench.results.journal import JournalReader
 from hilbench.results.run_folder import RunFolder
+from hilbench.results.trace import open_part, parts_of
 
 #: Of so many folders, the newest, each is looked at.
 _LOOKED_AT: Final = 20
@@ -46,12 +47,13 @@ class LiveRun:
     def cycles(self, sync_ns: int, cycle_ns: int) -> int:
         """SYNCs before one that was heard at `sync_ns`, by its trace, which may be a little behind, or ahead."""
         wanted, count, rest, tail = f" {SYNC:03X}#".encode(), 0, b"", b""
-        with open(self.folder.trace, "rb") as file:
-            while block := file.read(_BLOCK):
-                text = rest + block
-                count += text.count(wanted)
-                rest = text[-len(wanted) + 1 :]
-                tail = tail[-_LINE:] + block
+        for part in parts_of(self.folder.trace):
+            with open_part(part) as file:
+                while block := file.read(_BLOCK):
+                    text = rest + block
+                    count += text.count(wanted)
+                    rest = text[-len(wanted) + 1 :]
+                    tail = tail[-_LINE:] + block
         last = tail.rfind(wanted)
         start = tail.rfind(b"(", 0, last)
         if last < 0 or start < 0:

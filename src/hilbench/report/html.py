@@ -147,7 +147,7 @@ def marks_of(result: Result | None, recording: Recording) -> list[Mark]:
 def _facts(result: Result, recording: Recording) -> list[str]:
     """What was run, in short."""
     duration_s = recording.time_s[-1] - recording.time_s[0]
-    facts = [f"{duration_s:.1f} s of bus time", f"{len(recording)} cycles of {result.timing.cycle_us / 1000:g} ms"]
+    facts = [f"{duration_s:.1f} s of bus time", f"{recording.samples} cycles of {result.timing.cycle_us / 1000:g} ms"]
     facts.append(f"pace {result.timing.pace}")
     if recording.start_time is not None:
         facts.insert(0, f"{recording.start_time:%Y-%m-%d %H:%M:%S} UTC")

@@ -33,14 +33,16 @@ class Keeping:
 
     def pieces(self, sample: CycleSample) -> CompiledStages:
         """Of a cycle with this sample. The next block is Python's."""
-        builder, kept = self._builder, [sample.wholes, self._builder.block.view(np.int64), self._builder.used]
+        builder, of = self._builder, self._builder.block
+        kept = [sample.wholes, of.view(np.int64), builder.used]
         table = table_of(kept)
 
         def cycles() -> int:
-            block = builder.block
-            if kept[1].base is not block:
-                kept[1] = block.view(np.int64)
+            nonlocal of
+            if of is not builder.block:
+                of = builder.block
+                kept[1] = of.view(np.int64)
                 table[:] = table_of(kept)
-            return len(block) - int(builder.used[0])
+            return len(of) - int(builder.used[0])
 
         return CompiledStages(after=[CompiledStage(_keep, 0, table, fallback=never, keeps=kept)], cycles=cycles)

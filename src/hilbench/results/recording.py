@@ -2,7 +2,8 @@
 
 Channel names, units and descriptions are those of `hilbench.topology.signals`; a channel that is not in that list is
 kept, its unit read from its name's suffix. Numbers survive every format exactly (CSV uses the shortest text that
-reads back as the same binary64 number).
+reads back as the same binary64 number). What is too long for memory is read reduced (`hilbench.results.reduction`), or
+a section of it.
 """
 
 from __future__ import annotations
@@ -16,12 +17,15 @@ import struct
 import sys
 import warnings
 import zlib
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
+from math import inf
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +33,10 @@ from numpy.typing import NDArray
 from hilbench.did_you_mean import did_you_mean
 from hilbench.errors import UnusableInputError
 from hilbench.files import written_whole
+from hilbench.results.journal import read_journal
+from hilbench.results.mdf import Column, MdfPieces, MdfWriter, is_ours
+from hilbench.results.reduction import GAP_S, MOST_VALUES, joined, reduced
+from hilbench.runs.events import Event, journal_events
 from hilbench.topology.signal_kinds import TIME
 from hilbench.topology.signals import find_signal, unit_of
 
@@ -39,7 +47,8 @@ NO_START_TIME = datetime(2000, 1, 1, tzinfo=UTC)
 LEAST_SAMPLES = 2
 
 _FORMATS = "expected a recording: .mf4, .csv, .csv.gz or .parquet"
-_BLOCK_ROWS = 8192
+#: Samples of a piece of a recording.
+BLOCK_ROWS = 8192
 #: Channels of a table as text, characters of the row that names them, and of all below it, at most.
 MOST_COLUMNS, _LONGEST_HEADER, _MOST_CHARACTERS = 4096, 500_000, 500_000_000
 #: The most that deflate can shrink data (RFC 1951: 258 bytes by two bits), and a little.
@@ -59,6 +68,17 @@ class Recording:
     start_time: datetime | None = None
     comment: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
+    recorded: int | None = None  #: samples of the whole file, where it is known; fewer are here of a long one
+
+    @property
+    def samples(self) -> int:
+        """Samples of the whole recording."""
+        return len(self) if self.recorded is None else self.recorded
+
+    @property
+    def is_reduced(self) -> bool:
+        """Whether it does not have all samples of its file."""
+        return len(self) < self.samples
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self.channels[name]
@@ -128,12 +148,12 @@ class RecordingBuilder:
     nothing; a longer run goes on in further blocks.
     """
 
-    def __init__(self, names: Sequence[str], expected_rows: int = _BLOCK_ROWS, whole: Container[str] = ()) -> None:
+    def __init__(self, names: Sequence[str], expected_rows: int = BLOCK_ROWS, whole: Container[str] = ()) -> None:
         if not names or names[0] != TIME or len(set(names)) != len(names):
             raise ValueError(f"channels {list(names)}: expected distinct names, {TIME} first")
         self.names = tuple(names)
-        self._whole = [name in whole for name in names]
-        self._row = struct.Struct("=" + "".join("q" if is_whole else "d" for is_whole in self._whole))
+        self.whole = [name in whole for name in names]  #: by name
+        self._row = struct.Struct("=" + "".join("q" if is_whole else "d" for is_whole in self.whole))
         self._row_size = self._row.size
         self._full: list[NDArray[np.float64]] = []
         self.used = np.zeros(1, np.int64)  #: rows of the block
@@ -166,7 +186,7 @@ class RecordingBuilder:
     def next_block(self) -> None:
         """The block is full: go on in another one."""
         self._full.append(self.block)
-        self._open_block(_BLOCK_ROWS)
+        self._open_block(BLOCK_ROWS)
 
     def __len__(self) -> int:
         """Number of samples so far."""
@@ -177,13 +197,14 @@ class RecordingBuilder:
         rows = np.concatenate([*self._full, self.block[: self._at[0]]])
         whole = rows.view(np.int64)
         channels = {
-            name: _typed(name, np.ascontiguousarray((whole if is_whole else rows)[:, column], np.float64))
-            for column, (name, is_whole) in enumerate(zip(self.names, self._whole, strict=True))
+            name: typed(name, np.ascontiguousarray((whole if is_whole else rows)[:, column], np.float64))
+            for column, (name, is_whole) in enumerate(zip(self.names, self.whole, strict=True))
         }
         return Recording(channels, start_time, comment)
 
 
-def _typed(name: str, values: NDArray[np.float64]) -> NDArray[Any]:
+def typed(name: str, values: NDArray[np.float64]) -> NDArray[Any]:
+    """Counts and bit fields as integers, where every sample is one."""
     signal = find_signal(name)
     if signal is not None and signal.integer and np.isfinite(values).all():
         integers = values.astype(np.int64)
@@ -203,55 +224,86 @@ def write_recording(recording: Recording, path: Path) -> None:
     """
     path = Path(path)
     kind = _kind(path)
-    with written_whole(path) as partial:
-        _WRITERS[kind](recording, partial)
+    with written_whole(path) as unfinished:
+        _WRITERS[kind](_Source.of(recording), unfinished)
 
 
-def _write_mdf(recording: Recording, path: Path) -> None:
-    asammdf = mdf_library()
-    from asammdf.blocks.v4_blocks import FileHistory
+@dataclass(frozen=True)
+class _Source:
+    """What is written: what it is of, and its samples, piece by piece."""
 
-    start = recording.start_time or NO_START_TIME
-    time_s = recording.time_s
-    with asammdf.MDF(version="4.10") as mdf:
-        mdf.start_time = start
-        mdf.header.comment = recording.comment
-        history = FileHistory()
-        history.comment = "<FHcomment><TX>recorded</TX><tool_id>hilbench</tool_id></FHcomment>"
-        history.time_stamp = start
-        mdf.file_history = [history]
-        for group, names in _groups(recording).items():
-            signals = [
-                asammdf.Signal(
-                    samples=np.asarray(recording.channels[name]),
-                    timestamps=time_s,
-                    name=name,
-                    unit=recording.unit(name),
-                    comment=signal.description if (signal := find_signal(name)) is not None else "",
-                    master_metadata=(TIME, 1),
-                )
-                for name in names
-            ]
-            mdf.append(signals, acq_name=group, comment=group, common_timebase=True)
-        # Transposed deflate: the samples of one channel lie together, which halves the file.
-        mdf.save(path, overwrite=True, compression=2, add_history_block=False)
+    columns: Sequence[Column]
+    start_time: datetime | None
+    comment: str
+    pieces: Iterable[Mapping[str, NDArray[Any]]]
+    thinned: bool = False
+
+    @classmethod
+    def of(cls, recording: Recording) -> Self:
+        """A recording that is in memory."""
+        channels = {name: _storable(values) for name, values in recording.channels.items()}
+        columns = [column_of(name, values.dtype, recording.unit(name)) for name, values in channels.items()]
+        columns.sort(key=lambda column: column.name != TIME)
+        pieces = (
+            {name: values[at : at + BLOCK_ROWS] for name, values in channels.items()}
+            for at in range(0, len(recording), BLOCK_ROWS)
+        )
+        return cls(columns, recording.start_time, recording.comment, pieces)
 
 
-def _groups(recording: Recording) -> dict[str, list[str]]:
-    groups: dict[str, list[str]] = {}
-    for name in recording.channels:
-        if name != TIME:
-            signal = find_signal(name)
-            groups.setdefault("other" if signal is None else signal.group, []).append(name)
-    return groups
+def column_of(name: str, dtype: np.dtype[Any], unit: str = "") -> Column:
+    """A channel as a file has it: what is known of its signal beside its name."""
+    signal = find_signal(name)
+    meaning, group = ("", "other") if signal is None else (signal.description, signal.group)
+    return Column(name, dtype, unit or unit_of(name), meaning, group)
 
 
-def _write_csv(recording: Recording, path: Path) -> None:
+def _storable(values: NDArray[Any]) -> NDArray[Any]:
+    """Numbers of a kind that every format has."""
+    data = np.asarray(values)
+    stored = data.dtype.kind in "iu" or (data.dtype.kind == "f" and data.dtype.itemsize in (4, 8))
+    return data if stored else data.astype(np.float64)
+
+
+def convert_recording(source: Path, target: Path) -> tuple[int, list[str]]:
+    """Write a recording in another format, piece by piece where hilbench has written it; samples and channels' names.
+
+    Raises UnusableInputError as `read_recording` and `write_recording`.
+    """
+    if not _is_in_pieces(source):
+        recording = read_recording(source)
+        write_recording(recording, target)
+        return len(recording), list(recording.channels)
+    pieces = MdfPieces(source)
+    write_pieces(pieces, pieces, target)
+    return pieces.rows, [column.name for column in pieces.columns]
+
+
+def write_pieces(of: MdfPieces, pieces: Iterable[Mapping[str, NDArray[Any]]], target: Path) -> None:
+    """Write samples, piece by piece, of a recording like another one. Raises as `write_recording`."""
+    kind, start = _kind(target), None if of.start == NO_START_TIME else of.start
+    with written_whole(target) as unfinished:
+        _WRITERS[kind](_Source(of.columns, start, of.comment, pieces, of.thinned), unfinished)
+
+
+def _write_mdf(source: _Source, path: Path) -> None:
+    start = source.start_time or NO_START_TIME
+    writer = MdfWriter(path, source.columns, start, source.comment, thinned=source.thinned)
+    try:
+        for piece in source.pieces:
+            writer.append(piece)
+    finally:
+        writer.close()
+
+
+def _write_csv(source: _Source, path: Path) -> None:
+    names = [column.name for column in source.columns]
+
     def lines(file: IO[bytes]) -> None:
-        file.write((",".join(recording.channels) + "\n").encode())
-        columns = [np.asarray(values).tolist() for values in recording.channels.values()]
-        for row in zip(*columns, strict=True):
-            file.write((",".join(map(repr, row)) + "\n").encode())
+        file.write((",".join(names) + "\n").encode())
+        for piece in source.pieces:
+            for row in zip(*(piece[name].tolist() for name in names), strict=True):
+                file.write((",".join(map(repr, row)) + "\n").encode())
 
     with open(path, "wb") as raw:
         if path.suffix == ".gz":
@@ -261,18 +313,19 @@ def _write_csv(recording: Recording, path: Path) -> None:
             lines(raw)
 
 
-def _write_parquet(recording: Recording, path: Path) -> None:
+def _write_parquet(source: _Source, path: Path) -> None:
     pyarrow, parquet = _pyarrow(path)
     fields = [
-        pyarrow.field(name, pyarrow.from_numpy_dtype(np.asarray(values).dtype), metadata={"unit": recording.unit(name)})
-        for name, values in recording.channels.items()
+        pyarrow.field(column.name, pyarrow.from_numpy_dtype(column.dtype), metadata={"unit": column.unit})
+        for column in source.columns
     ]
-    about = {"comment": recording.comment}
-    if recording.start_time is not None:
-        about["start_time"] = recording.start_time.isoformat()
+    about = {"comment": source.comment}
+    if source.start_time is not None:
+        about["start_time"] = source.start_time.isoformat()
     schema = pyarrow.schema(fields, metadata=about)
-    arrays = [pyarrow.array(np.asarray(values)) for values in recording.channels.values()]
-    parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), path, compression="zstd")
+    with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
+        for piece in source.pieces:
+            writer.write_table(pyarrow.Table.from_arrays([pyarrow.array(piece[f.name]) for f in fields], schema=schema))
 
 
 def _pyarrow(path: Path) -> tuple[Any, Any]:
@@ -300,8 +353,45 @@ def read_rows(path: Path) -> Recording:
     return _READERS[_kind(path)](path)
 
 
+def read_section(path: Path, around_s: float = -inf) -> Recording:
+    """Read a recording as `read_rows`, for whoever needs one sample after the other.
+
+    Of one that is too long for memory come the samples around a time (s; -inf: the first, inf: the last ones); of one
+    that has full rate around events only its longest stretch of full rate.
+    """
+    path = Path(path)
+    if not _is_in_pieces(path):
+        return read_rows(path)
+    pieces = MdfPieces(path)
+    if pieces.rows * len(pieces.columns) <= MOST_VALUES:
+        return _at_full_rate(_of_pieces(pieces, pieces), pieces)
+    most = MOST_VALUES // len(pieces.columns)
+    kept: deque[Mapping[str, NDArray[Any]]] = deque()
+    rows = behind = 0
+    for piece in pieces:
+        kept.append(piece)
+        rows += len(piece[TIME])
+        behind += len(piece[TIME]) if piece[TIME][0] > around_s else 0
+        while rows - len(kept[0][TIME]) >= most:
+            rows -= len(kept.popleft()[TIME])
+        if behind >= most // 2 and rows >= most // 2:
+            break
+    return _at_full_rate(_of_pieces(pieces, kept), pieces)
+
+
+def _at_full_rate(recording: Recording, pieces: MdfPieces) -> Recording:
+    """The longest stretch without a gap."""
+    if not pieces.thinned or len(recording) < LEAST_SAMPLES:
+        return recording
+    gaps = np.flatnonzero(np.diff(recording.time_s) > GAP_S) + 1
+    edges = np.concatenate([[0], gaps, [len(recording)]])
+    at = int(np.argmax(np.diff(edges)))
+    part = slice(int(edges[at]), int(edges[at + 1]))
+    return replace(recording, channels={name: values[part] for name, values in recording.channels.items()})
+
+
 def read_recording(path: Path, required: Sequence[str] = ()) -> Recording:
-    """Read a recording and check it.
+    """Read a recording and check it; one that is too long for memory comes reduced (`hilbench.results.reduction`).
 
     The time must be finite and strictly increasing, and every channel in `required` there and finite; other
     channels may hold NaN (a value not known yet). Channels come as one-dimensional arrays, ``t_s`` first.
@@ -354,7 +444,47 @@ def mdf_library() -> Any:
     return asammdf
 
 
+def _is_in_pieces(path: Path) -> bool:
+    """Whether a recording is one that is read piece by piece."""
+    try:
+        return _kind(path) == ".mf4" and is_ours(path)
+    except OSError:  # whoever reads it says so
+        return False
+
+
+def _of_pieces(pieces: MdfPieces, chosen: Iterable[Mapping[str, NDArray[Any]]]) -> Recording:
+    """Those of its pieces."""
+    empty = {column.name: np.empty(0, column.dtype) for column in pieces.columns}
+    return _from_columns(pieces, joined(chosen) or empty)
+
+
+def _from_columns(pieces: MdfPieces, found: Mapping[str, NDArray[Any]]) -> Recording:
+    channels = {
+        # A run that goes on does not know yet whether all of its counts will be such.
+        name: typed(name, values.astype(np.float64)) if values.dtype == np.int64 and find_signal(name) else values
+        for name, values in found.items()
+    }
+    units = {column.name: column.unit for column in pieces.columns}
+    start = None if pieces.start == NO_START_TIME else pieces.start
+    return Recording(channels, start, pieces.comment, units, pieces.rows)
+
+
+def _read_pieces(path: Path) -> Recording:
+    pieces = MdfPieces(path)
+    if pieces.rows * len(pieces.columns) <= MOST_VALUES:
+        return _of_pieces(pieces, pieces)
+    return _from_columns(pieces, reduced(pieces, partial(_events_beside, path)))
+
+
+def _events_beside(path: Path, cycle_time_s: float) -> list[Event]:
+    """What the journal of the run says that left a recording."""
+    journal = path.with_name("journal.log")
+    return journal_events(read_journal(journal), cycle_time_s) if journal.is_file() else []
+
+
 def _read_mdf(path: Path) -> Recording:
+    if _is_in_pieces(path):
+        return _read_pieces(path)
     _check_mdf_head(path)
     asammdf = mdf_library()
     with _tracebacks_dropped():
@@ -480,7 +610,7 @@ def _read_csv(path: Path) -> Recording:
         else:
             reason = "not UTF-8 text" if isinstance(error, UnicodeDecodeError) else _one_line(error)
         raise UnusableInputError(path, f"cannot be read ({reason}), {_FORMATS}") from error
-    columns = {name: _typed(name, np.ascontiguousarray(rows[:, index])) for index, name in enumerate(names)}
+    columns = {name: typed(name, np.ascontiguousarray(rows[:, index])) for index, name in enumerate(names)}
     ordered = {TIME: columns.pop(TIME), **columns} if TIME in columns else columns
     return Recording(ordered)
 

@@ -1,21 +1,26 @@
-"""What a run that was cut off (``kill -9``, power, a full disk) could not write, rebuilt from what it left.
+"""What a run that was cut off (``kill -9``, power, a full disk) could not write, made from what it left.
 
-The trace has every frame up to the last cycle or two, so what was measured and commanded is decoded from it as the
+Its samples are in its folder, to the last (`hilbench.results.spool`). Where they are lost they are rebuilt from the
+trace: it has every frame up to the last cycle or two, so what was measured and commanded is decoded from it as the
 bench did, by the same nodes, and the tasks of the machine run on it again: what the load motor emulated is computed
 anew from the measured motion. What no frame says (when the experiment began, set-points, changes of the emulated
-machine) is in the journal. Commands come back as the drives
-were told them, in their units' resolution; all else is exactly what the run had.
+machine) is in the journal. Commands come back as the drives were told them, in their units' resolution; all else is
+exactly what the run had.
 """
 
 from __future__ import annotations
 
 import fcntl
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from math import nan
 from operator import attrgetter
 from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hilbench.bench.machines.kinds import machine_tasks
 from hilbench.bench.reports.change import Change
@@ -32,9 +37,18 @@ from hilbench.exchange.master_node import answer_id
 from hilbench.exchange.nodes import Nodes
 from hilbench.results.journal import read_journal
 from hilbench.results.junit import write_junit
-from hilbench.results.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
+from hilbench.results.mdf import MdfPieces
+from hilbench.results.recording import (
+    LEAST_SAMPLES,
+    Recording,
+    RecordingBuilder,
+    read_recording,
+    write_pieces,
+    write_recording,
+)
 from hilbench.results.result import Environment, Fault, Result, Timing
 from hilbench.results.run_folder import RunFolder
+from hilbench.results.spool import all_rows
 from hilbench.results.trace import TraceReader
 from hilbench.runs.config import ExperimentConfig, load
 from hilbench.runs.criteria import evaluate
@@ -42,6 +56,7 @@ from hilbench.runs.events import journal_events
 from hilbench.runs.metrics import judge
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import sample_type
+from hilbench.topology.signal_kinds import TIME
 
 _NANOSECOND = 1e-9
 
@@ -79,15 +94,67 @@ def recover_run(folder: RunFolder) -> list[Path]:
         raise UnusableInputError(folder.recording, "there already, expected a run without recording")
     _require_ended(folder.trace)
     config, _ = load(folder.config)
-    found = replay(config, folder)
-    write_recording(found.recording, folder.recording)
+    if folder.unfinished_recording.exists():
+        ended = _finish_recording(folder, config)
+    else:
+        found = replay(config, folder)
+        write_recording(found.recording, folder.recording)
+        ended = _Ended.of(found, config)
     written = [folder.recording]
     if not folder.result.exists():
-        result = _result(config, found, read_journal(folder.journal) if folder.journal.exists() else [])
+        result = _result(config, folder, ended, read_journal(folder.journal) if folder.journal.exists() else [])
         result.write(folder.result)
-        write_junit(result, config.name, found.started, folder.junit)
+        write_junit(result, config.name, ended.started, folder.junit)
         written += [folder.result, folder.junit]
     return written
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """What is known of a run that was cut off beside its samples."""
+
+    started: datetime
+    samples: int
+    missed: int
+    bus_load_pct: float
+    last_s: float
+    source: str  #: where the samples are from
+    fault: str = ""
+
+    @classmethod
+    def of(cls, found: Recovery, config: ExperimentConfig) -> Self:
+        """By its trace."""
+        load_pct = 100.0 * found.bits / (config.bus.bitrate * config.cycle_time_s * found.cycles)
+        last_s = float(found.recording.time_s[-1])
+        samples = len(found.recording)
+        return cls(found.started, samples, found.missed, load_pct, last_s, "trace.log", found.fault)
+
+
+def _finish_recording(folder: RunFolder, config: ExperimentConfig) -> _Ended:
+    """Put what was on its way into the recording. Raises UnusableInputError where that are less than two samples."""
+    left = folder.unfinished_recording
+    samples, bits, last_s = 0, 0, 0.0
+
+    def counted() -> Iterator[Mapping[str, NDArray[Any]]]:
+        nonlocal samples, bits, last_s
+        for piece in all_rows(folder, config.signals):
+            samples += len(piece[TIME])
+            bits += int(np.sum(piece["bus_bits"]))
+            last_s = float(piece[TIME][-1])
+            yield piece
+
+    pieces = MdfPieces(left)
+    write_pieces(pieces, counted(), folder.recording)
+    if samples < LEAST_SAMPLES:
+        folder.recording.unlink()
+        raise UnusableInputError(left, f"{samples} sample(s), expected at least {LEAST_SAMPLES}")
+    left.unlink()
+    for path in folder.waiting_rows():
+        path.unlink()
+    always = config.recording.full_rate == "always"
+    cycles = round(last_s / config.cycle_time_s) + 1
+    load_pct = 100.0 * bits / (config.bus.bitrate * config.cycle_time_s * samples)
+    return _Ended(pieces.start, cycles, cycles - samples if always else 0, load_pct, last_s, "its samples")
 
 
 def _require_ended(trace: Path) -> None:
@@ -100,23 +167,24 @@ def _require_ended(trace: Path) -> None:
         raise UnusableInputError(trace, f"cannot be read ({error.strerror}), expected a trace") from error
 
 
-def _result(config: ExperimentConfig, found: Recovery, changes: list[Change]) -> Result:
-    judged = judge(found.recording.channels, journal=journal_events(changes, config.cycle_time_s))
+def _result(config: ExperimentConfig, folder: RunFolder, ended: _Ended, changes: list[Change]) -> Result:
+    channels = read_recording(folder.recording).channels
+    judged = judge(channels, journal=journal_events(changes, config.cycle_time_s))
     metrics = judged.metrics()
     timing = Timing(
         pace=config.pace,
         cycle_us=config.cycle_time_s * 1e6,
-        cycles=len(found.recording),
-        missed=found.missed,
+        cycles=ended.samples,
+        missed=ended.missed,
         jitter_us=None,
         realtime_factor=None,
-        bus_load_pct=100.0 * found.bits / (config.bus.bitrate * config.cycle_time_s * found.cycles),
+        bus_load_pct=ended.bus_load_pct,
     )
-    ended = "the run was cut off; recovered from trace.log" + (f"; {found.fault}" if found.fault else "")
-    fault = Fault(time_s=float(found.recording.time_s[-1]), source="bench", text=ended)
+    text = f"the run was cut off; recovered from {ended.source}" + (f"; {ended.fault}" if ended.fault else "")
+    fault = Fault(time_s=ended.last_s, source="bench", text=text)
     criteria = evaluate(config.criteria, metrics, judged)
     return Result.of(
-        criteria, metrics, timing, [fault], Environment.here(config.seed), judged=judged, began=found.started
+        criteria, metrics, timing, [fault], Environment.here(config.seed), judged=judged, began=ended.started
     )
 
 

@@ -38,7 +38,7 @@ from hilbench.results.journal import JournalWriter
 from hilbench.results.junit import write_junit
 from hilbench.results.keeping import Keeping
 from hilbench.results.provenance import AskedCommit, Provenance
-from hilbench.results.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
+from hilbench.results.recording import Recording, RecordingBuilder, read_recording
 from hilbench.results.result import (
     Environment,
     Fault,
@@ -52,6 +52,7 @@ from hilbench.results.result import (
     jitter,
 )
 from hilbench.results.run_folder import RunFolder
+from hilbench.results.spool import Spool
 from hilbench.results.trace import TraceWriter
 from hilbench.results.verdict import BY_OPERATOR
 from hilbench.runs import config as config_files
@@ -113,12 +114,12 @@ class Streamed(CycleObserver, Protocol):
 
 
 class Recorder:
-    """Cycle observer that keeps every sample, of a bench with these signals, in memory."""
+    """Cycle observer that keeps every sample of a bench with these signals: in memory, or in its run folder."""
 
     def __init__(self, signals: Sequence[Signal]) -> None:
         names = [signal.name for signal in signals]
-        self._builder = RecordingBuilder(names, whole={signal.name for signal in signals if signal.integer})
-        self._keeping = Keeping(self._builder)
+        whole = {signal.name for signal in signals if signal.integer}
+        self._builder = RecordingBuilder(names, whole=whole)
         self._of: CycleSample | None = None
 
     def sample(self, sample: CycleSample) -> None:
@@ -129,11 +130,15 @@ class Recorder:
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """The same as a piece of a cycle."""
-        return self._keeping.pieces(sample)
+        return Keeping(self._builder).pieces(sample)
 
     def recording(self, started: datetime, comment: str) -> Recording:
         """What was kept so far."""
         return self._builder.build(started, comment)
+
+    def keep_in(self, spool: Spool) -> None:
+        """Before the first sample: keep all of them there."""
+        self._builder = spool
 
 
 def run_experiment(
@@ -175,6 +180,7 @@ def run_experiment(
             bus_is_held=True,
             forked_workers=waiting,
         )
+        record.of(bench)
         kept = record.ending.kept("bench", lambda: bench.fault_time_s)
         with finishing(WRITING, partial(_end_at_once, bench)) as held:
             with record.journal, kept, record.trace, bench:
@@ -209,7 +215,6 @@ class RunRecord:
     ) -> None:
         self.config = loaded.config
         self.verdicts: list[CriterionResult] = []  #: what the experiment tests itself
-        self.recorder = recorder or Recorder(loaded.config.signals)
         self._announce = announce
         self._commit = AskedCommit(loaded.document.path)
         self._provenance = Provenance.of(loaded.config, loaded.document, participants)
@@ -220,12 +225,35 @@ class RunRecord:
         config_files.dump(loaded.config, self.folder.config)
         self.ending = Ending(self.folder)
         self.journal = JournalWriter(self.folder.journal)
-        self.trace = TraceWriter(self.folder.trace, loaded.config.bus_address.channel)
+        frames = loaded.config.trace
+        self.trace = TraceWriter(
+            self.folder.trace,
+            loaded.config.bus_address.channel,
+            keep=1e6 * frames.keep_MB,
+            part=1e6 * frames.part_MB,
+            compress=frames.compress,
+        )
+        self._spool = Spool(
+            self.folder,
+            loaded.config.signals,
+            self._started,
+            loaded.config.description,
+            loaded.config.cycle_time_s,
+            around_events=loaded.config.recording.full_rate == "around_events",
+        )
+        self.recorder = recorder or Recorder(loaded.config.signals)
+        self.recorder.keep_in(self._spool)
+
+    def of(self, bench: Bench) -> None:
+        """Of this bench: it says when the disk takes no more; full rate is around its notices, too."""
+        self._spool.warn, self.trace.warn = partial(bench.note, "recording"), partial(bench.note, "trace")
+        self._spool.alarms = lambda: [notice.last_time_s for notice in bench.notices]
 
     def note(self, change: Change) -> None:
         """Keep what the bench did."""
         self.journal.write(change)
         self._happened.add(change)
+        self._spool.event(self._happened.time_s(change.cycle))
 
     def finish(self, bench: Bench, criteria: Sequence[Criterion], streams: Sequence[Streamed] = ()) -> RunOutcome:
         """Write recording and result of a bench that has been left. Raises BenchFaultError when it can't be done."""
@@ -234,14 +262,13 @@ class RunRecord:
         with ending.kept("record"):
             self._announce("write recording and result")
         ending.look_after_folder()
-        recording = self.recorder.recording(self._started, config.description)
-        if len(recording) >= LEAST_SAMPLES:
-            with ending.kept("record"):
-                write_recording(recording, folder.recording)
-        timing = measure_timing(bench, len(recording))
+        timing = measure_timing(bench, len(self._spool))
+        with ending.kept("record"):
+            self._spool.finish()
         judged = Judgement(())
-        with ending.kept("metrics"):
-            judged = judge(recording.channels, journal=self._happened.events())
+        if folder.recording.exists():
+            with ending.kept("metrics"):
+                judged = judge(read_recording(folder.recording).channels, journal=self._happened.events())
         prediction, changes = bench.prediction, bench.model_changes
         metrics = judged.metrics() | timing.metrics()
         if bench.twin_refusals is not None:

@@ -87,6 +87,19 @@ class RunFolder:
         return self.path / "recording.mf4"
 
     @property
+    def unfinished_recording(self) -> Path:
+        """The recording of a run that goes on, or was killed: whole but for the last rows, MDF4."""
+        return self.path / "recording.part.mf4"
+
+    def row_file(self, number: int) -> Path:
+        """Rows that are in no recording yet; numbered from 1."""
+        return self.path / f"recording.rows{number}"
+
+    def waiting_rows(self) -> list[Path]:
+        """Those that are there."""
+        return sorted(self.path.glob("recording.rows*"))
+
+    @property
     def result(self) -> Path:
         """The verdict, JSON."""
         return self.path / "result.json"

@@ -10,25 +10,40 @@ Traces of others may hold CAN FD frames (``181##1`` and the data, the digit: 1 B
 The format is that of ``candump -L`` (can-utils), which ``log2asc``, ``canplayer`` and python-can's
 ``CanutilsLogReader`` read. Each time stamp is the frame's own, cut to microseconds; one that lies before
 its predecessor's is written as it is: a clock that jumped is something a trace must show.
+
+A long trace goes on in ``trace.1.log``, ``trace.2.log``, …, which may be packed (``.log.gz``); `TraceReader` reads
+all of them behind each other.
 """
 
 from __future__ import annotations
 
 import fcntl
+import gzip
+import math
 import os
 import re
-from collections.abc import Iterable, Iterator
+import shutil
+import zlib
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from threading import Thread
 from types import TracebackType
-from typing import Self
+from typing import IO, Final, Self, cast
+
+from isal import igzip
 
 from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
-from hilbench.errors import BenchFaultError, UnusableInputError
+from hilbench.errors import UnusableInputError
 
 _EXTENDED_MASK = 0x1FFFFFFF
 _STANDARD_MASK = 0x7FF
 _LONG_FLAGS = EXTENDED_FLAG | ERROR_FLAG
 _KNOWN_HEADS = 4096  # identifiers whose text is kept; a bus of a bench has a few dozen
+#: Where a disk has less space the trace ends: recording and result are to have it. It is looked for after so much more.
+_LEAST_FREE: Final = 64_000_000
+_LOOK_EVERY: Final = 8_000_000
+#: At this share of what may be written a warning comes.
+_WARN_AT: Final = 0.9
 
 
 class TraceWriter:
@@ -38,13 +53,24 @@ class TraceWriter:
     the last `end_cycle` are lost. It is not forced onto the disk, so that no cycle waits for one: a power
     failure may cost the last seconds. Memory does not grow with the length of the run.
 
-    While it is open the file is locked (flock): who finds it unlocked knows that the run has ended.
+    While it is open the first file is locked (flock): who finds it unlocked knows that the run has ended.
 
-    `path` must not exist yet (a trace is never overwritten); `channel` is the bus name in every line.
+    `path` must not exist yet (a trace is never overwritten); `channel` is the bus name in every line. A file of
+    `part` bytes is followed by another one, packed if asked for; where there are `keep` bytes of lines, or the disk
+    takes no more, the trace ends, and `warn` is told: the bench goes on.
     Raises UnusableInputError if the file cannot be created or the channel is not one word.
     """
 
-    def __init__(self, path: Path, channel: str) -> None:
+    def __init__(
+        self,
+        path: Path,
+        channel: str,
+        *,
+        keep: float = math.inf,
+        part: float = math.inf,
+        compress: bool = False,
+        warn: Callable[[str], None] = lambda text: None,
+    ) -> None:
         if not channel or not channel.isprintable() or " " in channel:
             raise UnusableInputError(path, f"channel {channel!r}, expected one word without blanks")
         self.path = path
@@ -53,11 +79,17 @@ class TraceWriter:
         self._lines: list[str] = []
         self._waiting = 0  # frames in them
         self._heads: dict[int, str] = {}
-        self._failed = False
+        self.warn = warn
+        self._keep, self._most_of_part, self._compress = keep, part, compress
+        self._written = self._of_part = 0  # bytes, of all files and of the one that is written
+        self._look_at, self._warn_at = _LOOK_EVERY, _WARN_AT * keep
+        self._parts = 0  # further files
+        self._packing: Thread | None = None
+        self._ended = False
         self._seconds = -1
         self._seconds_text = ""
         try:
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o666)
+            self._file = self._first = _new_file(path)
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise UnusableInputError(
@@ -98,34 +130,70 @@ class TraceWriter:
         return head
 
     def end_cycle(self) -> None:
-        """Hand the collected lines to the operating system in one write.
-
-        Raises BenchFaultError (disk full, …) once; from then on the trace ends, so that the drives can be stopped.
-        """
-        if not self._lines or self._failed:
+        """Hand the collected lines to the operating system in one write."""
+        if not self._lines or self._ended:
             self._lines.clear()
             self._waiting = 0
             return
-        rest = memoryview("".join(self._lines).encode("ascii", "backslashreplace"))
+        text = "".join(self._lines).encode("ascii", "backslashreplace")
         count, self._waiting = self._waiting, 0
         self._lines.clear()
         try:
+            rest = memoryview(text)
             while rest:
                 rest = rest[os.write(self._file, rest) :]
+            self.frames += count
+            self._written += len(text)
+            self._of_part += len(text)
+            self._look()
         except OSError as error:
-            self._failed = True
-            raise BenchFaultError(f"{self.path}: the trace cannot be written ({error.strerror})") from error
-        self.frames += count
+            self._end(f"the trace cannot be written ({error.strerror})")
+
+    def _look(self) -> None:
+        """Whether all is well with the disk, and whether it is time for another file. Raises OSError."""
+        if self._written >= self._keep:
+            self._end(f"the trace has its {self._keep / 1e6:g} MB (trace: keep_MB)")
+        elif self._written >= self._warn_at:
+            self._warn_at = math.inf
+            self.warn(f"{self.path}: {self._written / 1e6:.0f} MB of {self._keep / 1e6:g}, then the trace ends")
+        elif self._written >= self._look_at:
+            self._look_at = self._written + _LOOK_EVERY
+            disk = os.statvfs(self.path.parent)
+            if disk.f_bavail * disk.f_frsize < _LEAST_FREE:
+                self._end(f"less than {_LEAST_FREE / 1e6:g} MB free, the trace takes no more of them")
+        if self._of_part >= self._most_of_part and not self._ended:
+            following = _new_file(part_of(self.path, self._parts + 1))
+            self._close_part()
+            self._parts, self._of_part, self._file = self._parts + 1, 0, following
+
+    def _end(self, why: str) -> None:
+        self._ended = True
+        self.warn(f"{self.path}: {why}; the bench goes on, its frames are not kept any more")
+
+    def _close_part(self) -> None:
+        """The file that is written is full; the first one stays open, for its lock."""
+        if self._file == self._first:
+            return
+        os.close(self._file)
+        if self._compress:
+            if self._packing is not None:
+                self._packing.join()
+            path = part_of(self.path, self._parts)
+            self._packing = Thread(target=_pack, args=(path,), name="trace", daemon=True)
+            self._packing.start()
 
     def close(self) -> None:
         """Write what is left and close the file. Calling it twice is no error."""
-        if self._file < 0:
+        if self._first < 0:
             return
         try:
             self.end_cycle()
         finally:
-            os.close(self._file)
-            self._file = -1
+            self._close_part()
+            if self._packing is not None:
+                self._packing.join()
+            os.close(self._first)
+            self._file = self._first = -1
 
     def __enter__(self) -> Self:
         return self
@@ -134,6 +202,46 @@ class TraceWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _new_file(path: Path) -> int:
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o666)
+
+
+def part_of(path: Path, number: int) -> Path:
+    """A further file of a trace, numbered from 1."""
+    return path.with_name(f"{path.stem}.{number}{path.suffix}")
+
+
+def parts_of(path: Path) -> list[Path]:
+    """The files of a trace in their order, the first whether it is there or not."""
+    found = [path]
+    while True:
+        following = part_of(path, len(found))
+        packed = following.with_name(f"{following.name}.gz")
+        if packed.exists():
+            found.append(packed)
+        elif following.exists():
+            found.append(following)
+        else:
+            return found
+
+
+def open_part(path: Path) -> IO[bytes]:
+    """A file of a trace as it was before it was packed. Raises OSError."""
+    return cast("IO[bytes]", gzip.open(path, "rb") if path.suffix == ".gz" else open(path, "rb"))
+
+
+def _pack(path: Path) -> None:
+    """Put a full file into a packed one; where there is no space for it it stays as it is."""
+    packed, unfinished = (path.with_name(f"{path.name}.gz{end}") for end in ("", ".part"))
+    try:
+        with open(path, "rb") as source, igzip.open(unfinished, "wb") as target:
+            shutil.copyfileobj(source, target, 1 << 20)
+        unfinished.replace(packed)
+        path.unlink()
+    except OSError:
+        unfinished.unlink(missing_ok=True)
 
 
 _LINE = re.compile(
@@ -145,7 +253,7 @@ _LONGEST_LINE = 512
 
 
 class TraceReader:
-    """Reads a trace back, frame by frame; a file of any size takes the same memory.
+    """Reads a trace back, frame by frame, with the files in which it goes on; any size takes the same memory.
 
     The last line of a trace that a crash cut off (it has no line end) is left out, and `torn` is then true:
     whether its data are complete cannot be known. `torn_too`: one that reads
@@ -156,7 +264,7 @@ class TraceReader:
     """
 
     def __init__(self, path: Path, *, torn_too: bool = False) -> None:
-        self.path = path
+        self.path = self._part = path
         self.torn = False
         self._torn_too = torn_too
         self.channels: set[str] = set()
@@ -165,18 +273,25 @@ class TraceReader:
         for number, match in self.lines():
             if match["fd_flags"] is not None:
                 found = f"'{match.group().decode().split()[2]}', a CAN FD frame"
-                raise UnusableInputError(f"{self.path}:{number}", f"{found}, expected classical CAN")
+                raise UnusableInputError(f"{self._part}:{number}", f"{found}, expected classical CAN")
             yield self.frame(match, number)
 
     def lines(self) -> Iterator[tuple[int, re.Match[bytes]]]:
         """Number and parts of each line that holds a frame, of CAN FD as well."""
+        parts = parts_of(self.path)
+        for self._part in parts:
+            yield from self._lines_of_part()
+            if self.torn and self._part != parts[-1]:
+                raise UnusableInputError(self._part, "its last line is cut off, expected it in the last file only")
+
+    def _lines_of_part(self) -> Iterator[tuple[int, re.Match[bytes]]]:
         try:
-            file = open(self.path, "rb")  # noqa: SIM115 (closed by the generator below)
+            file = open_part(self._part)
         except OSError as error:
-            raise UnusableInputError(self.path, f"cannot be read ({error.strerror}), expected a trace") from error
+            raise UnusableInputError(self._part, f"cannot be read ({error.strerror}), expected a trace") from error
         with file:
             number = 0
-            while line := file.readline(_LONGEST_LINE):
+            while line := self._next(file):
                 number += 1
                 if not line.endswith(b"\n"):
                     self.torn = self._is_end(file.read(1), number)
@@ -185,9 +300,15 @@ class TraceReader:
                 if line.strip():
                     yield number, self._match(line, number)
 
+    def _next(self, file: IO[bytes]) -> bytes:
+        try:
+            return file.readline(_LONGEST_LINE)
+        except (OSError, EOFError, zlib.error) as error:
+            raise UnusableInputError(self._part, f"cannot be read ({error}), expected a trace") from error
+
     def _is_end(self, following: bytes, number: int) -> bool:
         if following:
-            raise UnusableInputError(f"{self.path}:{number}", "a line without end, expected a trace in candump format")
+            raise UnusableInputError(f"{self._part}:{number}", "a line without end, expected a trace in candump format")
         return True
 
     def _match(self, line: bytes, number: int) -> re.Match[bytes]:
@@ -195,7 +316,7 @@ class TraceReader:
         if match is None:
             found = line[:60].decode("ascii", "backslashreplace").strip()
             raise UnusableInputError(
-                f"{self.path}:{number}", f"'{found}', expected a frame such as (1700000000.000123) vcan0 181#0011AABB"
+                f"{self._part}:{number}", f"'{found}', expected a frame such as (1700000000.000123) vcan0 181#0011AABB"
             )
         self.channels.add(match["channel"].decode("ascii", "backslashreplace"))
         return match
@@ -206,7 +327,7 @@ class TraceReader:
         if len(match["id"]) > 3 and not can_id & ERROR_FLAG:
             can_id |= EXTENDED_FLAG
         elif len(match["id"]) == 3 and can_id > _STANDARD_MASK:
-            raise UnusableInputError(f"{self.path}:{number}", f"identifier {can_id:X}h, expected at most 7FFh")
+            raise UnusableInputError(f"{self._part}:{number}", f"identifier {can_id:X}h, expected at most 7FFh")
         held = match["data"] if match["fd_flags"] is None else match["fd_data"]
         if held is None:
             can_id |= REMOTE_FLAG

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
 from types import SimpleNamespace
 from typing import Final, cast
 
@@ -19,9 +19,10 @@ from hilbench.errors import UnusableInputError
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Outlook
 from hilbench.prediction.plan import Asked, Move, Plan
-from hilbench.results.recording import Recording, read_recording
+from hilbench.results.recording import Recording, check_recording, read_section
 from hilbench.results.recover import replay
 from hilbench.results.run_folder import RunFolder
+from hilbench.results.spool import read_under_way
 from hilbench.topology import quantities
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample
@@ -49,12 +50,18 @@ class Answer:
     before: Mapping[str, float]
 
 
-def recorded(folder: RunFolder, config: BenchConfig) -> Recording:
-    """The recording of a run, or what its trace has of it by now.
+def recorded(folder: RunFolder, config: BenchConfig, at_s: float | None) -> Recording:
+    """The recording of a run around a time (None: its end), or what was recorded of it by now, else what its trace has.
 
-    Raises UnusableInputError for a run that has neither.
+    Raises UnusableInputError for a run that has none of them.
     """
-    return read_recording(folder.recording) if folder.recording.exists() else replay(config, folder).recording
+    if folder.unfinished_recording.exists():
+        return read_under_way(folder, config.signals)
+    if not folder.recording.exists():
+        return replay(config, folder).recording
+    recording = read_section(folder.recording, inf if at_s is None else at_s)
+    check_recording(recording, folder.recording)
+    return recording
 
 
 def what_if(config: BenchConfig, recording: Recording, question: Question, place: str) -> Answer:

@@ -8,11 +8,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field
 
 from hilbench import strict_yaml
+from hilbench.block import Block
 from hilbench.can.open import BusAddress
 from hilbench.errors import UnusableInputError
 from hilbench.files import writing
@@ -24,9 +25,31 @@ from hilbench.topology.config import BenchConfig
 _MOST_FILES = 100
 
 
+class RecordingConfig(Block):
+    """What of the samples is recorded."""
+
+    full_rate: Literal["always", "around_events"] = Field(
+        default="always",
+        description="always: every sample; around_events: every sample from 6 s before to 10 s after steps, ramps, "
+        "events and alarms, and least, mean and largest value of each second elsewhere",
+    )
+
+
+class TraceConfig(Block):
+    """The frames of the bus on disk."""
+
+    keep_MB: float = Field(
+        default=4000.0, gt=0.0, description="so much is written at most; then the trace ends, and a notice says so"
+    )
+    part_MB: float = Field(default=256.0, gt=0.0, description="a trace that is longer goes on in a further file")
+    compress: bool = Field(default=False, description="further files are packed (gzip) once they are full")
+
+
 class ExperimentConfig(BenchConfig):
     """Bench, experiment steps and criteria, as one YAML file holds them."""
 
+    recording: RecordingConfig = RecordingConfig()
+    trace: TraceConfig = TraceConfig()
     steps: list[ExperimentStep] = Field(default=[], description="run one after the other, drives enabled")
     criteria: list[Criterion] = Field(default=[], description="what the run must show to pass")
 

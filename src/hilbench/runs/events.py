@@ -115,7 +115,7 @@ def find_events(channels: Channels, journal: Sequence[Event] = ()) -> list[Event
         for quantity in recorded_quantities(channels)
         for event in signal_events(time_s, channels[quantity.signal], quantity.path)
     ]
-    sample_s = float(np.median(np.diff(time_s)))
+    sample_s = float(np.min(np.diff(time_s)))  # a long recording has fewer samples where nothing happens
     within = [
         event
         for event in journal
@@ -135,6 +135,10 @@ class EventLog:
         self._began: int | None = None
         self._done: list[Event] = []
         self._open: dict[str, _Sets] = {}
+
+    def time_s(self, cycle: int) -> float:
+        """The time of a cycle in the recording; of one before the drives were enabled 0."""
+        return 0.0 if self._began is None else self._time_s(cycle)
 
     def add(self, change: Change) -> None:
         """The next change, in the order of the cycles."""

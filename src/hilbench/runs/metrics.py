@@ -249,7 +249,7 @@ def _next(events: Sequence[Event], after_s: float) -> float:
 
 
 def _segment(time_s: Array, start_s: float, until_s: float) -> slice:
-    half_s = float(np.median(np.diff(time_s))) / 2
+    half_s = float(np.min(np.diff(time_s))) / 2
     return slice(*(int(at) for at in np.searchsorted(time_s, (start_s - half_s, until_s - half_s))))
 
 

@@ -58,7 +58,7 @@ class Segment:
         self.t_s = self._channels["t_s"]
         self.hold_s = float(self.t_s[-1] - self.t_s[0])
         self.open_loops = open_loops(marks, *map(float, self.t_s[[0, -1]]))  #: tension loops that were, for long
-        self.sample_s = float(np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
+        self.sample_s = float(np.min(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
 
     def get(self, name: str) -> Array:
         """A signal, all of it numbers."""

@@ -171,6 +171,7 @@ class Bench(bench.Bench):
         except BaseException:
             self._resources.close()
             raise
+        record.of(self)
         self._tap, self._work_folder = record.trace, record.folder.path
 
     def _note_change(self, change: Change) -> None:

@@ -47,7 +47,7 @@ class ShownRun:
     @property
     def width(self) -> int:
         """Samples of an average."""
-        return max(round(SMOOTHING_S / float(np.median(np.diff(self.recording.time_s)))), 1)
+        return max(round(SMOOTHING_S / float(np.min(np.diff(self.recording.time_s)))), 1)
 
     def get(self, name: str) -> Array:
         """A signal, SI."""

@@ -113,7 +113,7 @@ def _working_velocity(run: ShownRun, position: str) -> Array | None:
 def _published(config: Path, recording: Recording) -> Array | None:
     """E by the published method; None also for the config of a run that is too old to be understood now."""
     try:
-        return reference_estimate(load_with_overrides(config).config, recording)
+        return None if recording.is_reduced else reference_estimate(load_with_overrides(config).config, recording)
     except UnusableInputError:
         return None
 
