@@ -11,9 +11,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # simulated data lie with the tests
 
 import docs_page
 from performance import cyclic_path, model_kernel, real_time, recordings, running, streams, twin

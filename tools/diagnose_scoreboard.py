@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 import zlib
 from collections import Counter
@@ -22,14 +23,16 @@ from itertools import permutations
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1]))  # simulated data lie with the tests
+
 import docs_page
 import finished_cases
 import numpy as np
+from tests.simulated_recordings import UNKNOWNS, hidden_recording
 
 from hilbench.diagnosis.diagnosis import Value, diagnose
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.web_line.free_run import FreeRun
-from hilbench.diagnosis.web_line.synthetic import UNKNOWNS, hidden_recording
 from hilbench.plant.effect import Effect, MachineKind
 from hilbench.plant.effects import effects_of, find_effect
 from hilbench.plant.parameters import EffectEntry

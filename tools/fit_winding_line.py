@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from docs_page import put
-
-from hilbench.diagnosis.web_line.winding import LineFit, LineRecording, fit_line
+from winding_line import LineFit, LineRecording, fit_line
 
 _PAGE = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
 #: Rows in which what was before the recording is forgotten.

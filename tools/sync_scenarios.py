@@ -9,18 +9,21 @@ the seeds. `--write` puts the tables between the marker lines of the page.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1]))  # simulated data lie with the tests
+
 import docs_page
 import numpy as np
 from numpy.typing import NDArray
+from tests.simulated_measurements import simulated_measurements
 
 from hilbench.diagnosis.synchronization import MethodResult, compare_methods
 from hilbench.estimation.web_line.config import METHODS, AlsoEstimated, ChangepointConfig, SynchronizerConfig
-from hilbench.estimation.web_line.synthetic import simulated_measurements
 from hilbench.runs.config import load_with_overrides
 
 CONFIG = Path(__file__).parents[1] / "bench_configs" / "web_section_step.yaml"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.diagnosis.analytic import Axis, Ringing
 from tests.plant.models import effect, model
+from tests.simulated_recordings import hidden_recording
 
 from hilbench.diagnosis.alternatives import Alternatives
 from hilbench.diagnosis.fit import fit
@@ -14,7 +15,6 @@ from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.steps import Steps
 from hilbench.diagnosis.terms import Place
 from hilbench.diagnosis.web_line.free_run import FreeRun
-from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.plant.parameters import EffectEntry
 
 

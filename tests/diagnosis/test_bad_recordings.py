@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from tests.plant.models import effect, lone_axis, model
+from tests.simulated_recordings import hidden_recording
 
 from hilbench.diagnosis.diagnosis import diagnose
 from hilbench.diagnosis.measured import measured_from
-from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.errors import UnusableInputError
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from tests.cli.in_process import hilbench
 from tests.plant.models import effect, model
+from tests.simulated_recordings import hidden_recording
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -18,7 +19,6 @@ from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.emulated import emulation_beside, emulation_of
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.predictor import predictor_for
-from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay

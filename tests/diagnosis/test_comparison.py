@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.plant.models import effect, lone_axis, model
+from tests.simulated_recordings import hidden_recording
 
 from hilbench.diagnosis.comparison import Run, compared
 from hilbench.diagnosis.diagnosis import Diagnosis
-from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.errors import UnusableInputError
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay

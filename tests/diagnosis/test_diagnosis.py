@@ -14,12 +14,12 @@ import yaml
 from tests import independent
 from tests.cli.in_process import hilbench
 from tests.plant.models import DEMONSTRATOR, effect, model
+from tests.simulated_recordings import UNKNOWNS, hidden_recording
 from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis import live
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
-from hilbench.diagnosis.web_line.synthetic import UNKNOWNS, hidden_recording
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import load_model

@@ -9,10 +9,10 @@ import pytest
 from tests.independent_line import effect
 from tests.independent_line.spans import LineOfSpans, at_span, of_drives
 from tests.plant.models import line_of
+from tests.simulated_recordings import hidden_recording
 
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.terms import Place
-from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.columns import unknown_columns

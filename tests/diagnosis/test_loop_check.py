@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 from tests.independent_line import Line, Loops
 from tests.plant.models import effect, model
+from tests.simulated_recordings import hidden_recording
 from tests.tiers import slow
 
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.predictor import choice
 from hilbench.diagnosis.web_line.loop_check import Loop
 from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion
-from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording

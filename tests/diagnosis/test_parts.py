@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 from tests.plant.models import DEMONSTRATOR, effect, lone_axis, model
+from tests.simulated_recordings import hidden_recording
 
 from hilbench.diagnosis.diagnosis import Value
 from hilbench.diagnosis.measured import measured_from
@@ -17,7 +18,6 @@ from hilbench.diagnosis.residual_analysis import Condition, largest_ratio, locat
 from hilbench.diagnosis.space import Linear, Split
 from hilbench.diagnosis.terms import Term, extended, pack_with
 from hilbench.diagnosis.web_line.free_run import FreeRun, between
-from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import effects_of, find_effect
 from hilbench.plant.model_file import write_model

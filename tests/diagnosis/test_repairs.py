@@ -7,12 +7,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from tests.plant.models import effect, lone_axis, model
+from tests.simulated_recordings import hidden_recording
 
 from hilbench.diagnosis.data_cleaning import mended
 from hilbench.diagnosis.diagnosis import diagnose
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.predictor import predictor_for
-from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.errors import UnusableInputError
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay

@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import StateSpace, lsim
 from tests.tiers import slow
-
-from hilbench.diagnosis.web_line.winding import LineRecording, fit_line, held_lag, held_lags, lag, vaf_percent
+from tools.winding_line import LineRecording, fit_line, held_lag, held_lags, lag, vaf_percent
 
 Array = NDArray[np.float64]
 PERIOD_S, ROWS, FINE = 0.1, 2400, 20

@@ -19,12 +19,12 @@ import pytest
 import yaml
 from tests.diagnosis.axis_rig import Rig
 from tests.docs.shown import ROOT, shown
+from tests.simulated_recordings import hidden_recording
 from typer.testing import CliRunner
 
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.listening import present
 from hilbench.cli.main import app
-from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.plant.model_file import write_model
 from hilbench.plant.parameters import EffectEntry
 from hilbench.results.recording import write_recording

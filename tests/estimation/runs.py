@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from tests.plant.models import model
+from tests.simulated_measurements import simulated_measurements
 
 from hilbench.estimation.web_line.config import EstimationConfig, SynchronizerConfig
 from hilbench.estimation.web_line.measurements import Measurements
 from hilbench.estimation.web_line.offline import Track, run_offline
-from hilbench.estimation.web_line.synthetic import simulated_measurements
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.runs.figures import ESTIMATE_BAND, time_to_stay
 

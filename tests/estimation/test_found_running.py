@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.estimation.runs import CYCLE_S, NEW_PA, OLD_PA, times, tracked
 from tests.plant.models import model
+from tests.simulated_measurements import simulated_measurements
 from tests.tiers import slow
 
 from hilbench.bench.tasks.web_standstill_excitation import StandstillExcitation, excitation_amplitudes_m
@@ -24,7 +25,6 @@ from hilbench.estimation.web_line.config import (
 )
 from hilbench.estimation.web_line.measurements import Measurements
 from hilbench.estimation.web_line.offline import Track, run_offline
-from hilbench.estimation.web_line.synthetic import simulated_measurements
 
 #: What stands in the issue of a line at 3 m/s.
 WITHIN_S, WITHIN = 1.5, 0.01

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from tests.estimation.runs import CYCLE_S, NEW_PA, OLD_PA, times, tracked
 from tests.plant.models import effect, model
+from tests.simulated_measurements import simulated_measurements
 
 from hilbench.estimation.web_line.config import ChangepointConfig, KnownChangeConfig
 from hilbench.estimation.web_line.measurements import Measurements
 from hilbench.estimation.web_line.offline import Track
-from hilbench.estimation.web_line.synthetic import simulated_measurements
 from hilbench.plant.web_line.parameters import ModelParameters
 
 PROBE_S = 4.0

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 from tests.estimation.runs import CYCLE_S, NEW_PA, OLD_PA, STEP_S, Array, measured, stepped, time_to_1pct_s, tracked
 from tests.plant.models import model
+from tests.simulated_measurements import ENCODER_RAD, simulated_measurements
 
 from hilbench.estimation.row_times import row_times
 from hilbench.estimation.web_line.config import ChangepointConfig
 from hilbench.estimation.web_line.measurements import Measurements
 from hilbench.estimation.web_line.offline import Track
-from hilbench.estimation.web_line.synthetic import ENCODER_RAD, simulated_measurements
 
 TRUE = stepped(6.0)
 SPLICED = round(STEP_S / CYCLE_S)

@@ -17,6 +17,7 @@ from tests.estimation.runs import (
     tracked,
 )
 from tests.plant.models import effect, model
+from tests.simulated_measurements import simulated_measurements
 from tests.tiers import slow
 
 from hilbench.estimation.web_line.bound import least_deviation_Pa
@@ -33,7 +34,6 @@ from hilbench.estimation.web_line.config import (
 )
 from hilbench.estimation.web_line.offline import Track, run_offline
 from hilbench.estimation.web_line.span_estimator import SpanEstimator
-from hilbench.estimation.web_line.synthetic import simulated_measurements
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.runs.figures import noise_pct, overshoot_pct

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import yaml
 from tests.cli import in_process
+from tests.simulated_recordings import hidden_recording
 
-from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.history.store import History, Row
 from hilbench.plant.parameters import EffectEntry
 from hilbench.results.recording import read_recording, write_recording

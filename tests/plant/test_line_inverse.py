@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.plant.models import effect, model
+from tests.simulated_recordings import PERIOD_S, experiment
 
-from hilbench.diagnosis.web_line.synthetic import PERIOD_S, experiment
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.line_inverse import required_torques

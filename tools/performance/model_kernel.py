@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from tests.simulated_recordings import PERIOD_S, experiment
 
-from hilbench.diagnosis.web_line.synthetic import PERIOD_S, experiment
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.sampling import samples_per
 from hilbench.plant.web_line import kernel

@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 
 import numpy as np
+from tests.simulated_measurements import simulated_measurements
+from tests.simulated_recordings import hidden_recording
 
 from hilbench.diagnosis.diagnosis import diagnose
 from hilbench.diagnosis.synchronization import compare_methods, methods_of
-from hilbench.diagnosis.web_line.synthetic import hidden_recording
-from hilbench.estimation.web_line.synthetic import simulated_measurements
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import ModelParameters
 from performance.table import Section

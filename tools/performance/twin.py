@@ -8,9 +8,9 @@ from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
+from tests.simulated_measurements import simulated_measurements
 
 from hilbench.estimation.web_line.config import EstimationConfig
-from hilbench.estimation.web_line.synthetic import simulated_measurements
 from hilbench.fast_path.layout import PORT_SIZE
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.web_line.parameters import ModelParameters
