@@ -1,8 +1,10 @@
-# The commands of the README are `make demo`, `make test` and `make test-slow`; all call `make setup`.
+# `make demo` needs what a bench runs on (requirements.lock), everything else what tests, linters and docs need as well
+# (requirements-dev.lock).
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+DEV_STAMP := $(VENV)/.installed-dev
 
 # python-can's own tests (they are in its source distribution only), in the version and with the hash of the lock file.
 SUITE := .cache/python-can
@@ -18,19 +20,29 @@ READERS_FILES := $(addprefix tests/streams/readers/,package.json package-lock.js
 # Where it is set, each of the many processes of runs and tests would compile what it imports anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-slow test-vcan docs bench lint lock clean
+.PHONY: setup setup-dev compiled demo wheel test test-slow test-vcan docs bench claims lint lock clean
 
 setup: $(STAMP)
 
+# Only what is imported is compiled to bytecode, when it is: to compile all of it takes longer than to install it.
 $(STAMP): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	$(BIN)/python -m compileall -q src
-	$(BIN)/hilbench compile
 	touch $@
 
-$(SUITE)/.extracted: requirements.lock $(STAMP)
+setup-dev: $(DEV_STAMP)
+
+$(DEV_STAMP): requirements-dev.lock $(STAMP)
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-dev.lock
+	touch $@
+
+# All compiled functions, what has changed since: once, not in each worker or run.
+compiled: $(DEV_STAMP)
+	$(BIN)/hilbench compile
+
+$(SUITE)/.extracted: requirements.lock $(DEV_STAMP)
 	rm -rf $(SUITE)
 	mkdir -p $(SUITE)
 	awk '/^python-can==/ {on = 1} on {print} on && !/\\$$/ {exit}' requirements.lock > $(SUITE)/requirement.txt
@@ -56,40 +68,54 @@ $(READERS)/.installed: $(READERS_FILES)
 demo: setup
 	$(BIN)/hilbench run bench_configs/web_section_step.yaml
 
+# A wheel for this interpreter in build/wheel, with the machine code of all compiled functions.
+wheel: compiled
+	$(BIN)/python tools/wheel.py build/wheel
+
 # Without `-m` those that pyproject.toml deselects are left out. Without Node.js the tests that need it are skipped.
 # On two cores three workers: while one waits for a bus, the others run. The slow ones keep both busy, and some of them
 # run by the clock.
 test: WORKERS := 3
 test-slow: WORKERS := 2
 test-slow: TIER := -m "slow and not vcan and not docs"
-test test-slow: setup $(SUITE)/.extracted $(if $(shell command -v npm),$(STATION)/.installed $(READERS)/.installed)
-	$(BIN)/hilbench compile  # what has changed since: once, not in each worker
+test test-slow: compiled $(SUITE)/.extracted $(if $(shell command -v npm),$(STATION)/.installed $(READERS)/.installed)
 	$(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal $(TIER)
 
 # On a vcan of this machine, or in a guest whose kernel has CAN (made on first use, kept in .cache/vcan-guest).
-test-vcan: setup $(if $(shell command -v npm),$(STATION)/.installed)
+test-vcan: compiled $(if $(shell command -v npm),$(STATION)/.installed)
 	$(BIN)/python tools/test_vcan.py
 
 # The docs as a site in build/site (a warning is an error), and every command that they show, run.
-docs: setup
+docs: compiled
 	$(BIN)/mkdocs build --quiet
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal -m docs tests/docs
 
 # Beside scipy, plain Python, canopen and a bare timer loop; rewrites the tables of docs/performance.md.
 SECONDS ?= 60
-bench: setup
+bench: compiled
 	$(BIN)/python tools/bench.py --seconds $(SECONDS) --json performance.json --page docs/performance.md
 
-lint: setup
+# Runs what the first pages claim, and writes CLAIMS.md from what the runs left.
+claims: setup
+	$(BIN)/hilbench run bench_configs/web_section_step.yaml
+	$(BIN)/hilbench run bench_configs/web_section_step_pid.yaml
+	$(BIN)/hilbench diagnose bench_configs/hidden_friction.yaml
+	$(BIN)/python tools/claims.py
+
+lint: setup-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo --cache-dir .cache/import-linter
 
-# Rewrites requirements.lock from pyproject.toml: newest versions that its bounds allow, with hashes.
-lock:
-	$(BIN)/pip-compile --quiet --upgrade --extra dev --generate-hashes --allow-unsafe --strip-extras \
-	    --no-emit-index-url --no-emit-find-links --output-file requirements.lock pyproject.toml
+# Rewrites both lock files from pyproject.toml: newest versions that its bounds allow, with hashes. What a bench runs on
+# is what the tests need allow: both locks have the same versions.
+PIP_COMPILE := $(BIN)/pip-compile --quiet --build-deps-for editable --generate-hashes --allow-unsafe --strip-extras \
+    --no-emit-index-url --no-emit-find-links
+lock: setup-dev
+	$(PIP_COMPILE) --upgrade --extra dev --output-file requirements-dev.lock pyproject.toml
+	cp requirements-dev.lock requirements.lock
+	$(PIP_COMPILE) --output-file requirements.lock pyproject.toml
 
 clean:
 	rm -rf $(VENV) build .cache .pytest_cache .mypy_cache .ruff_cache .hypothesis

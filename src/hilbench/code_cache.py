@@ -3,24 +3,33 @@
 numba goes by the file of the function alone, and would run old code after a change of what it calls, or of a constant
 that is compiled in. Here the key has the bytecode of the function and of each compiled function that it calls, and the
 values of all that they name.
+
+It is machine code for every processor of its architecture (x86-64, say), not for this one alone: what is compiled on
+one machine runs on all, and a wheel can hold it. The results are the same bits, the step of a web line takes as long.
 """
 
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
-from numba import types
+from numba import config, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, InTreeCacheLocator
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 from numba.core.runtime.nrt import rtsys
+
+os.environ.setdefault("NUMBA_CPU_NAME", "generic")  # of child processes, too
+config.reload_config()
 
 #: Modules whose functions numba knows by their names; its own version is in each key.
 _NOT_OURS = ("math", "numpy", "numba")
@@ -47,11 +56,8 @@ class CodeCache(FunctionCache):
         """`options`: by which it is compiled."""
         super().__init__(function)
         self._options = options
-        installed = str(Path(function.__code__.co_filename).parent / "__pycache__")
+        folders = _folders(self.cache_path, Path(function.__code__.co_filename))
         stamp = self._impl.locator.get_source_stamp()
-        folders = (
-            (self.cache_path,) if os.environ.get("NUMBA_CACHE_DIR") else dict.fromkeys((self.cache_path, installed))
-        )
         self._files = [IndexDataCacheFile(folder, self._impl.filename_base, stamp) for folder in folders]
 
     def load_overload(self, signature: Any, target: Any) -> Any:
@@ -64,10 +70,40 @@ class CodeCache(FunctionCache):
 
     def _save_overload(self, signature: Any, data: Any) -> None:
         if not isinstance(self._impl.locator, _Nowhere):
-            super()._save_overload(signature, data)
+            with suppress(
+                OSError
+            ):  # no space: what was compiled is used all the same, and compiled again the next time
+                super()._save_overload(signature, data)
 
     def _index_key(self, signature: Any, codegen: Any) -> Any:
         return (*super()._index_key(signature, codegen)[:2], self._options, made_of(self._py_func))
+
+
+def is_kept(source: Path, name: str) -> bool | None:
+    """Whether there is machine code of a function of this source file as it is now, by this numba; None: there is not,
+    and nowhere to keep it. Imports and loads nothing; what the function calls in other files is not looked at."""
+    place = _place_of(source)
+    stamp, version = place.get_source_stamp(), numba.__version__.encode()
+    index = f"{source.stem}.{name}-*.py{sys.version_info.major}{sys.version_info.minor}.nbi"
+    for folder in _folders(place.get_cache_path(), source):
+        for text in map(Path.read_bytes, Path(folder).glob(index)):
+            if stamp in text and version in text:
+                return True
+    return None if isinstance(place, _Nowhere) else False
+
+
+def _folders(kept: str, source: Path) -> list[str]:
+    """Where machine code of a source file is looked for: where it is kept, and beside the file, unless a folder was
+    asked for."""
+    installed = str(source.parent / "__pycache__")
+    return [kept] if os.environ.get("NUMBA_CACHE_DIR") else list(dict.fromkeys((kept, installed)))
+
+
+def _place_of(source: Path) -> Any:
+    """Where numba keeps what is compiled of a source file."""
+    locators: list[Any] = _Places._locator_classes
+    found = (each.from_function(_place_of, str(source)) for each in locators)
+    return next(place for place in found if place is not None)
 
 
 def made_of(function: Callable[..., object]) -> str:

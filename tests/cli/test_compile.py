@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 from tests.tiers import slow
 
+import hilbench
 from hilbench.cli.compile import modules_by_room
 from hilbench.code_cache import CodeCache
 from hilbench.compiled import entry_points
@@ -65,6 +67,46 @@ def test_who_may_only_read_hilbench_runs_what_was_compiled_when_it_was_installed
     _misses("()", tmp_path)
     assert _misses(refusing, tmp_path) == "0"
     assert not list(tmp_path.rglob("*.nbc"))
+
+
+def test_a_full_disk_keeps_nobody_from_running_what_was_compiled(tmp_path: Path) -> None:
+    program = """if True:
+        from errno import ENOSPC
+        from numba.core.caching import IndexDataCacheFile
+        def full(self, key, data):
+            raise OSError(ENOSPC, "no space left on device")
+        IndexDataCacheFile.save = full
+        from hilbench.estimation import noise_level
+        import numpy as np
+        noise_level._take(np.zeros(8), 1.0)
+        print(sum(noise_level._take.stats.cache_misses.values()))
+    """
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, "1"), done.stderr
+
+
+def test_code_that_is_kept_is_seen_without_loading_it_and_that_of_another_numba_is_not(tmp_path: Path) -> None:
+    program = """if True:
+        from pathlib import Path
+        from hilbench import code_cache
+        from hilbench.estimation import noise_level
+        source = Path(noise_level.__file__)
+        found = [code_cache.is_kept(source, "_take")]
+        noise_level._take.compile(noise_level._take.arguments)
+        found.append(code_cache.is_kept(source, "_take"))
+        code_cache.numba.__version__ = "0.1"
+        found.append(code_cache.is_kept(source, "_take"))
+        print(*found)
+    """
+    shutil.copytree(Path(hilbench.__file__).parent, tmp_path / "hilbench", ignore=shutil.ignore_patterns("*.nb[ic]"))
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(
+        command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=True
+    )
+    assert done.stdout.split() == ["False", "True", "False"]
 
 
 def test_variants_from_one_start_run_what_was_compiled_for_one() -> None:

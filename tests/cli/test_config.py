@@ -118,6 +118,25 @@ def test_new_asks_its_way_to_a_machine_of_another_kind(tmp_path):
     assert "line_speed" not in path.read_text()
 
 
+def test_new_suggests_sizes_that_fit_the_answers_before_and_its_bench_passes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # without EDS files: they are copied
+    # An 80 mm roller of a web 0.3 m wide, at 1.5 m/s and 30 N.
+    answers = ["mine", *4 * [""], "", "0.3", "30e-6", "", "1.5", "30", "0.08", *12 * [""]]
+    done = hilbench("config", "new", "mine.yaml", typed="\n".join(answers) + "\n")
+    assert done.returncode == 0, done.stderr
+    machine = load(tmp_path / "mine.yaml")[0].machine
+    # A tube goes with r³ and the width: 1.167 · (0.08 / 0.2)³ · 0.3 / 0.5 kg·m²; the motor is as fast as before.
+    assert machine.rollers.inertia_kg_m2 == pytest.approx(0.0448, rel=0.01)
+    assert machine.rollers.gear_ratio == pytest.approx(4.0)
+    assert machine.boundary.upstream_tension_N == 30.0
+    assert sorted(path.name for path in (tmp_path / "eds").iterdir()) == [
+        "hilbench_servo.eds",
+        "hilbench_virtual_io.eds",
+    ]
+    ran = hilbench("run", "mine.yaml", "--in-process", "--no-report")
+    assert ran.returncode == 0, ran.stdout
+
+
 def test_new_asks_again_for_an_answer_that_cannot_be_used(tmp_path):
     path = tmp_path / "mine.yaml"
     # An empty line takes what is suggested: here the answers that went before the refused ones.
@@ -134,7 +153,7 @@ def test_new_asks_again_for_an_answer_that_cannot_be_used(tmp_path):
         "",
         "0",
         "4e9",
-        *11 * [""],
+        *14 * [""],
     ]
     done = hilbench("config", "new", path, "--eds", ROOT / "eds", typed="\n".join(answers) + "\n")
     assert done.returncode == 0, done.stderr
@@ -146,9 +165,9 @@ def test_new_asks_again_for_an_answer_that_cannot_be_used(tmp_path):
 
 def test_new_keeps_the_answers_when_they_do_not_go_together(tmp_path):
     path = tmp_path / "mine.yaml"
-    too_fast = ["mine", "embedded:mine", "125000", *14 * [""]]
+    too_fast = ["mine", "embedded:mine", "125000", *17 * [""]]
     done = hilbench(
-        "config", "new", path, "--eds", ROOT / "eds", typed="\n".join([*too_fast, "", "", "1000000", *15 * [""]])
+        "config", "new", path, "--eds", ROOT / "eds", typed="\n".join([*too_fast, "", "", "1000000", *18 * [""]])
     )
     assert done.returncode == 0, done.stderr
     assert "bit times" in done.stderr

@@ -316,6 +316,20 @@ def test_a_place_of_a_misfit_is_never_an_empty_interval() -> None:
             assert float(low) < float(high)
 
 
+def test_a_change_that_lasts_is_located_from_its_onset_on() -> None:
+    n = 8000
+    t = np.arange(n) * 0.002
+    noise = np.random.default_rng(0).standard_normal((1, n))
+    lasting = located(("tau",), noise + np.where(t < 5.0, 0.0, 2.0), np.ones(n, bool), [Condition("time", "s", t)], 1)
+    onset = lasting[0][0].detail
+    assert onset.startswith("from ")
+    assert abs(float(onset.split()[1]) - 5.0) < 0.05
+    passing = np.where((t > 5.0) & (t < 9.0), 2.0, 0.0)
+    for other in (passing, np.full(n, 2.0)):
+        found = located(("tau",), noise + other, np.ones(n, bool), [Condition("time", "s", t)], 1)
+        assert found[0][0].detail.startswith("largest at")
+
+
 def test_what_passes_is_looked_for_where_a_while_stands_out_and_nowhere_else() -> None:
     plain = model()
     data = measured_from(hidden_recording(plain, [], duration_s=12.0), plain, "blind")

@@ -37,7 +37,8 @@ _PROGRAMS = {
 #: What is not run by the tests of the docs, and why.
 NOT_RUN = {
     r"hilbench sdo read 127 operator": "needs a bench that runs: tests/bench/test_operator.py",
-    r"make (setup|demo|test|docs|bench|lint)\b": "CI runs it, or it takes longer than all tests; it is looked up",
+    r"hilbench (demo|run my_bench.yaml)": "tests/test_wheel.py runs it, in an empty folder",
+    r"make (setup|wheel|demo|test|docs|bench|lint)\b": "CI runs it, or it takes longer than all tests; it is looked up",
     r"python tools/\S+": "writes the tables of a page from runs that take minutes; the tool is looked up",
     r"python -m hilbench\.(hardware|twin)$": "a bench starts them; tests/bench/test_children.py starts each alone",
     r"python -m hilbench\.live$": "a bench starts it and holds the other end: tests/live/test_live_runs.py",

@@ -74,7 +74,7 @@ def start_up(config_path: Path) -> Section:
     section = Section(
         "Start-up",
         "Wall time from the start of the process. First SYNC: by its time stamp in the trace. `hilbench compile`, as "
-        "`make setup` runs it: everything is compiled anew. Cold: the first run after that.",
+        "`make test` runs it: everything is compiled anew. Cold: the first run after that.",
     )
     bare = best_s(lambda: subprocess.run([sys.executable, "-c", "pass"], check=True), 5)
     shown = best_s(lambda: subprocess.run([_HILBENCH, "--help"], check=True, capture_output=True), 5)

@@ -136,7 +136,7 @@ class Bench:
         self._state.require_new()
         try:
             self._start_diagnosis()
-            self._announce("prepare the model (compiled on first use)")
+            self._announce("prepare the model")
             self._machine.warm_up()
             measured.warm_up()
             if self.prediction is not None:

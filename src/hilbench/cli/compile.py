@@ -23,7 +23,8 @@ def compile_entry_points(
     """Compile what Python calls of compiled functions, where that has not been done since the last change.
 
     The machine code goes to the folder of hilbench itself; where that can't be written to the user's cache, and to
-    NUMBA_CACHE_DIR where that is set. It is for this processor; on another one it is compiled when it is first called.
+    NUMBA_CACHE_DIR where that is set. It is for every processor of this architecture. A run
+    compiles what it needs itself.
 
     Example: hilbench compile
     """
@@ -33,7 +34,7 @@ def compile_entry_points(
     rooms = modules_by_room()
     # What is in one room calls the same functions, which a process compiles once.
     processes = min(jobs or os.cpu_count() or 1, len(rooms))
-    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=_end_with_parent) as pool:
+    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=end_with_parent) as pool:
         done = [count for counts in pool.map(_compile_modules, rooms) for count in counts]
     print(f"{len(done)} functions, {sum(done)} of them compiled")
 
@@ -53,7 +54,7 @@ def _module(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """A process that compiles for nobody ends, also when `hilbench compile` was killed."""
     from multiprocessing import parent_process
     from threading import Thread

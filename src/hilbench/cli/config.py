@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hilbench.cli.new_bench import servo_axis, web_line
-from hilbench.cli.new_bench.machine import NewBench, Place
+from hilbench.cli.new_bench.machine import NewBench, Place, Suggested
 from hilbench.errors import UnusableInputError
 from hilbench.files import writing
 from hilbench.plant.effect import MachineKind
@@ -19,8 +19,11 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Help with config files: JSON Schema for editors, a new config.", no_args_is_help=True)
 
+#: A question, the place of its answer, what is suggested.
+Question = tuple[str, Place, Suggested]
+
 #: What is asked of every bench: question, place in the config, what is suggested.
-_QUESTIONS: tuple[tuple[str, Place, Any], ...] = (
+_QUESTIONS: tuple[Question, ...] = (
     ("name of the bench", ("name",), "my_bench"),
     ("bus (embedded: of the folder; embedded:NAME, socketcan:can0, …)", ("bus", "address"), "embedded"),
     ("bit rate in bit/s", ("bus", "bitrate"), 1_000_000),
@@ -55,17 +58,23 @@ def schema(
 @app.command()
 def new(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="config to write; must not exist")],
-    eds: Annotated[Path, typer.Option("--eds", help="folder with the EDS files of the simulated devices")] = Path(
-        "eds"
-    ),
+    eds: Annotated[
+        Path | None,
+        typer.Option(
+            "--eds",
+            help="folder with the EDS files of the simulated devices",
+            show_default="eds; those of hilbench are copied there if need be",
+        ),
+    ] = None,
     kind: Annotated[MachineKind, typer.Option("--kind", help="of the machine")] = MachineKind.WEB_LINE,
     defaults: Annotated[bool, typer.Option("--defaults", help="ask nothing: what would be suggested")] = False,
 ) -> None:
     """Configuration wizard: write a checked bench of simulated drives, with a comment at every key that needs one.
 
-    Each answer is checked as it is given, and asked for again when it can't be used.
+    Each answer is checked as it is given, and asked for again when it can't be used; what is suggested fits the answers
+    before.
 
-    Example: hilbench config new bench_configs/my_bench.yaml
+    Example: hilbench config new my_bench.yaml
     """
     from hilbench import strict_yaml
     from hilbench.bench.check import check_bench
@@ -76,21 +85,15 @@ def new(
         raise UnusableInputError(path, "is there already, expected a new file")
     if not path.absolute().parent.is_dir():
         raise UnusableInputError(path, f"no folder {path.parent}, expected one to write into")
-    document, new_bench = strict_yaml.Document(path, {}, {}), _OF_KIND[kind]
-    questions = (*_QUESTIONS, *new_bench.questions)
-    for place, node_id in new_bench.nodes.items():
-        file = eds / (new_bench.virtual_io if place[0] == "twin" else "hilbench_servo.eds")
-        if not file.is_file():
-            raise UnusableInputError("--eds", f"no file {file}, expected the folder with the devices' EDS files")
-        for key, value in (("node_id", node_id), ("eds", str(file.resolve()))):
-            document = document.with_value((*place, key), value, "--eds")
+    new_bench = _OF_KIND[kind]
+    document = _with_nodes(strict_yaml.Document(path, {}, {}), new_bench, eds)
     for location, value in new_bench.given.items():
         document = document.with_value(location, value, str(path))
-    for question, location, suggested in questions:
-        document = document.with_value(location, suggested, question)
+    questions, answered = (*_QUESTIONS, *new_bench.questions), set[Place]()
+    document = _with_suggestions(document, new_bench, questions, answered)
     while True:
         if not defaults:
-            document = _asked(document, questions)
+            document = _asked(document, new_bench, questions, answered)
         config = strict_yaml.validate(document, ExperimentConfig)
         try:
             check_bench(config, document)
@@ -104,21 +107,53 @@ def new(
     print(f"{path}: usable; run it with: hilbench run {path}")
 
 
-def _asked(document: Document, questions: Sequence[tuple[str, Place, Any]]) -> Document:
-    """The document with an answer to every question; what it has already is suggested."""
+def _with_nodes(document: Document, new_bench: NewBench, eds: Path | None) -> Document:
+    """The document with its nodes and their EDS files, of the folder that was given."""
+    from hilbench.runs.examples import EDS, copy_eds
+
+    files = {place: new_bench.virtual_io if place[0] == "twin" else "hilbench_servo.eds" for place in new_bench.nodes}
+    if eds is None:
+        eds = Path(EDS)
+        copy_eds(sorted(set(files.values())), Path())
+    for place, node_id in new_bench.nodes.items():
+        file = eds / files[place]
+        if not file.is_file():
+            raise UnusableInputError("--eds", f"no file {file}, expected the folder with the devices' EDS files")
+        for key, value in (("node_id", node_id), ("eds", str(file.resolve()))):
+            document = document.with_value((*place, key), value, "--eds")
+    return document
+
+
+def _with_suggestions(
+    document: Document, new_bench: NewBench, questions: Sequence[Question], answered: set[Place]
+) -> Document:
+    """The document with what is suggested wherever nobody has answered, one after the other, and what follows."""
+    for question, location, suggested in questions:
+        if location not in answered:
+            value = suggested(document.value) if callable(suggested) else suggested
+            document = document.with_value(location, value, question)
+    for location, following in new_bench.follows.items():
+        document = document.with_value(location, following(document.value), str(document.path))
+    return document
+
+
+def _asked(document: Document, new_bench: NewBench, questions: Sequence[Question], answered: set[Place]) -> Document:
+    """The document with an answer to every question, each added to `answered`; what it has already is suggested."""
     from hilbench import strict_yaml
     from hilbench.runs.config import ExperimentConfig
 
-    for question, location, suggested in questions:
+    for question, location, _ in questions:
         while True:
-            value = _answer(question, document.value(location), type(suggested))
-            answered = document.with_value(location, value, question)
+            suggested = document.value(location)
+            value = _answer(question, suggested, type(suggested))
+            tried = document.with_value(location, value, question)
             try:
-                strict_yaml.validate(answered, ExperimentConfig)
+                strict_yaml.validate(tried, ExperimentConfig)
                 break
             except UnusableInputError as error:
                 typer.echo(str(error), err=True)
-        document = answered
+        answered.add(location)
+        document = _with_suggestions(tried, new_bench, questions, answered)
     return document
 
 

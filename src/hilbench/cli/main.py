@@ -26,6 +26,7 @@ from hilbench.cli import (
     convert,
     drift,
     drive,
+    examples,
     fmu,
     gateway,
     history,
@@ -80,7 +81,27 @@ def hilbench(
 def _load(config: Path, **overrides: Any) -> Any:
     from hilbench.runs.config import load_with_overrides
 
-    return load_with_overrides(config, **overrides)
+    try:
+        return load_with_overrides(config, **overrides)
+    except UnusableInputError as error:
+        from hilbench.runs.examples import names
+
+        if not config.exists() and config.stem in names():
+            error.add_note(f"`hilbench examples {config.stem}` copies the example of this name to bench_configs")
+        raise
+
+
+def _make_ready(config: Any, *, quiet: bool) -> None:
+    """Compile what a run needs, where that has not been done, and say how far it is."""
+    from hilbench.cli.needed_code import compile_on_all_cores, missing
+
+    if functions := missing(config):
+        from rich.console import Console
+
+        from hilbench.cli.progress import ProgressDisplay
+
+        with ProgressDisplay(Console(stderr=True, highlight=False), quiet=quiet) as display:
+            compile_on_all_cores(functions, display.announce)
 
 
 @app.command()
@@ -153,6 +174,7 @@ def run(
         from hilbench.history.web_line_priors import with_commissioned
 
         loaded = with_commissioned(loaded, out, lambda text: print(text, file=sys.stderr))
+    _make_ready(loaded.config, quiet=json)
     participants = Participants.IN_PROCESS if in_process else Participants.STARTED if start else Participants.PRESENT
     with copies_beside(loaded.config, participants) as beside:
         with for_good():  # while they load what they need
@@ -169,6 +191,19 @@ def run(
             require_criteria=require_criteria,
         )
     raise typer.Exit(code)
+
+
+@app.command()
+def demo() -> None:
+    """Run the published step-change experiment: the example web_section_step, copied to this folder where it is not.
+
+    At t = 10 s Young's modulus of the emulated web steps from 8700 to 10 500 N/mm²; the twin finds the new value.
+
+    Example: hilbench demo
+    """
+    from hilbench.runs.examples import PUBLISHED, copy
+
+    run(copy(PUBLISHED, Path())[0])
 
 
 @app.command()
@@ -483,6 +518,7 @@ def diagnose(
     )
 
 
+app.command()(examples.examples)
 app.command()(scan.scan)
 app.command()(boot.boot)
 app.command()(gateway.gateway)
@@ -512,10 +548,20 @@ def _command(name: str) -> Callable[[], object]:
     a process: for all of them that takes longer than many a command."""
     named = [each for each in app.registered_commands if _name_of(each) == name]
     if not named:
-        return typer.main.get_command(app)
+        return _with_flowing_help(typer.main.get_command(app))
     alone = copy(app)
     alone.registered_commands, alone.registered_groups = named, []
-    return typer.main.get_command(alone)
+    return _with_flowing_help(typer.main.get_command(alone))
+
+
+def _with_flowing_help(command: Any) -> Callable[[], object]:
+    """A command, and those below it, whose help goes to the width of the terminal, not to that of the source."""
+    if command.help:
+        command.help = "\n\n".join(" ".join(part.split()) for part in command.help.split("\n\n"))
+    for each in getattr(command, "commands", {}).values():
+        _with_flowing_help(each)
+    flowing: Callable[[], object] = command
+    return flowing
 
 
 def _name_of(command: CommandInfo) -> str:

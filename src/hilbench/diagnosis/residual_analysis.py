@@ -23,6 +23,12 @@ _ANGLE_BINS: Final = 24
 _ERRORS, _LEAST = 6.0, 15.0
 #: Height of a spectral peak above the expected largest one (2·ln of their number).
 _PEAK: Final = 24.0
+#: Share of a lasting change's sum of squares that may lie before it: what other effects leave there.
+_BEFORE: Final = 0.05
+#: Mean over noise of the blocks of a lasting change: with half of it one in 30 000 blocks is taken for its end.
+_OF_BLOCK: Final = 8.0
+#: Least rows of such a block, so that a change that grows is seen from its beginning: a tenth of its end, of 10 floors.
+_LEAST_ROWS: Final = 16
 #: Length of a window in which a burst is looked for, s, and its size in standard deviations.
 _WINDOW_S, _BURST = 0.5, 7.0
 #: Rms over the floor from which more than noise is left even if no condition explains it, and standard errors from
@@ -129,6 +135,8 @@ def _binned(name: str, values: Array, rows: NDArray[np.bool_], condition: Condit
     bins = float(np.count_nonzero(count))
     worst = int(np.argmax(part))
     detail = f"largest at {_interval(float(edges[worst]), float(edges[worst + 1]))} {condition.unit}"
+    if condition.name == "time" and (onset := _onset(at, r, edges, mean, count)) is not None:
+        detail = f"from {onset:.4g} {condition.unit} on"
     centres = 0.5 * (edges[:-1] + edges[1:])
     points = tuple((float(c), float(m)) for c, m, n in zip(centres, mean, count, strict=True) if n)
     threshold = _ERRORS * float(np.sqrt(2.0 * bins)) + _LEAST
@@ -136,6 +144,27 @@ def _binned(name: str, values: Array, rows: NDArray[np.bool_], condition: Condit
     shape[rows] = mean[place]
     excess = float(part.sum()) - bins
     return Misfit(name, condition.name, detail, excess, threshold, "always", points, condition.unit, shape)
+
+
+def _onset(t_s: Array, r: Array, edges: Array, mean: Array, count: Array) -> float | None:
+    """Time, s, of a change that lasts to the end, by residuals r (n,) in floors, and by bins; None: there is none.
+
+    It lasts where the mean of short blocks has one sign to the end, so long that their noise is `_OF_BLOCK` times
+    smaller than the median of the bins in its second half; the bins before it, one at least, hold less than `_BEFORE`
+    of the bins' sum of squares.
+    """
+    level = float(np.median(mean[len(mean) // 2 :]))
+    rows = max(int(np.ceil((_OF_BLOCK / max(abs(level), 1e-9)) ** 2)), _LEAST_ROWS)
+    blocks = len(r) // rows
+    if not blocks:
+        return None
+    means = r[len(r) - blocks * rows :].reshape(blocks, rows).mean(axis=1) * np.sign(level)
+    below = np.flatnonzero(means * np.sqrt(rows) < 0.5 * _OF_BLOCK)
+    begin = len(r) - (blocks - (below[-1] + 1 if len(below) else 0)) * rows
+    if begin == len(r):
+        return None
+    bins, part = int(np.searchsorted(edges, t_s[begin], side="right")) - 1, count * mean**2  # bins before it
+    return float(t_s[begin]) if bins > 0 and part[:bins].sum() < _BEFORE * part.sum() else None
 
 
 def _interval(low: float, high: float) -> str:

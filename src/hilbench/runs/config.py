@@ -88,6 +88,15 @@ def read_document(path: Path) -> strict_yaml.Document:
     return _read(path, (), [])
 
 
+def files_of(path: Path) -> list[Path]:
+    """The config, what it includes, and the files that they name, where these are there. Raises UnusableInputError as
+    `read_document`."""
+    read: list[Path] = []
+    document = _read(path, (), read)
+    named = (Path(name) for _, name in _named_files(document.data))
+    return list(dict.fromkeys([*(each.resolve() for each in read), *(each for each in named if each.is_file())]))
+
+
 def _read(path: Path, including: tuple[Path, ...], read: list[Path]) -> strict_yaml.Document:
     """`including`: the files on the way to this one; `read`: all that were read."""
     document = strict_yaml.load(path)
