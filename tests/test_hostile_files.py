@@ -20,6 +20,7 @@ from hilbench.results.journal import JournalWriter, read_journal
 from hilbench.results.recording import Recording, read_recording, write_recording
 from hilbench.results.result import Fault, Result, Timing
 from hilbench.results.trace import TraceReader
+from hilbench.results.trace_files import convert_trace, read_trace
 from hilbench.runs.config import load
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -49,7 +50,7 @@ def originals() -> dict[str, tuple[bytes, str, Callable[[Path], object]]]:
         folder = Path(name)
         t = np.arange(50) * 0.002
         recording = Recording({"t_s": t, "v1_m_s": np.sin(t), "x": t**2}, datetime(2026, 1, 1, tzinfo=UTC))
-        for suffix in ("mf4", "csv", "csv.gz"):
+        for suffix in ("mf4", "csv", "csv.gz", "parquet"):
             write_recording(recording, folder / f"recording.{suffix}")
         timing = Timing(
             pace="lockstep", cycle_us=2000, cycles=9, missed=0, jitter_us=None, realtime_factor=1.0, bus_load_pct=60.0
@@ -58,7 +59,10 @@ def originals() -> dict[str, tuple[bytes, str, Callable[[Path], object]]]:
         with JournalWriter(folder / "journal.log") as journal:
             journal.write(Change(3, "enabled"))
             journal.write(Change(5, "set", "line_speed_m_s", 0.5))
-        (folder / "trace.log").write_bytes(b"(1.000001) vcan0 181#0011AABB\n(1.000002) vcan0 080#\n" * 3)
+        frames = b"(1700000000.001000) can0 181#0011AABB R\n(1700000000.002000) can0 080# R\n"
+        (folder / "trace.log").write_bytes(frames * 3)
+        for suffix in ("blf", "asc"):
+            convert_trace(folder / "trace.log", folder / f"trace.{suffix}", print, allow_loss=False)
         shipped = ROOT / "bench_configs" / "web_section_step.yaml"
         servo = ROOT / "eds" / "hilbench_servo.eds"
         return {
@@ -67,6 +71,9 @@ def originals() -> dict[str, tuple[bytes, str, Callable[[Path], object]]]:
             "mdf": ((folder / "recording.mf4").read_bytes(), "recording.mf4", read_recording),
             "csv": ((folder / "recording.csv").read_bytes(), "recording.csv", read_recording),
             "gzip": ((folder / "recording.csv.gz").read_bytes(), "recording.csv.gz", read_recording),
+            "parquet": ((folder / "recording.parquet").read_bytes(), "recording.parquet", read_recording),
+            "blf": ((folder / "trace.blf").read_bytes(), "trace.blf", lambda path: list(read_trace(path))),
+            "asc": ((folder / "trace.asc").read_bytes(), "trace.asc", lambda path: list(read_trace(path))),
             "result": ((folder / "r.json").read_bytes(), "result.json", Result.read),
             "journal": ((folder / "journal.log").read_bytes(), "journal.log", read_journal),
             "trace": ((folder / "trace.log").read_bytes(), "trace.log", lambda path: list(TraceReader(path))),
@@ -109,7 +116,9 @@ DAMAGE = st.lists(
 
 
 @pytest.mark.filterwarnings("ignore", "error::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("kind", ["config", "eds", "mdf", "csv", "gzip", "result", "journal", "trace"])
+@pytest.mark.parametrize(
+    "kind", ["config", "eds", "mdf", "csv", "gzip", "parquet", "blf", "asc", "result", "journal", "trace"]
+)
 def test_a_damaged_file_is_one_clear_error_or_none(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

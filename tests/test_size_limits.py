@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import gzip
+import os
+import re
+import struct
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+import pyarrow
 import pytest
+from pyarrow import parquet
 from tests.cli.in_process import hilbench
 
+import can
 from hilbench import strict_yaml
 from hilbench.canopen.device_configuration import read_file
 from hilbench.canopen.eds import load_eds
 from hilbench.errors import UnusableInputError
 from hilbench.plant.fmu.description import read_fmu
 from hilbench.results.import_mapping import read_foreign
-from hilbench.results.recording import read_recording
+from hilbench.results.recording import Recording, read_recording, write_recording
+from hilbench.results.trace_files import read_trace
 from hilbench.runs.config import read_document
 from hilbench.runs.scenario import read_scenario
 
@@ -74,6 +84,49 @@ def unpacked(name: str) -> Callable[[Path], None]:
     return write
 
 
+def packed_text(path: Path) -> None:
+    """A table of some MB that unpacks to 600 MB."""
+    with gzip.open(path, "wb", compresslevel=1) as file:
+        file.write(b"t_s,a\n")
+        for _ in range(600):
+            file.write(b"0,1\n" * 250_000)
+
+
+def columns_of_nothing(path: Path) -> None:
+    """3 MB of Parquet for 9 GB."""
+    columns = [pyarrow.nulls(1_100_000, pyarrow.float64())] * 1000
+    names = [f"c{k}" for k in range(1000)]
+    parquet.write_table(pyarrow.Table.from_arrays(columns, names), path, compression="zstd")
+
+
+def one_block_many_times(path: Path) -> None:
+    """An MDF file whose list of data names one packed block 5,000 times (ASAM MDF 4: DLBLOCK)."""
+    count, times = 100_000, 5001
+    write_recording(Recording({"t_s": np.arange(count) * 1e-3, "x": np.zeros(count)}), path)
+    data = bytearray(path.read_bytes())
+    group, (block,) = data.index(b"##DG"), [at.start() for at in re.finditer(b"##DZ", data)]
+    channel_group = data.index(b"##CG")
+    (cycles,) = struct.unpack_from("<Q", data, channel_group + 24 + 6 * 8 + 8)
+    assert cycles == count
+    struct.pack_into("<Q", data, channel_group + 24 + 6 * 8 + 8, count * times)
+    data += bytes(-len(data) % 8)
+    struct.pack_into("<Q", data, group + 24 + 2 * 8, len(data))
+    size = 24 + 8 * (times + 1) + 16
+    data += struct.pack("<4s4xQQQ", b"##DL", size, times + 1, 0) + struct.pack("<Q", block) * times
+    data += struct.pack("<B3xLQ", 1, times, 16 * count)
+    path.write_bytes(data)
+
+
+def one_large_container(path: Path) -> None:
+    """A BLF trace of 200 kB with 200 MB in one container."""
+    with can.BLFWriter(path) as writer:
+        writer.on_message_received(can.Message(timestamp=1.0, arbitration_id=0x181, data=b"12"))
+    head, packed = path.read_bytes()[:144], zlib.compress(bytes(200_000_000), 1)
+    container = struct.pack("<H6xL4x", 2, 200_000_000) + packed
+    size = 16 + len(container)
+    path.write_bytes(head + struct.pack("<4sHHLL", b"LOBJ", 16, 1, size, 10) + container + bytes(size % 4))
+
+
 def imported(path: Path) -> None:
     mapping = path.with_name("columns.yaml")
     mapping.write_text("channels: {t_s: {column: t_s}}\n")
@@ -95,6 +148,11 @@ def imported(path: Path) -> None:
         ("a.csv", large, read_scenario, "larger than 16 MB"),
         ("a.csv", wide, read_recording, "more than 4096 columns"),
         ("a.csv", wide, imported, "more than 4096 columns"),
+        ("a.csv.gz", packed_text, read_recording, "more than 500 MB of text"),
+        ("a.csv.gz", packed_text, imported, "more than 500 MB of text"),
+        ("a.parquet", columns_of_nothing, read_recording, "1100 million values when unpacked, expected at most 1000"),
+        ("a.mf4", one_block_many_times, read_recording, "1000 million values when unpacked, expected at most 1000"),
+        ("a.blf", one_large_container, lambda path: list(read_trace(path)), "more than 100 MB when unpacked"),
         ("a.fmu", unpacked("binaries/a.so"), read_fmu, "1100 MB when unpacked, expected at most 1000 MB"),
         ("a.fmu", unpacked("modelDescription.xml"), read_fmu, "1100 MB when unpacked, expected at most 30 MB"),
     ],
@@ -126,3 +184,20 @@ def test_check_of_three_thousand_unknown_keys_names_the_first(tmp_path: Path) ->
     assert said.returncode == 2
     assert "unknown key 'key0'" in said.stderr
     assert len(said.stderr.splitlines()) < 50
+
+
+@pytest.mark.parametrize("name", ["a.mf4", "a.csv", "a.csv.gz", "a.parquet", "a.log", "a.asc", "a.blf"])
+def test_a_pipe_under_the_name_of_a_recording_or_a_trace_is_refused_and_not_waited_for(name, tmp_path):
+    os.mkfifo(tmp_path / name)
+    read = read_recording if name[2:] in ("mf4", "csv", "csv.gz", "parquet") else lambda path: list(read_trace(path))
+    with pytest.raises(UnusableInputError, match="file"):
+        read(tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", ["mf4", "csv", "csv.gz", "parquet"])
+def test_a_recording_is_kept_in_a_folder_whose_name_is_no_utf_8(suffix, tmp_path):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/m\xfcller"))
+    folder.mkdir()
+    path = folder / f"recording.{suffix}"
+    write_recording(Recording({"t_s": np.arange(5.0), "v1_m_s": np.ones(5)}), path)
+    assert len(read_recording(path)) == 5

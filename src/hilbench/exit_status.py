@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -21,7 +22,7 @@ def ended(command: Callable[[], object]) -> int:
         hold_standard_descriptors()
     except OSError:
         return EXIT_BENCH_FAULT  # nothing can be opened, and there is nowhere to say it
-    with honest_output() as problems, _threads_reported():
+    with honest_output() as problems, _threads_reported(), _signals_raised():
         code = _code(command)
     for problem in problems:
         _report(str(problem))
@@ -43,10 +44,56 @@ def _threads_reported() -> Iterator[None]:
         threading.excepthook = before
 
 
+class EndSignal(KeyboardInterrupt):
+    """SIGTERM or SIGHUP has come: ends what Ctrl-C ends, so that files and buses are left in order."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.exit_code = 128 + number
+
+
+@contextmanager
+def _signals_raised() -> Iterator[None]:
+    """Meanwhile SIGTERM and SIGHUP raise EndSignal, unless somebody else handles them, or ignores them (nohup)."""
+
+    def end(number: int, _frame: object) -> None:
+        if number == signal.SIGHUP:
+            from hilbench.processes import leave_terminal
+
+            leave_terminal()
+        raise EndSignal(number)
+
+    mine = []
+    if threading.current_thread() is threading.main_thread():
+        mine = [each for each in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(each) is signal.SIG_DFL]
+    for number in mine:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in mine:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _interruption(end: SystemExit) -> KeyboardInterrupt | None:
+    """What typer has made an exit of."""
+    error: BaseException | None = end if end.code == EXIT_INTERRUPTED else None
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error
+
+
+def _interrupted(error: KeyboardInterrupt) -> int:
+    _report(f"interrupted ({error})" if str(error) else "interrupted")
+    return error.exit_code if isinstance(error, EndSignal) else EXIT_INTERRUPTED
+
+
 def _code(command: Callable[[], object]) -> int:
     try:
         command()
     except SystemExit as end:
+        if interruption := _interruption(end):
+            return _interrupted(interruption)
         if end.code is None or isinstance(end.code, int):
             return end.code or 0
         _report(str(end.code))  # as Python does
@@ -56,8 +103,8 @@ def _code(command: Callable[[], object]) -> int:
     except HilbenchError as error:
         _report(str(error), *getattr(error, "__notes__", ()))
         return error.exit_code
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+    except KeyboardInterrupt as error:
+        return _interrupted(error)
     except BaseException as error:  # nobody foresaw it
         _report(crash_report(error))
         return EXIT_BENCH_FAULT

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import stat
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,8 +16,8 @@ def content(path: str | Path, most_bytes: int, *, kept: bool = False) -> bytes:
 
     `kept`: in a folder in which nothing but files counts: what would be waited for, such as a pipe, is refused.
     """
-    if kept and not stat.S_ISREG(os.stat(path).st_mode):
-        raise UnusableInputError(path, "is no file, expected one")
+    if kept:
+        require_file(path)
     with open(path, "rb") as file:
         found = file.read(most_bytes + 1)
     if len(found) > most_bytes:
@@ -25,27 +25,39 @@ def content(path: str | Path, most_bytes: int, *, kept: bool = False) -> bytes:
     return found
 
 
-@contextmanager
-def writing(path: str | Path) -> Iterator[None]:
-    """Meanwhile a file is written. Raises UnusableInputError when it cannot be."""
-    try:
-        yield
-    except OSError as error:
-        raise _unwritable(error.filename or path, error) from error
+def require_file(path: str | Path) -> None:
+    """Raise UnusableInputError for what is there and no file: a pipe that nobody writes to would be waited for."""
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise UnusableInputError(path, "is no file, expected one")
 
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """The file to write in place of `path`, which appears complete or not at all. Raises UnusableInputError."""
-    partial = path.with_name(f".{os.getpid()}.{path.name}")
-    try:
+    """The file to write in place of `path`, which appears complete or not at all, whatever ends the process.
+
+    Behind a link it is the file that the link is to; what is no file (/dev/stdout, a pipe) is written as it is. Raises
+    UnusableInputError.
+    """
+    target = Path(os.path.realpath(path))
+    if target.exists() and not target.is_file():
+        with _writable(path):
+            yield path
+        return
+    partial = target.with_name(f".{os.getpid()}.{target.name}")
+    with _writable(path):
         try:
             yield partial
-            partial.replace(path)
+            if target.exists():
+                shutil.copymode(target, partial)
+            partial.replace(target)
         finally:
             partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise _unwritable(path, error) from error
+
+
+def write_whole(path: str | Path, text: str) -> None:
+    """Write a text (UTF-8), as `written_whole`."""
+    with written_whole(Path(path)) as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def make_folder(path: Path) -> None:
@@ -56,5 +68,9 @@ def make_folder(path: Path) -> None:
         raise UnusableInputError(path, f"cannot be made ({error.strerror}), expected a folder") from error
 
 
-def _unwritable(path: str | Path, error: OSError) -> UnusableInputError:
-    return UnusableInputError(path, f"cannot be written ({error.strerror}), expected a writable folder")
+@contextmanager
+def _writable(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a writable folder") from error

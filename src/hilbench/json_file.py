@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from hilbench.block import Strict
 from hilbench.errors import UnusableInputError
-from hilbench.files import content, written_whole
+from hilbench.files import content, write_whole
 
 #: Of one file, at most.
 _MOST_BYTES: Final = 64_000_000
@@ -24,8 +24,7 @@ class JsonFile(Strict):
 
     def write(self, path: Path) -> None:
         """Write as JSON; the file appears complete or not at all. Raises UnusableInputError if it cannot be."""
-        with written_whole(path) as partial:
-            partial.write_text(self.model_dump_json(indent=self.indent) + "\n", encoding="utf-8")
+        write_whole(path, self.model_dump_json(indent=self.indent) + "\n")
 
     @classmethod
     def read(cls, path: Path) -> Self:

@@ -25,8 +25,8 @@ from hilbench.pydantic_messages import expected
 Location = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
-#: Bytes of a file, and values in a document, those behind aliases counted each time, at most.
-_MOST_BYTES, _MOST_VALUES = 1_000_000, 10_000
+#: Bytes of a file, values in a document, those behind aliases counted each time, and digits of a whole number, at most.
+_MOST_BYTES, _MOST_VALUES, _MOST_DIGITS = 1_000_000, 10_000, 1000
 #: How the place of a value begins that an option of the command line has given.
 _OPTION = "--"
 #: Characters beyond which an error does not repeat the value that was found.
@@ -48,6 +48,8 @@ class _Loader(yaml.SafeLoader):
     def construct_core_int(self, node: yaml.ScalarNode) -> int:
         """A leading zero means nothing in YAML 1.2: 010 is ten."""
         text = str(self.construct_scalar(node))
+        if len(text) > _MOST_DIGITS:
+            raise ValueError(f"a number of {len(text)} digits, expected {_MOST_DIGITS} at most")
         return int(text, 0 if text[:2] in ("0x", "0o") else 10)
 
 

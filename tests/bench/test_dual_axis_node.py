@@ -11,13 +11,19 @@ import numpy as np
 import pytest
 import yaml
 from tests.bench.whole_runs import config, run, run_folders, run_here
+from tests.cia402.stand_in import StandingClock
 
 from hilbench.bench.check import check_bench
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.can.frame import Frame
+from hilbench.canopen.device import Device
+from hilbench.canopen.eds import load_eds
+from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.errors import BenchFaultError, UnusableInputError, UnusableValueError
 from hilbench.exchange.effect_objects import effect_place
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.pdo_set import pdo_set_dbc
+from hilbench.plant.motor_port import MotorPort
 from hilbench.results.recording import read_recording
 from hilbench.runs.config import LoadedConfig, load_with_overrides
 from hilbench.scripts.bench import Bench
@@ -87,6 +93,10 @@ def test_a_node_without_pdos_from_65_on_has_the_second_axis_in_its_first_ones(tm
     assert {"2301160110004068", "23021A0110004168", "23031A0120006C68", "2301140101030000"} <= set(requests)
     assert not [request for request in requests if request[2:6] in ("4014", "4018", "4118")]
     assert trace.count(" 381#") == trace.count(" 181#") > 100
+    nodes = json.loads((run_folders(path)[0] / "nodes.json").read_text())["nodes"]
+    assert nodes["axis2"]["found"].keys() >= {"1401h:1", "1601h", "1802h:1", "1A02h", "1803h:1"}
+    assert nodes["axis2"]["written"]["1601h:1"] == "10004068"
+    assert not {"1401h:1", "1601h:1"} & nodes["axis1"]["written"].keys()
 
 
 def test_what_is_kept_of_the_stand_is_of_each_axis(tmp_path: Path) -> None:
@@ -150,6 +160,28 @@ def test_a_fault_of_the_second_axis_is_told_with_its_place_and_its_object(tmp_pa
         pytest.raises(BenchFaultError, match=r"axis2 \(node 1, axis 2\): .*error code \(683Fh\) 84FFh"),
     ):
         running.ramp("line_speed_m_s", 3.0, 0.2)
+
+
+def test_an_emcy_of_a_node_with_two_axes_says_of_which_of_them(tmp_path: Path) -> None:
+    """Byte 7, as the simulated drive fills it; without it, and of a real drive, it is the node's."""
+    device = Device(load_eds(DUAL, 1), 1, StandingClock())
+    drives = [SimulatedDrive(device, MotorPort(), axis=axis) for axis in (1, 2)]
+    device.handle(Frame(0, b"\x01\x00"))
+    drives[1].fault(0x7305)
+    (frame,) = [frame for frame in device.outbox if frame.can_id == 0x81]
+    for real, data, speaker in (
+        (False, frame.data, "axis2"),
+        (False, frame.data[:7] + b"\0", "axis1 and axis2"),
+        (True, frame.data, "axis1 and axis2"),
+    ):
+        path = dual(tmp_path, simulated=not real)
+        given = yaml.safe_load(path.read_text())
+        given["drives"]["axis1"]["simulated"] = not real
+        path.write_text(yaml.safe_dump(given, sort_keys=False))
+        nodes = Nodes(loaded(path).config)
+        nodes.decode([Frame(0x81, data)])
+        (emergency,) = nodes.emergencies
+        assert (emergency.node, emergency.code) == (speaker, 0x7305)
 
 
 @pytest.mark.parametrize(

@@ -212,6 +212,21 @@ def test_a_bunch_of_syncs_that_is_read_late_loses_no_time(master: ForeignMaster)
     assert_position_fits_the_velocity(master.answers)
 
 
+@pytest.mark.parametrize("period_ms", [2.5, 10.0 / 3.0])
+def test_a_master_that_differentiates_positions_sees_even_motion_though_its_sync_is_not_ours(
+    master: ForeignMaster, period_ms: float
+) -> None:
+    def cycle() -> None:
+        master.wait(period_ms)
+        master.sync()
+
+    master.turn(300, cycle)
+    for _ in range(600):
+        cycle()
+    steps = [later[1] - earlier[1] for earlier, later in pairwise(master.answers[-200:])]
+    assert steps == [pytest.approx(period_ms * 1e-3 * master.answers[-1][2], rel=0.02)] * len(steps)
+
+
 def test_the_drive_goes_on_turning_while_no_sync_comes(master: ForeignMaster) -> None:
     def cycle() -> None:
         master.wait(5)

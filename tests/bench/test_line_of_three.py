@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
@@ -325,6 +326,16 @@ def test_a_line_of_eight_rollers_runs_with_an_estimate_at_each_span(tmp_path: Pa
         error_pct = outcome.result.metrics[f"E{span}_final_error_pct"]
         assert error_pct is not None
         assert abs(error_pct) < 1.0
+
+
+@pytest.mark.parametrize(("count", "cycle_s"), [(3, 0.016), *slow((3, 0.03), (8, 0.02))])
+def test_a_line_of_long_cycles_is_followed_from_its_first_ramp_on(tmp_path: Path, count: int, cycle_s: float) -> None:
+    given = of_rollers(tmp_path, count, cycle_s, LONG_VIRTUAL_IO)
+    outcome = run_experiment(given, tmp_path / "runs", participants=Participants.IN_PROCESS)
+    assert outcome.result.faults == []
+    assert outcome.result.all_warnings() == []
+    errors_pct = [outcome.result.metrics[f"E{span}_final_error_pct"] for span in range(1, count)]
+    assert max(abs(error_pct or 0.0) for error_pct in errors_pct) < 0.3
 
 
 def test_each_value_of_24_rollers_has_a_place_and_each_pdo_an_identifier_of_its_own(tmp_path: Path) -> None:

@@ -208,7 +208,7 @@ def test_in_one_call_the_web_does_what_it_does_by_its_parts(seed: int) -> None:
     """Positions of one instant and not, late ones, cycles that are missing, another E, a web that tears."""
     whole, parts = LineInOneCall(), Line()
     config, web = parts.config, parts.model.machine
-    least_m = least_travel_m(config.web_line)
+    least_m = least_travel_m(config.web_line, CYCLE_S)
     lead = lead_s(config.web_line, CYCLE_S)
     parts.model = LoadModel(ByItsParts(web), config.loaded_axes, CYCLE_S, lead, least_m)  # type: ignore[arg-type]
     random = Random(seed)

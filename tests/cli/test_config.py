@@ -196,5 +196,5 @@ def test_new_without_answers_is_unusable_input_and_ctrl_c_is_an_interruption(tmp
     assert asking.stdout.read(4) == b"name"
     asking.send_signal(signal.SIGINT)
     _, err = asking.communicate(timeout=30)
-    assert (asking.returncode, err) == (130, b"")
+    assert (asking.returncode, err) == (130, b"hilbench: interrupted\n")
     assert not (tmp_path / "mine.yaml").exists()

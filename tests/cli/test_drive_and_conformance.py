@@ -181,7 +181,7 @@ def test_a_device_is_examined_and_left_as_it_was(bus: Bus, tmp_path: Path) -> No
     xml, page = tmp_path / "verdicts.xml", tmp_path / "page.html"
     groups = ("--only", "SDO", "--only", "Drive states", "--only", "EMCY")
     done = hilbench("conformance", *there, *groups, "--junit", xml, "--html", page)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (done.returncode, done.stderr) == (0, ""), done.stdout
     assert done.stdout.splitlines()[:-2] == [
         "SDO           24 passed, 6 not applicable",
         "EMCY          6 passed",

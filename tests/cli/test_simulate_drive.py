@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
@@ -63,6 +64,26 @@ def test_a_node_that_is_there_is_not_played_twice(drives: tuple[str, subprocess.
     done = hilbench("simulate-drive", eds, "--node", "6", "--bus", drives[0])
     assert done.returncode == 2
     assert "node 6" in str(done.stderr)
+
+
+@pytest.mark.slow
+def test_a_hundred_drives_on_a_bus_are_all_found_and_each_can_be_driven() -> None:
+    bus, eds = f"embedded:{uuid.uuid4().hex[:12]}", Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"
+    command = [*HILBENCH, "simulate-drive", eds, "--count", "100", "--bus", bus]
+    running = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    try:
+        link = open_link(BusAddress.parse(bus))
+        assert any(len(present(link, range(1, 101), 1.0)) == 100 for _ in range(60)), "not all of them answer"
+        link.close()
+        found = json.loads(hilbench("scan", "--bus", bus, "--json").stdout)["stations"]
+        assert [station["node_id"] for station in found] == list(range(1, 101))
+        with nobody_else():
+            for node in (1, 100):
+                turned = hilbench("drive", node, "velocity", "60 rpm", "--for", "0.3", "--bus", bus, "--eds", eds)
+                assert turned.returncode == 0, turned.stderr
+    finally:
+        running.send_signal(signal.SIGINT)
+        running.wait(timeout=20)
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,35 @@ def counts_from_another_sync(bus: VirtualBus) -> None:
     bus.hears.append(receive)
 
 
+def heartbeat_is_under_way_as_it_is_reset(bus: VirtualBus) -> None:
+    """Sent before the device takes the command, and on the wire behind it."""
+
+    def receive(frame: Frame) -> Frame:
+        if (frame.can_id, frame.data[:1]) == (0, b"\x81"):
+            bus.put(Frame(HEARTBEAT, b"\x7f"))
+        return frame
+
+    bus.hears.append(receive)
+
+
+def emcy_comes_late(bus: VirtualBus) -> None:
+    """As from a device that others keep busy: half a second behind its cause."""
+    late: list[tuple[int, Frame]] = []
+
+    def say(frame: Frame) -> Frame | None:
+        if frame.can_id != 0x80 + NODE:
+            return frame
+        late.append((bus.clock.ns + 500_000_000, frame))
+        return None
+
+    def step() -> None:
+        while late and bus.clock.ns >= late[0][0]:
+            bus.put(late.pop(0)[1])
+
+    bus.says.append(say)
+    bus.steps.append(step)
+
+
 def answers_the_second_of_two_syncs(bus: VirtualBus) -> None:
     """From its SYNC start value on: that is the first of two."""
 
@@ -98,6 +127,8 @@ CHOICES: list[tuple[Callable[[VirtualBus], None], set[str]]] = [
     (begins_with_a_heartbeat, {"Heartbeat and guarding 4", "Heartbeat and guarding 5"}),
     (tells_an_error_once, {"EMCY 4", "EMCY 5", "EMCY 6"}),
     (has_no_error_that_lasts, {"EMCY 4", "EMCY 5"}),
+    (heartbeat_is_under_way_as_it_is_reset, {"NMT 1"}),
+    (emcy_comes_late, {"EMCY 4"}),
     (ends_a_block_that_it_does_not_understand, {"SDO 27"}),
 ]
 

@@ -53,6 +53,10 @@ class VirtualBus:
             self.device.handle(Frame(can_id, data))
         self._collect()
 
+    def put(self, frame: Frame) -> None:
+        """On the wire, from whomever."""
+        self._received.append(ReceivedFrame(self.clock.ns * 1e-9, frame.can_id, frame.data))
+
     def listen(self, duration_s: float, until: Callable[[ReceivedFrame], bool] | None = None) -> list[ReceivedFrame]:
         found: list[ReceivedFrame] = []
         deadline_ns = self.clock.ns + round(duration_s * 1e9)
@@ -80,7 +84,7 @@ class VirtualBus:
             for say in self.says:
                 said = None if said is None else say(said)
             if said is not None:
-                self._received.append(ReceivedFrame(self.clock.ns * 1e-9, said.can_id, said.data))
+                self.put(said)
         device.replies.clear()
         device.outbox.clear()
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from canopen.profiles.p402 import BaseNode402
-from canopen.sdo import SdoAbortedError
+from canopen.sdo import SdoAbortedError, SdoClient
 from tests.cia402.every_mode import INCREMENTS, eds_file, eds_text
 from tests.cia402.stand_in import EDS as OWN
 
@@ -184,9 +184,25 @@ def test_a_file_of_no_drive_is_refused_in_one_line(tmp_path: Path) -> None:
         SimulatedDrive(eds_file(tmp_path, 0x6040, 0x1400, 0x1600), 5, "virtual:x")
 
 
-def test_a_pdo_without_its_mapping_is_refused_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(UnusableInputError, match=r"every_mode.eds: object 1600h is missing, a PDO with 1400h needs it"):
-        SimulatedDrive(eds_file(tmp_path, 0x1600), 5, "virtual:x")
+def test_a_drive_whose_file_lacks_the_mapping_of_a_pdo_is_driven_by_sdo_and_its_other_pdos(tmp_path: Path) -> None:
+    channel = f"devices-{next(_channels)}"
+    with (
+        can.Bus(interface="virtual", channel=channel) as ours,
+        SimulatedDrive(eds_file(tmp_path, 0x1600), 5, can.Bus(interface="virtual", channel=channel)) as drive,
+    ):
+        network = Network(ours)
+        network.connect()
+        sdo = SdoClient(0x605, 0x585, load_eds(OWN, 5))
+        sdo.network, sdo.RESPONSE_TIMEOUT = network, 2.0
+        network.subscribe(0x585, sdo.on_response)
+        try:
+            for word, state in ((0x06, State.READY_TO_SWITCH_ON), (0x07, State.SWITCHED_ON)):
+                sdo.download(0x6040, 0, word.to_bytes(2, "little"))
+                eventually(lambda state=state: drive.state is state)
+            with pytest.raises(SdoAbortedError, match="0x06020000"):
+                sdo.upload(0x1600, 0)
+        finally:
+            network.disconnect()
 
 
 def test_drives_without_conditional_objects_or_with_odd_default_maps_are_mapped_and_enabled(tmp_path: Path) -> None:

@@ -108,7 +108,7 @@ class ByItsParts:
 def load_models(model: ModelParameters) -> tuple[LoadModel, LoadModel]:
     """The same with a line that follows in one call, and with one that does not; load motors on all axes but the
     first."""
-    least_m = least_travel_m(model)
+    least_m = least_travel_m(model, CYCLE_S)
     own = None if isfinite(least_m) else play("m", CYCLE_S)
     axes = range(2, model.axis_count + 1)
     lines = LineFollower(model), ByItsParts(LineFollower(model))

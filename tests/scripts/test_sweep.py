@@ -78,7 +78,10 @@ def test_a_failed_run_leaves_its_row_and_what_is_done_is_not_done_again(tmp_path
     assert again.as_data() == rows
     log = out / "results.jsonl"
     log.write_text(log.read_text()[:-20])  # as a crash leaves it: the last row is torn
-    assert len(Sweep(path, (), cycles, out).rows) == 1
+    resumed = Sweep(path, (), cycles, out)
+    assert len(resumed.rows) == 1
+    resumed.run(1, lambda row: None)
+    assert len(Sweep(path, (), cycles, out).rows) == 2, "what is written behind the torn row can be read"
     with pytest.raises(UnusableInputError, match="holds another sweep"):
         Sweep(path, (), cycles[:1], out)
 

@@ -21,10 +21,13 @@ from hilbench.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from hilbench.canopen.identifiers import (
     COB_ID,
     HEARTBEAT,
+    MAPPING,
     NMT,
     PRODUCE_SYNC,
+    RPDO_INDICES,
     SDO_REQUEST,
     SYNC,
+    TPDO_INDICES,
     NmtCommand,
     NmtState,
     is_restricted,
@@ -54,6 +57,14 @@ _COMMUNICATION_AREA = (0x1000, 0x1FFF)
 _ALL_AREAS = (0x1000, 0x9FFF)
 
 
+def _pdo_name(index: int) -> str:
+    """Of the PDO that these communication parameters are of; "" for other objects."""
+    for indices, name in ((RPDO_INDICES, "RPDO"), (TPDO_INDICES, "TPDO")):
+        if index in indices:
+            return f"{name}{indices.index(index) + 1}"
+    return ""
+
+
 class Device:
     """One CANopen device on the object dictionary of an EDS file.
 
@@ -78,7 +89,6 @@ class Device:
         self._store = ObjectStore(od)
         if not self.has(_ERROR_REGISTER):
             raise UnusableInputError(f"EDS of node {node_id}", "object 1001h is missing, a device needs it")
-        self._check_pdo_objects(od)
         self._storage = Storage(self._store, store)
         self._sdo = DeviceSdoServer(node_id, self._store, self._reply)
         self._emcy = EmergencyProducer(self._store, self._send, clock.now_ns, self._communicates)
@@ -97,8 +107,12 @@ class Device:
             for n in numbers
             if (0x17FF + n, 1) in self._store and (0x19FF + n, 0) in self._store
         ]
-        #: PDOs that are valid by the EDS file and can't have the mapping that it gives them; one line each.
-        self.left_out: dict[str, str] = {}
+        #: PDOs that can't be as the EDS file has them: without a mapping, or valid with one that can't be; a line each.
+        self.left_out: dict[str, str] = {
+            name: f"{name} is not sent or received: object {index + MAPPING:04X}h is missing, its mapping"
+            for index in od.indices
+            if (name := _pdo_name(index)) and index + MAPPING not in od.indices
+        }
         self._receivers: dict[int, Rpdo] = {}
         self._synchronous: list[Tpdo] = []
         self._event_driven: list[Tpdo] = []
@@ -330,15 +344,6 @@ class Device:
         active = [tpdo for tpdo in self._tpdos if tpdo.valid and tpdo.map is not None]
         self._synchronous = [tpdo for tpdo in active if tpdo.transmission_type <= 240]
         self._event_driven = [tpdo for tpdo in active if tpdo.transmission_type > 240]
-
-    def _check_pdo_objects(self, od: canopen.ObjectDictionary) -> None:
-        for first in (0x1400, 0x1800):
-            for index in od.indices:
-                if first <= index < first + 512 and index + 0x200 not in od.indices:
-                    raise UnusableInputError(
-                        f"EDS of node {self.node_id}",
-                        f"object {index + 0x200:04X}h is missing, a PDO with {index:04X}h needs it",
-                    )
 
     # -- SYNC objects ------------------------------------------------------------------------------------
 

@@ -18,20 +18,19 @@ from canopen.objectdictionary import ODVariable
 import canopen
 from hilbench.canopen import concise_dcf, eds
 from hilbench.canopen.data_types import Value, data_type
-from hilbench.canopen.identifiers import MAPPING, NODE_ID
+from hilbench.canopen.identifiers import MAPPING, NODE_ID, RPDO_INDICES, TPDO_INDICES
 from hilbench.canopen.master import Master
 from hilbench.canopen.object_store import NO_DATA
 from hilbench.canopen.sdo_client import Refusal, no_answer
 from hilbench.canopen.storage import NO_PARAMETERS
 from hilbench.errors import BenchFaultError, UnusableInputError
-from hilbench.files import content, written_whole
+from hilbench.files import content, write_whole, written_whole
 
 #: (index, sub-index).
 Key = tuple[int, int]
 
 _READABLE: Final = ("ro", "rw", "rwr", "rww", "const")
 _WRITABLE: Final = ("rw", "rwr", "rww")
-_RPDOS, _TPDOS = range(0x1400, 0x1600), range(0x1800, 0x1A00)
 _EMERGENCY_COB_ID: Final = 0x1014
 #: Contents of DOMAIN objects are programs and files, not settings.
 _DOMAIN: Final = 0x0F
@@ -146,7 +145,7 @@ def moved(
 
 
 def _is_cob_id(write: concise_dcf.Write) -> bool:
-    is_pdo = write.sub == 1 and (write.index in _RPDOS or write.index in _TPDOS)
+    is_pdo = write.sub == 1 and (write.index in RPDO_INDICES or write.index in TPDO_INDICES)
     return len(write.data) == 4 and (is_pdo or write.key == (_EMERGENCY_COB_ID, 0))
 
 
@@ -198,9 +197,10 @@ def _parameters(configuration: Configuration) -> Iterator[Key]:
 def _pdo_of(key: Key) -> int | None:
     """The communication parameters of the PDO that is set up by an object: by its COB-ID, or by its mapping."""
     index, sub = key
-    if sub == 1 and (index in _RPDOS or index in _TPDOS):
+    if sub == 1 and (index in RPDO_INDICES or index in TPDO_INDICES):
         return index
-    return index - MAPPING if sub == 0 and (index - MAPPING in _RPDOS or index - MAPPING in _TPDOS) else None
+    of_mapping = index - MAPPING in RPDO_INDICES or index - MAPPING in TPDO_INDICES
+    return index - MAPPING if sub == 0 and of_mapping else None
 
 
 def _pdo_writes(values: Mapping[Key, bytes], index: int) -> Iterator[concise_dcf.Write]:
@@ -287,8 +287,7 @@ def write_dcf(configuration: Configuration, path: Path) -> None:
         variable.value_raw = None if data is None else _text(variable, data)  # type: ignore[attr-defined]
     text = io.StringIO()
     canopen.export_od(od, text, doc_type="dcf")
-    with written_whole(path) as partial:
-        partial.write_text(text.getvalue(), encoding="utf-8")
+    write_whole(path, text.getvalue())
 
 
 def write_concise(configuration: Configuration, path: Path) -> None:

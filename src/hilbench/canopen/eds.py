@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import pickle
 import re
+from copy import copy
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -30,6 +31,7 @@ from hilbench.canopen.data_types import (
     Value,
     data_type,
 )
+from hilbench.canopen.identifiers import MAPPING, RPDO_INDICES, TPDO_INDICES
 from hilbench.errors import UnusableInputError
 from hilbench.files import content
 
@@ -212,6 +214,17 @@ def all_variables(od: canopen.ObjectDictionary) -> list[ODVariable]:
         else:
             found += [entry.subindices[sub] for sub in sorted(entry.subindices)]
     return found
+
+
+def with_mapped_pdos(od: canopen.ObjectDictionary) -> canopen.ObjectDictionary:
+    """Without the communication parameters of PDOs that have no mapping, which canopen would ask for."""
+    mapped = copy(od)
+    mapped.indices = {
+        index: entry
+        for index, entry in od.indices.items()
+        if not (index in RPDO_INDICES or index in TPDO_INDICES) or index + MAPPING in od.indices
+    }
+    return mapped
 
 
 def snake_case(name: str) -> str:

@@ -31,6 +31,9 @@ LAST_NODE: Final = 127
 
 #: From a PDO's communication parameters to its mapping parameters: 1600h for 1400h, 1A00h for 1800h.
 MAPPING: Final = 0x200
+#: Indices of the communication parameters of RPDOs and of TPDOs.
+RPDO_INDICES: Final = range(0x1400, 0x1600)
+TPDO_INDICES: Final = range(0x1800, 0x1A00)
 
 #: Bits beside the COB-ID in 1014h and in the parameters of PDOs: not in use; a TPDO that no remote frame asks for.
 INVALID: Final = 0x8000_0000

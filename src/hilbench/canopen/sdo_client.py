@@ -12,6 +12,7 @@ from typing import Any, Final, Self
 
 import canopen
 from hilbench.can.python_can import can
+from hilbench.canopen.eds import with_mapped_pdos
 from hilbench.canopen.identifiers import FUNCTION_CODE, SDO_ANSWER
 from hilbench.canopen.network import Network
 from hilbench.errors import BusError
@@ -175,7 +176,7 @@ class SdoClient:
         self.close()
 
     def _add(self, node_id: int, od: canopen.ObjectDictionary) -> None:
-        node = self._network.add_node(node_id, od)
+        node = self._network.add_node(node_id, with_mapped_pdos(od))
         node.sdo.RESPONSE_TIMEOUT = self._timeout_s
         node.sdo.MAX_RETRIES = 1  # one try: canopen counts down to zero before it gives up
         self._locks[node_id] = threading.Lock()

@@ -14,6 +14,7 @@ from canopen.sdo.server import SdoServer
 
 import canopen
 from canopen import SdoAbortedError
+from hilbench.canopen.eds import with_mapped_pdos
 from hilbench.canopen.identifiers import SDO_ANSWER, SDO_REQUEST
 from hilbench.canopen.object_store import (
     NO_DATA,
@@ -46,7 +47,7 @@ class _Node(canopen.LocalNode):
     """canopen's local node with the object store in place of its own data."""
 
     def __init__(self, node_id: int, store: ObjectStore) -> None:
-        super().__init__(node_id, store.od)
+        super().__init__(node_id, with_mapped_pdos(store.od))
         self._store = store
 
     def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:

@@ -86,6 +86,11 @@ def tpdo_numbers(axis: int) -> list[tuple[int, int]]:
     return [(k + pdos_behind(axis), k + _TPDOS_OF_AXIS * (axis - 1)) for k in of_both]
 
 
+def emergency_axis(data: bytes) -> int:
+    """The axis of which our simulated drives send this EMCY message; 0: it does not say."""
+    return data[7] if len(data) == 8 and data[:2] != b"\0\0" else 0
+
+
 class AxisDevice:
     """One axis of a device: objects of the profile by the names of the first axis, errors of its own."""
 
@@ -102,8 +107,10 @@ class AxisDevice:
         return self._device.has(object_of(self.axis, index), sub)
 
     def emergency(self, code: int, register_bits: int) -> None:
-        """An error of this axis has come: EMCY is the node's, and says it of each axis."""
-        self._device.emergency(code, register_bits, source=self._source)
+        """An error of this axis has come: EMCY is the node's, and says it of each axis; of one of several which, in the
+        last of the manufacturer's bytes (`emergency_axis`)."""
+        several = self.axis > 1 or self._device.has(object_of(2, objects.CONTROLWORD))
+        self._device.emergency(code, register_bits, bytes([0, 0, 0, 0, self.axis if several else 0]), self._source)
 
     def clear_emergency(self, code: int) -> None:
         """It has gone."""

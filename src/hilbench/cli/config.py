@@ -11,7 +11,7 @@ import typer
 from hilbench.cli.new_bench import servo_axis, web_line
 from hilbench.cli.new_bench.machine import NewBench, Place, Suggested
 from hilbench.errors import UnusableInputError
-from hilbench.files import writing
+from hilbench.files import write_whole
 from hilbench.plant.effect import MachineKind
 
 if TYPE_CHECKING:
@@ -51,8 +51,7 @@ def schema(
     if out is None:
         print(text, end="")
     else:
-        with writing(out):
-            out.write_text(text, encoding="utf-8")
+        write_whole(out, text)
 
 
 @app.command()
@@ -102,8 +101,7 @@ def new(
             if defaults:
                 raise
             typer.echo(f"{error}\nOnce more; Return keeps an answer.", err=True)
-    with writing(path):
-        path.write_text(commented_yaml(config, path.resolve().parent), encoding="utf-8")
+    write_whole(path, commented_yaml(config, path.resolve().parent))
     print(f"{path}: usable; run it with: hilbench run {path}")
 
 
@@ -162,7 +160,7 @@ def _answer(question: str, suggested: Any, kind: type) -> Any:
         return typer.prompt(question, default=suggested, type=kind)
     except typer.Abort as ended:  # the end of standard input, or Ctrl-C
         if isinstance(ended.__context__, KeyboardInterrupt):
-            raise KeyboardInterrupt from ended
+            raise ended.__context__ from ended
         raise UnusableInputError(
             "standard input", f"ended at the question '{question}', expected an answer, or --defaults"
         ) from ended

@@ -9,7 +9,7 @@ import typer
 
 from hilbench.cli.options import ConfigArgument
 from hilbench.errors import UnusableInputError
-from hilbench.files import writing
+from hilbench.files import write_whole
 
 
 def convert(
@@ -91,5 +91,4 @@ def dbc(
     if out is None:
         print(text, end="")
         return
-    with writing(out):
-        out.write_text(text, encoding="ascii")
+    write_whole(out, text)

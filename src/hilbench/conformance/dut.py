@@ -128,6 +128,12 @@ class DeviceUnderTest:
         self._received = []
         return [received for received in found if received.can_id != SDO_ANSWER + self.node_id]
 
+    def hear_until(self, can_id: int, then_s: float) -> list[ReceivedFrame]:
+        """The same up to a frame that is waited for as long as for an answer, and for a time behind it."""
+        if not any(received.can_id == can_id for received in self._received):
+            self._received += self.wire.listen(self.patience.answer_s, lambda received: received.can_id == can_id)
+        return self.receive(then_s)
+
     def receive_id(self, can_id: int, duration_s: float) -> list[ReceivedFrame]:
         """The same, of one identifier."""
         return [received for received in self.receive(duration_s) if received.can_id == can_id]
@@ -351,8 +357,14 @@ class DeviceUnderTest:
         can_id = HEARTBEAT + self.node_id
         self.forget()
         self.send(NMT, command.to(self.node_id))
-        found = self.wire.listen(self.patience.boot_s, lambda received: received.can_id == can_id)
-        self.must(self.frames("boot-up message", found, can_id, "00"))
+        # A heartbeat may be under way when the command comes.
+        before = {state.heartbeat for state in NmtState if state is not NmtState.INITIALISING}
+
+        def boots(received: ReceivedFrame) -> bool:
+            return received.can_id == can_id and received.data not in before
+
+        found = self.wire.listen(self.patience.boot_s, boots)
+        self.must(self.frames("boot-up message", list(filter(boots, found)) or found, can_id, "00"))
         self.wire.listen(_AFTER_BOOT_S)
 
     def produce_heartbeats(self, period_ms: int = _HEARTBEAT_MS) -> None:

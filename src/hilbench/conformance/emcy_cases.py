@@ -11,7 +11,6 @@ from hilbench.canopen.sdo_client import Refusal
 from hilbench.conformance.dut import DeviceUnderTest, answer_text
 from hilbench.conformance.process_data import Pdo, receive_pdo, set_up
 from hilbench.conformance.record import NotApplicableError
-from hilbench.conformance.wire import ReceivedFrame
 
 TOO_SHORT: Final = "10 82"
 _SOON_S: Final = 0.1
@@ -52,6 +51,7 @@ def _ready(dut: DeviceUnderTest) -> Pdo:
     set_up(dut, pdo, 255)
     dut.nmt(NmtCommand.START)
     _right_length(dut, pdo)
+    dut.receive(_SOON_S)
     return pdo
 
 
@@ -59,17 +59,16 @@ def _too_short(dut: DeviceUnderTest, pdo: Pdo) -> int:
     """The message comes: what it says of 1001h."""
     dut.forget()
     dut.send(pdo.cob_id)
-    found = dut.receive(_SOON_S)
+    found = dut.hear_until(dut.emergency_id, _SOON_S)
     dut.must(dut.frames("an RPDO without data", found, dut.emergency_id, f"{TOO_SHORT} ?? ??????????"))
     return next(received.data[2] for received in found if received.can_id == dut.emergency_id)
 
 
-def _right_length(dut: DeviceUnderTest, pdo: Pdo) -> list[ReceivedFrame]:
-    """The RPDO with what its object has (of a drive: no command), and what it brings."""
+def _right_length(dut: DeviceUnderTest, pdo: Pdo) -> None:
+    """The RPDO with what its object has (of a drive: no command)."""
     dut.touched.add(pdo.carries.key)
     value = 0 if dut.eds.is_drive else dut.value(*pdo.carries.key)
     dut.send(pdo.cob_id, value.to_bytes(pdo.size, "little"))
-    return dut.receive(_SOON_S)
 
 
 def force(dut: DeviceUnderTest) -> None:
@@ -85,7 +84,9 @@ def register_after(dut: DeviceUnderTest) -> None:
         dut.reads("1001h as in the message", 0x1001, 0, 0)
         return
     dut.reads_bits("1001h: generic and communication error", 0x1001, 0, 0x11)
-    found = _right_length(dut, pdo)
+    emergency_id = dut.emergency_id
+    _right_length(dut, pdo)
+    found = dut.hear_until(emergency_id, _SOON_S)
     dut.frames("an RPDO of the right length", found, dut.emergency_id, "00 00 ?? ??????????")
     dut.reads("1001h is 0 again", 0x1001, 0, 0)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from hilbench.conformance.record import CaseResult, Examination, Verdict
-from hilbench.files import writing
+from hilbench.files import written_whole
 
 
 def write_junit(examination: Examination, path: Path) -> None:
@@ -20,8 +20,8 @@ def write_junit(examination: Examination, path: Path) -> None:
     suite.set("errors", "0")
     suite.set("skipped", str(counts[Verdict.NOT_APPLICABLE] + counts[Verdict.NOT_ALLOWED]))
     ElementTree.indent(suite)
-    with writing(path):
-        path.write_bytes(ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True) + b"\n")
+    with written_whole(path) as partial:
+        partial.write_bytes(ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True) + b"\n")
 
 
 def _add(suite: ElementTree.Element, case: CaseResult) -> None:

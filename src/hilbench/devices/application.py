@@ -13,6 +13,7 @@ from hilbench.devices.lss import NodeIdGiven
 from hilbench.devices.node import SimulatedNode
 from hilbench.hardware.plant_time import ByClock
 from hilbench.hardware.simulation import RigApplication
+from hilbench.plant.motor_port import MotorMode
 
 #: Sample time of the drives' control loops, and how often they look at their set points at least.
 SAMPLE_S: Final = 0.001
@@ -98,11 +99,15 @@ class FaultyDrive:
         own = (event for event in node.behaviour.events if event.axis == node.axis)
         self._events = sorted(own, key=lambda event: event.at_s)
         self._jumped_rad = 0.0
+        self._in_use = False
         #: When heartbeats, and everything, are sent again.
         self._no_heartbeat_until_ns = self._silent_until_ns = 0
 
     def step(self, duration_s: float) -> None:
-        """Turn the shaft; the encoder shows it with its jumps."""
+        """Turn the shaft, once the drive has had power; the encoder shows it with its jumps."""
+        self._in_use = self._in_use or self._node.port.mode is not MotorMode.OFF
+        if not self._in_use:  # of a hundred drives on a bus most rest
+            return
         self._node.rig.lock_to(duration_s)
         self._node.rig.step(duration_s)
         self._node.port.position_rad += self._jumped_rad

@@ -20,7 +20,7 @@ from hilbench import strict_yaml
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect
 from hilbench.diagnosis.terms import Place
-from hilbench.files import writing
+from hilbench.files import write_whole
 from hilbench.plant.effect import MachineSizes
 from hilbench.plant.effects import EFFECTS
 from hilbench.plant.model_file import Machine
@@ -230,6 +230,5 @@ def write_steps(path: Path, proposed: NextExperiment, config: Path | None) -> Pa
         above = Path(os.path.relpath(config.resolve(), path.resolve().parent)).as_posix()
         head = {"include": above, "name": f"{config.stem}_next"}
     text = strict_yaml.text_of({**head, "steps": proposed.steps, "criteria": []}, default_flow_style=None)
-    with writing(path):
-        path.write_text("\n".join([*lines, text]), encoding="utf-8")
+    write_whole(path, "\n".join([*lines, text]))
     return path

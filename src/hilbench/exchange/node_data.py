@@ -7,7 +7,7 @@ bench or the config writes, and the PDOs that the bench maps. Beside it stand th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -20,9 +20,10 @@ from hilbench.block import Strict
 from hilbench.canopen import eds
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.eds import shared_eds
+from hilbench.canopen.identifiers import MAPPING
 from hilbench.canopen.sdo_client import Refusal, SdoClient
 from hilbench.cia402 import configuration, objects
-from hilbench.cia402.axis import MOST_AXES, is_of, object_of, of_first_axis, pdos_behind
+from hilbench.cia402.axis import MOST_AXES, is_of, object_of, of_first_axis
 from hilbench.exchange.addressing import drive_settings
 from hilbench.exchange.parallel import ForEachNode
 from hilbench.json_file import JsonFile
@@ -51,9 +52,8 @@ _SET_BY_THE_BENCH: Final = (
     configuration.PRODUCER_HEARTBEAT,
     objects.INTERPOLATION_TIME_PERIOD,
 )
-_RECEIVED: Final = (0x1400, 0x1600)
-_SENT: Final = ((0x1800, 0x1A00), (0x1801, 0x1A01))
 _MOST_MAPPED: Final = 64
+_OF_PDOS: Final = range(0x1400, 0x1C00)
 
 
 def name_of(key: Key) -> str:
@@ -115,22 +115,40 @@ def ask(reader: SdoClient, config: BenchConfig, part: Part) -> dict[Key, bytes |
     od = shared_eds(part.node.eds, part.node.node_id)
     found: dict[Key, bytes | None] = {}
     wanted = [*DEVICE, *_parameters(config, part, od)]
-    behind = pdos_behind(part.node_axis)
-    pdos = [(communication + behind, mapping + behind) for communication, mapping in (_RECEIVED, *_SENT)]
-    for communication, mapping in pdos:
-        if communication in od:
-            wanted += [(communication, 1), (communication, 2), (mapping, 0)]
+    pdos = [index for index in _pdos(config, part, od) if index in od]
+    for communication in pdos:
+        wanted += [(communication, 1), (communication, 2), (communication + MAPPING, 0)]
     for index, sub in wanted:
         answer = reader.read(part.node.node_id, index, sub)
         if answer is None:
             return {}
         found[index, sub] = None if isinstance(answer, Refusal) else answer
-        if (index, sub) in {(mapping, 0) for _, mapping in pdos} and isinstance(answer, bytes):
+        if index - MAPPING in pdos and sub == 0 and isinstance(answer, bytes):
             count = min(int.from_bytes(answer[:1], "little"), _MOST_MAPPED)
             for entry in range(1, count + 1):
                 answers = reader.read(part.node.node_id, index, entry)
                 found[index, entry] = answers if isinstance(answers, bytes) else None
     return found
+
+
+def _pdos(config: BenchConfig, part: Part, od: ObjectDictionary) -> list[int]:
+    """Communication parameters of the PDOs that a drive's part has."""
+    pdos = configuration.drive_pdos(drive_settings(config, part, od), od)
+    sent = (configuration.TPDO_COMMUNICATION + number - 1 for number, _, _ in pdos.tpdos)
+    return [configuration.RPDO_COMMUNICATION + pdos.rpdo_number - 1, *sent]
+
+
+def _writes_of(
+    config: BenchConfig, part: Part, written: Mapping[tuple[int, int, int], bytes]
+) -> Iterator[tuple[Key, bytes]]:
+    """What was written to a part; of the PDOs of its node those that it has."""
+    od = shared_eds(part.node.eds, part.node.node_id)
+    own = {index + behind for index in _pdos(config, part, od) for behind in (0, MAPPING)}
+    for (node_id, index, sub), data in written.items():
+        if node_id != part.node.node_id:
+            continue
+        if index in own or (index not in _OF_PDOS and is_of(part.node_axis, index)):
+            yield (index, sub), data
 
 
 def _parameters(config: BenchConfig, part: Part, od: ObjectDictionary) -> list[Key]:
@@ -166,11 +184,7 @@ def stand_data(
             eds=str(part.node.eds),
             started=part.node.node_id in brought,
             found={name_of(key): None if data is None else data.hex() for key, data in found[part.name].items()},
-            written={
-                name_of((index, sub)): data.hex()
-                for (node_id, index, sub), data in written.items()
-                if node_id == part.node.node_id and is_of(part.node_axis, index)
-            },
+            written={name_of(key): data.hex() for key, data in _writes_of(config, part, written)},
         )
         for part in drives_of(config)
     }

@@ -15,6 +15,7 @@ from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, LAST_NODE, SYNC, 
 from hilbench.canopen.master import Master
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402 import objects
+from hilbench.cia402.axis import emergency_axis
 from hilbench.cia402.configuration import DriveSettings
 from hilbench.cia402.drive import Drive
 from hilbench.cia402.state_machine import Command, State, decode_statusword
@@ -97,6 +98,12 @@ class Nodes:
         ]
         on_nodes = config.parts_by_node
         self._known = {node_id: " and ".join(part.label for part in there) for node_id, there in on_nodes.items()}
+        self._simulated_axes = {
+            (node_id, part.node_axis): part.label
+            for node_id, there in on_nodes.items()
+            for part in there
+            if len(there) > 1 and part.is_simulated
+        }
         self._ods_of_nodes = {node_id: self._ods[there[0].name] for node_id, there in on_nodes.items()}
         self._master: Master | None = None
         torques = [SimulatedTorque(each.axis, each.name, each.residual) for each in self.io.data.torques]
@@ -551,7 +558,8 @@ class Nodes:
         self.twin_problem = text
 
     def _emergency(self, node_id: int, content: bytes) -> None:
-        name = self._known.get(node_id)
+        # What is in the manufacturer's bytes is known of our own drives.
+        name = self._simulated_axes.get((node_id, emergency_axis(content)), self._known.get(node_id))
         if name is not None and not self._inbox.add(node_id, name, content):
             self.malformed += 1
 

@@ -39,7 +39,7 @@ class RigApplication:
     """What the hardware does at a SYNC: the drives take their set points, then the rig moves on.
 
     `time` says how far, in sample times of the drives' loops; the drives look at their set points at least once in
-    every cycle of the config.
+    every cycle of the config. `lock`: gives the rig another sample time, where `time` may have one.
     """
 
     listens_to: frozenset[int] = frozenset()
@@ -51,12 +51,14 @@ class RigApplication:
         rig: Steps,
         time: PlantTime,
         cycle_s: float,
+        lock: Callable[[float], None] | None = None,
     ) -> None:
         self._drives = drives
         self._ports = ports
         self._in_use = False
         self._rig = rig
         self._time = time
+        self._lock, self._sample_s = lock, time.sample_s
         self._longest_step = round(cycle_s / time.sample_s)
 
     @property
@@ -118,6 +120,9 @@ class RigApplication:
         # At rest with all power stages off nothing moves; the noise must not depend on how long that lasted.
         if samples and (self._in_use or any(port.mode is not MotorMode.OFF for port in self._ports)):
             self._in_use = True
+            if self._lock is not None and self._time.sample_s != self._sample_s:
+                self._sample_s = self._time.sample_s
+                self._lock(self._sample_s)
             self._rig.step(duration_s)
         for drive in self._drives:
             drive.publish()
@@ -173,7 +178,8 @@ def hardware(config: BenchConfig) -> HostedDevices:
         drives.append(SimulatedDrive(device, port, declared_units(part, od), axis=part.node_axis))
         if part.role is Role.AXIS and part.axis is not None:
             bind_effect_objects(device, _effect_setter(rig, part.axis), config.machine_kind, part.node_axis)
-    return HostedDevices(list(devices.values()), clock, RigApplication(drives, ports, rig, time, config.cycle_time_s))
+    application = RigApplication(drives, ports, rig, time, config.cycle_time_s, rig.lock_to)
+    return HostedDevices(list(devices.values()), clock, application)
 
 
 def load(config: BenchConfig) -> None:
@@ -206,7 +212,8 @@ def _time_base(config: BenchConfig) -> tuple[Clock, PlantTime]:
     if config.pace == "lockstep":
         return device_clock(config), BySync(config.cycle_time_s, sample_s)
     clock = MonotonicClock(stall_s=_OVERDUE * config.cycle_time_s)
-    return clock, ByClock(config.cycle_time_s, sample_s, clock.now_ns, log)
+    # Beside a bench SYNC is that of the config; another master's may be none of whole sample times.
+    return clock, ByClock(config.cycle_time_s, sample_s, clock.now_ns, log, any_period=not started_by_bench())
 
 
 def _effect_setter(rig: Plant, axis: int) -> Callable[[str, dict[str, float]], None]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from hilbench.diagnosis.commissioning import Commissioned
 from hilbench.errors import UnusableInputError
-from hilbench.files import written_whole
+from hilbench.files import write_whole
 from hilbench.history import servo_axis, web_line
 from hilbench.history.store import COMMISSIONING, Entry, History, Quantity, history_of
 from hilbench.results.recording import Recording, read_recording
@@ -94,8 +94,7 @@ def keep_diagnosis(folder: RunFolder, diagnosis: Mapping[str, Any]) -> None:
 
     Raises UnusableInputError for what can't be written.
     """
-    with written_whole(folder.diagnosis) as partial:
-        partial.write_text(json.dumps(diagnosis, indent=2) + "\n", encoding="utf-8")
+    write_whole(folder.diagnosis, json.dumps(diagnosis, indent=2) + "\n")
     remember(folder)
 
 
@@ -105,9 +104,8 @@ def keep_commissioning(folder: RunFolder, found: Iterable[Commissioned]) -> list
     Raises UnusableInputError for what can't be written.
     """
     quantities = [_quantity(one) for one in found]
-    with written_whole(folder.commissioning) as partial:
-        data = {"quantities": [asdict(each) for each in quantities]}
-        partial.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    data = {"quantities": [asdict(each) for each in quantities]}
+    write_whole(folder.commissioning, json.dumps(data, indent=2) + "\n")
     remember(folder)
     return quantities
 

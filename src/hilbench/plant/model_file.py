@@ -9,7 +9,7 @@ from typing import Any
 from hilbench import strict_yaml
 from hilbench.did_you_mean import did_you_mean
 from hilbench.errors import UnusableInputError
-from hilbench.files import writing
+from hilbench.files import write_whole
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
@@ -43,6 +43,4 @@ def write_model(path: str | Path, parameters: Machine) -> None:
     if isinstance(parameters, ServoAxisParameters):  # a file without `kind` is a web line's
         data = {"kind": parameters.kind, **data}
     data["effects"] = [entry.model_dump(mode="json", exclude_none=True) for entry in parameters.effects]
-    text = strict_yaml.text_of(data)
-    with writing(path):
-        Path(path).write_text(text, encoding="utf-8")
+    write_whole(path, strict_yaml.text_of(data))

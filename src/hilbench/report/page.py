@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from hilbench.files import written_whole
+from hilbench.files import write_whole
 from hilbench.report.chart import Mark
 from hilbench.report.live import Program, interactive, policy, style
 from hilbench.report.live import scripts as reading_scripts
@@ -43,8 +43,7 @@ def write_page(
     scripts = program.markup() if program else interactive(zoomable, marks)
     rules = policy(program.scripts() if program else reading_scripts())
     text = _templates().get_template(f"{template}.html.j2").render(scripts=scripts, policy=rules, **data)
-    with written_whole(path) as partial:
-        partial.write_text(text, encoding="utf-8")
+    write_whole(path, text)
     return path
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from hilbench.files import writing
+from hilbench.files import written_whole
 from hilbench.report.chart import BLUE, VERMILLION
 
 Values = Sequence[float | None]
@@ -31,7 +31,7 @@ def write_sweep_picture(
     from matplotlib.figure import Figure
 
     style: Any = {**dict(matplotlib.rcParamsDefault), "font.size": 8.0, "svg.hashsalt": "hilbench-sweep"}
-    with matplotlib.rc_context(style), writing(path):
+    with matplotlib.rc_context(style), written_whole(path) as partial:
         figure = Figure(figsize=(_PANEL_IN[0] * len(across), _PANEL_IN[1] * len(down)), layout="constrained")
         FigureCanvasSVG(figure)
         panels = figure.subplots(len(down), len(across), squeeze=False, sharex="col", sharey="row")
@@ -41,7 +41,7 @@ def write_sweep_picture(
             panels[row][0].set_ylabel(metric)
         for column, name in enumerate(across):
             panels[-1][column].set_xlabel(name)
-        figure.savefig(path, format="svg", metadata={"Date": None})
+        figure.savefig(partial, format="svg", metadata={"Date": None})
     return path
 
 

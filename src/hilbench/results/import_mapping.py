@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import re
 import warnings
+import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import islice
@@ -29,7 +30,15 @@ from hilbench import strict_yaml
 from hilbench.block import Block
 from hilbench.did_you_mean import did_you_mean, expected_one_of
 from hilbench.errors import UnusableInputError
-from hilbench.results.recording import MOST_COLUMNS, Recording, check_recording, open_text, read_recording
+from hilbench.files import require_file
+from hilbench.results.recording import (
+    MOST_COLUMNS,
+    Recording,
+    check_recording,
+    open_text,
+    read_recording,
+    rest_of_text,
+)
 from hilbench.topology.signal_kinds import TIME
 from hilbench.topology.signals import example_names, find_signal, unit_of
 
@@ -108,6 +117,7 @@ def _columns(path: Path, file: TextFile, report: Callable[[str], None]) -> dict[
         return {name: np.asarray(values, np.float64) for name, values in recording.channels.items()}
     import pandas
 
+    require_file(path)
     try:
         with open_text(path, file.encoding) as text:
             header, first = (*islice(text, file.skip_rows, file.skip_rows + 2), "", "")[:2]
@@ -118,16 +128,15 @@ def _columns(path: Path, file: TextFile, report: Callable[[str], None]) -> dict[
             )
         if header.count(file.delimiter) >= MOST_COLUMNS:
             raise UnusableInputError(path, f"more than {MOST_COLUMNS} columns, expected no more")
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), open_text(path, file.encoding) as text:
             warnings.simplefilter("ignore")
             table = pandas.read_csv(
-                path,
+                rest_of_text(path, text),
                 sep=file.delimiter,
                 decimal=file.decimal,
                 skiprows=[*range(file.skip_rows), *([file.skip_rows + 1] if units else [])],
-                encoding=file.encoding,
             )
-    except (OSError, ValueError, LookupError) as error:  # pandas' parser errors are ValueErrors
+    except (OSError, EOFError, zlib.error, ValueError, LookupError) as error:  # pandas' parser errors are ValueErrors
         raise UnusableInputError(path, f"cannot be read as a table ({' '.join(str(error).split())})") from error
     columns = {}
     for name in table.columns:

@@ -12,6 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from hilbench.bench.reports.change import Change
 from hilbench.errors import BenchFaultError, UnusableInputError
+from hilbench.files import require_file
 
 _CHANGE = TypeAdapter(Change)
 _ENCODER = json.JSONEncoder(separators=(",", ":"))
@@ -101,6 +102,7 @@ def read_journal(path: Path) -> list[Change]:
     Raises UnusableInputError with file and line on anything that is no change.
     """
     changes: list[Change] = []
+    require_file(path)
     try:
         with open(path, "rb") as file:
             number = 0

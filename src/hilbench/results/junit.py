@@ -6,7 +6,7 @@ from datetime import datetime
 from pathlib import Path
 from xml.etree import ElementTree
 
-from hilbench.files import writing
+from hilbench.files import written_whole
 from hilbench.results.result import Result
 from hilbench.runs.criteria import CriterionResult
 
@@ -26,8 +26,8 @@ def write_junit(result: Result, name: str, started: datetime, path: Path) -> Non
     for kind, counted in (("failure", "failures"), ("error", "errors"), ("skipped", "skipped")):
         suite.set(counted, str(len(suite.findall(f"testcase/{kind}"))))
     ElementTree.indent(suite)
-    with writing(path):
-        path.write_bytes(ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True) + b"\n")
+    with written_whole(path) as partial:
+        partial.write_bytes(ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True) + b"\n")
 
 
 def _add_criterion(suite: ElementTree.Element, name: str, criterion: CriterionResult) -> None:

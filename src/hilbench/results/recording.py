@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from hilbench.did_you_mean import did_you_mean
 from hilbench.errors import UnusableInputError
-from hilbench.files import written_whole
+from hilbench.files import require_file, written_whole
 from hilbench.results.journal import read_journal
 from hilbench.results.mdf import Column, MdfPieces, MdfWriter, is_ours
 from hilbench.results.reduction import GAP_S, MOST_VALUES, joined, reduced
@@ -53,6 +53,9 @@ BLOCK_ROWS = 8192
 MOST_COLUMNS, _LONGEST_HEADER, _MOST_CHARACTERS = 4096, 500_000, 500_000_000
 #: The most that deflate can shrink data (RFC 1951: 258 bytes by two bits), and a little.
 _DEFLATE_MOST = 1040
+#: Values of all channels, and bytes of all texts, that are unpacked from MDF or Parquet, at most: 8 GB of values, which
+#: 40 channels at 500 Hz fill in 13 hours.
+_MOST_VALUES, _MOST_TEXT = 1_000_000_000, 1_000_000_000
 _MDF_HEAD_BYTES = 64 + 104  # identification block and header block (ASAM MDF 4: IDBLOCK, HDBLOCK)
 
 
@@ -323,7 +326,7 @@ def _write_parquet(source: _Source, path: Path) -> None:
     if source.start_time is not None:
         about["start_time"] = source.start_time.isoformat()
     schema = pyarrow.schema(fields, metadata=about)
-    with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
+    with open(path, "wb") as file, parquet.ParquetWriter(file, schema, compression="zstd") as writer:
         for piece in source.pieces:
             writer.write_table(pyarrow.Table.from_arrays([pyarrow.array(piece[f.name]) for f in fields], schema=schema))
 
@@ -350,7 +353,9 @@ def read_rows(path: Path) -> Recording:
     for what is no table of numbers.
     """
     path = Path(path)
-    return _READERS[_kind(path)](path)
+    kind = _kind(path)
+    require_file(path)
+    return _READERS[kind](path)
 
 
 def read_section(path: Path, around_s: float = -inf) -> Recording:
@@ -560,6 +565,12 @@ def _check_mdf_lists(path: Path, first: Sequence[int]) -> None:
 def _check_mdf_blocks(mdf: Any, path: Path) -> None:
     """Refuse sizes that can't be: the library's compiled part takes them as they are, and reads and writes by them."""
     size = path.stat().st_size
+    _check_unpacked(sum(group.channel_group.cycles_nr * len(group.channels) for group in mdf.groups), path)
+    texts = sum(block.original_size for group in mdf.groups for kept in group.signal_data for block in kept or ())
+    if texts > _MOST_TEXT:
+        raise UnusableInputError(
+            path, f"texts of {texts / 1e6:.0f} MB when unpacked, expected at most {_MOST_TEXT / 1e6:.0f} MB"
+        )
     for group in mdf.groups:
         info = group.channel_group
         record_bytes = info.samples_byte_nr + info.invalidation_bytes_nr
@@ -578,6 +589,14 @@ def _check_mdf_blocks(mdf: Any, path: Path) -> None:
                 raise UnusableInputError(
                     path, f"channel {channel.name} is outside its record, expected a whole MDF file"
                 )
+
+
+def _check_unpacked(values: int, path: Path) -> None:
+    """Refuse what small files can unpack to."""
+    if values > _MOST_VALUES:
+        raise UnusableInputError(
+            path, f"{values / 1e6:.0f} million values when unpacked, expected at most {_MOST_VALUES / 1e6:.0f} million"
+        )
 
 
 def _mdf_channels(mdf: Any, path: Path) -> Recording:
@@ -618,9 +637,14 @@ def _read_csv(path: Path) -> Recording:
 def _read_parquet(path: Path) -> Recording:
     pyarrow, parquet = _pyarrow(path)
     try:
-        table = parquet.read_table(path)
-    except (OSError, pyarrow.ArrowException) as error:
+        with open(path, "rb") as opened, parquet.ParquetFile(opened) as file:
+            _check_unpacked(file.metadata.num_rows * file.metadata.num_columns, path)
+            return _parquet_channels(file.read(), pyarrow)
+    except (OSError, ValueError, pyarrow.ArrowException) as error:
         raise UnusableInputError(path, f"not a readable Parquet file ({_one_line(error)})") from error
+
+
+def _parquet_channels(table: Any, pyarrow: Any) -> Recording:
     columns = {
         field.name: np.ascontiguousarray(table[field.name].to_numpy())
         for field in table.schema
@@ -644,6 +668,16 @@ def open_text(path: Path, encoding: str = "utf-8-sig") -> IO[str]:
     return open(path, encoding=encoding)
 
 
+def rest_of_text(path: Path, file: IO[str]) -> io.StringIO:
+    """What follows in a table as text. Raises UnusableInputError where it is more than can be read."""
+    text = file.read(_MOST_CHARACTERS + 1)
+    if len(text) > _MOST_CHARACTERS:
+        raise UnusableInputError(
+            path, f"more than {_MOST_CHARACTERS / 1e6:g} MB of text, expected fewer, or the same as MDF or Parquet"
+        )
+    return io.StringIO(text)
+
+
 def _header(path: Path, line: str) -> list[str]:
     names = [name.strip().strip('"') for name in line.rstrip("\n").split(",")]
     place = f"{path}:1"
@@ -659,12 +693,7 @@ def _header(path: Path, line: str) -> list[str]:
 
 def _rows(path: Path, file: IO[str], width: int) -> NDArray[np.float64]:
     """The numbers below the header, shape (samples, width)."""
-    text = file.read(_MOST_CHARACTERS + 1)
-    if len(text) > _MOST_CHARACTERS:
-        raise UnusableInputError(
-            path, f"more than {_MOST_CHARACTERS / 1e6:g} MB of text, expected fewer, or the same as MDF or Parquet"
-        )
-    lines = io.StringIO(text).readlines()
+    lines = rest_of_text(path, file).readlines()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # "no data": said better by the check of the time

@@ -34,6 +34,7 @@ from isal import igzip
 
 from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.errors import UnusableInputError
+from hilbench.files import require_file
 
 _EXTENDED_MASK = 0x1FFFFFFF
 _STANDARD_MASK = 0x7FF
@@ -285,6 +286,7 @@ class TraceReader:
                 raise UnusableInputError(self._part, "its last line is cut off, expected it in the last file only")
 
     def _lines_of_part(self) -> Iterator[tuple[int, re.Match[bytes]]]:
+        require_file(self._part)
         try:
             file = open_part(self._part)
         except OSError as error:

@@ -20,6 +20,7 @@ from hilbench.can.messages import to_frame, to_message
 from hilbench.can.python_can import can
 from hilbench.errors import EXIT_CRITERION_FAILED, HilbenchError, UnusableInputError
 from hilbench.files import written_whole
+from hilbench.results.blf_containers import check_containers
 from hilbench.results.trace import TraceReader
 
 #: Suffixes that python-can reads and writes; ``.log`` is read by `TraceReader`, which says what is wrong in which line.
@@ -66,6 +67,8 @@ def read_messages(path: Path, note: Callable[[str], None] = _ignore) -> Iterator
         return _of_candump(path, note)
     if not path.is_file():
         raise UnusableInputError(path, "no such file, expected a trace")
+    if path.suffix.lower() == ".blf":
+        check_containers(path)
     return _through_python_can(path, note)
 
 

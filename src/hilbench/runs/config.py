@@ -16,7 +16,7 @@ from hilbench import strict_yaml
 from hilbench.block import Block
 from hilbench.can.open import BusAddress
 from hilbench.errors import UnusableInputError
-from hilbench.files import writing
+from hilbench.files import write_whole, written_whole
 from hilbench.runs.criteria import Criterion
 from hilbench.runs.steps import ExperimentStep
 from hilbench.topology.config import BenchConfig
@@ -181,14 +181,14 @@ def dump(config: BenchConfig, path: Path) -> None:
     UnusableInputError when it cannot be written.
     """
     data: dict[str, Any] = config.model_dump(mode="json", exclude_none=True)
-    with writing(path):
-        for number, step in enumerate(data.get("steps", []), 1):
-            for action in step.values():
-                if "file" in action:
-                    source, name = Path(action["file"]), f"step{number}_{Path(action['file']).name}"
-                    shutil.copyfile(source, path.parent / name)
-                    action["file"] = name
-        path.write_text(strict_yaml.text_of(data), encoding="utf-8")
+    for number, step in enumerate(data.get("steps", []), 1):
+        for action in step.values():
+            if "file" in action:
+                source, name = Path(action["file"]), f"step{number}_{Path(action['file']).name}"
+                with written_whole(path.parent / name) as partial:
+                    shutil.copyfile(source, partial)
+                action["file"] = name
+    write_whole(path, strict_yaml.text_of(data))
 
 
 def write_config_over(path: Path, files: Sequence[Path], changes: Sequence[str] = ()) -> None:
@@ -202,8 +202,7 @@ def write_config_over(path: Path, files: Sequence[Path], changes: Sequence[str] 
     name = read_document(files[0]).data.get("name", files[0].stem)
     changed = _changed(files[0], changes) if changes else {}
     text = strict_yaml.text_of({"include": names, **changed, "name": f"{name}_extended"})
-    with writing(path):
-        path.write_text(text, encoding="utf-8")
+    write_whole(path, text)
 
 
 def _changed(path: Path, changes: Sequence[str]) -> dict[str, Any]:

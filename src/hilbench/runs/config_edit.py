@@ -27,14 +27,18 @@ def write_value(path: Path, location: Sequence[str], value: Any) -> Path:
         value = Path(os.path.relpath(value, file.resolve().parent)).as_posix()
     before = file.read_bytes()
     text = edited(before.decode("utf-8"), location, value, file)
-    with written_whole(file) as partial:
-        partial.write_bytes(text.encode("utf-8"))
+    _write(file, text.encode("utf-8"))
     try:
         load(path)
     except UnusableInputError:
-        file.write_bytes(before)
+        _write(file, before)
         raise
     return file
+
+
+def _write(file: Path, data: bytes) -> None:
+    with written_whole(file) as partial:
+        partial.write_bytes(data)
 
 
 def edited(text: str, location: Sequence[str], value: Any, place: str | Path) -> str:

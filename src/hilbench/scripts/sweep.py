@@ -29,9 +29,9 @@ from hilbench.errors import (
     HilbenchError,
     UnusableInputError,
 )
-from hilbench.files import make_folder, writing
+from hilbench.files import make_folder, write_whole, written_whole
 from hilbench.forked_workers import ForkedWorker, forked_workers
-from hilbench.processes import ChildProcess
+from hilbench.processes import ChildProcess, finishing
 from hilbench.real_time import for_good
 from hilbench.results.recording import mdf_library
 from hilbench.results.run import Recorder
@@ -226,11 +226,13 @@ class Sweep:
                 raise UnusableInputError(self.out, "holds another sweep, expected this one or an empty folder")
         else:
             make_folder(self.out)
-            with writing(path):
-                path.write_text(json.dumps(definition, indent=2), encoding="utf-8")
+            write_whole(path, json.dumps(definition, indent=2))
         log = self.out / _LOG
-        lines = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
-        rows = [Row(**json.loads(line)) for line in lines if line.endswith("}")]  # a torn line: that run is done again
+        text = log.read_text(encoding="utf-8", errors="replace") if log.exists() else ""
+        if not text.endswith("\n"):  # what a killed process has left of a line: that run is done again
+            text = text[: text.rfind("\n") + 1]
+            write_whole(log, text)
+        rows = [Row(**json.loads(line)) for line in text.splitlines()]
         return {row.number: row for row in rows}
 
     def run(self, jobs: int, done: Callable[[Row], None], cluster: str | None = None) -> None:
@@ -300,9 +302,10 @@ class Sweep:
         if row is None:
             return
         self.rows[row.number] = row
-        with open(self.out / _LOG, "a", encoding="utf-8") as log:
-            log.write(json.dumps(asdict(row)) + "\n")
-        self.write_table()
+        with finishing("a run is entered into the table"):
+            with open(self.out / _LOG, "a", encoding="utf-8") as log:
+                log.write(json.dumps(asdict(row)) + "\n")
+            self.write_table()
         done(row)
 
     def _job(self, number: int) -> Job:
@@ -332,7 +335,7 @@ class Sweep:
         paths = self.varied
         metrics = list(dict.fromkeys(name for row in self.rows.values() for name in row.metrics))
         path = self.out / _TABLE
-        with open(path, "w", encoding="utf-8", newline="") as file:
+        with written_whole(path) as partial, open(partial, "w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(["number", *paths, "exit_code", "passed", *metrics, "run", "said"])
             for number in sorted(self.rows):
@@ -355,7 +358,8 @@ class Sweep:
             for _, row in sorted(self.rows.items())
         ]
         path = self.out / _PARQUET
-        pandas.DataFrame(rows).to_parquet(path, index=False)
+        with written_whole(path) as partial:
+            pandas.DataFrame(rows).to_parquet(partial, index=False)
         return path
 
     def as_data(self) -> list[dict[str, Any]]:

@@ -40,7 +40,7 @@ def web_load_model(config: BenchConfig, report: Callable[[str], None] = print) -
         truths = [quantity.name for quantity in follower_of(model).describe().outputs]
         kind, unit = config.machine_kind, model.position_unit
         machine = FmuFollower(config.load.fmu, kind, unit, model.axis_count, cycle_s, truths, report)
-    least_m = least_travel_m(model)
+    least_m = least_travel_m(model, cycle_s)
     own_play = None if isfinite(least_m) else play(model.position_unit, cycle_s)
     lead = lead_s(model, cycle_s)
     return LoadModel(machine, load_axes, cycle_s, lead, least_m, config.load.effects, own_play)

@@ -90,7 +90,7 @@ class SwingPlant:
             sample_time_s=drives.sample_time_s,
             torque_limit_N=per_item(drives.torque_limit_Nm, span) * ratios[0],
             cycle_s=cycle_s,
-            least_travel_m=least_travel_m(model),
+            least_travel_m=least_travel_m(model, cycle_s),
         )
 
     @property

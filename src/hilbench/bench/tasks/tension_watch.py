@@ -250,7 +250,8 @@ class TensionWatch(CyclicTask):
         self._begun[_LIMIT_NM] = _AT_LIMIT * np.array(limits_Nm)
         self._line, self._ways = np.zeros(_LINE_SIZE), coherence_state(axes)
         self._line[_CYCLES] = max(1, round(_BLOCK_S / cycle_s))
-        self._line[[_CYCLE_S, _TRAVEL_M, _DOWNSTREAM]] = cycle_s, least_travel_m(model), model.downstream_strain
+        travel_m = least_travel_m(model, cycle_s)
+        self._line[[_CYCLE_S, _TRAVEL_M, _DOWNSTREAM]] = cycle_s, travel_m, model.downstream_strain
         self._web = np.zeros((_WEB_SIZE, axes - 1))
         self._web[_LENGTH_M] = [sections.span_length_m(k) for k in range(1, axes)]
         self._figures = np.array([_figures(model, sections, loop, errors) for loop in loops])

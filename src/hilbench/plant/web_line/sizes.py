@@ -12,16 +12,21 @@ from hilbench.plant.web_line.stations import Reel
 
 #: Share of a roller's radius by which positions may differ that are of one instant: encoders, and what slips.
 _ALIKE_SHARE: Final = 5e-4
+#: By how much of an acceleration rollers may differ in a cycle, m/s²: five times what those of one line did that is
+#: brought to 2 m/s in 1 s by set points that go in steps of 16 ms.
+_ALIKE_M_S2: Final = 2.0
 
 
-def least_travel_m(model: ModelParameters) -> float:
-    """Way at the web that is measured well enough to tell cycles by it: a share of the smallest roller.
+def least_travel_m(model: ModelParameters, cycle_s: float) -> float:
+    """Way at the web that is measured well enough to tell cycles by it: a share of the smallest roller, and by how much
+    drives follow a step of their set points differently in a cycle of `cycle_s`.
 
     inf where a dancer, an accumulator or a reel lets the rollers turn at speeds of their own: no way tells anything.
     """
     if model.carriages or any(isinstance(roller.station, Reel) for roller in model.line_rollers):
         return inf
-    return _ALIKE_SHARE * min(model.radius_m(axis) for axis in range(1, model.axis_count + 1))
+    smallest_m = min(model.radius_m(axis) for axis in range(1, model.axis_count + 1))
+    return max(_ALIKE_SHARE * smallest_m, _ALIKE_M_S2 * cycle_s**2)
 
 
 def machine_sizes(

@@ -97,7 +97,6 @@ class WebLineTwin:
         self._others = _OtherSpans(model, others, config.transfer.strain_limit) if others else None
         self._boundary_inputs = boundary_inputs
         self._metres_per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in axes]
-        self._pairing = SampleCoherence(least_travel_m(model))
         self._last_at: tuple[float, Sequence[float]] | None = None  # while it may have to be brought back
         self._must_come_back = False
         self._set_cycle(cycle_s)
@@ -106,6 +105,8 @@ class WebLineTwin:
 
     def _set_cycle(self, cycle_s: float) -> None:
         self._cycle_s = cycle_s
+        self._least_m = least_travel_m(self._model, cycle_s)
+        self._pairing = SampleCoherence(self._least_m)
         self._splice_tracker = SpliceTracker(self._joined, cycle_s) if self._joined else None
         # What is measured is a torque a cycle, while the set points of a ramp go in steps: where drives have followed
         # them well before the next, as on the longer cycles of several spans, the mean is another one.
@@ -385,7 +386,7 @@ class WebLineTwin:
             self._steady,
             self.plant.step_in_vectors(self._cycle_s),
             [self._model.motor_rad_per_m(axis) for axis in range(1, self._model.axis_count + 1)],
-            least_travel_m(self._model),
+            self._least_m,
             self._cycle_s,
             self._ripples,
             self._rollers,

@@ -77,7 +77,7 @@ class LineWithStationsTwin:
         self._transfer = StateTransfer(self._unknowns.sensitivities.line, self.plant, shape.torqued)
 
     def _set_cycle(self, cycle_s: float) -> None:
-        model, shape, least_m = self._model, self._shape, least_travel_m(self._model)
+        model, shape, least_m = self._model, self._shape, least_travel_m(self._model, cycle_s)
         self._cycle_s = cycle_s
         of_a_cycle = play(model.position_unit, cycle_s)
         self._pairing = SampleCoherence(least_m) if isfinite(least_m) else OwnIncrements(model.axis_count, of_a_cycle)

@@ -16,7 +16,7 @@ from typing import Final, Literal
 from xml.sax.saxutils import quoteattr
 
 from hilbench.errors import UnusableInputError
-from hilbench.files import writing
+from hilbench.files import written_whole
 from hilbench.plant.fmu.export.machine import ExportedMachine, ExportedVariable
 from hilbench.plant.fmu.export.object_code import object_code
 
@@ -62,7 +62,7 @@ def write_fmu(machine: ExportedMachine, fmi: Fmi, path: Path) -> None:
         header = _header(machine, fmi, token, kernel.symbol)
         _link(Path(work), header, kernel.code, library)
         described = _description_2(machine, token) if fmi == 2 else _description_3(machine, token)
-        with writing(path), zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        with written_whole(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr(_entry("modelDescription.xml"), described)
             archive.writestr(_entry(f"binaries/{folder}/{library.name}", executable=True), library.read_bytes())
 
