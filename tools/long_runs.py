@@ -33,6 +33,8 @@ MACHINES = {
     "servo_axis": ("speed_rad_s", 20.0),
 }
 _LOOK_S = 1.0
+#: Growth of the memory behind the warm-up that a run may show: caches of what is rare fill.
+_ALLOWED_KB = 5000
 #: More than a recording has before its first samples.
 _HEAD_BYTES = 100_000
 
@@ -119,11 +121,11 @@ def main() -> int:
         run = LongRun(name, options.hours)
         with tempfile.TemporaryDirectory(prefix="long-run-") as folder:
             run.run(Path(folder))
-        problems += [run.problem] if run.problem else run.series.grew()
+        problems += [run.problem] if run.problem else run.series.grew(_ALLOWED_KB)
         if not run.problem:
             lines.append(run.line())
             print(lines[-1], file=sys.stderr, flush=True)
-    last = "; ".join(problems) or "Nothing grew."
+    last = "; ".join(problems) or f"Nothing grew, but for memory by up to {_ALLOWED_KB} kB."
     text = "\n".join([f"{options.hours:g} h of each.", "", *head, *lines, "", last])
     print(text)
     if options.write:

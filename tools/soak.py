@@ -92,10 +92,10 @@ class Series:
         first, last = self._parts(quantity)
         return min(first), min(last)
 
-    def grew(self) -> list[str]:
-        """The quantities that grew."""
+    def grew(self, allowed_kB: int = ALLOWED_KB) -> list[str]:
+        """The quantities that grew, the memory by more than is allowed."""
         found = []
-        for quantity, allowed in (("memory_kB", ALLOWED_KB), ("handles", 0), ("threads", 0)):
+        for quantity, allowed in (("memory_kB", allowed_kB), ("handles", 0), ("threads", 0)):
             before, after = self.before_and_after(quantity)
             if after > before + allowed:
                 found.append(f"{quantity} of {self.name}: {before} to {after}")

@@ -53,7 +53,7 @@ def test_a_recording_takes_no_more_memory_the_longer_it_gets(tmp_path: Path) -> 
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     rows.finish()
-    assert grown < 0.02 * 8 * BLOCK_ROWS * 8 * len(SIGNALS)
+    assert grown < 0.1 * 8 * BLOCK_ROWS * 8 * len(SIGNALS)
     assert sorted(each.name for each in tmp_path.iterdir()) == ["recording.mf4"]
     found = read_recording(tmp_path / "recording.mf4")
     assert found.start_time == STARTED
@@ -167,7 +167,7 @@ def test_a_section_of_a_long_recording_has_all_samples_of_its_time(long: tuple[R
     whole, path = long
     for around_s, holds_s in ((-np.inf, 0.0), (250.0, 250.0), (np.inf, whole.time_s[-1])):
         found = read_section(path, around_s)
-        assert 10_000 < len(found) <= 50_000
+        assert 30_000 < len(found) <= 50_000
         assert found.time_s[0] <= holds_s <= found.time_s[-1]
         at = int(np.searchsorted(whole.time_s, found.time_s[0]))
         assert np.array_equal(found["F_true_N"], whole["F_true_N"][at : at + len(found)])

@@ -276,7 +276,7 @@ def faults() -> list[Fault]:
             (0,),
             "cannot be written",
             nothing,
-            {},
+            {"steps": LONG},
             (),
             2_500_000,
         ),

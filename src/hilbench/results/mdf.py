@@ -340,7 +340,9 @@ class MdfPieces:
             _, zipped, _, record, given, packed = _DATA.unpack_from(head, _HEAD.size)
             if (name, links, zipped, record) != (b"##DZ", 0, _TRANSPOSED, width) or given % width:
                 raise self._damaged(f"the block at byte {data} holds no samples of its group")
-            if given > _MOST_PIECE_BYTES or packed > size or data + size > self._size:
+            if given > _MOST_PIECE_BYTES or packed > size:
+                raise self._damaged(f"the block at byte {data} has impossible sizes")
+            if data + size > self._size and data + size > os.fstat(file.fileno()).st_size:
                 raise self._damaged(f"the block at byte {data} is larger than the file")
             yield data + len(head), packed, given // width
 
@@ -358,6 +360,8 @@ class MdfPieces:
         return struct.unpack_from(f"<{links}Q", rest), rest[8 * links :]
 
     def _read(self, file: IO[bytes], at: int, count: int) -> bytes:
+        if at + count > self._size:  # it may have grown since
+            self._size = os.fstat(file.fileno()).st_size
         if at + count > self._size:
             raise self._damaged(f"cut off after {self._size} bytes")
         file.seek(at)

@@ -379,7 +379,7 @@ def read_section(path: Path, around_s: float = -inf) -> Recording:
         behind += len(piece[TIME]) if piece[TIME][0] > around_s else 0
         while rows - len(kept[0][TIME]) >= most:
             rows -= len(kept.popleft()[TIME])
-        if behind >= most // 2 and rows >= most // 2:
+        if behind >= most // 2 and rows > most - BLOCK_ROWS:
             break
     return _at_full_rate(_of_pieces(pieces, kept), pieces)
 
@@ -441,7 +441,7 @@ def _check_time(time_s: NDArray[np.float64], path: Path) -> None:
         )
 
 
-def mdf_library() -> Any:
+def _mdf_library() -> Any:
     """The MDF library, imported when first needed: it takes half a second."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -460,7 +460,9 @@ def _is_in_pieces(path: Path) -> bool:
 def _of_pieces(pieces: MdfPieces, chosen: Iterable[Mapping[str, NDArray[Any]]]) -> Recording:
     """Those of its pieces."""
     empty = {column.name: np.empty(0, column.dtype) for column in pieces.columns}
-    return _from_columns(pieces, joined(chosen) or empty)
+    return _from_columns(
+        pieces, joined(chosen, min(pieces.rows, MOST_VALUES // len(pieces.columns) + BLOCK_ROWS)) or empty
+    )
 
 
 def _from_columns(pieces: MdfPieces, found: Mapping[str, NDArray[Any]]) -> Recording:
@@ -491,7 +493,7 @@ def _read_mdf(path: Path) -> Recording:
     if _is_in_pieces(path):
         return _read_pieces(path)
     _check_mdf_head(path)
-    asammdf = mdf_library()
+    asammdf = _mdf_library()
     with _tracebacks_dropped():
         try:
             with asammdf.MDF(path) as mdf:

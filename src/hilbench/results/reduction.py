@@ -23,9 +23,9 @@ Columns = Mapping[str, NDArray[Any]]
 Array = NDArray[np.float64]
 Interval = tuple[float, float]
 
-#: Values of a recording that are kept in memory; of a longer one it is made as short as that. 32 MB: with what
+#: Values of a recording that are kept in memory; of a longer one it is made as short as that. 24 MB: with what
 #: is made of them that, beside a process of 290 MB with all its machine code, is below 400 MB.
-MOST_VALUES: Final = 4_000_000
+MOST_VALUES: Final = 3_000_000
 #: Full rate from before an event (the settled part of what precedes it is 5 s, `runs.figures.SETTLED_S`) to after it.
 BEFORE_S: Final = 6.0
 AFTER_S: Final = 10.0
@@ -148,17 +148,17 @@ def reduced(pieces: MdfPieces, events: Callable[[float], Sequence[Event]]) -> di
         full_rate = FullRate.around(times_s, _FULL_RATE * most / wanted)
         wanted = _FULL_RATE * most
     stretch = max(_PER_STRETCH, int(np.ceil(_PER_STRETCH * pieces.rows / (most - wanted))))
-    return joined(thinned(piece, full_rate, stretch) for piece in pieces)
+    return joined((thinned(piece, full_rate, stretch) for piece in pieces), int(1.1 * most))
 
 
-def joined(pieces: Iterable[Columns]) -> dict[str, NDArray[Any]]:
-    """Pieces behind each other, in no more memory than they take."""
+def joined(pieces: Iterable[Columns], expected: int) -> dict[str, NDArray[Any]]:
+    """Pieces behind each other, in no more memory than they take where they have no more samples than `expected`."""
     found: dict[str, NDArray[Any]] = {}
-    used = room = 0
+    used, room = 0, 0
     for piece in pieces:
         count = len(piece[TIME])
         if used + count > room:
-            room = max(2 * room, used + count)
+            room = max(expected, 2 * room, used + count)
             found = {name: _with_room(values, found.get(name), used, room) for name, values in piece.items()}
         for name, values in piece.items():
             found[name][used : used + count] = values

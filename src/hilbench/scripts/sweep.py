@@ -33,7 +33,6 @@ from hilbench.files import make_folder, write_whole, written_whole
 from hilbench.forked_workers import ForkedWorker, forked_workers
 from hilbench.processes import ChildProcess, finishing
 from hilbench.real_time import for_good
-from hilbench.results.recording import mdf_library
 from hilbench.results.run import Recorder
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load_with_overrides, parse_change
@@ -280,7 +279,6 @@ class Sweep:
         """Load what a run needs, by a bench that is started, runs a little and is left again; what is wrong with it the
         runs say."""
         with for_good(), suppress(HilbenchError):
-            mdf_library()
             if self._in_process:
                 recorder = Recorder(self._any.signals)
                 with Bench(self._any, observers=[recorder], participants=Participants.IN_PROCESS) as bench:
