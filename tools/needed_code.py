@@ -36,7 +36,7 @@ _NAME = re.compile(r"(?P<stem>\w+)\.(?P<name>\w+)-\d+\.py\d+\.\d+\.nbc")
 def used_by(example: str, folder: Path) -> dict[Function, int]:
     """The entry points of which a run of an example reads machine code, with its size in bytes; the copies are put
     into `folder`. Raises CalledProcessError where the run can't be made."""
-    forked_workers: dict[Path, str] = {}
+    copies: dict[Path, str] = {}
     locator: Any = UserProvidedCacheLocator
     for source in PACKAGE.rglob("*.nb[ic]"):
         package = source.parent.parent
@@ -44,13 +44,13 @@ def used_by(example: str, folder: Path) -> dict[Function, int]:
         to.mkdir(parents=True, exist_ok=True)
         copy = Path(shutil.copy(source, to))
         os.utime(copy, (0, copy.stat().st_mtime))
-        forked_workers[copy] = ".".join(package.relative_to(PACKAGE.parent).parts)
+        copies[copy] = ".".join(package.relative_to(PACKAGE.parent).parts)
     command = [sys.executable, "-m", "hilbench.cli", "run", str(ROOT / "bench_configs" / f"{example}.yaml")]
     options = ["--no-report", "--out", str(folder / "runs"), "--bus", f"embedded:needed{os.getpid()}"]
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder)}
     subprocess.run([*command, *options], env=environment, stdout=subprocess.DEVNULL, check=True)
     found: dict[Function, int] = {}
-    for copy, room in forked_workers.items():
+    for copy, room in copies.items():
         named, state = _NAME.fullmatch(copy.name), copy.stat()
         if named is not None and state.st_atime > 0:  # those in functions have no name by which they could be compiled
             found[Function(f"{room}.{named['stem']}", named["name"])] = state.st_size

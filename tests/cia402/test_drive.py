@@ -226,7 +226,7 @@ def test_impossible_set_points_are_refused(value: float) -> None:
 
 
 def test_forked_workers_carry_the_same_data() -> None:
-    loop = Loop(settings(forked_workers=(RpdoCopy(0x211),)))
+    loop = Loop(settings(copies=(RpdoCopy(0x211),)))
     loop.cycle(2)
     assert [frame.can_id for frame in loop.sent] == [0x201, 0x211]
     assert loop.sent[0].data == loop.sent[1].data

@@ -189,7 +189,7 @@ def test_our_master_configures_and_drives_it(bus: Bus) -> None:
 @pytest.mark.parametrize("way", ["listen", "copy"])
 def test_a_virtual_axis_hears_the_same_commands(bus: Bus, way: str) -> None:
     with hosted(bus, 1, 17) as plant, mastered(bus, 1, 17) as master:
-        axis = csv("axis 1", 1, forked_workers=(RpdoCopy(0x211),) if way == "copy" else ())
+        axis = csv("axis 1", 1, copies=(RpdoCopy(0x211),) if way == "copy" else ())
         virtual = csv("virtual axis 1", 17, listens_to=0x201 if way == "listen" else None, tpdo_type=None)
         for drive in (axis, virtual):
             drive.configure(master)

@@ -33,7 +33,7 @@ def probed(
 
 
 def track_of(data: Measurements, loop_pct: float | None = 0.2) -> Track:
-    return tracked(data, ChangepointConfig(), probing_step=KnownChangeConfig(loop_gain_deviation_pct=loop_pct))
+    return tracked(data, ChangepointConfig(), known_change=KnownChangeConfig(loop_gain_deviation_pct=loop_pct))
 
 
 def error(track: Track, true_Pa: float = OLD_PA) -> float:

@@ -65,7 +65,7 @@ class DriveSettings:
     master_heartbeat: tuple[int, int] | None = None
     #: COB-ID of another drive's RPDO1 that this drive listens to (a virtual axis that mirrors it), or None.
     listens_to: int | None = None
-    forked_workers: tuple[RpdoCopy, ...] = ()  #: who else gets RPDO1 in the same cycle
+    copies: tuple[RpdoCopy, ...] = ()  #: who else gets RPDO1 in the same cycle
     tpdo_type: int | None = 1  #: transmission type of the TPDOs; None: the drive sends none
     time_out_s: float = 2.0  #: longest stay in one state on the way to a goal, s of cycle time
     ramp_time_out_s: float = 20.0  #: the same for a state that may end by a ramp

@@ -110,7 +110,7 @@ class Drive:
     @property
     def rpdo_cob_ids(self) -> tuple[int, ...]:
         """COB-ID of RPDO1, and those of its copies."""
-        return self.pdos.rpdo.cob_id, *(copy.cob_id for copy in self.settings.forked_workers)
+        return self.pdos.rpdo.cob_id, *(copy.cob_id for copy in self.settings.copies)
 
     @property
     def units(self) -> DriveUnits:
@@ -201,7 +201,7 @@ class Drive:
         self._sent_controlword = self.controlword
         raw, rpdo = self._raw_setpoint(), self.pdos.rpdo
         frames = [Frame(rpdo.cob_id, rpdo.pack((self.controlword, raw)))]
-        for copy in self.settings.forked_workers:
+        for copy in self.settings.copies:
             # Of one unit: the very same bits, so that a virtual axis cannot differ by a rounding.
             copied = raw if copy.factor == 1.0 else self._in_range(round(raw * copy.factor), "set point of the copy")
             frames.append(Frame(copy.cob_id, rpdo.pack((self.controlword, copied))))

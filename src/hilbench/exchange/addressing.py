@@ -101,9 +101,9 @@ def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary
     parameters = {(object_of(part.node_axis, index), 0): value for index, value in values.items()}
     real = config.parts_of(Role.AXIS)[part.axis - 1]
     listened = rpdo_identifier(real.node.node_id, real.node_axis)
-    forked_workers: tuple[RpdoCopy, ...] = ()
+    copies: tuple[RpdoCopy, ...] = ()
     if config.mirroring == "copy" and not virtual and not load:
-        forked_workers = (_copy_for(config.parts_of(Role.VIRTUAL_AXIS)[part.axis - 1], units, torqued=torqued),)
+        copies = (_copy_for(config.parts_of(Role.VIRTUAL_AXIS)[part.axis - 1], units, torqued=torqued),)
     return DriveSettings(
         name=part.label,
         node_id=node.node_id,
@@ -115,7 +115,7 @@ def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary
         heartbeat_ms=config.master.node_heartbeat_ms,
         master_heartbeat=_master_heartbeat(config, virtual),
         listens_to=listened if virtual and config.mirroring == "listen" else None,
-        forked_workers=forked_workers,
+        copies=copies,
         tpdo_type=(config.twin.virtual_tpdo_every or None) if virtual else 1,
         time_out_s=config.safety.drive_timeout_s,
         axis=part.node_axis,

@@ -33,7 +33,7 @@ class BenchFrames:
             self.controlwords.append((controlword, drive))
             frames.add(rpdo.cob_id, lay.BEFORE_SYNC, rpdo, (controlword, target))
             self.targets.append((drive.set_point_unit, drive.most_raw, target, -1, 1.0))
-            for copy in drive.settings.forked_workers:
+            for copy in drive.settings.copies:
                 copied = slots.new(False)
                 frames.add(copy.cob_id, lay.BEFORE_SYNC, rpdo, (controlword, copied))
                 self.targets.append((1.0, drive.most_raw, copied, target, copy.factor))

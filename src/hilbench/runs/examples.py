@@ -51,10 +51,10 @@ def copy_eds(files: list[str], to: Path) -> None:
 
 
 def _copied(sources: list[Path], to: Path) -> list[Path]:
-    forked_workers = {to / source.relative_to(shipped()): source for source in sources}
-    for path, source in forked_workers.items():
+    copies = {to / source.relative_to(shipped()): source for source in sources}
+    for path, source in copies.items():
         if not path.exists():
             make_folder(path.parent)
             with written_whole(path) as partial:  # what a full disk cut off would be kept the next time
                 partial.write_bytes(source.read_bytes())
-    return list(forked_workers)
+    return list(copies)

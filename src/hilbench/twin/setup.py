@@ -44,7 +44,7 @@ def _twin(config: BenchConfig) -> TwinConfig:
     """The twin beside a bench that makes probes looks at what they show."""
     twin = config.twin
     probes = any(control.probes.mode != "off" for control in config.tension_controls.values())
-    if not probes or twin.probing_step is not None:
+    if not probes or twin.known_change is not None:
         return twin
     alone, behind = config.shape.spans == 1, list(config.drives.values())[1]
     deviation_pct = _SIMULATED_LOOP_PCT if alone and behind.simulated else None

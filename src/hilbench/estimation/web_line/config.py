@@ -256,7 +256,7 @@ class EstimationConfig(Block):
         description="look for other web that comes in, follow it and expect it in the next span; while there may be "
         "some the model's errors are not learned; null: on a line of several spans",
     )
-    probing_step: KnownChangeConfig | None = Field(
+    known_change: KnownChangeConfig | None = Field(
         default=None,
         description="E from changes of the tension at steady speed, from which friction and offsets cancel; not given: "
         "where the bench makes probes, with a loop gain deviation of 0.2 % for a simulated drive",

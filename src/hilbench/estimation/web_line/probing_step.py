@@ -209,7 +209,7 @@ def new_probing_step(
     model: ModelParameters, config: EstimationConfig, mass_kg: float, cycle_s: float
 ) -> ProbingStep | None:
     """What looks at known changes of the tension; None where that is not wanted."""
-    wanted = config.probing_step
+    wanted = config.known_change
     if wanted is None:
         return None
     loop = None
