@@ -23,7 +23,7 @@ SIZE = 10  #: of a state
 
 @compiled
 def take(s: Array, value: float) -> None:
-    """Take one sample; what is not finite is passed over. s: state of a `NoiseLevel`."""
+    """Take one sample; non-finite ones are skipped. s: state of a `NoiseLevel`."""
     if not isfinite(value):
         return
     difference = value - 4.0 * s[0] + 6.0 * s[1] - 4.0 * s[2] + s[3]

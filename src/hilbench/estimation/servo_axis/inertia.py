@@ -96,7 +96,7 @@ def _step(v: BankVectors, u: Array) -> bool:
 
 @compiled
 def _jump_odds(v: BankVectors) -> float:
-    """Of a jump of the inertia in quiet time against none."""
+    """Odds of a jump of the inertia in quiet time."""
     return expm1(min(v.figures[_JUMPS_PER_S] * v.settings[_QUIET_S], _LONGEST_QUIET))
 
 
@@ -145,7 +145,7 @@ NOT_NEXT, MISLED, TAKEN = range(3)
 def take_next(
     inputs: InputVectors, v: BankVectors, position_rad: float, torque_Nm: float, ripple_Nm: float, stated: Array
 ) -> int:
-    """`InertiaEstimator.update` of a sample as `balance.take_next` has them."""
+    """Compiled `InertiaEstimator.update` of a sample that `balance.take_next` accepts."""
     if not balance.take_next(inputs, position_rad, torque_Nm, ripple_Nm):
         return NOT_NEXT
     v.settings[bank.CYCLE] += 1.0

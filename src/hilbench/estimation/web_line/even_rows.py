@@ -31,7 +31,7 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class EvenRows:
-    """`data` has a row a cycle; those that are not `measured` hold no measurement (and the values of the last)."""
+    """Measurements with one row a cycle; rows not `measured` repeat the last values."""
 
     data: Measurements
     cycle_s: float
@@ -53,7 +53,7 @@ class EvenRows:
 
     @property
     def held_rows(self) -> Rows:
-        """The cycle (n,) that each row there was is in, or after which it came: what is discrete is held until then."""
+        """Cycle (n,) that contains each original row, or precedes it: discrete values are held until then."""
         return np.asarray(np.floor(self.times_s / self.cycle_s + _ROUNDING), np.int64)
 
 

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """What a method made of a recording; arrays (n,)."""
+    """Estimates over a recording; arrays (n,)."""
 
     E_Pa: Array
     E_sd_Pa: Array

@@ -11,7 +11,7 @@ from hilbench.estimation.web_line.balance import BalanceSample
 
 @dataclass(slots=True)
 class SyncSample:
-    """What the twin knows at one SYNC; real and simulated values belong to the same instant."""
+    """Sample at one SYNC; real and simulated values belong to the same instant."""
 
     cycle_s: float  #: time since the sample before
     torque_real_Nm: float  #: measured motor torque of axis 2
