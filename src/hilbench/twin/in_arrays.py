@@ -110,7 +110,7 @@ class TwinInArrays:
 
     @property
     def piece(self) -> CompiledStage | None:
-        """Of a cycle: the same as `go_on`, with nothing to do before SYNC; None while it has not all in vectors."""
+        """Compiled stage of a cycle, as `go_on`, with nothing to do before SYNC; None if it is not all in vectors."""
         return self._application.in_vectors if self._in_vectors else None
 
     def before_sync(self) -> None:

@@ -24,7 +24,7 @@ from hilbench.twin.setup import twin_setup
 def run(config: BenchConfig) -> int | None:
     """Run virtual axes, virtual I/O and synchronizer until SIGTERM, SIGINT or the end of the bench.
 
-    Returns how many frames were lost because they were not read in time (None: the bus cannot tell). Raises
+    Returns the number of frames lost because they were not read in time (None: unknown on this bus). Raises
     UnusableInputError when a node with one of their ids is there already.
     """
     stop = stop_request()

@@ -1,8 +1,8 @@
-"""A cycle of the twin of a servo axis, compiled: `ServoAxisTwin.compare`, the step of its shaft and `published`, with
-the status that `TwinApplication` says with the next SYNC.
+"""Compiled cycle of the twin of a servo axis: `ServoAxisTwin.compare`, the step of its shaft and `published`, with the
+`TwinApplication` status for the next SYNC.
 
-It goes by stages: where something happens that is rare it returns the stage, Python does its part, and calls it again
-from the stage behind. All of it stands in vectors, by a table of where these are.
+It runs in stages: it returns the stage of a rare event, the interpreter does its part, and calls it again from the
+following stage. All state is in vectors, addressed by a table.
 """
 
 from __future__ import annotations
