@@ -195,12 +195,12 @@ class ModelParameters(Block):
 
     @property
     def axis_count(self) -> int:
-        """N: driven rollers in the line (1 without a web)."""
+        """Number N of driven rollers in the line (1 without a web)."""
         return _axis_count(self.stations, self.web, self.rollers, self.motors, self.drives)
 
     @property
     def span_count(self) -> int:
-        """Free spans between rollers that follow each other."""
+        """Number of free spans between successive rollers."""
         return _span_count(self.stations, self.web, self.rollers, self.motors, self.drives)
 
     @property
@@ -212,12 +212,12 @@ class ModelParameters(Block):
 
     @property
     def carriages(self) -> tuple[LineCarriage, ...]:
-        """Those of dancers and accumulators, in the direction of the web."""
+        """Carriages of dancers and accumulators, in the direction of the web."""
         return () if self.stations is None else carriages_of(self.stations)
 
     @property
     def station_types(self) -> dict[str, str]:
-        """Types of the stations that have a name."""
+        """Types of the named stations."""
         return types_by_name(self.stations)
 
     def radius_m(self, axis: int) -> float:
@@ -233,7 +233,7 @@ class ModelParameters(Block):
         return self.gear_ratio(axis) / self.radius_m(axis)
 
     def velocity_loop_per_s(self, axis: int) -> float:
-        """How fast the velocity loop of an axis follows a set point: kp/J at the motor, 0 without drives."""
+        """Bandwidth of the velocity loop of an axis: kp/J at the motor, 0 without drives."""
         kp = per_item(self.drives.velocity_kp_Nm_s_per_rad, axis) if self.drives else 0.0
         return kp * self.motor_rad_per_m(axis) ** 2 / self.mass_kg(axis)
 
@@ -246,7 +246,7 @@ class ModelParameters(Block):
         return per_item(self.rollers.inertia_kg_m2, axis) / self.radius_m(axis) ** 2
 
     def wound_inertia_kg_m2(self, axis: int) -> float:
-        """Of the web that is on a reel at the start, about its shaft; 0 of another roller."""
+        """Inertia of the web on a reel at the start, about its shaft; 0 of another roller."""
         if self.stations is None:
             return 0.0
         roller = next(roller for roller in self.line_rollers if roller.axis == axis)
@@ -266,12 +266,12 @@ class ModelParameters(Block):
         return self.roller_mass_kg(axis) + self.motor_mass_kg(axis) + wound_kg
 
     def drive_stiffness_N_per_m(self, axis: int) -> float:
-        """ki·(i/r)²: how stiffly the integral part of the velocity loop holds the roller; inf without one."""
+        """Stiffness ki·(i/r)² of the integral part of the velocity loop at the roller; inf without one."""
         ki = per_item(self.drives.velocity_ki_Nm_per_rad, axis) if self.drives else 0.0
         return ki * self.motor_rad_per_m(axis) ** 2 if ki > 0.0 else float("inf")
 
     def carries_web_load(self, axis: int) -> bool:
-        """Whether the tensions act on the roller of `axis`."""
+        """True if the tensions act on the roller of `axis`."""
         return self.web is not None and per_item(self.web_load, axis)
 
     def span_length_m(self, span: int) -> float:
@@ -299,22 +299,22 @@ class ModelParameters(Block):
 
     @property
     def upstream_strain(self) -> float:
-        """Strain of the web that enters; stays what it is when E changes (0 without a web)."""
+        """Strain of the web that enters; independent of changes of E (0 without a web)."""
         if self.boundary.upstream_strain is not None:
             return self.boundary.upstream_strain
         return self.boundary.upstream_tension_N / self.stiffness_N(1) if self.web else 0.0
 
     @property
     def downstream_strain(self) -> float:
-        """Strain of the web behind the last roller, which enters in reverse; stays what it is when E changes (0 without
-        a web)."""
+        """Strain of the web after the last roller, which enters in reverse; independent of changes of E (0 without a
+        web)."""
         if self.boundary.downstream_strain is not None:
             return self.boundary.downstream_strain
         return self.boundary.downstream_tension_N / self.stiffness_N(self.span_count) if self.web else 0.0
 
     @property
     def upstream_stiffness_N(self) -> float:
-        """Upstream tension per upstream strain: how F_prev follows a recorded strain."""
+        """Upstream tension per upstream strain: F_prev by a recorded strain."""
         strain, tension = self.upstream_strain, self.boundary.upstream_tension_N
         if tension > 0.0 and strain > 0.0:
             return tension / strain
@@ -322,24 +322,23 @@ class ModelParameters(Block):
 
     @property
     def downstream_stiffness_N(self) -> float:
-        """Downstream tension per downstream strain: how that strain follows a recorded F_next."""
+        """Downstream tension per downstream strain: strain by a recorded F_next."""
         strain, tension = self.downstream_strain, self.boundary.downstream_tension_N
         if tension > 0.0 and strain > 0.0:
             return tension / strain
         return self.stiffness_N(self.span_count) if self.web else 0.0
 
     def with_effects(self, *entries: EffectEntry) -> ModelParameters:
-        """The same model with further effects, validated. Raises pydantic.ValidationError."""
+        """Model with further effects, validated. Raises pydantic.ValidationError."""
         data = self.model_dump()
         data["effects"] = [*data["effects"], *(entry.model_dump() for entry in entries)]
         return ModelParameters.model_validate(data)
 
 
 def places_of(effect: Effect, axis: int | None, span: Section | None, spans: int) -> tuple[Section | None, ...]:
-    """Where of a line with `spans` an effect is that is given so: its axis, its spans, its station, or (None,) for all
-    of the line.
+    """Locations of an effect in a line with `spans`: its axis, its spans, its station, or (None,) for all of the line.
 
-    One of a span without the span is in all of them.
+    A per-span effect without a span is in all of them.
     """
     if effect.per_axis:
         return (axis,)
