@@ -1,4 +1,4 @@
-"""The model file, and the `machine:` block of a config: which machine it is, by its `kind`."""
+"""Model file, and the `machine:` block of a config: selects the machine by its `kind`."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ _POSITION_ROUNDING = 1e-15
 
 @inlined
 def any_sticks(p: Vector, s: Vector, n: int, k: int) -> bool:
-    """Whether dry friction holds a roller or carriage, or a stop a carriage."""
+    """True if dry friction holds a roller or carriage, or a stop a carriage."""
     sticks = False
     for i in range(n):
         sticks |= motion.sticks(p, s, n, k, i) or motion.is_at_stop(s, n, k, i)
@@ -31,7 +31,8 @@ def any_sticks(p: Vector, s: Vector, n: int, k: int) -> bool:
 
 @inlined
 def still_slides(p: Vector, s: Vector, w: Vector, n: int, k: int) -> bool:
-    """Whether at the end of the step all that has dry friction still moves as it did, and no carriage is at a stop."""
+    """True if at the step's end all parts with dry friction still move in their direction, and no carriage is at a
+    stop."""
     for i in range(n):
         v, direction = w[places.block(n, k, lay.STAGE) + n + i], s[places.axis_state(n, k, i) + lay.SA_DIRECTION]
         if _reversal(v, direction) > _EVENT_TOLERANCE and laws.is_dry(p, places.axis(i)):

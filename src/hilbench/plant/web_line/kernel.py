@@ -256,7 +256,7 @@ def enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
 
 @compiled
 def leave(s: Vector, w: Vector, size: int) -> None:
-    """Bring what is integrated back into the state."""
+    """Copy the integrated quantities back into the state."""
     for j in range(size):
         s[lay.S_Y + j] = w[j]
 
@@ -302,7 +302,7 @@ def _report_any(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int
 
 @merged
 def report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
-    """What is measured and true now, from place `at` of `out` on; between `enter` and `leave`."""
+    """Write measured and true values now to `out` from offset `at` on; between `enter` and `leave`."""
     if places.is_one_span(p):
         _report_one_span(p, s, u, w, out, at)
     else:
@@ -313,7 +313,7 @@ def report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> 
 def _rows(
     p: Vector, s: Vector, u: Vector, w: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector, at: int
 ) -> None:
-    """Observe and advance, row by row, from place `at` of `out` on; between `enter` and `leave`.
+    """Observe and advance, row by row, to `out` from offset `at` on; between `enter` and `leave`.
 
     `commands` (n, M) set points, motor side, and `boundary` (n, 2), upstream strain and downstream tension (N), each
     held for `samples` drive samples.

@@ -1,7 +1,7 @@
-"""The model file (also the ``machine:`` block of a bench config): what it may hold, and what follows from it.
+"""Model file of a web line (also the ``machine:`` block of a bench config), and quantities derived from it.
 
-All quantities SI, units in the key names. A value that may differ from roller to roller (or span to span) is
-one number for all of them or a list. Without ``web:`` the model is a lone axis.
+All quantities SI, units in the key names. A value that may differ from roller to roller (or span to span) is one number
+for all of them or a list. Without ``web:`` the model is a lone axis.
 """
 
 from __future__ import annotations

@@ -170,8 +170,8 @@ class TestRig(SimulatedLine):
     """N axes and the load motors on their shafts; ports in the order of the axes, then of the load motors.
 
     A positive torque of any of them turns its shaft forward. The drives' loops act on the true motion; noise and
-    resolution are in what the ports report. Starts at rest at position zero. Equal parameters, seed and set points
-    give equal feedback, bit for bit. Raises ValueError for another number of ports.
+    resolution are in the ports' feedback. Starts at rest at position zero. Equal parameters, seed and set points give
+    equal feedback, bit for bit. Raises ValueError for another number of ports.
     """
 
     __test__ = False  # not a test, whatever pytest thinks of the name
