@@ -131,7 +131,7 @@ class ProbeOver(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """How a search looks for an effect that one look at its response does not show."""
+    """Search method for an effect that its response at one strength does not show."""
 
     over: ProbeOver
     parameter: str  #: what is searched for
@@ -143,7 +143,7 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class Lookalike:
-    """What the vocabulary does not have and an effect may be mistaken for: said beside it, never named."""
+    """Cause outside the vocabulary that an effect may be mistaken for: reported with it, never named."""
 
     name: str
     told_apart_by: str  #: the experiment that separates the two
@@ -151,7 +151,7 @@ class Lookalike:
 
 @dataclass(frozen=True, slots=True)
 class Rotary:
-    """What of a row is different on a machine that turns and transports nothing: its parameters' units, at the shaft.
+    """Differences of an effect on a rotary machine without transport: its parameters' units, at the shaft.
 
     It has an object index of its own, so that an object on the bus has one unit.
     """
@@ -168,7 +168,7 @@ _WEB_ONLY = frozenset({MachineKind.WEB_LINE})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """One effect: id, law, parameters, where it enters, and how it is found and shown."""
+    """Effect: id, law, parameters, domain, and how it is found and shown."""
 
     id: str
     per_axis: bool

@@ -25,7 +25,7 @@ class MotorMode(IntEnum):
 
 @dataclass(slots=True)
 class MotorPort:
-    """The border between a drive's firmware and its motor."""
+    """Interface between a drive's firmware and its motor."""
 
     # Written by the firmware.
     mode: MotorMode = MotorMode.OFF

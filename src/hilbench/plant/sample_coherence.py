@@ -31,8 +31,8 @@ _ON_ITS_WAY = {"m": 20.0, "rad": 2e3}
 #: Most successive cycles refused because the axes' travels give different numbers of cycles.
 _MOST_REFUSED = 5
 
-#: What `paired` remembers (4 + N,): cycles since the positions were last of one instant, the way of a cycle (below 0:
-#: not known), cycles whose positions were not, whether there are any; then the positions.
+#: State of `coherent` (4 + N,): cycles since the positions were last coherent, the travel of a cycle (below 0:
+#: unknown), incoherent cycles, whether there are positions; then the positions.
 _CYCLES, _WAY, _UNPAIRED, _STARTED, _LAST = range(5)
 
 

@@ -29,7 +29,7 @@ _X, _V, _TAU, _TAU_LOAD, _COMMAND, _LOAD_COMMAND, _INTEGRAL, _LAW = range(8)
 
 @dataclass(frozen=True, slots=True)
 class SampledShaft:
-    """One axis with the load motor on its shaft; motor side, SI."""
+    """Axis with the load motor on its shaft; motor side, SI."""
 
     inertia_kg_m2: float  #: all that turns
     velocity_kp_Nm_s_per_rad: float = 0.0
@@ -43,7 +43,7 @@ class SampledShaft:
 
 @dataclass(frozen=True, slots=True)
 class LinearLaw:
-    """A law of emulation with n numbers of memory z; y is the motion (position, velocity) at SYNC:
+    """Linear law of emulation with a memory z (n,); y is the motion (position, velocity) at SYNC:
 
     torque = from_memory·z + from_motion·y, then z becomes memory·z + motion·y.
     """
@@ -84,7 +84,8 @@ def largest_stable(radius: Callable[[float], float], most: float) -> float:
 
 @cache
 def _between_syncs(shaft: SampledShaft, memory: int) -> Matrix:
-    """The drive's samples of a bus cycle; the same whatever is emulated, and most of the work."""
+    """Transition over the drive samples of a bus cycle; cached, as it is independent of the law, and most of
+    the work."""
     size = _LAW + memory + shaft.delay_cycles
     drive = _continuous(shaft, size) @ _velocity_loop(shaft, size)
     return np.asarray(np.linalg.matrix_power(drive, round(shaft.cycle_s / shaft.sample_time_s)))

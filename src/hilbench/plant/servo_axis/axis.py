@@ -1,4 +1,4 @@
-"""The closed model of a servo axis: drive, motor and shaft, advanced in step with the bus; what the twin simulates."""
+"""Closed model of a servo axis: drive, motor and shaft, advanced in step with the bus; simulated by the twin."""
 
 from __future__ import annotations
 

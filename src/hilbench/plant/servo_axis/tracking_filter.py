@@ -1,6 +1,6 @@
-"""Motion from positions alone: position, speed, acceleration and jerk of a shaft, for what has to follow from them.
+"""Motion observer from positions alone: position, speed, acceleration and jerk of a shaft.
 
-An observer of a shaft with constant jerk between two samples, its four poles at exp(-T/T_f): what it says of a motion
+An observer of a shaft with constant jerk between two samples, its four poles at exp(-T/T_f): its estimate of a motion
 with constant jerk has no lag, whatever T_f is; T_f trades noise against how fast the jerk may change.
 """
 
@@ -23,15 +23,15 @@ ORDER = 4
 
 @compiled
 def later(motion: Vector, forward: Matrix, place: int) -> float:
-    """One of these, after the time of which `forward` (4, 4) is the `transition`."""
-    # Two sums beside each other, as a vector unit has them.
+    """Component `place` of the motion after the time of the `transition` `forward` (4, 4)."""
+    # Two parallel sums, as in a vector unit.
     even = forward[place, 0] * motion[0] + forward[place, 2] * motion[2]
     return float(even + (forward[place, 1] * motion[1] + forward[place, 3] * motion[3]))
 
 
 @compiled
 def follow(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -> None:
-    """See `TrackingFilter.update`; `forward` (4, 4), `gain` (4,): `transition` and `gains` of the time since."""
+    """Compiled `TrackingFilter.update`; `forward` (4, 4), `gain` (4,): `transition` and `gains` of the elapsed time."""
     x, v = later(motion, forward, 0), later(motion, forward, 1)
     a, j = later(motion, forward, 2), later(motion, forward, 3)
     off_rad = position_rad - x

@@ -38,7 +38,7 @@ from hilbench.plant.web_line.stations import (
     types_by_name,
 )
 
-#: Young's moduli with a meaning: from the softest gel to beyond diamond.
+#: Range of meaningful Young's moduli: from the softest gel to beyond diamond.
 LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa = 1e3, 1e13
 Length = Annotated[FiniteFloat, Field(ge=1e-3, le=1e4)]
 Radius = Annotated[FiniteFloat, Field(ge=1e-4, le=100.0)]
