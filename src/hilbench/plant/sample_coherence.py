@@ -147,7 +147,7 @@ def own_travels_state(axes: int, play: float) -> Vector:
 
 @compiled
 def miss_own(state: Vector) -> None:
-    """A cycle without positions of its own."""
+    """Count a cycle without positions of its own."""
     state[_SINCE] += 1.0
     state[OWN_BEHIND] += 1.0
 
@@ -223,7 +223,7 @@ class SampleCoherence:
 
     @property
     def unpaired(self) -> int:
-        """Cycles whose positions were not of one instant."""
+        """Number of incoherent cycles."""
         return int(self._state[_UNPAIRED])
 
     def reset(self) -> None:
