@@ -1,6 +1,6 @@
 """Kalman filters on the momentum balance of a shaft, compiled; `inertia` runs a bank of them.
 
-                v' = β·(τ − Σ q_k·r_k)/J0,   β = J0/J
+    v' = β·(τ − Σ q_k·r_k)/J0,   β = J0/J
 
 State of a filter: position (rad) and speed (rad/s); β and its rate; q (K,), torque errors beyond the model: offset
 (N·m), viscous (N·m·s/rad) and dry friction (N·m), unbalance (N·m, sine and cosine), each with its regressor r_k. The

@@ -5,8 +5,8 @@ blocks (`block_means`):
 
 - break: the ratio falls to almost nothing while the strain requires tension. No change of E goes so far.
 - slip: the encoders no longer measure the web's speed. The missing strain builds up over the length of the span, as
-        1 - exp(-s/L) of the transported length s, while a change of E is immediate and a drift is much slower. An
-        oscillating tension upstream builds up as well, but to both sides: within its previous range it is no slip.
+  1 - exp(-s/L) of the transported length s, while a change of E is immediate and a drift is much slower. An
+  oscillating tension upstream builds up as well, but to both sides: within its previous range it is no slip.
 
 Either has to exceed the noise of the blocks. Nothing is judged while the measurement is unusable, as with a torque at
 saturation, nor across such a gap. Compiled.

@@ -3,7 +3,7 @@
 The assumed initial strain of a span is off by some δ. Web of the previous span enters it, web leaves it, so its strain
 error d follows that of the span before,
 
-        d_k' = (out_(k-1) - out_k)/L_k      per travel of the web,      out_k = d_k + a_k·d_k - b_k·d_(k+1)
+    d_k' = (out_(k-1) - out_k)/L_k      per travel of the web,      out_k = d_k + a_k·d_k - b_k·d_(k+1)
 
 where a and b are the influence of tension errors by creep over the roller after a span. So d is a sum of the δ of all
 spans, each with a share that depends on travel alone.

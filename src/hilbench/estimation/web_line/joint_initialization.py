@@ -3,7 +3,7 @@
 The encoders' strain starts from a guess. Its initial error leaves the span with the web, as exp(-s/L) of the travel s,
 and enters the next span. The tension by the torque is then
 
-        F_k = E_k·S·ε_k + E_k·S·Σ_j share_kj(s)·δ_j
+    F_k = E_k·S·ε_k + E_k·S·Σ_j share_kj(s)·δ_j
 
 with the strain ε from the guess, the initial errors δ_j of span j, and their shares in span k now: linear in E and E·δ.
 Recursive least squares on the filtered balance (`synchronizers.regression`) find these while web of unknown strain is

@@ -3,7 +3,7 @@
 Constant speed, force and strain of many short blocks (`_BLOCK_S`), of the momentum balance of the roller after the
 span:
 
-        force - m·v2' = E·h + b + c·t
+    force - m·v2' = E·h + b + c·t
 
 with h = F/E by the encoders. Dry friction (while the direction of motion stays), a torque offset and other constants
 are b, their slow change is c·t; E is the slope against h alone. Its deviation is that of least squares with the blocks'

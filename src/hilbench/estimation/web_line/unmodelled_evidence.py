@@ -4,7 +4,7 @@ A filter whose states θ have the prior N(0, P0) and the posterior N(m, P) holds
 P⁻¹ − P0⁻¹ and η = P⁻¹·m. So the evidence of any other prior N(0, D) follows without another filter (the density ratio
 of Dickey 1971, for a spike that is no point):
 
-        log p(y | D) = −½·log|Λ + D⁻¹| − ½·log|D| + ½·η'·(Λ + D⁻¹)⁻¹·η
+    log p(y | D) = −½·log|Λ + D⁻¹| − ½·log|D| + ½·η'·(Λ + D⁻¹)⁻¹·η
 
 D has the usual variance for a group that is lacking, and a hundredth of it for one that the model has right: no model
 is surer than that. A set of groups is accepted in place of another when it is more probable by a factor that noise

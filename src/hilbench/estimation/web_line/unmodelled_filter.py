@@ -1,7 +1,7 @@
 """Kalman filter of E and unmodelled effects of a driven roller, on block means of its momentum balance; compiled.
 
-        y = E·h + b + d·sign(v) + g·sign(v)·exp(-(v/v_s)²) + s·[v = 0] + c·v + k·T + μ·m·v' + u·cos φ + w·sin φ + D
-                + E·S·(Σ_j a_j·p_j + b_j·q_j − κ'·q)
+    y = E·h + b + d·sign(v) + g·sign(v)·exp(-(v/v_s)²) + s·[v = 0] + c·v + k·T + μ·m·v' + u·cos φ + w·sin φ + D
+        + E·S·(Σ_j a_j·p_j + b_j·q_j − κ'·q)
 
 y: web force by measured torque and motion. D: an intermittent disturbance; offset b; dry friction d, and g beyond it at
 low speed (Stribeck); s holds a roller at rest; viscous friction c; error k of the torque's scale (T: motor force);

@@ -5,7 +5,7 @@ loops known in closed form. Standstill under dry friction is an event: it is loc
 turns back; nothing is smoothed, nothing chatters.
 
     J·v' = τ_m + τ_load + τ_outside + A_u·sin(x/i + φ_u) − b·v − d·|v| − c·v·|v|
-        − (Tc + Ts·e^{−(v/vs)²} + k·|τ_m|)·sign(v),   τ_m = (1 + s)·τ·(1 + Σ B·sin(n·x + φ)) + Σ A·sin(n·x + φ)
+           − (Tc + Ts·e^{−(v/vs)²} + k·|τ_m|)·sign(v),   τ_m = (1 + s)·τ·(1 + Σ B·sin(n·x + φ)) + Σ A·sin(n·x + φ)
 
 With a resonance a share μ of J is behind a shaft that is twisted by q, and oscillates at ω with the motor held: μ·J·a₂
 is taken off the torques, (1 − μ)·J is left at the motor, a₂ = −ω²·q − 2ζω·q', q'' = a₂ − v'.

@@ -4,7 +4,7 @@ Three vectors of float64 describe a shaft with M motors (the drive's, and a load
 
 - parameters: counts and the shaft, effects, M rows of drive loops (`drive_loops`);
 - state: sample counter, position, speed, direction of the dry friction, mean torque of the drive, twist of a shaft with
-        a resonance, past torques of the drive, M rows of drive states;
+  a resonance, past torques of the drive, M rows of drive states;
 - inputs: external torque, M rows of drive inputs.
 """
 

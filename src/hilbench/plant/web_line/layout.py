@@ -3,9 +3,9 @@
 Three vectors of float64 describe a line of N axes, M motors and K spans:
 
 - parameters: web row, N axis rows, M motor rows, K span rows (the counts come first, so the vector is
-        self-describing);
+  self-describing);
 - state: sample counter, the integrated quantities (x, v, motor x, motor v per axis; material length and length per
-        span), per axis the friction direction and gear contact, M motor rows, M rows of past torques, pieces of other
+  span), per axis the friction direction and gear contact, M motor rows, M rows of past torques, pieces of other
 web;
 - inputs: boundary, M motor rows (mode, set point, slope, limit), K rates of length.
 

@@ -5,7 +5,7 @@ the tension, by the measured torque of axis 2 and simulated. A disturbance obser
 1987) finds the correction w that the model lacks. With a = v/L, the transport of the span, and s the strain that is
 missing in it,
 
-                s' = a·(w − δ − s)
+    s' = a·(w − δ − s)
 
 where δ is the correction that acts. s is measured; the observer moves s and w by the same share of its innovation,
 because a change of the plant is missing in the whole span at once. δ = w + k·s then lets the model agree with the rate
