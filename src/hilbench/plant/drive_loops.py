@@ -1,8 +1,8 @@
-"""The sampled control loops of a drive, compiled: reference ramp, position P, velocity PI, current loop.
+"""Sampled control loops of a drive, compiled: reference ramp, position P, velocity PI, current loop.
 
-`velocity_reference` and `velocity_loop` are what a drive's firmware does once per sample time; between samples the
-torque follows its command through a first-order current loop (`torque_after`). SI, motor side.
-Used by `hilbench.plant.web_line.kernel`, which holds the state in flat arrays.
+`velocity_reference` and `velocity_loop` are a drive firmware's work once per sample time; between samples the torque
+follows its command through a first-order current loop (`torque_after`). SI, motor side. Used by
+`hilbench.plant.web_line.kernel`, which holds the state in flat arrays.
 """
 
 from __future__ import annotations

@@ -177,7 +177,7 @@ class Follower(Machine, Protocol):
 
 
 def checked_name(kind: str, name: str, known: Iterable[Quantity]) -> str:
-    """The name, if one of `known` has it. Raises ValueError: `kind` ("parameter", …), what was found and expected."""
+    """Check a name against `known`. Raises ValueError: `kind` ("parameter", …), what was found and expected."""
     names = [quantity.name for quantity in known]
     if name not in names:
         expected = expected_one_of(name, names) if names else ", expected none: the machine has no such quantity"

@@ -1,4 +1,4 @@
-"""The `prediction:` block of a config's twin."""
+"""Block `prediction:` of a config's twin."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class Futures(ABC, Generic[Present, Courses]):
 
     @abstractmethod
     def at_rest(self) -> tuple[Present, Courses]:
-        """A machine that stands and is to stand."""
+        """Present and courses of a machine at rest that stays at rest."""
 
     def look(self, present: Present, courses: Courses, offsets: Offsets, *key: int) -> Outlook:
         """Run a prediction in one call."""

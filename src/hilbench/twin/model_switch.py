@@ -40,7 +40,7 @@ class PendingModel(Protocol):
         """True if it is built."""
 
     def result(self) -> TwinMachine:
-        """The machine, once it is built."""
+        """Machine, once it is built."""
 
 
 Make = Callable[[], TwinMachine]

@@ -17,7 +17,7 @@ _SIMULATED_LOOP_PCT = 0.2
 
 
 def twin_setup(config: BenchConfig) -> TwinSetup:
-    """The twin's part of a bench config."""
+    """Twin setup from a bench config."""
 
     def node(part: Part) -> TwinNode:
         return TwinNode(part.node.node_id, part.node.eds)

@@ -20,7 +20,8 @@ class BesideInertia(Block):
 
 
 class InertiaConfig(Block):
-    """A bank of Kalman filters, one for each hypothesis of when the inertia last jumped or began to drift."""
+    """Change-point estimator: a bank of Kalman filters, one for each hypothesis of the inertia's last jump or drift
+    onset."""
 
     method: Literal["changepoint"] = "changepoint"
     torque_noise_Nm: PositiveFloat = Field(default=0.05, description="believed until it is measured (0.1 s)")

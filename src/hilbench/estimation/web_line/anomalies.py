@@ -59,7 +59,7 @@ _NONE = -1.0
 (
     _MODULUS_PA,  # what the ratio is formed with
     _SPAN_M,
-    _LEAST_N,  # tension that the strain must promise
+    _LEAST_N,  # least tension by the strain
     _HAS_LAST,  # the block before this one
     _LAST_N,
     _LAST_PER_PA,

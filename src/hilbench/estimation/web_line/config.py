@@ -1,4 +1,4 @@
-"""The `twin:` block of a bench config."""
+"""Block `twin:` of a bench config."""
 
 from __future__ import annotations
 
@@ -144,7 +144,8 @@ class GlobalConfig(_OnBalance):
 
 
 class ChangepointConfig(_OnBalance):
-    """A bank of Kalman filters, one for each hypothesis of when E last jumped or began to drift, mixed by evidence."""
+    """Change-point estimator: a bank of Kalman filters, one for each hypothesis of E's last jump or drift onset, mixed
+    by evidence."""
 
     method: Literal["changepoint"] = "changepoint"
     jumps_per_s: PositiveFloat = Field(default=1e-3, description="how often E is believed to jump")

@@ -48,7 +48,7 @@ def new_table() -> tuple[Array, Array]:
 
 @compiled
 def _look(table: Array, s: Array, residual: float, cycle_s: float) -> bool:
-    """Correlate one residual, of the angle that is kept; True when another order has been found."""
+    """Correlate the residual of the kept angle; True if another order has been found."""
     s[FEEDBACK] += 1.0
     gain = cycle_s / _MEMORY_S
     deviation = sqrt(s[VARIANCE_N2])

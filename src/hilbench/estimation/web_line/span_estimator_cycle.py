@@ -110,7 +110,7 @@ class SpanEstimatorVectors(NamedTuple):
     shift: Vector
     delay_line: Vector
     delay_finder: Vector
-    moduli: Vector  #: (2, S): where E of the spans that go with it stands in the line's parameters, and its ratio
+    moduli: Vector  #: (2, S): parameter index of E of the spans that follow it, and its ratio
     balance: BalanceVectors
     errors: Vector  #: of the unmodelled effects
     bank: BankVectors

@@ -1,9 +1,9 @@
 """Matched-filter detector of a sudden change of E at a carriage, by its tension transient.
 
-Another E of the web at a dancer changes the tension at once, until the carriage has moved: it swings against the web,
-and the torques of the neighbouring rollers with it. A slip at a roller, or entering web with another strain, begins
-without that. The torques are compared with the transients of steps of several sizes, as a stiffer web swings faster,
-orthogonal to other changes at the same instant: a constant load step at each roller.
+Another E of the web at a dancer changes the tension at once, until the carriage has moved: it oscillates against the
+web, and the torques of the neighbouring rollers with it. A slip at a roller, or entering web with another strain,
+begins without that. The torques are compared with the transients of steps of several sizes, as a stiffer web oscillates
+faster, orthogonal to other changes at the same instant: a constant load step at each roller.
 """
 
 from __future__ import annotations

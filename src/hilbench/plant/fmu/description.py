@@ -45,7 +45,7 @@ _MOST_DESCRIBED_BYTES: Final = 30_000_000
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A variable of an FMU with floating point values: SI value = factor · its value + offset."""
+    """Floating point variable of an FMU: SI value = factor · its value + offset."""
 
     name: str
     reference: int  #: value reference

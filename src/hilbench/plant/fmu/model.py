@@ -60,7 +60,7 @@ class FmuModel:
 
     @property
     def behind_s(self) -> float:
-        """Time that has been asked for and does not fill a communication step yet."""
+        """Requested time that does not yet fill a communication step."""
         return self._due_s
 
     def start(self, time_s: float = 0.0) -> None:

@@ -10,7 +10,8 @@ from hilbench.plant.servo_axis.shaft import Shaft
 
 
 class ServoAxis(Shaft):
-    """A `Plant` with one motor. Raises ValueError for ports that do not fit, or a port on a model without drives."""
+    """Closed model as a `Plant` with one motor. Raises ValueError for unfit ports, or a port on a model without
+    drives."""
 
     def __init__(
         self, parameters: ServoAxisParameters, ports: Sequence[MotorPort] | None = None, *, substeps: int = 1

@@ -154,7 +154,7 @@ def _meet_or_leave_stop(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int)
 
 @compiled
 def _touch(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int, half_m: float) -> None:
-    """The gear's flanks meet: plastic impact, momentum kept."""
+    """Close the gear's flanks: plastic impact, momentum kept."""
     axis, mode = places.axis(i), places.axis_state(n, k, i)
     motor_mass, roller_mass = p[axis + lay.A_MOTOR_MASS_KG], p[axis + lay.A_ROLLER_MASS_KG]
     v = (motor_mass * w[3 * n + i] + roller_mass * w[n + i]) / (motor_mass + roller_mass)

@@ -48,7 +48,7 @@ Modulus = Annotated[FiniteFloat, Field(ge=LEAST_MODULUS_Pa, le=LARGEST_MODULUS_P
 
 
 class WebParameters(Block):
-    """The web: elastic; each value is one for every span or a list of them, in the direction of the web."""
+    """Elastic web; each value is one for every span or a list of them, in the direction of the web."""
 
     youngs_modulus_Pa: Modulus | Annotated[list[Modulus], Field(min_length=1)] = Field(
         description="E along the run of the web; a list where it differs from span to span (warmth, moisture)"
@@ -79,8 +79,8 @@ class MotorParameters(Block):
 
 
 class BoundaryParameters(Block):
-    """What the neighbouring sections do. Without `upstream_strain` it is upstream_tension_N/(E·S) by E·S of span 1,
-    without `downstream_strain` downstream_tension_N/(E·S) by that of the last span."""
+    """Boundary conditions by the neighbouring sections. Without `upstream_strain` it is upstream_tension_N/(E·S) by E·S
+    of span 1, without `downstream_strain` downstream_tension_N/(E·S) by that of the last span."""
 
     upstream_tension_N: NotNegative = Field(default=0.0, description="before the first roller")
     downstream_tension_N: NotNegative = Field(default=0.0, description="behind the last roller")
@@ -292,7 +292,7 @@ class ModelParameters(Block):
 
     @property
     def required_web(self) -> WebParameters:
-        """The web. Raises ValueError when the model is a lone axis."""
+        """Parameters of the web. Raises ValueError when the model is a lone axis."""
         if self.web is None:
             raise ValueError("the model has no web, expected 'web' in the model file")
         return self.web

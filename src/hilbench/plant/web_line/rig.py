@@ -43,7 +43,7 @@ class RigParameters(Block):
     radius_m: OfAxes
     gear_ratio: OfAxes
     motor_inertia_kg_m2: OfAxes
-    #: Load of each motor besides itself and the load motors on its shaft.
+    #: Load of each motor, without itself and the load motors on its shaft.
     flywheel_inertia_kg_m2: OfAxes
     drives: DriveParameters
     load_motors: tuple[CoupledMotor, ...] = ()
@@ -124,7 +124,7 @@ class RigParameters(Block):
 
 
 def pack_rig(rig: RigParameters, substeps: int = 1) -> Vector:
-    """The kernel's parameter vector (P,) of a rig: N axes, N motors and the load motors, no span.
+    """Parameter vector (P,) of a rig for the kernel: N axes, N motors and the load motors, no span.
 
     `substeps`: integration steps per sample time of the drives.
     """

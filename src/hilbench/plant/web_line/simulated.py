@@ -108,7 +108,7 @@ def moduli_by_name(p: Vector) -> dict[str, Vector]:
 
 
 def known_effect(effect_id: str) -> Effect:
-    """The effect with this id. Raises ValueError that lists the known ones."""
+    """Effect with this id. Raises ValueError that lists the known ones."""
     try:
         return find_effect(effect_id)
     except KeyError as error:

@@ -28,7 +28,7 @@ def has_splice(p: Vector, s: Vector, pieces: int) -> bool:
 def let_splice_in(
     p: Vector, s: Vector, pieces: int, t_s: float, duration_s: float, x_m: float, v_m_s: float, strain_prev: float
 ) -> None:
-    """Let the splice come in, if its time is in [t, t + duration], or has passed.
+    """Admit the splice, if its time is in [t, t + duration], or has passed.
 
     `x_m`, `v_m_s`: travel and speed of the web at roller 1 at t. Earlier pieces stay; where the new piece comes in
     before the last one is all in, it replaces the rest. Of more than `layout.PIECES` in the line the oldest is
@@ -95,8 +95,8 @@ def change_at(s: Vector, pieces: int, x_m: float, at_m: float, stretch: float, b
 def series_factor(s: Vector, pieces: int, x_m: float, first_m: float, length_m: float, stretch: float) -> float:
     """Factor on E·S of a span that begins at `first_m` and holds `length_m` of web: springs in series.
 
-    Lengths unstretched, from roller 1, whose web has gone `x_m` at the `stretch` of what enters:
-    L/(E·S) = sum of l_j/(E_j·S_j) over what lies in the span.
+    Lengths unstretched, from roller 1, whose web travel is `x_m` at the `stretch` of the entering web: L/(E·S) = sum of
+    l_j/(E_j·S_j) over the pieces in the span.
     """
     compliance = 1.0
     for number in range(_oldest(s, pieces), int(s[pieces + lay.PIECES_COUNT])):

@@ -36,11 +36,11 @@ _STANDS: Final = 3.0
 
 @dataclass(frozen=True)
 class ShaftPresent:
-    """What is known of a servo axis now, at the motor shaft, SI.
+    """Present estimate of a servo axis, at the motor shaft, SI.
 
-    `speed_sd_rad_s`: what the speed may be off by. Inertia and friction as the twin has them, with their stated
-    deviations; `command_rad_s`: as the drive follows it from now on; `error_rad_s`: how far the speed was off what it
-    followed when its velocity loop last looked.
+    `speed_sd_rad_s`: deviation of the speed. Inertia and friction by the twin, with their stated deviations;
+    `command_rad_s`: as the drive follows it from now on; `error_rad_s`: speed error at the last sample of its velocity
+    loop.
     """
 
     now_s: float

@@ -77,7 +77,7 @@ LEAD_SIZE: Final = 5
 
 @inlined
 def _strain(p: Vector, w: Vector, n: int, m: int, k: int, j: int) -> float:
-    """Of span j, from the quantities now."""
+    """Strain of span j, from the present quantities."""
     scale = laws.length_factor(p, places.first_span(n, m) + j * lay.SP_SIZE)
     return w[4 * n + k + j] * scale / w[4 * n + j] - 1.0
 

@@ -88,7 +88,7 @@ class ServoAxisTwin:
         self._torque_before_Nm: float | None = None  # simulated
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
-        """See `TwinMachine`."""
+        """Freeze parameter adaptation; see `TwinMachine`."""
         self._frozen = frozen
 
     def set_cycle_time(self, cycle_s: float) -> None:

@@ -113,7 +113,7 @@ class WebLineTwin:
         self._steady = IncrementCheck(cycle_s)  # of the axis after the first span with an estimator
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
-        """See `TwinMachine`."""
+        """Freeze adaptation of E; see `TwinMachine`."""
         for each in self._all:
             each.tracking.freeze_adaptation(frozen=frozen)
 
@@ -421,7 +421,7 @@ class WebLineTwin:
 
     @property
     def largest_steps(self) -> Sequence[float]:
-        """See `TwinMachine`: of tensions."""
+        """Largest step of each output by a model switch; limited for tensions."""
         around = self._model.boundary
         step_N = _LARGEST_STEP * max(around.upstream_tension_N, around.downstream_tension_N)
         steps = list[float]()

@@ -87,7 +87,7 @@ class LineWithStationsTwin:
         )
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
-        """See `TwinMachine`."""
+        """Freeze parameter adaptation; see `TwinMachine`."""
         self._frozen = frozen
 
     def set_cycle_time(self, cycle_s: float) -> None:

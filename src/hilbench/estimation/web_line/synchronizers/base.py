@@ -23,7 +23,7 @@ class SyncSample:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """An estimate of Young's modulus and how sure the method is of it."""
+    """Estimate of Young's modulus, with its standard deviation."""
 
     youngs_modulus_Pa: float
     deviation_Pa: float  #: standard deviation; infinite where the method has none

@@ -243,7 +243,7 @@ class ChangepointSynchronizer:
         self._act(_REBASE, change_Pa)
 
     def hold(self, duration_s: float) -> Estimate:
-        """Let E walk in every hypothesis; reset position and velocity."""
+        """Widen E in every hypothesis (random walk); reset position and velocity."""
         self._inputs.interrupt()
         walk = 0.01 * self._config.hold_growth_pct_per_s
         self._p[kalman.E, kalman.E] += walk**2 * duration_s

@@ -77,7 +77,7 @@ class EkfSynchronizer:
         self._z[kalman.E, 0] += change_Pa / self._reference_Pa
 
     def hold(self, duration_s: float) -> Estimate:
-        """Let E walk; reset position and velocity."""
+        """Widen E (random walk); reset position and velocity."""
         self._inputs.interrupt()
         p, walk = self._p, 0.01 * self._config.hold_growth_pct_per_s
         p[kalman.E, kalman.E, 0] += walk**2 * duration_s

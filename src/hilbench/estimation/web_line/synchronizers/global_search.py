@@ -22,7 +22,7 @@ _NUISANCE_RANGE = 4.0
 
 
 class GlobalSynchronizer(FittedToWindow):
-    """A stochastic search over a bounded range, window after window."""
+    """Stochastic search of E over a bounded range, window after window."""
 
     def __init__(self, config: GlobalConfig, plant: Plant) -> None:
         super().__init__(config, plant)

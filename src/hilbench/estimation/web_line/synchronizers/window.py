@@ -11,7 +11,7 @@ from hilbench.estimation.web_line.synchronizers.regression import PARAMETERS, Ar
 
 
 class RowWindow:
-    """A moving window of `window_s`; parameters [E/E0, offset, viscous, dry, mass], residuals in noise deviations."""
+    """Moving window of `window_s`; parameters [E/E0, offset, viscous, dry, mass], residuals in noise deviations."""
 
     def __init__(self, plant: Plant, window_s: float, torque_noise_Nm: float, priors: Array) -> None:
         self._rows = RegressionRows(plant)
@@ -50,7 +50,7 @@ class RowWindow:
         self._data[:, PARAMETERS] += change_Pa / self._reference_Pa * self._data[:, 0]
 
     def rows(self) -> Array:
-        """A copy of the rows, in no order."""
+        """Copy of the rows, unordered."""
         return self._data[: min(self._count, len(self._data))].copy()
 
     def residuals(self, rows: Array, theta: Array) -> Array:

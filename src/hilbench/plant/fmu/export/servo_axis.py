@@ -1,4 +1,4 @@
-"""A servo axis as an FMU, with or without its drive."""
+"""Export of a servo axis as an FMU, with or without its drive."""
 
 from __future__ import annotations
 
