@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Nuisance:
-    """Estimate of a nuisance parameter. Not `separable`: the data don't separate it from the wanted one, its prior is
-    held."""
+    """Nuisance parameter estimate. Not `separable`: the data don't separate it from the wanted one, its prior
+    is held."""
 
     name: str  #: with its unit
     value: float

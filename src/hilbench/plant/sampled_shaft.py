@@ -84,8 +84,7 @@ def largest_stable(radius: Callable[[float], float], most: float) -> float:
 
 @cache
 def _between_syncs(shaft: SampledShaft, memory: int) -> Matrix:
-    """Transition over the drive samples of a bus cycle; cached, as it is independent of the law, and most of
-    the work."""
+    """Transition over the drive samples of a bus cycle; cached: it is independent of the law, and most of the work."""
     size = _LAW + memory + shaft.delay_cycles
     drive = _continuous(shaft, size) @ _velocity_loop(shaft, size)
     return np.asarray(np.linalg.matrix_power(drive, round(shaft.cycle_s / shaft.sample_time_s)))

@@ -13,8 +13,8 @@ from math import copysign
 
 
 class BumplessTransfer:
-    """Step limiter of outputs. `largest_steps`: largest step of each value by the transfer in a cycle; further values
-    are unlimited."""
+    """Output step limiter. `largest_steps`: largest step of each value by the transfer per cycle; others are
+    unlimited."""
 
     def __init__(self, largest_steps: Sequence[float]) -> None:
         self._largest = tuple(largest_steps)

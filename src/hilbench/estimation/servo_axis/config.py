@@ -10,7 +10,7 @@ from hilbench.block import Block
 
 
 class BesideInertia(Block):
-    """Nuisance parameters in addition to the inertia, beyond the model's: standard deviation of the prior; 0: not
+    """Nuisance parameters in addition to the inertia, beyond the model's: prior standard deviation; 0: not
     estimated."""
 
     coulomb_friction_Nm: float = Field(default=0.2, ge=0, description="dry friction")
@@ -20,8 +20,7 @@ class BesideInertia(Block):
 
 
 class InertiaConfig(Block):
-    """Change-point estimator: a bank of Kalman filters, one for each hypothesis of the inertia's last jump or drift
-    onset."""
+    """Change-point estimator: bank of Kalman filters, one per hypothesis of the inertia's last jump or drift onset."""
 
     method: Literal["changepoint"] = "changepoint"
     torque_noise_Nm: PositiveFloat = Field(default=0.05, description="believed until it is measured (0.1 s)")

@@ -303,8 +303,7 @@ class InertiaEstimator:
         return self._less_sure(duration_s)
 
     def hold(self, duration_s: float) -> ShaftEstimate:
-        """Hold the estimate over a time without usable sample, its deviation growing; the motion is initialized
-        anew."""
+        """Hold the estimate over a time without usable sample, deviation growing; the motion is initialized anew."""
         self._inputs.interrupt()
         return self._less_sure(duration_s)
 

@@ -133,8 +133,7 @@ class AugmentedFilter:
         return float(found @ np.linalg.solve(self.covariance[np.ix_(at, at)], found)) if found.any() else 0.0
 
     def put_back(self, earlier: Posterior, taken: NDArray[np.bool_], variances: Vector) -> None:
-        """Restore an earlier posterior for the offsets and the `taken` (n,) unknowns; the others get these variances
-        (n,)."""
+        """Restore an earlier posterior for the offsets and the `taken` (n,) unknowns; the others get variances (n,)."""
         back = np.concatenate([self._of_states(taken), np.ones(len(self.mean) - self._first_rate, bool)])
         self.covariance = np.where(np.outer(back, back), earlier.covariance, 0.0)
         others = np.flatnonzero(~taken)
@@ -156,8 +155,7 @@ class AugmentedFilter:
         self.mean = continues @ self.mean
 
     def jump(self, jumps: Vector, becomes: Vector | None = None) -> None:
-        """Add a sudden parameter change of covariance (p, p); `becomes` (n, n): sensitivity of the other unknowns to
-        it, None: none."""
+        """Add a sudden parameter change of covariance (p, p); `becomes` (n, n): sensitivity of other unknowns to it."""
         rows = self._by_change(becomes)
         self.covariance = self.covariance + rows @ jumps @ rows.T
 

@@ -58,8 +58,7 @@ def begin(s: Array) -> None:
 
 @compiled
 def begin_behind_gap(s: Array) -> None:
-    """Start a new block after a gap: the next cycle counts in its duration alone, as it can't be compared with this
-    one."""
+    """Start a new block after a gap: the next cycle counts in its duration alone, as it is not comparable with this."""
     begin(s)
     s[_AFTER_GAP] = 1.0
 

@@ -144,8 +144,7 @@ class GlobalConfig(_OnBalance):
 
 
 class ChangepointConfig(_OnBalance):
-    """Change-point estimator: a bank of Kalman filters, one for each hypothesis of E's last jump or drift onset, mixed
-    by evidence."""
+    """Change-point estimator: bank of Kalman filters, one per hypothesis of E's last jump or drift onset."""
 
     method: Literal["changepoint"] = "changepoint"
     jumps_per_s: PositiveFloat = Field(default=1e-3, description="how often E is believed to jump")

@@ -14,8 +14,7 @@ _as_if_stretched = interpreted(cycle.equivalent_strain)
 
 
 class MeasuredSpan:
-    """Strains and lengths of the web of a balance; `t`: live state of the span estimator
-    (`span_estimator_cycle.SIZE`,)."""
+    """Strains and lengths of a balance's web; `t`: live state of the span estimator (`span_estimator_cycle.SIZE`,)."""
 
     def __init__(self, balance: MeasuredBalance, t: Vector) -> None:
         self._balance, self._t = balance, t

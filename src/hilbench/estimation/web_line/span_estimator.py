@@ -166,8 +166,7 @@ class SpanEstimator:
 
     @property
     def in_vectors(self) -> bool:
-        """True if a measurement has been compared and no probing step is evaluated: all of the state is in the
-        vectors."""
+        """True if a measurement was compared and no probing step is evaluated: all state is in the vectors."""
         return self._balance.is_followed and self._probing_step is None
 
     @property
@@ -354,8 +353,8 @@ class SpanEstimator:
 
     @property
     def synchronized(self) -> bool:
-        """True if E is known to `synchronized_pct`, the measured web is in the span, and the simulation has its
-        strain."""
+        """True if E is known to `synchronized_pct`, the measured web is in the span, and its strain in the
+        simulation."""
         return _is_synchronized(self._t, self.config.synchronized_pct)
 
     def become(self, relative_change: float) -> None:
@@ -375,8 +374,7 @@ class SpanEstimator:
         return Known(self.estimate.youngs_modulus_Pa, self.torque_shift_Nm, deepcopy(self._errors))
 
     def believe(self, known: Known, strain: float) -> None:
-        """Restore `known` with another measured strain: what was observed since was no change of E of the web in the
-        span."""
+        """Restore `known` with another measured strain: what was observed since was no change of E in the span."""
         self._balance.web.set_state({"strain1": strain})
         self._go_back(known)
         self.use(self._method)

@@ -49,8 +49,7 @@ class FmuBlock(Block):
 
 
 class FmuLoadConfig(FmuBlock):
-    """Configuration `load: fmu:` of an FMU that load motors emulate: motion of the driven axes goes in, torques come
-    out."""
+    """Settings `load: fmu:` of an FMU that load motors emulate: motion of the driven axes in, torques out."""
 
     positions: list[VariableName] = Field(
         default=[], description="inputs: measured position of each driven axis, in the machine's unit (m or rad)"
@@ -69,8 +68,7 @@ class FmuLoadConfig(FmuBlock):
     )
 
     def problems(self, axes: int, load_motors: int | None, unit: str) -> Iterator[str]:
-        """Reasons why an FMU can't be emulated so, on a machine with so many axes and load motors, with positions in
-        `unit`."""
+        """Reasons why the FMU can't be emulated on a machine with so many axes and load motors, positions in `unit`."""
         if not self.positions and not self.speeds:
             yield "'fmu.positions' or 'fmu.speeds': the inputs that take the motion"
         for key, names in (("positions", self.positions), ("speeds", self.speeds)):

@@ -80,8 +80,7 @@ class FmuFollower(WithoutEffects):
         return [*(positions if self._positions_in else ()), *(self._speeds if self._speeds_in else ())]
 
     def load_torques_Nm(self, axes: Sequence[int], speeds: Sequence[float], lead_s: float) -> list[float]:
-        """Torque of each load motor, in their order, predicted `lead_s` ahead with the axes' motion of the last
-        cycle."""
+        """Torque of each load motor, in order, predicted `lead_s` ahead with the axes' motion of the last cycle."""
         later = [x + v * lead_s for x, v in zip(self._positions, self._speeds, strict=True)]
         return self._model.ahead(self._inputs(later), lead_s)[: len(axes)]
 

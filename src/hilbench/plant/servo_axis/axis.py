@@ -10,7 +10,7 @@ from hilbench.plant.servo_axis.shaft import Shaft
 
 
 class ServoAxis(Shaft):
-    """Closed model as a `Plant` with one motor. Raises ValueError for unfit ports, or a port on a model without
+    """Closed model, a `Plant` with one motor. Raises ValueError for unfit ports, or a port on a model without
     drives."""
 
     def __init__(

@@ -156,8 +156,7 @@ def _stands(believed: Vector, many: Vector) -> Vector:
 
 
 def _emulated(many: Vector) -> Vector:
-    """Parameters (B, P) of the emulated shafts, without effects on the rig itself; a step of the inertia and
-    feed-forward stay."""
+    """Parameters (B, P) of the emulated shafts, without effects on the rig; inertia steps and feed-forward stay."""
     shafts = many.copy()
     neutral = many[0].copy()
     lay.write_entries(neutral, ())

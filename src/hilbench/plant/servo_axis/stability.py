@@ -42,8 +42,7 @@ def sampled_shaft(rig: ServoRigParameters, cycle_s: float) -> SampledShaft:
 
 
 def emulation_law(inertia_kg_m2: float, cycle_s: float, filter_s: float, lead_s: float) -> LinearLaw:
-    """Linear law of emulated additional inertia, as in `hilbench.plant.servo_axis.emulation`: its memory is the
-    motion."""
+    """Linear law of emulated additional inertia, as in `hilbench.plant.servo_axis.emulation`; memory: the motion."""
     gain, forward = gains(cycle_s, filter_s), transition(cycle_s)
     memory = forward - np.outer(gain, forward[0])
     acceleration = -inertia_kg_m2 * transition(lead_s)[_ACCELERATION]

@@ -30,8 +30,7 @@ from hilbench.plant.web_line.stability import sampled_shaft
 
 @dataclass(frozen=True)
 class Emulation:
-    """Settings of a bench's web emulation: its cycle, the load motors on shafts of axes, and the resolution of set
-    points."""
+    """Settings of a bench's web emulation: its cycle, the load motors on shafts of axes, the set-point resolution."""
 
     #: Emulated part, for messages.
     part: ClassVar[str] = "web"

@@ -31,8 +31,7 @@ def any_sticks(p: Vector, s: Vector, n: int, k: int) -> bool:
 
 @inlined
 def still_slides(p: Vector, s: Vector, w: Vector, n: int, k: int) -> bool:
-    """True if at the step's end all parts with dry friction still move in their direction, and no carriage is at a
-    stop."""
+    """True if at the step's end all parts with dry friction move in their direction, and no carriage is at a stop."""
     for i in range(n):
         v, direction = w[places.block(n, k, lay.STAGE) + n + i], s[places.axis_state(n, k, i) + lay.SA_DIRECTION]
         if _reversal(v, direction) > _EVENT_TOLERANCE and laws.is_dry(p, places.axis(i)):
@@ -227,8 +226,7 @@ def _until_event(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float,
 
 @compiled
 def step_with_events(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
-    """Integrate one step, cut at every event; after too many of them the rest without event location, so that time goes
-    on."""
+    """Integrate one step, cut at every event; after too many of them the rest without event location."""
     noinline()
     n, m, k = places.counts(p)
     left = h

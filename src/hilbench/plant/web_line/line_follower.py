@@ -96,8 +96,8 @@ class PerturbedCopies:
 
 
 class StateTransfer:
-    """Transfer of the state of web and undriven parts from a follower to an equal closed line; also of driven rollers
-    on `axes`, from 1."""
+    """Transfer of web and undriven parts' state from a follower to an equal closed line; also of driven rollers on
+    `axes`, from 1."""
 
     def __init__(self, follower: LineFollower, line: Line, axes: Sequence[int] = ()) -> None:
         n, k = int(follower.vectors.p[lay.W_AXES]), int(follower.vectors.p[lay.W_SPANS])

@@ -137,8 +137,7 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         return self._step_s(self._p.item(lay.P_INERTIA))
 
     def _step_s(self, inertia_kg_m2: float) -> float:
-        """Longest step that the drive's velocity loop allows on this inertia; a twist of the shaft has steps of its
-        own."""
+        """Longest step allowed by the drive's velocity loop on this inertia; a twisting shaft has steps of its own."""
         return whole_step_s(self._kp / inertia_kg_m2, self._horizon_s, _LONGEST_STEP_S)
 
     def _courses(self, present: ShaftPresent, courses_at: CoursesAt) -> tuple[float, Array]:

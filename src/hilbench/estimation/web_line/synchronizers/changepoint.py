@@ -1,5 +1,4 @@
-"""Change-point estimator of E: a bank of Kalman filters (`kalman`), one for each hypothesis of its last change
-(`bank`)."""
+"""Change-point estimator of E: bank of Kalman filters (`kalman`), one per hypothesis of its last change (`bank`)."""
 
 from __future__ import annotations
 
@@ -78,8 +77,8 @@ def follow(
 
 @compiled
 def set_held_share(b: BankVectors, of_what_is_held: float) -> None:
-    """Update the stated E after a cycle; `of_what_is_held`: contribution of nuisance parameters held at their prior of
-    0."""
+    """Update the stated E after a cycle; `of_what_is_held`: contribution of nuisance parameters held at 0,
+    their prior."""
     s, out = b.s, b.out
     found = out[0, kalman.E] - of_what_is_held
     # A few samples after a jump the mixture still has their noise.
@@ -197,8 +196,7 @@ class ChangepointSynchronizer:
 
     @property
     def is_compiled(self) -> bool:
-        """True if `follow` and `set_held_share` are a complete update: it has started, and has no nuisance
-        parameters."""
+        """True if `follow` and `set_held_share` are a complete update: started, and without nuisance parameters."""
         return self._started and not self._beside
 
     def update(self, sample: SyncSample) -> Estimate:
@@ -219,8 +217,8 @@ class ChangepointSynchronizer:
         return done
 
     def _of_what_is_held(self) -> float:
-        """Contribution to E of nuisance parameters that the data don't separate from it: those count as 0,
-        their prior."""
+        """Contribution to E of nuisance parameters that the data don't separate from it: they are held at 0, their
+        prior."""
         priors, deviations = self._inputs.priors, self._out[1, kalman.OFFSET :]
         held = kalman.OFFSET + np.flatnonzero((priors > 0.0) & (deviations >= SEPARABLE * priors))
         if not held.size:

@@ -27,7 +27,7 @@ _FROM = 20.0
 
 @entry_point(MATRIX, CUBE, VECTOR, INDICES, VECTOR, MATRIX)
 def _step(z: Array, p: Array, u: Array, places: Places, g: Array, work: Array) -> None:
-    """Step the filter; g (SIZE,), work (SIZE + 4, 1): scratch, in which innovation and variance are left
+    """Step the filter; g (SIZE,), work (SIZE + 4, 1): scratch, which returns innovation and variance
     (`kalman.step`)."""
     kalman.step(z, p, u, places, g, work, work[z.shape[0] + 3])
 
