@@ -33,7 +33,7 @@ class ReceivedAxes:
     """Receiver of the axes' TPDOs: takes them from packets until each axis has answered."""
 
     def __init__(self, link: EmbeddedLink, listeners: Sequence[AxisListener], answers: SyncAnswers) -> None:
-        """Raises FastPathRefusedError for axes with the same COB-ID."""
+        """Raises FastPathRefusedError, as for axes with the same COB-ID."""
         self._link, self._listeners, self._answers = link, listeners, answers
         self._by_cob_id = {listener.cob_id: listener for listener in listeners}
         self._slots = {listener.cob_id: new_slots(answers.slots, listener.pdo) for listener in listeners}
@@ -105,7 +105,7 @@ class ReceivedAxes:
 
 
 class TwinFastCycle:
-    """Packet runner of the twin, see `PacketRun`: its nodes' answers, then the axes'."""
+    """Packet runner of the twin, see `fast_path.host.PacketRun`: its nodes' answers, then the axes'."""
 
     def __init__(self, link: EmbeddedLink, answers: SyncAnswers, application: TwinApplication) -> None:
         """Raises FastPathRefusedError where the fast path is not possible."""
@@ -120,11 +120,11 @@ class TwinFastCycle:
 
     @property
     def came(self) -> Sequence[bytes]:
-        """Packets of this cycle, see `PacketRun`."""
+        """Packets of this cycle, see `fast_path.host.PacketRun`."""
         return self._axes.came if self._awaits else self._answers.came
 
     def serve(self, timeout_s: float) -> bool:
-        """Receive and process packets, see `PacketRun`."""
+        """Receive and process packets, see `fast_path.host.PacketRun`."""
         if self._awaits:
             outcome = self._axes.serve(timeout_s)
             if outcome == ANSWERED:
@@ -147,7 +147,7 @@ class TwinFastCycle:
         self._awaits = False
 
     def end(self) -> None:
-        """Leave the fast path, see `PacketRun`."""
+        """Leave the fast path, see `fast_path.host.PacketRun`."""
         if not self._answers.cycles:
             self._machine.leave()
             return

@@ -1,7 +1,7 @@
 """Torque-shift detector: a shift of friction or torque offset, separated from a change of E.
 
 Both change the torque at once, and are not identifiable at one strain alone: F = E·h + d, with h = F/E by the encoders.
-They are by the strain that moves afterwards, as the closed tension loop takes either for another tension. From then on
+The strain that moves afterwards separates them: the closed tension loop takes either for another tension. From then on
 a changed E is on a line through the origin, F = E'·h, a shift on the one that was there before, F = E·h + d, and the
 two are compared by their squared residuals over the noise (likelihood ratio). While both fit, the change stays open:
 the next change of tension decides. A constant error of the balance (c) is in both: F = E'·h + c, and F = (E - c/h)·h +
@@ -235,7 +235,7 @@ def _of_modulus(s: Array, precision: float) -> float:
 
 @compiled
 def _of_shift(s: Array, precision: float) -> tuple[float, float]:
-    """d of f = E·h + d, and the squared residuals. E was c/h smaller before: c as in `_of_modulus`."""
+    """Shift d of f = E·h + d, and the squared residuals. E was c/h smaller before: c as in `_of_modulus`."""
     modulus_Pa, web_before_per_Pa = s[_MODULUS_PA], s[_WEB_PER_PA]
     s_fh = s[_FH] - s[_F] * s[_H] / s[_COUNT]
     s_hh = max(s[_HH] - s[_H] * s[_H] / s[_COUNT], 0.0)

@@ -229,7 +229,7 @@ class ModelParameters(Block):
         return per_item(self.rollers.gear_ratio, axis)
 
     def motor_rad_per_m(self, axis: int) -> float:
-        """i/r: motor angle per metre of web; also web force per motor torque."""
+        """Motor angle per metre of web, i/r; also web force per motor torque."""
         return self.gear_ratio(axis) / self.radius_m(axis)
 
     def velocity_loop_per_s(self, axis: int) -> float:
@@ -257,11 +257,11 @@ class ModelParameters(Block):
         return 0.5 * pi * roller.station.density_kg_m3 * per_item(self.required_web.width_m, span) * ring_m4
 
     def motor_mass_kg(self, axis: int) -> float:
-        """i²·J_motor/r²: the motor alone, at the web."""
+        """Mass i²·J_motor/r² of the motor alone, at the web."""
         return per_item(self.motors.inertia_kg_m2, axis) * self.motor_rad_per_m(axis) ** 2
 
     def mass_kg(self, axis: int) -> float:
-        """m = (J_roller + i²·J_motor)/r² (design section 5); of a reel with the web that is on it at the start."""
+        """Mass m = (J_roller + i²·J_motor)/r² (design section 5); of a reel with the web on it at the start."""
         wound_kg = self.wound_inertia_kg_m2(axis) / self.radius_m(axis) ** 2
         return self.roller_mass_kg(axis) + self.motor_mass_kg(axis) + wound_kg
 

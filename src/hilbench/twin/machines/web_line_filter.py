@@ -35,7 +35,7 @@ _SECTION_SHARE: Final = 0.03  #: of a section's E from that of the whole web
 _DRIFT_APART: Final = 0.1  #: share of that drifting in a shift, in which the whole web may go through all of it
 #: Sudden change of E: of the whole web, and in addition of a section.
 _JUMP_SHARE, _SECTION_JUMP_SHARE = 0.2, 0.1
-#: Share of a web of unknown strain up to which E is learned once the rest has left: before, E is inseparable from the
+#: Share of a web of unknown strain that has to have left before E is learned: until then it is not separable from the
 #: strain. And the relative deviation of E that is added by learning both of them from their product.
 _SHOWN_FROM, _OF_PRODUCT = 0.1, 0.01
 #: Strain of the entering web: at rest, running, and at rest with unknown strain.

@@ -14,7 +14,7 @@ from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
 
 
 class PidSynchronizer:
-    """dE/dt = Kp·e + Ki·∫e dt + Kd·de/dt with limited integral; E is kept within its plausible range."""
+    """PID correction dE/dt = Kp·e + Ki·∫e dt + Kd·de/dt with limited integral; E is kept within its plausible range."""
 
     def __init__(self, config: PidConfig, youngs_modulus_Pa: float) -> None:
         self._config = config
