@@ -1,4 +1,4 @@
-"""Measurements of a simulated plant with a known E: what synchronizers are tried on."""
+"""Measurements of a simulated plant with a known E, as test data of synchronizers."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What changes in a machine, found from torques: balance, synchronizers, detectors."""
+"""Parameter estimation of a machine from torques: momentum balance, synchronizers, change detectors."""

@@ -1,18 +1,17 @@
-"""A bank of Kalman filters, one for each hypothesis of when a parameter last jumped or began to drift.
+"""Bank of Kalman filters, one for each hypothesis of when a parameter last jumped or began to drift.
 
 They are mixed by evidence: Bayesian change-point detection (Adams and MacKay 2007) with a Kalman filter as the model of
-a run, so that
-a hypothesis is weighed by how well it predicts the next encoder position. Each young hypothesis is kept for a while,
-whatever its weight, so that a small change has time to show; after that the least probable ones go. Between changes
-the mixture is one long-run filter, and quiet; at a change the right hypothesis is already there, and takes over as
-soon as the data prefer it. The deviation is that of the mixture: it says so while it is undecided.
+a run, so that a hypothesis is weighed by its prediction of the next encoder position. Each young hypothesis is kept for
+a while, whatever its weight, so that a small change has time to show; after that the least probable ones are dropped.
+Between changes the mixture is one long-run filter with little noise; at a change the right hypothesis already exists,
+and takes over as soon as the data prefer it. The deviation is that of the mixture: it is wide while it is undecided.
 
 Three kinds of child are born of the most probable hypothesis: a *jump* of the watched parameter (large and small in
 turn), a *drift* (a rate of it), and, of a drift, its *end*.
 
-Means (n, H) and covariances (n, n, H) of all hypotheses stand beside each other, with a record (H, RECORD) of each.
-What kind of filter it is the bank does not know: a cycle is a step of all filters, whose log likelihoods are added to
-their weights (`reweight`), then `compare`, `mix` and `births`. Filters that have gone are stepped with the others.
+Means (n, H) and covariances (n, n, H) of all hypotheses are columns, with a record (H, RECORD) of each. The bank is
+independent of the kind of filter: a cycle is a step of all filters, whose log likelihoods are added to their weights
+(`reweight`), then `compare`, `mix` and `births`. Dropped filters are stepped with the others.
 """
 
 from __future__ import annotations
@@ -25,37 +24,37 @@ from numpy.typing import NDArray
 from hilbench.compiled import compiled
 
 Array = NDArray[np.float64]
-#: Places in a filter's state.
+#: Indices in a filter's state.
 Places = NDArray[np.int64]
 
 _JUMP, _DRIFT, _END = 0, 1, 2
 #: Cycles between two births of a kind, and how long a newborn is kept whatever its weight.
 _EVERY = (2, 50, 50)
 _PROTECTED = (40, 500, 500)
-#: Room for the young of every kind, and for those that have proved themselves.
+#: Room for young hypotheses of every kind, and for established ones.
 _YOUNG = sum(kept // every + 1 for every, kept in zip(_EVERY, _PROTECTED, strict=True))
 CAPACITY = _YOUNG + 8
-#: A hypothesis that has come of age goes when it is less probable than the best by this factor (logarithm).
+#: A hypothesis past its protection is dropped when it is less probable than the best by this factor (logarithm).
 _HOPELESS = 12.0
 _SMALL_JUMP = 0.15  #: size of the small jumps over that of the large ones
 
 # Columns of the hypotheses' records.
 WEIGHT, _KIND, _AGE, ALIVE = range(4)
 RECORD = 4
-# What decides of births: priors (logarithms), variances of a jump and of a drift's rate, and the cycle's number.
+# Settings of births: priors (logarithms), variances of a jump and of a drift's rate, and the cycle's number.
 LOG_JUMP, LOG_DRIFT, JUMP_VARIANCE, DRIFT_VARIANCE, CYCLE = range(5)
 SETTINGS = 5
 
 
 def set_priors(settings: Array, jumps_per_s: float, drift_onsets_per_s: float, cycle_s: float) -> None:
-    """How often jumps are believed to be, and drifts to begin, as the prior of one birth."""
+    """Set the prior of one birth from the rates of jumps and of drift onsets."""
     settings[LOG_JUMP] = log(jumps_per_s * _EVERY[_JUMP] * cycle_s)
     settings[LOG_DRIFT] = log(drift_onsets_per_s * _EVERY[_DRIFT] * cycle_s)
 
 
 @compiled
 def _free_place(records: Array) -> int:
-    """Place of a hypothesis that may go; -1: all are needed."""
+    """Index of a hypothesis that may be replaced; -1: all are needed."""
     worst = -1
     for i in range(records.shape[0]):
         if records[i, ALIVE] == 0.0:
@@ -87,7 +86,7 @@ def _birth(
     variance: float,
     rate_variance: float,
 ) -> None:
-    """A child of the best hypothesis, with these variances added to the watched parameter and set for its rate."""
+    """Add a child of the best hypothesis, with these variances added to the watched parameter and set for its rate."""
     parent = _best(records)
     i = _free_place(records)
     if i < 0 or i == parent:
@@ -111,7 +110,7 @@ def _birth(
 
 @compiled
 def births(z: Array, p: Array, records: Array, settings: Array, watched: int, rate: int) -> None:
-    """The children of this cycle; `watched` and `rate` are places in the filters' state."""
+    """Add the children of this cycle; `watched` and `rate` are indices in the filters' state."""
     cycle = int(settings[CYCLE])
     if cycle % _EVERY[_JUMP] == 0:
         size = _SMALL_JUMP if cycle // _EVERY[_JUMP] % 2 else 1.0
@@ -134,8 +133,8 @@ def reweight(records: Array, likelihoods: Array) -> None:
 
 @compiled
 def compare(records: Array, shares: Array) -> None:
-    """A cycle older; weights against the best, the hopeless gone. Into shares (H,) the probabilities of those left, 0
-    of the others."""
+    """Age the hypotheses, normalize weights to the best and drop hopeless ones. Shares (H,) returns the probabilities,
+    0 of dropped ones."""
     best_weight = -1e300
     for i in range(records.shape[0]):
         if records[i, ALIVE] != 0.0:
@@ -169,8 +168,8 @@ def covariance(z: Array, p: Array, shares: Array, mean: Array, out: Array) -> No
 
 @compiled
 def mix(z: Array, p: Array, shares: Array, places: Places, out: Array) -> None:
-    """Means and standard deviations of the mixture into the first two rows of `out`; shares as of `compare`, places: of
-    the states that the filters have."""
+    """Means and standard deviations of the mixture into the first two rows of `out`; shares as of `compare`, places:
+    indices of the filters' states."""
     for m in range(len(places)):
         j, mean, variance = places[m], 0.0, 0.0
         for i in range(len(shares)):

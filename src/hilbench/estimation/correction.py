@@ -1,4 +1,4 @@
-"""The measurement update of Kalman filters that observe one of their states: every filter here watches an encoder."""
+"""Measurement update of Kalman filters that observe one of their states: here always an encoder's position."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from hilbench.estimation.bank import Array, Places
 
 @compiled
 def correct(z: Array, p: Array, rows: Array, places: Places, observed: int, innovation: Array, variance: Array) -> None:
-    """Correct all filters by what state `observed` was measured as.
+    """Correct all filters by the measurement of state `observed`.
 
-    z (size, H), p (size, size, H): means and covariances of H filters, changed in place; places: of the states that
-    they have, the others are 0; rows (size + 1, H): scratch; innovation (H,): measured less predicted, of this variance
-    (H,), the prediction's and the measurement's. The filters stand beside each other in the last dimension, so that
-    the machine takes several of them at once.
+    z (size, H), p (size, size, H): means and covariances of H filters, changed in place; places: indices of their
+    states, the others are 0; rows (size + 1, H): scratch; innovation (H,): measured less predicted, of this variance
+    (H,), the prediction's and the measurement's. The filters are in the last dimension for vectorization (SIMD).
     """
     count, size = z.shape[1], z.shape[0]
     for m in range(len(places)):

@@ -1,4 +1,4 @@
-"""How noisy a signal is, from its fourth differences: smooth motion and steps hardly count; compiled."""
+"""Noise variance of a signal, from its fourth differences: smooth motion and steps hardly count; compiled."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from hilbench.estimation.bank import Array
 #: Sum of the squares of the binomials 1 4 6 4 1: variance of a fourth difference of white noise.
 _GAIN = 70.0
 _DIFFERENCES = 4
-#: Squares beyond so many times the present variance count only so much, so that a step is no noise.
+#: Limit of a square over the present variance, so that a step is no noise.
 _LIMIT = 9.0
-#: Samples that are all believed before steps are told from noise.
+#: Samples that are not limited so.
 _SETTLE = 30
-# State: the last samples, the newest first (4 places); samples whose differences reach over a gap.
+# State: the last samples, newest first (4 places); samples whose differences span a gap.
 _PAST, _VARIANCE, _COUNT, _APART, _SHARE, _FLOOR, _EXPECTED = 0, 4, 5, 6, 7, 8, 9
 SIZE = 10  #: of a state
 
 
 @compiled
 def take(s: Array, value: float) -> None:
-    """Take one sample; what is not finite is passed over. s: state of a `NoiseLevel`."""
+    """Take one sample; non-finite ones are skipped. s: state of a `NoiseLevel`."""
     if not isfinite(value):
         return
     difference = value - 4.0 * s[0] + 6.0 * s[1] - 4.0 * s[2] + s[3]
@@ -47,19 +47,19 @@ def take(s: Array, value: float) -> None:
 
 @inlined
 def variance(s: Array) -> float:
-    """Variance of the noise, unit of the signal squared; what is expected until it is measured."""
+    """Variance of the noise, unit of the signal squared; the expected one until it is measured."""
     return float(s[_VARIANCE] if s[_COUNT] > _SETTLE else s[_EXPECTED])
 
 
 @inlined
 def is_known(s: Array) -> bool:
-    """Whether it is measured, and not only believed."""
+    """True if the variance is measured, and not the expected one."""
     return bool(s[_COUNT] > _SETTLE)
 
 
 @inlined
 def interrupt(s: Array) -> None:
-    """The next sample is not one cycle after the last: no difference is formed across the gap."""
+    """Form no difference across a gap before the next sample."""
     s[_APART] = _DIFFERENCES
 
 
@@ -78,8 +78,8 @@ def _take_all(states: Array, values: Array, variances: Array) -> None:
 class NoiseLevel:
     """Running estimate of the variance of white noise on a sampled signal.
 
-    `expected` is believed until the first samples are in; the estimate never falls below `floor` (both standard
-    deviations, unit of the signal). `memory` is the number of samples that the average reaches back.
+    `expected` is used until the first samples are in; the estimate never falls below `floor` (both standard deviations,
+    unit of the signal). `memory`: number of samples averaged.
     """
 
     def __init__(self, expected: float, floor: float, memory: int = 500) -> None:
@@ -88,16 +88,16 @@ class NoiseLevel:
         self.state[_SHARE], self.state[_FLOOR] = 1.0 / memory, floor
 
     def interrupt(self) -> None:
-        """The next sample is not one cycle after the last: no difference is formed across the gap."""
+        """Form no difference across a gap before the next sample."""
         self.state[_APART] = _DIFFERENCES
 
     def update(self, value: float) -> None:
-        """Take one sample; what is not finite is passed over."""
+        """Take one sample; non-finite ones are skipped."""
         _take(self.state, value)
 
     @property
     def known(self) -> bool:
-        """Whether it is measured, and not only believed."""
+        """True if the variance is measured, and not the expected one."""
         return self.state.item(_COUNT) > _SETTLE
 
     @property
@@ -112,14 +112,14 @@ class NoiseLevel:
 
 
 class NoiseLevels:
-    """Those of several signals that are sampled together, as `NoiseLevel`; vectors (m,)."""
+    """Noise levels of several signals sampled together, as `NoiseLevel`; vectors (m,)."""
 
     def __init__(self, expected: Array, floors: Array) -> None:
         levels = [NoiseLevel(*each) for each in zip(expected.tolist(), floors.tolist(), strict=True)]
         self._states = np.array([level.state for level in levels]).reshape(-1, SIZE)
-        #: Of the noise, unit of the signal squared.
+        #: Variances of the noise, unit of the signal squared.
         self.variances = np.array([level.variance for level in levels])
 
     def update(self, values: Array) -> None:
-        """Take a sample of each."""
+        """Take a sample of each signal."""
         _take_all(self._states, values, self.variances)

@@ -1,4 +1,4 @@
-"""A parameter that is estimated beside the one that is looked for."""
+"""Nuisance parameter, estimated in addition to the one that is wanted."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Nuisance:
-    """Not `separable`: the data don't tell it from what is looked for, its prior value is held."""
+    """Nuisance parameter estimate. Not `separable`: the data don't separate it from the wanted one, its prior
+    is held."""
 
     name: str  #: with its unit
     value: float

@@ -1,4 +1,4 @@
-"""Whether a measurement can be used to find E; if not, why (reported as EMCY, and as a bit of the twin's status)."""
+"""Plausibility of a measurement for estimation; the problem is reported as EMCY, and as a bit of the twin's status."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from hilbench.estimation.problems import PROBLEMS, Problem
 
 #: Cycles with exactly the same torque after which a noisy measurement counts as frozen.
 _FROZEN_CYCLES = 20
-#: Share of the drive's limit from which its torque counts as limited, below which no longer, and how long it has to
-#: stay there: noise goes to and fro over either, and a drive that has just left its limit soon returns to it.
+#: Share of the drive's limit from which on its torque counts as saturated, below which no longer, and time that it has
+#: to stay there: noise crosses either, and a drive that has just left its limit soon returns to it.
 _SATURATED, _FREE, _FREE_S = 0.995, 0.98, 0.05
-#: Share of the upstream strain below which the web counts as slack: no tension, nothing to learn.
+#: Share of the upstream strain below which the web counts as slack: no tension, no information.
 SLACK = 0.02
-#: Speed below which a roller with dry friction stands: friction takes up the tension.
+#: Speed below which a roller with dry friction is at rest: friction takes up the tension.
 STANDSTILL_M_S = 1e-3
 
 
-# State. Limits of the torque, in N·m; cycles until it counts as free; below which speed the roller stands; pull_per_Pa
-# up to which the web is slack.
+# State. Torque limit, in N·m; cycles until it counts as free; speed below which the roller is at rest; pull_per_Pa up
+# to which the web is slack.
 _LIMIT_NM, _FREE_CYCLES, _LIMITED, _STANDS_M_S, _SLACK_PER_PA, _LAST_NM, _SAME, _HAS_CHANGED = range(8)
 _SIZE = 8
 _INVALID, _FROZEN, _SATURATED_NOW = int(Problem.INVALID), int(Problem.FROZEN), int(Problem.SATURATED)
@@ -31,7 +31,7 @@ _SLACK_NOW, _STANDING = int(Problem.SLACK), int(Problem.STANDSTILL)
 
 @compiled
 def find_problem(s: Array, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> int:
-    """What is wrong with this cycle's torque, as a `Problem`; 0: nothing. s: state of a `Plausibility`."""
+    """`Problem` of this cycle's torque; 0: none. s: state of a `Plausibility`."""
     if not (isfinite(torque_Nm) and isfinite(pull_per_Pa) and isfinite(velocity_m_s)):
         return _INVALID
     if torque_Nm == s[_LAST_NM]:
@@ -41,7 +41,7 @@ def find_problem(s: Array, torque_Nm: float, pull_per_Pa: float, velocity_m_s: f
             s[_HAS_CHANGED] = 1.0
         s[_SAME] = 0.0
     s[_LAST_NM] = torque_Nm
-    # A torque at its limit repeats itself too.
+    # A saturated torque repeats itself too.
     if _is_limited(s, abs(torque_Nm)):
         return _SATURATED_NOW
     # A noiseless simulation at rest does as well, but it has not moved before.
@@ -70,7 +70,7 @@ def _look(s: Array, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -
 
 
 class Plausibility:
-    """Looks at each cycle's measurement of axis 2; `torque_limit_Nm` and `dry_friction_N` as the model has them."""
+    """Plausibility check of each cycle's measurement of axis 2; `torque_limit_Nm` and `dry_friction_N` of the model."""
 
     def __init__(self, torque_limit_Nm: float, dry_friction_N: float, slack_per_Pa: float, cycle_s: float) -> None:
         self.state = np.zeros(_SIZE)
@@ -80,9 +80,9 @@ class Plausibility:
         self.state[_LAST_NM] = np.nan
 
     def sticks(self, below_m_s: float) -> None:
-        """There is dry friction, whatever the model has of it, which below this speed takes up the tension."""
+        """Set a speed below which dry friction takes up the tension, whatever the model's friction."""
         self.state[_STANDS_M_S] = below_m_s
 
     def problem(self, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> Problem | None:
-        """What is wrong with this cycle's torque, if anything."""
+        """Problem of this cycle's torque, if there is one."""
         return PROBLEMS[_look(self.state, torque_Nm, pull_per_Pa, velocity_m_s)]

@@ -1,24 +1,24 @@
-"""What a twin says of what it measures, as EMCY error codes (CiA 301: FFxxh, device specific)."""
+"""EMCY error codes of a twin's measurements (CiA 301: FFxxh, device specific)."""
 
 from __future__ import annotations
 
 from enum import IntEnum
 
-#: A shift of friction or of the torque's offset, its N·m as REAL32 in the manufacturer's field; a change that is one,
-#: or of E.
+#: A torque shift (friction or torque offset), its N·m as REAL32 in the manufacturer's field; an undecided change of
+#: torque: shift or E.
 TORQUE_SHIFT, UNDECIDED = 0xFF17, 0xFF18
 
 
 class Problem(IntEnum):
-    """Why a measurement is not used. The value is the EMCY error code (CiA 301: FFxxh, device specific)."""
+    """Reason why a measurement is not used. The value is the EMCY error code (CiA 301: FFxxh, device specific)."""
 
     INVALID = 0xFF10  #: not a number
     FROZEN = 0xFF11  #: the torque does not change any more
     SATURATED = 0xFF12  #: the drive is at its torque limit
     SLACK = 0xFF13  #: the web carries no tension
-    STANDSTILL = 0xFF14  #: the roller stands under dry friction
-    WEB_BREAK = 0xFF15  #: the web does not pull any more although it should be strained
-    SLIP = 0xFF16  #: roller 2 slips: the encoders do not show the web's strain
+    STANDSTILL = 0xFF14  #: the roller is at rest under dry friction
+    WEB_BREAK = 0xFF15  #: no web tension in spite of strain
+    SLIP = 0xFF16  #: roller 2 slips: the encoders do not measure the web's strain
 
 
 #: Problems by their numbers; 0: none.

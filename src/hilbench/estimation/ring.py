@@ -1,6 +1,6 @@
-"""The last values of something, in a flat vector from a place on; compiled.
+"""Ring buffer in a slice of a flat vector; compiled.
 
-A ring has so many places, and gives its values from the oldest to the newest.
+A ring has a fixed capacity; its values are numbered from the oldest to the newest.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ _CAPACITY, _FIRST, _COUNT, _VALUES = range(4)
 
 
 def size(capacity: int) -> int:
-    """Places that a ring takes in a vector."""
+    """Elements of a vector that a ring occupies."""
     return _VALUES + capacity
 
 
 def put(s: Array, at: int, capacity: int) -> int:
-    """Let an empty ring stand from place `at` on; the first place behind it."""
+    """Create an empty ring at offset `at`; returns the first offset after it."""
     s[at : at + size(capacity)] = 0.0
     s[at + _CAPACITY] = capacity
     return at + size(capacity)
@@ -25,7 +25,7 @@ def put(s: Array, at: int, capacity: int) -> int:
 
 @inlined
 def push(s: Array, at: int, value: float) -> None:
-    """Take the newest value; of a full ring the oldest goes."""
+    """Append the newest value; a full ring drops the oldest."""
     capacity, first, count = int(s[at + _CAPACITY]), int(s[at + _FIRST]), int(s[at + _COUNT])
     if count < capacity:
         place = first + count
@@ -38,20 +38,20 @@ def push(s: Array, at: int, value: float) -> None:
 
 @inlined
 def value(s: Array, at: int, number: int) -> float:
-    """The value with this number, from 0, the oldest."""
+    """Value by its number, from 0, the oldest."""
     capacity, place = int(s[at + _CAPACITY]), int(s[at + _FIRST]) + number
     return float(s[at + _VALUES + (place if place < capacity else place - capacity)])
 
 
 @inlined
 def count(s: Array, at: int) -> int:
-    """How many values it has."""
+    """Number of values."""
     return int(s[at + _COUNT])
 
 
 @inlined
 def is_full(s: Array, at: int) -> bool:
-    """Whether the next value pushes the oldest out."""
+    """True if the next value drops the oldest."""
     return bool(s[at + _COUNT] == s[at + _CAPACITY])
 
 

@@ -1,9 +1,9 @@
-"""When the rows of a recording were measured, whatever clock has stamped them.
+"""Measurement times of a recording's rows, independent of the clock of their time stamps.
 
-The axes answer SYNC, so the rows of a recording are a cycle apart; their time stamps need not be: the clock of who
-wrote them drifts against that of the bus, is set while it runs, and is read late by a different time in each row. Or
-rows are missing. Or, where nothing paces a stand, the axes were asked at odd times, and the stamps are right. The way
-of the axes tells which of these it was: smooth motion is rough in the wrong time.
+The axes answer SYNC, so the rows of a recording are a cycle apart; their time stamps need not be: the recorder's clock
+drifts against that of the bus, is set while it runs, and is read late by a different time in each row. Or rows are
+missing. Or, without SYNC, the axes were polled at odd times, and the stamps are right. The axes' motion identifies the
+case: smooth motion is rough in the wrong time.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
-#: Two clocks differ by less than this share: rows so near to whole sample times of the drives are that far apart.
+#: Two clocks differ by less than this share: rows this close to whole sample times of the drives count as such.
 CLOCKS_DIFFER = 1e-3
-#: Rows whose stamps are further from a period than this share of it are not told by their stamps alone.
+#: Distance of a stamp from a period, as a share of it, from which on the stamp alone is not conclusive.
 _ODD = 0.5
-#: Way in a period from which it counts time, m: many steps of an encoder.
+#: Travel in a period from which on it measures time, m: many steps of an encoder.
 _LEAST_TRAVEL_M = 1e-5
-#: Rows beside a gap from which the way of a period is taken (median), and stamps that tell whether all have moved.
+#: Rows around a gap whose travel per period counts (median), and stamps that show whether all have moved.
 _BESIDE = 3
 _AROUND = 10
-#: How far way over way of a period may be from a whole number to count periods.
+#: Largest distance of the travel ratio from a whole number for counting periods.
 _WHOLE = 0.25
-#: The stamps are believed row by row where the motion is smoother in them by this factor than in even periods.
+#: Stamps are used row by row where the motion is smoother in them by this factor than in even periods.
 _SMOOTHER = 0.5
 #: Rows across which the period is measured: jitter of single stamps is shared by so many.
 _ACROSS = 500
-#: Most periods that one gap between two rows may be long: who was away for longer begins anew.
+#: Longest gap between two rows, in periods: a longer one is a new start.
 _LONGEST_GAP = 100_000
 
 
@@ -46,7 +46,7 @@ class RowTimes:
 
 
 def row_times(stamps_s: Array, positions_m: Array) -> RowTimes:
-    """The times of rows from their stamps (n,), strictly increasing, and the axes' positions (n, axes), at the web."""
+    """Times of rows from their stamps (n,), strictly increasing, and the axes' positions (n, axes), at the web."""
     steps_s = np.diff(stamps_s)
     nominal_s = float(np.median(steps_s)) if len(steps_s) else 0.0
     if nominal_s <= 0.0:
@@ -60,8 +60,8 @@ def row_times(stamps_s: Array, positions_m: Array) -> RowTimes:
 
 
 def _periods_gone(stamps: Array, travel_m: Array) -> Counts:
-    """Periods between neighbouring rows (n - 1,): one, but for stamps, in periods, that are odd; there by the way, and
-    at rest by how far the stamps of the rows around have moved: one that was read late has moved alone."""
+    """Periods between neighbouring rows (n - 1,): one, except at odd stamps (in periods); there by the travel, and at
+    rest by the shift of the surrounding stamps: a stamp that was read late has moved alone."""
     steps = np.diff(stamps)
     gone = np.ones(len(steps), np.int64)
     for row in np.flatnonzero(np.abs(steps - 1.0) > _ODD):
@@ -69,7 +69,7 @@ def _periods_gone(stamps: Array, travel_m: Array) -> Counts:
         usual_m = float(np.mean([np.median(side) for side in beside if len(side)]))
         by_travel = float(travel_m[row]) / usual_m if abs(usual_m) > _LEAST_TRAVEL_M else 0.0
         whole = round(by_travel)
-        # A ramp that bends in the gap makes its way no whole number.
+        # A ramp that bends in the gap has no whole number of travels.
         if whole >= 1 and abs(by_travel - whole) <= _WHOLE * np.sqrt(whole):
             gone[row] = whole
         else:
@@ -80,7 +80,7 @@ def _periods_gone(stamps: Array, travel_m: Array) -> Counts:
 
 
 def _smoother_in_stamps(stamps_s: Array, position_m: Array, gone: Counts, nominal_s: float) -> bool:
-    """Whether the moving axes have a steadier speed by the stamps than by even periods."""
+    """True if the moving axes have a steadier speed by the stamps than by even periods."""
     travel_m, steps = np.diff(position_m), np.diff(stamps_s) / nominal_s
     used = np.abs(travel_m) > _LEAST_TRAVEL_M
     pairs = used[1:] & used[:-1] & (gone[1:] == 1) & (gone[:-1] == 1)
@@ -91,6 +91,6 @@ def _smoother_in_stamps(stamps_s: Array, position_m: Array, gone: Counts, nomina
 
 
 def _period_s(stamps_s: Array, periods: Counts) -> float:
-    """Of the stamps' clock: the median over stretches of rows, which a clock that is set or jitters hardly moves."""
+    """Period by the stamps' clock: median over ranges of rows, which a clock that is set or jitters hardly moves."""
     across = min(_ACROSS, len(stamps_s) - 1)
     return float(np.median((stamps_s[across:] - stamps_s[:-across]) / (periods[across:] - periods[:-across])))

@@ -1,1 +1,1 @@
-"""What a machine is made of: the interface of a plant, effects, motors, sensors; one package a kind of machine."""
+"""Plant models: interface, effects, motors, sensors; one package for each kind of machine."""

@@ -1,8 +1,8 @@
-"""The sampled control loops of a drive, compiled: reference ramp, position P, velocity PI, current loop.
+"""Sampled control loops of a drive, compiled: reference ramp, position P, velocity PI, current loop.
 
-`velocity_reference` and `velocity_loop` are what a drive's firmware does once per sample time; between samples the
-torque follows its command through a first-order current loop (`torque_after`). SI, motor side.
-Used by `hilbench.plant.web_line.kernel`, which holds the state in flat arrays.
+`velocity_reference` and `velocity_loop` are a drive firmware's work once per sample time; between samples the torque
+follows its command through a first-order current loop (`torque_after`). SI, motor side. Used by
+`hilbench.plant.web_line.kernel`, which holds the state in flat arrays.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ IN_SIZE: Final = 4
 
 @inlined
 def clip(value: float, limit: float) -> float:
-    """`value` within ±`limit`."""
+    """Clip `value` to ±`limit`."""
     return min(max(value, -limit), limit)
 
 
 @inlined
 def ramp(reference: float, setpoint: float, slope: float, sample_time_s: float) -> float:
-    """The reference one sample later: towards the set point, at most `slope` per second."""
+    """Reference one sample later: towards the set point, at most `slope` per second."""
     return reference + clip(setpoint - reference, slope * sample_time_s)
 
 
@@ -62,7 +62,7 @@ def ramp(reference: float, setpoint: float, slope: float, sample_time_s: float) 
 def velocity_loop(
     error_rad_s: float, integral_Nm: float, kp: float, ki: float, limit_Nm: float, sample_time_s: float
 ) -> tuple[float, float, bool]:
-    """One sample of the velocity PI: torque command, new integral, and whether the limit held the torque.
+    """One sample of the velocity PI: torque command, new integral, and saturation flag.
 
     Anti-windup by conditional integration: at the limit the integral only moves back from it.
     """
@@ -78,7 +78,7 @@ def velocity_loop(
 
 @inlined
 def current_decay(duration_s: float, time_constant_s: float) -> float:
-    """What is left of the distance between torque and command after `duration_s` (exact for a held command)."""
+    """Remaining share of the distance between torque and command after `duration_s` (exact for a held command)."""
     return exp(-duration_s / time_constant_s) if time_constant_s > 0.0 else 0.0
 
 
@@ -90,7 +90,7 @@ def torque_after(torque_Nm: float, command_Nm: float, decay: float) -> float:
 
 @inlined
 def bumpless_reference(mode: float, position_rad: float, velocity_rad_s: float, torque_Nm: float) -> float:
-    """Where the reference starts when a mode is entered: at the present value of what the mode controls."""
+    """Initial reference of a mode (bumpless transfer): the present value of the controlled quantity."""
     if mode == POSITION:
         return position_rad
     if mode == VELOCITY:
@@ -128,10 +128,10 @@ def drive_sample(
     ki: float,
     current_s: float,
 ) -> None:
-    """What a drive does at a sample instant: new torque command from set point and motion, as it measures it.
+    """Sample a drive's loops: new torque command from set point and measured motion.
 
-    `gains`, `state`, `inputs`: where its loops' parameters begin in `p`, its state in `s`, its inputs in `u`. `kp`
-    (N·m·s/rad), `ki` (N·m/rad) and `current_s` (s): of its velocity and current loop, with what effects make of them.
+    `gains`, `state`, `inputs`: offsets of its loops' parameters in `p`, its state in `s`, its inputs in `u`. `kp`
+    (N·m·s/rad), `ki` (N·m/rad) and `current_s` (s): of its velocity and current loop, with effects.
     """
     mode, slope = u[inputs + IN_MODE], u[inputs + IN_SLOPE]
     limit = min(u[inputs + IN_LIMIT_NM], p[gains + LIMIT_NM])

@@ -1,4 +1,4 @@
-"""What an effect is: a named group of parameters that a model may lack, neutral until they are given."""
+"""Definition of an effect: a named group of parameters that a model may lack, neutral by default."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from math import isfinite
 
 
 class MachineKind(StrEnum):
-    """Kinds of machine, as `kind:` of a config's machine names them."""
+    """Kinds of machine, by the `kind:` of a config's machine."""
 
     WEB_LINE = "web_line"  #: driven rollers with a web between them; forces in N at the web
     SERVO_AXIS = "servo_axis"  #: one shaft; torques in N·m at the shaft
 
 
 class Domain(StrEnum):
-    """Where an effect enters the model."""
+    """Domain in which an effect enters the model."""
 
     ROLLER_RESISTANCE = "roller_resistance"  #: force against the roller's motion, at the web
     ROLLER_TORQUE = "roller_torque"  #: torque that acts on the roller, by its angle
     MOTOR_TORQUE = "motor_torque"  #: torque that acts on the shaft
     TORQUE_MEASUREMENT = "torque_measurement"  #: torque as the drive reports it
-    POSITION_MEASUREMENT = "position_measurement"  #: motion as the encoder reports it, to the drive's loops as well
+    POSITION_MEASUREMENT = "position_measurement"  #: motion as measured by the encoder, for the drive's loops as well
     DRIVE = "drive"  #: control loops of the drive
     WEB_KINEMATICS = "web_kinematics"  #: speed of the web at a roller
     ELASTICITY = "elasticity"  #: tension from strain
@@ -30,20 +30,20 @@ class Domain(StrEnum):
     GEOMETRY = "geometry"  #: length of the span
     INERTIA = "inertia"  #: moving mass
     GEAR = "gear"  #: between motor and roller
-    STATION = "station"  #: what runs without a motor, and reels
+    STATION = "station"  #: undriven stations, and reels
 
 
 class EffectPlace(StrEnum):
-    """Where an effect can be hidden, by the config's key for it."""
+    """Part of a bench that can have a hidden effect, by its config key."""
 
     HARDWARE = "hardware"  #: in the simulated drives, shafts and gears
-    LOAD = "load"  #: in what a load motor emulates: the machine, and what acts on a roller from outside
+    LOAD = "load"  #: in the emulation by a load motor: the machine, and external forces on a roller
 
 
-#: Where in a machine an effect is: number of a section between two axes, or name of a station.
+#: Location of an effect: number of a section between two axes, or name of a station.
 Section = int | str
 
-#: What acts on a roller: the simulated hardware can have it, and a load motor on the roller's shaft can emulate it.
+#: Effects at a roller: the simulated hardware can have them, and a load motor on the roller's shaft can emulate them.
 AT_A_ROLLER = frozenset({Domain.ROLLER_RESISTANCE, Domain.ROLLER_TORQUE})
 _DOMAINS: Mapping[EffectPlace, frozenset[Domain]] = {
     EffectPlace.HARDWARE: AT_A_ROLLER
@@ -62,9 +62,9 @@ _DOMAINS: Mapping[EffectPlace, frozenset[Domain]] = {
 
 @dataclass(frozen=True, slots=True)
 class MachineSizes:
-    """What is usual on one machine, at one of its axes; sizes of effects are shares of it."""
+    """Usual sizes of one machine, at one of its axes; sizes of effects are shares of them."""
 
-    force_N: float  #: at the web: its tension, or what the drive pushes with
+    force_N: float  #: at the web: its tension, or the drive's force
     speed_m_s: float  #: highest, at the web
     radius_m: float  #: of the roller
     gear_ratio: float  #: motor turns per roller turn
@@ -74,7 +74,7 @@ class MachineSizes:
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """A share of what is usual on a machine: `share` times the machine's sizes to these powers."""
+    """Share of a machine's usual size: `share` times the machine's sizes to these powers."""
 
     share: float
     force: int = 0
@@ -85,7 +85,7 @@ class Size:
     sample_time: int = 0
 
     def on(self, machine: MachineSizes) -> float:
-        """The size on one machine, in the unit of the parameter that has it."""
+        """Size on one machine, in the unit of its parameter."""
         return (
             self.share
             * machine.force_N**self.force
@@ -110,40 +110,40 @@ class Parameter:
     required: bool = True  #: must be given with the effect (phases need not)
 
     def problem(self, value: float) -> str | None:
-        """What is wrong with a value, or None."""
+        """Problem of a value in one line, or None."""
         if not isfinite(value) or not self.lower <= value <= self.upper:
             return f"{self.name} = {value!r} {self.unit}, expected {self.lower:g} to {self.upper:g}"
         return None
 
 
 class ProbeOver(StrEnum):
-    """Over what a search looks for a parameter of an effect before a fit starts from there."""
+    """Search variable for an effect's parameter before a fit starts from there."""
 
     SHARES_OF_TOP_SPEED = "shares of top speed"  #: a speed of the law: tried at some shares of the highest
-    STRENGTHS = "strengths"  #: a law far from linear in its strength: looked at with several
+    STRENGTHS = "strengths"  #: a law far from linear in its strength: tried with several
     MOTOR_ANGLE = "motor angle"  #: an order of the motor's turn: peaks of the residual's spectrum over the angle
     TIME = "time"  #: a frequency: peaks of the residual's spectrum over time
-    ONSET = "onset"  #: the time from which it acts: looked for ever closer
+    ONSET = "onset"  #: start time of the effect: located iteratively
     ONSET_AND_DURATION = "onset and duration"  #: the time from which it grows, and for how long
-    FREQUENCIES = "frequencies"  #: a frequency of the law: looked at with several
-    PASSAGE = "passage"  #: the time at which it comes, and goes again: where the residual is largest for a while
+    FREQUENCIES = "frequencies"  #: a frequency of the law: tried with several
+    PASSAGE = "passage"  #: start and end time of the effect: where the residual is largest for a while
 
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """How a search looks for an effect that one look at its response does not show."""
+    """Search method for an effect that its response at one strength does not show."""
 
     over: ProbeOver
     parameter: str  #: what is searched for
     duration: str = ""  #: ONSET_AND_DURATION: the parameter that is the duration
     #: SHARES_OF_TOP_SPEED: the shares; STRENGTHS: in sizes of the parameter; FREQUENCIES: in Hz.
     tried: tuple[float, ...] = ()
-    by_torque: bool = False  #: MOTOR_ANGLE: the residual counts by the torque that it grows with
+    by_torque: bool = False  #: MOTOR_ANGLE: the residual is weighted by the torque that it grows with
 
 
 @dataclass(frozen=True, slots=True)
 class Lookalike:
-    """What the vocabulary does not have and an effect may be mistaken for: said beside it, never named."""
+    """Cause outside the vocabulary that an effect may be mistaken for: reported with it, never named."""
 
     name: str
     told_apart_by: str  #: the experiment that separates the two
@@ -151,7 +151,7 @@ class Lookalike:
 
 @dataclass(frozen=True, slots=True)
 class Rotary:
-    """What of a row is different on a machine that turns and transports nothing: its parameters' units, at the shaft.
+    """Differences of an effect on a rotary machine without transport: its parameters' units, at the shaft.
 
     It has an object index of its own, so that an object on the bus has one unit.
     """
@@ -168,57 +168,57 @@ _WEB_ONLY = frozenset({MachineKind.WEB_LINE})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """One effect: id, law, parameters, where it enters, and how it is found and shown."""
+    """Effect: id, law, parameters, domain, and how it is found and shown."""
 
     id: str
     per_axis: bool
     law: str
     domain: Domain
     parameters: tuple[Parameter, ...]
-    #: Parameters that make the effect vanish when all are neutral; the others only shape it. Several are looked for one
-    #: by one, each a term of its own: a part of the effect that nothing speaks for is not named with the others.
+    #: Parameters that make the effect vanish when all are neutral; the others only shape it. Several are searched one
+    #: by one, each a term of its own: a part without evidence is not named with the others.
     strength: tuple[str, ...]
-    #: CANopen object of it; its parameters are the sub-indices in order, from 1. Never given again to another effect.
+    #: Its CANopen object; its parameters are the sub-indices in order, from 1. Never reused for another effect.
     object_index: int
-    #: The experiment that shows it best.
+    #: Experiment that shows it best.
     shown_by: str
-    #: How many of it a model can hold at one place (several ripple orders, several steps).
+    #: Number of its instances at one place of a model (several ripple orders, several steps).
     slots: int = 1
-    #: Axis that may be named although the effect has no choice of axis: the one at which its law acts.
+    #: Axis that may be named although the effect has no choice of axis: that of its law.
     implied_axis: int | None = None
-    #: Whether each section between two axes (the span of a web) can have it by itself; else it is in all of them.
+    #: True if each section between two axes (the span of a web) can have it by itself; else it is in all of them.
     per_section: bool = False
-    #: Types of the stations of which each can have it by itself; none: it is no effect of a station.
+    #: Types of the stations that can have it; empty: no effect of a station.
     stations: frozenset[str] = frozenset()
     kinds: frozenset[MachineKind] = field(default=_WEB_ONLY)
     rotary: Rotary | None = None
-    #: How a search probes it; None: one look at its response, at a strength of its usual size.
+    #: Search method; None: its response at a strength of its usual size.
     probe: Probe | None = None
-    #: Whether a search may drop it again where residuals are never noise alone. The simple effects are kept, and
-    #: looked for first: |v| is the product of v and sign(v), and a term of higher order is read beside those that it
-    #: is made of, the constant included (marginality, Nelder 1977).
+    #: True if a search may drop it again where residuals are never noise alone. The simple effects are kept, and
+    #: searched first: |v| is the product of v and sign(v), and a term of higher order is interpreted together with
+    #: those that it is made of, the constant included (marginality, Nelder 1977).
     removable: bool = True
-    #: Whether it needs inertia on both sides of a gear.
+    #: True if it needs inertia on both sides of a gear.
     needs_gear: bool = False
-    #: The effect that it is when it takes no time.
+    #: The effect that it becomes with zero duration.
     at_once: str | None = None
     lookalike: Lookalike | None = None
-    #: Whether it is no missing mechanics but what a stand does beside them: found, corrected for, and told apart from
-    #: what is named (the drives' loops).
+    #: True if it is no missing mechanics but a property of the bench: found, corrected for, and separated from the
+    #: named effects (the drives' loops).
     nuisance: bool = False
-    #: Effects that some recordings can't tell it from (ids), and the experiment that does, where it is another than
-    #: those that show the two best.
+    #: Effects not separable from it in some recordings (ids), and the experiment that separates them, where it is
+    #: another than those that show the two best.
     alike: tuple[tuple[str, str], ...] = ()
 
     def parameter(self, name: str) -> Parameter:
-        """The parameter `name`. Raises KeyError."""
+        """Parameter `name`. Raises KeyError."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
         raise KeyError(name)
 
     def problem(self, parameters: Mapping[str, float]) -> str | None:
-        """What is wrong with a set of parameter values, in one line, or None."""
+        """Problem of a set of parameter values, in one line, or None."""
         names = [parameter.name for parameter in self.parameters]
         for name in parameters:
             if name not in names:
@@ -233,7 +233,7 @@ class Effect:
         return None
 
     def axis_problem(self, axis: int | None, axes: int | None = None) -> str | None:
-        """What is wrong with the axis given for it (of a machine with `axes`), in one line, or None."""
+        """Problem of the axis given for it (of a machine with `axes`), in one line, or None."""
         if self.per_axis and axis is None:
             return f"effect '{self.id}' lacks its axis, expected one of the axes 1, 2, ..."
         if not self.per_axis and axis not in (None, self.implied_axis):
@@ -243,7 +243,7 @@ class Effect:
         return None
 
     def section_problem(self, section: Section | None, sections: int | None = None) -> str | None:
-        """What is wrong with the section given for it (of a machine with `sections`), in one line, or None."""
+        """Problem of the section given for it (of a machine with `sections`), in one line, or None."""
         if self.stations and not isinstance(section, str):
             return f"effect '{self.id}' lacks its station, expected the name of one: {', '.join(sorted(self.stations))}"
         if section is None or self.stations:
@@ -257,7 +257,7 @@ class Effect:
         return None
 
     def station_problem(self, section: Section | None, stations: Mapping[str, str]) -> str | None:
-        """The same of a station, of a machine with `stations` (type by name)."""
+        """Problem of the station given for it, of a machine with `stations` (type by name), in one line, or None."""
         if not self.stations or (isinstance(section, str) and stations.get(section) in self.stations):
             return None
         able = [name for name, kind in stations.items() if kind in self.stations]
@@ -266,11 +266,11 @@ class Effect:
 
     @property
     def part(self) -> str:
-        """What of a machine it can be given for, as paths and entries have it; none where it is of the whole."""
+        """Part of a machine it can be given for, as in paths and entries; "" for effects of the whole."""
         return "axis" if self.per_axis else "span" if self.per_section else ""
 
     def enters(self, place: EffectPlace) -> bool:
-        """Whether it can be hidden at a place."""
+        """True if it can be hidden at a place."""
         return self.domain in _DOMAINS[place]
 
     def filled(self, parameters: Mapping[str, float]) -> dict[str, float]:
@@ -278,7 +278,7 @@ class Effect:
         return {p.name: float(parameters.get(p.name, p.neutral)) for p in self.parameters}
 
     def distinguished_from(self, other: Effect) -> str:
-        """The experiment that separates it from another effect that a recording can't tell it from."""
+        """Experiment that separates it from an effect not separable in a recording."""
         for one, two in ((self, other), (other, self)):
             for effect_id, experiment in one.alike:
                 if effect_id == two.id:
@@ -286,11 +286,11 @@ class Effect:
         return self.shown_by if self.shown_by == other.shown_by else f"{self.shown_by}; {other.shown_by}"
 
     def is_alike(self, other: Effect) -> bool:
-        """Whether some recordings can't tell it from another effect."""
+        """True if some recordings don't separate it from another effect."""
         return other.id in dict(self.alike) or self.id in dict(other.alike)
 
     def in_kind(self, kind: MachineKind) -> Effect:
-        """The row as a kind of machine has it. Raises ValueError for a kind that does not have the effect."""
+        """Effect as a kind of machine has it. Raises ValueError for a kind that does not have the effect."""
         if kind not in self.kinds:
             raise ValueError(f"effect '{self.id}' of a {kind}, expected one of {', '.join(sorted(self.kinds))}")
         if kind is MachineKind.WEB_LINE or self.rotary is None:

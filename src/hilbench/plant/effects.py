@@ -1,7 +1,7 @@
-"""The vocabulary of what a model may lack: one table that configs, injection, kernels, bus and diagnosis read.
+"""Vocabulary of effects that a model may lack: one table for configs, injection, kernels, bus and diagnosis.
 
-A row has all that is known of an effect (`hilbench.plant.effect`). To add one: a row in `EFFECTS`, and its law in the
-plants that have it (`hilbench.plant.web_line.laws`; the places of its parameters in the kernel's arrays,
+A row defines an effect (`hilbench.plant.effect`). To add one: a row in `EFFECTS`, and its law in the plants that have
+it (`hilbench.plant.web_line.laws`; the offsets of its parameters in the kernel's arrays,
 `hilbench.plant.web_line.layout`, follow from this table).
 """
 
@@ -51,18 +51,18 @@ _FORCE, _TORQUE = Size(0.05, force=1), Size(0.05, force=1, radius=1)
 _PER_SPEED, _PER_ANGULAR_SPEED = Size(0.1, force=1, speed=-1), Size(0.1, force=1, radius=2, speed=-1)
 _PER_SQUARE, _PER_ANGULAR_SQUARE = Size(0.2, force=1, speed=-2), Size(0.2, force=1, radius=3, speed=-2)
 _MOTOR_TORQUE = Size(1.0 / 64.0, force=1, radius=1, gear=-1)
-#: Of the highest speed, at which a law with a speed of its own is looked at.
+#: Shares of the highest speed at which a law with a speed of its own is tried.
 _SHARES = (0.01, 0.04, 0.15)
-#: Frequencies at which a resonance is looked at: close enough that a fit finds it from the nearest.
+#: Frequencies at which a resonance is tried: close enough that a fit finds it from the nearest.
 _FREQUENCIES_HZ = (5.0, 6.5, 8.5, 11.0, 14.0, 18.0, 24.0, 31.0, 40.0, 52.0)
 
-#: What looks like a web of another E that comes at once.
+#: Look-alike of a web with another E that comes at once.
 _FORCE_STEP = Lookalike(
     "a step of a force at the last roller (friction, downstream tension)",
     "step the tension after the change, and reverse",
 )
 
-#: Among explanations that a recording can't tell apart the one that stands first here is named.
+#: Of inseparable explanations the first one here is named.
 EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="coulomb_friction",
@@ -362,9 +362,9 @@ EFFECTS: tuple[Effect, ...] = (
         shown_by="turn slowly for many turns of the roller, then at another speed",
         kinds=_EVERY_KIND,
     ),
-    # Of the force that goes through the gear, which is the motor's: a gear of efficiency η passes 1 - k = η of it when
-    # it drives and takes 1/η = 1 + k when it is driven, to first order. Hamon, Gautier, Garrec, *Dynamic identification
-    # of robots with a dry friction model depending on load and velocity* (IROS 2010), have it beside Coulomb's.
+    # On the force through the gear, which is the motor's: a gear of efficiency η passes 1 - k = η of it when it drives
+    # and takes 1/η = 1 + k when it is driven, to first order. Hamon, Gautier, Garrec, *Dynamic identification of robots
+    # with a dry friction model depending on load and velocity* (IROS 2010), combine it with Coulomb's.
     Effect(
         id="load_dependent_friction",
         per_axis=True,
@@ -377,7 +377,7 @@ EFFECTS: tuple[Effect, ...] = (
         kinds=_EVERY_KIND,
         alike=(("coulomb_friction", "turn both ways under two loads that are well apart"),),
     ),
-    # Air that is moved along, c = ½·ρ·c_w·A at the web: windage of rollers and fans, of a web at high speed.
+    # Moved air, c = ½·ρ·c_w·A at the web: windage of rollers and fans, of a web at high speed.
     Effect(
         id="quadratic_drag",
         per_axis=True,
@@ -416,8 +416,8 @@ EFFECTS: tuple[Effect, ...] = (
         probe=Probe(ProbeOver.MOTOR_ANGLE, "order", by_torque=True),
         alike=(("torque_ripple", "turn slowly under two loads that are well apart"),),
     ),
-    # By the motion that was made, not the one that was asked for: a loop whose feed-forward fits makes the one of the
-    # other, and what is recorded then lacks exactly this. How the loop follows better by it is no part of the law.
+    # By the actual motion, not the reference: a loop whose feed-forward fits makes one into the other, and the recorded
+    # torque then lacks exactly this. The loop's better tracking by it is no part of the law.
     Effect(
         id="feed_forward",
         per_axis=True,
@@ -476,8 +476,8 @@ EFFECTS: tuple[Effect, ...] = (
         alike=(("torque_delay", "step the speed: a torque that is reported late moves nothing"),),
     ),
     # Two masses (Schröder, *Elektrische Antriebe - Regelung von Antriebssystemen*), all friction at the motor. From its
-    # torque to its speed there are zeros where what is behind the shaft swings against a motor that is held, and poles
-    # above them where both swing.
+    # torque to its speed there are zeros where the load oscillates against a held motor, and poles above them where
+    # both oscillate.
     Effect(
         id="resonance",
         per_axis=True,
@@ -513,7 +513,7 @@ EFFECTS: tuple[Effect, ...] = (
     ),
 )
 
-#: Least and most by which a value of a station may differ from the model's.
+#: Largest difference of a station's value from the model's.
 _MOST = 1e6
 _CARRIAGES, _ROLLERS = frozenset({"dancer", "accumulator"}), frozenset({"idler", "dancer", "accumulator"})
 
@@ -534,8 +534,8 @@ def _of_a_station(
     )
 
 
-#: Of dancers, accumulators, idlers and reels, where a machine has them: by what they differ from the model's. What a
-#: friction or a spring is less than none is none.
+#: Effects of dancers, accumulators, idlers and reels: differences from the model's values. A negative friction or
+#: spring is limited to 0.
 STATION_EFFECTS: tuple[Effect, ...] = (
     _of_a_station(
         "carriage_coulomb_friction",
@@ -598,7 +598,7 @@ STATION_EFFECTS: tuple[Effect, ...] = (
 _OF_KIND: Mapping[MachineKind, dict[str, Effect]] = {
     kind: {effect.id: effect.in_kind(kind) for effect in EFFECTS if kind in effect.kinds} for kind in MachineKind
 }
-#: With those of the stations that a line may have.
+#: Including those of the stations that a line may have.
 _KNOWN: Mapping[MachineKind, Mapping[str, Effect]] = {
     **_OF_KIND,
     MachineKind.WEB_LINE: _OF_KIND[MachineKind.WEB_LINE] | {effect.id: effect for effect in STATION_EFFECTS},
@@ -606,12 +606,12 @@ _KNOWN: Mapping[MachineKind, Mapping[str, Effect]] = {
 
 
 def effects_of(kind: MachineKind) -> tuple[Effect, ...]:
-    """The vocabulary of a kind of machine, with the units that it has there; without what only stations have."""
+    """Vocabulary of a kind of machine, with its units there; without effects of stations."""
     return tuple(_OF_KIND[kind].values())
 
 
 def find_effect(effect_id: str, kind: MachineKind = MachineKind.WEB_LINE) -> Effect:
-    """The effect with this id. Raises KeyError with a message that lists the ids a machine of that kind knows."""
+    """Effect with this id. Raises KeyError with a message that lists the ids known for that kind of machine."""
     known = _KNOWN[kind]
     try:
         return known[effect_id]
@@ -619,7 +619,7 @@ def find_effect(effect_id: str, kind: MachineKind = MachineKind.WEB_LINE) -> Eff
         raise KeyError(f"unknown effect '{effect_id}'{expected_one_of(effect_id, known)}") from None
 
 
-#: What a load motor emulates there, for a message.
+#: Emulated effects of a line, for a message.
 _EMULATED_OF_A_LINE = "an effect of the web or a roller's resistance"
 
 
@@ -634,10 +634,10 @@ def effect_problem(
     section: Section | None = None,
     sections: int | None = None,
 ) -> str | None:
-    """Why an effect can't be hidden at a place, in one line, or None.
+    """Reason why an effect can't be hidden at a place, in one line, or None.
 
-    axis, section: those given for it, from 1, or a station's name (None: none). axes, sections: how many the machine
-    has. loaded: axes on whose shaft a load motor is. What the machine has is None where that is not known yet.
+    axis, section: those given for it, from 1, or a station's name (None: none). axes, sections: number of them in the
+    machine. loaded: axes with a load motor on their shaft. Unknown properties of the machine are None.
     """
     try:
         effect = find_effect(effect_id, kind)

@@ -1,9 +1,9 @@
-"""What dry friction is after a reversal: it turns over a way, not at once, and behind a play it waits.
+"""Presliding hysteresis: after a reversal dry friction changes over a travel, and after the gear play.
 
-A spring that slides (Prandtl's element; Al-Bender, Swevers, *Characterization of friction force dynamics*, IEEE Control
-Systems Magazine 2008), in series with a play: from the stop on one side the spring lets go, the play is crossed without
-force, the spring is wound up the other way, and friction slides. Inertia is neglected in it: friction holds what is
-behind the play until the play is crossed. Ways in the unit of the position.
+A sliding spring (Prandtl's element; Al-Bender, Swevers, *Characterization of friction force dynamics*, IEEE Control
+Systems Magazine 2008), in series with a play: from the stop on one side the spring relaxes, the play is crossed without
+force, the spring is wound up the other way, and friction slides. Inertia is neglected: friction holds the load side of
+the play until the play is crossed. Travel in the unit of the position.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from hilbench.compiled import REAL, VECTOR, entry_point, inlined
 
 Vector = NDArray[np.float64]
 
-#: The least way over which friction turns.
+#: Least travel over which friction reverses.
 LEAST_PRESLIDING: Final = 1e-9
 
 
 @inlined
 def wound(deflection: float, step: float, half_play: float, presliding: float) -> float:
-    """The deflection of play and spring together after a step of the motion; at their ends both are dragged along."""
+    """Deflection of play and spring together after a step of the motion; at their ends both are dragged along."""
     end = half_play + presliding
     return min(max(deflection + step, -end), end)
 
 
 @inlined
 def friction_direction(deflection: float, half_play: float, presliding: float) -> float:
-    """Dry friction as a share of what it is while it slides, with the sign of the motion: -1 to 1."""
+    """Dry friction as a share of sliding friction, with the sign of the motion: -1 to 1."""
     share = min(max((abs(deflection) - half_play) / presliding, 0.0), 1.0)
     return share if deflection > 0.0 else -share
 
 
-#: friction_directions(position (n,), half_play, presliding, out (n,)): the direction at each row, from no deflection.
+#: friction_directions(position (n,), half_play, presliding, out (n,)): direction at each row, from no deflection.
 @entry_point(VECTOR, REAL, REAL, VECTOR)
 def friction_directions(x: Vector, half_play: float, presliding: float, out: Vector) -> None:
     deflection = 0.0

@@ -1,4 +1,4 @@
-"""What followers that go on in step with measured motion, in one compiled call a cycle, have in common."""
+"""Base of followers that follow measured motion in one compiled call a cycle."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from hilbench.plant.sample_coherence import Vector
 
 
 class CompiledInStep(ABC):
-    """An `InStep` by `function`, whose table has the vectors of `kept`, then values and places; it returns `followed`
-    where nothing is left to do. `torques_Nm`: one of the kept, into which it puts torques of the load motors (M,)."""
+    """`InStep` by a compiled `function`, whose table has the vectors of `kept`, then values and offsets; it returns
+    `followed` if the cycle is complete. `torques_Nm`: one of `kept`, for the load motors' torques (M,)."""
 
     def __init__(
         self, function: Function, followed: int, torques_Nm: Vector, kept: tuple[NDArray[np.generic], ...]
     ) -> None:
         self._function, self._followed = function, followed
         self._torques, self._kept = torques_Nm, kept
-        self._on: tuple[Vector, NDArray[np.int64]] | None = None  #: the values and places that the table has
+        self._on: tuple[Vector, NDArray[np.int64]] | None = None  #: values and offsets in the table
         self._table = np.zeros((0, TABLE_WIDTH), np.int64)
 
     @property
     def torques_Nm(self) -> list[float]:
-        """See `InStep`, here and below."""
+        """Load torques; see `InStep`."""
         torques_Nm: list[float] = self._torques.tolist()
         return torques_Nm
 
     def follow(self, values: Vector, places: NDArray[np.int64], *, late: bool) -> HasFollowed:
-        """See there."""
+        """Follow a cycle; see `InStep`."""
         return self.has_followed(self._function(int(late), self._table_on(values, places)))
 
     def piece(self, values: Vector, places: NDArray[np.int64], fallback: Callable[[int], bool]) -> CompiledStage:
-        """See there."""
+        """Compiled stage; see `InStep`."""
         table, kept = self._table_on(values, places), (self._kept, values, places)
         return CompiledStage(self._function, 0, table, continues=self._followed, fallback=fallback, keeps=kept)
 
     @abstractmethod
     def has_followed(self, code: int) -> HasFollowed:
-        """See there."""
+        """Result by return code; see `InStep`."""
 
     def _table_on(self, values: Vector, places: NDArray[np.int64]) -> NDArray[np.int64]:
         if self._on is None or self._on[0] is not values or self._on[1] is not places:

@@ -1,12 +1,12 @@
-"""The one interface behind which a machine stands: what simulated hardware, load model, twin and diagnosis know of it.
+"""Interface of a machine to simulated hardware, load model, twin and diagnosis.
 
-Three kinds of object speak it. A closed model (`Plant`) has drives and mechanics, turns with set points at its motor
-ports, and is what a twin simulates. Simulated hardware is a `Plant` too: shafts with load motors and sensors, without
-the machine that the load motors emulate. A `Follower` is that emulated machine: measured positions of the driven axes
-go in, torques for the load motors come out.
+Three kinds of object implement it. A closed model (`Plant`) has drives and mechanics, is driven by set points at its
+motor ports, and is simulated by a twin. Simulated hardware is a `Plant` too: shafts with load motors and sensors,
+without the machine that the load motors emulate. A `Follower` is that emulated machine: measured positions of the
+driven axes go in, torques for the load motors come out.
 
-Names are those of the part and its number, with the unit last: `x1_m`, `v2_m_s`, `tau1_Nm`, `F1_N`, `strain1`;
-a rotary machine has `x1_rad`, `v1_rad_s`. A ratio has the unit "1".
+Names are those of the part and its number, with the unit last: `x1_m`, `v2_m_s`, `tau1_Nm`, `F1_N`, `strain1`; a rotary
+machine has `x1_rad`, `v1_rad_s`. A ratio has the unit "1".
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # numba, which a check of a config does not need
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A value that a machine has: its name, its SI unit ("1" for a ratio) and what it means."""
+    """Quantity of a machine: name, SI unit ("1" for a ratio) and meaning."""
 
     name: str
     unit: str
@@ -36,18 +36,18 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Motor:
-    """A motor of a machine, in the order of its ports.
+    """Motor of a machine, in the order of its ports.
 
     Axis motors come first, motor k on axis k; further ones are load motors, each on the shaft of any axis.
     """
 
-    axis: int  #: on whose shaft it is, counted from 1
-    rad_per_unit: float  #: turn of its shaft per unit of the axis' position: i/r in rad/m, i in rad/rad
+    axis: int  #: axis of its shaft, counted from 1
+    rad_per_unit: float  #: turn of its shaft per unit of the axis's position: i/r in rad/m, i in rad/rad
 
 
 @dataclass(frozen=True, slots=True)
 class PlantDescription:
-    """What a machine is, and every name that can be asked for."""
+    """Description of a machine, with all names of its quantities."""
 
     kind: str  #: as in a config: "web_line", "servo_axis", …
     position_unit: Literal["m", "rad"]  #: of its axes' positions; speeds are per second
@@ -57,58 +57,58 @@ class PlantDescription:
     inputs: tuple[Quantity, ...]
     outputs: tuple[Quantity, ...]
     parameters: tuple[Quantity, ...]
-    effects: tuple[str, ...]  #: ids of those it can be given while it runs
+    effects: tuple[str, ...]  #: ids of those it can be given at run time
 
 
 @dataclass(frozen=True, slots=True)
 class PlantState:
-    """The state of a machine at one instant, from which an equal machine goes on bit for bit.
+    """State of a machine at one instant, from which an equal machine continues bit for bit.
 
-    Parameters, effects and inputs are none of it.
+    Parameters, effects and inputs are not included.
     """
 
     values: Mapping[str, float]  #: the states of the description, by name
-    memory: object  #: what is not named (control loops, past torques, sensors): only a machine of the kind reads it
+    memory: object  #: unnamed state (control loops, past torques, sensors), private to machines of the kind
 
 
 @runtime_checkable
 class Machine(Protocol):
-    """What closed models, simulated hardware and followers have in common.
+    """Common interface of closed models, simulated hardware and followers.
 
-    An unknown name, and a value that cannot be, raise ValueError with one line: what was found, what was expected.
+    An unknown name or an impossible value raises ValueError with one line: found, expected.
     """
 
     def describe(self) -> PlantDescription:
-        """What it is; the same for as long as it is there."""
+        """Description; constant."""
 
     @property
     def time_s(self) -> float:
         """Time since the start; the time of the effects' laws."""
 
     def outputs(self) -> dict[str, float]:
-        """The outputs of the description as they are now, true (without sensors)."""
+        """Present outputs of the description, true values (without sensors)."""
 
     def get_state(self) -> PlantState:
-        """The state as it is now."""
+        """Present state."""
 
     def set_state(self, state: PlantState | Mapping[str, float]) -> None:
-        """Go on from a state of an equal machine, exactly; or transfer the given states by name: the others stay."""
+        """Restore a state of an equal machine, exactly; or transfer the given states by name: the others stay."""
 
     def parameter(self, name: str) -> float:
-        """Present value of a parameter, without what effects make of it."""
+        """Present value of a parameter, without effects."""
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Give a parameter a value from now on; the state stays."""
+        """Set a parameter from now on; the state stays."""
 
     def set_input(self, name: str, value: float) -> None:
-        """What the neighbourhood does to it (a boundary) from now on."""
+        """Set an input (a boundary) from now on."""
 
     def set_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
-        """Give it an effect with these parameters from now on; the states stay.
+        """Set an effect's parameters from now on; the states stay.
 
-        `axis`, counted from 1, for effects of an axis; `section`, from 1, for those of what is between two axes (None:
+        `axis`, counted from 1, for effects of an axis; `section`, from 1, for those between two axes (None:
         everywhere); `slot` for effects that can be given several times.
         """
 
@@ -120,36 +120,36 @@ class Machine(Protocol):
 
 @runtime_checkable
 class Steps(Protocol):
-    """What motors turn."""
+    """Simulation driven by motors."""
 
     def step(self, duration_s: float) -> None:
-        """Go on for so long with the set points that the motors have."""
+        """Step by this duration with the motors' present set points."""
 
 
 @runtime_checkable
 class StepsInModes(Protocol):
-    """The same without ports, while no motor changes its mode."""
+    """Simulation without ports, while no motor changes its mode."""
 
     def steps_in_modes(
         self, set_points: NDArray[np.float64], duration_s: float, shown: NDArray[np.float64]
     ) -> CompiledStage | None:
-        """What lets it go on with set points (M,); `shown`, (5 M,): position, velocity, torque, reference, torque
-        limited. None for a machine that can't."""
+        """Compiled stage of a step with set points (M,); `shown`, (5 M,): position, velocity, torque, reference, torque
+        limited. None for a machine without one."""
 
 
 class Plant(Machine, Protocol):
-    """A machine that turns with the set points of its motor ports: a closed model, or simulated hardware."""
+    """Machine driven by the set points of its motor ports: a closed model, or simulated hardware."""
 
     @property
     def ports(self) -> tuple[MotorPort, ...]:
-        """One for each motor of the description; empty if every motor is off for good."""
+        """Port of each motor of the description; empty if every motor is off for good."""
 
     def lock_to(self, duration_s: float) -> None:
-        """Let the drives' sample time be the nearest to the model's of which `duration_s` is a multiple, as that of
-        drives whose loops lock to a cycle."""
+        """Set the drives' sample time to the nearest to the model's of which `duration_s` is a multiple, as of drives
+        whose loops lock to a cycle."""
 
     def step(self, duration_s: float) -> None:
-        """Go on with the ports' set points held, and write the feedback to the ports.
+        """Step with the ports' set points held, and write the feedback to the ports.
 
         Raises ValueError for a duration that is no multiple of the drives' sample time.
         """
@@ -157,27 +157,27 @@ class Plant(Machine, Protocol):
 
 @runtime_checkable
 class Follower(Machine, Protocol):
-    """A machine that is not there, emulated by load motors: it follows measured positions of the driven axes.
+    """Machine emulated by load motors: it follows measured positions of the driven axes.
 
     Positions (N,) and speeds (N,) are of all driven axes, in the machine's unit and that per second.
     """
 
     def reset(self, positions: Sequence[float]) -> None:
-        """Start again at these positions, at rest, as the machine is at the start; parameters and time stay."""
+        """Restart at these positions, at rest, in the initial state; parameters and time stay."""
 
     def follow(self, positions: Sequence[float], duration_s: float) -> None:
-        """The axes are now at `positions`, `duration_s` (above 0) after the last call."""
+        """Move the axes to `positions`, `duration_s` (above 0) after the last call."""
 
     def load_torques_Nm(self, axes: Sequence[int], speeds: Sequence[float], lead_s: float) -> list[float]:
         """Torque at the shaft of a load motor on each of `axes` (counted from 1) that emulates the machine there.
 
-        `speeds` are the measured ones of all axes. The machine is predicted by `lead_s`, with the axes going on as in
-        the last cycle: the torque acts so much later than the motion was measured.
+        `speeds` are the measured ones of all axes. The machine is predicted by `lead_s`, with the axes' motion of the
+        last cycle: the dead time from the measurement to the torque.
         """
 
 
 def checked_name(kind: str, name: str, known: Iterable[Quantity]) -> str:
-    """The name, if one of `known` has it. Raises ValueError: `kind` ("parameter", …), what was found and expected."""
+    """Check a name against `known`. Raises ValueError: `kind` ("parameter", …), what was found and expected."""
     names = [quantity.name for quantity in known]
     if name not in names:
         expected = expected_one_of(name, names) if names else ", expected none: the machine has no such quantity"

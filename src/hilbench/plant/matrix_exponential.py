@@ -1,7 +1,7 @@
-"""The exponential of a small matrix: scaling and squaring with the Padé approximant of order 13.
+"""Matrix exponential of a small matrix: scaling and squaring with the Padé approximant of order 13.
 
 N. J. Higham, The scaling and squaring method for the matrix exponential revisited, SIAM J. Matrix Anal. Appl. 26(4),
-2005. `scipy.linalg.expm` is the same, but to import scipy takes longer than all that a bench does with it at its start.
+2005. Equivalent to `scipy.linalg.expm`, but importing scipy would dominate the start of a bench.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _COEFFICIENTS = [
 
 
 def matrix_exponential(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """exp(A) of a square matrix (n, n) of finite numbers."""
+    """Exponential exp(A) of a square matrix (n, n) of finite numbers."""
     size = float(np.linalg.norm(matrix, 1))
     squarings = max(0, ceil(log2(size / _LARGEST))) if size > 0.0 else 0
     scaled = matrix / 2.0**squarings

@@ -1,6 +1,6 @@
-"""How far a machine has to follow measured axes: cycles are counted by way and speed, where the axes turn.
+"""Time by which a machine has to follow measured axes: cycles are counted by travel and speed, where the axes turn.
 
-Of a drive that has missed a SYNC, or of a SYNC that was sent late, no frame says so.
+No frame shows that a drive has missed a SYNC, or that a SYNC was sent late.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from hilbench.cycle_program import CompiledStage
 from hilbench.plant import sample_coherence
 from hilbench.plant.sample_coherence import SampleCoherence, Vector, coherent, own_travels
 
-#: So many cycles that a sample is late by are made good by prediction; an older one has too little in it.
+#: Largest delay of a sample, in cycles, that is compensated by prediction; an older one has too little information.
 MOST_PREDICTED_CYCLES = 3.0
-#: A sample that is not whole cycles after the last one is so many parts of a cycle after it.
+#: Resolution, in parts of a cycle, of a sample's time when it is not whole cycles after the last one.
 _PARTS = 1000.0
-#: What `elapsed_s` goes by: which travel shows cycles, in the unit of the positions; a cycle, s; the axis that is
-#: counted by, from 0; cycles since the instant of the positions that the machine is at; that axis' position and speed
-#: there; how much later torques act, s; whether the axes travel independently, which shows it all.
+#: State of `elapsed_s`: least travel that shows cycles, in the unit of the positions; a cycle, s; index of the counting
+#: axis; cycles since the instant of the machine's positions; that axis's position and speed there; dead time of the
+#: torques, s; whether the axes travel independently, and all of them are used.
 _LEAST_TRAVEL, _CYCLE_S, _AXIS, _BEHIND, _POSITION, _SPEED, _LEAD_S, _OWN, _SIZE = range(9)
 
 
@@ -41,8 +41,8 @@ def _own_elapsed_s(m: Vector, travels: Vector, positions: Vector, late: bool) ->
 
 @compiled
 def elapsed_s(m: Vector, travels: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
-    """A cycle on, with these positions and speeds (N,): the time in s by which the machine has to follow; 0 where they
-    are not of one instant (`travels`: of `coherent`, or `own_travels`), `late`, or of the instant it is at already."""
+    """Advance a cycle with these positions and speeds (N,): time in s by which the machine has to follow; 0 if they are
+    incoherent (`travels`: of `coherent`, or `own_travels`), `late`, or of the machine's present instant."""
     if m[_OWN] != 0.0:
         return _own_elapsed_s(m, travels, positions, late)
     m[_BEHIND] += 1.0
@@ -62,7 +62,7 @@ def elapsed_s(m: Vector, travels: Vector, positions: Vector, speeds: Vector, lat
         whole = cycles == 0.0 or abs(travel - cycles * of_a_cycle) <= m[_LEAST_TRAVEL]
         duration_s = (cycles if whole else parts / _PARTS) * cycle_s
     m[_SPEED] = speeds[axis]
-    # One cycle ahead of what is counted there may be: a SYNC that was sent late, and the next one on time.
+    # Up to one cycle ahead of the count: a SYNC that was sent late, and the next one on time.
     m[_BEHIND] = max(m[_BEHIND] - cycles, 0.0 if cycles == 1.0 else -1.0)
     if cycles == 0.0:
         return 0.0
@@ -72,13 +72,13 @@ def elapsed_s(m: Vector, travels: Vector, positions: Vector, speeds: Vector, lat
 
 @compiled
 def ahead_s(m: Vector) -> float:
-    """By how much the machine is to be predicted: until torques act, and over what the sample is late by."""
+    """Time by which the machine has to be predicted: dead time of the torques, and delay of the sample."""
     return float(m[_LEAD_S] + min(max(m[_BEHIND], 0.0), MOST_PREDICTED_CYCLES) * m[_CYCLE_S])
 
 
 @compiled
 def take(values: Vector, at: NDArray[np.int64], positions: Vector, speeds: Vector) -> None:
-    """What `InStep.follow` is given, from `values`: positions (N,), then speeds (N,), at the first places."""
+    """Read the input of `InStep.follow` from `values`: positions (N,), then speeds (N,), at the first offsets."""
     count = len(positions)
     for k in range(count):
         positions[k], speeds[k] = values[at[k]], values[at[count + k]]
@@ -86,7 +86,7 @@ def take(values: Vector, at: NDArray[np.int64], positions: Vector, speeds: Vecto
 
 @compiled
 def publish(values: Vector, at: NDArray[np.int64], torques: Vector, shown: Vector) -> None:
-    """What it puts behind them, into `values`: torques (M,), then pairs of a place there and one of those shown."""
+    """Write its output into `values`: torques (M,), then pairs of an offset there and an index in `shown`."""
     for k in range(len(torques)):
         values[at[k]] = torques[k]
     for k in range(len(torques), len(at), 2):
@@ -104,11 +104,11 @@ def _ahead(m: Vector) -> float:
 
 
 class MeasuredMotion:
-    """The motion of N axes, from cycle to cycle.
+    """Motion of N axes, from cycle to cycle.
 
-    `counted`: the axis, from 0, whose way counts cycles; `lead_s`: how much later than it was measured what follows
-    from it acts; `least_travel`, in the unit of the positions: what is measured well enough to count cycles by it;
-    `own_play`: of axes that go ways of their own, by how much that of a cycle may differ from the one before.
+    `counted`: index of the axis whose travel counts cycles; `lead_s`: dead time from the measurement to its effect;
+    `least_travel`, in the unit of the positions: least travel for counting cycles; `own_play`: of independent axes,
+    largest change of a cycle's travel.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class MeasuredMotion:
         self._format = f"={axes}d"
 
     def begin(self, positions: Sequence[float], speeds: Sequence[float]) -> None:
-        """The machine is at these positions."""
+        """Start the machine at these positions."""
         if self.state[_OWN]:
             sample_coherence.forget_own_travels(self.travels)
             self.elapsed_s(positions, speeds, late=False)
@@ -136,55 +136,55 @@ class MeasuredMotion:
         self.state[[_BEHIND, _POSITION, _SPEED]] = 0.0, positions[axis], speeds[axis]
 
     def elapsed_s(self, positions: Sequence[float], speeds: Sequence[float], *, late: bool) -> float:
-        """`elapsed_s` with these, which are measured now."""
+        """`elapsed_s` for these new measurements."""
         pack_into(self._format, self.positions.data, 0, *positions)
         pack_into(self._format, self.speeds.data, 0, *speeds)
         return _gone(self.state, self.travels, self.positions, self.speeds, late)
 
     @property
     def ahead_s(self) -> float:
-        """By how much the machine is to be predicted."""
+        """Time by which the machine has to be predicted."""
         return _ahead(self.state)
 
 
 class HasFollowed(Enum):
-    """What a follower has done of a cycle."""
+    """Result of a follower's cycle."""
 
-    NOT = 0  #: it is as it was, as there is nothing to follow
-    TORQUES = 1  #: followed, and told torques alone
+    NOT = 0  #: unchanged, as there is nothing to follow
+    TORQUES = 1  #: followed, torques alone published
     ALL = 2
 
 
 class InStep(Protocol):
-    """A follower with what counts its cycles: all of a cycle in one call."""
+    """Follower with its cycle counting: all of a cycle in one call."""
 
     @property
     def usable(self) -> bool:
-        """Whether it goes on so as it is now."""
+        """True if it can continue in its present state."""
 
     @property
     def torques_Nm(self) -> list[float]:
-        """Of the load motors (M,), as it has followed last."""
+        """Torques of the load motors (M,), as of the last cycle."""
 
     def follow(self, values: Vector, places: NDArray[np.int64], *, late: bool) -> HasFollowed:
-        """Let it follow, by `elapsed_s`, positions (N,) and speeds (N,) at the first places of `values`, and put there
-        torques of the load motors (M,), N·m, predicted by `ahead_s`, at the next ones, then what it is now: a place,
-        and which output of its description, of each that is asked for."""
+        """Follow, by `elapsed_s`, positions (N,) and speeds (N,) at the first offsets of `values`; write torques of the
+        load motors (M,), N·m, predicted by `ahead_s`, at the next ones, then its outputs: pairs of an offset and an
+        output index of its description."""
 
     @property
     def is_shown(self) -> bool:
-        """Whether nothing was changed since it has followed last."""
+        """True if nothing was changed since the last cycle."""
 
     def piece(self, values: Vector, places: NDArray[np.int64], fallback: Callable[[int], bool]) -> CompiledStage:
-        """The same as a piece of a cycle with samples that are not late, of which all but ALL is `fallback`."""
+        """Compiled stage of `follow` with samples that are not late; results other than ALL go to `fallback`."""
 
     def has_followed(self, code: int) -> HasFollowed:
-        """What the piece has done where it has returned this."""
+        """Result of a stage by its return code."""
 
 
 @runtime_checkable
 class FollowsInStep(Protocol):
-    """A `hilbench.plant.interface.Follower` that can do so."""
+    """`hilbench.plant.interface.Follower` with a compiled cycle."""
 
     def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> InStep:
-        """With this motion, and load motors on `axes`, counted from 1."""
+        """Compiled follower of this motion, with load motors on `axes`, counted from 1."""

@@ -1,4 +1,4 @@
-"""The model file, and the `machine:` block of a config: which machine it is, by its `kind`."""
+"""Model file, and the `machine:` block of a config: selects the machine by its `kind`."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def load_machine(path: str | Path) -> Machine:
 def write_model(path: str | Path, parameters: Machine) -> None:
     """Write a model file that `load_machine` reads back to an equal model. Raises UnusableInputError."""
     if isinstance(parameters, FmuAxisParameters):
-        parameters = parameters.as_servo_axis()  # what was found is beside the FMU, which no file can change
+        parameters = parameters.as_servo_axis()  # the estimate is outside the FMU's file, which can't be changed
     data: dict[str, Any] = parameters.model_dump(mode="json", exclude_none=True, exclude_unset=True)
     if isinstance(parameters, ServoAxisParameters):  # a file without `kind` is a web line's
         data = {"kind": parameters.kind, **data}

@@ -1,7 +1,7 @@
-"""Laws of a motor and its sensors that are the same on every machine: small compiled functions.
+"""Laws of a motor and its sensors common to every machine: small compiled functions.
 
-`p` is a machine's parameter vector. An effect with slots stands in it slot behind slot, from a place `first` on; of a
-wave over an angle a slot is amplitude, order, phase (rad). Angles and speeds are the motor's, rad and rad/s.
+`p` is a machine's parameter vector. The slots of an effect follow each other from an offset `first` on; of a wave over
+an angle a slot is amplitude, order, phase (rad). Angles and speeds are the motor's, rad and rad/s.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _ANGLE_PASSES = 6
 
 @inlined
 def is_any(p: Vector, first: int, size: int, slots: int) -> bool:
-    """Whether any slot of an effect is taken: the strength of the first stands at `first`, a slot has `size` values."""
+    """True if any slot of an effect is used: the strength of the first is at `first`, a slot has `size` values."""
     found = False
     for slot in range(slots):
         found |= p[first + slot * size] != 0.0
@@ -49,7 +49,7 @@ def _wave_sum(p: Vector, first: int, slots: int, angle_rad: float, start: float)
 
 @compiled
 def measured_motion(amplitude_rad: float, phase_rad: float, angle_rad: float, rad_s: float) -> tuple[float, float]:
-    """Angle and speed as an encoder with an error once a turn has them: phi + A·sin(phi + phi0)."""
+    """Angle and speed measured by an encoder with an error once per turn: phi + A·sin(phi + phi0)."""
     noinline()
     at = angle_rad + phase_rad
     return angle_rad + amplitude_rad * sin(at), rad_s * (1.0 + amplitude_rad * cos(at))
@@ -59,7 +59,7 @@ def measured_motion(amplitude_rad: float, phase_rad: float, angle_rad: float, ra
 def true_motion(
     amplitude_rad: float, phase_rad: float, angle_rad: float, rad_s: float, rad_s2: float
 ) -> tuple[float, float, float]:
-    """Angle, speed and acceleration that were measured so: the inverse of `measured_motion`."""
+    """True angle, speed and acceleration from measured ones: the inverse of `measured_motion`."""
     noinline()
     angle = angle_rad
     for _ in range(_ANGLE_PASSES):
@@ -72,7 +72,7 @@ def true_motion(
 
 @inlined
 def past_torque_Nm(s: Vector, past: int, ring: int, count: int, samples: float) -> float:
-    """Torque of so many `samples` ago, linear between them: that of sample k stands at `past` + k % `ring` of `s`, and
+    """Torque of so many `samples` ago, linear between them: that of sample k is at `past` + k % `ring` of `s`, and
     `count` is the newest."""
     whole = int(samples)
     newer = s[past + max(count - whole, 0) % ring]
@@ -82,20 +82,19 @@ def past_torque_Nm(s: Vector, past: int, ring: int, count: int, samples: float) 
 
 @inlined
 def measured_direction(speed: float, width: float) -> float:
-    """Sign of a measured speed, which turns over linearly within ±`width` (same unit): -1 to 1."""
+    """Sign of a measured speed, linear within ±`width` (same unit): -1 to 1."""
     return min(max(speed / width, -1.0), 1.0)
 
 
 @inlined
 def before_load_friction(load_share: float, passed: float, direction: float) -> float:
-    """Torque or force of which so much is passed on when friction in proportion to it takes its share from a motion in
-    `direction` (-1 to 1)."""
+    """Torque or force before load-dependent friction, from the passed-on one, for motion in `direction` (-1 to 1)."""
     sign = 1.0 if passed > 0.0 else -1.0
     return passed / (1.0 - sign * direction * load_share)
 
 
 @inlined
 def value_at(column: Vector, row: float) -> float:
-    """Value of a column (N,) at a place from 0 to N - 1, linear between rows."""
+    """Value of a column (N,) at a row from 0 to N - 1, linear between rows."""
     first = min(int(row), len(column) - 2)
     return column[first] + (row - first) * (column[first + 1] - column[first])

@@ -1,10 +1,10 @@
-"""What a drive's firmware sees of its motor: set points one way, measured feedback the other; SI, motor side.
+"""Interface of a drive's firmware to its motor: set points one way, measured feedback the other; SI, motor side.
 
-The simulated drive (CiA-402 logic) writes the first group once per cycle or tick; the plant (the mechanics
-that turn the motor) reads it, advances, and writes the second group. Neither knows the other.
+The simulated drive (CiA-402 logic) writes the first group once per cycle or tick; the plant (the driven mechanics)
+reads it, advances, and writes the second group. Neither depends on the other.
 
-When `mode` changes, the loop starts its reference at the present value of what the new mode controls and moves it from
-there to the set point, so that no mode begins with a jump. A ramp ends on its set point exactly.
+Bumpless transfer: when `mode` changes, the loop starts its reference at the present value of the new mode's controlled
+quantity and moves it from there to the set point. A ramp ends on its set point exactly.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from math import inf
 
 
 class MotorMode(IntEnum):
-    """What the drive's sampled control loop does with the set point."""
+    """Mode of the drive's sampled control loop: meaning of the set point."""
 
     OFF = 0  #: power stage off: no torque, the shaft is free
     TORQUE = 1  #: set point is a torque in N·m
@@ -25,18 +25,18 @@ class MotorMode(IntEnum):
 
 @dataclass(slots=True)
 class MotorPort:
-    """The border between a drive's firmware and its motor."""
+    """Interface between a drive's firmware and its motor."""
 
     # Written by the firmware.
     mode: MotorMode = MotorMode.OFF
-    setpoint: float = 0.0  #: N·m, rad/s or rad, as `mode` says
+    setpoint: float = 0.0  #: N·m, rad/s or rad, by `mode`
     slope: float = (
         inf  #: the control loop's reference moves towards the set point at most so fast (unit of setpoint / s)
     )
     torque_limit_Nm: float = inf
 
-    # Written by the plant, as the drive's sensors show it.
-    reference: float = 0.0  #: where the reference is on its way to the set point (unit of setpoint)
+    # Written by the plant, as measured by the drive's sensors.
+    reference: float = 0.0  #: present (ramped) reference (unit of setpoint)
     position_rad: float = 0.0
     velocity_rad_s: float = 0.0
     torque_Nm: float = 0.0

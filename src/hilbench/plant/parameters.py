@@ -1,4 +1,4 @@
-"""Parameters that machines of every kind have: drives, load motors, effects. SI, units in the key names.
+"""Parameters common to machines of every kind: drives, load motors, effects. SI, units in the key names.
 
 A value that may differ from axis to axis is one number for all of them or a list.
 """
@@ -43,7 +43,7 @@ class DriveParameters(Block):
 
 
 class LoadMotorParameters(Block):
-    """The load motor and its drive's torque loop, at the shaft."""
+    """Load motor and its drive's torque loop, at the shaft."""
 
     inertia_kg_m2: float = Field(default=0.0, ge=0.0, description="of its rotor, on the shaft")
     torque_limit_Nm: float = Field(default=20.0, gt=0.0, description="of the motor")
@@ -60,9 +60,9 @@ class LoadMotorParameters(Block):
 
 
 class EffectEntry(Block):
-    """One effect with its parameter values, checked against `hilbench.plant.effects`."""
+    """Effect with its parameter values, checked against `hilbench.plant.effects`."""
 
-    #: The kind of machine by whose rows it is checked.
+    #: Kind of machine whose effects it is checked against.
     machine_kind: ClassVar[MachineKind] = MachineKind.WEB_LINE
 
     effect: str = Field(description="its id in the vocabulary of effects")
@@ -78,7 +78,7 @@ class EffectEntry(Block):
 
     @property
     def section(self) -> Section | None:
-        """Between which axes it is: behind which, from 1, or the name of a station; None: of an axis, or everywhere."""
+        """Section after an axis, from 1, or the name of a station; None: of an axis, or everywhere."""
         return self.span if self.station is None else self.station
 
     @model_validator(mode="after")
@@ -96,5 +96,5 @@ class EffectEntry(Block):
 
 
 def per_item(value: Value | list[Value], number: int) -> Value:
-    """The value for item `number` (counted from 1) of a parameter that is one for all, or a list."""
+    """Value for item `number` (counted from 1) of a parameter that is one for all, or a list."""
     return value[number - 1] if isinstance(value, list) else value

@@ -1,7 +1,7 @@
-"""Whether the measured positions of all axes are of one instant, and those of one axis a cycle apart.
+"""Sample coherence: check that measured positions of all axes are of one instant, and those of one axis a cycle apart.
 
-On a bus that is late, or loses frames, one axis' position may be of an earlier SYNC than the other's. It is then off by
-the way of a cycle, which is many times what the web is strained by: 6 mm against 0.3 mm at 3 m/s.
+On a bus that is late, or loses frames, one axis's position may be of an earlier SYNC than the other's. It is then off
+by a cycle's travel, which is many times the web's elongation: 6 mm against 0.3 mm at 3 m/s.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from hilbench.compiled import REAL, VECTOR, compiled, entry_point
 
 Vector = NDArray[np.float64]
 
-#: Ways of the rollers that differ by more than this share of a cycle's way are not of one instant.
+#: Largest difference of the rollers' travels at one instant, as a share of a cycle's travel.
 _ALIKE = 0.3
-#: A cycle's way is at most so many times that of the cycle before: more was the way of cycles that nobody has counted.
+#: Largest ratio of a cycle's travel to that of the previous one: more is the travel of uncounted cycles.
 _LONGER = 1.5
 #: Beyond any acceleration of a line.
 _FASTEST_M_S2 = 100.0
-#: How much more the axes of one machine may go apart in a cycle than in the one before, in those plays.
+#: Further divergence of the axes of one machine allowed per cycle, in those plays.
 _APART = 0.5
-#: What a machine that goes its way is accelerated by at most, by the unit of its positions (1/s²).
+#: Largest acceleration of a running machine, by the unit of its positions (1/s²).
 _ON_ITS_WAY = {"m": 20.0, "rad": 2e3}
 
 
-#: So many cycles one after the other are refused for ways that say different numbers of cycles.
+#: Most successive cycles refused because the axes' travels give different numbers of cycles.
 _MOST_REFUSED = 5
 
-#: What `paired` remembers (4 + N,): cycles since the positions were last of one instant, the way of a cycle (below 0:
-#: not known), cycles whose positions were not, whether there are any; then the positions.
+#: State of `coherent` (4 + N,): cycles since the positions were last coherent, the travel of a cycle (below 0:
+#: unknown), incoherent cycles, whether there are positions; then the positions.
 _CYCLES, _WAY, _UNPAIRED, _STARTED, _LAST = range(5)
 
 
 def coherence_state(rollers: int) -> Vector:
-    """What `coherent` remembers of so many rollers: nothing yet."""
+    """Initial state of `coherent` for so many rollers."""
     state: Vector = np.zeros(_LAST + rollers)
     state[_WAY] = -1.0
     return state
@@ -45,7 +45,7 @@ def coherence_state(rollers: int) -> Vector:
 
 @compiled
 def coherent(state: Vector, positions: Vector, least_travel: float) -> bool:
-    """Whether positions (N,) are of one instant; see `SampleCoherence`."""
+    """True if positions (N,) are of one instant; see `SampleCoherence`."""
     state[_CYCLES] += 1.0
     count = len(positions)
     if state[_STARTED] != 0.0:
@@ -70,14 +70,14 @@ def coherent(state: Vector, positions: Vector, least_travel: float) -> bool:
     return True
 
 
-#: What `comes_steadily` remembers: how much further than before it may have come in a cycle, m; the last position and
-#: whether there is one; the way of a cycle and whether it is known; cycles since without a position.
+#: State of `increments_steadily`: allowed change of a cycle's travel, m; the last position and whether there is one;
+#: the travel of a cycle and whether it is known; cycles since without a position.
 _MOST_M, _LAST_M, _HAS_LAST, _TRAVEL_M, _HAS_TRAVEL, STEADY_MISSED, _STEADY_SIZE = range(7)
 
 
 @compiled
 def increments_steadily(state: Vector, x_m: float) -> bool:
-    """Whether a position is one cycle after the last, and after those missed since; see `IncrementCheck`."""
+    """True if Δx fits (1 + missed) cycles at the last speed within the largest acceleration; see `IncrementCheck`."""
     cycles, last_m, before_m = state[STEADY_MISSED] + 1.0, state[_LAST_M], state[_TRAVEL_M]
     had_last, had_travel = state[_HAS_LAST] != 0.0, state[_HAS_TRAVEL] != 0.0
     state[_LAST_M], state[_HAS_LAST], state[STEADY_MISSED] = x_m, 1.0, 0.0
@@ -89,13 +89,13 @@ def increments_steadily(state: Vector, x_m: float) -> bool:
 
 @compiled
 def miss(state: Vector) -> None:
-    """A cycle without positions of its own."""
+    """Count a cycle without positions of its own."""
     state[_CYCLES] += 1.0
 
 
 @compiled
 def _fits(travels: Vector, usual: Vector, plays: Vector, gone: float) -> bool:
-    """Whether these are ways of so many cycles, at any acceleration of a machine."""
+    """True if these travels fit so many cycles, at any possible acceleration of a machine."""
     fits = True
     for k in range(len(travels)):
         fits &= abs(travels[k] - gone * usual[k]) <= _ALIKE * abs(usual[k]) + gone * gone * plays[k]
@@ -104,8 +104,8 @@ def _fits(travels: Vector, usual: Vector, plays: Vector, gone: float) -> bool:
 
 @compiled
 def _agree(travels: Vector, usual: Vector, plays: Vector, gone: float, fastest: int) -> bool:
-    """Whether all axes have gone as far as the fastest, which tells how all were accelerated: after many cycles one
-    that is a cycle further would else pass for one that was accelerated more."""
+    """True if all axes have gone as far as the fastest, whose travel gives the common acceleration: after many cycles
+    one that is a cycle further would else pass as accelerated more."""
     if usual[fastest] == 0.0:
         return True
     cycles, spare = travels[fastest] / usual[fastest], max(_APART * gone, 1.0)
@@ -117,7 +117,7 @@ def _agree(travels: Vector, usual: Vector, plays: Vector, gone: float, fastest: 
 
 @compiled
 def whole_cycles(travels: Vector, usual: Vector, plays: Vector, reported: float) -> float:
-    """See `cycles_elapsed`; -1 where they disagree."""
+    """Compiled `cycles_elapsed`; -1 where they disagree."""
     fastest = 0
     for k in range(1, len(usual)):
         if abs(usual[k]) > abs(usual[fastest]):
@@ -132,15 +132,14 @@ def whole_cycles(travels: Vector, usual: Vector, plays: Vector, reported: float)
     return by_travel if agree else -1.0
 
 
-#: What `own_ways` remembers: cycles since positions were taken, and how many were refused since; cycles between the
-#: last two that were taken, and those since for which there are none yet; whether there are any, and whether the way of
-#: a cycle is known. Then, of each axis, its last position, the way of a cycle, room for a way, and by how much that may
-#: differ.
+#: State of `own_travels`: cycles since positions were accepted, and number refused since; cycles between the last two
+#: accepted, and those since without positions; whether there are any, and whether the travel of a cycle is known. Then,
+#: of each axis, its last position, the travel of a cycle, room for a travel, and its largest change.
 _SINCE, _REFUSED, OWN_GONE, OWN_BEHIND, _HAS_POSITIONS, _HAS_USUAL, _OF_AXES = range(7)
 
 
 def own_travels_state(axes: int, play: float) -> Vector:
-    """What `own_travels` remembers of so many axes: nothing yet."""
+    """Initial state of `own_travels` for so many axes."""
     state: Vector = np.zeros(_OF_AXES + 4 * axes)
     state[_OF_AXES + 3 * axes :] = play
     return state
@@ -148,14 +147,14 @@ def own_travels_state(axes: int, play: float) -> Vector:
 
 @compiled
 def miss_own(state: Vector) -> None:
-    """A cycle without positions of its own."""
+    """Count a cycle without positions of its own."""
     state[_SINCE] += 1.0
     state[OWN_BEHIND] += 1.0
 
 
 @compiled
 def own_travels(state: Vector, positions: Vector) -> bool:
-    """Whether positions (N,) are of one instant; see `OwnIncrements`."""
+    """True if positions (N,) are of one instant; see `OwnIncrements`."""
     miss_own(state)
     n = len(positions)
     last, usual = state[_OF_AXES : _OF_AXES + n], state[_OF_AXES + n : _OF_AXES + 2 * n]
@@ -172,7 +171,7 @@ def own_travels(state: Vector, positions: Vector) -> bool:
             state[_REFUSED] += 1.0
             return False
         gone = state[_SINCE] if gone < 0.0 else gone
-        # One cycle ahead of what is counted there may be: a SYNC that was sent late, and the next one on time.
+        # Up to one cycle ahead of the count: a SYNC that was sent late, and the next one on time.
         state[OWN_BEHIND] = max(state[OWN_BEHIND] - gone, 0.0 if gone == 1.0 else -1.0)
         state[OWN_GONE] = gone
         if gone > 0.0:
@@ -186,7 +185,7 @@ def own_travels(state: Vector, positions: Vector) -> bool:
 
 
 def forget_own_travels(state: Vector) -> None:
-    """The next positions are taken as they are."""
+    """Accept the next positions unchecked."""
     state[:_OF_AXES] = 0.0
 
 
@@ -211,11 +210,11 @@ def _whole_cycles(travels: Vector, usual: Vector, plays: Vector, reported: float
 
 
 class SampleCoherence:
-    """Compares the ways of all axes since their positions were last of one instant.
+    """Coherence check: compares the travels of all axes since their positions were last of one instant.
 
-    Ways that differ by no more than `least_travel` (m, or rad of a rotary machine) are alike. What was once taken for
-    positions of one instant is what all later ones are compared with: if it was not, none will ever be. So after a
-    pause, in which the ways grow long, they may differ by no more than before it.
+    Travels that differ by no more than `least_travel` (m, or rad of a rotary machine) are alike. Accepted positions are
+    the reference of all later ones: if they were not coherent, none will ever be. So after a pause, in which travels
+    grow long, they may differ by no more than before it.
     """
 
     def __init__(self, least_travel: float) -> None:
@@ -224,104 +223,104 @@ class SampleCoherence:
 
     @property
     def unpaired(self) -> int:
-        """Cycles whose positions were not of one instant."""
+        """Number of incoherent cycles."""
         return int(self._state[_UNPAIRED])
 
     def reset(self) -> None:
-        """The next positions are taken as they are."""
+        """Accept the next positions unchecked."""
         self._state[_CYCLES], self._state[_WAY], self._state[_STARTED] = 0.0, -1.0, 0.0
 
     def miss(self) -> None:
-        """A cycle without positions of its own."""
+        """Count a cycle without positions of its own."""
         self._state[_CYCLES] += 1.0
 
     def vectors(self, rollers: int) -> tuple[Vector, Vector]:
-        """What `coherent` remembers of so many rollers, and their positions (N,): for compiled callers."""
+        """State of `coherent` for so many rollers, and their positions (N,): for compiled callers."""
         if rollers != len(self._positions):
             self._format = f"={rollers}d"
             self._state, self._positions = coherence_state(rollers), np.zeros(rollers)
         return self._state, self._positions
 
     def update(self, *positions_m: float) -> bool:
-        """Whether this cycle's positions of all rollers, in m at the web, are of one instant."""
+        """True if this cycle's positions of all rollers, in m at the web, are of one instant."""
         self.vectors(len(positions_m))
         pack_into(self._format, self._positions.data, 0, *positions_m)
         return _coherent(self._state, self._positions, self._least_travel)
 
 
 class IncrementCheck:
-    """Whether a roller has come as far as in the cycle before, or as it can have been accelerated since.
+    """Check of a roller's travel against that of the previous cycle and possible acceleration.
 
-    On a bus that is late a position may be that of the cycle before, or two cycles on: as a speed that would be an
-    acceleration that no drive has, and a force that no web bears.
+    On a bus that is late a position may be that of the previous cycle, or two cycles on: as a speed that would be an
+    acceleration impossible for any drive, and a force that no web bears.
     """
 
     def __init__(self, cycle_s: float) -> None:
-        self.state: Vector = np.zeros(_STEADY_SIZE)  #: that of `comes_steadily`
+        self.state: Vector = np.zeros(_STEADY_SIZE)  #: of `increments_steadily`
         self.state[_MOST_M] = _FASTEST_M_S2 * cycle_s**2
 
     def reset(self) -> None:
-        """The next positions are taken as they are."""
+        """Accept the next position unchecked."""
         self.state[_HAS_LAST] = self.state[_HAS_TRAVEL] = self.state[STEADY_MISSED] = 0.0
 
     def miss(self) -> None:
-        """A cycle without a position of its own."""
+        """Count a cycle without a position of its own."""
         self.state[STEADY_MISSED] += 1.0
 
     def update(self, x_m: float) -> bool:
-        """Whether this cycle's position, in m at the web, is one cycle after the last, and after those missed since."""
+        """True if this cycle's position, in m at the web, is one cycle after the last, and after those missed since."""
         return _increments_steadily(self.state, x_m)
 
 
 class OwnIncrements:
-    """`SampleCoherence` of axes that turn at speeds of their own, as dancers, accumulators and reels let them: each is
-    compared with its own way of a cycle, which must say the same number of cycles of all.
+    """`SampleCoherence` of axes with independent speeds, by dancers, accumulators and reels: each is compared with its
+    own travel per cycle, which must give the same number of cycles for all.
 
-    What does not for long is taken all the same: a machine may do what none was thought to do.
+    A lasting disagreement is accepted: a machine may move in unexpected ways.
     """
 
     def __init__(self, axes: int, of_a_cycle: float) -> None:
-        """`of_a_cycle`: by how much a way may differ, see `play`."""
+        """Create the check; `of_a_cycle`: largest change of a travel, see `play`."""
         self._state, self._positions = own_travels_state(axes, of_a_cycle), np.zeros(axes)
 
     def reset(self) -> None:
-        """The next positions are taken as they are."""
+        """Accept the next positions unchecked."""
         forget_own_travels(self._state)
 
     @property
     def gone(self) -> int:
-        """Cycles between the last two positions that were taken."""
+        """Cycles between the last two accepted positions."""
         return int(self._state[OWN_GONE])
 
     @property
     def behind(self) -> int:
-        """Cycles since then for which there are none yet."""
+        """Cycles since then without positions."""
         return int(self._state[OWN_BEHIND])
 
     def miss(self) -> None:
-        """A cycle without positions of its own."""
+        """Count a cycle without positions of its own."""
         miss_own(self._state)
 
     def update(self, *positions: float) -> bool:
-        """Whether this cycle's positions of all axes, in the machine's unit, are of one instant."""
+        """True if this cycle's positions of all axes, in the machine's unit, are of one instant."""
         self._positions[:] = positions
         return _own_travels(self._state, self._positions)
 
 
 def play(position_unit: str, cycle_s: float) -> float:
-    """By how much the way of a cycle may differ from that of the cycle before, in the unit of the position ("m" at the
-    web, "rad" at a motor)."""
+    """Largest change of a cycle's travel from one cycle to the next, in the unit of the position ("m" at the web, "rad"
+    at a motor)."""
     return _ON_ITS_WAY[position_unit] * cycle_s**2
 
 
 def cycles_elapsed(
     travels: Sequence[float], usual: Sequence[float], plays: Sequence[float], reported: int
 ) -> int | None:
-    """How many cycles all axes have gone on.
+    """Number of cycles by the travel of all axes.
 
-    ways: of each axis since it was last measured; usual: those of one cycle before that; plays: see `play`; told: how
-    many cycles by some clock. Axes that are too slow to say it have gone as many as the clock says, unless they can't
-    have come so far in that time. None where they disagree, or have gone a way that is none of whole cycles.
+    travels: of each axis since it was last measured; usual: those of one cycle before that; plays: see `play`;
+    reported: number of cycles by some clock. Axes that are too slow to show it count as by the clock, unless they can't
+    have come so far in that time. None where they disagree, or the travel is none of whole cycles.
     """
     found = _whole_cycles(np.array(travels), np.array(usual), np.array(plays), float(reported))
     return None if found < 0.0 else int(found)

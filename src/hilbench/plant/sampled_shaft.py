@@ -1,7 +1,7 @@
-"""One shaft with a load motor whose torque is computed from its motion over a sampled bus: is that loop stable?
+"""Stability of a shaft with a load motor whose torque is computed from its motion over a sampled bus.
 
-Linear model: the axis' velocity PI (sampled), both current loops, and a law of emulation that is evaluated once per bus
-cycle on measured motion and acts whole cycles later. Its monodromy over one bus cycle is built exactly (matrix
+Linear model: the axis's velocity PI (sampled), both current loops, and a law of emulation that is evaluated once per
+bus cycle on measured motion and acts whole cycles later. Its monodromy over one bus cycle is built exactly (matrix
 exponential between samples); stable means that every eigenvalue lies inside the unit circle, except those at 1:
 standstill is possible at any angle.
 """
@@ -29,7 +29,7 @@ _X, _V, _TAU, _TAU_LOAD, _COMMAND, _LOAD_COMMAND, _INTEGRAL, _LAW = range(8)
 
 @dataclass(frozen=True, slots=True)
 class SampledShaft:
-    """One axis with the load motor on its shaft; motor side, SI."""
+    """Axis with the load motor on its shaft; motor side, SI."""
 
     inertia_kg_m2: float  #: all that turns
     velocity_kp_Nm_s_per_rad: float = 0.0
@@ -43,7 +43,7 @@ class SampledShaft:
 
 @dataclass(frozen=True, slots=True)
 class LinearLaw:
-    """A law of emulation with n numbers of memory z; y is the motion (position, velocity) at SYNC:
+    """Linear law of emulation with a memory z (n,); y is the motion (position, velocity) at SYNC:
 
     torque = from_memory·z + from_motion·y, then z becomes memory·z + motion·y.
     """
@@ -60,7 +60,7 @@ def emulation_delay_s(shaft: SampledShaft) -> float:
 
 
 def spectral_radius_under(shaft: SampledShaft, law: LinearLaw) -> float:
-    """Greatest magnitude of the loop's eigenvalues over one bus cycle; standstill's own are left out."""
+    """Largest magnitude of the loop's eigenvalues over one bus cycle, without those of standstill."""
     eigenvalues = np.linalg.eigvals(_between_syncs(shaft, len(law.memory)) @ _bus_tick(shaft, law))
     rest = eigenvalues[np.abs(eigenvalues - 1.0) > _STANDSTILL]
     return float(np.max(np.abs(rest)))
@@ -84,14 +84,14 @@ def largest_stable(radius: Callable[[float], float], most: float) -> float:
 
 @cache
 def _between_syncs(shaft: SampledShaft, memory: int) -> Matrix:
-    """The drive's samples of a bus cycle; the same whatever is emulated, and most of the work."""
+    """Transition over the drive samples of a bus cycle; cached: it is independent of the law, and most of the work."""
     size = _LAW + memory + shaft.delay_cycles
     drive = _continuous(shaft, size) @ _velocity_loop(shaft, size)
     return np.asarray(np.linalg.matrix_power(drive, round(shaft.cycle_s / shaft.sample_time_s)))
 
 
 def _continuous(shaft: SampledShaft, size: int) -> Matrix:
-    """From one drive sample to the next: motion and current loops."""
+    """Transition from one drive sample to the next: motion and current loops."""
     a = np.zeros((size, size))
     a[_X, _V] = 1.0
     a[_V, [_TAU, _TAU_LOAD]] = 1.0 / shaft.inertia_kg_m2
@@ -105,7 +105,7 @@ def _continuous(shaft: SampledShaft, size: int) -> Matrix:
 
 
 def _velocity_loop(shaft: SampledShaft, size: int) -> Matrix:
-    """The PI at a drive sample, reference zero (as `drive_loops.velocity_loop` within its limits)."""
+    """PI velocity loop at a drive sample, reference zero (as `drive_loops.velocity_loop` within its limits)."""
     b = np.eye(size)
     b[_INTEGRAL, _V] = -shaft.velocity_ki_Nm_per_rad * shaft.sample_time_s
     b[_COMMAND] = b[_INTEGRAL]
@@ -114,7 +114,7 @@ def _velocity_loop(shaft: SampledShaft, size: int) -> Matrix:
 
 
 def _bus_tick(shaft: SampledShaft, law: LinearLaw) -> Matrix:
-    """At SYNC: the oldest torque in the queue takes effect, the new one is computed from the motion."""
+    """Transition at SYNC: the oldest torque in the queue takes effect, the new one is computed from the motion."""
     memory = len(law.memory)
     queue = _LAW + memory
     size = queue + shaft.delay_cycles

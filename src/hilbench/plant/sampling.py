@@ -10,13 +10,13 @@ from itertools import pairwise
 
 import numpy as np
 
-#: By which part of a sample time a duration may miss a multiple of it.
+#: Share of a sample time by which a duration may miss a multiple of it.
 _WHOLE = 1e-6
 
 
 @lru_cache(64)
 def samples_per(duration_s: float, sample_time_s: float) -> int:
-    """How many drive samples a duration holds. Raises ValueError unless it is a whole, positive number."""
+    """Number of drive samples in a duration. Raises ValueError unless it is a whole, positive number."""
     samples = round(duration_s / sample_time_s)
     if samples < 1 or abs(samples * sample_time_s - duration_s) > _WHOLE * sample_time_s:
         raise ValueError(f"{duration_s!r} s, expected a multiple of the drives' sample time {sample_time_s!r} s")
@@ -24,14 +24,14 @@ def samples_per(duration_s: float, sample_time_s: float) -> int:
 
 
 def locked_sample_time_s(duration_s: float, sample_time_s: float) -> float:
-    """The sample time nearest to this one of which a duration is a multiple: that of loops that lock to a cycle."""
+    """Nearest sample time of which a duration is a multiple, as of loops that lock to a cycle."""
     samples = max(1, round(duration_s / sample_time_s))
     whole = abs(samples * sample_time_s - duration_s) <= _WHOLE * sample_time_s
     return sample_time_s if whole else duration_s / samples
 
 
 def on_all_cores(run: Callable[[slice], None], count: int) -> None:
-    """Call `run` with shares of `count` things, one share for each core; it must let other threads run meanwhile."""
+    """Call `run` with slices of `count` items, one for each core; it has to release the GIL."""
     workers = min(len(os.sched_getaffinity(0)), count)
     shares = [slice(*edges) for edges in pairwise(np.linspace(0, count, workers + 1, dtype=int))]
     if len(shares) == 1:

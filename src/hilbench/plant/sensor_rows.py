@@ -1,4 +1,4 @@
-"""Normal numbers of sensors, step by step, for compiled callers; those of a `hilbench.plant.sensors.SensorNoise`."""
+"""Normal numbers of sensors, step by step, for compiled callers; drawn by a `hilbench.plant.sensors.SensorNoise`."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from hilbench.compiled import compiled, table_of
 from hilbench.cycle_program import CompiledStage, Function
 from hilbench.plant.sensors import SensorNoise
 
-#: In the place of the row of the next step: there is one row for all of them.
+#: In place of the next step's row: one row for all steps.
 _ALWAYS_FIRST = -1
 
 
 def silence(motors: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Numbers (1, 3 M), and the row of the next step (1,), without any noise."""
-    return np.full((1, 3 * motors), -0.0), np.array([_ALWAYS_FIRST])  # what -0.0 is added to keeps its sign
+    """Numbers (1, 3 M), and the row of the next step (1,), without noise."""
+    return np.full((1, 3 * motors), -0.0), np.array([_ALWAYS_FIRST])  # adding -0.0 keeps the sign
 
 
 @compiled
 def take_row(rows: NDArray[np.float64], next_row: NDArray[np.int64]) -> int:
-    """Which of the rows (B, 3 M) are the numbers of this step; -1: they are to be drawn anew."""
+    """Index of this step's numbers in the rows (B, 3 M); -1: they have to be drawn anew."""
     at = next_row[0]
     if at == _ALWAYS_FIRST:
         return 0
@@ -36,7 +36,7 @@ def take_row(rows: NDArray[np.float64], next_row: NDArray[np.int64]) -> int:
 def chained_with_noise(
     function: Function, argument: int, vectors: Sequence[NDArray[Any]], noise: SensorNoise | None
 ) -> CompiledStage:
-    """A step as a piece of a cycle, of a function that takes a row as above, and does nothing where there is none."""
+    """Compiled stage of a step, by a function that takes a row as above, and does nothing where there is none."""
     table = table_of(vectors)
 
     def draw(_: int) -> bool:

@@ -1,4 +1,4 @@
-"""What sensors add to the truth: noise and resolution, the same for one seed whatever the block size."""
+"""Sensor errors: noise and resolution, reproducible for a seed whatever the block size."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ class SensorNoise:
         self.rows, self.next = np.zeros((block, len(self._generators))), np.array([block])
 
     def draw(self) -> None:
-        """The numbers of the next B steps."""
+        """Draw the numbers of the next B steps."""
         for column, one in enumerate(self._generators):
             self.rows[:, column] = one.standard_normal(len(self.rows))
         self.next[0] = 0
 
     def row(self) -> NDArray[np.float64]:
-        """The numbers of the next step."""
+        """Numbers of the next step."""
         if self.next[0] == len(self.rows):
             self.draw()
         self.next[0] += 1
@@ -51,7 +51,7 @@ class SensorNoise:
 
 
 class Sensors:
-    """Torque, velocity and position as one motor's sensors show them, each with a standard normal number."""
+    """Measured torque, velocity and position of one motor's sensors, each with a standard normal number."""
 
     def __init__(self, parameters: SensorParameters) -> None:
         self._torque_noise_Nm = parameters.torque_noise_Nm
@@ -61,7 +61,7 @@ class Sensors:
 
     @property
     def figures(self) -> tuple[float, float, float, float]:
-        """Standard deviations of position, velocity and torque, and what the encoder counts (0: nothing), in rad."""
+        """Standard deviations of position, velocity and torque, and the encoder's increment (0: none), in rad."""
         return self._position_noise_rad, self._velocity_noise_rad_s, self._torque_noise_Nm, self._rad_per_count
 
     def torque_Nm(self, true: float, number: float) -> float:
@@ -80,7 +80,7 @@ class Sensors:
 
 
 def show(ports: Sequence[MotorPort], sensors: Sequence[Sensors], noise: SensorNoise) -> None:
-    """What the sensors make of what each port has, exact, at this step."""
+    """Apply the sensors' errors to each port's exact feedback at this step."""
     numbers = iter(noise.row().tolist())
     for port, shown in zip(ports, sensors, strict=True):
         port.position_rad = shown.position_rad(port.position_rad, next(numbers))

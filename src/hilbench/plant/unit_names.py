@@ -1,10 +1,10 @@
-"""The SI units of quantities by how their names end."""
+"""SI units of quantities by the suffixes of their names."""
 
 from __future__ import annotations
 
 from typing import Final
 
-#: A suffix that another one ends with stands before it.
+#: A suffix precedes another one that it ends with.
 _SUFFIXES: Final = (
     ("_Nm_s_per_rad", "N·m·s/rad"),
     ("_kg_m2", "kg·m²"),
@@ -20,5 +20,5 @@ _SUFFIXES: Final = (
 
 
 def unit_of_name(name: str) -> str:
-    """The SI unit that a name of ours ends with; "1" for one without."""
+    """SI unit of a name by its suffix; "1" for one without."""
     return next((unit for suffix, unit in _SUFFIXES if name.endswith(suffix)), "1")

@@ -1,1 +1,1 @@
-"""What comes next: futures of a machine from its present state, much faster than they pass."""
+"""Prediction: futures of a machine simulated from its present state, much faster than real time."""

@@ -1,4 +1,4 @@
-"""The `prediction:` block of a config's twin."""
+"""Block `prediction:` of a config's twin."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from hilbench.block import Block
 
 
 class PredictionConfig(Block):
-    """The twin runs the next seconds again and again, from what is known of the present, and tells which limits they
-    will cross."""
+    """Prediction by the twin: it simulates the next seconds repeatedly from the present estimate, and reports limits
+    that will be crossed."""
 
     every_s: PositiveFloat = Field(default=0.1, le=10.0, description="how often it looks ahead; whole cycles")
     horizon_s: PositiveFloat = Field(default=5.0, le=60.0, description="how far it looks ahead")

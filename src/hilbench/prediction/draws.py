@@ -1,4 +1,4 @@
-"""What is drawn for futures: standard normal numbers that cover the whole distribution, however few they are."""
+"""Random draws for futures: standard normal numbers that cover the whole distribution, however few they are."""
 
 from __future__ import annotations
 

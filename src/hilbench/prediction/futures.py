@@ -1,4 +1,4 @@
-"""What the futures of all machines have in common: a look ahead, from what is known of the present."""
+"""Base of all machines' futures: a prediction from the present estimate."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Courses = TypeVar("Courses")
 
 
 class Futures(ABC, Generic[Present, Courses]):
-    """Draws and runs the futures of one machine; `watched`: its quantities, Q, in the order of its kernel.
+    """Futures of one machine, drawn and simulated; `watched`: its quantities, Q, in the order of its kernel.
 
-    `Present`: what is known of it now; `Courses`: what it will be asked for.
+    `Present`: its present estimate; `Courses`: its future set points.
     """
 
     def __init__(self, watched: Sequence[DiagnosisAnswer]) -> None:
@@ -24,32 +24,33 @@ class Futures(ABC, Generic[Present, Courses]):
 
     @property
     def quantities(self) -> int:
-        """Q."""
+        """Number of quantities, Q."""
         return len(self.watched)
 
     @abstractmethod
     def prepare(
         self, present: Present, courses: Courses, offsets: Offsets, *key: int
     ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
-        """Two parts of a look ahead: what takes its time and lets other threads run, and what says what came out.
+        """Prepare a prediction: the simulation, which takes its time and releases the GIL, and the function of its
+        result.
 
-        `key`: numbers from which all is drawn; the same look has the same outlook.
+        `key`: seed of all draws; equal arguments give an equal outlook.
         """
 
     @abstractmethod
     def at_rest(self) -> tuple[Present, Courses]:
-        """A machine that stands and is to stand."""
+        """Present and courses of a machine at rest that stays at rest."""
 
     def look(self, present: Present, courses: Courses, offsets: Offsets, *key: int) -> Outlook:
-        """Both parts at once."""
+        """Run a prediction in one call."""
         run, outlook = self.prepare(present, courses, offsets, *key)
         run()
         return outlook()
 
     def no_offsets(self) -> Offsets:
-        """Measured without noise, and as the futures say."""
+        """Offsets of measurements without noise and without deviation from the futures."""
         return Offsets.none(self.quantities)
 
     def warm_up(self) -> None:
-        """Compile, or load, what a look runs."""
+        """Compile, or load, the functions of a prediction."""
         self.look(*self.at_rest(), self.no_offsets())

@@ -1,5 +1,5 @@
-"""What becomes of the quantities of a future: its course, and whether they stay below their levels, each measured with
-noise; compiled."""
+"""Evaluation of a future's quantities: course, and probability of staying below their levels, measured with noise;
+compiled."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ Matrix = NDArray[np.float64]
 Cube = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: Noise further from a level than so many standard deviations never carries a quantity beyond it.
+#: Distance from a level, in standard deviations of the noise, beyond which no crossing is assumed.
 FARTHEST: Final = 6.0
-#: The step of a crossing that does not come.
+#: Step of a crossing that does not occur.
 NEVER: Final = -2
 _ROOT_2: Final = sqrt(2.0)
 
@@ -27,9 +27,9 @@ _ROOT_2: Final = sqrt(2.0)
 def _judge(
     size: float, level: float, sigma: float, samples: float, survival: Matrix, first: Indices, b: int, at: int, i: int
 ) -> None:
-    """What a step with a quantity of this size does to the probability that it stayed below a level.
+    """Update the probability that a quantity stayed below a level by a step with this size.
 
-    sigma: of the noise with which it is measured, `samples` times in a step.
+    sigma: of the measurement noise, `samples` measurements per step.
     """
     if sigma == 0.0:
         if size > level:
@@ -43,21 +43,21 @@ def _judge(
 
 
 class TallyVectors(NamedTuple):
-    """What B futures of Q quantities are counted in, for compiled callers, with what they are counted by."""
+    """Result vectors of B futures of Q quantities, and the settings of their evaluation, for compiled callers."""
 
-    offset: Matrix  #: (B, Q): added to what a future says
-    noise: Vector  #: (Q,): with which it is measured
+    offset: Matrix  #: (B, Q): added to a future's quantities
+    noise: Vector  #: (Q,): of the measurement
     levels: Matrix  #: (Q, 2): warning and trip
     survival: Matrix  #: (B, 2 Q): probabilities that a level was not crossed
-    first: Indices  #: (B, 2 Q): the step from which a level is crossed more likely than not, `NEVER` before
+    first: Indices  #: (B, 2 Q): first step at which a crossing is more likely than not, `NEVER` before
     largest: Matrix  #: (B, Q)
-    rows: Cube  #: (R, B, Q): what is kept of the courses
-    nearest: Vector  #: (Q,): sizes up to which no level is near enough for the noise to carry a quantity beyond it
+    rows: Cube  #: (R, B, Q): recorded courses
+    nearest: Vector  #: (Q,): sizes up to which no level is within reach of the noise
 
 
 @merged
 def of_table(table: Indices) -> TallyVectors:
-    """The vectors that stand in a `table_of` them."""
+    """Vectors in a `table_of` them."""
     return TallyVectors(
         floats(table, 0, (1, 2)),
         floats(table, 1, (1,)),
@@ -72,8 +72,8 @@ def of_table(table: Indices) -> TallyVectors:
 
 @inlined
 def see(v: TallyVectors, q: Vector, samples: float, b: int, i: int) -> None:
-    """Quantities q (Q,) of future b at the end of step i, in which they are measured `samples` times: its largest
-    sizes, and what they do to the probability that it stays below the levels."""
+    """Evaluate quantities q (Q,) of future b at the end of step i, measured `samples` times in it: largest sizes, and
+    probability of staying below the levels."""
     for j in range(q.shape[0]):
         size = abs(q[j] + v.offset[b, j])
         v.largest[b, j] = max(v.largest[b, j], size)
@@ -83,7 +83,7 @@ def see(v: TallyVectors, q: Vector, samples: float, b: int, i: int) -> None:
 
 @compiled
 def _judge_levels(v: TallyVectors, size: float, samples: float, b: int, j: int, i: int) -> None:
-    """The same of quantity j with this size, which is near a level."""
+    """Evaluate quantity j with this size, which is near a level."""
     noinline()
     for level in range(2):
         if v.levels[j, level] < np.inf:
@@ -92,6 +92,6 @@ def _judge_levels(v: TallyVectors, size: float, samples: float, b: int, j: int, 
 
 @inlined
 def keep(v: TallyVectors, q: Vector, b: int, row: int) -> None:
-    """A row of the course."""
+    """Record a row of the course."""
     for j in range(q.shape[0]):
         v.rows[row, b, j] = q[j] + v.offset[b, j]

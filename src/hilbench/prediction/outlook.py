@@ -1,4 +1,4 @@
-"""What futures say: courses with bands, and the probability that a limit will be crossed."""
+"""Outlook of futures: courses with bands, and the probability that a limit will be crossed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LEVELS: Final[tuple[Level, Level]] = ("warning", "trip")
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisAnswer:
-    """A quantity that has limits: what messages call it, the signal that shows it, its unit, and levels of its size."""
+    """Quantity with limits: its name in messages, its signal, its unit, and levels of its size."""
 
     name: str
     signal: str
@@ -26,14 +26,14 @@ class DiagnosisAnswer:
     trip: float | None = None
 
     def level(self, level: Level) -> float | None:
-        """One of the two; None where there is none."""
+        """Level by its name; None where there is none."""
         return self.warning if level == "warning" else self.trip
 
 
 @dataclass(frozen=True, slots=True)
 class Crossing:
-    """That the size of a quantity goes beyond a level: with which probability, and when if it does (experiment time, s:
-    median, and the times before and after which one future in ten crosses it)."""
+    """Predicted crossing of a level by a quantity's size: its probability, and its time if it occurs (experiment time,
+    s: median, and the times before and after which one future in ten crosses it)."""
 
     watched: DiagnosisAnswer
     level: Level
@@ -50,11 +50,11 @@ class Crossing:
 
 @dataclass(frozen=True)
 class Outlook:
-    """B futures from `now_s` (experiment time) on, of Q quantities.
+    """Outlook of B futures from `now_s` (experiment time) on, of Q quantities.
 
-    `times_s` (R,) of the `rows` (R, B, Q); `largest` (B, Q): size over the whole horizon, both without the noise of
-    measurement. `probability` (Q, 2), noise included, and `first_s` (B, Q, 2; NaN where it is not): of going beyond
-    the warning level and the trip level. `noise` (Q,): deviation of one measured sample.
+    `times_s` (R,) of the `rows` (R, B, Q); `largest` (B, Q): size over the whole horizon, both without measurement
+    noise. `probability` (Q, 2), noise included, and `first_s` (B, Q, 2; NaN if not) of crossing the warning level and
+    the trip level. `noise` (Q,): deviation of one measured sample.
     """
 
     now_s: float
@@ -67,16 +67,16 @@ class Outlook:
     noise: Array
 
     def place(self, signal: str) -> int:
-        """Of the quantity that this signal shows. Raises KeyError."""
+        """Index of the quantity of a signal. Raises KeyError."""
         for place, watched in enumerate(self.watched):
             if watched.signal == signal:
                 return place
         raise KeyError(signal)
 
     def band(self, place: int, share: float = 0.9) -> tuple[Array, Array, Array]:
-        """Low, median and high (R,) of a quantity: `share` of what will be measured lies between low and high.
+        """Low, median and high (R,) of a quantity: `share` of the measurements will be between low and high.
 
-        That is as wide as `share` of the futures, and as much noise, independent of them.
+        The width is that of `share` of the futures, combined with the independent noise.
         """
         tail = 0.5 * (1.0 - share)
         low, median, high = np.quantile(self.rows[:, :, place], (tail, 0.5, 1.0 - tail), axis=1)
@@ -84,7 +84,7 @@ class Outlook:
         return median - np.hypot(median - low, noise), median, median + np.hypot(high - median, noise)
 
     def crossings(self, above: float = 0.0) -> Iterator[Crossing]:
-        """Of all levels that there are, those with a probability of `above` at least, and above 0."""
+        """Crossings of all existing levels with a probability of at least `above`, and above 0."""
         for place, column in zip(*np.nonzero((self.probability >= above) & (self.probability > 0.0)), strict=True):
             watched, level = self.watched[place], LEVELS[column]
             limit = watched.level(level)

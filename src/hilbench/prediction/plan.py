@@ -1,4 +1,4 @@
-"""What is going to be asked of a machine, as far as it is known now: quantities by path, over time."""
+"""Planned set points of a machine, as far as they are known: quantities by path, over time."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """A quantity (`hilbench.topology.quantities`, SI) goes to a value: linearly from `start_s` to `end_s`, or at once
-    where these are one. Times are experiment time, s."""
+    """Change of a quantity (`hilbench.topology.quantities`, SI) to a value: linear from `start_s` to `end_s`, or a step
+    where these are equal. Times are experiment time, s."""
 
     path: str
     start_s: float
@@ -24,12 +24,12 @@ class Move:
 
 @dataclass(frozen=True)
 class Plan:
-    """Moves in the order in which they begin; beyond the last one of a quantity it stays what it is."""
+    """Planned moves in order of their start; after its last one a quantity is constant."""
 
     moves: tuple[Move, ...] = ()
 
     def course(self, path: str, present: float, now_s: float, times_s: Array) -> Array:
-        """The quantity at `times_s` (n,), rising, none before `now_s`, at which it is `present`."""
+        """Course of the quantity at `times_s` (n,), rising, none before `now_s`, where it is `present`."""
         values = np.full(len(times_s), present)
         value = present
         for move in self.moves:
@@ -45,7 +45,7 @@ class Plan:
         return values
 
     def with_moves(self, moves: Iterable[Move]) -> Plan:
-        """The same with other moves in place of all of their paths."""
+        """Plan with other moves in place of all of their paths."""
         given = tuple(moves)
         paths = {move.path for move in given}
         return Plan((*(move for move in self.moves if move.path not in paths), *given))
@@ -53,15 +53,15 @@ class Plan:
 
 @dataclass(frozen=True)
 class Asked:
-    """What is asked of a machine now (`present`, by path), and what is going to be; `ceilings`: sizes that something is
-    held below, whatever is asked for."""
+    """Set points of a machine now (`present`, by path), and planned; `ceilings`: limits of their size, whatever the set
+    points."""
 
     present: Mapping[str, float] = field(default_factory=dict)
     plan: Plan = Plan()
     ceilings: Mapping[str, float] = field(default_factory=dict)
 
     def course(self, path: str, fallback: float, now_s: float, times_s: Array) -> Array:
-        """As `Plan.course`; `fallback`: the present value where it is not given."""
+        """Course of a set point as `Plan.course`; `fallback`: the present value where it is not given."""
         course = self.plan.course(path, self.present.get(path, fallback), now_s, times_s)
         ceiling = self.ceilings.get(path)
         return course if ceiling is None else np.clip(course, -ceiling, ceiling)

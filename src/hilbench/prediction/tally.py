@@ -1,4 +1,4 @@
-"""What futures are counted in while they run, and the outlook that comes of it."""
+"""Tally of running futures, and the outlook from it."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
 
 Array = NDArray[np.float64]
 
-#: Largest share of the fastest motion's time (1/ω) that a step may be.
+#: Longest step, as a share of the fastest motion's time (1/ω).
 _SHARE_OF_FASTEST: Final = 0.6
-#: A row of a course is kept every so often, s.
+#: Interval of recorded rows of a course, s.
 _ROW_S: Final = 0.05
 
 
 @dataclass(frozen=True)
 class Offsets:
-    """How what is measured differs from what the futures say, by quantity (Q,): lastingly, with the deviation of that,
-    and the noise of one measured sample; in the unit of the quantity."""
+    """Difference of measurements from the futures, by quantity (Q,): lasting offset, its deviation, and the noise of
+    one measured sample; in the unit of the quantity."""
 
     lasting: Array
     lasting_sd: Array
@@ -33,14 +33,14 @@ class Offsets:
 
     @classmethod
     def none(cls, quantities: int) -> Self:
-        """Measured without noise, and as the futures say."""
+        """Offsets of measurements without noise and without deviation from the futures."""
         return cls(np.zeros(quantities), np.zeros(quantities), np.zeros(quantities))
 
 
 @dataclass(frozen=True)
 class Tally:
-    """Of B futures and Q quantities, as the kernels of the machines fill it, in T steps of `step_s`; a row of the
-    courses is kept `every` so many."""
+    """Tally of B futures and Q quantities, filled by the machines' kernels in T steps of `step_s`; a row of the courses
+    is recorded every `every` steps."""
 
     watched: tuple[DiagnosisAnswer, ...]
     step_s: float
@@ -49,7 +49,7 @@ class Tally:
 
     @classmethod
     def of(cls, watched: tuple[DiagnosisAnswer, ...], offsets: Offsets, z: Array, step_s: float, steps: int) -> Self:
-        """Before the first step; z (B, Q): drawn for what is lasting."""
+        """Tally before the first step; z (B, Q): draws of the lasting offsets."""
         (b, q), every = z.shape, max(1, round(_ROW_S / step_s))
         levels = _levels_of(watched)
         vectors = TallyVectors(
@@ -66,11 +66,11 @@ class Tally:
 
     @property
     def table(self) -> NDArray[np.int64]:
-        """Where its vectors stand, for `judging.of_table`."""
+        """Addresses of its vectors, for `judging.of_table`."""
         return table_of(self.vectors)
 
     def outlook(self, now_s: float) -> Outlook:
-        """Of futures that have run from `now_s` on."""
+        """Outlook of futures that have run from `now_s` on."""
         v = self.vectors
         crossed: Array = np.where(v.first > NEVER, now_s + (v.first + 1) * self.step_s, np.nan)
         times_s = np.asarray(now_s + self.step_s * self.every * np.arange(1, len(v.rows) + 1), np.float64)
@@ -80,7 +80,7 @@ class Tally:
 
 
 def whole_step_s(fastest_per_s: float, horizon_s: float, most_s: float) -> float:
-    """The step of futures: as long as the fastest motion allows, `most_s` at most, and a whole part of the horizon."""
+    """Step of futures: as long as the fastest motion allows, `most_s` at most, and a whole part of the horizon."""
     longest_s = min(most_s, _SHARE_OF_FASTEST / fastest_per_s if fastest_per_s else most_s)
     return horizon_s / ceil(horizon_s / longest_s)
 

@@ -1,1 +1,1 @@
-"""The twin process: virtual axes, virtual I/O, synchronization."""
+"""Twin process: virtual axes, virtual I/O, synchronization."""

@@ -9,7 +9,7 @@ from hilbench.twin.run import run
 
 
 def main() -> None:
-    """Run the twin until the bench ends this process, or is gone."""
+    """Run the twin until the bench ends this process, or has ended itself."""
     report_lost_frames(run(config_of_process("hilbench.twin")))
 
 

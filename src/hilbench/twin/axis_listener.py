@@ -1,4 +1,4 @@
-"""Hears a real axis' TPDO1 beside the bench: position and torque at the motor, in SI."""
+"""Receiver of a real axis's TPDO1: position and torque at the motor, in SI."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hilbench.cia402.units import DriveUnits, UnwrappingCounter
 
 @dataclass(frozen=True)
 class TwinNode:
-    """A node that the twin is, or listens to."""
+    """Node of the twin, or one that it listens to."""
 
     node_id: int
     eds: Path
@@ -22,14 +22,14 @@ class TwinNode:
 
 @dataclass(frozen=True)
 class RealAxis(TwinNode):
-    """An axis that the twin listens to, in that drive's units."""
+    """Real axis that the twin listens to, with its drive's units."""
 
     units: DriveUnits
     axis: int = 1  #: of its node
 
 
 class AxisListener:
-    """Decodes the TPDO1 of one real axis by its EDS."""
+    """Decoder of the TPDO1 of one real axis by its EDS."""
 
     def __init__(self, axis: RealAxis, cycle_s: float) -> None:
         od, node_id = shared_eds(axis.eds, axis.node_id), axis.node_id
@@ -39,7 +39,7 @@ class AxisListener:
         self.cob_id = pdo.cob_id
         self.size = pdo.size  #: bytes of the frame's data
         self.pdo = pdo
-        self.position = indices.index(objects.POSITION_ACTUAL_VALUE)  #: place in the PDO, as the next
+        self.position = indices.index(objects.POSITION_ACTUAL_VALUE)  #: index in the PDO, as the next
         self.torque = indices.index(objects.TORQUE_ACTUAL_VALUE)
         self.units = axis.units
         self.counter = UnwrappingCounter()

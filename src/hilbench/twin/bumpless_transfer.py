@@ -1,9 +1,9 @@
-"""What is shown while one model goes over into another, without steps that are of the change.
+"""Bumpless transfer of outputs from one model to another.
 
-Between two models that follow the same web there is a difference, of which more and more is shown. It jumps where they
-take a late sample, or some cycles without measurement, differently, or where the one that is left diverges. Such a
-jump is shown as a slope: what both models do is followed at once, the rest by no more than a small step in each cycle.
-A difference that goes to and fro with a roller changes by less than that, and is shown as it is.
+Two models of the same web differ, and the output goes from one to the other. Their difference jumps where they take a
+late sample, or some cycles without measurement, differently, or where the old one diverges. Such a jump is output as a
+slope: common changes of both models are followed at once, the rest by no more than a small step in each cycle. A
+difference that oscillates with a roller changes by less than that, and is output unchanged.
 """
 
 from __future__ import annotations
@@ -13,17 +13,18 @@ from math import copysign
 
 
 class BumplessTransfer:
-    """`largest_steps`: of each value what may be of the change in a cycle; of values behind these, anything."""
+    """Output step limiter. `largest_steps`: largest step of each value by the transfer per cycle; others are
+    unlimited."""
 
     def __init__(self, largest_steps: Sequence[float]) -> None:
         self._largest = tuple(largest_steps)
         self._old: Sequence[float] = ()
         self._new: Sequence[float] = ()
         self._shown: Sequence[float] = ()
-        self.is_over = True  #: whether what is shown is what the models make of it
+        self.is_over = True  #: the output equals the models' blend
 
     def show(self, old: Sequence[float], new: Sequence[float], share: float) -> list[float]:
-        """Of a cycle in which this share of the new model is to be shown, in the place of that much of the old one."""
+        """Outputs of a cycle with this share of the new model in place of the old one."""
         wanted = [then + share * (now - then) for then, now in zip(old, new, strict=True)]
         shown = list(wanted)
         if self._shown:
@@ -38,5 +39,5 @@ class BumplessTransfer:
 
 
 def _of_both(old: float, new: float) -> float:
-    """By how much two values that have changed by this have both changed."""
+    """Common part of two changes."""
     return 0.0 if old * new <= 0.0 else min(old, new, key=abs)

@@ -1,4 +1,4 @@
-"""How many cycles have gone by, as the ways of the axes tell: where a clock may have jumped they say it better."""
+"""Elapsed cycles by the axes' travel, which is more reliable than a clock that may have jumped."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hilbench.topology.blocks import MachineParameters
 
 
 class CycleCountFromPosition:
-    """How far the axes go in a cycle, of which their ways between two measurements tell how many there were."""
+    """Cycle counter by the axes' travel between two measurements and their usual travel per cycle."""
 
     def __init__(self, model: MachineParameters, cycle_s: float) -> None:
         of_a_cycle = play(model.position_unit, cycle_s)
@@ -17,13 +17,13 @@ class CycleCountFromPosition:
         self.reset()
 
     def reset(self) -> None:
-        """The axes are somewhere else."""
+        """Forget the axes' positions."""
         self._last: Sequence[float] | None = None
         self._usual: Sequence[float] | None = None
         self._cycles = 0  # since the last
 
     def gone(self, positions_rad: Sequence[float], reported: int) -> int:
-        """How many cycles up to these, where a clock says `reported`."""
+        """Cycles elapsed up to these positions, where a clock has `reported` so many."""
         if self._last is None or self._usual is None:
             return reported
         travels = [now - last for now, last in zip(positions_rad, self._last, strict=True)]
@@ -31,7 +31,7 @@ class CycleCountFromPosition:
         return reported if found is None else found - self._cycles
 
     def update(self, positions_rad: Sequence[float] | None, cycles: int) -> None:
-        """Positions of all axes (N,), so many cycles after those before; None: they are not known."""
+        """Take the positions of all axes (N,), so many cycles after the previous ones; None: unknown."""
         self._cycles += cycles
         if positions_rad is None:
             return

@@ -1,4 +1,4 @@
-"""What a twin has found of its machine beside what it follows: errors of its model, as effects of the vocabulary."""
+"""Model errors estimated by a twin, as effects of the vocabulary."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class EstimatedModelError:
-    """A parameter of an effect as the machine has it by the data: the model's own and what was found beyond it.
+    """Estimated parameter of an effect: the model's own and the error found beyond it.
 
-    `place`: where, as the history of a stand names it: ``axis2``, or what the kind of machine calls it. `deviation`:
-    standard deviation, in the unit of the parameter. Not `separable`: the data don't tell it; value and deviation are
-    what was assumed. `tied_with`: effects that do the same to the data: the value is that where they are not there.
+    `place`: location as in a bench's history: ``axis2``, or a name of the kind of machine. `deviation`: standard
+    deviation, in the unit of the parameter. Not `separable`: not identified; value and deviation are the prior.
+    `tied_with`: effects with the same influence on the data: the value holds without them.
     """
 
     effect: str
@@ -27,12 +27,12 @@ class EstimatedModelError:
 
 
 def as_text(found: Sequence[EstimatedModelError]) -> str:
-    """As it stands in 2103h of the virtual I/O."""
+    """JSON text for 2103h of the virtual I/O."""
     return json.dumps([asdict(each) for each in found], separators=(",", ":"))
 
 
 def read_text(text: str) -> list[EstimatedModelError]:
-    """The same, read. Raises ValueError for what is none of it."""
+    """Parse the text of 2103h. Raises ValueError for other text."""
     try:
         rows: list[dict[str, Any]] = json.loads(text) if text else []
         return [EstimatedModelError(**row | {"tied_with": tuple(row.get("tied_with", ()))}) for row in rows]

@@ -1,4 +1,4 @@
-"""Plain cycles of the twin's process: its nodes answer SYNC, then the machine goes on by what the axes answer."""
+"""Fast path of the twin's process: its nodes answer SYNC, then the machine steps by the axes' answers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hilbench.twin.process import TwinApplication
 
 @dataclass(frozen=True)
 class _Order:
-    """The axes' TPDOs in an order; `data`: (8 N,)."""
+    """TPDOs of the axes in a fixed arrival order; `data`: (8 N,)."""
 
     vectors: kernel.Vectors
     port: packet_kernel.Port
@@ -30,10 +30,10 @@ class _Order:
 
 
 class ReceivedAxes:
-    """What the twin hears of the axes: takes their TPDOs out of packets, until each axis has answered."""
+    """Receiver of the axes' TPDOs: takes them from packets until each axis has answered."""
 
     def __init__(self, link: EmbeddedLink, listeners: Sequence[AxisListener], answers: SyncAnswers) -> None:
-        """Raises NotPlainError."""
+        """Raises FastPathRefusedError, as for axes with the same COB-ID."""
         self._link, self._listeners, self._answers = link, listeners, answers
         self._by_cob_id = {listener.cob_id: listener for listener in listeners}
         self._slots = {listener.cob_id: new_slots(answers.slots, listener.pdo) for listener in listeners}
@@ -71,7 +71,7 @@ class ReceivedAxes:
         return _Order(vectors, port, vectors.table(), port.table())
 
     def give(self) -> None:
-        """The listeners know what has come."""
+        """Write the counters back to the listeners."""
         give_counters(self._listeners, self._seen)
 
     @property
@@ -80,11 +80,11 @@ class ReceivedAxes:
         return self._gathered.packets
 
     def begin(self) -> None:
-        """SYNC is answered."""
+        """Start receiving after the answer to SYNC."""
         self._gathered.begin()
 
     def serve(self, timeout_s: float) -> int:
-        """Take what comes: ANSWERED, by all axes; NOTHING has come within the time; OTHER: it is not plain."""
+        """Receive frames: ANSWERED by all axes; NOTHING within the time; OTHER: not for the fast path."""
         gathered, stage = self._gathered, RECEIVE
         while (outcome := packet_kernel.gather(gathered.table, len(self._listeners), stage)) == NOTHING:
             packet = self._link.receive_packet(timeout_s)
@@ -105,10 +105,10 @@ class ReceivedAxes:
 
 
 class TwinFastCycle:
-    """See `plain.host.PacketRun`: the twin between what its nodes answer and what the axes do."""
+    """Packet runner of the twin, see `fast_path.host.PacketRun`: its nodes' answers, then the axes'."""
 
     def __init__(self, link: EmbeddedLink, answers: SyncAnswers, application: TwinApplication) -> None:
-        """Raises NotPlainError where cycles are not plain."""
+        """Raises FastPathRefusedError where the fast path is not possible."""
         self._answers, self._axes = answers, ReceivedAxes(link, application.listeners, answers)
         self._awaits = False  # SYNC is answered, the axes have to
         self._machine = TwinInArrays(application, answers.host, answers.slots)
@@ -120,11 +120,11 @@ class TwinFastCycle:
 
     @property
     def came(self) -> Sequence[bytes]:
-        """See `plain.host.PacketRun`."""
+        """Packets of this cycle, see `fast_path.host.PacketRun`."""
         return self._axes.came if self._awaits else self._answers.came
 
     def serve(self, timeout_s: float) -> bool:
-        """See `plain.host.PacketRun`."""
+        """Receive and process packets, see `fast_path.host.PacketRun`."""
         if self._awaits:
             outcome = self._axes.serve(timeout_s)
             if outcome == ANSWERED:
@@ -139,7 +139,7 @@ class TwinFastCycle:
         return outcome == ANSWERED or (outcome == NOTHING and not self._answers.stands)
 
     def _go_on(self) -> None:
-        """With what the axes have said."""
+        """Run the machine by the axes' answers."""
         self._machine.go_on()
         if kernel.publish(0, self._answers.table) != CONTINUE:
             self._machine.publish_by_objects()
@@ -147,7 +147,7 @@ class TwinFastCycle:
         self._awaits = False
 
     def end(self) -> None:
-        """See `plain.host.PacketRun`."""
+        """Leave the fast path, see `fast_path.host.PacketRun`."""
         if not self._answers.cycles:
             self._machine.leave()
             return

@@ -1,7 +1,7 @@
-"""The twin's machine and its virtual I/O in the arrays of a plain cycle.
+"""Machine and virtual I/O of the twin in the arrays of the fast path.
 
-The machine is in vectors as well where it can be (`twin.machines.machine.VectorMachine`); where not, it and what the
-twin says are objects all the time, and of its virtual I/O only the PDOs are in the arrays.
+The machine is in vectors as well where it can be (`twin.machines.machine.VectorMachine`); else it and its outputs stay
+objects, and of its virtual I/O only the PDOs are in the arrays.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.machines.machine import MachineVectors
 from hilbench.twin.process import TwinApplication
 
-#: Plain cycles after which it is looked anew whether the machine may be in vectors, when it was not.
+#: Fast-path cycles after which it is checked anew whether the machine can be in vectors.
 _LOOK_FOR_VECTORS = 64
 
 
 class TwinInArrays:
-    """What the twin does in a plain cycle, beside the frames.
+    """Twin part of a fast-path cycle, apart from the frames.
 
-    `of_host`: its devices, which have their slots (of the side that `slots` is at). `join` is to be called before the
+    `of_host`: its devices, with their process-image offsets (of the side that `slots` is at). Call `join` before the
     first cycle.
     """
 
     def __init__(self, application: TwinApplication, of_host: HostFrames, slots: Slots) -> None:
-        """Raises NotPlainError where the objects of the virtual I/O are of another type than what a twin says."""
+        """Raises FastPathRefusedError where the virtual I/O's objects are of another type than the twin's values."""
         self._application, self._slots, self._cells = application, slots, slots.cells[slots.side]
         self._in_vectors = application.goes_in_vectors
         self._read_real: list[tuple[Cell, int]] = []
@@ -45,7 +45,7 @@ class TwinInArrays:
             self._find_cells(of_host)
 
     def _find_slots(self) -> None:
-        """All that the machine says and hears is in the arrays."""
+        """Check that all inputs and outputs of the machine are in the arrays."""
         slots, shown = self._slots, self._application.io
         real = [slots.of(cell, is_float=True) for cell in (*shown.published_cells, *shown.boundary_cells.values())]
         whole = [slots.of(cell) for cell in shown.status_cells]
@@ -54,7 +54,7 @@ class TwinInArrays:
             raise FastPathRefusedError
 
     def _find_cells(self, of_host: HostFrames) -> None:
-        """The objects that its PDOs read and write."""
+        """Find the objects that its PDOs read and write."""
         device, places = self._application.device, {id(each[0]): each for each in self._cells}
         read = [places[id(cell)] for of, tpdo, _ in of_host.answering if of is device for cell in tpdo.cells]
         written = [places[id(cell)] for of, rpdo, _ in of_host.taken if of is device for cell in rpdo.cells]
@@ -68,8 +68,8 @@ class TwinInArrays:
     def join(
         self, rows: lay.Rows, whole: lay.Whole, real: lay.Real, asked: lay.Real, shown: lay.Real, measured: lay.Real
     ) -> None:
-        """Go on in these: the virtual axes (N,) by their rows, with what they ask for (N,) and show (N PORT_SIZE,),
-        and what is measured of the real ones, (4 N,)."""
+        """Use these arrays: rows, set points (N,) and feedback (N PORT_SIZE,) of the virtual axes, and the measurement
+        of the real ones, (4 N,)."""
         application = self._application
         self._whole_at, self._real_at, self._measured = whole.data, reals(real), measured
         self._motors = Motors(
@@ -101,7 +101,7 @@ class TwinInArrays:
         )
 
     def stays(self) -> bool:
-        """Whether the next cycle can go on in the arrays as this one did."""
+        """True if the next cycle can run in the arrays as this one did."""
         self._application.count_syncs()
         if self._motors.over or self._application.leaves_vectors:
             return False
@@ -110,11 +110,11 @@ class TwinInArrays:
 
     @property
     def piece(self) -> CompiledStage | None:
-        """Of a cycle: the same as `go_on`, with nothing to do before SYNC; None while it has not all in vectors."""
+        """Compiled stage of a cycle, as `go_on`, with nothing to do before SYNC; None if it is not all in vectors."""
         return self._application.in_vectors if self._in_vectors else None
 
     def before_sync(self) -> None:
-        """What the TPDOs of the next SYNC carry goes into the arrays."""
+        """Write the content of the next SYNC's TPDOs into the arrays."""
         if self._in_vectors:
             return
         cells, values = self._application.io.status_cells, self._application.begin_fast_path()
@@ -126,7 +126,7 @@ class TwinInArrays:
             self._whole_at[slot] = value
 
     def go_on(self) -> None:
-        """The axes have answered this SYNC."""
+        """Run the cycle after the axes' answers to this SYNC."""
         self._cycles += 1
         if self._in_vectors:
             self._application.go_on_in_vectors()
@@ -140,15 +140,15 @@ class TwinInArrays:
             cell.value = self._real_at[slot]
 
     def publish_by_objects(self) -> None:
-        """A virtual axis can't go on as it did."""
+        """Publish by the objects: a virtual axis has left the fast path."""
         self._motors.publish_by_objects()
 
     def leave(self) -> None:
-        """No SYNC was answered: the objects have all that the arrays have."""
+        """Leave without an answered SYNC: the objects are up to date."""
         self._application.forget_vectors()
 
     def give(self, *, awaits: bool = False) -> None:
-        """The objects get what the arrays have; `awaits`: the axes have not answered the last SYNC yet."""
+        """Write the arrays back to the objects; `awaits`: the axes have not answered the last SYNC yet."""
         self._motors.give()
         if awaits:
             self._give_boundary_inputs()
@@ -157,7 +157,7 @@ class TwinInArrays:
 
 
 def received_row(listener: AxisListener, position: int, torque: int) -> tuple[object, ...]:
-    """An axis as the twin hears it, a row of `layout.FEEDBACK`: slots of position and torque. Raises NotPlainError."""
+    """Row of `layout.FEEDBACK` for a real axis: offsets of position and torque. Raises FastPathRefusedError."""
     counter, units = listener.counter, listener.units
     if counter.value is None:
         raise FastPathRefusedError
@@ -169,6 +169,6 @@ def received_row(listener: AxisListener, position: int, torque: int) -> tuple[ob
 
 
 def give_counters(listeners: Sequence[AxisListener], seen: lay.Rows) -> None:
-    """Who hears the axes gets how far they have come by their rows."""
+    """Write the unwrapping counters of the rows back to the listeners."""
     for listener, row in zip(listeners, seen, strict=True):
         listener.counter.counted_until(int(row["value"]), int(row["last"]))

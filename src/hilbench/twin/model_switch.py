@@ -1,9 +1,8 @@
-"""Another model for a twin that runs: tried beside the one in use, then taken over without a jump.
+"""Model switch of a running twin: the new model runs in parallel, then is taken over by bumpless transfer.
 
-The changed model finds state and E of the running plant by itself, as a twin that is started beside one does: it has
-the measurements, the set points and the boundary that the model in use has. When it calls itself synchronized, what the
-virtual I/O shows goes from the one to the other along a smooth curve, so that the tension loop, which works on what is
-shown, follows without noticing a step.
+The changed model finds state and E of the running plant by itself, as a twin started on one does: it has the
+measurements, set points and boundary inputs of the model in use. When it is synchronized, the virtual I/O's outputs go
+from one to the other along a smooth curve, so that the tension loop, which works on them, follows without a step.
 """
 
 from __future__ import annotations
@@ -20,15 +19,14 @@ from hilbench.twin.bumpless_transfer import BumplessTransfer
 from hilbench.twin.estimated_errors import EstimatedModelError
 from hilbench.twin.machines.machine import Measured, TwinMachine
 
-#: Time over which what is shown goes from one model to the other, and for which the changed one must have been
-#: synchronized before, s.
+#: Duration of the transfer of the outputs, and for which the changed model must have been synchronized before, s.
 HAND_OVER_S, SYNCHRONIZED_S = 3.0, 0.5
 
 
 def with_effects(model: MachineParameters, effects: str) -> MachineParameters:
-    """The model with these effects (JSON: a list of {effect, axis, parameters}) in the place of its own; "": as it is.
+    """Model with these effects (JSON: a list of {effect, axis, parameters}) in place of its own; "": unchanged.
 
-    Raises ValueError for what is no such list, or can't be of this machine.
+    Raises ValueError for an invalid list, or one that does not fit this machine.
     """
     if not effects:
         return model
@@ -36,24 +34,24 @@ def with_effects(model: MachineParameters, effects: str) -> MachineParameters:
 
 
 class PendingModel(Protocol):
-    """A machine that is being made: a future."""
+    """Future of a machine that is being built."""
 
     def done(self) -> bool:
-        """Whether it is."""
+        """True if it is built."""
 
     def result(self) -> TwinMachine:
-        """It, once it is."""
+        """Machine, once it is built."""
 
 
 Make = Callable[[], TwinMachine]
 
 
 class ModelSwitcher:
-    """A `TwinMachine` whose model can be exchanged while it runs.
+    """`TwinMachine` whose model can be exchanged while it runs.
 
-    `make`: what makes a new machine of the model with these effects (JSON) in the place of the configured ones; "": as
-    it is configured. Until the first change all calls go straight to the configured machine. `beside`: who makes it
-    while the cycle goes on, which takes some cycles' time; None: it is made at once.
+    `make`: factory of a machine of the model with these effects (JSON) in place of the configured ones; "": as
+    configured. Until the first change all calls go straight to the configured machine. `beside`: executor that builds
+    it in parallel to the cycle, which takes several cycles' time; None: it is built at once.
     """
 
     def __init__(
@@ -66,23 +64,22 @@ class ModelSwitcher:
         self._pending: PendingModel | None = None
         self._candidate: TwinMachine | None = None
         self._effects = self._effects_beside = ""  # of the model in use, and of the candidate
-        self._before: Sequence[Measured] | None = None  # while the candidate waits to be released
+        self._before: Sequence[Measured] | None = None  # while the candidate awaits its release
         self._released = False
         self._synchronized_cycles = self._cycles_over = 0
         self._share = 0.0
-        self._fresh = True  # whether what is shown is of a cycle with measurement
-        self._cycles_since = 0  # that the models have gone since the last one
-        self._apart: Sequence[float] = ()  # what is shown, less what the model in use alone would show
+        self._fresh = True  # outputs are of a cycle with measurement
+        self._cycles_since = 0  # model cycles since the last one
+        self._apart: Sequence[float] = ()  # outputs, less those of the model in use alone
         self._shown: Sequence[float] = ()
         self._smooth = BumplessTransfer(self._configured.largest_steps)
-        #: Of each shown value the largest step from one cycle to the next that the last change has made; none before.
+        #: Largest step of each output from one cycle to the next by the last change; empty before.
         self.largest_steps: Sequence[float] = ()
 
     def change(self, effects: str) -> None:
-        """Take a model with these effects beside the one in use, and over; "" is the configured one.
+        """Start a bumpless switch to the model with these effects ("" = configured). Cancels a pending switch.
 
-        A change that still runs beside is given up for it. Raises ValueError for what is no list of effects of this
-        machine, RuntimeError while a model is being taken over.
+        Raises ValueError for an invalid list of effects, RuntimeError during a transfer.
         """
         if self._share > 0.0:
             raise RuntimeError("a model is being taken over")
@@ -100,61 +97,61 @@ class ModelSwitcher:
 
     @property
     def changing(self) -> bool:
-        """Whether a changed model runs beside the one in use, or is being taken over."""
+        """True while a changed model runs in parallel, or is being taken over."""
         return self._candidate is not None or self._pending is not None
 
     @property
     def changed(self) -> bool:
-        """Whether the model in use is another than the configured one."""
+        """True if the model in use is not the configured one."""
         return self._effects != ""
 
     @property
     def only_plant(self) -> Plant | None:
-        """The configured model where no other is in use or tried; it then moves the ports by itself."""
+        """Configured model if no other is in use or tried; it then drives the ports itself."""
         alone = not self.changing and self._current is self._configured and self._smooth.is_over
         return self._configured.plant if alone else None
 
     @property
     def in_use(self) -> TwinMachine:
-        """The machine whose model is in use."""
+        """Machine whose model is in use."""
         return self._current
 
     # -- a TwinMachine -----------------------------------------------------------------------------------
 
     @property
     def problems(self) -> Mapping[int, Problem | None]:
-        """The same by the number of the span."""
+        """Problems by span number."""
         return self._current.problems
 
     @property
     def shift_span(self) -> int:
-        """The span at which the torque has shifted."""
+        """Span of the torque shift."""
         return self._current.shift_span
 
     @property
     def refused(self) -> bool:
-        """Whether a measured state was not plausible and was not taken over in the last cycle."""
+        """True if a measured state was implausible in the last cycle and was not transferred."""
         return self._current.refused
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
-        """Whether nobody knows how long a cycle is."""
+        """Freeze parameter adaptation while the SYNC period is uncertain."""
         for machine in self._machines:
             machine.freeze_adaptation(frozen=frozen)
 
     def set_cycle_time(self, cycle_s: float) -> None:
-        """Each cycle is so long from the next on, whichever model is in use."""
+        """Set the cycle time of all models."""
         self._cycle_s = cycle_s
         for machine in self._machines:
             machine.set_cycle_time(cycle_s)
 
     def keep(self) -> None:
-        """What is known now was found with cycles of the right length."""
+        """Take a checkpoint of all models."""
         for machine in self._machines:
             machine.keep()
 
     @property
     def _machines(self) -> list[TwinMachine]:
-        """All that there are."""
+        """All existing machines."""
         found = [self._configured]
         for machine in (self._current, self._candidate):
             if machine is not None and machine is not self._configured:
@@ -162,14 +159,14 @@ class ModelSwitcher:
         return found
 
     def reset(self) -> None:
-        """Start anew with the model that was configured."""
+        """Reset to the configured model."""
         self._candidate, self._current, self._share = None, self._configured, 0.0
         self._pending, self._effects = None, ""
         self._smooth = BumplessTransfer(self._configured.largest_steps)
         self._configured.reset()
 
     def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
-        """The drives have been enabled; False where these measurements are of several instants."""
+        """Release after the drives were enabled; False if the measurements are not coherent (of one instant)."""
         if self._candidate is not None and self._share > 0.0:
             self._take_over(self._candidate)
         self._pass_set_points(self._current)
@@ -177,9 +174,9 @@ class ModelSwitcher:
         return self._current.release(before, now, under_way=under_way)
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
-        """Take what the axes (N,) measured.
+        """Take the axes' (N,) measurements.
 
-        A candidate is released by two measurements in a row, each of one instant as the model in use has found.
+        A candidate is released by two successive measurements that the model in use finds coherent.
         """
         self._fresh = self._current.compare(time_s, measured)
         candidate = self._candidate
@@ -192,7 +189,7 @@ class ModelSwitcher:
         return self._fresh
 
     def miss(self) -> None:
-        """A cycle without measurement."""
+        """Skip a cycle without measurement."""
         if self._candidate is not None:
             if self._released:
                 self._candidate.miss()
@@ -201,13 +198,13 @@ class ModelSwitcher:
         self._current.miss()
 
     def listen(self) -> None:
-        """Take over what the bench says of the machine's boundary."""
+        """Read the boundary inputs."""
         if self._candidate is not None and self._released:
             self._candidate.listen()
         self._current.listen()
 
     def step(self, duration_s: float) -> None:
-        """Go on with the set points of the ports."""
+        """Step by the ports' set points."""
         plant = self.only_plant
         if plant is not None:
             plant.step(duration_s)
@@ -230,17 +227,17 @@ class ModelSwitcher:
                 shown.torque_Nm = port.torque_Nm
 
     def use_method(self, number: int) -> None:
-        """Go on with another method from the present estimate."""
+        """Switch to another method from the present estimate."""
         self._current.use_method(number)
         if self._candidate is not None:
             self._candidate.use_method(number)
 
     def found(self) -> Sequence[EstimatedModelError]:
-        """What is known by now of errors of the model in use."""
+        """Estimated errors of the model in use."""
         return self._current.found()
 
     def published(self) -> Sequence[float]:
-        """What the virtual I/O shows now: of both models where one is being taken over."""
+        """Outputs of the virtual I/O, blended during a transfer."""
         shown = self._current.published()
         if self._candidate is None or self._share == 0.0:
             return shown if self._smooth.is_over else self._smooth.show(shown, shown, 1.0)
@@ -249,10 +246,10 @@ class ModelSwitcher:
         return both
 
     def _note_steps(self, apart: Sequence[float], shown: Sequence[float]) -> None:
-        """How much more the shown values change in a cycle than those of the model in use alone; where that one jumps
-        and the changed one does not, they change by less than that.
+        """Track how much more the outputs change in a cycle than those of the model in use alone, or less, where that
+        one jumps and the changed one does not.
 
-        What is shown after cycles without measurement has the changes of all of them.
+        After cycles without measurement the change is that of all of them.
         """
         if not self._fresh:
             return
@@ -275,7 +272,7 @@ class ModelSwitcher:
             port.slope, port.torque_limit_Nm = given.slope, given.torque_limit_Nm
 
     def _go_over(self, candidate: TwinMachine) -> None:
-        """A cycle nearer to the changed model, when it has been synchronized for a while."""
+        """Advance the transfer by a cycle, once the candidate has been synchronized for a while."""
         if self._share == 0.0 and self._synchronized_cycles * self._cycle_s < SYNCHRONIZED_S:
             self._synchronized_cycles = self._synchronized_cycles + 1 if candidate.synchronized else 0
             return
@@ -292,5 +289,5 @@ class ModelSwitcher:
 
 
 def _steps(before: Sequence[float], now: Sequence[float]) -> list[float]:
-    """How far each of these has gone."""
+    """Absolute change of each value."""
     return [abs(new - old) for old, new in zip(before, now, strict=True)]

@@ -1,6 +1,6 @@
-"""The twin process: virtual axes fed by mirrored PDOs, the simulated machine with its estimator, the virtual I/O.
+"""Twin process: virtual axes fed by mirrored RPDOs, the simulated machine with its estimator, the virtual I/O.
 
-It knows the bench only from the bus: it hears the real axes' TPDOs beside the commands.
+Its only link to the bench is the bus: it receives the real axes' TPDOs in addition to the commands.
 """
 
 from __future__ import annotations
@@ -45,18 +45,17 @@ from hilbench.twin.virtual_io import VirtualIo
 _VALUE_TOO_HIGH, _INVALID_VALUE, _PRESENT_STATE = 0x06090031, 0x06090030, 0x08000022
 #: SYNCs that an axis may leave unanswered and answer later.
 _MOST_OWED = 100
-#: Missed SYNCs in a row that the simulation makes up for; after more a twin has to find the plant anew.
+#: Missed SYNCs in a row that the simulation catches up; after more the plant has to be found anew.
 _MOST_SKIPPED = 100
-#: How often what is known is kept, to come back to should SYNC turn out to come by another cycle, s.
+#: Interval of checkpoints, to be restored should the SYNC period turn out to be another one, s.
 _KEPT_S = 0.25
-#: From which speed on, at the motor, an axis moves that has to be told so before the machine is released; how long that
-#: is waited for.
+#: Speed at the motor from which on an axis needs a set point before the machine is released; longest wait for that.
 _MOVES_RAD_S, _LONGEST_WAIT_S = 0.05, 0.1
 
 
 @dataclass(frozen=True)
 class TwinSetup:
-    """All the twin needs to know of the bench config."""
+    """Everything the twin needs of the bench config."""
 
     bus: BusAddress
     clock: Clock
@@ -67,19 +66,19 @@ class TwinSetup:
     real_axes: tuple[RealAxis, ...]
     virtual_axes: tuple[TwinNode, ...]
     virtual_io: TwinNode
-    process: ProcessSettings | None  #: what the twin's process asks of the operating system
+    process: ProcessSettings | None  #: priority and affinity of the twin's process
 
 
 class TwinApplication:
-    """What the twin does in a cycle.
+    """Cycle of the twin.
 
-    At SYNC k its TPDOs carry the state simulated for t_k, and say so (2100h). It then waits for what the real axes
-    measured at t_k, lets the estimator compare, and simulates to t_{k+1}. When a measurement has not come by the
-    next SYNC the cycle is simulated without it, and counted in `missed`. When it is so late that further SYNCs are
-    waiting, it tells its age, and catches up or holds, as configured.
+    At SYNC k its TPDOs carry the state simulated for t_k, with its SYNC number (2100h). It then waits for the
+    measurements of the real axes at t_k, updates the estimator, and simulates to t_{k+1}. When a measurement has not
+    come by the next SYNC the cycle is simulated without it, and counted in `missed`. When it is so late that further
+    SYNCs are waiting, it reports its age, and catches up or holds, as configured.
 
     The machine is held while an axis has its power stage off, as holding brakes would hold it. A twin that is started
-    beside a running plant takes the axes' motion and torque over.
+    on a running plant takes over the axes' motion and torque.
     """
 
     def __init__(
@@ -108,8 +107,8 @@ class TwinApplication:
         self._measured = list(self._nothing)
         self._owed = [0] * len(self._listeners)  # SYNCs that the axis has not answered
         self._measured_before: list[Measured] | None = None  # while the machine waits to be released
-        self._waited_s = 0.0  # for set points of axes that move
-        self._was_held = False  # the machine, with a drive disabled, since the start
+        self._waited_s = 0.0  # for set points of moving axes
+        self._was_held = False  # by a disabled drive, since the start
         self._reports = Reports(device, machine, setup.cycle_s)
         self._pending = self._released = False
         self._sync_number = self._behind = 0
@@ -117,11 +116,11 @@ class TwinApplication:
         # In lockstep one SYNC is one cycle, however long it took.
         in_lockstep = isinstance(setup.clock, SyncClock)
         self._clock = None if in_lockstep else BusClock(setup.cycle_s, setup.clock.now_ns, device, report)
-        self._skipped = 0  # cycles that by the clock the axes have gone, less the SYNCs that came
+        self._skipped = 0  # elapsed cycles of the axes by the clock, less the received SYNCs
         self._travels = CycleCountFromPosition(setup.model, setup.cycle_s)
-        self._last_status = (0, 0, 0)  # with the last SYNC of a plain cycle
+        self._last_status = (0, 0, 0)  # at the last SYNC of the fast path
         self._in_vectors: InVectors | None = None
-        self.leaves_vectors = False  #: what is in vectors has to go on in objects
+        self.leaves_vectors = False  #: the vectors' state has to go on in objects
         virtual_io.on_method(self._use_method)
         virtual_io.on_found(lambda: as_text(machine.found()))
         virtual_io.on_model(self._use_model, lambda: machine.largest_steps)
@@ -129,11 +128,11 @@ class TwinApplication:
 
     @property
     def drives(self) -> Sequence[SimulatedDrive]:
-        """The virtual axes."""
+        """Virtual axes."""
         return self._drives
 
     def reset(self) -> None:
-        """Start anew with what is assumed at the start (reset of the virtual I/O node)."""
+        """Reset to the initial assumptions (reset of the virtual I/O node)."""
         self._machine.reset()
         self._measured = list(self._nothing)
         self._owed = [0] * len(self._owed)
@@ -145,15 +144,15 @@ class TwinApplication:
         self._publish()
 
     def start(self) -> None:
-        """NMT start: SYNCs are counted from here."""
+        """Start counting SYNCs (NMT start)."""
         self._sync_number, self._was_held = 0, False
 
     def before_sync(self, behind: int) -> None:
-        """A SYNC is here, `behind` more are waiting: what still waits for a measurement goes on without."""
+        """Handle a SYNC with `behind` more waiting: a pending cycle goes on without measurement."""
         if self._pending:
             self.missed += 1
             self._advance()
-        # What came since is late: taken for an answer to this SYNC it would push the true one to the next, for ever.
+        # Later frames are late: taken as answers to this SYNC they would push the true ones to the next, for ever.
         self._measured = list(self._nothing)
         self._owed = [min(owed + 1, _MOST_OWED) for owed in self._owed]
         self._sync_number += 1
@@ -162,8 +161,7 @@ class TwinApplication:
         self._io.publish_status(self._sync_number, behind, self._status())
 
     def _look_at_the_clock(self, behind: int) -> None:
-        """In real time the axes have gone on through the cycles whose SYNC the bench has missed; and how long a cycle
-        is, who sends SYNC says."""
+        """Track the SYNC period in real time, where the axes also go through cycles whose SYNC was missed."""
         if self._clock is None:
             return
         received = self._clock.sync_received(behind)
@@ -182,17 +180,17 @@ class TwinApplication:
 
     @property
     def _apart(self) -> bool:
-        """Whether SYNC comes by another cycle than is gone by."""
+        """True if SYNC comes with another period than assumed."""
         return self._clock is not None and self._clock.apart
 
     def _keep(self) -> None:
-        """Now and then what is known, to come back to."""
+        """Take a checkpoint of the estimate at intervals."""
         if self._time_s - self._kept_s >= _KEPT_S:
             self._kept_s = self._time_s
             self._machine.keep()
 
     def _go_by(self, cycle_s: float) -> None:
-        """From here on that is a cycle, by which SYNC comes; for a while it did not."""
+        """Set the cycle time after a change of the SYNC period."""
         self._cycle_s = cycle_s
         self._machine.set_cycle_time(cycle_s)
         self._reports.set_cycle_time(cycle_s)
@@ -200,14 +198,14 @@ class TwinApplication:
         self._measured_before, self._skipped = None, 0
 
     def _catch_up(self) -> bool:
-        """Through the cycles without SYNC that lie before this one; whether this one is a new one.
+        """Simulate the cycles without SYNC before this one; False if no time has elapsed since the last one.
 
-        How many they are says the clock; but a clock may jump, and where the axes run their ways say it better.
+        Their number is the clock's; but a clock may jump, and with moving axes the travel is more reliable.
         """
         measured = self._complete()
         skipped, now = self._skipped, None if measured is None else [position for position, _ in measured]
         if skipped:
-            if now is None:  # the next measurement will tell
+            if now is None:  # decided at the next measurement
                 self._travels.update(None, 1)
                 return True
             skipped = self._travels.gone(now, 1 + skipped) - 1
@@ -215,26 +213,26 @@ class TwinApplication:
         self._travels.update(now, 1 + skipped)
         if 0 < skipped <= _MOST_SKIPPED:
             for _ in range(skipped):
-                self._machine.miss()  # what is measured next is not one cycle after the last
+                self._machine.miss()  # the next sample is not one cycle after the last
                 self._machine.step(self._cycle_s)
                 self._time_s += self._cycle_s
         return skipped >= 0
 
     def after_sync(self) -> None:
-        """The TPDOs are out, the drives have new set points: simulate as soon as the measurements are there."""
+        """Update the drives after the TPDOs are sent; simulate as soon as the measurements are there."""
         for drive in self._drives:
             drive.sync(self._cycle_s)
         self._pending = True
 
     def on_frame(self, frame: Frame) -> None:
-        """Take the real axes' TPDOs, as many as SYNC has asked for: of two senders the first, as the bench does. The
-        last one that was waited for starts the simulation of the cycle."""
+        """Take the real axes' TPDOs, one per SYNC: of two senders the first, as the bench does. The last awaited one
+        starts the simulation of the cycle."""
         for axis, listener in enumerate(self._listeners):
             if frame.can_id == listener.cob_id:
                 if len(frame.data) != listener.size:
                     self.malformed += 1
                     return
-                if self._owed[axis] == 0:  # the bench, which hears it too, says so
+                if self._owed[axis] == 0:  # the bench receives it too, and reports it
                     self.surplus += 1
                     return
                 self._owed[axis] -= 1
@@ -243,55 +241,55 @@ class TwinApplication:
                     self._advance()
                 return
 
-    # -- cycles that somebody else runs (`twin.in_arrays`) -----------------------------------------------
+    # -- cycles run by the fast path (`twin.in_arrays`) --------------------------------------------------
 
     @property
     def fits_fast_path(self) -> bool:
-        """Whether the machine goes on with every SYNC, by what the axes measure at it."""
+        """True if the machine advances with every SYNC, by the axes' measurements at it."""
         powered = all(port.mode is not MotorMode.OFF for port in self._ports) and max(self._owed) < _MOST_OWED
         in_step = not (self._behind or self._skipped or self._apart)
         return powered and in_step and self._released and not self._pending and self._time_s > 0.0
 
     @property
     def goes_by_clock(self) -> bool:
-        """Whether a SYNC is one cycle after the last only where the clock says so, too."""
+        """True if SYNCs are checked against the clock."""
         return self._clock is not None
 
     @property
     def listeners(self) -> Sequence[AxisListener]:
-        """Who hears the real axes."""
+        """Receivers of the real axes' TPDOs."""
         return self._listeners
 
     @property
     def device(self) -> Device:
-        """The virtual I/O."""
+        """Device of the virtual I/O."""
         return self._device
 
     @property
     def turned(self) -> Steps:
-        """What the motors of the virtual axes turn: the model itself, while no other is tried or in use."""
+        """Simulation driven by the virtual axes' motors: the model itself, while no other is tried or in use."""
         return self._machine.only_plant or self._machine
 
     @property
     def cycle_s(self) -> float:
-        """How far the machine goes with each SYNC."""
+        """Simulated time per SYNC."""
         return self._cycle_s
 
     @property
     def io(self) -> VirtualIo:
-        """What it shows and hears."""
+        """Object dictionary interface of the virtual I/O."""
         return self._io
 
     def begin_fast_path(self) -> tuple[int, int, int]:
-        """`before_sync` of a cycle in which all that is asked for comes in time, as far as it shows: nothing is owed
-        behind it. What is said with that SYNC: its number, age and status, which the objects have once it goes on."""
+        """`before_sync` of a fast-path cycle, in which all answers come in time. Returns number, age and status of that
+        SYNC, which the objects get at `go_on`."""
         self._behind = 0
         self._last_status = (self._sync_number + 1) & 0xFFFF, 0, self._status()
         return self._last_status
 
     def go_on(self, measured: list[Measured], step: Callable[[], object]) -> None:
-        """The rest of a cycle after `begin_fast_path`: what the axes (N,) have measured at SYNC. `step`: what lets the
-        virtual axes go on with what they turn, in the place of their `sync` and the machine's `step`."""
+        """Run the rest of a cycle after `begin_fast_path`, with the axes' (N,) measurements at SYNC. `step`: advances
+        virtual axes and machine, in place of their `sync` and `step`."""
         self._sync_number += 1
         self._io.publish_status(*self._last_status)
         self._compare(measured)
@@ -301,7 +299,7 @@ class TwinApplication:
         self._publish()
 
     def awaits_measurements(self) -> None:
-        """The same where nobody runs the rest: it goes on as the axes answer."""
+        """End the fast path in a cycle that awaits measurements: it goes on as the axes answer."""
         self.count_syncs()
         self._sync_number += 1
         self._measured = list(self._nothing)
@@ -312,12 +310,12 @@ class TwinApplication:
 
     @property
     def goes_in_vectors(self) -> bool:
-        """Whether the machine may be in vectors from now on."""
+        """True if the machine may run in vectors from now on."""
         machine = self._machine.in_use
         return self._machine.only_plant is not None and isinstance(machine, VectorMachine) and machine.goes_in_vectors
 
     def begin_in_vectors(self, vectors: MachineVectors) -> None:
-        """The machine is in these vectors until `end_in_vectors`; number and status of the next SYNC are put there."""
+        """Move the machine into these vectors until `end_in_vectors`; sets number and status of the next SYNC there."""
         machine = self._machine.in_use
         assert isinstance(machine, VectorMachine), "asked for before"
         self._behind = 0
@@ -327,12 +325,12 @@ class TwinApplication:
 
     @property
     def in_vectors(self) -> CompiledStage | None:
-        """`begin_fast_path` and `go_on` as a piece of a cycle, which may be another one after Python's part of it; None
-        while each cycle has one."""
+        """Compiled stage for `begin_fast_path` and `go_on`, possibly replaced after an interpreted part; None while
+        each cycle has one."""
         return self._in_vectors.piece if self._in_vectors is not None and self._reports.quiet else None
 
     def go_on_in_vectors(self) -> None:
-        """The same of one cycle."""
+        """Run one cycle in vectors."""
         assert self._in_vectors is not None, "begun"
         piece = self._in_vectors.piece
         code = piece.function(piece.argument, piece.table)
@@ -340,7 +338,7 @@ class TwinApplication:
             self._go_on_from(code)
 
     def _go_on_from(self, code: int) -> bool:
-        """Python's part of a cycle in vectors; whether the next ones may have none."""
+        """Run the interpreted rest of a cycle in vectors; True if the next ones may be fully compiled."""
         machine = self._in_vectors
         assert machine is not None, "begun"
         self._count_syncs(-1 if machine.has_ended(code) else 0)
@@ -351,11 +349,11 @@ class TwinApplication:
             self._reports.update()
             self.leaves_vectors = self._machine.refused
         self._time_s += self._cycle_s
-        # What was reported goes out before the next SYNC.
+        # Reports have to be sent before the next SYNC.
         return went != LOOK and self._reports.quiet and not self.leaves_vectors and piece is machine.piece
 
     def count_syncs(self) -> None:
-        """Of the cycles in vectors, now and then: their number is one of 16 bits."""
+        """Count the cycles in vectors; call it at intervals, as their number has 16 bits."""
         if self._in_vectors is not None:
             self._count_syncs(0)
 
@@ -367,11 +365,11 @@ class TwinApplication:
             self._time_s += self._cycle_s
 
     def forget_vectors(self) -> None:
-        """The machine was in them for no cycle."""
+        """Leave the vectors without a cycle run in them."""
         self._in_vectors = None
 
     def end_in_vectors(self) -> None:
-        """The machine is in its objects again."""
+        """Move the machine back to its objects."""
         if self._in_vectors is not None:
             if not self._pending:
                 self._count_syncs(0)
@@ -381,7 +379,7 @@ class TwinApplication:
             self._in_vectors = None
 
     def tick(self, duration_s: float) -> None:
-        """Without SYNC the virtual drives still follow their state machines."""
+        """Run the virtual drives' state machines without SYNC."""
         for drive in self._drives:
             drive.sync(duration_s)
             drive.publish()
@@ -394,7 +392,7 @@ class TwinApplication:
         elif all(port.mode is not MotorMode.OFF for port in self._ports):
             if self._released or self._release():
                 new = self._clock is None or self._catch_up()
-                if new:  # else the axes stand where they were measured before, and no time has passed since
+                if new:  # else no time has elapsed since the last measurement
                     self._compare(self._complete())
                 self._machine.listen()
                 if new:
@@ -410,13 +408,13 @@ class TwinApplication:
         self._publish()
 
     def _complete(self) -> list[Measured] | None:
-        """What all axes measured in this cycle, or None."""
+        """Measurements of all axes in this cycle, or None."""
         found = [measured for measured in self._measured if measured is not None]
         return found if len(found) == len(self._measured) else None
 
     def _release(self) -> bool:
-        """Take the axes over from their first measurements in two cycles in a row; whether both are there, and of one
-        instant each."""
+        """Take over the axes from their first measurements in two successive cycles; True if both are there and
+        coherent."""
         before, self._measured_before = self._measured_before, self._complete()
         measured = self._measured_before
         if before is None or measured is None or self._waits_for_set_points(before, measured):
@@ -428,8 +426,8 @@ class TwinApplication:
         return True
 
     def _waits_for_set_points(self, before: list[Measured], measured: list[Measured]) -> bool:
-        """Whether an axis moves whose virtual drive, just enabled, has not been told so yet: it would brake. Not for
-        ever: an axis may be turned by something else."""
+        """True while an axis moves whose virtual drive, just enabled, has no set point yet: it would brake. Limited in
+        time: an axis may be driven externally."""
         travels = [now - then for (then, _), (now, _) in zip(before, measured, strict=True)]
         brakes = any(
             port.mode is MotorMode.VELOCITY and port.setpoint == 0.0 and abs(way) > _MOVES_RAD_S * self._cycle_s
@@ -445,14 +443,14 @@ class TwinApplication:
             self._reports.update()
 
     def _use_method(self, number: int) -> None:
-        """Go on with another method, from the present estimate (2101h)."""
+        """Switch to another method, from the present estimate (2101h)."""
         try:
             self._machine.use_method(number)
         except ValueError:
             raise SdoAbort(_VALUE_TOO_HIGH) from None
 
     def _use_model(self, effects: str) -> None:
-        """Try a model with these effects beside the one in use, and go on with it (2102h)."""
+        """Start a bumpless switch to a model with these effects (2102h)."""
         try:
             self._machine.change(effects)
         except ValueError:
@@ -461,7 +459,7 @@ class TwinApplication:
             raise SdoAbort(_PRESENT_STATE) from None
 
     def _status(self) -> int:
-        """Bits of `TwinStatus`, as a plain number: flags of the enum take microseconds to put together."""
+        """Status bits of `TwinStatus` as int: enum flags take microseconds to combine."""
         machine, status = self._machine.in_use, 0
         if self._released:
             status |= virtual_io.RUNNING
@@ -486,14 +484,14 @@ class TwinApplication:
 
 
 def _beside(process: ProcessSettings) -> Callable[[Make], PendingModel]:
-    """Who makes another machine while the cycle goes on by the clock."""
+    """Executor that builds another machine in a background thread."""
     from concurrent.futures import ThreadPoolExecutor
 
     return ThreadPoolExecutor(1, "new-model", initializer=right_behind, initargs=(process.priority,)).submit
 
 
 def twin(setup: TwinSetup) -> HostedDevices:
-    """The virtual axes, the virtual I/O and the simulation behind them."""
+    """Devices of the virtual axes and the virtual I/O, with the simulation that drives them."""
     model = setup.model
     warm_up(model, setup.twin, setup.shape, setup.cycle_s)
     devices = [Device(shared_eds(node.eds, node.node_id), node.node_id, setup.clock) for node in setup.virtual_axes]
@@ -508,7 +506,7 @@ def twin(setup: TwinSetup) -> HostedDevices:
     beside = None
     if setup.process is not None:
         beside = _beside(setup.process)
-        make("[]")  # what checks a model is slow the first time
+        make("[]")  # the first validation of a model is slow
     machine = ModelSwitcher(make, setup.cycle_s, beside)
     drives = [SimulatedDrive(device, port) for device, port in zip(devices, machine.ports, strict=True)]
     application = TwinApplication(setup, machine, drives, io_device, virtual_io)
@@ -516,7 +514,7 @@ def twin(setup: TwinSetup) -> HostedDevices:
     def on_nmt(state: NmtState) -> None:
         if state is NmtState.INITIALISING:
             application.reset()
-        elif state is NmtState.PRE_OPERATIONAL:  # behind a reset the objects have what the EDS file says
+        elif state is NmtState.PRE_OPERATIONAL:  # after a reset the objects have the EDS file's values
             virtual_io.reset_boundary_inputs()
         elif state is NmtState.OPERATIONAL:
             application.start()

@@ -1,4 +1,4 @@
-"""What the twin says of its measurements by EMCY: which can't be used, and what the torque is corrected for."""
+"""EMCY reports of the twin: unusable measurements, and the compensated torque shift."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PROFILE_SPECIFIC: Final = 0x21
 
 
 class Reports:
-    """Of `machine`, by the virtual I/O `device`; nothing is on at the start."""
+    """Reports of `machine`, sent by the virtual I/O `device`; no alarm is active at the start."""
 
     def __init__(self, device: Device, machine: ModelSwitcher, cycle_s: float) -> None:
         self._device, self._machine = device, machine
@@ -23,27 +23,27 @@ class Reports:
         self._forget()
 
     def _forget(self) -> None:
-        self.quiet = True  #: no alarm is on
+        self.quiet = True  #: no alarm is active
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
 
     def reset(self) -> None:
-        """Start anew: nothing is on, and nothing has been said."""
+        """Forget all alarms and reports."""
         for alarms in self._alarms.values():
             alarms.reset()
         self._forget()
 
     def set_cycle_time(self, cycle_s: float) -> None:
-        """A cycle is so long from now on."""
+        """Set the cycle time."""
         for alarms in self._alarms.values():
             alarms.set_cycle_time(cycle_s)
 
     def update(self) -> None:
-        """Behind each comparison: say what has begun or ended with it."""
+        """Report what has begun or ended; call it after each comparison."""
         self._report_problem()
         self._report_shift()
 
     def _report_problem(self) -> None:
-        """Say by EMCY why a measurement can't be used, and when it can be again."""
+        """Report by EMCY why a measurement is unusable, and when it is usable again."""
         if self.quiet and self._machine.in_use.problem is None:
             return
         for part, found in self._machine.problems.items():
@@ -55,7 +55,7 @@ class Reports:
         self.quiet = all(alarms.idle for alarms in self._alarms.values())
 
     def _report_shift(self) -> None:
-        """Say by EMCY what the torque is corrected for, and whether something is open."""
+        """Report by EMCY the compensated torque shift, and an undecided change."""
         machine = self._machine.in_use
         shift_Nm, undecided = machine.torque_shift_Nm, machine.torque_undecided
         if shift_Nm != self._reported_shift_Nm:
@@ -73,5 +73,5 @@ class Reports:
 
 
 def _at(part: int) -> bytes:
-    """The manufacturer's five bytes of an EMCY message: the number of the span in the last; 0: there is one."""
+    """Manufacturer's five bytes of an EMCY message: the span number in the last; 0: only one."""
     return bytes((0, 0, 0, 0, part))

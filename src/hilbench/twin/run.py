@@ -1,4 +1,4 @@
-"""The twin of a bench config, as a process runs it."""
+"""Process of the twin of a bench config."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hilbench.twin.setup import twin_setup
 def run(config: BenchConfig) -> int | None:
     """Run virtual axes, virtual I/O and synchronizer until SIGTERM, SIGINT or the end of the bench.
 
-    Returns how many frames were lost because they were not read in time (None: the bus cannot tell). Raises
+    Returns the number of frames lost because they were not read in time (None: unknown on this bus). Raises
     UnusableInputError when a node with one of their ids is there already.
     """
     stop = stop_request()
@@ -33,7 +33,7 @@ def run(config: BenchConfig) -> int | None:
 
 
 def load(config: BenchConfig) -> None:
-    """Compile, or load, all that the twin of a bench on the embedded bus runs on."""
+    """Compile, or load, the functions of the twin of a bench on the embedded bus."""
     of_machine = config.machine, config.twin, config.shape, config.cycle_time_s
     warm_up(*of_machine)
     if config.pace == "lockstep":
@@ -42,9 +42,9 @@ def load(config: BenchConfig) -> None:
 
 
 def run_twin(setup: TwinSetup, stop: Callable[[], bool], report: Callable[[str], None]) -> int | None:
-    """Run the twin on its bus until `stop` says so. Raises BusError when the bus is lost.
+    """Run the twin on its bus until `stop` returns True. Raises BusError when the bus is lost.
 
-    Returns how many frames were lost because they were not read in time (None: the bus cannot tell).
+    Returns the number of frames lost because they were not read in time (None: unknown on this bus).
     """
     hosted = twin(setup)
     return run_devices(
@@ -53,7 +53,7 @@ def run_twin(setup: TwinSetup, stop: Callable[[], bool], report: Callable[[str],
 
 
 def fast_path_host(host: DeviceHost, link: Link, hosted: HostedDevices, setup: TwinSetup) -> FastPathHost | None:
-    """Who serves the twin's devices on the embedded bus in lockstep."""
+    """Fast-path host of the twin's devices on the embedded bus in lockstep, else None."""
     devices, clock, application = hosted.devices, hosted.clock, hosted.application
     if not isinstance(link, EmbeddedLink) or not isinstance(clock, SyncClock):
         return None

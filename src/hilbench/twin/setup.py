@@ -1,4 +1,4 @@
-"""What of the bench config the twin needs."""
+"""Twin setup from a bench config."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from hilbench.topology.parts import Part, Role
 from hilbench.twin.axis_listener import RealAxis, TwinNode
 from hilbench.twin.process import TwinSetup
 
-#: What the gains of a simulated drive's loop may be off the model's, %.
+#: Deviation of a simulated drive's loop gains from the model's, %.
 _SIMULATED_LOOP_PCT = 0.2
 
 
 def twin_setup(config: BenchConfig) -> TwinSetup:
-    """The twin's part of a bench config."""
+    """Twin setup from a bench config."""
 
     def node(part: Part) -> TwinNode:
         return TwinNode(part.node.node_id, part.node.eds)
@@ -41,7 +41,7 @@ def twin_setup(config: BenchConfig) -> TwinSetup:
 
 
 def _twin(config: BenchConfig) -> TwinConfig:
-    """The twin beside a bench that makes probes looks at what they show."""
+    """Twin config, with probing-step evaluation if the bench makes probes."""
     twin = config.twin
     probes = any(control.probes.mode != "off" for control in config.tension_controls.values())
     if not probes or twin.known_change is not None:

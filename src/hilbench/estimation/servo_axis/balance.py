@@ -1,4 +1,4 @@
-"""What each cycle says of the shaft: the inputs of the filters, from measured position and torque."""
+"""Filter inputs from measured position and torque of a shaft (momentum balance), cycle by cycle."""
 
 from __future__ import annotations
 
@@ -33,79 +33,79 @@ from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.servo_axis.tracking_filter import ORDER, TrackingFilter, follow, gains, later, transition
 
-#: Encoder noise believed before it is measured, and the least that is believed; least noise of the torque.
+#: Encoder noise assumed until it is measured, and its least value; least noise of the torque.
 _POSITION_NOISE_RAD, _POSITION_FLOOR_RAD = 3e-6, 1e-7
 _TORQUE_FLOOR_NM = 1e-4
-#: Time constant of the filter that says how fast the shaft turns and accelerates, in cycles.
+#: Time constant of the filter for the shaft's speed and acceleration, in cycles.
 _FILTER_CYCLES = 5.0
-#: Cycles until it has forgotten that it was started at a guess of the speed.
+#: Cycles until its initial guess of the speed has faded.
 _SETTLED_CYCLES = 75
-#: Deviations of its noise beyond which an acceleration is one.
+#: Deviations of its noise beyond which an acceleration is significant.
 _SIGNIFICANT = 4.0
-#: Torque that accelerates the model's inertia, in deviations of the torque's noise, below which the motion counts as
-#: quiet: what ripples and unbalance leave to be seen is acceleration as well, and would be told as inertia.
+#: Torque that accelerates the model's inertia, in deviations of the torque's noise, below which the motion is quiet:
+#: visible rests of ripple and unbalance are acceleration as well, and would be taken for inertia.
 _EXCITED = 2.0
-#: Below this speed the shaft may stick, and dry friction is anything up to its greatest.
+#: Speed below which the shaft may stick, and dry friction is anything up to its greatest.
 _STANDSTILL_RAD_S = 0.2
-#: Below this one, dry friction may be another than above (Stribeck), by as much as its greatest.
+#: Speed below which dry friction may differ from that above (Stribeck), by as much as its greatest.
 _LOW_SPEED_RAD_S = 2.0
-#: How fast sticking is over when it turns again: a load motor that emulates friction turns it late, and the jump of the
-#: acceleration then goes through the filter of the inertia that it emulates.
+#: Decay time of sticking when it turns again: a load motor that emulates friction turns it late, and the jump of the
+#: acceleration then passes the filter of the emulated inertia.
 _AFTER_STANDSTILL_S = 0.02
-#: Share of the accelerating torque that counts as noise: what is emulated follows it only so well.
+#: Share of the accelerating torque that counts as noise: emulation follows it only so well.
 _SHAKING = 0.01
-#: How fast an acceleration that was not foreseen is known again: till then that of the filter is behind the motion, and
-#: so is what a load motor emulates. Torque that goes with it is noise; it would make the shaft seem heavier.
+#: Decay time of an unpredicted acceleration: till then the filter's lags the motion, and so does the load motor's
+#: emulation. Torque in phase with it is noise; it would make the shaft seem heavier.
 _FORESEEN_AGAIN_S = 0.02
-#: Share of the acceleration up to which it was.
+#: Share of the acceleration up to which it counts as predicted.
 _FORESEEN = 0.05
-#: Of the motor's torque limit: by how much more or less torque than before, load motor included, the shaft may be
-#: turned. A position that is further off than this accelerates it is not one cycle after the last.
+#: Share of the motor's torque limit by which the shaft's torque, load motor included, may change. A position further
+#: off than this accelerates it is not one cycle after the last.
 _TORQUE_CHANGE = 2.0
-#: By how much the motion changes its course in a cycle without anything being wrong, the encoder's noise in
-#: deviations, and the most that is believed of an encoder (12 bits).
+#: Normal change of the position's course in a cycle, the encoder's noise in deviations, and the coarsest accepted
+#: encoder (12 bits).
 _POSITION_SLACK_RAD, _NOISE_SLACK, _COARSEST_RAD = 1e-4, 6.0, 3e-3
-#: More cycles than this without a usable sample are not bridged: the motion is found anew.
+#: More cycles than this without a usable sample are not bridged: the motion is initialized anew.
 _LONGEST_GAP_CYCLES = 20
-#: Part of a cycle by which a sample is between two of them, and neither.
+#: Share of a cycle by which a sample counts as between two of them.
 _BETWEEN = 0.25
-#: Beyond those that are known to be missing so many cycles may have passed, so many times in a row.
+#: Further missed cycles considered beyond the known ones, and how many times in a row.
 _MORE_CYCLES, _MOST_ODD = 5, 3
-#: Place in the motion of the filter.
+#: Index in the filter's motion.
 _ACCELERATION = 2
 
 
 @dataclass(frozen=True, slots=True)
 class ShaftSample:
-    """What is known at one SYNC."""
+    """Measured sample at one SYNC."""
 
-    cycle_s: float  #: of the bus; how many have passed since the sample before is found from the motion
+    cycle_s: float  #: of the bus; the number elapsed since the previous sample is found from the motion
     position_rad: float
     torque_Nm: float  #: of the motor, as the drive reports it
-    #: What its mean over the cycle is more than the mean of both its ends, as the simulated drive has it: set points
-    #: come with SYNC, and the torque ripples with them.
+    #: Excess of its mean over the cycle over the mean of both its ends, by the simulated drive: set points come with
+    #: SYNC, and the torque ripples with them.
     ripple_Nm: float = 0.0
 
 
 class InputVectors(NamedTuple):
-    """What a `FilterInputs` consists of, for compiled callers."""
+    """Vectors of `FilterInputs`, for compiled callers."""
 
     p: Array  #: parameters of the shaft
     s: Array  #: state and figures
     u: Array  #: inputs of the filters
     torque: Array  #: state of the noise level of the torque,
     position: Array  #: and of the position
-    motion: Array  #: of the filter that says how fast the shaft turns and accelerates
+    motion: Array  #: of the filter for the shaft's speed and acceleration
     forward: Array  #: (4, 4): `transition` over a cycle
     gain: Array  #: (4,): `gains` of a cycle
     back: Array  #: (4, 4): `transition` over half a cycle, back
 
 
-# State: cycles that the motion has been followed (-1: it is not); cycles without a sample since the last one; samples
-# in a row that were not so many cycles after the one before as was expected; 1: what dry friction is may be anything;
-# torque of the last sample (NaN: none); whether the filters of the inertia have lost the motion. Figures:
-# length of a cycle; noise of the filter's acceleration by that of the position; ratio of the gear; breakaway of dry
-# friction; acceleration that the filter has lately not foreseen, and how much of it there is by a position that is off.
+# State: cycles of followed motion (-1: none); cycles without a sample since the last one; samples in a row with an
+# unexpected number of cycles since the previous one; 1: dry friction may be anything; torque of the last sample (NaN:
+# none); true if the inertia filters have lost the motion. Figures: cycle time; noise of the filter's acceleration by
+# that of the position; gear ratio; breakaway friction; recently unpredicted acceleration, and its gain from a position
+# error.
 (
     FOLLOWED,
     _MISSING,
@@ -135,7 +135,7 @@ def _known_torque_Nm(p: Array, measured_Nm: float, x: float, v: float) -> float:
 
 @compiled
 def _slack_rad(position: Array, cycles: int) -> float:
-    """What a position is off by without anything being wrong: as the motion changes, and by the encoder's noise."""
+    """Normal prediction error of a position: by the change of motion, and by the encoder's noise."""
     known = noise_level.is_known(position)
     noise_rad = _NOISE_SLACK * sqrt(noise_level.variance(position)) if known else _COARSEST_RAD
     return float(_POSITION_SLACK_RAD * (cycles * cycles) + min(noise_rad, _COARSEST_RAD))
@@ -143,7 +143,7 @@ def _slack_rad(position: Array, cycles: int) -> float:
 
 @compiled
 def _excites(v: InputVectors, acceleration_rad_s2: float) -> bool:
-    """Whether the torque that such an acceleration takes is more than what noise, ripple and unbalance make."""
+    """True if the torque for this acceleration exceeds that of noise, ripple and unbalance."""
     accelerating_Nm = abs(acceleration_rad_s2) * v.u[kalman.INERTIA_KG_M2]
     return bool(accelerating_Nm > _EXCITED * sqrt(noise_level.variance(v.torque)))
 
@@ -152,15 +152,15 @@ def _excites(v: InputVectors, acceleration_rad_s2: float) -> bool:
 def _take_quality(
     v: InputVectors, position_rad: float, torque_Nm: float, off_rad: float, duration_s: float, next_cycle: bool
 ) -> None:
-    """How noisy both are, of a sample `duration_s` after the one before, and how well the acceleration is known, by how
-    far the position is off its prediction; `next_cycle`: whether that was in the cycle before."""
+    """Update noise levels and the unpredicted acceleration from the position error `off_rad` of a sample `duration_s`
+    after the previous one; `next_cycle`: that was in the previous cycle."""
     s = v.s
     if next_cycle:
         noise_level.take(v.torque, torque_Nm)
     else:
         noise_level.interrupt(v.position)
-    # An encoder at rest shows no noise, whatever it counts by, and little at a constant speed, where the same part of
-    # an increment may be left over again and again: believed, it would make each later innovation weigh too much.
+    # An encoder at rest shows no noise, whatever its resolution, and little at a constant speed, where the same part of
+    # an increment may remain again and again: each later innovation would weigh too much.
     if _excites(v, v.motion[_ACCELERATION]):
         noise_level.take(v.position, position_rad)
     else:
@@ -183,8 +183,8 @@ def _fill(
     duration_s: float,
     next_cycle: bool,
 ) -> None:
-    """The inputs of the filters; `back` (4, 4): `transition` over half of the duration, back; `before_Nm`: torque of
-    the sample before."""
+    """Fill the filters' inputs; `back` (4, 4): `transition` back over half of the duration; `before_Nm`: previous
+    torque."""
     s, u, variance = v.s, v.u, noise_level.variance(v.position)
     x, speed, a = later(v.motion, back, 0), later(v.motion, back, 1), later(v.motion, back, 2)
     significant = abs(a) > _SIGNIFICANT * s[_NOISE_GAIN] * sqrt(variance)
@@ -196,7 +196,7 @@ def _fill(
     torque, between_Nm = 0.5 * (before_Nm + torque_Nm), 0.0
     if next_cycle:
         torque += ripple_Nm
-    else:  # of the torque between nothing is known but where it came from and went
+    else:  # the torque in between is unknown but for its end values
         between_Nm = abs(torque_Nm - before_Nm) + abs(ripple_Nm)
     shaking_Nm = _SHAKING * u[kalman.INERTIA_KG_M2] * a
     unforeseen_Nm = u[kalman.INERTIA_KG_M2] * s[_UNFORESEEN_RAD_S2]
@@ -208,8 +208,8 @@ def _fill(
         + between_Nm * between_Nm
         + shaking_Nm * shaking_Nm
         + unforeseen_Nm * unforeseen_Nm
-        # What friction is there is no white noise: the impulse of a constant over n cycles has n² times the variance of
-        # one cycle, so that of the last one is 2n times. However long a shaft stands, it tells no offset.
+        # Friction error is no white noise: the impulse of a constant over n cycles has n² times the variance of one
+        # cycle, so that of the last one is 2n times. However long a shaft is at rest, it shows no offset.
         + s[_BREAKAWAY_NM] * s[_BREAKAWAY_NM] * (s[_STICKING] + 2.0 * slow * s[_SLOW])
     )
     u[kalman.POSITION_RAD] = position_rad
@@ -225,7 +225,7 @@ def take_next(v: InputVectors, position_rad: float, torque_Nm: float, ripple_Nm:
     s = v.s
     if s[LOST] != 0.0 or s[FOLLOWED] < _SETTLED_CYCLES or s[_MISSING] != 0.0 or isnan(s[_BEFORE_NM]):
         return False
-    # Not <=: a position that is no number is not.
+    # Not <=: NaN has to fail.
     off_rad = position_rad - later(v.motion, v.forward, 0)
     if not abs(off_rad) <= _slack_rad(v.position, 1):
         return False
@@ -239,7 +239,7 @@ def take_next(v: InputVectors, position_rad: float, torque_Nm: float, ripple_Nm:
 
 @merged
 def of_table(table: Places, first: int) -> InputVectors:
-    """The vectors that stand in a `table_of` them from this row on."""
+    """Vectors in a `table_of` them from this row on."""
     return InputVectors(
         floats(table, first, (1,)),
         floats(table, first + 1, (1,)),
@@ -284,7 +284,7 @@ def _slack(position: Array, cycles: int) -> float:
 
 
 class FilterInputs:
-    """Turns samples into the inputs of `kalman.step`: means over the cycle, and how noisy they are."""
+    """Inputs of `kalman.step` from samples: means over the cycle, and their noise."""
 
     def __init__(self, model: ServoAxisParameters, config: InertiaConfig) -> None:
         also = config.also
@@ -307,7 +307,7 @@ class FilterInputs:
         self.u[kalman.INERTIA_KG_M2] = self.inertia_kg_m2
         self.u[kalman.BETA_VARIANCE_PER_S] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
         self.u[kalman.BETA_BOUND] = (0.01 * config.jump_pct) ** 2
-        # Without an end a drift once believed in goes on through all holds, and grows with all that is not white noise.
+        # Without an end an accepted drift goes on through all holds, and grows with all that is not white noise.
         self.u[kalman.DRIFT_S] = config.jump_pct / config.drift_pct_per_s
         self.u[kalman.MEMORIES_S : kalman.PRIORS] = config.friction_memory_s
         self.u[kalman.MEMORIES_S] = config.offset_memory_s
@@ -316,7 +316,7 @@ class FilterInputs:
         self._position = NoiseLevel(_POSITION_NOISE_RAD, _POSITION_FLOOR_RAD)
         self._motion = TrackingFilter(0.0)
         self._forward, self._back, self._gain = np.zeros((ORDER, ORDER)), np.zeros((ORDER, ORDER)), np.zeros(ORDER)
-        self.in_doubt = False  #: whether the last sample may be one of another time than it was taken for
+        self.in_doubt = False  #: True if the last sample may be of another time than assumed
         largest_Nm = per_item(model.drives.torque_limit_Nm, 1) if model.drives else inf
         self._largest_change_rad_s2 = _TORQUE_CHANGE * largest_Nm / self.inertia_kg_m2
         self._state[FOLLOWED] = -1.0
@@ -325,7 +325,7 @@ class FilterInputs:
         self._gather()
 
     def _gather(self) -> None:
-        """The vectors of what there is now, and where they stand."""
+        """Collect the current vectors and the table of their addresses."""
         noise = self._torque.state, self._position.state
         of_a_cycle = self._forward, self._gain, self._back
         self.vectors = InputVectors(self._p, self._state, self.u, *noise, self._motion.motion, *of_a_cycle)
@@ -333,34 +333,33 @@ class FilterInputs:
 
     @property
     def speed_rad_s(self) -> float:
-        """Of the last cycle."""
+        """Speed of the last cycle."""
         return self.u.item(kalman.REGRESSORS + 1)
 
     @property
     def duration_s(self) -> float:
-        """From the sample before to the last."""
+        """Time from the previous sample to the last."""
         return self.u.item(kalman.DURATION_S)
 
     @property
     def lost(self) -> bool:
-        """Whether the motion is being found anew."""
+        """True while the motion is being initialized anew."""
         return self._state.item(FOLLOWED) < _SETTLED_CYCLES
 
     def interrupt(self) -> None:
-        """No mean is formed across what is coming, and the motion is found anew."""
+        """Form no mean across the next gap; initialize the motion anew."""
         s = self._state
         s[_BEFORE_NM], s[FOLLOWED], s[_MISSING], s[_ODD] = nan, -1.0, 0.0, 0.0
         self._position.interrupt()
 
     def miss(self) -> None:
-        """A cycle is missing; so many of them that nothing can be said of the time between are an interruption."""
+        """Count a missing cycle; too many of them are an interruption."""
         self._state[_MISSING] += 1.0
         if self._state[_MISSING] > _LONGEST_GAP_CYCLES:
             self.interrupt()
 
     def update(self, sample: ShaftSample) -> bool:
-        """Fill `u`; False for a sample that says nothing new, and for the first of a row, of whose motion too little is
-        known."""
+        """Fill `u`; False for a sample without new information, and for the first of a row, whose motion is unknown."""
         cycles, s = self._cycles_gone(sample), self._state
         if cycles == 0:
             return False
@@ -377,7 +376,7 @@ class FilterInputs:
         return True
 
     def _find_anew(self, position_rad: float, cycle_s: float) -> None:
-        """The motion is followed from here on."""
+        """Initialize the motion here."""
         s = self._state
         if s[CYCLE_S] != cycle_s:
             filter_s = _FILTER_CYCLES * cycle_s
@@ -391,10 +390,11 @@ class FilterInputs:
         s[FOLLOWED] = 0.0
 
     def _cycles_gone(self, sample: ShaftSample) -> int:
-        """Cycles since the sample before, as the motion tells; no frame does, of a SYNC that was lost or sent late.
+        """Cycles since the previous sample, by the motion; no frame shows a SYNC that was lost or sent late.
 
-        0 for a position of the same instant. Where no number fits, or another one again and again, the motion is lost.
-        A shaft that hardly turns does not tell a position of another time from one after a jolt: that is in doubt.
+        0 for a position of the same instant. Where no number fits, or a different one again and again, the motion is
+        lost. With a shaft that hardly turns, a position of another time is not separable from one after a jolt:
+        `in_doubt`.
         """
         s = self._state
         expected, self.in_doubt = 1 + int(s.item(_MISSING)), False
@@ -417,7 +417,7 @@ class FilterInputs:
         return found
 
     def _accelerated_rad(self, sample: ShaftSample, cycles: int) -> float:
-        """What the position can be off by in so many cycles because the shaft is accelerated otherwise than before."""
+        """Largest position error after so many cycles by a change of the shaft's acceleration."""
         travel_rad = 0.5 * self._largest_change_rad_s2 * (cycles * sample.cycle_s) ** 2
         return travel_rad + _slack(self._position.state, cycles)
 
@@ -425,7 +425,7 @@ class FilterInputs:
         return abs(sample.position_rad - self._motion.predicted(cycles * sample.cycle_s).item(0))
 
     def _follow(self, position_rad: float, cycle_s: float, duration_s: float) -> None:
-        """Position, speed and acceleration with a sample, `duration_s` after the one before."""
+        """Update position, speed and acceleration by a sample, `duration_s` after the previous one."""
         s = self._state
         if s[FOLLOWED] < 0.0:
             self._find_anew(position_rad, cycle_s)

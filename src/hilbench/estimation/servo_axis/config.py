@@ -1,4 +1,4 @@
-"""How inertia and friction of a servo axis are found: a block of the `twin:` block's `estimate` list."""
+"""Configuration of inertia and friction estimation of a servo axis: a block of the `twin:` block's `estimate` list."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from hilbench.block import Block
 
 
 class BesideInertia(Block):
-    """Estimated beside the inertia, beyond the model's: standard deviation of what is believed; 0: not at all."""
+    """Nuisance parameters in addition to the inertia, beyond the model's: prior standard deviation; 0: not
+    estimated."""
 
     coulomb_friction_Nm: float = Field(default=0.2, ge=0, description="dry friction")
     viscous_friction_Nm_s_per_rad: float = Field(default=0.005, ge=0, description="friction in proportion to speed")
@@ -19,7 +20,7 @@ class BesideInertia(Block):
 
 
 class InertiaConfig(Block):
-    """A bank of Kalman filters, one for each hypothesis of when the inertia last jumped or began to drift."""
+    """Change-point estimator: bank of Kalman filters, one per hypothesis of the inertia's last jump or drift onset."""
 
     method: Literal["changepoint"] = "changepoint"
     torque_noise_Nm: PositiveFloat = Field(default=0.05, description="believed until it is measured (0.1 s)")

@@ -19,7 +19,7 @@ from hilbench.plant.servo_axis import kernel
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 
-#: What is estimated beside the inertia, in the order of the filter's state.
+#: Nuisance parameters, in the order of the filter's state.
 _NAMES = (
     "torque_offset_Nm",
     "viscous_friction_Nm_s_per_rad",
@@ -29,13 +29,13 @@ _NAMES = (
 )
 #: A parameter counts as found when the data have shrunk its prior deviation to this share.
 _FOUND = 0.7
-#: Model's inertia over the one that is found, below which it is none.
+#: Least ratio of the model's inertia to the estimate; below it the estimate is invalid.
 _LEAST_BETA = 0.01
 
 
 class BankVectors(NamedTuple):
-    """The bank's, for compiled callers: means and covariances of the filters, records, settings, places of all states,
-    scratch, means and standard deviations of the mixture, figures."""
+    """Vectors of the bank, for compiled callers: means and covariances of the filters, records, settings, indices of
+    all states, scratch, means and standard deviations of the mixture, figures."""
 
     z: Array
     p: Array
@@ -47,20 +47,21 @@ class BankVectors(NamedTuple):
     figures: Array
 
 
-#: How long the motion has told nothing of the inertia, behind the settings of the bank; most jumps expected by then.
+#: Time without information on the inertia, after the settings of the bank; most jumps expected by then.
 _QUIET_S, _LONGEST_QUIET = bank.SETTINGS, 20.0
-#: What an interval of 95 % leaves out: a jump in quiet time that is less probable does not widen it.
+#: Share outside an interval of 95 %: a less probable jump in quiet time does not widen it.
 _LEFT_OUT = 0.05
-#: Standard deviations of the mixture by which what is told may differ from its mean, once it is separable; one before.
+#: Standard deviations of the mixture by which the stated value may differ from its mean, once it is separable; one
+#: before.
 _CAUTION = 0.3
-#: Number of a cycle behind which the bank's next is that of a large jump.
+#: Number of the cycle after which the bank's next is that of a large jump.
 _BEFORE_LARGE_JUMP = 3.0
-#: Figures: priors of a birth at the length of a cycle; what the inertia may be off by, and the share from which it is
-#: separable; how often it jumps; then the prior deviations of what is estimated beside it, and what the model has.
+#: Figures: priors of a birth for a cycle; lasting error of the inertia, and the share from which on it is separable;
+#: rate of its jumps; then the prior deviations of the nuisance parameters, and the model's values.
 _LOG_JUMP, _LOG_DRIFT, _UNMODELLED, _SEPARABLE, _JUMPS_PER_S, PRIORS = range(6)
 OF_MODEL: Final = PRIORS + kalman.TERMS
-#: What is told (7,): inertia and its deviation, whether it is separable; viscous and dry friction, with the model's,
-#: and their deviations, 0 where they are not estimated.
+#: Stated values (7,): inertia and its deviation, separable flag; viscous and dry friction, including the model's, and
+#: their deviations, 0 where they are not estimated.
 INERTIA, DEVIATION, SEPARABLE, VISCOUS, COULOMB, VISCOUS_SD, COULOMB_SD = range(7)
 #: Rows of a table of an estimator: those of its inputs, then those of the bank.
 _BANK_ROW: Final = len(InputVectors._fields)
@@ -69,11 +70,10 @@ ROWS: Final = _BANK_ROW + len(BankVectors._fields)
 
 @compiled
 def _step(v: BankVectors, u: Array) -> bool:
-    """One cycle of all hypotheses; False where what they have found is none.
+    """Step all hypotheses by one cycle; False if the estimate is invalid.
 
-    In quiet time, without acceleration, none is born and none told from another. What may have changed by then is one
-    jump, the more probable the longer it has been quiet: part of the stated deviation, and the first one that is born
-    after it.
+    In quiet time, without acceleration, none is born or compared. The possible change by then is one jump, the more
+    probable the longer it has been quiet: part of the stated deviation, and the first birth after it.
     """
     size, work = v.z.shape[0], v.work
     rows, g, likelihoods, shares = work[: size + 3], work[size + 5 :], work[size + 3], work[size + 4]
@@ -96,16 +96,16 @@ def _step(v: BankVectors, u: Array) -> bool:
 
 @compiled
 def _jump_odds(v: BankVectors) -> float:
-    """Of a jump of the inertia in quiet time against none."""
+    """Odds of a jump of the inertia in quiet time."""
     return expm1(min(v.figures[_JUMPS_PER_S] * v.settings[_QUIET_S], _LONGEST_QUIET))
 
 
 @compiled
 def _state_estimate(v: BankVectors, inertia_kg_m2: float, stated: Array) -> None:
-    """What is known, into `stated`; `inertia_kg_m2`: the model's.
+    """Update `stated` from the mixture; `inertia_kg_m2`: the model's.
 
-    The inertia stays what it was as far as the mixture is not surer: a jump that is only probable moves the deviation,
-    which is that about what is told, and no noise of a hypothesis that has just been born.
+    The inertia is held as far as the mixture is uncertain: a jump that is only probable moves the deviation, which is
+    that about the stated value, and not the value by the noise of a newborn hypothesis.
     """
     mean, odds = v.out[0, kalman.BETA], _jump_odds(v)
     unseen = max(odds / (1.0 + odds) - _LEFT_OUT, 0.0)
@@ -124,7 +124,7 @@ def _state_estimate(v: BankVectors, inertia_kg_m2: float, stated: Array) -> None
 
 @merged
 def of_table(table: Places, first: int) -> BankVectors:
-    """The vectors that stand in a table from this row on."""
+    """Vectors in a table from this row on."""
     return BankVectors(
         floats(table, first, (1, 2)),
         floats(table, first + 1, (1, 2, 3)),
@@ -137,7 +137,7 @@ def of_table(table: Places, first: int) -> BankVectors:
     )
 
 
-#: What a cycle of `take_next` was: none, all is Python's; one that has misled the bank, which begins anew; one as any.
+#: Result of `take_next`: nothing done, all is the interpreter's; the bank was misled and restarts; a normal cycle.
 NOT_NEXT, MISLED, TAKEN = range(3)
 
 
@@ -145,7 +145,7 @@ NOT_NEXT, MISLED, TAKEN = range(3)
 def take_next(
     inputs: InputVectors, v: BankVectors, position_rad: float, torque_Nm: float, ripple_Nm: float, stated: Array
 ) -> int:
-    """`InertiaEstimator.update` of a sample as `balance.take_next` has them."""
+    """Compiled `InertiaEstimator.update` of a sample that `balance.take_next` accepts."""
     if not balance.take_next(inputs, position_rad, torque_Nm, ripple_Nm):
         return NOT_NEXT
     v.settings[bank.CYCLE] += 1.0
@@ -176,17 +176,17 @@ def _state_once(table: Places, inertia_kg_m2: float, stated: Array) -> None:
 
 @dataclass(frozen=True, slots=True)
 class ShaftEstimate:
-    """Inertia and friction, and how sure the method is of them."""
+    """Estimate of inertia and friction, with standard deviation."""
 
     inertia_kg_m2: float
     deviation_kg_m2: float  #: standard deviation
-    separable: bool  #: False: the motion has said (next to) nothing of the inertia yet
-    #: Friction and offset as the shaft has them, the model's included; an unbalance is what is beyond the model's.
+    separable: bool  #: False: (next to) no information on the inertia yet
+    #: Friction and offset of the shaft, including the model's; unbalance beyond the model's.
     also: tuple[Nuisance, ...] = ()
 
 
 class Known(NamedTuple):
-    """What is known of a shaft at some time: means and covariances of the filters, records, mixture, settings."""
+    """Checkpoint of a shaft's estimate: means and covariances of the filters, records, mixture, settings."""
 
     z: Array
     p: Array
@@ -196,7 +196,7 @@ class Known(NamedTuple):
 
 
 class InertiaEstimator:
-    """Finds inertia and friction of an axis, one sample a cycle; `model` is where it starts."""
+    """Estimator of an axis's inertia and friction, one sample a cycle; starts at `model`."""
 
     def __init__(self, config: InertiaConfig, model: ServoAxisParameters) -> None:
         self._config = config
@@ -220,27 +220,27 @@ class InertiaEstimator:
         work = np.zeros((2 * kalman.SIZE + 5, bank.CAPACITY))
         places = np.arange(kalman.SIZE)
         self._bank = BankVectors(self._z, self._p, self._records, self._settings, places, work, self._out, figures)
-        self._cycle_s = 0.0  # that the priors of a birth are of
-        #: What is told, by INERTIA and so on.
+        self._cycle_s = 0.0  # cycle time of the birth priors
+        #: Stated values, by INERTIA and so on.
         self.stated = np.zeros(COULOMB_SD + 1)
         self._begin()
         self._gather()
         self._state_estimate()
 
     def _gather(self) -> None:
-        """The vectors of what there is now, and where they stand."""
+        """Collect the current vectors and the table of their addresses."""
         self._gathered = self._inputs.vectors
         self._table = table_of((*self._gathered, *self._bank))
 
     @property
     def table(self) -> Places:
-        """Where its vectors stand, for compiled callers of `take_next`; another one whenever they are."""
+        """Addresses of the vectors, for compiled callers of `take_next`; replaced whenever the vectors are."""
         if self._gathered is not self._inputs.vectors:
             self._gather()
         return self._table
 
     def _begin(self) -> None:
-        """At the model's inertia, as little sure of it as at the start."""
+        """Reset to the model's inertia with the initial deviation."""
         self._records[:] = 0.0
         deviation = 0.01 * self._config.initial_deviation_pct
         kalman.new_filter(self._z, self._p, 0, deviation, self._inputs.priors)
@@ -248,7 +248,7 @@ class InertiaEstimator:
         self._settings[_QUIET_S] = self.stated[INERTIA] = 0.0
         self._out[0] = self._z[:, 0]
         self._out[1] = np.sqrt(np.diag(self._p[:, :, 0]))
-        self._lose(lost=True)  # the motion, not what is known of the shaft
+        self._lose(lost=True)  # the motion, not the estimate of the shaft
 
     def _lose(self, *, lost: bool) -> None:
         self._inputs.vectors.s[LOST] = lost
@@ -257,12 +257,12 @@ class InertiaEstimator:
         _state_once(self.table, self._inputs.inertia_kg_m2, self.stated)
 
     def update(self, sample: ShaftSample) -> ShaftEstimate:
-        """One step of every hypothesis, and the births of the next."""
+        """Step every hypothesis and add the births of the next."""
         measured = sample.position_rad, sample.torque_Nm, sample.ripple_Nm
         return self.go_on_from(_take_next(self.table, *measured, self.stated), sample)
 
     def go_on_from(self, stage: int, sample: ShaftSample) -> ShaftEstimate:
-        """What is Python's part of a cycle, behind `take_next`."""
+        """Run the interpreted rest of a cycle after `take_next`."""
         if stage == NOT_NEXT:
             self._update(sample)
         elif stage == MISLED:
@@ -283,12 +283,13 @@ class InertiaEstimator:
             self._lose(lost=False)
         self._settings[bank.CYCLE] += 1.0
         self._put_priors(sample.cycle_s)
-        # No shaft turns against its torque: what says so (a strong ripple that the model lacks) has misled it.
+        # No shaft turns against its torque: an invalid estimate was misled, e.g. by a strong ripple that the model
+        # lacks.
         if not _step_once(self.table):
             self._begin()
 
     def _put_priors(self, cycle_s: float) -> None:
-        """Of a birth, in a time as long as from the sample before to the last."""
+        """Set the birth priors for the time from the previous sample to the last."""
         c, figures = self._config, self._bank.figures
         if self._cycle_s != cycle_s:
             bank.set_priors(self._settings, c.jumps_per_s, c.drift_onsets_per_s, cycle_s)
@@ -297,21 +298,21 @@ class InertiaEstimator:
         bank.set_priors(self._settings, c.jumps_per_s, c.drift_onsets_per_s, self._inputs.duration_s)
 
     def miss(self, duration_s: float) -> ShaftEstimate:
-        """A cycle whose sample has not come: the next one is compared over all the time since the last."""
+        """Skip a cycle without sample: the next one is compared over all the time since the last."""
         self._inputs.miss()
         return self._less_sure(duration_s)
 
     def hold(self, duration_s: float) -> ShaftEstimate:
-        """A time without a usable sample: what is known stays, less and less sure; the motion is found anew."""
+        """Hold the estimate over a time without usable sample, deviation growing; the motion is initialized anew."""
         self._inputs.interrupt()
         return self._less_sure(duration_s)
 
     def known(self) -> Known:
-        """What is known now, to come back to."""
+        """Checkpoint of the present estimate, for `go_back`."""
         return Known(*[each.copy() for each in self._kept()])
 
     def go_back(self, known: Known) -> ShaftEstimate:
-        """Go on from what was known; the motion is found anew."""
+        """Restore a checkpoint; the motion is initialized anew."""
         for now, then in zip(self._kept(), known, strict=True):
             now[:] = then
         self._inputs.interrupt()
@@ -335,7 +336,7 @@ class InertiaEstimator:
 
     @property
     def estimate(self) -> ShaftEstimate:
-        """As of the last cycle."""
+        """Estimate of the last cycle."""
         inertia, deviation_kg_m2, separable = self.stated[: SEPARABLE + 1].tolist()
         values = self._out[0, kalman.Q :] + self._bank.figures[OF_MODEL:]
         deviations, priors = self._out[1, kalman.Q :].tolist(), self._inputs.priors.tolist()

@@ -2,17 +2,17 @@
 
     v' = β·(τ − Σ q_k·r_k)/J0,   β = J0/J
 
-State of a filter: position (rad) and speed (rad/s); β and its rate; q (K,), what the torque is off by beyond the model:
-offset (N·m), viscous (N·m·s/rad) and dry friction (N·m), unbalance (N·m, sine and cosine), each with its regressor r_k.
-The measured torque is the input, its noise the process noise; the encoder is the measurement.
+State of a filter: position (rad) and speed (rad/s); β and its rate; q (K,), torque errors beyond the model: offset
+(N·m), viscous (N·m·s/rad) and dry friction (N·m), unbalance (N·m, sine and cosine), each with its regressor r_k. The
+measured torque is the input, its noise the process noise; the encoder is the measurement.
 
-How much a wrong β shows is the acceleration. That of the measured torque is noise while the shaft turns evenly, and
-the square of noise would count as knowledge of the inertia. So the one that the encoder shows stands there, which
-knows nothing of the torque's noise, and zero where it is not beyond its own.
+The sensitivity to β is the acceleration. That by the measured torque is noise while the shaft turns evenly, and the
+square of noise would count as information on the inertia. So the encoder's is used, which is independent of the
+torque's noise, and zero where it is not beyond its own.
 
 Likewise the likelihood: the noise of the torque is of its measurement, and a heavy shaft would explain best, whatever
-moves it, that the encoder does not follow it. So the variance of the innovation is compared with the one that a filter
-of the same β has that knows everything else, and what happens while the shaft turns evenly is no evidence of β at all.
+moves it, that the encoder does not follow it. So the variance of the innovation is compared with that of a filter of
+the same β that knows everything else, and steady motion is no evidence of β at all.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ SIZE: Final = Q + TERMS
 (
     DURATION_S,
     INERTIA_KG_M2,  # J0
-    TORQUE_NM,  # mean over the cycle, without what the model says of friction
+    TORQUE_NM,  # mean over the cycle, without the model's friction
     ACCELERATION_RAD_S2,  # of the encoder; 0 within its noise
     TORQUE_VARIANCE,
-    BETA_VARIANCE_PER_S,  # of what it wanders by,
-    BETA_BOUND,  # up to a variance of this
+    BETA_VARIANCE_PER_S,  # of its random walk
+    BETA_BOUND,  # bound of that variance
     POSITION_RAD,
     POSITION_VARIANCE,
-    DRIFT_S,  # in which a drift comes to its end
+    DRIFT_S,  # decay time of a drift
     REGRESSORS,
 ) = range(11)
 MEMORIES_S: Final = REGRESSORS + TERMS
 PRIORS: Final = MEMORIES_S + TERMS
 INPUTS: Final = PRIORS + TERMS
-#: No shaft is so much heavier than the model's.
+#: Least β: no shaft is so much heavier than the model's.
 _LEAST_BETA = 0.02
 
 
@@ -65,27 +65,27 @@ def _known_variance(acceleration_rad_s2: float, dt_s: float, position_variance: 
 
 @inlined
 def wandered(variance: float, added: float, bound: float) -> float:
-    """What a variance grows by, of a random walk that would add so much: ever less, and nothing beyond the bound."""
+    """Growth of a variance by a random walk of `added`, decreasing towards the bound."""
     return float(added * max(1.0 - variance / bound, 0.0))
 
 
 @compiled
 def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, likelihoods: Array) -> None:
-    """Predict all filters over one cycle and take in the position.
+    """Predict all filters over one cycle and correct them by the position.
 
-    z (SIZE, H), p (SIZE, SIZE, H): means and covariances of H filters; u (INPUTS,); places: of all states; g and rows
-    (SIZE + 3, H) are scratch: how the acceleration depends on the state, products. Into likelihoods (H,) goes the
-    logarithm, 0 without acceleration.
+    z (SIZE, H), p (SIZE, SIZE, H): means and covariances of H filters; u (INPUTS,); places: indices of all states; g
+    and rows (SIZE + 3, H) are scratch: sensitivities of the acceleration to the state, products. likelihoods (H,)
+    returns the log likelihoods, 0 without acceleration.
     """
     dt, count = u[DURATION_S], z.shape[1]
     half = 0.5 * dt * dt
-    # In quiet time nothing tells whether a drift goes on: what is known of the inertia stays.
+    # In quiet time a drift is not observable: the estimate of the inertia stays.
     drifting = dt if u[ACCELERATION_RAD_S2] != 0.0 else 0.0
     curved, per_torque = rows[SIZE + 1], rows[SIZE + 2]
     for i in range(count):
         beta = max(z[BETA, i], _LEAST_BETA)
         per_torque[i] = beta / u[INERTIA_KG_M2]
-        # What is not linear in β, as noise: a filter that is 20 % off must not call its first correction exact.
+        # Nonlinearity in β, as noise: a filter that is 20 % off must not call its first correction exact.
         curved[i] = u[ACCELERATION_RAD_S2] * p[BETA, BETA, i] / (beta * beta)
         net = u[TORQUE_NM]
         for k in range(TERMS):
@@ -133,7 +133,7 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
             p[RATE, k, i] *= kept
         for i in range(count):
             p[k, RATE, i] *= kept
-    # Weak evidence is forgotten again: what the data can't tell goes back to what is believed of it.
+    # Weak evidence is forgotten again: what the data don't identify returns to its prior.
     for j in range(Q, SIZE):
         prior, gone = u[PRIORS + j - Q], dt / u[MEMORIES_S + j - Q]
         left = 1.0 - gone
@@ -161,14 +161,14 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
 
 
 def new_filter(z: Array, p: Array, i: int, deviation: float, priors: Array) -> None:
-    """Start filter `i` at the model's inertia; `deviation` of β, `priors` (TERMS,) of what is estimated beside it."""
+    """Start filter `i` at the model's inertia; `deviation` of β, `priors` (TERMS,) of the nuisance parameters."""
     z[:, i] = 0.0
     z[BETA, i] = 1.0
     p[:, :, i] = np.diag([0.0, 0.0, deviation**2, 0.0, *priors**2])
 
 
 def place_motion(z: Array, p: Array, position_rad: float, speed_rad_s: float) -> None:
-    """Every filter begins here, whatever it has known of the motion; the next step brings the position after this."""
+    """Reset the motion of every filter to this; the next step corrects it by the following position."""
     z[X], z[V] = position_rad, speed_rad_s
     for place, variance in ((X, 1e-8), (V, 1.0)):
         p[place, :, :] = 0.0

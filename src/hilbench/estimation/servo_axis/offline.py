@@ -1,4 +1,4 @@
-"""An estimator on a recording instead of a bus, row by row, with the closed model beside it as in the twin."""
+"""Offline estimator on a recording, row by row, with the closed-loop model in parallel as in the twin."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 
 @dataclass(frozen=True, slots=True)
 class ShaftRecording:
-    """What a twin would have heard, one row (n,) a cycle; SI, at the motor shaft."""
+    """Inputs of a twin, one row (n,) a cycle; SI, at the motor shaft."""
 
     cycle_s: float
     v_cmd_rad_s: Array
@@ -28,7 +28,7 @@ class ShaftRecording:
 
 @dataclass(frozen=True, slots=True)
 class ShaftTrack:
-    """What the estimator made of a recording; arrays (n,)."""
+    """Estimates over a recording; arrays (n,)."""
 
     inertia_kg_m2: Array
     deviation_kg_m2: Array

@@ -1,1 +1,1 @@
-"""What changes in a web line: the balance of a roller, the twin's tracking, detectors of what is not its modulus."""
+"""Estimation for a web line: momentum balance of a roller, span estimators, detectors of changes other than of E."""

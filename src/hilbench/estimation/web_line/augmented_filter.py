@@ -1,11 +1,10 @@
-"""What is unknown of a line, from what it does: a Kalman filter on corrections of a model that is corrected with them.
+"""Kalman filter on corrections of a line's model (augmented state).
 
-Innovations are linear in the unknowns (n,) by slopes that the model tells of itself. After each update the model is
-corrected, so that the filter's own mean is 0, but for the errors of the measurements (m,), which nobody else knows, and
-for parameters of the model (p of the unknowns). A parameter is the sum of two states: what the model may have been
-wrong by from the start, which is kept here as the measurements never tell it apart from their own slow errors for sure,
-and by what it has changed since, which they do. What changes by itself does so within its prior, as an
-Ornstein-Uhlenbeck process, or at an unknown rate (q of the unknowns) with the way of the web.
+Innovations are linear in the unknowns (n,); their sensitivities come from the model. After each update the model is
+corrected, so that the filter's own mean is 0, except for the measurement offsets (m,) and the model's parameters (p of
+the unknowns). A parameter is the sum of two states: its error at the start, which is kept here as the measurements
+never separate it for sure from their own slow errors, and its change since, which they do. What changes by itself does
+so within its prior, as an Ornstein-Uhlenbeck process, or at an unknown rate (q of the unknowns) per travel of the web.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
 
-#: Innovations that are so many deviations off, twice running, are no chance: something has changed. Nothing is made of
-#: the first of them: what has changed is not known, and small corrections of all would hide it. What has come gradually
-#: is no sudden change: at least this share of it was not there two innovations before. Then the same of all together.
+#: Normalized innovations beyond so many deviations, twice running, are no chance: a sudden change. The first of them is
+#: not used: what has changed is not known, and small corrections of all would hide it. A gradual change is no sudden
+#: one: at least this share was absent two innovations before. Then the limits of all innovations together.
 _FAR_OFF, _SUDDEN = 6.0, 0.4
 _FAR_OFF_TOGETHER, _SUDDEN_TOGETHER = 4.0, 0.75
 _TWICE = 2
@@ -28,18 +27,20 @@ _TWICE = 2
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """What was known once of all states (n + p + q + m,): covariance and mean."""
+    """Covariance and mean of all states (n + p + q + m,)."""
 
     covariance: Vector
     mean: Vector
 
 
 class AugmentedFilter:
-    """`start` (n, n): covariance of the unknowns at the start; `parameters` (n,): those that are parameters; `rates`
-    (n,): deviations of what they change by per m, 0 of those that have no such rate; `offsets` (m,): deviations of the
-    slow errors of the measurements; `swings` (m,): of innovations by which a change is seen, how far each measurement
-    may be off, as what is measured swings after it otherwise than the model says; `swings_on` (m,): what is left of
-    that an update later; `swinging` (m,): how far off they may be so at first."""
+    """Augmented-state Kalman filter with change detection.
+
+    `start` (n, n): initial covariance; `parameters` (n,): which unknowns are parameters; `rates` (n,): deviations of
+    their change per m, 0 without; `offsets` (m,): deviations of slow measurement errors; `swings` (m,): share of a
+    change's innovations that counts as measurement error of the transient; `swings_on` (m,): share of that left per
+    update; `swinging` (m,): its initial deviation.
+    """
 
     def __init__(
         self,
@@ -60,20 +61,20 @@ class AugmentedFilter:
         self.covariance[:n, :n] = start
         constant = np.concatenate([rates[self._with_rate], offsets])
         self.covariance[self._first_rate :, self._first_rate :] = np.diag(constant**2)
-        #: Of the states: unknowns, with the parameters as they were at the start, changes of these, rates, offsets.
+        #: State mean: unknowns, with the parameters as they were at the start; their changes; rates; offsets.
         self.mean = np.zeros(size)
-        #: The unknowns by the states (n, n + p + q + m).
+        #: Unknowns as sums of states (n, n + p + q + m).
         self._sums = np.eye(n, size)
         self._sums[self.parameters, np.arange(n, self._first_rate)] = 1.0
         self._far_off = 0
-        self._before = np.zeros((2, len(offsets)))  # innovations beside what was expected, the last one behind
-        #: Whether the last innovations were far off again, and the unknowns have changed suddenly.
+        self._before = np.zeros((2, len(offsets)))  # innovations less the expected ones, the latest last
+        #: True if the innovations were far off for the second time: a sudden change.
         self.has_changed = False
         self._swings, self._swings_on, self._swing = swings, swings_on, swinging
 
     @property
     def has_begun_to_change(self) -> bool:
-        """Whether the last innovations were far off for the first time, and nothing was made of them."""
+        """True if the last innovations were far off for the first time; they were not used."""
         return self._far_off == 1
 
     @property
@@ -83,17 +84,17 @@ class AugmentedFilter:
         return found
 
     def deviation(self, unknown: int) -> float:
-        """Of one of them, from 0."""
+        """Standard deviation of one unknown, by index from 0."""
         row = self._sums[unknown]
         return sqrt(float(row @ self.covariance @ row))
 
     def expected(self, unknown: int) -> float:
-        """Mean of one of them, from 0."""
+        """Mean of one unknown, by index from 0."""
         return float(self._sums[unknown] @ self.mean)
 
     @property
     def posterior(self) -> Posterior:
-        """What is known now, for `put_back`."""
+        """Copy of covariance and mean, for `put_back`."""
         return Posterior(self.covariance.copy(), self.mean.copy())
 
     def of_unknowns(self, posterior: Posterior) -> tuple[Vector, Vector]:
@@ -101,16 +102,15 @@ class AugmentedFilter:
         return self._sums @ posterior.covariance @ self._sums.T, self._sums @ posterior.mean
 
     def take_changes(self, share: float) -> Vector:
-        """Corrections (n,) by so much of the changes of the parameters."""
+        """Take a share of the estimated parameter changes out of the mean; returns the corrections (n,)."""
         return self._take(slice(self._count, self._first_rate), share)
 
     def take_start(self) -> Vector:
-        """Corrections (n,) by what the parameters were wrong by from the start."""
+        """Take the parameters' estimated initial errors out of the mean; returns the corrections (n,)."""
         return self._take(self.parameters, 1.0)
 
     def give_back(self, taken: Vector) -> Vector:
-        """Corrections (n,) by which the parameters are without what was `taken` (n,) of what they were wrong by from
-        the start."""
+        """Undo `take_start`: return what was `taken` (n,) to the mean; the corrections (n,) of the parameters."""
         self.mean[: self._count] += taken
         return -taken
 
@@ -121,12 +121,11 @@ class AugmentedFilter:
         return corrections
 
     def evidence_of_change(self) -> float:
-        """Against it that the parameters are without what is found of their changes: its squared distance from 0 in
-        standard deviations."""
+        """Squared Mahalanobis distance of the estimated parameter changes from 0."""
         return self._evidence(np.arange(self._count, self._first_rate))
 
     def evidence_of_start(self, taken: Vector) -> float:
-        """The same of what they were wrong by from the start, with what was `taken` (n,) of it."""
+        """Squared Mahalanobis distance of the parameters' initial errors from 0, including what was `taken` (n,)."""
         return self._evidence(self.parameters, taken[self.parameters])
 
     def _evidence(self, at: NDArray[np.int64], taken: Vector | float = 0.0) -> float:
@@ -134,8 +133,7 @@ class AugmentedFilter:
         return float(found @ np.linalg.solve(self.covariance[np.ix_(at, at)], found)) if found.any() else 0.0
 
     def put_back(self, earlier: Posterior, taken: NDArray[np.bool_], variances: Vector) -> None:
-        """Of the offsets, and of the unknowns that are `taken` (n,), is known what was known earlier, no more and no
-        less; of the others these variances (n,)."""
+        """Restore an earlier posterior for the offsets and the `taken` (n,) unknowns; the others get variances (n,)."""
         back = np.concatenate([self._of_states(taken), np.ones(len(self.mean) - self._first_rate, bool)])
         self.covariance = np.where(np.outer(back, back), earlier.covariance, 0.0)
         others = np.flatnonzero(~taken)
@@ -145,25 +143,24 @@ class AugmentedFilter:
         self._swing[:] = 0.0
 
     def _of_states(self, of_unknowns: Vector | NDArray[np.bool_]) -> Vector | NDArray[np.bool_]:
-        """Rows of unknowns (n, …), and behind them those of the parameters (p, …) once more."""
+        """Stack rows of unknowns (n, …) and once more those of the parameters (p, …)."""
         return np.concatenate([of_unknowns, of_unknowns[self.parameters]])
 
     def grow(self, left: Vector, growth: Vector, travel_m: float) -> None:
-        """Time goes by, and so much web: of what is known of the states so much is `left` (n + p + q + m,), as shares,
-        and what they may have changed by has this covariance (n + p + q + m, n + p + q + m)."""
+        """Predict over a travel: `left` (n + p + q + m,) share of each state that remains, `growth` (n + p + q + m, n +
+        p + q + m): covariance added."""
         continues = np.diag(left)
         continues[self._with_rate, np.arange(self._first_rate, self.first_offset)] = travel_m
         self.covariance = continues @ self.covariance @ continues.T + growth
         self.mean = continues @ self.mean
 
     def jump(self, jumps: Vector, becomes: Vector | None = None) -> None:
-        """The parameters have changed suddenly by something of this covariance (p, p); `becomes` (n, n): what other
-        unknowns become by that. None: nothing."""
+        """Add a sudden parameter change of covariance (p, p); `becomes` (n, n): sensitivity of other unknowns to it."""
         rows = self._by_change(becomes)
         self.covariance = self.covariance + rows @ jumps @ rows.T
 
     def _by_change(self, becomes: Vector | None) -> Vector:
-        """What the states are other by (n + p + q + m, p) as parameters change suddenly; see `jump`."""
+        """Sensitivity of the states (n + p + q + m, p) to sudden parameter changes; see `jump`."""
         rows = np.zeros((len(self.mean), len(self.parameters)))
         if becomes is not None:
             rows[: self._count] = becomes[:, self.parameters]
@@ -172,7 +169,7 @@ class AugmentedFilter:
         return rows
 
     def turn(self, matrix: Vector) -> None:
-        """The unknowns are others now, `matrix` (n, n) times those of before."""
+        """Change of basis of the unknowns: u ← matrix·u, `matrix` (n, n); parameters stay."""
         whole = np.eye(len(self.covariance))
         whole[: self._count, : self._count] = matrix
         changed = matrix[:, self.parameters].copy()
@@ -189,10 +186,12 @@ class AugmentedFilter:
         jumps: tuple[Vector, Vector],
         learns: NDArray[np.bool_] | None = None,
     ) -> Vector:
-        """Corrections of the unknowns (n,), of the parameters none, by innovations (m,) with slopes (m, n) and
-        variances (m,); `jumps`: of a sudden change, see `jump`; `learns` (n, m): which unknown is learned from which
-        innovation, and no offset from any then: how little is known of the rest is reckoned with all the same. None:
-        all."""
+        """Corrections of the unknowns (n,), 0 for parameters, from innovations (m,) with sensitivities `slopes` (m, n)
+        and variances (m,).
+
+        `jumps`: sudden change, see `jump`; `learns` (n, m): which unknown is updated by which innovation, offsets by
+        none; the others are considered (Schmidt–Kalman). None: all are updated.
+        """
         known = slopes @ self._sums
         known[:, self.first_offset :] = np.eye(len(innovations))
         left = innovations - known @ self.mean
@@ -225,8 +224,8 @@ class AugmentedFilter:
         return changes
 
     def _is_off(self, left: Vector, known: Vector, spread: Vector, becomes: Vector) -> bool:
-        """Whether innovations (m,) of this covariance (m, m) are suddenly far off: one of them, or all together as
-        where all parameters have changed by the same share."""
+        """True if innovations (m,) with this covariance (m, m) are suddenly far off: one alone, or all together as if
+        all parameters had changed by the same share."""
         deviations = np.sqrt(np.diag(spread))
         if np.any(_is_sudden(left / deviations, self._before[0] / deviations, _FAR_OFF, _SUDDEN)):
             return True
@@ -238,6 +237,6 @@ class AugmentedFilter:
 
 
 def _is_sudden(now: Vector, before: Vector, far_off: float, share: float) -> NDArray[np.bool_]:
-    """Whether values are so far off, and at least this share of them was not there before."""
+    """True where values exceed `far_off` and at least this share of them was absent before."""
     sudden: NDArray[np.bool_] = (np.abs(now) > far_off) & (np.abs(now - before) > share * np.abs(now))
     return sudden

@@ -1,9 +1,9 @@
-"""The momentum balance of the roller behind the first span, on measured motion and torque.
+"""Momentum balance of the roller after the first span, on measured motion and torque.
 
     m·v2' = (i/r)·τ2 + F_next − R2(v2) − F,   F = E·h          (design section 5)
 
-Everything but E is measured or in the model, effects included, so each cycle says something about E:
-h = F/E is the web's section times its strain, as the encoders show it.
+Everything but E is measured or in the model, effects included, so each cycle has information on E: h = F/E is the web's
+section times its strain by the encoders.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hilbench.plant.web_line.span_kernel import SpanVectors, follow_to, modulus_
 
 _AXIS = 1  #: index of axis 2
 _CREEP = lay.place("web_slip", "creep_per_N")
-#: Relative change of E from which the follower is told: creep and damping depend on it.
+#: Relative change of E that is passed to the follower: its creep and damping depend on it.
 _WORTH_TELLING = 1e-4
 
 
@@ -39,15 +39,15 @@ class BalanceSample:
 
 
 class BalanceVectors(NamedTuple):
-    """What a `MeasuredBalance` consists of, for compiled callers."""
+    """Vectors of a `MeasuredBalance`, for compiled callers."""
 
     p: Vector  #: parameters of the two rollers
     web: SpanVectors
     s: Vector  #: state: STARTED, BEFORE_M, and the last `BalanceSample`
 
 
-# State of a balance: whether there was a position before (_BEGUN: the web was put there in this cycle), and which; then
-# the fields of a `BalanceSample`.
+# State of a balance: phase (_BEGUN: the web was placed in this cycle) and previous position; then the fields of a
+# `BalanceSample`.
 STARTED, _BEFORE_M, X2_M, FORCE_N, WEB_PER_PA, VELOCITY_M_S = range(6)
 _SIZE = 6
 _NOT_STARTED, _BEGUN, _FOLLOWS = 0.0, 1.0, 2.0
@@ -55,8 +55,8 @@ _NOT_STARTED, _BEGUN, _FOLLOWS = 0.0, 1.0, 2.0
 
 @compiled
 def measured_force_N(p: Vector, torque_Nm: float, x_m: float, v_m_s: float, f_next_N: float) -> float:
-    """Force of the web on roller 2 (N, less `f_next_N`'s pull) by the parameters of a line, the torque that is measured
-    there (N·m), place and speed of the roller at the web (m, m/s), and the tension behind it (N)."""
+    """Web force on roller 2 (N, including `f_next_N`) from a line's parameters, measured torque (N·m), position and
+    speed of the roller at the web (m, m/s), and the tension after it (N)."""
     n = int(p[lay.W_AXES])
     axis = lay.W_SIZE + _AXIS * lay.A_SIZE
     motor = lay.W_SIZE + n * lay.A_SIZE + _AXIS * lay.M_SIZE
@@ -69,7 +69,7 @@ def measured_force_N(p: Vector, torque_Nm: float, x_m: float, v_m_s: float, f_ne
 
 @compiled
 def use_modulus(balance: BalanceVectors, youngs_modulus_Pa: float) -> None:
-    """E that the web's creep and damping go by."""
+    """Set E for the web's creep and damping."""
     at = modulus_place(balance.web.p)
     if abs(youngs_modulus_Pa / balance.web.p[at] - 1.0) > _WORTH_TELLING:
         balance.web.p[at] = youngs_modulus_Pa
@@ -77,7 +77,7 @@ def use_modulus(balance: BalanceVectors, youngs_modulus_Pa: float) -> None:
 
 @compiled
 def creep_per_N(balance: BalanceVectors) -> float:
-    """Creep over the roller behind the span, by the model."""
+    """Creep over the roller after the span, by the model."""
     return float(balance.web.p[modulus_place(balance.web.p) - lay.SP_MODULUS_PA + _CREEP])
 
 
@@ -94,10 +94,12 @@ def momentum_balance(
     creep_ratio_prev: float,
     duration_s: float,
 ) -> None:
-    """The balance at this SYNC into the state, `duration_s` after the last; positions at the web, torque at the motor.
+    """Compute the balance at this SYNC into the state, `duration_s` after the last; positions at the web, torque at the
+    motor.
 
-    `behind_N`, `strain_next`: tension and strain of the web behind roller 2; of several rollers as one the tension is
-    not `F_next_N`, which is behind the last of them. `creep_ratio_prev`: as in `put_boundary`."""
+    `behind_N`, `strain_next`: tension and strain of the web after roller 2; of several rollers as one the tension is
+    not `F_next_N`, which is after the last of them. `creep_ratio_prev`: as in `put_boundary`.
+    """
     s, velocity_m_s = balance.s, 0.0
     if s[STARTED] == _FOLLOWS:
         follow_to(balance.web, x1_m, x2_m, duration_s)
@@ -112,17 +114,17 @@ def momentum_balance(
 
 
 def mass_at_web_kg(p: Vector) -> float:
-    """Mass of roller 2 with its motor, by the parameters of a line, as its effects have it."""
+    """Mass of roller 2 with its motor, at the web, with the model's effects."""
     axis = Layout.of(p).axis_rows(p)[_AXIS]
     inertia = 1.0 + axis[lay.place("inertia_mismatch", "relative_change")]
     return float((axis[lay.A_MOTOR_MASS_KG] + axis[lay.A_ROLLER_MASS_KG]) * inertia)
 
 
 class MeasuredBalance:
-    """The balance of axis 2 of a two-roller model, cycle by cycle; also the strain that the encoders show.
+    """Momentum balance of axis 2 of a two-roller model, cycle by cycle; also the encoders' strain.
 
-    The model's `torque_delay` of axis 2 is not taken out here: `hilbench.estimation.web_line.delay` does, with what it
-    finds. Gear play is passed over. Raises ValueError for a model without a web or with other than two rollers.
+    The model's `torque_delay` of axis 2 is not compensated here: `hilbench.estimation.web_line.delay` does, with the
+    delay it finds. Gear play is neglected. Raises ValueError for a model without a web or with other than two rollers.
     """
 
     def __init__(self, model: ModelParameters) -> None:
@@ -142,25 +144,25 @@ class MeasuredBalance:
 
     @property
     def vectors(self) -> BalanceVectors:
-        """What it consists of, for compiled callers."""
+        """Vectors of this balance, for compiled callers."""
         return BalanceVectors(self._p, self.web.vectors, self.state)
 
     @property
     def sample(self) -> BalanceSample:
-        """The last one."""
+        """Last sample."""
         return BalanceSample(*self.state[X2_M:].tolist())
 
     @property
     def is_followed(self) -> bool:
-        """Whether the web stands where the rollers are."""
+        """True if the web's position is initialized."""
         return self.state.item(STARTED) != _NOT_STARTED
 
     def reset(self) -> None:
-        """The next update starts anew, with the web strained as upstream."""
+        """Restart at the next update, with the web strained as upstream."""
         self.state[STARTED] = _NOT_STARTED
 
     def begin(self, x1_m: float, x2_m: float, strain_prev: float) -> None:
-        """Put the web where the rollers are, unless it is followed already; to be called before `momentum_balance`."""
+        """Place the web at the rollers if it is not yet followed; call it before `momentum_balance`."""
         if self.state[STARTED] == _NOT_STARTED:
             self.web.reset((x1_m, x2_m), strain=[strain_prev])
             self.state[STARTED] = _BEGUN

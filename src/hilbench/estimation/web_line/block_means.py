@@ -1,7 +1,7 @@
-"""The balance of a span in blocks: its means over 20 ms, from which every change of web or torque is seen.
+"""Block means of a span's momentum balance over 20 ms, in which changes of web or torque are detected.
 
-What the roller's motion takes of the force is subtracted by the speeds at the block's ends. Single cycles that are
-missing do no harm: a block goes on over them, as long as it is mostly measured. Compiled.
+The roller's inertial force is subtracted by the speeds at the block's ends. Single missing cycles do no harm: a block
+goes on over them, as long as it is mostly measured. Compiled.
 """
 
 from __future__ import annotations
@@ -11,33 +11,33 @@ import numpy as np
 from hilbench.compiled import compiled, inlined
 from hilbench.estimation.bank import Array
 
-#: Length of a block: short against the way of the strain to a new value, and against what a stop takes.
+#: Length of a block: short against the strain's transition to a new value, and against a stop.
 BLOCK_S = 0.02
-#: Change of the speed, relative, from which on blocks are not of one motion.
+#: Relative change of the speed from which on blocks belong to different motions.
 SAME_SPEED = 0.02
-#: So many times as long it may last with the cycles that are missing in it.
+#: Longest duration of a block with missing cycles, over its length.
 _LONGEST = 3.0
-#: Speeds at either end, of which the middle one counts: of a position that is of another instant one is too fast, and
-#: the next too slow.
+#: Speeds at either end, of which the middle one counts: a position of another instant makes one too fast, and the next
+#: too slow.
 ENDS = 3
 
-# State. The block that is collected: its first and last speeds (m/s) and the cycles that they are of; the last one that
-# was complete, which is there for the cycle that completed it.
+# State. The block being collected: its first and last speeds (m/s) and their cycles; the last complete block, valid in
+# the cycle that completed it.
 (
     _MASS_KG,
     _CYCLE_S,
     _CYCLES,
     _COLLECTED,
-    _LASTED,  # cycles, with those that are missing
+    _LASTED,  # cycles, including missing ones
     _FORCE_SUM_N,
     _WEB_SUM,
     _AFTER_GAP,
     READY,
-    FORCE_N,  # without what accelerates the roller
+    FORCE_N,  # without the inertial force
     WEB_PER_PA,
     VELOCITY_M_S,
     DURATION_S,
-    MOTION_N,  # the largest of what accelerates the roller and of how far the force goes within the block
+    MOTION_N,  # larger of the inertial force and the force's range within the block
     _LOW_N,
     _HIGH_N,
     _FIRST,
@@ -48,7 +48,7 @@ _SIZE = _FIRST + 4 * ENDS
 
 @compiled
 def begin(s: Array) -> None:
-    """Forget what is collected: a new block begins with the next cycle."""
+    """Discard the block being collected; the next cycle starts a new one."""
     s[_COLLECTED] = 0.0
     s[_LASTED] = 0.0
     s[_FORCE_SUM_N] = 0.0
@@ -58,14 +58,14 @@ def begin(s: Array) -> None:
 
 @compiled
 def begin_behind_gap(s: Array) -> None:
-    """The same, where the next cycle can't be compared with this one: it counts in the block's duration alone."""
+    """Start a new block after a gap: the next cycle counts in its duration alone, as it is not comparable with this."""
     begin(s)
     s[_AFTER_GAP] = 1.0
 
 
 @compiled
 def miss(s: Array) -> None:
-    """A cycle is missing: what is measured next is not one cycle after the last."""
+    """Count a missing cycle: the next sample is not one cycle after the last."""
     s[_LASTED] += 1.0
     s[_AFTER_GAP] = 1.0
     s[READY] = 0.0
@@ -73,7 +73,7 @@ def miss(s: Array) -> None:
 
 @compiled
 def take(s: Array, force_N: float, web_per_Pa: float, velocity_m_s: float) -> bool:
-    """Take the balance of this cycle; whether a block is complete: READY is 1 then, and its means are in the state."""
+    """Take the balance of this cycle. True if a block is complete: READY is 1, and its means are in the state."""
     s[READY] = 0.0
     s[_LASTED] += 1.0
     if s[_AFTER_GAP] != 0.0:
@@ -128,10 +128,10 @@ def _middle(s: Array, at: int) -> float:
 
 
 def new_state(mass_kg: float, cycle_s: float) -> Array:
-    """State of what collects the balances of axis 2. `mass_kg`: at the web, of what is behind the span."""
+    """State of the block means of axis 2's balance. `mass_kg`: at the web, of the roller after the span."""
     s = np.zeros(_SIZE)
     s[_MASS_KG], s[_CYCLE_S] = mass_kg, cycle_s
     cycles = max(2, round(BLOCK_S / cycle_s))
-    # Where the middle ones of the speeds count these have to be apart: an acceleration over one cycle is mostly noise.
+    # These middle speeds have to be apart: an acceleration over one cycle is mostly noise.
     s[_CYCLES] = max(cycles, 2 * ENDS) if cycles > ENDS else cycles
     return s

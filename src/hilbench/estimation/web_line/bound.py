@@ -1,8 +1,8 @@
-"""How well E can be known at all: the Cramér–Rao bound of a run's own samples.
+"""Identifiability of E: the Cramér–Rao bound of a run's own samples.
 
-Each sample of the measured torque of axis 2 says τ = (r/i)·(E·h + …) + noise, so it adds (h·r/i)²/σ² to the information
-about E since its last change; what is estimated beside E adds its own sensitivities. The inverse of the information
-is the least variance that an unbiased estimate from these samples can have.
+Each sample of the measured torque of axis 2 is τ = (r/i)·(E·h + …) + noise, so it adds (h·r/i)²/σ² to the information
+on E since its last change; nuisance parameters add their own sensitivities. The inverse of the information is the least
+variance that an unbiased estimate from these samples can have.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ def least_deviation_Pa(
 ) -> Array:
     """Bound of the standard deviation of E at each sample from `start` on, when E last changed there; (n - start,).
 
-    Infinite until a sample says something. `also`: what must be found beside E, with its prior deviation.
+    Infinite while there is no information. `also`: nuisance parameters estimated in addition to E, with their prior
+    deviations.
     """
     balance, web = MeasuredBalance(model), SpanFollower(model, data.x_m[0], [data.strain_prev[0]])
     boundary = np.column_stack([data.strain_prev, data.F_next_N])

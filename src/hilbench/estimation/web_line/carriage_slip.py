@@ -1,8 +1,8 @@
-"""Slip of a web at a roller beside a section whose tension a carriage keeps: more web is lost than strain can be.
+"""Slip of a web at a roller of a section with a carriage: more web is lost than strain can explain.
 
-What goes into the section by its first roller, less what goes out by its last and what the carriage makes room for, is
-what the web is stretched on its way, and what slips. The carriage is where its sensor says. Web that comes in with
-another strain, or another E, loses a share that is no more than the usual strain; a slip below that is none to this.
+Inflow at the section's first roller, less outflow at its last and the room made by the carriage (by its sensor), is web
+stretched in it, or slip. Web entering with another strain, or another E, loses a share that is no more than the usual
+strain; a slip below that is not detected.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from collections import deque
 from math import inf
 from typing import Final, NamedTuple
 
-#: Share of the web that is lost, over the usual strain, from which it slips, and below which it does so no more.
+#: Share of lost web, over the usual strain, from which on it slips, and below which it no longer does.
 _SLIPS, _ENDS = 2.0, 1.0
-#: What is not known of the room that a carriage makes, for each strand, m.
+#: Uncertainty of the room that a carriage makes, for each strand, m.
 _ROOM_M: Final = 3e-4
-#: Way after which what was lost is kept, as a share of the section's length.
+#: Travel between records of the loss, as a share of the section's length.
 _KEPT_EVERY: Final = 0.05
 
 
@@ -26,22 +26,22 @@ class _Kept(NamedTuple):
 
 
 class CarriageSlip:
-    """Of a section of this length, with so many strands of web at its carriage, whose web usually has this strain."""
+    """Slip detector of a section of this length and usual strain, with so many strands of web at its carriage."""
 
     def __init__(self, length_m: float, strands: int, strain: float) -> None:
         self._length_m, self._strain, self._unsure_m = length_m, strain, _ROOM_M * strands
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is known of what was before."""
+        """Forget all records."""
         self._kept: deque[_Kept] = deque()
         self._travel_m = self._lost_m = 0.0
-        self.since_s = inf  #: when no web slipped yet; inf where none does
-        self._judged_m = 0.0  # way until it slipped
+        self.since_s = inf  #: latest time without slip; inf if nothing slips
+        self._judged_m = 0.0  # travel at detection
 
     def take(self, time_s: float, before_m: float, behind_m: float, room_m: float) -> None:
-        """Until now went so much in by the roller before the section, out by that behind it, and the web between them
-        became so much longer by its carriage, each since the last call."""
+        """Take web travel since the last call: in by the roller before the section, out by the one after it, and the
+        web length added by its carriage."""
         self._travel_m += abs(behind_m)
         self._lost_m += before_m - behind_m - room_m
         while len(self._kept) > 1 and self._kept[1].travel_m <= self._travel_m - self._length_m:
@@ -51,7 +51,7 @@ class CarriageSlip:
             self._kept.append(_Kept(time_s, self._travel_m, self._lost_m))
 
     def allow(self) -> None:
-        """What seems lost until now is what the web, which has become another one, has been stretched by."""
+        """Attribute the loss up to now to the strain of a changed web."""
         self._kept = deque(each._replace(lost_m=self._lost_m) for each in self._kept)
 
     def _judge(self) -> None:

@@ -1,4 +1,4 @@
-"""The `twin:` block of a bench config."""
+"""Block `twin:` of a bench config."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hilbench.plant.web_line.parameters import Modulus
 
 
 class AlsoEstimated(Block):
-    """Parameters estimated beside E, each by what is believed of it: its standard deviation around 0; 0: not at all."""
+    """Nuisance parameters estimated in addition to E: standard deviation of the prior around 0; 0: not estimated."""
 
     torque_offset_Nm: float = Field(default=0.0, ge=0, description="of axis 2's torque measurement, motor side")
     viscous_friction_N_s_per_m: float = Field(default=0.0, ge=0, description="of roller 2 beyond the model's")
@@ -26,9 +26,9 @@ class AlsoEstimated(Block):
 
 
 class ModelErrorsConfig(Block):
-    """What the twin's model may lack on axis 2: standard deviations of what is usual, as shares of the machine's sizes.
+    """Priors of the twin's model errors on axis 2: standard deviations, as shares of the machine's sizes.
 
-    It is estimated beside E; what the data can't tell apart from E is part of E's stated deviation.
+    They are estimated in addition to E; what the data can't separate from E is part of E's stated deviation.
     """
 
     friction_pct: PositiveFloat = Field(
@@ -50,7 +50,7 @@ class ModelErrorsConfig(Block):
 
 
 class Prior(Block):
-    """What an axis lacks beyond the model: mean and standard deviation, as they are believed before a run."""
+    """Prior of an effect that the model lacks on an axis: mean and standard deviation."""
 
     quantity: Literal[
         "torque_offset_Nm",
@@ -70,7 +70,7 @@ class Prior(Block):
 
 
 class EstimateConfig(Block):
-    """What is estimated, and where the measurement that shows it is taken."""
+    """Estimated quantity, and the span whose measurement shows it."""
 
     quantity: Literal["youngs_modulus_Pa"] = Field(default="youngs_modulus_Pa", description="what is estimated: E")
     span: int | None = Field(
@@ -84,8 +84,8 @@ class EstimateConfig(Block):
 class PidConfig(EstimateConfig):
     """Gains of the tracking simulation: dE/dt = Kp·e + Ki·∫e dt + Kd·de/dt, e in N·m of motor torque.
 
-    The defaults reproduce the published behaviour on the demonstrator (about 20 s to 1 %): the velocity loop of
-    axis 2 gives way to a change of tension and takes it up with some seconds' lag, which Kd/Kp makes up for.
+    The defaults reproduce the published behaviour on the demonstrator (about 20 s to 1 %): the velocity loop of axis 2
+    follows a change of tension with some seconds' lag, which Kd/Kp compensates.
     """
 
     method: Literal["pid"] = "pid"
@@ -99,7 +99,7 @@ class PidConfig(EstimateConfig):
 
 
 class _OnBalance(EstimateConfig):
-    """What the methods on the measured momentum balance of axis 2 have in common."""
+    """Common settings of the methods on the measured momentum balance of axis 2."""
 
     torque_noise_Nm: PositiveFloat = Field(default=0.05, description="believed until it is measured (0.1 s)")
     initial_deviation_pct: PositiveFloat = Field(default=20.0, description="of E at the start")
@@ -133,7 +133,7 @@ class LmConfig(_OnBalance):
 
 
 class GlobalConfig(_OnBalance):
-    """Differential evolution on a window, beside the cyclic path; its result acts `latency_cycles` later."""
+    """Differential evolution on a window, outside the cyclic path; its result acts `latency_cycles` later."""
 
     method: Literal["global"] = "global"
     window_s: PositiveFloat = Field(default=0.4, description="how far back a solution looks")
@@ -144,7 +144,7 @@ class GlobalConfig(_OnBalance):
 
 
 class ChangepointConfig(_OnBalance):
-    """A bank of Kalman filters, one for each hypothesis of when E last jumped or began to drift, mixed by evidence."""
+    """Change-point estimator: bank of Kalman filters, one per hypothesis of E's last jump or drift onset."""
 
     method: Literal["changepoint"] = "changepoint"
     jumps_per_s: PositiveFloat = Field(default=1e-3, description="how often E is believed to jump")
@@ -215,7 +215,7 @@ class KnownChangeConfig(Block):
 
 
 class EstimationConfig(Block):
-    """The twin: what it assumes and how it keeps in step with the bench."""
+    """Settings of the twin's estimation: assumptions, methods and transfer."""
 
     estimate: list[SynchronizerConfig] = Field(
         default=[ChangepointConfig()],
@@ -282,16 +282,16 @@ class EstimationConfig(Block):
 
     @property
     def synchronizer(self) -> SynchronizerConfig:
-        """How E is found, of several spans at the first."""
+        """Method of the first span."""
         return self.estimate[0]
 
     def by_span(self, spans: int) -> dict[int, SynchronizerConfig]:
-        """How E is found at each span, by its number from 1, of a line that has so many; in their order."""
+        """Methods by span number from 1, in order, of a line with so many spans."""
         everywhere = [entry for entry in self.estimate if entry.span is None]
         found = {span: entry for entry in everywhere for span in range(1, spans + 1)}
         found |= {entry.span: entry for entry in self.estimate if entry.span is not None}
         return dict(sorted(found.items()))
 
     def of_span(self, method: SynchronizerConfig, priors: list[Prior]) -> EstimationConfig:
-        """The same with this method alone, and with the priors of the rollers behind the span."""
+        """Copy with this method alone, and with the priors of the rollers after the span."""
         return self.model_copy(update={"estimate": [method], "priors": priors})

@@ -1,4 +1,4 @@
-"""A constant delay of the measured torque: found from data, and taken out by looking at everything else later, too."""
+"""Constant dead time of the measured torque: estimation, and compensation by delaying all other signals."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from hilbench.compiled import compiled, inlined
 from hilbench.estimation import ring
 from hilbench.estimation.bank import Array
 
-#: Longest delay that is looked for.
+#: Longest delay searched.
 LONGEST_S = 0.05
-#: How far back the evidence for a delay reaches.
+#: Memory of the evidence for a delay.
 _MEMORY_S = 30.0
-#: Steps of the delay that is told, in cycles, and how far the found one must be from it before it moves: the balance is
-#: looked at so much earlier, where each change moves a running roller's position by speed times change.
+#: Steps of the stated delay, in cycles, and its hysteresis: the balance is evaluated so much earlier, where each change
+#: moves a running roller's position by speed times change.
 _STEP, _HYSTERESIS = 0.25, 0.4
-#: Improvement of the squared error, in standard deviations of the noise, from which a delay is believed.
+#: Improvement of the squared error, in standard deviations of the noise, from which on a delay is accepted.
 _EVIDENCE = 25.0
 
 
-# State of a finder; behind it the simulated torques and the measured ones, the newest first, and of each delay the
-# averaged square (N·m)².
+# State of a finder; then the simulated torques and the measured ones, newest first, and the averaged square (N·m)² of
+# each delay.
 _CYCLE_S, _DELAYS, _LAG, _NOISE, _KEEP, _SEEN, DELAY_S = range(7)
 _SIZE = 7
-# State of a line; behind it four rings: position (m), the rest of the force (N), web (N/Pa), speed (m/s).
+# State of a line; then four rings: position (m), the rest of the force (N), web (N/Pa), speed (m/s).
 _OF_CYCLE_S, _POSITIONS, _RESTS, _WEBS, _SPEEDS = range(5)
 _LINE_SIZE = 5
 
 
 @compiled
 def find(s: Array, torque_real_Nm: float, torque_sim_Nm: float) -> float:
-    """Take one cycle; returns the delay in s that is believed now. s: state of `new_finder`."""
+    """Take one cycle; returns the estimated delay in s. s: state of `new_finder`."""
     delays, lag = int(s[_DELAYS]), int(s[_LAG])
     length = delays + lag + 1
     simulated, real, errors = _SIZE, _SIZE + length, _SIZE + length + lag + 1
@@ -76,7 +76,7 @@ def _best_s(s: Array, errors: int, delays: int) -> float:
 
 @compiled
 def forget(s: Array) -> None:
-    """Forget the past. s: state of a line (`new_line`)."""
+    """Clear the rings. s: state of a line (`new_line`)."""
     ring.clear(s, int(s[_POSITIONS]))
     ring.clear(s, int(s[_RESTS]))
     ring.clear(s, int(s[_WEBS]))
@@ -87,10 +87,10 @@ def forget(s: Array) -> None:
 def pair(
     s: Array, x2_m: float, force_N: float, web_per_Pa: float, velocity_m_s: float, torque_force_N: float, delay_s: float
 ) -> tuple[bool, float, float, float, float]:
-    """The balance at the time the torque belongs to: position, force, web, speed; False until the past reaches back so
-    far. s: state of a line (`new_line`).
+    """Balance at the torque's own time: position, force, web, speed; False until enough cycles are stored. s: state of
+    a line (`new_line`).
 
-    `torque_force_N` is the part of `force_N` that comes from the torque, the late one.
+    `torque_force_N`: the part of `force_N` by the (late) torque.
     """
     positions, rests, webs, speeds = int(s[_POSITIONS]), int(s[_RESTS]), int(s[_WEBS]), int(s[_SPEEDS])
     ring.push(s, positions, x2_m)
@@ -117,13 +117,13 @@ def pair(
 
 @inlined
 def _between(s: Array, values: int, at: int, share: float) -> float:
-    """Of a ring the value `at`, by `share` that of the cycle before it."""
+    """Interpolated ring value: `at`, by `share` that of the cycle before it."""
     newer, older = ring.value(s, values, at), ring.value(s, values, at - 1)
     return newer + (older - newer) * share
 
 
 def new_line(cycle_s: float) -> Array:
-    """State of past balances, to be paired with a torque that is late."""
+    """State of past balances, to be paired with a late torque."""
     capacity = round(LONGEST_S / cycle_s) + 3
     s = np.zeros(_LINE_SIZE + 4 * ring.size(capacity))
     s[_OF_CYCLE_S] = cycle_s
@@ -135,11 +135,11 @@ def new_line(cycle_s: float) -> Array:
 
 
 def new_finder(cycle_s: float) -> Array:
-    """State of what compares the changes of the measured torque with those of the simulated one, some cycles ago.
+    """State of the delay finder: compares changes of the measured torque with earlier ones of the simulated torque.
 
-    For each whole number of cycles the squared differences of the second differences (over a fixed lag, so that
-    offsets and trends don't matter) are averaged; the minimum, refined by a parabola, is the delay. It is believed
-    once it explains the measurement better than no delay beyond what noise does.
+    For each whole number of cycles the squared differences of the second differences (over a fixed lag, so that offsets
+    and trends don't matter) are averaged; the minimum, refined by a parabola, is the delay. It is accepted once it
+    explains the measurement better than no delay beyond noise.
     """
     delays = max(2, round(LONGEST_S / cycle_s)) + 1
     lag = max(2, round(0.03 / cycle_s))

@@ -1,10 +1,10 @@
-"""Measurements of a web line in the cycle of its twin: rows that are a cycle apart, some of them missing.
+"""Resampling of a web line's measurements to its twin's cycle: rows a cycle apart, some of them missing.
 
 Rows that are whole sample times of the drives apart, but for the difference of two clocks, are taken as they are.
-Others are brought to a cycle of whole sample times: positions by cubic splines, whose error is below an encoder's
-step; torque from the nearest row, as a mean of two would hide half of its noise; what is held between two SYNCs (set
-points, what the bench says of the boundary) from the last one. That cycle is hardly shorter than the rows are apart,
-so that no measurement counts twice.
+Others are resampled to a cycle of whole sample times: positions by cubic splines, whose error is below an encoder's
+step; torque from the nearest row, as a mean of two would hide half of its noise; values held between two SYNCs (set
+points, boundary inputs) from the last one. That cycle is hardly shorter than the rows are apart, so that no measurement
+counts twice.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from hilbench.estimation.web_line.measurements import Measurements
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-#: A cycle may be shorter than what is between two rows by this part of a sample time of the drives.
+#: Share of a drive sample time by which a cycle may be shorter than the time between two rows.
 _SHORTER = 0.1
 #: A gap of more periods than this is not bridged by interpolation.
 _BRIDGED = 1.5
-#: Cycles of a measurement that are not worth more than their rounding.
+#: Rounding tolerance, in cycles.
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class EvenRows:
-    """`data` has a row a cycle; those that are not `measured` hold no measurement (and the values of the last)."""
+    """Measurements with one row a cycle; rows not `measured` repeat the last values."""
 
     data: Measurements
     cycle_s: float
@@ -40,7 +40,7 @@ class EvenRows:
 
     @property
     def remarks(self) -> list[str]:
-        """What is otherwise than in a recording of one row a cycle, for a person; none where nothing is."""
+        """Remarks for the user on missing or resampled rows; empty if there are none."""
         found = []
         missing = int(np.count_nonzero(~self.measured))
         if missing:
@@ -53,12 +53,12 @@ class EvenRows:
 
     @property
     def held_rows(self) -> Rows:
-        """The cycle (n,) that each row there was is in, or after which it came: what is discrete is held until then."""
+        """Cycle (n,) that contains each original row, or precedes it: discrete values are held until then."""
         return np.asarray(np.floor(self.times_s / self.cycle_s + _ROUNDING), np.int64)
 
 
 def even_rows(data: Measurements, sample_s: float) -> EvenRows:
-    """Rows in a cycle of whole sample times of the drives."""
+    """Resample rows to a cycle of whole sample times of the drives."""
     times = row_times(data.t_s, data.x_m)
     samples = times.period_s / sample_s
     cycle_s = round(max(round(samples), 1) * sample_s, 9)
@@ -68,7 +68,7 @@ def even_rows(data: Measurements, sample_s: float) -> EvenRows:
 
 
 def _placed(data: Measurements, times: RowTimes, cycle_s: float) -> EvenRows:
-    """Each row at its cycle."""
+    """Place each row at its cycle."""
     count = int(times.periods[-1]) + 1
     measured = np.zeros(count, bool)
     measured[times.periods] = True
@@ -91,8 +91,8 @@ def _times(cycles: Rows, cycle_s: float) -> Array:
 
 
 def _interpolated(data: Measurements, times: RowTimes, cycle_s: float) -> EvenRows:
-    """Cycles between the rows, as far as these reach."""
-    from scipy.interpolate import CubicSpline  # slow to import: only who needs it waits for it
+    """Interpolate cycles between the rows, up to the last one."""
+    from scipy.interpolate import CubicSpline  # slow to import: deferred to its use
 
     t_s = times.times_s
     at_s = _times(np.arange(int(t_s[-1] / cycle_s + _ROUNDING) + 1), cycle_s)

@@ -1,12 +1,12 @@
-"""Webs in the spans of a line whose strains nobody knows when a twin begins: what is left of each, and where.
+"""Unknown initial strains of a line's webs: how much of each is left, and in which span.
 
-The strain that a span is believed to have at the start is off by some δ. Web of the span that it comes from enters it,
-web leaves it, and so what its strain is off by follows that of the span before it,
+The assumed initial strain of a span is off by some δ. Web of the previous span enters it, web leaves it, so its strain
+error d follows that of the span before,
 
-    d_k' = (out_(k-1) - out_k)/L_k      per way of the web,      out_k = d_k + a_k·d_k - b_k·d_(k+1)
+    d_k' = (out_(k-1) - out_k)/L_k      per travel of the web,      out_k = d_k + a_k·d_k - b_k·d_(k+1)
 
-where a and b are what creep over the roller behind a span makes of errors of tensions. So d is a sum of the δ of all
-spans, each with a share that depends on the way alone.
+where a and b are the influence of tension errors by creep over the roller after a span. So d is a sum of the δ of all
+spans, each with a share that depends on travel alone.
 """
 
 from __future__ import annotations
@@ -23,50 +23,50 @@ from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.floating[Any]]
 
-#: What is believed of a δ beforehand, over the strain upstream: next to nothing (standard deviation).
+#: Prior standard deviation of a δ, over the strain upstream: next to no information.
 PRIOR = 2.0
-#: Slower than this a line does not run: rollers that go to and fro bring back the web that they have taken, m/s.
+#: Lines don't run slower: rollers that go to and fro return the web that they have taken, m/s.
 SLOW_M_S = 0.02
 #: Of the speeds.
 _SMOOTHING_S = 0.008
-#: Share of the unknown below which a web is known.
+#: Unknown share below which a web counts as known.
 KNOWN = 0.003
 
 
 @dataclass(frozen=True, slots=True)
 class Strains:
-    """What is known of the δ of all spans (K,), over the strain upstream, with their covariance (K, K)."""
+    """Estimate of the δ of all spans (K,), over the strain upstream, with their covariance (K, K)."""
 
     mean: Array
     covariance: Array
 
     def of_others(self, span: int) -> Strains:
-        """Without that of a span, from 0."""
+        """Estimate without that of a span, from 0."""
         others = np.delete(np.arange(len(self.mean)), span)
         return Strains(self.mean[others], self.covariance[np.ix_(others, others)])
 
 
 class InitialStrains:
-    """Of a line of spans of these lengths (K,), which are counted from 0; `creep_per_N` (K,): over the rollers behind
-    them by the model, `stiffness_N` (K,): E·S as it is believed."""
+    """Shares of unknown strains in a line of spans of these lengths (K,), counted from 0; `creep_per_N` (K,): over the
+    rollers after them by the model, `stiffness_N` (K,): assumed E·S."""
 
     def __init__(self, lengths_m: Sequence[float], creep_per_N: Sequence[float], stiffness_N: Sequence[float]) -> None:
         count = len(lengths_m)
         creep, stiffness = np.asarray(creep_per_N), np.asarray(stiffness_N)
         self._a, self._b = (creep * stiffness).tolist(), (creep[:-1] * stiffness[1:]).tolist()
-        #: (K, K): of the δ of each span what is in the strain of a span (row) now.
+        #: (K, K): share of each span's δ in the present strain of a span (row).
         self.shares = np.eye(count)
         nothing = Strains(np.zeros(count), PRIOR**2 * np.eye(count))
-        #: By what the torques behind each span, and behind those that its web comes from, tell.
+        #: By the torques after each span, and after those that its web comes from.
         self.estimates = [nothing] * count
         self._nothing = nothing
         self._lengths_m = tuple(lengths_m)
-        self._before = list(range(-1, count - 1))  # the span that web comes from; one that is none: it is known
-        self._to_and_fro = np.zeros((count, 2))  # where slow rollers are, and how far they have been, m
-        self._speeds_m_s = np.zeros(count)  # of the rollers behind, behind a low pass
+        self._before = list(range(-1, count - 1))  # the span that web comes from; outside the line: a known one
+        self._to_and_fro = np.zeros((count, 2))  # position of slow rollers, and their largest travel, m
+        self._speeds_m_s = np.zeros(count)  # of the rollers after the spans, low-passed
 
     def move(self, span: int, velocity_m_s: float, duration_s: float) -> None:
-        """Web has gone through a span; those that it comes from first."""
+        """Move web through a span; call it for the spans in the order that the web passes them."""
         row, forwards, rate = self.shares[span], velocity_m_s >= 0.0, 1.0
         self._speeds_m_s[span] += (1.0 - exp(-duration_s / _SMOOTHING_S)) * (velocity_m_s - self._speeds_m_s[span])
         if abs(velocity_m_s) >= SLOW_M_S:
@@ -99,29 +99,29 @@ class InitialStrains:
         return 0.0 if entering is None else float(np.abs(entering).max())
 
     def enters_known(self, span: int) -> bool:
-        """Whether the strain of the web that enters a span is known."""
+        """True if the strain of the web that enters a span is known."""
         return self.entering(span) < KNOWN
 
     def go_along(self, span: int, speed_m_s: float, least_m_s: float) -> bool:
-        """Whether the rollers behind that behind a span go in the direction of this speed, or stand where it is 0, by
-        at least, or at most, this."""
+        """True if all rollers after the one behind a span turn in the direction of this speed at `least_m_s` or more;
+        for speed 0: if all are slower than that."""
         speeds_m_s = self._speeds_m_s[span + 1 :]
         if speed_m_s == 0.0:
             return bool(np.all(np.abs(speeds_m_s) <= least_m_s))
         return bool(np.all(np.copysign(speeds_m_s, speeds_m_s * speed_m_s) >= least_m_s))
 
     def estimate_before(self, span: int) -> Strains:
-        """What is known of all strains without the torques behind this span."""
+        """Estimate of all strains without the torques after this span."""
         before = self._before[span]
         return self.estimates[before] if 0 <= before < len(self.estimates) else self._nothing
 
     def know(self, span: int) -> None:
-        """The strain of a span is not off any more."""
+        """Mark the strain of a span as known."""
         self.shares[span] = 0.0
 
 
 def initial_strains(model: ModelParameters) -> InitialStrains:
-    """Those of a line, E as the model has it."""
+    """Initial strains of a line, E as in the model."""
     spans = range(1, model.span_count + 1)
     return InitialStrains(
         [model.span_length_m(span) for span in spans],
@@ -131,6 +131,6 @@ def initial_strains(model: ModelParameters) -> InitialStrains:
 
 
 def creeps_per_N(model: ModelParameters) -> list[float]:
-    """Creep over the roller behind each span, by the model."""
+    """Creep over the roller after each span, by the model."""
     creeps = {e.section: e.parameters.get("creep_per_N", 0.0) for e in model.effects if e.effect == "web_slip"}
     return [creeps.get(span, creeps.get(None, 0.0)) for span in range(1, model.span_count + 1)]

@@ -1,19 +1,19 @@
-"""E and the strain of webs that are found under way, or at rest, together.
+"""Joint initialization of E and strain of webs first seen running, or at rest.
 
-The strain that the encoders show goes from a guess. What it is off by at the start leaves the span with the web, as
-exp(-s/L) of the way s, and is handed on to the next span, which it enters. The tension that the torque shows is then
+The encoders' strain starts from a guess. Its initial error leaves the span with the web, as exp(-s/L) of the travel s,
+and enters the next span. The tension by the torque is then
 
     F_k = E_k·S·ε_k + E_k·S·Σ_j share_kj(s)·δ_j
 
-with the strain ε that follows from the guess, δ_j what it is off by in span j at the start, and what of that is in
-span k now: linear in E and E·δ. Recursive least squares on the filtered balance (`synchronizers.regression`) find these
-while the web that could not be known is still in the line. At first the two are the same; after half a span they begin
-to part, and the deviation says how far. Each span is told the strains of the others by the one that its web comes from.
+with the strain ε from the guess, the initial errors δ_j of span j, and their shares in span k now: linear in E and E·δ.
+Recursive least squares on the filtered balance (`synchronizers.regression`) find these while web of unknown strain is
+still in the line. Identifiability: at first the two are the same; after half a span they begin to separate, as the
+deviation shows. Each span gets the estimated strains of the others from the one that its web comes from.
 
-At rest they stay the same, however long it lasts. There one roller has to move against the other by a little. Then, and
-at rest, dry friction that the model does not know takes up an unknown part of the tension: one that goes with the
-direction of a slow motion, and one at rest, beside the two, each as large as is usual. The one at rest is the same
-until the web pulls otherwise: what a roller stands under goes along with that, whether it breaks loose or not.
+At rest they are never separable. There one roller has to move against the other by a little. Then, and at rest, dry
+friction beyond the model's takes an unknown part of the tension: one in the direction of a slow motion, and one at
+rest, in addition to the two, each with its usual size. The one at rest is constant until the tension changes: the load
+of a roller at rest follows that, whether it breaks loose or not.
 """
 
 from __future__ import annotations
@@ -29,32 +29,32 @@ from hilbench.estimation.web_line.synchronizers.plant import Plant
 from hilbench.estimation.web_line.synchronizers.regression import FILTER_S, RegressionRows, noise_gain
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 
-#: Rows before the noise, which is what they leave over, is believed.
+#: Rows before their residual is used as the noise.
 _SETTLED = 30
 #: Rows from one solution to the next.
 _EVERY = 5
-#: Noise of a row that there is at least, as a share of the tension.
+#: Least noise variance of a row, as a share of the tension.
 _LEAST_VARIANCE = 1e-8
-#: Least E over what it was believed to be, for what is known of other spans.
+#: Least E over its prior value, for the information on other spans.
 _LEAST_SHARE = 0.01
-#: Speeds (m/s, behind the filter) up to which a roller stands, and from which on all of its dry friction goes with its
-#: direction. That counts as unknown below `SLOW_M_S`: where the line runs, it is for `unmodelled_effects`.
+#: Filtered speeds (m/s) up to which a roller is at rest, and from which on all of its dry friction acts against its
+#: direction. It counts as unknown below `SLOW_M_S`: at line speed it belongs to `unmodelled_effects`.
 _STANDS_M_S, _MOVES_M_S = 1e-4, FRICTION_WIDTH_M_S
-#: Change of the strain, relative, from which on a web pulls otherwise than when its roller came to rest.
+#: Relative change of the strain from which on the tension differs from that when the roller came to rest.
 _PULLED = 0.02
-#: Deviations beyond which friction is there.
+#: Deviations beyond which friction is certain.
 _SURE = 4.0
-#: What is left at least of a web that goes to and fro with the rollers, as a movement at rest takes it.
+#: Least remaining share of a web moved to and fro by the rollers, as for a movement at rest.
 _STAYS = 0.9
-#: What is solved for: E, E·δ of the span, friction in the direction of a slow motion, what is taken up at rest; then
-#: E·δ with the δ of the other spans.
+#: Unknowns: E, E·δ of the span, friction in the direction of a slow motion, force taken up at rest; then E·δ with the δ
+#: of the other spans.
 _MODULUS, _STRAIN, _FRICTION, _AT_REST, _OTHERS = range(5)
 
 
 @dataclass(frozen=True, slots=True)
 class InitialWeb:
-    """What is known of a web now: E in Pa, what its strain is beyond the guessed one, and dry friction (N) beyond the
-    model's, with standard deviations."""
+    """Estimate of a web: E in Pa, strain beyond the guess, and dry friction (N) beyond the model's, with standard
+    deviations."""
 
     youngs_modulus_Pa: float
     deviation_Pa: float
@@ -65,19 +65,19 @@ class InitialWeb:
 
     @property
     def sticks(self) -> bool:
-        """Whether there is such friction."""
+        """True if dry friction beyond the model's is certain."""
         return self.friction_N > _SURE * self.friction_deviation_N
 
 
 class JointInitialization:
-    """Least squares since the twin has joined, of a span of `webs`, from 0; `strain_scale`: what strains are like;
-    `friction_share`: what dry friction is like that the model does not know, of the tension at that strain (standard
-    deviation)."""
+    """Least squares since the twin has joined, for a span (from 0) of `webs`; `strain_scale`: usual strain;
+    `friction_share`: standard deviation of dry friction beyond the model's, as a share of the tension at that strain.
+    """
 
     def __init__(
         self, plant: Plant, webs: InitialStrains, span: int, strain_scale: float, friction_share: float
     ) -> None:
-        self.found: InitialWeb | None = None  #: what has been found by now
+        self.found: InitialWeb | None = None  #: latest estimate
         self._plant = plant
         self._webs, self._span = webs, span
         count = len(webs.shares)
@@ -86,38 +86,38 @@ class JointInitialization:
         self._force_N = plant.youngs_modulus_Pa * plant.section_m2 * strain_scale  # unit of all rows
         self._rows = RegressionRows(plant)
         self._left = webs.shares[span].copy()  # shares as of the last row
-        self._filtered = [self._left, self._left]  # the same behind one and both low passes of the rows
+        self._filtered = [self._left, self._left]  # the same after one and both low passes of the rows
         self._unknowns = _OTHERS + len(self._others)
-        self._strains = np.insert(np.arange(_OTHERS, self._unknowns), span, _STRAIN)  # places of E·δ, by span
-        weights = np.array([PRIOR, PRIOR, friction_share, friction_share]) ** -2.0  # around E as it was, nothing else
+        self._strains = np.insert(np.arange(_OTHERS, self._unknowns), span, _STRAIN)  # indices of E·δ, by span
+        weights = np.array([PRIOR, PRIOR, friction_share, friction_share]) ** -2.0  # prior: E and friction
         self._weights = np.diag(np.concatenate([weights, np.zeros(len(self._others))]))
         self._products = np.zeros((self._unknowns, self._unknowns))
         self._vector = np.zeros(self._unknowns)
         self._square = 0.0
         self._count = 0
         self._has_rested = False
-        self._rests_at = 0.0  # what the web pulls with per E there, behind the filter
-        self._has_moved = False  # from then on friction at rest takes up another part
+        self._rests_at = 0.0  # filtered tension per E at rest
+        self._has_moved = False  # from then on friction at rest takes another part
 
     @property
     def passes(self) -> bool:
-        """Whether the web that was there has begun to leave."""
+        """True if the initial web has begun to leave."""
         return self._webs.shares.item(self._span, self._span) < _STAYS
 
     def deviation_Pa(self, youngs_modulus_Pa: float) -> float:
-        """What this E may be off by (standard deviation), as far as anything is known of the web."""
+        """Standard deviation of this E, by the estimate or its prior."""
         found = self.found
         if found is None:
             return PRIOR * self._plant.youngs_modulus_Pa
         return hypot(found.deviation_Pa, found.youngs_modulus_Pa - youngs_modulus_Pa)
 
     def skip(self, cycle_s: float) -> None:
-        """A cycle without a usable measurement, the web having moved."""
+        """Skip a cycle without usable measurement, after the web's move."""
         self._rows.interrupt()
         self._filter(cycle_s)
 
     def update(self, sample: SyncSample) -> InitialWeb | None:
-        """Take the balance of a cycle, the web having moved; None while nothing can be said."""
+        """Take the balance of a cycle, after the web's move; None until there is an estimate."""
         ready = self._rows.update(sample)
         self._filter(sample.cycle_s)
         if not ready:
@@ -126,16 +126,16 @@ class JointInitialization:
         speed_m_s = float(row[2])
         stands = abs(speed_m_s) <= _STANDS_M_S and not self._has_moved
         moves = abs(speed_m_s) >= _MOVES_M_S
-        # A roller that stands takes up what it is pulled by more, and stands as long as its friction can do that.
+        # A roller at rest takes up a growing load, and stays at rest as long as its friction can.
         if stands and self._has_rested and abs(row[0] - self._rests_at) > _PULLED * abs(self._rests_at):
             stands, self._has_moved = False, True
-        # Several rollers count as one only when they do the same.
+        # Several rollers count as one only when they move alike.
         stands = stands and self._webs.go_along(self._span, 0.0, _STANDS_M_S)
         moves = moves and self._webs.go_along(self._span, speed_m_s, _MOVES_M_S)
         if stands and not self._has_rested:
             self._has_rested, self._rests_at = True, float(row[0])
         self._has_moved = self._has_moved or moves
-        if not (stands or moves):  # friction may be anything between its two values
+        if not (stands or moves):  # friction may have any value between the two
             return self.found
         regressors = np.zeros(self._unknowns)
         regressors[_MODULUS], regressors[_STRAIN] = row[0] / self._force_N, self._filtered[1][self._span]
@@ -160,7 +160,7 @@ class JointInitialization:
         self._left = self._webs.shares[self._span].copy()
 
     def _of_others(self) -> Array:
-        """What is known of the other strains, as information (U, U): E·δ less E times what is known of δ is nothing."""
+        """Information (U, U) on the other strains: E·δ less E times the estimate of δ is 0."""
         known = self._webs.estimate_before(self._span).of_others(self._span)
         share = 1.0 if self.found is None else self.found.youngs_modulus_Pa / self._plant.youngs_modulus_Pa
         conditions = np.zeros((len(self._others), self._unknowns))
@@ -168,15 +168,15 @@ class JointInitialization:
         return np.asarray(conditions.T @ np.linalg.solve(known.covariance, conditions)) / max(share, _LEAST_SHARE) ** 2
 
     def _solved(self, gain: float) -> InitialWeb:
-        """The solution; noise behind the filter counts as what it was before it."""
+        """Solution of the least squares; noise after the filter is scaled to that before it."""
         of_others = self._of_others()
-        # The noise by the rows alone, which tells how much they weigh beside what is believed.
+        # The noise by the rows alone, which sets their weight relative to the prior.
         theta = np.linalg.solve(self._products + _LEAST_VARIANCE * (self._weights + of_others), self._vector)
         over = self._square - 2.0 * float(theta @ self._vector) + float(theta @ self._products @ theta)
         variance = max(max(over, 0.0) / (self._count - 2) / gain, _LEAST_VARIANCE)
         covariance = np.linalg.inv(self._products / variance + self._weights + of_others)
-        # At rest the rows tell no more than they do. Under way webs around this one may be found at the same time, and
-        # put rows off by more than noise: there what is believed weighs as rows do.
+        # At rest rows add no information by repetition. With running webs, neighbours may be initialized at the same
+        # time and disturb rows by more than noise: there the prior weighs as rows do.
         weights = self._weights * (variance if self._has_rested else 1.0)
         theta = np.linalg.solve(self._products + weights + variance * of_others, self._vector + weights[_MODULUS])
         share = theta[_MODULUS].item()
@@ -184,7 +184,7 @@ class JointInitialization:
         strain_error = strain_sd = inf
         if share > 0.0:
             self._publish_strains(theta, covariance)
-            # Slopes of the strain's error over the unknowns, whose errors go together.
+            # Sensitivities of the strain's error to the unknowns, whose errors correlate.
             slope, at, left = np.zeros(self._unknowns), self._strains, self._left
             slope[at] = self._scale * left / share
             slope[_MODULUS] = np.sum(-theta[at] / share * self._scale * left / share)
@@ -199,7 +199,7 @@ class JointInitialization:
         )
 
     def _publish_strains(self, theta: Array, covariance: Array) -> None:
-        """Tell the next span what is known of all δ."""
+        """Publish the estimate of all δ for the next span."""
         at, share = self._strains, theta[_MODULUS]
         mean = theta[at] / share
         slopes = np.zeros((len(at), self._unknowns))

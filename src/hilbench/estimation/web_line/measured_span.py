@@ -1,4 +1,4 @@
-"""A span and the web in it as they are measured: its strain by the encoders, pieces of other web, what it hands on."""
+"""Measured span: its strain by the encoders, pieces of other web, and the strains at its ends."""
 
 from __future__ import annotations
 
@@ -14,58 +14,58 @@ _as_if_stretched = interpreted(cycle.equivalent_strain)
 
 
 class MeasuredSpan:
-    """Of this balance; `t`: the state of the tracking (`tracking_cycle.SIZE`,), both as they go on."""
+    """Strains and lengths of a balance's web; `t`: live state of the span estimator (`span_estimator_cycle.SIZE`,)."""
 
     def __init__(self, balance: MeasuredBalance, t: Vector) -> None:
         self._balance, self._t = balance, t
 
     @property
     def strain(self) -> float:
-        """Of the web in the span, as the encoders show it."""
+        """Strain of the web in the span, by the encoders."""
         return self._balance.web.first_strain
 
     @property
     def series_factor(self) -> float:
-        """What pieces of other web make of E of the span, as springs in series."""
+        """Factor on E of the span by pieces of other web, as springs in series."""
         return self._t.item(cycle.SERIES_FACTOR)
 
     @property
     def leaving_strain(self) -> float:
-        """Of the web that leaves the span: all of it pulls alike, and each piece has its strain."""
+        """Strain of the web leaving the span: all pieces carry the same tension, each with its own strain."""
         return self.strain * self.series_factor / self._t.item(cycle.END_FACTOR)
 
     @property
     def creep_ratio(self) -> float:
-        """Share by which less web leaves the span than the roller behind it turns, as it creeps."""
+        """Share by which less web leaves the span than the roller after it turns, by creep."""
         return self._t.item(cycle.CREEP_RATIO)
 
     @property
     def outlet_strain(self) -> float:
-        """With which the next span gets it; see `tracking_cycle.outlet_strain`."""
+        """Inlet strain of the next span; see `span_estimator_cycle.outlet_strain`."""
         return _as_if_stretched(self.leaving_strain, self.creep_ratio)
 
     @property
     def reverse_outlet_strain(self) -> float:
-        """With which the span before gets it in reverse; see `tracking_cycle.reverse_outlet_strain`."""
+        """Inlet strain of the previous span in reverse; see `span_estimator_cycle.reverse_outlet_strain`."""
         return self.strain * self.series_factor
 
     @property
     def unstretched_m(self) -> float:
-        """Web in the span, as long as it is without strain."""
+        """Unstrained length of the web in the span."""
         return self._balance.span_length_m / (1.0 + self.strain)
 
     @property
     def length_m(self) -> float:
-        """Between the rollers."""
+        """Length between the rollers."""
         return self._balance.span_length_m
 
     @property
     def mass_kg(self) -> float:
-        """At the web, of what is behind the span."""
+        """Mass at the web of the rollers after the span."""
         return self._balance.mass_kg
 
     def put_pieces(self, pieces: Sequence[Piece]) -> None:
-        """Let these be the pieces of other web in the span, by the way of the roller before it."""
+        """Set the pieces of other web in the span, by the travel of the roller before it."""
         t, web = self._t, self._balance.web
         web.put_pieces(pieces)
         t[cycle.SPLICED] = bool(pieces)

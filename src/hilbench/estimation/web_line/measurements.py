@@ -1,4 +1,4 @@
-"""What a twin of a web line hears: rows of a recording, or of a simulation."""
+"""Measurements of a web line for its twin: rows of a recording, or of a simulation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Measurements:
-    """What a twin would have heard, one row a cycle; SI, positions and velocities at the web, torque at the motor."""
+    """Inputs of a twin, one row a cycle; SI, positions and velocities at the web, torque at the motor."""
 
     t_s: Array  #: (n,)
     v_cmd_m_s: Array  #: (n, 2)

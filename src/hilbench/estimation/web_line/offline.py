@@ -1,4 +1,4 @@
-"""A synchronizer on a recording instead of a bus: the twin's simulation and comparison, row by row."""
+"""Offline twin: simulation and estimation on a recording, row by row, instead of a bus."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """What a method made of a recording; arrays (n,)."""
+    """Estimates over a recording; arrays (n,)."""
 
     E_Pa: Array
     E_sd_Pa: Array
@@ -35,7 +35,7 @@ class Track:
 
 
 def remarks(model: ModelParameters, data: Measurements) -> list[str]:
-    """What a person should know of how `run_offline` takes the rows of a recording."""
+    """Remarks for the user on how `run_offline` resamples the rows of a recording."""
     return _even_rows(model, data).remarks
 
 
@@ -44,7 +44,7 @@ def _even_rows(model: ModelParameters, data: Measurements) -> EvenRows:
 
 
 def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurements) -> Track:
-    """Run the twin of `model` over a recording, in a cycle of its own where the rows are none (`even_rows`).
+    """Run the twin of `model` over a recording, in cycles of its own where the rows are uneven (`even_rows`).
 
     Raises ValueError where `Line` and `MeasuredBalance` do.
     """
@@ -93,7 +93,7 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
 
 
 def _join(line: Line, tracking: SpanEstimator, cycles: Measurements, cycle_s: float, *, unknown_at_rest: bool) -> None:
-    """Where the recording begins under way, let the simulation begin there, with a web that is not known."""
+    """Start the simulation in motion, with an unknown web strain, if the recording begins in motion."""
     start_m = cycles.x_m[0]
     speeds = (cycles.x_m[min(1, len(cycles.x_m) - 1)] - start_m) / cycle_s
     if np.abs(speeds).max() <= STANDSTILL_M_S:
@@ -106,12 +106,12 @@ def _join(line: Line, tracking: SpanEstimator, cycles: Measurements, cycle_s: fl
 
 
 def _between(even: EvenRows, values: Array) -> Array:
-    """What is continuous in a cycle (cycles,), at the rows there were (n,): monotone between two cycles, so that a step
-    is no overshoot (Fritsch and Carlson 1980)."""
+    """Continuous cycle values (cycles,) at the times of the original rows (n,): monotone between two cycles, so that a
+    step is no overshoot (Fritsch and Carlson 1980)."""
     at = even.held_rows
     if np.array_equal(at * even.cycle_s, even.times_s):
         return values[at]
-    from scipy.interpolate import PchipInterpolator  # slow to import: only who needs it waits for it
+    from scipy.interpolate import PchipInterpolator  # slow to import: deferred to its use
 
     cycles_s = np.arange(len(values)) * even.cycle_s
     return np.asarray(PchipInterpolator(cycles_s, values)(np.minimum(even.times_s, cycles_s[-1])), np.float64)

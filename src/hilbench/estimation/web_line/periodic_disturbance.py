@@ -1,9 +1,8 @@
-"""A torque ripple of the motor behind the span: an order of its angle in the balance; compiled.
+"""Torque ripple of the motor after the span: orders of its angle in the momentum balance; compiled.
 
-What the momentum balance of each cycle has beyond the tension and what else has been found is correlated with the
-cosine and sine of the orders of the motor's angle (least mean squares, Widrow 1975). An order counts as found when its
-amplitude is far beyond what noise gives it: the noise near its frequency, as that of an encoder, which is a force by
-the acceleration, is mostly far above it.
+The residual of each cycle's balance is correlated with the cosine and sine of the orders of the motor's angle (least
+mean squares, Widrow 1975). An order counts as found when its amplitude is far beyond what noise gives it: the noise
+near its frequency, as that of an encoder, which is a force by the acceleration, is mostly far above it.
 """
 
 from __future__ import annotations
@@ -15,41 +14,41 @@ import numpy as np
 from hilbench.compiled import compiled
 from hilbench.estimation.bank import Array
 
-#: Orders that are looked for: 1 to this.
+#: Searched orders: 1 to this.
 ORDERS = 12
 # Columns of the table of orders: amplitudes of cosine and sine (N), and whether it is found.
 COSINE, SINE, FOUND = range(3)
-# What is left near its frequency, the mean of its square (N²) with the weight of what that is the mean of, and for how
-# long it has stood out (s).
+# Residual near its frequency, its mean square (N²) with the weight of that mean, and for how long the order has stood
+# out (s).
 LEFT_COSINE, LEFT_SINE, POWER, WEIGHT, STOOD_OUT_S = range(3, 8)
 COLUMNS = 8
-# What is kept from cycle to cycle: the cycle before, whose acceleration is known now, and the residuals' variance.
+# Kept from cycle to cycle: the previous cycle, whose acceleration is known now, and the residuals' variance.
 COUNT, FORCE_N, EXPECTED_N, SPEED_M_S, ANGLE, RATE, VARIANCE_N2, FEEDBACK = range(8)
 KEPT = 8
-#: How far back the correlation reaches, s; frequencies in which it is formed: least (Hz), most (share of a cycle).
+#: Memory of the correlation, s; frequencies in which it is formed: least (Hz), most (share of a cycle).
 _MEMORY_S, _LEAST_HZ, _MOST = 3.0, 2.0, 0.4
-#: An order is found from so many deviations of its amplitude on, and until it is below so many.
+#: Deviations of its amplitude from which on an order is found, and below which it is lost.
 _FOUND, _LOST = 8.0, 4.0
-#: Not before so long a motion, s: what begins with it is no ripple.
+#: Least duration of motion, s: an effect of its start is no ripple.
 _LEAST_S = 3.0
-#: Time, s, over which what is left is averaged at the frequency of an order: noise is what there is near it, which may
-#: be far less than that of all frequencies.
+#: Time, s, over which the residual is averaged at the frequency of an order: the noise near it may be far less than
+#: that of all frequencies.
 _NEAR_S = 0.2
-#: What is not beyond the noise of all frequencies stands out for so long, s: a kick does for as long as it takes to be
-#: known as noise.
+#: Time for which an order below the noise of all frequencies has to stand out, s: as long as a transient takes to count
+#: as noise.
 _LASTS_S = 0.5
 #: Residuals count only so many deviations.
 _LIMIT = 4.0
 
 
 def new_table() -> tuple[Array, Array]:
-    """Orders (ORDERS, COLUMNS) and what is kept (KEPT,)."""
+    """Table of orders (ORDERS, COLUMNS) and state kept between cycles (KEPT,)."""
     return np.zeros((ORDERS, COLUMNS)), np.zeros(KEPT)
 
 
 @compiled
 def _look(table: Array, s: Array, residual: float, cycle_s: float) -> bool:
-    """Correlate one residual, of the angle that is kept; True when another order has been found."""
+    """Correlate the residual of the kept angle; True if another order has been found."""
     s[FEEDBACK] += 1.0
     gain = cycle_s / _MEMORY_S
     deviation = sqrt(s[VARIANCE_N2])
@@ -89,7 +88,7 @@ def _look(table: Array, s: Array, residual: float, cycle_s: float) -> bool:
 
 @compiled
 def interrupt(s: Array) -> None:
-    """A cycle is missing: no acceleration is formed across it."""
+    """Form no acceleration across a missing cycle."""
     s[COUNT] = 0.0
 
 
@@ -97,9 +96,9 @@ def interrupt(s: Array) -> None:
 def look(
     table: Array, s: Array, force_N: float, expected_N: float, speed_m_s: float, angle: float, mass: float, dt: float
 ) -> bool:
-    """Take a cycle: force of the balance, what is expected of it without inertia, speed, angle of the motor (rad).
+    """Take a cycle: force of the balance, expected force without inertia, speed, angle of the motor (rad).
 
-    table and s as of `new_table`. True when another order has been found.
+    table and s as of `new_table`. True if another order has been found.
     """
     changed = False
     if s[COUNT] >= 2.0:
@@ -115,7 +114,7 @@ def look(
 
 @compiled
 def ripple_N(table: Array, angle: float) -> float:
-    """Force of the orders that are found at this angle of the motor (rad)."""
+    """Force of the found orders at this angle of the motor (rad)."""
     total, c, q = 0.0, 1.0, 0.0
     first_c, first_s = cos(angle), sin(angle)
     for n in range(ORDERS):

@@ -1,16 +1,17 @@
-"""E from a known change of strain: what does not change with it cancels.
+"""E from a probing step of strain: terms that do not change with it cancel.
 
-Constant speed, force and strain of many short blocks (`_BLOCK_S`), of the balance of the roller behind the span:
+Constant speed, force and strain of many short blocks (`_BLOCK_S`), of the momentum balance of the roller after the
+span:
 
     force - m·v2' = E·h + b + c·t
 
-with h = F/E as the encoders show it. Dry friction (while the direction of motion stays), an offset of the torque and
-whatever else is constant are b, a slow change of that is c·t; E is the slope against h alone. Its deviation is that of
-least squares with the scatter that the blocks have; where the strain did not change it is wide.
+with h = F/E by the encoders. Dry friction (while the direction of motion stays), a torque offset and other constants
+are b, their slow change is c·t; E is the slope against h alone. Its deviation is that of least squares with the blocks'
+scatter; without a change of strain it is wide.
 
-A tension that moves by 2 % shows in a torque whose noise is as large. Where the velocity loop of the drive is known,
-the changes of its torque follow from the encoder without that noise: kp·e + ki·∫e dt of the speed's error e. They are
-taken as long as they agree with the measured ones, and their E is no better known than the loop's gains.
+A tension change of 2 % shows in a torque whose noise is as large. With a known velocity loop its changes follow from
+the encoder without that noise: kp·e + ki·∫e dt of the speed error e. They are used as long as they agree with the
+measured ones, and their E is no more certain than the loop's gains.
 """
 
 from __future__ import annotations
@@ -26,27 +27,27 @@ from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 
-#: Noise of the encoder must be small in the mean of a block; a probe has many of them.
+#: The encoder's noise must be small in the mean of a block; a probe has many of them.
 _BLOCK_S = 0.05
-#: Way over which the speed at the edge of a block is taken.
+#: Time over which the speed at the edge of a block is taken.
 _EDGE_S = 0.02
-#: What a ramp has left behind is over.
+#: Settling time after a ramp.
 _SETTLED_S = 0.5
-#: Change of the speed set-point of the roller, as a share of it, from which it is another motion.
+#: Change of the roller's speed set-point, as a share of it, from which on it is another motion.
 _STEADY = 1e-4
 #: Least blocks, and longest time, s, over which one slope is fitted.
 _LEAST_BLOCKS, _LONGEST_S = 20, 60.0
-#: Change of the estimate of E over the blocks from which E itself must have changed.
+#: Change of the estimate of E over the blocks from which on E itself must have changed.
 _CHANGED = 0.03
-#: Deviations that two slopes of the same changes may be apart.
+#: Deviations by which two slopes of the same changes may differ.
 _AGREE = 3.0
-#: Deviation of E, in %, with which a known change of the tension tells it, and its share of what was stated before.
+#: Largest deviation of E, in %, by a probing step, and its largest share of that stated before.
 _KNOWN_PCT, _BETTER_BY = 0.3, 0.9
 
 
 @dataclass(frozen=True, slots=True)
 class DriveLoop:
-    """The velocity loop of the roller's drive, at the web, and what its gains may be off (relative deviation)."""
+    """Velocity loop of the roller's drive, at the web, and the relative deviation of its gains."""
 
     kp_N_s_per_m: float
     ki_N_per_m: float
@@ -56,38 +57,38 @@ class DriveLoop:
 
     @property
     def acting_kp_N_s_per_m(self) -> float:
-        """kp at a slow change of speed: an integral that lags lacks a part in proportion to the speed's error.
+        """Effective kp at a slow change of speed: a lagging integral lacks a part proportional to the speed error.
 
-        The hold of half a sample is made up for by the last error, which a sampled integral has in it already.
+        The hold of half a sample is compensated by the last error, which a sampled integral already contains.
         """
         return self.kp_N_s_per_m - self.ki_N_per_m * self.current_loop_s
 
     @property
     def acting_mass_kg(self) -> float:
-        """What kp's lag adds in proportion to the acceleration."""
+        """Force per acceleration by kp's lag."""
         return self.kp_N_s_per_m * (self.current_loop_s + 0.5 * self.sample_s)
 
 
 @dataclass(frozen=True, slots=True)
 class KnownTension:
-    """What a change has told: E in Pa with its deviation, and the constant part of the force (N) that is no tension."""
+    """Result of a probing step: E in Pa with its deviation, and the constant force (N) that is no tension."""
 
     youngs_modulus_Pa: float
     deviation_Pa: float
     force_N: float
 
     def is_more_certain_than(self, youngs_modulus_Pa: float, deviation_Pa: float) -> bool:
-        """Whether it tells E, and better than it is known already, with this deviation."""
+        """True if E is found, and more certain than the known one with this deviation."""
         limit_Pa = min(0.01 * _KNOWN_PCT * youngs_modulus_Pa, _BETTER_BY * deviation_Pa)
         return 0.0 < self.deviation_Pa <= limit_Pa and self.youngs_modulus_Pa > 0.0
 
 
-#: Of a cycle or a block: h in N/Pa, the force, and what the loop says that the force is more, N.
+#: Of a cycle or a block: h in N/Pa, the force, and the loop's force in addition, N.
 _Values = tuple[float, float, float]
 
 
 class ProbingStep:
-    """Collects blocks of one steady motion. `loop`: None where only the measured torque can be believed."""
+    """Estimator of E on blocks of one steady motion. `loop`: None if only the measured torque is usable."""
 
     def __init__(self, mass_kg: float, loop: DriveLoop | None, cycle_s: float) -> None:
         self._mass_kg = mass_kg
@@ -97,7 +98,7 @@ class ProbingStep:
         self.reset()
 
     def reset(self) -> None:
-        """What was seen is of another motion, or of another E."""
+        """Forget all blocks: another motion, or another E."""
         self._blocks: list[_Values] = []
         self._modulus_Pa: float | None = None
         self._speed_m_s: float | None = None
@@ -108,7 +109,7 @@ class ProbingStep:
         self._begin(None)
 
     def believe(self, youngs_modulus_Pa: float) -> None:
-        """What was found is the estimate from here on: it goes on from the same blocks."""
+        """Take the result as the estimate from here on; the blocks are kept."""
         self._modulus_Pa = youngs_modulus_Pa
 
     def _begin(self, velocity_m_s: float | None) -> None:
@@ -119,9 +120,8 @@ class ProbingStep:
     def update(
         self, now: BalanceSample, set_point_m_s: float, torque_N: float, modulus_Pa: float
     ) -> KnownTension | None:
-        """Take a cycle: the balance, the roller's speed set-point, the part of the balance's force that comes from the
-        measured torque, and E as it is estimated. What is known when a block is complete, else None.
-        """
+        """Take a cycle: the balance, the roller's speed set-point, the part of the balance's force from the measured
+        torque, and the estimated E. Returns a result when a block is complete, else None."""
         if not self._is_same(now, set_point_m_s, modulus_Pa):
             self.reset()
             self._speed_m_s, self._modulus_Pa = set_point_m_s, modulus_Pa
@@ -136,12 +136,12 @@ class ProbingStep:
         positions_m = self._positions_m
         if len(positions_m) < (positions_m.maxlen or 0):
             return None
-        # Speed in the middle of the positions kept, the momentum there; forces from one such instant to the next.
+        # Speed, and so momentum, at the middle of the kept positions; forces from one such instant to the next.
         speed_m_s = (positions_m[-1] - positions_m[0]) / ((len(positions_m) - 1) * self._cycle_s)
         return self._take(speed_m_s)
 
     def _is_same(self, now: BalanceSample, set_point_m_s: float, modulus_Pa: float) -> bool:
-        """Whether this is a cycle more of one steady motion, with one E."""
+        """True if this cycle continues the steady motion with the same E."""
         if self._speed_m_s is None or self._modulus_Pa is None or not set_point_m_s:
             return False
         steady = abs(set_point_m_s - self._speed_m_s) <= _STEADY * abs(set_point_m_s)
@@ -179,7 +179,7 @@ class ProbingStep:
             apart_Pa = abs(by_loop.slope_Pa - measured.slope_Pa)
             if apart_Pa <= _AGREE * hypot(deviation_Pa, measured.deviation_Pa) and deviation_Pa < measured.deviation_Pa:
                 best = _Slope(by_loop.slope_Pa, deviation_Pa)
-        # The constant is that of the measured torque: of the loop's only the changes are known.
+        # The constant is that of the measured torque: the loop has only the changes.
         constant_N = float(np.mean(blocks[:, 1] - best.slope_Pa * blocks[:, 0]))
         return KnownTension(best.slope_Pa, best.deviation_Pa, constant_N)
 
@@ -191,10 +191,10 @@ class _Slope:
 
     @classmethod
     def of(cls, web_per_Pa: np.ndarray, force_N: np.ndarray) -> _Slope:
-        """Of the force (n,) against h (n,), beside a constant and a trend."""
+        """Slope of the force (n,) against h (n,), after a constant and a trend."""
         count = len(force_N)
         trend = np.column_stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
-        # What constant and trend explain is taken out of both; the rest is a line through the origin.
+        # Constant and trend are projected out of both; the rest is a line through the origin.
         both = np.column_stack([web_per_Pa, force_N])
         both = both - trend @ np.linalg.lstsq(trend, both, rcond=None)[0]
         size = float(both[:, 0] @ both[:, 0])
@@ -208,7 +208,7 @@ class _Slope:
 def new_probing_step(
     model: ModelParameters, config: EstimationConfig, mass_kg: float, cycle_s: float
 ) -> ProbingStep | None:
-    """What looks at known changes of the tension; None where that is not wanted."""
+    """Probing-step estimator, or None if it is not configured."""
     wanted = config.known_change
     if wanted is None:
         return None

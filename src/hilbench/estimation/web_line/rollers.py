@@ -1,6 +1,6 @@
-"""What the torques of a line say of each of its rollers by itself, and two rollers of a line as a line of their own.
+"""Force and motion of each of a line's rollers, and two rollers of a line as a line of their own.
 
-The balances of the rollers behind span k add up to one in which the tensions between them cancel (each roller with its
+The balances of the rollers after span k add up to one in which the tensions between them cancel (each roller with its
 m, τ, R as in `hilbench.estimation.web_line.balance`):
 
     Σ m_j·v_j' = Σ (i/r)_j·τ_j − Σ R_j(v_j) + F_next − F_k,      j = k+1 … N
@@ -25,14 +25,14 @@ from hilbench.plant.web_line.parameters import ModelParameters
 
 Matrix = NDArray[np.float64]
 
-#: State of M rollers (1 + 2 M,): whether they have positions; these, at the web; the force of each motor there, less
-#: its roller's resistance.
+#: State of M rollers (1 + 2 M,): positions valid; positions at the web; force of each motor there, less its roller's
+#: resistance.
 _HAS_POSITIONS, _POSITIONS = 0, 1
 
 
 @compiled
 def take(p: Matrix, s: Vector, x_m: Vector, torques_Nm: Vector, duration_s: float) -> None:
-    """See `Rollers.update`; p (M, P): parameters of each roller and the one before it, s: state."""
+    """Compiled `Rollers.update`; p (M, P): parameters of each roller and the one before it, s: state."""
     count = p.shape[0]
     for j in range(count):
         now_m = x_m[j + 1]
@@ -45,7 +45,7 @@ def take(p: Matrix, s: Vector, x_m: Vector, torques_Nm: Vector, duration_s: floa
 
 @compiled
 def force_behind_N(masses_kg: Vector, s: Vector, axis: int) -> float:
-    """See `Rollers.force_behind_N`; masses_kg (M,): at the web."""
+    """Compiled `Rollers.force_behind_N`; masses_kg (M,): at the web."""
     total_N, count = 0.0, len(masses_kg)
     for j in range(axis - 1, count):
         total_N += s[_POSITIONS + count + j]
@@ -54,7 +54,7 @@ def force_behind_N(masses_kg: Vector, s: Vector, axis: int) -> float:
 
 @compiled
 def centre_m(masses_kg: Vector, s: Vector, axis: int) -> float:
-    """See `Rollers.centre_m`."""
+    """Compiled `Rollers.centre_m`."""
     moments, total_kg = 0.0, 0.0
     for j in range(axis - 2, len(masses_kg)):
         moments += masses_kg[j] * s[_POSITIONS + j]
@@ -71,7 +71,7 @@ _force_behind_N, _centre_m = interpreted(force_behind_N), interpreted(centre_m)
 
 
 class Rollers:
-    """The rollers of a line behind the first, on measured motion and torque.
+    """Rollers of a line after the first, on measured motion and torque.
 
     Raises ValueError for a model without a web.
     """
@@ -83,24 +83,23 @@ class Rollers:
         self.state = np.zeros(_POSITIONS + 2 * len(rows))
 
     def reset(self) -> None:
-        """The next positions are the first."""
+        """Take the next positions as the first."""
         self.state[_HAS_POSITIONS] = 0.0
 
     def update(self, positions_m: Sequence[float], torques_Nm: Sequence[float], duration_s: float) -> None:
-        """The rollers are at these positions (N,) at the web, with these torques (N,) at the motors, `duration_s`
-        after the last."""
+        """Update positions (N,) at the web and torques (N,) at the motors, `duration_s` after the last."""
         _take(self.p, self.state, np.array(positions_m), np.array(torques_Nm), duration_s)
 
     def masses_behind_kg(self, axis: int) -> list[float]:
-        """At the web, of the rollers behind that of `axis`, from 2."""
+        """Masses at the web of the rollers after that of `axis`, from 2."""
         return [float(mass_kg) for mass_kg in self.masses_kg[axis - 1 :]]
 
     def force_behind_N(self, axis: int) -> float:
-        """Force at the web of the motors behind that of `axis`, from 2, less their rollers' resistance."""
+        """Force at the web of the motors after that of `axis`, from 2, less their rollers' resistance."""
         return float(_force_behind_N(self.masses_kg, self.state, axis))
 
     def centre_m(self, axis: int) -> float:
-        """Position of the centre of mass of the roller of `axis`, from 2, and all behind it, at the web."""
+        """Position of the centre of mass of the roller of `axis`, from 2, and all after it, at the web."""
         assert self.state[_HAS_POSITIONS], "asked for before the first positions"
         return float(_centre_m(self.masses_kg, self.state, axis))
 
@@ -108,7 +107,7 @@ class Rollers:
 def two_rollers(model: ModelParameters, span: int, masses_behind_kg: Sequence[float] = ()) -> ModelParameters:
     """Rollers `span` and `span + 1` of a line and the span between them, as a model of its own.
 
-    `masses_behind_kg`: at the web, of rollers further behind that turn with the second.
+    `masses_behind_kg`: at the web, of further rollers downstream that turn with the second.
     """
     if model.axis_count == 2:
         return model
@@ -136,7 +135,7 @@ def two_rollers(model: ModelParameters, span: int, masses_behind_kg: Sequence[fl
 
 
 def _limits_Nm(model: ModelParameters, drives: DriveParameters, span: int) -> list[float]:
-    """Torque limits before the span, and of all that is behind it, at the first motor there."""
+    """Torque limits before the span, and of all motors after it, at the first motor there."""
     behind = range(span + 1, model.axis_count + 1)
     force_N = sum(per_item(drives.torque_limit_Nm, axis) * model.motor_rad_per_m(axis) for axis in behind)
     return [per_item(drives.torque_limit_Nm, span), force_N / model.motor_rad_per_m(span + 1)]

@@ -1,8 +1,8 @@
-"""Slip of a web at the driven roller behind a section of a line with stations, by the detector of every span.
+"""Slip of a web at the driven roller after a section of a line with stations, by the detector of every span.
 
-A section is longer than a span, and its web may be slower: what the detector looks at are blocks of so much web that
-has gone through, and not of time. The strain that it compares with is that which the encoders show with nothing
-corrected: what was corrected is web that the section has in truth, until it has left.
+A section is longer than a span, and its web may be slower: blocks are of equal web travel, and not of time. The
+reference is the encoders' strain without corrections: a correction is web that the section really has, until it has
+left.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from hilbench.estimation.bank import Array
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line import anomalies, block_means
 
-#: Way of a block, as a share of the section's length: that of a block of 20 ms on a span of 1 m at 3 m/s.
+#: Travel of a block, as a share of the section's length: that of a block of 20 ms on a span of 1 m at 3 m/s.
 _BLOCK_SHARE: Final = 0.06
 _SLIP: Final = int(Problem.SLIP)
-#: So many blocks before a change that the detector sees it had not begun: those that it compares, and their means.
+#: Blocks before a detected change at which it had not begun: those that the detector compares, and their means.
 _BEFORE: Final = 12
-#: What the detector is told.
+#: Commands to the detector.
 _BLOCK, _SUSPEND, _RESET = range(3)
 
 
-#: What it says.
+#: States of the detector.
 _NOTHING, _CHANGES, _SLIPS = range(3)
 
 
@@ -45,15 +45,15 @@ def _look(s: Array, block: Array, what: int) -> int:
 
 
 class SectionSlip:
-    """Of a section of this length whose web usually has this tension."""
+    """Slip detector of a section of this length and usual tension."""
 
     def __init__(self, usual_N: float, length_m: float) -> None:
         self._usual_N, self._length_m = usual_N, length_m
         self.reset(under_way=False)
 
     def reset(self, *, under_way: bool) -> None:
-        """The web is let go; of one that is under way nobody knows the strain until it has left."""
-        # Promised are tensions, by the model's E: what is left for the detector to multiply with is 1.
+        """Reset for a released web; with `under_way` its strain is unknown until it has left."""
+        # Tensions by the model's E are passed in: the detector's own factor is 1.
         self._detector = anomalies.new_state(1.0, self._usual_N, self._length_m)
         self._block = np.zeros(block_means.MOTION_N + 1)
         self._corrected_N = 0.0
@@ -65,12 +65,12 @@ class SectionSlip:
 
     @property
     def slips(self) -> bool:
-        """Whether the web slips."""
+        """True if the web slips."""
         return self._reported == _SLIPS
 
     @property
     def since_s(self) -> float:
-        """When it had not begun yet, at the latest, where it `slips`."""
+        """Latest time at which the slip had not begun, if it `slips`."""
         return self._since_s
 
     def _report(self, what: int) -> None:
@@ -79,25 +79,25 @@ class SectionSlip:
             self._since_s = self._begins_s[0]
 
     def _begin(self) -> None:
-        """A new block."""
+        """Start a new block."""
         self._count, self._sums_N = 0, np.zeros(2)
         self._travel_m = self._lasted_s = 0.0
 
     def suspend(self) -> None:
-        """The measurement can't be used: what was before says nothing any more."""
+        """Forget the previous blocks: the measurement is unusable."""
         self._begin()
         self._begins_s.clear()
         self._report(_SUSPEND)
 
     def correct(self, change_N: float) -> None:
-        """The tension that the followed line has by the model's E was corrected by so much."""
+        """Account for a correction of the simulated line's tension (by the model's E)."""
         self._corrected_N += change_N
 
     def take(
         self, time_s: float, tension_N: float, followed_N: float, travel_m: float, duration_s: float, *, steady: bool
     ) -> None:
-        """Means since the last call: the tension that the torques show, and that of the followed line by the model's E;
-        the way of the web meanwhile. Nothing is judged across what is not `steady`."""
+        """Take means since the last call: tension by the torques and of the simulated line by the model's E; web travel
+        meanwhile. Nothing is judged across what is not `steady`."""
         self._corrected_N *= exp(-abs(travel_m) / self._length_m)
         if not steady:
             self.suspend()

@@ -1,6 +1,6 @@
-"""One cycle of keeping the simulation in step with the measurement: compare, estimate, transfer.
+"""Estimator of one span, cycle by cycle: momentum balance, estimate of E, transfer of measured states.
 
-The same for the twin on the bus and for a recording.
+Used by the twin on the bus and for recordings.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
 
-#: How far off the upstream strain may be as a guess of the strain of a web that is found under way, and of one that is
-#: found at rest, which may be strained by anything.
+#: Uncertainty (relative) of the upstream strain as a guess of the strain of a web that is first seen running, and at
+#: rest, where it may be strained by anything.
 UNKNOWN_STRAIN, UNKNOWN_AT_REST = 0.3, 1.0
-#: Least deviation with which a method takes over the estimate of the one before.
+#: Least prior deviation with which a method takes over the estimate of the previous one.
 _LEAST_PRIOR_PCT = 0.1
-#: What is left of a shift of the torque that has gone again, as a share of it.
+#: Share of a torque shift up to which the remainder counts as zero.
 _GONE = 0.1
-#: By what share dry friction of a roller that creeps may be another one than where the line runs (deviation).
+#: Deviation (relative) of a creeping roller's dry friction from that at line speed.
 _AT_SPEED = 0.1
 
 #: Roller behind the span, of the model of two.
@@ -60,7 +60,7 @@ _undecided, _is_synchronized = interpreted(torque_shift.undecided), interpreted(
 
 
 class Known(NamedTuple):
-    """What is known of a span at some time: E, what the torque has shifted by, and what else the model lacks."""
+    """Checkpoint of a span's estimate: E, torque shift and unmodelled effects."""
 
     youngs_modulus_Pa: float
     torque_shift_Nm: float
@@ -68,7 +68,7 @@ class Known(NamedTuple):
 
 
 class SpanEstimator:
-    """Moves E, and the transferred states, of `line` to where it agrees with what is measured.
+    """Estimates E of `line` from the measured momentum balance; transfers measured states to it.
 
     `axis2` is the port of the line's second motor. Positions are at the web, torques at the motor.
     """
@@ -108,7 +108,7 @@ class SpanEstimator:
         self._synchronizer: Synchronizer
         self._nuisances: tuple[Nuisance, ...] | None = ()  # None: those that the bank has found
         self._input_strain: float | None = None
-        # Where there is no bank, or nothing is looked for, their vectors only fill the places.
+        # Without a bank, or without unmodelled effects, spare vectors fill the table.
         self._spare_errors, self._spare_bank = self._new_errors(), self._new_bank(ChangepointConfig())
         self.reset()
 
@@ -138,7 +138,7 @@ class SpanEstimator:
         return ChangepointSynchronizer(config, Plant.of(self._balance, self._initial_Pa))
 
     def _gather(self) -> None:
-        """The vectors of what there is now, and where they stand."""
+        """Collect the current state vectors and the table of their addresses."""
         errors, bank = self._errors or self._spare_errors, self._spare_bank
         if isinstance(self._synchronizer, ChangepointSynchronizer):
             bank = self._synchronizer
@@ -161,26 +161,26 @@ class SpanEstimator:
 
     @property
     def table(self) -> NDArray[np.int64]:
-        """Where they stand, as `tracking_cycle.run_vectors` takes them; another one whenever they are."""
+        """Addresses of the state vectors for `span_estimator_cycle.run_vectors`; replaced whenever the vectors are."""
         return self._table
 
     @property
     def in_vectors(self) -> bool:
-        """Whether all of it stands in them: a measurement has been compared, and no known change is looked for."""
+        """True if a measurement was compared and no probing step is evaluated: all state is in the vectors."""
         return self._balance.is_followed and self._probing_step is None
 
     @property
     def input_strain(self) -> float:
-        """What a method that finds no E takes the strain upstream for, beyond what is told."""
+        """Upstream-strain correction of the unknown-input observer; 0 for methods that estimate E."""
         return self._input_strain or 0.0
 
     def has_gone_on(self) -> None:
-        """Compiled callers have run cycles in which nothing was left to Python."""
+        """Update cached values after cycles run entirely by compiled callers."""
         if self._t[cycle.BANK]:
             self._nuisances = None
 
     def reset(self) -> None:
-        """Start anew, with E as assumed at the start."""
+        """Reset the estimate, with E as assumed at the start."""
         t, c = self._t, cycle
         self._line.set_parameter("youngs_modulus_Pa", self._initial_Pa)
         if self.config.unmodelled_torque_Nm is None:
@@ -196,7 +196,7 @@ class SpanEstimator:
         self.release()
 
     def _look_anew(self) -> None:
-        """At what is measured, cycle by cycle."""
+        """Reset plausibility check and delay finder."""
         self._plausibility = Plausibility(
             self._torque_limit_Nm,
             self._balance.dry_friction_N,
@@ -206,11 +206,11 @@ class SpanEstimator:
         self._delay_finder = delay.new_finder(self._cycle_s)
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
-        """Whether nobody knows how long a cycle is: the web is followed by its ways, and nothing is learned."""
+        """Freeze adaptation of E and the plant errors while the cycle time is uncertain; strain tracking goes on."""
         self._t[cycle.FROZEN] = frozen
 
     def set_cycle_time(self, cycle_s: float, known: Known) -> None:
-        """A cycle is so long from the next on; goes on from what was known, with the strain as it is measured."""
+        """Set the cycle time. The estimate is restored from `known`; the strain stays as measured."""
         self._cycle_s = self._t[cycle.CYCLE_S] = cycle_s
         self._blocks = block_means.new_state(self._balance.mass_kg, cycle_s)
         self._delay_line = delay.new_line(cycle_s)
@@ -221,12 +221,12 @@ class SpanEstimator:
             self._errors.set_cycle_time(cycle_s)
         self.use(self._method)
         self._forget(cycle.SUSPEND)
-        if self._search.is_on:  # what has been seen of the web was seen with another cycle
+        if self._search.is_on:  # The search's samples were of another cycle time.
             self._find_web()
 
     def release(self, strain_uncertainty: float = 0.0, webs: InitialStrains | None = None, place: int = 0) -> None:
-        """The web is released anew, strained as upstream but for an unknown share (relative); `webs`: those of the
-        line, where it has several spans, and which of them this is, from 0."""
+        """Reset the web: strained as upstream but for an unknown share (relative). `webs`: initial strains of the line,
+        where it has several spans; `place`: index of this span in them, from 0."""
         t, c = self._t, cycle
         self._balance.reset()
         self._forget(c.NEW_WEB)
@@ -241,24 +241,24 @@ class SpanEstimator:
             self._find_web()
 
     def _find_web(self) -> None:
-        """E and strain of a web that nobody knows are found first."""
+        """Start the joint initialization of E and strain."""
         plant = Plant.of(self._balance, self.estimate.youngs_modulus_Pa)
         friction_share = 0.01 * self.config.model_errors.friction_pct
         self._search.begin(plant, self._strain_prev, friction_share)
         self._state_looked_for()
-        self._t[cycle.BANK] = 0.0  # until it has started from what is found
+        self._t[cycle.BANK] = 0.0  # until the method starts from the result
 
     def _forget(self, what: int) -> None:
         cycle.forget(what, self._blocks, self._anomalies, self._shift, self._delay_line)
 
     def use(self, synchronizer: SynchronizerConfig | None) -> None:
-        """Go on with another method (None: the configured one) from the present E, without a jump."""
+        """Switch to another method (None: the configured one) from the present E, bumpless."""
         config, known = synchronizer or self.config.synchronizer, self.estimate
         if not isinstance(config, PidConfig):
             share_pct = 100.0 * self._own_deviation_Pa / known.youngs_modulus_Pa
             known_pct = min(max(share_pct, _LEAST_PRIOR_PCT), config.initial_deviation_pct)
             config = config.model_copy(update={"initial_deviation_pct": known_pct})
-        # A black box goes on as the model that it is.
+        # A black box goes on with the model's own E.
         black_box = isinstance(config, InputConfig)
         model_Pa = self._line.parameter("youngs_modulus_Pa")
         self._begin(config, model_Pa if black_box else known.youngs_modulus_Pa)
@@ -275,14 +275,14 @@ class SpanEstimator:
             self._t[cycle.UNMODELLED_N] = unmodelled_Nm * self._balance.force_per_torque_per_m
 
     def _state(self, estimate: Estimate) -> None:
-        """Take what the method says of E, with what the data can't tell from it."""
+        """Publish the method's estimate, with its nuisance parameters."""
         self._nuisances, self._input_strain = estimate.nuisances, estimate.upstream_strain
         self._t[cycle.BLACK_BOX] = estimate.upstream_strain is not None
         cycle.state(self._t, self._vectors.errors, estimate.youngs_modulus_Pa, estimate.deviation_Pa)
 
     @property
     def estimate(self) -> Estimate:
-        """E as it is told."""
+        """Stated E with its deviation and nuisance parameters."""
         modulus_Pa, deviation_Pa = self._t[cycle.MODULUS_PA : cycle.DEVIATION_PA + 1].tolist()
         nuisances = self._nuisances
         if nuisances is None:
@@ -292,13 +292,13 @@ class SpanEstimator:
 
     @property
     def modulus_and_deviation_Pa(self) -> tuple[float, float]:
-        """E as it is told, without what else is in the estimate."""
+        """Stated E and its deviation."""
         t = self._t
         return t.item(cycle.MODULUS_PA), t.item(cycle.DEVIATION_PA)
 
     @property
     def separable(self) -> bool:
-        """Whether the data tell everything that is estimated from E."""
+        """True if all nuisance parameters are separable from E by the data."""
         if self._nuisances is None and isinstance(self._synchronizer, ChangepointSynchronizer):
             return self._synchronizer.separable
         return all(nuisance.separable for nuisance in self.estimate.nuisances)
@@ -309,42 +309,42 @@ class SpanEstimator:
 
     @property
     def torque_shift_Nm(self) -> float:
-        """What the measured torque has shifted by, and is corrected for."""
+        """Shift of the measured torque that has been found and is compensated."""
         return self._t.item(cycle.SHIFT_NM)
 
     @property
     def residual_Nm(self) -> float:
-        """Torque measured, less the shift, less simulated."""
+        """Torque residual: measured, less the shift, less simulated."""
         return self._t.item(cycle.RESIDUAL_NM)
 
     @property
     def problem(self) -> Problem | None:
-        """Why the last measurement could not be used."""
+        """Reason why the last measurement could not be used, if any."""
         return PROBLEMS[int(self._t.item(cycle.PROBLEM))]
 
     @property
     def refused(self) -> bool:
-        """Whether a measured state was not plausible in the last cycle, and was not taken over."""
+        """True if a measured state was implausible in the last cycle and was not transferred."""
         return self._t.item(cycle.REFUSED) != 0.0
 
     @property
     def diverged(self) -> bool:
-        """Whether it is the simulation that is not plausible: measured states were refused for long, and until the web
-        that was in the span had left it: nothing that was measured wrongly then is in it any more."""
+        """True if the simulation has diverged: measured states refused for longer than `DIVERGED_S`, and until all web
+        that was in the span has left it."""
         t = self._t
         lasts = t.item(cycle.REFUSED) * self._cycle_s > cycle.DIVERGED_S
         return lasts and t.item(cycle.REFUSED_M) > anomalies.PASSED_SPANS * self._balance.span_length_m
 
     @property
     def used(self) -> BalanceSample | None:
-        """What E was found from in the last cycle, with what is no tension."""
+        """Balance sample that E was estimated from in the last cycle, uncorrected for unmodelled effects."""
         if not self._t[cycle.USED]:
             return None
         return BalanceSample(*self._t[cycle.USED_M : cycle.USED_M_S + 1].tolist())
 
     @property
     def other_web_suspected(self) -> bool:
-        """Whether E may be changing because other web comes in."""
+        """True if E may be changing because other web enters the span."""
         return self._t.item(cycle.OTHER_WEB) != 0.0
 
     @other_web_suspected.setter
@@ -353,12 +353,12 @@ class SpanEstimator:
 
     @property
     def synchronized(self) -> bool:
-        """Whether E is known as well as the config asks for, the web in the span is the one that was measured, and the
-        simulation has its strain."""
+        """True if E is known to `synchronized_pct`, the measured web is in the span, and its strain in the
+        simulation."""
         return _is_synchronized(self._t, self.config.synchronized_pct)
 
     def become(self, relative_change: float) -> None:
-        """The web in the span is all of what a piece of it was: what is known of E is known of that."""
+        """Scale E by 1 + `relative_change`: a splice has passed, and all of the span is its web now."""
         self._t[cycle.MODULUS_PA] *= 1.0 + relative_change
         self.use(self._method)
         if self._errors is not None:
@@ -366,15 +366,15 @@ class SpanEstimator:
 
     @property
     def errors(self) -> tuple[Nuisance, ...]:
-        """What is known of the model's errors by now; nothing where none are looked for."""
+        """Estimated model errors; empty where none are looked for."""
         return () if self._errors is None else self._errors.found()
 
     def known(self) -> Known:
-        """What is known now, to come back to."""
+        """Checkpoint of the present estimate, for `believe` and `set_cycle_time`."""
         return Known(self.estimate.youngs_modulus_Pa, self.torque_shift_Nm, deepcopy(self._errors))
 
     def believe(self, known: Known, strain: float) -> None:
-        """What has come to light since then was no change of E of the web that is in the span, but another strain."""
+        """Restore `known` with another measured strain: what was observed since was no change of E in the span."""
         self._balance.web.set_state({"strain1": strain})
         self._go_back(known)
         self.use(self._method)
@@ -386,11 +386,11 @@ class SpanEstimator:
 
     @property
     def torque_undecided(self) -> bool:
-        """Whether the torque has changed, and nothing tells yet whether that was E or a shift."""
+        """True if the torque has changed and the cause, E or a torque shift, is still undecided."""
         return _undecided(self._shift)
 
     def miss(self) -> None:
-        """A cycle without measurement."""
+        """Skip a cycle without measurement."""
         self._t[cycle.MISSED_S] += self._cycle_s
         self._forget(cycle.INTERRUPT)
         self.skip()
@@ -412,10 +412,10 @@ class SpanEstimator:
         strain_next: float | None = None,
         creep_ratio_prev: float = 0.0,
     ) -> None:
-        """Take what was measured at the instant that the line has been simulated to; updates the line.
+        """Take the measurement of the instant that the line has been simulated to; update the line.
 
-        `centre_m`: of the centre of mass, where roller 2 stands for several; `strain_next`: of the web behind the span,
-        without it as the model has it at F_next; `creep_ratio_prev`: `creep_ratio` of the span before.
+        `centre_m`: position of the centre of mass, where roller 2 represents several; `strain_next`: strain of the web
+        after the span, by default the model's at F_next; `creep_ratio_prev`: `creep_ratio` of the previous span.
         """
         self._balance.begin(x1_m, x2_m, strain_prev)
         others = (nan if centre_m is None else centre_m, nan if strain_next is None else strain_next)
@@ -429,7 +429,7 @@ class SpanEstimator:
             self._line.show()
 
     def go_on_from(self, stage: int, strain_prev: float) -> None:
-        """What is Python's part of a cycle, from this stage on; a compiled caller that was left with it has it done."""
+        """Run the interpreted rest of a cycle from `stage` on, where a compiled caller stopped."""
         t, c = self._t, cycle
         if stage == c.UPDATE:
             self._update(strain_prev)
@@ -449,7 +449,7 @@ class SpanEstimator:
             c.run_vectors(c.TRANSFER, _NOTHING_MEASURED, self._table)
 
     def _sample(self, strain_prev: float, force_N: float) -> SyncSample:
-        """Of this cycle, with this force in the balance."""
+        """Sample of this cycle for a method, with this force in the balance."""
         t, c = self._t, cycle
         x2_m, _, web_per_Pa, velocity_m_s = t[c.USED_M : c.USED_M_S + 1].tolist()
         sensitivity = t.item(c.SECTION_M2) * float(self._line.strain[0]) / t.item(c.FORCE_PER_TORQUE)
@@ -463,8 +463,8 @@ class SpanEstimator:
         )
 
     def _update(self, strain_prev: float) -> None:
-        """Let another method than the bank, or one that begins, take this cycle."""
-        if self._search.is_on:  # the web that could not be known has gone
+        """Update a method other than the bank, or one that starts, with this cycle."""
+        if self._search.is_on:  # the web of unknown strain has left the span
             self._believe_found(self._search.end())
         self._search.know()
         t, c, method = self._t, cycle, self._synchronizer
@@ -475,13 +475,13 @@ class SpanEstimator:
         t[c.BANK] = isinstance(method, ChangepointSynchronizer) and method.is_compiled
 
     def _state_looked_for(self) -> None:
-        """E is told as it was believed until the web is known, with what it may be off by."""
+        """State E as assumed, with the deviation of the search, until the web is known."""
         looked_for_Pa = self._search.deviation_Pa(self._t.item(cycle.MODULUS_PA))
         self._state(replace(self.estimate, deviation_Pa=max(self._own_deviation_Pa, looked_for_Pa)))
 
     def _look_at_found_web(self, strain_prev: float) -> None:
-        """The web was found under way: the method begins as soon as its E and strain, and the strain of the web that
-        enters, are known."""
+        """Search E and strain of a web that was first seen running; the method starts once both, and the strain of the
+        web that enters, are known."""
         t, c, search = self._t, cycle, self._search
         enters = search.move(self._balance.sample.velocity_m_s, self._cycle_s)
         t[c.STRAIN_UNCERTAINTY] = max(t.item(c.STRAIN_UNCERTAINTY), enters)
@@ -502,14 +502,14 @@ class SpanEstimator:
         search.know()
 
     def _believe_found(self, found: InitialWeb | None) -> None:
-        """The method goes on from what has been found, if anything."""
+        """Continue the method from the search's result, if there is one."""
         if found is None or found.youngs_modulus_Pa <= 0.0:
             return
         self._state(Estimate(found.youngs_modulus_Pa, found.deviation_Pa))
         self.use(self._method)
 
     def _know_at_rest(self, found: InitialWeb) -> None:
-        """A movement tells friction from E; a roller that stands under it says nothing of either."""
+        """Pass E and friction found by a movement from rest to the error filter."""
         if self._errors is not None:
             friction_sd_N = hypot(found.friction_deviation_N, _AT_SPEED * found.friction_N)
             self._errors.know(found.youngs_modulus_Pa, found.deviation_Pa, found.friction_N, friction_sd_N)
@@ -517,9 +517,9 @@ class SpanEstimator:
             self._plausibility.sticks(SLOW_M_S)
 
     def look_for_known_change(self, set_point_m_s: float) -> None:
-        """After `compare`: what the last changes of the tension tell of E, at a steady set-point of axis 2 (m/s).
+        """Evaluate probing steps after `compare`: E from changes of the tension, at a steady set-point of axis 2 (m/s).
 
-        It is believed, and what else the torque shows taken out of it, when it says more than what is known.
+        The result is used, and the remaining torque taken as a shift, if it is more certain than the present estimate.
         """
         change, t, c = self._probing_step, self._t, cycle
         if change is None or not t[c.MEASURED]:
@@ -528,7 +528,7 @@ class SpanEstimator:
             change.reset()
             return
         now, torque_Nm, estimate = self._balance.sample, t.item(c.TORQUE_NM), self.estimate
-        # The torque as it is measured: what it is corrected for may become another.
+        # The torque as measured: its correction may change.
         ratio = self._balance.force_per_torque_per_m
         shift_N = self.torque_shift_Nm * ratio
         measured = replace(now, force_N=now.force_N + shift_N)
@@ -536,21 +536,21 @@ class SpanEstimator:
         if known is None or not known.is_more_certain_than(estimate.youngs_modulus_Pa, estimate.deviation_Pa):
             return
         t[c.SHIFT_NM], t[c.MODULUS_PA] = known.force_N / ratio, known.youngs_modulus_Pa
-        # An experiment tells it once and for all: nothing else is looked for from here on.
+        # A probing step is conclusive: no other model errors are looked for from here on.
         self._errors = None
         self.use(self._method)
-        # It is not the web that has changed, but what is known of it.
+        # The web has not changed, only its estimate.
         self._forget(c.SUSPEND)
         t[c.UNMODELLED_N] = known.deviation_Pa * now.web_per_Pa
         self._state(Estimate(known.youngs_modulus_Pa, self._own_deviation_Pa))
         change.believe(known.youngs_modulus_Pa)
 
     def upstream_strain(self, stated_strain: float) -> float:
-        """The strain of the web that enters the simulation; `stated_strain` is what the real web's is said to be."""
+        """Strain of the web that enters the simulation; `stated_strain` is the reported one of the real web."""
         return stated_strain + self.input_strain
 
     def _take_out_shift(self) -> None:
-        """A shift is taken out of the torque from the next cycle on, and E goes on from what it was before it."""
+        """Compensate a torque shift from the next cycle on; E goes on from its value before the shift."""
         t, shift = self._t, self._shift
         more_Nm = shift.item(torque_shift.FOUND_N) / self._balance.force_per_torque_per_m
         t[cycle.SHIFT_NM] += more_Nm

@@ -1,8 +1,7 @@
-"""The compiled cycle of `tracking`: compare, estimate by the bank of filters, transfer.
+"""Compiled cycle of `span_estimator`: compare, estimate by the bank of filters, transfer.
 
-It goes by stages, so that what happens rarely is Python's: `run` returns where Python has to do something, and is
-called again from the stage behind it. All it works on are the vectors of `SpanEstimatorVectors`, which belong to one
-span of one twin; it may be called from other compiled functions.
+It runs in stages: `run` returns at a stage that needs the interpreter, and is called again from the following one. All
+state is in `SpanEstimatorVectors`, owned by one span of one twin; it may be called from other compiled functions.
 """
 
 from __future__ import annotations
@@ -32,25 +31,25 @@ from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.span_kernel import SpanVectors
 
-#: Share of the tension by which more may become known to be none without a fresh look at what happens to the web.
+#: Share of the tension from which on a sudden growth of the force correction restarts the change detectors.
 _ALL_AT_ONCE = 0.002
-#: Largest strain, either way, of a measured state that is taken over: no web has more.
+#: Largest absolute strain of a measured state that is transferred: no web has more.
 LARGEST_STRAIN = 0.5
-#: A measured state that is refused for longer is no jump of an encoder, nor a web whose new E is not found yet: the
-#: simulation is not what was measured, s.
+#: Refusals of measured states that last longer are neither an encoder's jump nor a new E that is not found yet: the
+#: simulation has diverged, s.
 DIVERGED_S = 0.25
 
-# Stages of a cycle; what `run` returns is the stage at which Python has to do something, or DONE.
+# Stages of a cycle; `run` returns the stage that needs the interpreter, or DONE.
 COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(8)
 
-# State of a tracking, SI; yes is 1, no 0. What follows from model and config:
+# State of a span estimator, SI; true is 1, false 0. Derived from model and config:
 (
     CYCLE_S,
     FORCE_PER_TORQUE,
     SECTION_M2,
     SPAN_M,
     SPAN,  # of the line, from 0
-    HAS_ERRORS,  # what the model lacks is looked for
+    HAS_ERRORS,  # unmodelled effects are estimated
     BANK,  # the method is the bank of filters
     BLACK_BOX,  # E of the line stays
     COMPENSATES,  # shifts of the torque are looked for
@@ -64,7 +63,7 @@ COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(
     # What is known:
     MODULUS_PA,
     DEVIATION_PA,
-    OWN_DEVIATION_PA,  # without what the model may lack
+    OWN_DEVIATION_PA,  # without unmodelled effects
     UNMODELLED_N,
     SHIFT_NM,
     DELAY_S,
@@ -85,25 +84,25 @@ COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(
     SPLICED,
     SERIES_FACTOR,
     END_FACTOR,
-    NOW_N,  # force of the balance without what is known to be no tension
+    NOW_N,  # instantaneous force of the balance, compensated for unmodelled effects
     MEASURED,  # there is a balance
-    USED,  # E was found from the next four: the balance at the time of the torque, with what is no tension
+    USED,  # E was found from the next four: the balance at the time of the torque (delayed), uncompensated
     USED_M,
     USED_N,
     USED_PER_PA,
     USED_M_S,
-    CORRECTED_N,  # the same force without that
-    REBASED_PA,  # by which E is another one, as more is known to be no tension
-    MOVED,  # what the motors show is another one
+    CORRECTED_N,  # the delayed force, compensated
+    REBASED_PA,  # change of E by a change of the compensation
+    MOVED,  # the motors' feedback has changed
     CREEP_RATIO,  # share by which the web leaves the span slower than the roller turns
-    FOUND,  # the strain of the web has just been found: the simulation had a guess
-    FROZEN,  # how long a cycle is, nobody knows: nothing is learned
+    FOUND,  # the strain has just been initialized; the simulation had a guess
+    FROZEN,  # cycle time uncertain: no adaptation
 ) = range(51)
 SIZE = 51
 
 
 class SpanEstimatorVectors(NamedTuple):
-    """All that a tracking and the line that it moves consist of."""
+    """State vectors of a span estimator and of the line that it updates."""
 
     t: Vector
     plausibility: Vector
@@ -111,7 +110,7 @@ class SpanEstimatorVectors(NamedTuple):
     shift: Vector
     delay_line: Vector
     delay_finder: Vector
-    moduli: Vector  #: (2, S): where E of the spans that go with it stands in the line's parameters, and its ratio
+    moduli: Vector  #: (2, S): parameter index of E of the spans that follow it, and its ratio
     balance: BalanceVectors
     errors: Vector  #: of the unmodelled effects
     bank: BankVectors
@@ -121,16 +120,16 @@ class SpanEstimatorVectors(NamedTuple):
 
 @compiled
 def state_modulus(t: Vector, errors: Vector, modulus_Pa: float, deviation_Pa: float) -> None:
-    """What a method says of E, with what the data can't tell from it: no method sees it in its data. `errors`: state of
-    what the model may lack."""
+    """State E and its deviation, with that of unmodelled effects, which no method sees in its data. `errors`: state of
+    the unmodelled effects."""
     t[OWN_DEVIATION_PA] = deviation_Pa
     if 0.0 < modulus_Pa < inf:
         t[MODULUS_PA] = modulus_Pa
-    else:  # torque of somebody else's web, say: no material has such an E
+    else:  # e.g. the torque of another web: no material has such an E
         t[OWN_DEVIATION_PA] = inf
     force_N = t[UNMODELLED_N] if t[HAS_ERRORS] == 0.0 else unmodelled_effects.record(errors).spread_N
     unmodelled_Pa = 0.0
-    if force_N != 0.0:  # a web without strain says nothing of E
+    if force_N != 0.0:  # a web without strain has no information on E
         unmodelled_Pa = force_N / t[WEB_PER_PA] if t[WEB_PER_PA] != 0.0 else inf
     t[DEVIATION_PA] = hypot(t[OWN_DEVIATION_PA], unmodelled_Pa)
 
@@ -148,12 +147,12 @@ def compare(
     strain_next: float,
     creep_ratio_prev: float,
 ) -> int:
-    """Take what was measured at the instant that the line has been simulated to; the stage that is next: HOLD,
-    FOUND_WEB or UPDATE.
+    """Take the measurement of the instant that the line has been simulated to; the next stage: HOLD, FOUND_WEB or
+    UPDATE.
 
-    `torque_Nm`, `torque_sim_Nm`: measured and simulated; `centre_m`: of the centre of mass, where roller 2 stands for
-    several, else NaN; `strain_next`: of the web behind the span, NaN where that is the end of the line;
-    `creep_ratio_prev`: share by which the web is pulled back over roller 1 (`CREEP_RATIO` of the span before).
+    `torque_Nm`, `torque_sim_Nm`: measured and simulated; `centre_m`: position of the centre of mass, where roller 2
+    represents several, else NaN; `strain_next`: strain of the web after the span, NaN at the end of the line;
+    `creep_ratio_prev`: creep ratio at roller 1 (`CREEP_RATIO` of the previous span).
     """
     t, now = v.t, v.balance.s
     torque_Nm -= t[SHIFT_NM]
@@ -185,7 +184,7 @@ def compare(
     problem = plausibility.find_problem(v.plausibility, torque_Nm, web_per_Pa, velocity_m_s)
     if problem != 0 or t[FROZEN] != 0.0:
         _see_no_change_across(v)
-    elif not t[STRAIN_UNCERTAINTY] > 0.0:  # one that is found under way says nothing yet
+    elif not t[STRAIN_UNCERTAINTY] > 0.0:  # no change to detect until its strain is known
         problem = _look_at_web(v, web_per_Pa, velocity_m_s)
     t[PROBLEM] = problem
     moved = _find_delay(v, torque_Nm, torque_sim_Nm)
@@ -220,14 +219,14 @@ def compare(
 
 @compiled
 def _see_no_change_across(v: SpanEstimatorVectors) -> None:
-    """What is measured from now on says nothing of a change against what was before."""
+    """Restart the change detectors: no change is detected across this instant."""
     block_means.begin_behind_gap(v.blocks)
     anomalies.suspend(v.anomalies)
 
 
 @compiled
 def _look_at_web(v: SpanEstimatorVectors, web_per_Pa: float, velocity_m_s: float) -> int:
-    """Whether the web is broken or slips, as a `Problem`; 0: neither."""
+    """`Problem` of the web: broken or slipping; 0: neither."""
     if not (isfinite(v.t[NOW_N]) and isfinite(web_per_Pa)):
         block_means.begin(v.blocks)
         anomalies.reset(v.anomalies)
@@ -239,7 +238,7 @@ def _look_at_web(v: SpanEstimatorVectors, web_per_Pa: float, velocity_m_s: float
 
 @inlined
 def _without_errors(v: SpanEstimatorVectors, force_N: float) -> float:
-    """The force without what is known to be no tension."""
+    """Force compensated for unmodelled effects."""
     if v.t[HAS_ERRORS] == 0.0:
         return force_N
     return float(force_N - unmodelled_effects.correction_N(v.errors))
@@ -247,12 +246,12 @@ def _without_errors(v: SpanEstimatorVectors, force_N: float) -> float:
 
 @compiled
 def _find_delay(v: SpanEstimatorVectors, torque_Nm: float, torque_sim_Nm: float) -> bool:
-    """Whether the delay is another one from this cycle on."""
+    """Update the torque delay; True if it changes from this cycle on."""
     if v.t[FINDS_DELAY] == 0.0 or v.t[PROBLEM] != 0.0:
         return False
     before_s = v.t[DELAY_S]
     v.t[DELAY_S] = delay.find(v.delay_finder, torque_Nm, torque_sim_Nm)
-    # What torque and motion of different times have told of the model is worth nothing.
+    # Torque and motion of different instants: discard what the error filter has learned from them.
     if v.t[HAS_ERRORS] != 0.0 and abs(v.t[DELAY_S] - before_s) >= v.t[CYCLE_S]:
         unmodelled_filter.forget(unmodelled_effects.record(v.errors))
     return bool(v.t[DELAY_S] != before_s)
@@ -260,7 +259,7 @@ def _find_delay(v: SpanEstimatorVectors, torque_Nm: float, torque_sim_Nm: float)
 
 @inlined
 def _transport_out(t: Array, velocity_m_s: float) -> None:
-    """What is not known of the strain leaves with the web: it decays by exp(-v·t/L)."""
+    """Decay of the strain uncertainty by mass transport: exp(-v·t/L)."""
     t[STRAIN_UNCERTAINTY] *= exp(-abs(velocity_m_s) * t[CYCLE_S] / t[SPAN_M])
     if t[STRAIN_UNCERTAINTY] < initial_strains.KNOWN:
         t[STRAIN_UNCERTAINTY] = 0.0
@@ -268,11 +267,11 @@ def _transport_out(t: Array, velocity_m_s: float) -> None:
 
 @compiled
 def _look_for_errors(v: SpanEstimatorVectors, F_next_N: float) -> None:
-    """What is known to be no tension from now on; when that is more than before, the past means another E."""
+    """Update the unmodelled effects; E is rebased if the force correction has changed."""
     t, errors = v.t, unmodelled_effects.record(v.errors)
     if t[HAS_ERRORS] == 0.0:
         return
-    # How much of other web is in the span, and what else it is, says nothing of the model.
+    # The share of other web in the span is uncertain: no information on the model's errors.
     if t[SPLICED] != 0.0 or t[OTHER_WEB] != 0.0:
         unmodelled_filter.interrupt(errors)
         return
@@ -291,7 +290,7 @@ def _look_for_errors(v: SpanEstimatorVectors, F_next_N: float) -> None:
     rebased_N = errors.rebased_N
     if rebased_N != 0.0 and web_per_Pa > 0.0:
         t[REBASED_PA] = -rebased_N / web_per_Pa
-        # What has become known all at once is nothing that has happened to the web.
+        # A sudden growth of the correction is no change of the web.
         if abs(rebased_N) > _ALL_AT_ONCE * t[MODULUS_PA] * web_per_Pa:
             _see_no_change_across(v)
             torque_shift.reset(v.shift)
@@ -299,7 +298,7 @@ def _look_for_errors(v: SpanEstimatorVectors, F_next_N: float) -> None:
 
 @compiled
 def update(v: SpanEstimatorVectors) -> None:
-    """The bank's part of the stage UPDATE."""
+    """Bank's part of the stage UPDATE."""
     t = v.t
     if t[REBASED_PA] != 0.0:
         changepoint.rebase(v.bank, t[REBASED_PA])
@@ -313,7 +312,7 @@ def update(v: SpanEstimatorVectors) -> None:
 
 @compiled
 def look_for_shift(v: SpanEstimatorVectors) -> int:
-    """The stage that is next: SHIFT where one is sure, else TRANSFER."""
+    """Next stage: SHIFT if a torque shift is certain, else TRANSFER."""
     t, block = v.t, v.blocks
     if t[COMPENSATES] == 0.0:
         return TRANSFER
@@ -336,8 +335,7 @@ def look_for_shift(v: SpanEstimatorVectors) -> int:
 
 @compiled
 def transfer(v: SpanEstimatorVectors) -> None:
-    """Give the line its E, and put measured states in the place of simulated ones, unless they are too far off to be
-    believed: how long that lasts is counted."""
+    """Set E of the line and transfer plausible measured states to it; count cycles and travel of refused ones."""
     t, line, web = v.t, v.line, v.balance.web
     t[MOVED] = 0.0
     if t[BLACK_BOX] == 0.0:
@@ -349,7 +347,7 @@ def transfer(v: SpanEstimatorVectors) -> None:
     at, changed, refused = int(t[SPAN]), False, False
     if t[TRANSFERS_STRAIN] != 0.0 and t[BLACK_BOX] == 0.0:
         measured = span_kernel.first_strain(web)
-        # Beyond any web: speeds that are no line's bring encoders there, and -1 would be a web of no length.
+        # No web strains as much: encoders get there at implausible speeds, and -1 would be a web of length 0.
         believable = abs(measured) <= LARGEST_STRAIN
         if believable and (t[FOUND] != 0.0 or abs(measured - line_vectors.strain(line, at)) <= t[STRAIN_LIMIT]):
             line_vectors.put_strain(line, at, measured)
@@ -388,8 +386,8 @@ def run(
     strain_next: float,
     creep_ratio_prev: float,
 ) -> int:
-    """A cycle from `stage` on; arguments as of `compare`, which are read there alone. The stage at which Python has
-    to do something (HOLD, FOUND_WEB, UPDATE of another method than the bank, SHIFT), or DONE."""
+    """Run a cycle from `stage` on; arguments as of `compare`, which alone reads them. Returns the stage that needs the
+    interpreter (HOLD, FOUND_WEB, UPDATE of a method other than the bank, SHIFT), or DONE."""
     if stage == COMPARE:
         around = strain_prev, F_next_N, centre_m, strain_next, creep_ratio_prev
         stage = compare(v, x1_m, x2_m, torque_Nm, torque_sim_Nm, *around)
@@ -406,52 +404,50 @@ def run(
 
 @compiled
 def outlet_strain(t: Vector, strain: float) -> float:
-    """With which the next span gets the web of one of which `strain` is measured: all of it pulls alike, and each piece
-    has its strain. By creep less web comes than the roller's turning tells, as if it were stretched more."""
+    """Inlet strain of the next span: measured strain × series factor / end factor, as all pieces carry the same
+    tension, corrected for creep."""
     return float(equivalent_strain(strain * t[SERIES_FACTOR] / t[END_FACTOR], t[CREEP_RATIO]))
 
 
 @inlined
 def equivalent_strain(strain: float, creep_ratio: float) -> float:
-    """Strain of web of which, unstretched, as little comes as of this one by creep over a roller: less, by the share
-    `creep_ratio`, than that turns."""
+    """Strain with the same mass flow as web creeping by `creep_ratio`: (1 + ε)/(1 − c) − 1."""
     return strain if creep_ratio == 0.0 else (1.0 + strain) / (1.0 - creep_ratio) - 1.0
 
 
 @inlined
 def reverse_outlet_strain(t: Vector, strain: float) -> float:
-    """With which the span before gets the web of one of which `strain` is measured, in reverse."""
+    """Inlet strain of the previous span in reverse: measured strain × series factor."""
     return float(strain * t[SERIES_FACTOR])
 
 
 @compiled
 def is_synchronized(t: Vector, most_pct: float) -> bool:
-    """Whether E is known as well as `most_pct`, the web in the span is the one that was measured, and the simulated web
-    is strained as that."""
+    """True if E is known to `most_pct`, the measured web is in the span, and the simulated web has its strain."""
     known = t[PROBLEM] == 0.0 and t[STRAIN_UNCERTAINTY] == 0.0 and t[REFUSED] * t[CYCLE_S] <= DIVERGED_S
     return bool(known and t[OWN_DEVIATION_PA] <= 0.01 * most_pct * t[MODULUS_PA])
 
 
-#: Rows in the table of `flat`: the state; that of what looks for shifts of the torque; parameters and state of the web
-#: that is followed; parameters, state, inputs, scratch space and outputs of the line, one behind the other; how many
-#: there are. Inputs, places and mixture of the bank.
+#: Rows in the table of `flat`: the state; the shift detector's state; parameters and state of the measured web;
+#: parameters, state, inputs, scratch space and outputs of the line in a row; number of rows. Inputs, offsets and
+#: mixture of the bank.
 STATE_ROW, SHIFT_ROW, WEB_ROW, LINE_ROW, ROWS = 0, 3, 8, 29, 35
 BANK_INPUTS_ROW, BANK_PLACES_ROW, BANK_OUT_ROW = 16, 24, 26
 
 
 def flat(v: SpanEstimatorVectors) -> tuple[Array | Places, ...]:
-    """The vectors one behind the other, as `run_vectors` takes them in a table."""
+    """Vectors in the order of the table of `run_vectors`."""
     balance_p, web, balance_s = v.balance
     return (*v[:7], balance_p, *web, balance_s, v.errors, *v.bank[0], *v.bank[1:], *v.line, v.blocks)
 
 
-# What the past means no more: a cycle is missing; the web is the same, but more is known of it; it is another one.
+# Reason of a reset: a cycle is missing; the web is the same with a better estimate; it is another web.
 INTERRUPT, SUSPEND, NEW_WEB = range(3)
 
 
 @entry_point(COUNT, reals(9), TABLE)
 def run_vectors(stage: int, values: tuple[float, ...], table: Places) -> int:
-    """`run` with the vectors of a `table_of` what `flat` gives."""
+    """`run` on the vectors in a `table_of` the result of `flat`."""
     web = SpanVectors(
         floats(table, 8, (1,)),
         floats(table, 9, (1,)),

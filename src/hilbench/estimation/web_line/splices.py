@@ -1,17 +1,17 @@
-"""Other web that enters a span, told from a change of E of the web that is there.
+"""Splice detection: other web entering a span, separated from a change of E of the web in it.
 
 A span that a joint passes through is two springs in series: its compliance goes from the old web's to the new web's
-with the way s of the joint through the length L. What the encoders show is less than that, as they are followed as if
-the web that leaves were like the rest: of the compliance that they seem to show, relative to the old one,
+with the travel s of the joint through the length L. The encoders show less than that, as they are followed as if the
+leaving web were like the rest. Apparent compliance, relative to the old one:
 
     web of another E from the joint on:     b·(1 − exp(−s/L))        b = E_old/E_new − 1
-    a short piece of other web:             β·exp(−s/L)              β = b·(its length)/L
+    short piece of other web:               β·exp(−s/L)              β = b·(its length)/L
     E of the web that is in the span:       a step
 
-to the first order in the change, and within 0.2 % of the compliance for one by 20 %. Means over blocks are compared
-with these three, each with every place of the joint that the last blocks can tell. Where the speed has changed,
-friction and inertia that are not quite the model's show as a compliance that goes with speed or acceleration: what may
-be that is no joint.
+to the first order in the change, and within 0.2 % of the compliance for one by 20 %. Block means are compared with
+these three by their likelihood ratio, for every joint position that the last blocks can resolve. Where the speed has
+changed, friction and inertia errors of the model show as a compliance that goes with speed or acceleration: these
+regressors are included as no joint.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from hilbench.estimation.web_line.block_means import BLOCK_S, SAME_SPEED
 Array = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
-#: Time between two looks, s, and the most and the fewest blocks that are looked at.
+#: Interval of the evaluation, s, and the largest and least number of blocks used.
 _LOOK_S = 0.1
 _MOST, _FEWEST = 400, 40
-#: Blocks that have to lie before a joint and behind it. Places are tried at each of the last blocks, as a step that is
-#: looked for some blocks beside its place is taken for other web, and at some before them.
+#: Blocks needed before a joint and after it. Joint positions are tried at each of the last blocks, as a step some
+#: blocks off its true position is taken for other web, and at some earlier ones.
 _BEFORE, _BEHIND, _LATEST, _EARLIER = 15, 2, 90, 15
-#: Twice the logarithm of the likelihood: something has changed; one explanation is better than another; it may have.
+#: Twice the log likelihood ratio: a change is certain; one explanation beats another; a change is suspected.
 _CHANGED, _BETTER, _SUSPECTED = 45.0, 16.0, 25.0
-#: Way of a joint through the span, in lengths, before which it is not told from a step, and up to which what is known
-#: of it gets better.
+#: Travel of a joint through the span, in lengths, from which on it is separable from a step, and up to which its
+#: estimate improves.
 _LEAST_TRAVEL, _THROUGH = 0.12, 1.0
-#: A short piece is taken to be so long, m, and no softer or stiffer than this share of the span allows.
+#: Assumed length of a short piece, m, and the largest share of the span's compliance change it may have.
 _SHORT_M, _LEAST_SHARE = 0.3, 0.5
 
 
-#: What is added up of a block: so many cycles of so many, forces, h (`balance`) as it seems, positions of the roller
+#: Sums over a block: cycles so far, cycles of a block, forces, h (`balance`) as it seems, positions of the roller
 #: before the span; its first speed.
 COUNT, CYCLES, _FORCES_N, _WEBS, _TRAVELS_M, _FIRST_M_S = range(6)
 _SIZE = 6
@@ -56,14 +56,14 @@ _SIZE = 6
 
 @compiled
 def interrupt(s: Vector) -> None:
-    """A new block begins; s: what is added up."""
+    """Start a new block; s: its sums."""
     s[COUNT] = s[_FORCES_N] = s[_WEBS] = s[_TRAVELS_M] = s[_FIRST_M_S] = 0.0
 
 
 @compiled
 def collect(s: Vector, force_N: float, web_per_Pa: float, velocity_m_s: float, before_m: float) -> bool:
-    """Add the balance of a cycle up, with h as it seems and the position of the roller before the span; whether the
-    block is complete."""
+    """Add a cycle's balance, with h as it seems and the position of the roller before the span; True if the block is
+    complete."""
     if s[COUNT] == 0.0:
         s[_FIRST_M_S] = velocity_m_s
     s[_FORCES_N] += force_N
@@ -73,8 +73,7 @@ def collect(s: Vector, force_N: float, web_per_Pa: float, velocity_m_s: float, b
     return bool(s[COUNT] >= s[CYCLES])
 
 
-#: Of a shape with the places of its joint, the best: what of the squares it explains, which place, the change, and the
-#: mean of the shape.
+#: Best fit of a shape over joint positions: squares explained, position index, change, and mean of the shape.
 _EXPLAINED, _PLACE, _CHANGE, _MEAN, _BEST = range(5)
 #: Rows of these, in the order of `_Kind`.
 _STEPS, _WEBS_IN, _SHORTS, _SHAPES = range(4)
@@ -82,8 +81,7 @@ _STEPS, _WEBS_IN, _SHORTS, _SHAPES = range(4)
 
 @compiled
 def _shape(kind: int, into: float, left: float) -> float:
-    """Compliance over the change of the whole span's, a joint being so far in, in lengths of the span; left: of what
-    fades with that."""
+    """Compliance relative to the change of the whole span's, at `into` lengths of joint travel; left: exp(−into)."""
     if into <= 0.0:
         return 0.0
     if kind == _STEPS:
@@ -95,8 +93,8 @@ def _shape(kind: int, into: float, left: float) -> float:
 def _explain(
     kind: int, into: Vector, left: Vector, values: Vector, motion: Array, of_values: Vector, found: Vector
 ) -> None:
-    """Least squares of values (n,) as a shape times its change, with what orthonormal rows (k, n) explain of both, and
-    `of_values` (k,) of the values: see `_BEST`, but for the place."""
+    """Least squares of values (n,) as a shape times its change, orthogonal to orthonormal rows (k, n); `of_values`
+    (k,): their products with the values. Fills `found` (see `_BEST`) but for the position."""
     count, squares, product, total = len(values), 0.0, 0.0, 0.0
     of_shape_0, of_shape_1, of_shape_2 = 0.0, 0.0, 0.0
     for j in range(count):
@@ -119,7 +117,7 @@ def _explain(
 
 @entry_point(VECTOR, VECTOR, MATRIX, VECTOR, MATRIX)
 def _explain_all(ways: Vector, values: Vector, motion: Array, fronts: Vector, best: Array) -> None:
-    """The best of each shape: ways (n,) and fronts (m,) in lengths of the span."""
+    """Best fit of each shape: travels `ways` (n,) and `fronts` (m,) in lengths of the span."""
     of_values, found = np.zeros(len(motion)), np.zeros(_BEST)
     into, left = np.zeros(len(values)), np.zeros(len(values))
     for k in range(len(motion)):
@@ -141,8 +139,8 @@ _interrupt, _collect = interpreted(interrupt), interpreted(collect)
 
 
 class Joint(NamedTuple):
-    """Other web that has come in: where the roller before the span was then, m; the relative change of E, and the
-    length of the piece, m (inf: all that follows)."""
+    """Splice that has entered: position of the roller before the span then, m; relative change of E; length of the
+    piece, m (inf: endless)."""
 
     front_m: float
     relative_change: float
@@ -151,7 +149,7 @@ class Joint(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Entered:
-    """A joint in the span, and how much larger the strain is than it seemed.
+    """Splice in the span, and the ratio of the true strain to the apparent one.
 
     Without a joint there was none: `relative_change` is that of E of the web in the span.
     """
@@ -162,25 +160,25 @@ class Entered:
 
 
 class _Kind(Enum):  # in this order: _STEPS and so on
-    """What has changed: E of the web in the span, the web that comes in, or a short piece of it."""
+    """Kind of change: E of the web in the span, the web that comes in, or a short piece of it."""
 
     STEP = "step"
     WEB = "web"
     SHORT = "short"
 
 
-#: Changes of the compliance of the whole span that may be told, softer and stiffer.
+#: Accepted compliance changes of the whole span, softer and stiffer.
 _SHARES = {_Kind.STEP: (2.0, -0.7), _Kind.WEB: (1.0, -0.5), _Kind.SHORT: (0.3, -0.3)}
 
 
 class _Fit(NamedTuple):
-    gain: float  #: twice the logarithm of the likelihood over that of no change
+    gain: float  #: twice the log likelihood ratio to no change
     front_m: float
     share: float  #: change of the compliance
 
 
 class SpliceFinder:
-    """Looks at the balances of one span for other web that enters it."""
+    """Splice detector on the momentum balances of one span."""
 
     def __init__(self, span_length_m: float, mass_kg: float, cycle_s: float) -> None:
         self._length_m = span_length_m
@@ -192,7 +190,7 @@ class SpliceFinder:
         self.reset()
 
     def reset(self) -> None:
-        """The web is another one, or what is measured has no past."""
+        """Forget all blocks and the joint."""
         #: Of each block: position of the roller before the span, m, seeming strain times section over tension, speed of
         #: the roller behind, m/s, and force that accelerates it over the tension.
         self._blocks: deque[tuple[float, float, float, float]] = deque(maxlen=_MOST)
@@ -204,9 +202,9 @@ class SpliceFinder:
         _interrupt(self.state)
 
     def update(self, now: BalanceSample | None, before_m: float, seeming: float) -> Entered | None:
-        """Take the balance of this cycle (None: it can't be used), the position of the roller before the span in m,
-        and what the tension would be by the strain as it seems, over that of the balance. A joint when one is found, or
-        is known better; it stays the same one until `reset`."""
+        """Take this cycle's balance (None: unusable), the position of the roller before the span in m, and the ratio of
+        the tension by the apparent strain to that of the balance. Returns a splice when it is found or better known; it
+        stays the same one until `reset`."""
         if now is None:
             _interrupt(self.state)
             return None
@@ -236,7 +234,7 @@ class SpliceFinder:
         fronts_m = _fronts_m(travels_m)
         motion = _known_ways(speeds_m_s, accelerating)
         fits = self._fits(travels_m, compliances, motion, fronts_m, noise)
-        # What none of them explains, as a roller that a step has hit, counts as noise.
+        # The residual of the best fit, e.g. of a roller hit by a step, counts as noise.
         total = float(np.sum(_without(compliances, motion) ** 2)) / noise**2
         rest = (total - max(fit.gain for fit in fits.values())) / len(compliances)
         inside_yet = [fit.gain for fit in fits.values() if travels_m[-1] - fit.front_m < _THROUGH * self._length_m]
@@ -254,7 +252,7 @@ class SpliceFinder:
             return Entered(None, relative_change=1.0 / (1.0 + fits[kind].share) - 1.0)
         way = (float(travels_m[-1]) - fits[kind].front_m) / self._length_m
         if way > _THROUGH:
-            if self._joint is None:  # found too late: all of the span is that web, whose E is known
+            if self._joint is None:  # too late: all of the span is the new web, whose E is known
                 self._forget_before(fits[kind].front_m)
             return None
         return self._entered(fits[kind], way)
@@ -262,7 +260,7 @@ class SpliceFinder:
     def _fits(
         self, travels_m: Array, compliances: Array, motion: Array, fronts_m: Array, noise: float
     ) -> dict[_Kind, _Fit]:
-        """The best of a + b·shape + what else may be, of each kind; motion (n, k): as of `_known_ways`."""
+        """Best least-squares fit of a + b·shape + motion for each kind; motion (n, k): as of `_known_ways`."""
         values, rows, best = (
             np.ascontiguousarray(compliances),
             np.ascontiguousarray(motion.T),
@@ -276,15 +274,14 @@ class SpliceFinder:
         return fits
 
     def _is_identifiable(self, kind: _Kind, fit: _Fit, now_m: float) -> bool:
-        """Whether an explanation is one of a web, and its joint so far in that a step would look otherwise."""
+        """True if the compliance change is a web's, and the joint so far in that it is separable from a step."""
         softer, stiffer = _SHARES[kind]
         return stiffer < fit.share < softer and now_m - fit.front_m > _LEAST_TRAVEL * self._length_m
 
     def _decide(self, gains: Mapping[_Kind, float], identifiable: Set[_Kind]) -> bool:
-        """Which of the explanations it is, by their gains, of those that can be told; whether there is something to
-        tell.
+        """Select the explanation by the likelihood gains, among the identifiable ones; True if there is one.
 
-        A short piece that has just come in is like a step, and what is neither for certain stays what it was.
+        A short piece that has just come in is like a step: what is uncertain keeps its kind.
         """
         best, next_best = sorted(gains, key=gains.__getitem__, reverse=True)[:2]
         if gains[best] < _CHANGED:
@@ -297,15 +294,15 @@ class SpliceFinder:
         return self._kind in identifiable
 
     def _forget_before(self, front_m: float) -> None:
-        """What was before a step says nothing any more."""
+        """Drop the blocks before a step."""
         kept = [block for block in self._blocks if block[0] > front_m]
         self._blocks.clear()
         self._blocks.extend(kept)
         self._kind, self.suspects = None, False
 
     def _choose_since(self, blocks: Array) -> None:
-        """Look back beyond the last change of speed only while web is in the span that came in before it: then others
-        before that say what is of the motion."""
+        """Use blocks before the last change of speed only while web from before it is in the span: the earlier ones
+        then identify the influence of the motion."""
         speeds_m_s, now_m = blocks[:, 2], blocks[-1, 0]
         others = np.flatnonzero(np.abs(speeds_m_s - speeds_m_s[-1]) > SAME_SPEED * abs(speeds_m_s[-1]))
         last = int(others[-1]) if len(others) else -1
@@ -316,7 +313,7 @@ class SpliceFinder:
             self._since_m = changed_m
 
     def _entered(self, found: _Fit, way: float) -> Entered:
-        """As it is known now, until it is through: then it is known as well as it will be."""
+        """Splice as it is estimated now."""
         share, endless = found.share, self._kind is _Kind.WEB
         left = exp(-max(way, 0.0))
         if endless:
@@ -329,7 +326,7 @@ class SpliceFinder:
 
 
 def _fronts_m(travels_m: Array) -> Array:
-    """Where a joint may have come in, between blocks, (m,)."""
+    """Candidate entry positions of a joint (m,), between blocks."""
     latest = np.arange(max(len(travels_m) - _BEHIND - _LATEST, _BEFORE), len(travels_m) - _BEHIND)
     earlier = np.linspace(_BEFORE, latest[0], min(_EARLIER, int(latest[0]) - _BEFORE), endpoint=False).astype(int)
     before = np.concatenate([earlier, latest])
@@ -337,7 +334,7 @@ def _fronts_m(travels_m: Array) -> Array:
 
 
 def _known_ways(speeds_m_s: Array, accelerating: Array) -> Array:
-    """Orthonormal columns (n, 1 to 3) of what a compliance may do by itself: be constant, and go with the motion."""
+    """Orthonormal columns (n, 1 to 3) of compliance changes without a joint: constant, speed, acceleration."""
     ways = [np.ones(len(speeds_m_s))]
     if np.ptp(speeds_m_s) > SAME_SPEED * np.max(np.abs(speeds_m_s)):
         ways += [speeds_m_s, accelerating]
@@ -345,5 +342,5 @@ def _known_ways(speeds_m_s: Array, accelerating: Array) -> Array:
 
 
 def _without(values: Array, ways: Array) -> Array:
-    """Values (..., n) less what orthonormal columns (n, k) explain of them."""
+    """Values (..., n) less their projection on orthonormal columns (n, k)."""
     return np.asarray(values - (values @ ways) @ ways.T)

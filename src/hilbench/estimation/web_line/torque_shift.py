@@ -1,20 +1,20 @@
-"""A shift of friction or of the torque's offset, told from a change of E.
+"""Torque-shift detector: a shift of friction or torque offset, separated from a change of E.
 
-Both change the torque at once, and at one strain alone nothing tells them apart: F = E·h + d, with h = F/E as the
-encoders show it. What does is the strain that moves afterwards, which the closed tension loop sees to by itself: it
-takes either for another tension. From then on a changed E goes on a line through the origin, F = E'·h, a shift on the
-one that was there before, F = E·h + d, and the two are weighed by their squared residuals over the noise. While both
-fit, the change stays open: the next change of tension decides. What the balance may have been off by all the time (c)
-is in both: F = E'·h + c, and F = (E - c/h)·h + c + d.
+Both change the torque at once, and are not identifiable at one strain alone: F = E·h + d, with h = F/E by the encoders.
+The strain that moves afterwards separates them: the closed tension loop takes either for another tension. From then on
+a changed E is on a line through the origin, F = E'·h, a shift on the one that was there before, F = E·h + d, and the
+two are compared by their squared residuals over the noise (likelihood ratio). While both fit, the change stays open:
+the next change of tension decides. A constant error of the balance (c) is in both: F = E'·h + c, and F = (E - c/h)·h +
+c + d.
 
-What moves the strain before the change, beside the loop, says nothing: where it goes with the force and where not, no
-line through both has the slope of the web. A shift is found only where the strain has moved by more than that.
+Strain changes before the change, other than the loop's, are no evidence: whether they go with the force or not, no line
+through them has the slope of the web. A shift is found only where the strain has moved by more than that.
 
-What swings slowly before the change, as a tension upstream does, is no noise of which each block is a new draw: it
-counts so many times as the blocks before are alike.
+Slow oscillation before the change, as of a tension upstream, is no white noise of the blocks: it counts as many times
+as the blocks before are correlated.
 
-Both are looked for in the means of blocks (`blocks`). A shift is not looked for while the speed changes (an error of
-the inertia looks like one). When neither line fits it was something else.
+Both are searched in block means (`block_means`). No shift is searched while the speed changes (an inertia error looks
+like one). When neither line fits it was something else.
 """
 
 from __future__ import annotations
@@ -28,38 +28,38 @@ from hilbench.estimation import ring
 from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line.block_means import SAME_SPEED
 
-#: Blocks that say what was before, and how many are enough.
+#: Blocks used as reference before a change, and the least number of them.
 _BEFORE, _ENOUGH = 60, 24
-#: Blocks after that of the change that are left out: a shaft that was hit is on no line, nor is a load motor that
-#: emulates a web some cycles late.
+#: Blocks left out after that of the change: a shaft that was hit is on no line, nor is a load motor that emulates a web
+#: some cycles late.
 _HIT = 1
-#: A change that is worth an explanation: over the noise of a block, and relative to the tension.
+#: Change that is evaluated: over the noise of a block, and relative to the tension.
 _CHANGED_NOISES, _CHANGED = 6.0, 0.02
-#: Least noise of a block that is believed, relative to the tension: what is left of the model's own errors.
+#: Least noise of a block, relative to the tension: the rest of the model's own errors.
 _NOISE_FLOOR = 1e-3
 #: Change of tension from block to block that counts as noise, times this: torque and motion are of one instant to some
 #: milliseconds only.
 _LATE = 0.15
-#: Likeness of the noise of two blocks that follow each other, at most: what swings slowly is no sum of chances.
+#: Largest correlation of the noise of successive blocks: a slow oscillation is no sum of random values.
 _MOST_ALIKE = 0.98
-#: Squared residuals over the noise: one explanation is better than the other from here on, and itself good enough.
+#: Squared residuals over the noise: difference that decides, and largest one of an acceptable explanation.
 _DECIDED, _ACCEPTED = 16.0, 9.0
-#: The same, of E over a shift, when the change has been open for long: nothing is said any more, it is not told as
-#: undecided, it is told so again.
+#: Their difference of E over a shift, when the change has been open for long: it is closed; it is not reported as
+#: undecided; it is reported so again.
 _SETTLED, _LEANS, _LEANS_NO_MORE = 8.0, 5.0, 2.5
-#: E changes oftener than a friction or an offset jumps, 100 to 1: twice the logarithm. It counts where the strain has
-#: followed the change by this share, as a closed loop makes it; where it has not, another tension is to be asked for.
+#: Prior: E changes oftener than friction or offset, 100 to 1: twice the logarithm. It counts where the strain has
+#: followed the change by this share, as with a closed loop; where it has not, another tension is needed.
 _OFTENER, _FOLLOWED = 9.2, 0.5
-#: Variance of the strain since the change over that before, from which on its movement says more than what disturbs it:
-#: a slope is then off by a fifth of what the disturbances alone would show (errors in variables).
+#: Variance of the strain since the change over that before, from which on its movement outweighs its disturbances: a
+#: slope is then off by a fifth of what the disturbances alone would show (errors in variables).
 _MOVED = 5.0
-#: Blocks that an explanation needs, after which it counts as undecided, and after which nothing is said any more.
+#: Blocks that an explanation needs, after which it counts as undecided, and after which it is closed.
 _LEAST, _LONG, _LONGEST = 15, 150, 3000
 
 
-# State. Of a change what there was before (E of the line through the blocks before: beside
-# E whatever else was told then is in it) and sums over the blocks since, of force f and web h; what was found. Behind
-# it four rings, of the blocks before: force (N), web (N/Pa), at its end speed (m/s) and the E that was told (Pa).
+# State. Of a change: values before it (E of the line through the blocks before: stated E includes other effects) and
+# sums over the blocks since, of force f and web h; the result. Then four rings of the blocks before: force (N), web
+# (N/Pa), final speed (m/s) and stated E (Pa).
 (
     _OPEN,
     _MODULUS_PA,
@@ -67,7 +67,7 @@ _LEAST, _LONG, _LONGEST = 15, 150, 3000
     _WEB_PER_PA,
     _WEB_VARIANCE_PER_PA2,
     _VARIANCE_N2,
-    _SLOWNESS,  # how many times as much the noise before counts in a sum as if it were white
+    _SLOWNESS,  # factor on the noise before in a sum, relative to white noise
     _HITS,
     _LEANS_TO_MODULUS,
     _HAS_FOLLOWED,
@@ -90,7 +90,7 @@ _SIZE = 23
 
 @compiled
 def reset(s: Array) -> None:
-    """The web is another one, was at rest, or what is measured says something else."""
+    """Forget all blocks and an open change."""
     s[_OPEN] = 0.0
     ring.clear(s, int(s[_FORCES]))
     ring.clear(s, int(s[_WEBS]))
@@ -108,11 +108,11 @@ def look(
     may_decide: bool,
     deviation_N: float,
 ) -> bool:
-    """Take the means of a block that is complete, and the E that is told. Whether a shift is sure: then FOUND_N is the
-    force at the web that the torque shows and the web does not pull, FOUND_PA the E that was told before.
+    """Take the means of a complete block, and the stated E. True if a shift is certain: then FOUND_N is the force at
+    the web by which the torque has shifted, FOUND_PA the E stated before.
 
-    Without `may_decide` what is sure is not said yet: it may be something else. `deviation_N`: what the balance may
-    have been off by all the time.
+    Without `may_decide` a certain shift is not yet returned: it may be something else. `deviation_N`: standard
+    deviation of a constant error of the balance.
     """
     before = int(s[_SPEEDS])
     changed_speed = False
@@ -133,7 +133,7 @@ def look(
 
 @compiled
 def _is_noticed(s: Array, block_N: float, block_per_Pa: float) -> bool:
-    """Whether the block is no more of what was before. The block itself has some of both, and belongs to neither."""
+    """True if the block differs from those before. The block itself is a mixture, and belongs to neither side."""
     forces, webs, force_N, web_per_Pa, squares = int(s[_FORCES]), int(s[_WEBS]), 0.0, 0.0, 0.0
     count = ring.count(s, forces)
     for i in range(count):
@@ -183,7 +183,7 @@ def _explain(s: Array, f: float, h: float, may_decide: bool, deviation_N: float)
     if count < _LEAST or not may_decide:
         return False
     free = _free(s)
-    # What a shaft that was hit swings through goes on neither line: it counts as noise.
+    # The oscillation of a shaft that was hit is on neither line: it counts as noise.
     variance = s[_SLOWNESS] * max(s[_VARIANCE_N2], free / (count - 2.0))
     precision = variance / (deviation_N * deviation_N) if deviation_N != 0.0 else inf
     shift_N, of_shift = _of_shift(s, precision)
@@ -193,7 +193,7 @@ def _explain(s: Array, f: float, h: float, may_decide: bool, deviation_N: float)
         reset(s)
         return True
     better = of_shift - of_modulus
-    # Once it has, a later set-point takes nothing away from that.
+    # Once it has followed, a later set-point does not undo that.
     if _has_followed(s):
         s[_HAS_FOLLOWED] = 1.0
     likelier = better + _OFTENER * s[_HAS_FOLLOWED]
@@ -207,15 +207,15 @@ def _explain(s: Array, f: float, h: float, may_decide: bool, deviation_N: float)
 
 @inlined
 def _has_moved(s: Array) -> bool:
-    """Whether the strain has changed by more than it does at a constant tension: what disturbs it (a tension upstream,
-    the torque of its roller) is in the force as well, and no line through that has the slope of the web."""
+    """True if the strain has changed by more than at a constant tension: its disturbances (upstream tension, torque of
+    its roller) are in the force as well, and no line through them has the slope of the web."""
     spread = s[_HH] / s[_COUNT] - (s[_H] / s[_COUNT]) ** 2
     return bool(spread > _MOVED * s[_WEB_VARIANCE_PER_PA2])
 
 
 @inlined
 def _has_followed(s: Array) -> bool:
-    """Whether the strain has changed since, as far as a tension that is kept asks for with another E."""
+    """True if the strain has changed since as a controlled tension requires with another E."""
     strain = s[_H] / s[_COUNT] / s[_WEB_PER_PA] - 1.0
     force = s[_F] / s[_COUNT] / (s[_MODULUS_PA] * s[_WEB_PER_PA]) - 1.0
     return bool(abs(strain) > _FOLLOWED * (abs(force) + abs(strain)))
@@ -223,19 +223,19 @@ def _has_followed(s: Array) -> bool:
 
 @compiled
 def _of_modulus(s: Array, precision: float) -> float:
-    """Squared residuals of f = E'·h + c with c known to be small, `precision`: variance of the noise over that of c;
-    infinite: f = E'·h."""
+    """Squared residuals of f = E'·h + c with a small c; `precision`: variance of the noise over that of c; infinite: c
+    = 0."""
     through_origin = s[_FF] - s[_FH] * s[_FH] / s[_HH]
     if precision == inf:
         return float(through_origin)
-    # Least squares for c beside E', with c² weighed by its precision.
+    # Least squares for c in addition to E', with c² weighed by its precision.
     across = s[_F] - s[_FH] * s[_H] / s[_HH]
     return float(through_origin - across * across / (s[_COUNT] - s[_H] * s[_H] / s[_HH] + precision))
 
 
 @compiled
 def _of_shift(s: Array, precision: float) -> tuple[float, float]:
-    """d of f = E·h + d, and the squared residuals. E was c/h smaller before: c as in `_of_modulus`."""
+    """Shift d of f = E·h + d, and the squared residuals. E was c/h smaller before: c as in `_of_modulus`."""
     modulus_Pa, web_before_per_Pa = s[_MODULUS_PA], s[_WEB_PER_PA]
     s_fh = s[_FH] - s[_F] * s[_H] / s[_COUNT]
     s_hh = max(s[_HH] - s[_H] * s[_H] / s[_COUNT], 0.0)
@@ -248,7 +248,7 @@ def _of_shift(s: Array, precision: float) -> tuple[float, float]:
     squares = s_ff - 2.0 * least * s_fh + least * least * s_hh
     if precision < inf:
         squares += held * (least - modulus_Pa) ** 2
-    # What there was before is in E as it is told: the shift is what there is beyond that.
+    # An earlier error is in the stated E: the shift is the increase since.
     return d - (modulus_Pa - least) * web_before_per_Pa, squares
 
 
@@ -263,12 +263,12 @@ def _free(s: Array) -> float:
 
 @compiled
 def undecided(s: Array) -> bool:
-    """Whether a change has been open for long, and may as well be the one as the other."""
+    """True if a change has been open for long, and may equally be E or a shift."""
     return bool(s[_OPEN] != 0.0 and s[_COUNT] >= _LONG and s[_LEANS_TO_MODULUS] == 0.0)
 
 
 def new_state() -> Array:
-    """State of what looks at the blocks of axis 2."""
+    """State of the torque-shift detector on the blocks of axis 2."""
     size = ring.size(_BEFORE)
     s = np.zeros(_SIZE + 4 * size)
     for number, place in enumerate((_FORCES, _WEBS, _SPEEDS, _STATED)):

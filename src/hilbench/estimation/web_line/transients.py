@@ -1,9 +1,9 @@
-"""A sudden change of the web whose tension a carriage keeps, by the kick that it gives.
+"""Matched-filter detector of a sudden change of E at a carriage, by its tension transient.
 
-Another E of the web beside a dancer is another tension at once, until the carriage has given way: it swings against
-the web, and the torques of the rollers beside it with it. A slip at a roller, or web that comes in with another strain,
-begins without that. What the torques do is compared with what they would do after steps of several sizes, as a stiffer
-web swings faster, beside all that begins at the same instant otherwise: at each roller another constant load.
+Another E of the web at a dancer changes the tension at once, until the carriage has moved: it oscillates against the
+web, and the torques of the neighbouring rollers with it. A slip at a roller, or entering web with another strain,
+begins without that. The torques are compared with the transients of steps of several sizes, as a stiffer web oscillates
+faster, orthogonal to other changes at the same instant: a constant load step at each roller.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from hilbench.compiled import MATRIX, VECTOR, entry_point
 
 Vector = NDArray[np.float64]
 
-#: Samples before the step in what is compared: they say from where the torques set out.
+#: Samples before the step in the comparison: they fix the initial torques.
 BEFORE: Final = 10
-#: Deviations by which a kick stands out that is one, and one that may be; of what the latter explains the share, and
-#: beside that deviations of the noise, that may be left unexplained with it.
+#: Deviations of a certain transient, and of a possible one; share of the latter's explained squares, and deviations of
+#: noise in addition to that, that may be left unexplained.
 _STANDS_OUT, _MAY_BE = 5.5, 4.0
 _LEFT_SHARE, _LEFT_NOISE = 0.5, 2.0
-#: Share of the length of a kick after which the best fit is no more surpassed: half a swing earlier it looks like one
-#: the other way.
+#: Share of a transient's length after which the best fit is final: half a period earlier it looks like one of the
+#: opposite sign.
 _DECIDED: Final = 0.5
 #: Error of a model's masses and friction: of the size that is found.
 _OF_MODEL: Final = 0.1
@@ -35,8 +35,8 @@ _OF_MODEL: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Transient:
-    """E of the web beside a carriage is so much larger, as a share, with a standard deviation, since so many cycles;
-    not `sure`: noise may look like it."""
+    """Relative increase of E at a carriage, with standard deviation, so many cycles ago; not `sure`: noise may look
+    like it."""
 
     share: float
     deviation: float
@@ -49,8 +49,8 @@ def _take(
     values: Vector, torques: Vector, variances: Vector, transients: Vector, energies: Vector, products: Vector,
     sizes: Vector,
 ) -> None:  # fmt: skip
-    """Another sample (m,) behind `values` (cycles, m), without the first; each of the kicks (n, m·cycles), in which
-    are `energies` (n, m), with that: `products` (n,) and `sizes` (n,), weighted by the variances (m,)."""
+    """Shift a sample (m,) into `values` (cycles, m); correlate each transient (n, m·cycles), with `energies` (n, m),
+    with them: `products` (n,) and `sizes` (n,), weighted by the variances (m,)."""
     cycles, m = values.shape
     for c in range(cycles - 1):
         for j in range(m):
@@ -68,8 +68,8 @@ def _take(
 
 
 class TransientDetector:
-    """`transients` (n, M, m): what each of m torques does in M cycles from a step of E on, over its size;
-    `shares` (n,): these sizes; `loads` (M, m): what it does from a step of the load at its own roller on."""
+    """Matched filter. `transients` (n, M, m): response of each of m torques in M cycles from a step of E on, over its
+    size; `shares` (n,): these sizes; `loads` (M, m): response to a load step at its own roller."""
 
     def __init__(self, transients: Vector, shares: Sequence[float], loads: Vector) -> None:
         count, cycles, torques = transients.shape
@@ -78,28 +78,28 @@ class TransientDetector:
         whole = np.concatenate([np.zeros((count, BEFORE, torques)), transients], axis=1)
         stepped = np.concatenate([np.zeros((BEFORE, torques)), loads])
         self._bases = [np.linalg.qr(np.stack([np.ones(self._cycles), each], axis=1))[0] for each in stepped.T]
-        # What of each kick nothing else does, (m, n, cycles).
+        # Part of each transient orthogonal to offset and load step, (m, n, cycles).
         of_torques = np.stack([self._left(whole[:, :, at], at) for at in range(torques)])
-        #: The same one behind the other, (n, m·cycles), and what they are in all (n, m).
+        #: The same flattened, (n, m·cycles), and their energies (n, m).
         self._transients = np.ascontiguousarray(of_torques.transpose(1, 0, 2)).reshape(count, -1)
         self._energies = np.ascontiguousarray(np.sum(of_torques**2, axis=2).T)
         self._products, self._sizes = np.zeros(count), np.zeros(count)
         self.reset()
 
     def _left(self, values: Vector, torque: int) -> Vector:
-        """Of values (…, cycles) what neither an offset nor a step of the load makes."""
+        """Residual of values (…, cycles) after an offset and a load step."""
         basis = self._bases[torque]
         left: Vector = values - (values @ basis) @ basis.T
         return left
 
     def reset(self) -> None:
-        """What was before says nothing any more."""
+        """Forget all samples."""
         self._values = np.zeros((self._cycles, len(self._bases)))
         self._filled, self._best, self._since = 0, 0.0, 0
         self._found: Transient | None = None
 
     def take(self, torques_Nm: Vector, variances: Vector) -> Transient | None:
-        """Torques (m,) beside those of the line that is followed, with the variances of their noise; a kick once it is
+        """Take torque residuals (m,) to the simulated line, with their noise variances; returns a transient once it is
         decided."""
         self._filled += 1
         _take(self._values, torques_Nm, variances, self._transients, self._energies, self._products, self._sizes)
@@ -124,7 +124,7 @@ class TransientDetector:
         return Transient(found.share, found.deviation, self._cycles - BEFORE + since, found.sure)
 
     def _fits(self, gain: float, weights: Vector) -> bool:
-        """Whether the kick is most of what happens."""
+        """True if the transient explains most of the signal."""
         left = [self._left(values, torque) for torque, values in enumerate(self._values.T)]
         rest = sum(weight * float(each @ each) for weight, each in zip(weights.tolist(), left, strict=True)) - gain
         expected = len(weights) * self._cycles

@@ -1,8 +1,8 @@
-"""Unmodelled effects: what the model of a driven roller lacks, estimated beside E from its momentum balance.
+"""Unmodelled effects of a driven roller, estimated in addition to E from its momentum balance.
 
-The synchronizer of a span is given the force without what has been accepted as no tension. Until the evidence for an
-effect is overwhelming nothing but what was commissioned is taken out, and E is what the model makes of the torque; the
-stated deviation of E has what all effects together may be off by.
+The method of a span gets the force less the accepted effects. Until the evidence for an effect is overwhelming only
+commissioned values are compensated, and E is the model's view of the torque; the stated deviation of E includes that of
+all effects together.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ from hilbench.plant.web_line.parameters import ModelParameters
 
 #: A block: short against the span's transport and the drives' loops, long enough for motion to be differentiated, s.
 _BLOCK_S: Final = 0.02
-#: Deviation of E at the start: anything that pulls alike is E until the data tell.
+#: Prior deviation of E: any force in phase with the strain counts as E until the data separate them.
 _INITIAL_E: Final = 0.5
 #: Random walk of E without measurements, relative per √s.
 _HOLD_WALK: Final = 0.02
-#: Force that keeps a roller at rest, and friction at the onset, over the dry friction of one that turns: anything
+#: Force that keeps a roller at rest, and friction at the onset, over the dry friction of a turning one: anything
 #: between both signs.
 _STUCK: Final = 0.6
-#: What changes by itself, as a share of the usual deviation, and in which time (s): friction with the temperature of
-#: bearings and seals, an offset with that of a drive over a shift, the rest with what a model simplifies.
+#: Random walks, as a share of the prior deviation, and their time (s): friction with the temperature of bearings and
+#: seals, an offset with that of a drive over a shift, the rest with the model's simplifications.
 _WARMING: Final = (0.15, 1200.0)
 _SHIFT: Final = (0.15, 28800.0)
 _SIMPLIFIED: Final = (0.1, 3600.0)
 #: A parameter counts as identified when the data have shrunk its prior deviation to this share.
 _IDENTIFIED: Final = 0.7
-#: The deviation of what accelerates counts so many times: the blocks of a ramp err alike.
+#: Factor on the deviation of accelerating mass: the errors of a ramp's blocks are alike.
 _ALIKE_IN_A_RAMP: Final = 1.5
 _TORQUE_NOISE_NM, _TORQUE_FLOOR_NM = 0.05, 1e-4
 _POSITION_NOISE_M, _POSITION_FLOOR_M = 2e-7, 2e-8
-#: States by the name of what is found, and of a prior.
+#: States by the name of the reported quantity, and of a prior.
 _STATES: Final = {
     "torque_offset_Nm": filters.OFFSET,
     "dry_friction_N": filters.DRY,
@@ -67,7 +67,7 @@ _TURNING: Final = (
 
 
 def prior_deviations(config: ModelErrorsConfig, model: ModelParameters, force_per_torque_per_m: float) -> Array:
-    """Standard deviations of the filter's states (STATES,), from sizes of the machine; of E and a disturbance 0."""
+    """Prior standard deviations of the states (STATES,), from the machine's sizes; 0 for E and the disturbance."""
     boundary, f = model.boundary, filters
     tension_N = max(boundary.upstream_tension_N, boundary.downstream_tension_N)
     strain = tension_N / model.stiffness_N(1)
@@ -94,9 +94,9 @@ def prior_deviations(config: ModelErrorsConfig, model: ModelParameters, force_pe
 
 
 def priors_behind(priors: Sequence[Prior], span: int, model: ModelParameters) -> list[Prior]:
-    """Priors of the rollers behind a span (from 1) of a line, as those of axis 2 of two rollers.
+    """Priors of the rollers after a span (from 1) of a line, combined to those of axis 2 of two rollers.
 
-    Forces of several rollers add up, where each of them is known; a share of mass or torque is that of one roller.
+    Forces of several rollers add up if each of them is known; a share of mass or torque is that of one roller.
     """
     axes = range(span + 1, model.axis_count + 1)
     per_m = model.motor_rad_per_m(span + 1)
@@ -115,7 +115,7 @@ def priors_behind(priors: Sequence[Prior], span: int, model: ModelParameters) ->
 
 
 def _wander(f: Record) -> None:
-    """What changes by itself, into the filter."""
+    """Set the random walks of the states."""
     for states, (share, time_s) in (
         ((filters.OFFSET,), _SHIFT),
         ((filters.DRY, filters.STRIBECK, filters.VISCOUS), _WARMING),
@@ -127,13 +127,13 @@ def _wander(f: Record) -> None:
 
 @inlined
 def record(state: Array) -> Record:
-    """The filter that stands in a state, for compiled callers."""
+    """Filter record in a state vector, for compiled callers."""
     return viewed(state, FILTER)[0]
 
 
 @compiled
 def correction_N(state: Array) -> float:
-    """Force in the balance that has been accepted as no tension."""
+    """Force in the balance that is accepted as unmodelled effect."""
     return float(record(state).correction_N)
 
 
@@ -143,8 +143,8 @@ def _interrupt(state: Array) -> None:
 
 
 class UnmodelledEffects:
-    """Friction, offset, scale, mass, creep, unbalance and eccentricity beyond the model's, of the roller behind the
-    first span. `priors`: what was commissioned, of its axis."""
+    """Estimator of friction, offset, scale, mass, creep, unbalance and eccentricity beyond the model's, for the roller
+    after the first span. `priors`: commissioned values of its axis."""
 
     def __init__(
         self,
@@ -169,10 +169,10 @@ class UnmodelledEffects:
         for prior in priors:
             at = _STATES[prior.quantity]
             unit = balance.force_per_torque_per_m if at == f.OFFSET else 1.0
-            # A motor that pushes with more than it is known to needs less torque.
+            # A motor with more force per torque than assumed needs less torque.
             sign = -1.0 if at == f.SCALE else 1.0
             s["base"][at], deviations[at] = sign * unit * prior.value, unit * prior.deviation
-        less = 1.0 + s["stiffness_N"] * s["base"][f.CREEP]  # the state is less than what is known, see the filter
+        less = 1.0 + s["stiffness_N"] * s["base"][f.CREEP]  # the state κ' is less than κ, see the filter
         s["base"][f.CREEP] /= less
         deviations[f.CREEP] /= less**2
         s["prior"] = deviations**2
@@ -203,26 +203,26 @@ class UnmodelledEffects:
         self._record["cycle_s"], self._record["block"] = cycle_s, max(2, round(_BLOCK_S / cycle_s))
 
     def interrupt(self) -> None:
-        """A cycle is missing, or can't be used: no mean goes across."""
+        """Discard the current block: a cycle is missing or unusable."""
         _interrupt(self.state)
 
     def set_cycle_time(self, cycle_s: float) -> None:
-        """A cycle is so long from the next on: what is known stays."""
+        """Set the cycle time; estimates are kept."""
         self._set_cycle(cycle_s)
         self.interrupt()
 
     def hold(self, duration_s: float) -> None:
-        """Nothing can be measured: E may become another one. Of what the model lacks nothing is forgotten."""
+        """Skip a time without measurement: the variance of E grows, unmodelled effects stay."""
         self.interrupt()
         self._record["covariance"][filters.E, filters.E] += _HOLD_WALK**2 * duration_s
 
     def release(self) -> None:
-        """The web is another one: its E may be, too."""
+        """Widen E after a change of the web."""
         self.interrupt()
         self._record["covariance"][filters.E, filters.E] += _INITIAL_E**2
 
     def know(self, modulus_Pa: float, deviation_Pa: float, friction_N: float, friction_deviation_N: float) -> None:
-        """Something else than what is learned here tells E, and dry friction beyond the model's."""
+        """Set E, and dry friction beyond the model's, from another source."""
         s = self._record
         reference_Pa = s["reference_Pa"]
         for at, value, deviation in (
@@ -234,9 +234,9 @@ class UnmodelledEffects:
             s["covariance"][at, at] = deviation**2
 
     def found(self) -> tuple[Nuisance, ...]:
-        """What is estimated beside E by now, beyond the model; of an eccentricity (of roller 2) the amplitude. The mass
-        is that by which the measured torque accelerates: its error and that of the torque's scale are stated together,
-        which of them it is by nothing that they do."""
+        """Nuisance parameters estimated beyond the model; of the eccentricity (of roller 2) the amplitude. The mass is
+        the one that the measured torque accelerates: its error and that of the torque's scale are not separable, and
+        stated as one."""
         s = self._record
         mean, deviations = s["base"] + s["x"], np.sqrt(np.diag(s["covariance"]))
         priors = np.sqrt(s["prior"])

@@ -1,13 +1,13 @@
-"""Which effects the model lacks, by the posterior of one filter that allows for all of them; compiled.
+"""Evidence for unmodelled effects, from the posterior of one filter that contains all of them; compiled.
 
-A filter whose states θ have the prior N(0, P0) and, by the data, the posterior N(m, P) holds all that the data say of
-θ: information Λ = P⁻¹ − P0⁻¹ and η = P⁻¹·m. So the evidence of any other prior N(0, D) follows without another filter
-(the density ratio of Dickey 1971, for a spike that is no point):
+A filter whose states θ have the prior N(0, P0) and the posterior N(m, P) holds all information of the data on θ: Λ =
+P⁻¹ − P0⁻¹ and η = P⁻¹·m. So the evidence of any other prior N(0, D) follows without another filter (the density ratio
+of Dickey 1971, for a spike that is no point):
 
     log p(y | D) = −½·log|Λ + D⁻¹| − ½·log|D| + ½·η'·(Λ + D⁻¹)⁻¹·η
 
 D has the usual variance for a group that is lacking, and a hundredth of it for one that the model has right: no model
-is surer than that. A set of groups is accepted in the place of another when it is more probable by a factor that noise
+is surer than that. A set of groups is accepted in place of another when it is more probable by a factor that noise
 reaches once in a hundred hours; it is given up by the same rule. Its mean is that under its prior.
 """
 
@@ -28,8 +28,8 @@ _SETS: Final = 2**GROUPS
 EVIDENCE = np.dtype(
     [
         ("count", "i8"),  # of states that are compared
-        ("places", "i8", (SIZE,)),  # where they are in the filter
-        ("groups", "i8", (SIZE,)),  # to which group they belong
+        ("places", "i8", (SIZE,)),  # indices in the filter
+        ("groups", "i8", (SIZE,)),  # group of each
         ("accepted", "i8"),  # set of groups, a bit each
         ("lacking", "f8"),  # probability that the model lacks anything
         ("information", "f8", (SIZE, SIZE)),
@@ -39,9 +39,9 @@ EVIDENCE = np.dtype(
         ("scores", "f8", (_SETS,)),
     ]
 )
-#: Probability that the model lacks a group, before anything is measured.
+#: Prior probability that the model lacks a group.
 LACKING: Final = 0.1
-#: Variance of what a right model has of an effect, over the usual one of the effect.
+#: Variance of an effect that the model has right, over its usual one.
 _SPIKE: Final = 0.01
 #: Logarithm of the odds from which on another set is accepted. By the inequality of Ville (1939) noise alone reaches
 #: odds of 1 to exp(-12) with a probability of 6e-6 however long one looks.
@@ -50,8 +50,8 @@ _OVERWHELMING: Final = 7.0
 
 @compiled
 def _factorize(a: Array, n: int, out: Array) -> float:
-    """Cholesky factor of a (n, n) into the lower half of `out`; the logarithm of the determinant, or 1e300 where it is
-    not positive definite."""
+    """Cholesky factor of a (n, n) into the lower half of `out`; returns the log determinant, or 1e300 if not positive
+    definite."""
     total = 0.0
     for i in range(n):
         for j in range(i + 1):
@@ -83,7 +83,7 @@ def _solve(factor: Array, n: int, b: Array) -> None:
 
 @compiled
 def _gather(s: Any, x: Array, covariance: Array, prior: Array, wander: Array) -> bool:
-    """Information of the data on the states, each in units of its usual deviation; False where there is none."""
+    """Information of the data on the states, in units of their usual deviations; False if there is none."""
     n = s.count
     for i in range(n):
         at = s.places[i]
@@ -108,7 +108,7 @@ def _gather(s: Any, x: Array, covariance: Array, prior: Array, wander: Array) ->
 
 @compiled
 def _score(s: Any, chosen: int) -> float:
-    """Logarithm of the probability of a set of groups, but for a constant; into `mean` that of the states under it."""
+    """Log probability of a set of groups, up to a constant; fills `mean` with the states' mean under it."""
     n, total = s.count, 0.0
     for i in range(n):
         s.mean[i] = s.weighed[i]
@@ -130,10 +130,10 @@ def _score(s: Any, chosen: int) -> float:
 
 @compiled
 def look(s: Any, x: Array, covariance: Array, prior: Array, wander: Array, target: Array) -> None:
-    """Compare all sets of groups by what the filter knows.
+    """Compare all sets of groups by the filter's posterior.
 
-    Mean x (N,), covariance (N, N), prior variances (N,), what wanders beside them, relative to those (N,); target (N,):
-    mean of what has been accepted.
+    Mean x (N,), covariance (N, N), prior variances (N,), random-walk variances relative to those (N,); target (N,):
+    mean of the accepted set.
     """
     if not _gather(s, x, covariance, prior, wander):
         return

@@ -1,24 +1,25 @@
-"""Kalman filter of E and of what the model of a driven roller lacks, on block means of its balance; compiled.
+"""Kalman filter of E and unmodelled effects of a driven roller, on block means of its momentum balance; compiled.
 
     y = E·h + b + d·sign(v) + g·sign(v)·exp(-(v/v_s)²) + s·[v = 0] + c·v + k·T + μ·m·v' + u·cos φ + w·sin φ + D
         + E·S·(Σ_j a_j·p_j + b_j·q_j − κ'·q)
 
-y: force with which the web pulls by measured torque and motion. D: a disturbance that comes and goes; offset b; dry
-friction d, and g beyond it at low speed (Stribeck); s keeps a roller at rest; viscous friction c; error k of the
-torque's scale (T: what the motor pushes with); error μ of the mass; unbalance u, w at the roller's angle φ;
-eccentricity a_j, b_j of the rollers over their radius (p_j' = v/L·(cos φ_j − p_j), and q_j).
+y: web force by measured torque and motion. D: an intermittent disturbance; offset b; dry friction d, and g beyond it at
+low speed (Stribeck); s holds a roller at rest; viscous friction c; error k of the torque's scale (T: motor force);
+error μ of the mass; unbalance u, w at the roller's angle φ; eccentricity a_j, b_j of the rollers over their radius
+(p_j' = v/L·(cos φ_j − p_j), and q_j).
 
-Creep κ takes κ·(F − F_next) from the strain as it builds up in the span, F being less by that itself. As
-κ' = κ/(1 + E·S·κ) it is linear in what is measured: q' = v/L·(1 + E·S·κ)·(E·h − F_next − q). The state is κ', at the E
-that strains are turned into forces with.
+Creep κ takes κ·(F − F_next) from the strain as it builds up in the span, F being less by that itself. As κ' = κ/(1 +
+E·S·κ) it is linear in what is measured: q' = v/L·(1 + E·S·κ)·(E·h − F_next − q). The state is κ', at the E that strains
+are turned into forces with.
 
-At constant speed and tension one number is measured, the sum of all of it. E and the rest part only by excitation:
-while speed or tension change, all states are estimated. In quiet time only those are that their regressors tell apart
-at all times (E, D, what turns with a roller); the others are considered (Schmidt 1966): they keep their mean, and count
-in every gain and in the stated deviation by their covariance. A regressor that is made of measured signals varies in
-quiet time by nothing but their noise, and would be taken for evidence in minutes (errors in variables).
+Identifiability: at constant speed and tension only the sum of all terms is measured; E and the rest are separated by
+excitation alone. While speed or tension change, all states are estimated. In quiet time only those are whose regressors
+separate them at all times (E, D, rotating terms); the others are considered (Schmidt–Kalman; Schmidt 1966): they keep
+their mean, and count in every gain and in the stated deviation by their covariance. A regressor made of measured
+signals varies in quiet time by nothing but their noise, and would be taken for evidence in minutes (errors in
+variables).
 
-What may change by itself does so within bounds: the variance that is added since the last excitation goes to that of an
+Wandering parameters stay within bounds: the variance added since the last excitation goes to that of an
 Ornstein-Uhlenbeck process, of which it is the increment.
 """
 
@@ -35,10 +36,10 @@ from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line import periodic_disturbance, unmodelled_evidence
 from hilbench.estimation.web_line.unmodelled_evidence import EVIDENCE
 
-# States; from OFFSET on what the model may lack, from CREEP on what it lacks in the strain: times E.
+# States; from OFFSET on unmodelled effects, from CREEP on those in the strain: times E.
 E, DISTURBANCE, OFFSET, DRY, STRIBECK, STUCK, VISCOUS, SCALE, MASS, UNBALANCE_COS, UNBALANCE_SIN, CREEP = range(12)
 COS2, SIN2, COS1, SIN1, STATES = range(12, 17)
-#: Effects that the model lacks all of, or none.
+#: Groups of effects that the model lacks together.
 GROUPS = (
     (OFFSET,),
     (DRY, STRIBECK),
@@ -49,10 +50,10 @@ GROUPS = (
 )
 
 _VECTOR, _SQUARE = (STATES,), (STATES, STATES)
-#: All of a filter. Forces at the web, angles in rad; E and what is relative to it over `reference_Pa`.
+#: State of a filter. Forces at the web, angles in rad; E and what is relative to it over `reference_Pa`.
 FILTER = np.dtype(
     [
-        # What follows from model, config and cycle.
+        # Derived from model, config and cycle.
         ("cycle_s", "f8"),
         ("block", "f8"),  # cycles of a block
         ("mass_kg", "f8"),
@@ -65,20 +66,20 @@ FILTER = np.dtype(
         ("tension_N", "f8"),  # usual
         ("standstill_m_s", "f8"),  # speed up to which a roller may be at rest
         ("prior", "f8", _VECTOR),  # variances before anything is measured
-        ("wander", "f8", _VECTOR),  # variances of what changes by itself, relative to the prior's
-        ("wander_s", "f8", _VECTOR),  # in which time
-        ("base", "f8", _VECTOR),  # what was commissioned: means of the prior
-        # What is known: deviations from `base` and their covariance, of which `growth` has been added by itself.
+        ("wander", "f8", _VECTOR),  # random-walk variances, relative to the prior's
+        ("wander_s", "f8", _VECTOR),  # their time constants
+        ("base", "f8", _VECTOR),  # commissioned values: means of the prior
+        # Estimates: deviations from `base` and their covariance, of which `growth` is the random walk's.
         ("x", "f8", _VECTOR),
         ("covariance", "f8", _SQUARE),
         ("growth", "f8", _VECTOR),
-        # What is taken out of the force, and what it goes to.
+        # Parameters of the force correction, and their targets.
         ("theta", "f8", _VECTOR),
         ("target", "f8", _VECTOR),
         ("correction_N", "f8"),
-        ("rebased_N", "f8"),  # by how much more it is than with what was known a cycle before, without what turns
+        ("rebased_N", "f8"),  # its increase by parameter changes of this cycle, without rotating terms
         ("spread_N", "f8"),  # its deviation
-        ("intercept_N", "f8"),  # the same of what would be taken out of the force of a web that pulls no more
+        ("intercept_N", "f8"),  # the same for a web without tension
         # Of this cycle and block.
         ("now", "f8", _VECTOR),  # regressors
         ("sums", "f8", _VECTOR),
@@ -98,21 +99,21 @@ FILTER = np.dtype(
         ("mean_N", "f8"),  # the same over more of them
         ("regressor_N", "f8"),  # the tension at the reference E that regressors are formed with
         ("usual_web_N", "f8"),
-        ("web_swing_N2", "f8"),  # how far the tension usually is from its mean
-        ("lag_swing_N2", "f8"),  # the same of that over the blocks before
+        ("web_swing_N2", "f8"),  # mean square deviation of the tension from its mean
+        ("lag_swing_N2", "f8"),  # the same from the mean over the previous blocks
         ("settled_s", "f8"),  # since the tension was in transition
         ("beyond_N", "f8"),
         ("at_rest", "f8"),  # share of the last block
         ("excited", "f8"),  # all states are estimated
-        ("speeds_up_s", "f8"),  # for how long the speed counts as changing yet
-        ("steady_m_s", "f8"),  # what the speed is while it does not
-        ("evidence_s", "f8"),  # until the evidence is looked at again
+        ("speeds_up_s", "f8"),  # how long the speed still counts as changing
+        ("steady_m_s", "f8"),  # the speed while it does not
+        ("evidence_s", "f8"),  # until the next evaluation of the evidence
         # Innovations.
         ("excess", "f8"),  # their square over what is expected
         ("surprised", "f8"),
         ("leaning", "f8"),
         ("jumped_s", "f8"),  # since E has jumped
-        # E as it is stated: its lags, how far it goes to and fro.
+        # Stated E: its lags, its variance.
         ("modulus", "f8"),  # E that strains are turned into forces with
         ("stated", "f8"),
         ("soon_before", "f8"),
@@ -131,58 +132,58 @@ Record = Any
 
 #: Smoothing of the speed: of its sign, of the acceleration, and of what is usual, s.
 _DIRECTION_S, _ACCELERATION_S, _USUAL_SPEED_S = 0.02, 0.1, 0.5
-#: A speed that differs from the usual one by more is changing: far above the noise of an encoder, and less than 1 % of
-#: what lines run at, m/s.
+#: Deviation from the usual speed from which on it is changing: far above the noise of an encoder, and less than 1 % of
+#: line speeds, m/s.
 _SAME_SPEED_M_S = 0.01
 #: Share of a block in which a roller is at rest, below which it starts.
 _STARTS = 0.9
-#: A tension is changing that differs from its mean over some time by so many times what it usually does, and by so much
-#: of itself; time over which the usual is formed, s, and how many times of it one block counts at most.
+#: A tension is changing that deviates from its mean by so many standard deviations, and by this share of itself;
+#: averaging time of the deviation, s, and most of it that one block counts for.
 _MEAN_S, _FAR, _LEAST_CHANGE, _SWING_S, _MOST_SWING = 5.0, 4.0, 0.01, 60.0, 9.0
-#: A tension that differs from its mean over the blocks before by more, and by more than it usually does, is in
-#: transition: what creep and scale make of it parts then by a timing that no measurement is sure of.
+#: A tension that deviates from the mean of the previous blocks by more, and by more than usual, is in transition: the
+#: separation of creep and scale then depends on a timing that no measurement resolves.
 _TRANSITION = 0.005
-#: Time in which the loops settle: for so long the data tell of a change of the speed behind it, and from then on of one
-#: of the tension, s.
+#: Settling time of the loops: for so long after it data count for a change of speed, and from then on for one of the
+#: tension, s.
 _SETTLES_S = 0.3
-#: Speed at which friction at the onset has gone (Stribeck), m/s.
+#: Speed at which friction at the onset has vanished (Stribeck), m/s.
 STRIBECK_M_S = 0.25
-#: Change of speed by which friction is another one, as much as by all of its time, m/s.
+#: Change of speed that changes friction as much as its time constant does, m/s.
 _OTHER_FRICTION_M_S = 3.0
 #: Time over which the tension of the blocks before is averaged, s: far above a block, below the span's transport; and
 #: where it is a regressor: of what turns with a roller (2.4 Hz at 3 m/s and 0.2 m) a quarter is left.
 _LAG_S, _REGRESSOR_S = 0.1, 0.3
-#: Change of E from which on what is in the strain is another force, relative.
+#: Relative change of E from which on strain errors are converted to forces anew.
 _OTHER_MODULUS = 0.02
-#: Share of the tension that creep leaves at least: far more than a web that runs loses by it.
+#: Least share of the tension left by creep: far less than a running web keeps.
 _LEAST_LEFT = 0.1
-#: Memory of a force that comes and goes, s. How many times the variance that is seen beyond the least is added to it:
-#: half of what sways at 0.3 Hz is seen, and it goes on in phase for longer than the memory. From 2 to 8 times the
-#: intervals hold beside ±3 N; without it friction or offset are found where there are none.
+#: Memory of an intermittent force, s. Factor on the variance seen beyond the least: half of an oscillation at 0.3 Hz is
+#: seen, and it stays in phase for longer than the memory. With 2 to 8 the intervals hold with ±3 N added; without it
+#: friction or offset are found where there are none.
 _DISTURBANCE_S, _SWAYS = 1.0, 3.0
-#: Random walk of E, relative per √s: while all is estimated, and in quiet time, where nothing is learned by it.
+#: Random walk of E, relative per √s: while all is estimated, and in quiet time, where it adds no information.
 _WALK, _QUIET_WALK = 1e-3, 4e-3
 #: Share of the inertial force that counts as noise where the speed shakes.
 _SHAKING = 0.1
 #: Change of tension from block to block that counts as noise, times this: torque and motion are of one instant to some
 #: milliseconds only.
 _LATE = 0.15
-#: Share of what holds a roller at rest that counts as noise while it neither rests nor turns.
+#: Share of the force holding a roller at rest that counts as noise between rest and turning.
 _PRESLIDING = 0.25
-#: An innovation beyond so many deviations is no noise; nor a mean of them over so many blocks beyond so many.
+#: Innovations beyond so many deviations are no noise; nor is a mean of them over so many blocks beyond so many.
 _SURPRISE, _LEANS, _LEANING_BLOCKS = 4.0, 5.0, 25.0
 #: By how much E may have changed then, relative.
 _JUMP, _SMALL_JUMP = 0.3, 0.03
 #: Memory of the innovations' size, s, and the most that one counts of it.
 _EXCESS_S, _MOST_EXCESS = 2.0, 30.0
-#: Time constants of how the stated E was before, s; it jumps when it differs from that soon before by so many
-#: deviations of how far it goes to and fro, and by so much of itself, so long after a jump at the soonest, s.
+#: Time constants of the earlier stated E, s; it jumps when it differs from the short one by so many deviations, and by
+#: this share of itself, at the soonest so long after a jump, s.
 _SOON_S, _BEFORE_S, _USUAL_S, _JUMPS, _LEAST_JUMP = 0.1, 0.5, 5.0, 4.0, 0.02
 #: Deviation of a force that comes and goes at least, relative to the tension; how many times the usual one counts.
 _LEAST_UNREST, _MOST_UNREST = 4e-3, 9.0
-#: Time constant with which what has been accepted is taken out of the force, s.
+#: Time constant with which accepted effects are compensated, s.
 _APPLIED_S = 0.25
-#: Time between two looks at the evidence, s.
+#: Interval of the evaluation of the evidence, s.
 _EVIDENCE_S = 0.5
 
 
@@ -193,7 +194,7 @@ def _turns(i: int) -> bool:
 
 @compiled
 def interrupt(f: Record) -> None:
-    """A cycle is missing, or can't be used: no mean goes across."""
+    """Discard the current block: a cycle is missing or unusable."""
     f.count = 0.0
     f.soon_before = f.before = 0.0
     periodic_disturbance.interrupt(f.ripples)
@@ -201,10 +202,10 @@ def interrupt(f: Record) -> None:
 
 @inlined
 def likely_deviation_N(f: Record) -> float:
-    """What the correction may be wrong by (standard deviation), by what is likely: mostly the model lacks nothing.
+    """Standard deviation of the force correction: posterior spread weighted by the probability of a model error.
 
-    As far as more speaks for something that is lacking than before anything was measured: what that would be of a web
-    that pulls no more, as a change of the tension shows.
+    As far as that exceeds the prior probability, `intercept_N` counts: the spread for a web without tension, as a
+    change of the tension reveals it.
     """
     lacking, before = f.evidence.lacking, 1.0 - (1.0 - unmodelled_evidence.LACKING) ** unmodelled_evidence.GROUPS
     shows = 1.0 if f.evidence.accepted != 0 else min(max((lacking - before) / (1.0 - before), 0.0), 1.0)
@@ -213,7 +214,7 @@ def likely_deviation_N(f: Record) -> float:
 
 @compiled
 def forget(f: Record) -> None:
-    """Know no more of what the model lacks than before anything was measured; E stays, and may be another one."""
+    """Reset unmodelled effects to their prior; E keeps its mean, with the variance of a jump."""
     noinline()
     f.covariance[E, E] += _JUMP * _JUMP
     for i in range(STATES):
@@ -229,7 +230,7 @@ def forget(f: Record) -> None:
 
 @compiled
 def _regressors(f: Record, web_N: float, speed_m_s: float, motor_N: float, phi_1: float, phi_2: float) -> None:
-    """What a unit of each state adds to the force at this instant; of those of the strain at the reference E."""
+    """Regressors: force per unit of each state at this instant; states in the strain at the reference E."""
     a, inertia_N, changes = f.now, 0.0, f.speeds_up_s > 0.0
     if changes:
         inertia_N = f.mass_kg * f.acceleration_m_s2
@@ -251,19 +252,19 @@ def _regressors(f: Record, web_N: float, speed_m_s: float, motor_N: float, phi_1
 
 @inlined
 def _lost(f: Record) -> float:
-    """Share of a change of the tension that creep takes: E·S·κ'."""
+    """Share of a tension change lost by creep: E·S·κ'."""
     return float(f.modulus * f.stiffness_N * (f.base[CREEP] + f.x[CREEP]))
 
 
 @inlined
 def _left(f: Record) -> float:
-    """Share of it that creep leaves: 1/(1 + E·S·κ) = 1 − E·S·κ'."""
+    """Share of a tension change left by creep: 1/(1 + E·S·κ) = 1 − E·S·κ'."""
     return float(max(1.0 - _lost(f), _LEAST_LEFT))
 
 
 @compiled
 def _use_modulus(f: Record, modulus: float) -> None:
-    """Turn strains into forces with another E, over its reference: the same creep κ is another κ' then."""
+    """Set the E (over its reference) that converts strains to forces: the same creep κ has another κ' then."""
     noinline()
     ratio = 1.0 + (modulus / f.modulus - 1.0) * (1.0 - _left(f))
     f.modulus = modulus
@@ -279,8 +280,8 @@ def _use_modulus(f: Record, modulus: float) -> None:
 
 @compiled
 def _transport(f: Record, speed_m_s: float, uncrept_N: float, next_N: float, phi_1: float, phi_2: float) -> None:
-    """What creep and eccentricity have made of the span's strain, per unit of either, after a cycle. `uncrept_N`: the
-    tension by its strain as the encoders show it."""
+    """Mass transport of creep and eccentricity strains through the span, per unit of each, for a cycle. `uncrept_N`:
+    tension by the encoders' strain."""
     share = min(abs(speed_m_s) * f.cycle_s / f.span_m, 1.0)
     f.built_up_N += min(share / _left(f), 1.0) * (uncrept_N - next_N - f.built_up_N)
     f.wobble[0] += share * (cos(phi_2) - f.wobble[0])
@@ -291,9 +292,8 @@ def _transport(f: Record, speed_m_s: float, uncrept_N: float, next_N: float, phi
 
 @compiled
 def force_of(a: Array, theta: Array, modulus: float, turning: bool) -> float:
-    """Force of what the model lacks, theta (STATES,) by regressors a (STATES,), at E over its reference. N.
-
-    With or without what turns with a roller."""
+    """Force of unmodelled effects: theta (STATES,) by regressors a (STATES,), at E over its reference, N. With or
+    without rotating terms."""
     total = 0.0
     for i in range(OFFSET, STATES):
         if turning or not _turns(i):
@@ -303,7 +303,7 @@ def force_of(a: Array, theta: Array, modulus: float, turning: bool) -> float:
 
 @compiled
 def _predict(f: Record, duration_s: float, changed_m_s: float) -> None:
-    """Let a block pass: E walks, a disturbance fades, the rest wanders within its bounds."""
+    """Predict over a block: random walk of E, decaying disturbance, bounded random walks of the other states."""
     p, walk = f.covariance, _WALK if f.excited != 0.0 else _QUIET_WALK
     p[E, E] += walk * walk * duration_s
     keep = exp(-duration_s / _DISTURBANCE_S)
@@ -327,10 +327,9 @@ def _predict(f: Record, duration_s: float, changed_m_s: float) -> None:
 
 @compiled
 def _innovation(f: Record, y_N: float) -> float:
-    """Block mean less what is expected; into `row` its covariances with the states. N.
-
-    By how much the tension is another one than its regressor is taken out of it, at the E that strains are turned into
-    forces with: the regressor has none of the block's noise, and the innovation nothing of its lag."""
+    """Innovation of a block mean, N; its covariances with the states go into `row`. The tension's deviation from its
+    regressor is subtracted at the E that converts strains to forces: the regressor is then free of the block's noise,
+    and the innovation of the regressor's lag."""
     x, p, row = f.x, f.covariance, f.row
     expected_N = 0.0
     for i in range(STATES):
@@ -345,8 +344,8 @@ def _innovation(f: Record, y_N: float) -> float:
 
 @inlined
 def _slope(f: Record, i: int) -> float:
-    """Force per unit of a state in this block, without noise of the block: the tension is that of blocks before, and
-    what is in the strain goes with an E that does not follow the noise of the estimate."""
+    """Force per unit of a state in this block, free of the block's noise: the tension is that of previous blocks, and
+    states in the strain use an E that does not follow the estimate's noise."""
     if i == E:
         return float(f.regressor_N)
     return float(f.sums[i] * f.modulus) if i >= CREEP else float(f.sums[i])
@@ -354,7 +353,7 @@ def _slope(f: Record, i: int) -> float:
 
 @compiled
 def _spread(f: Record) -> float:
-    """Variance of the innovation without the noise, by `row`. N²."""
+    """Variance of the innovation without measurement noise, by `row`, N²."""
     total = 0.0
     for j in range(STATES):
         total += _slope(f, j) * f.row[j]
@@ -368,8 +367,8 @@ def _is_estimated(i: int, excited: bool) -> bool:
 
 @compiled
 def _correct(f: Record, innovation_N: float, variance_N2: float, excited: bool) -> None:
-    """Update of the states that are estimated now; those that are considered keep mean and covariance (Joseph form of a
-    gain that is zero for them)."""
+    """Schmidt–Kalman update: estimated states; considered ones keep mean and covariance (Joseph form with zero
+    gain)."""
     x, p, row = f.x, f.covariance, f.row
     for i in range(STATES):
         if not _is_estimated(i, excited):
@@ -387,7 +386,7 @@ def _correct(f: Record, innovation_N: float, variance_N2: float, excited: bool) 
 
 @compiled
 def _block(f: Record, y_N: float, noise_N2: float, duration_s: float) -> None:
-    """A block's means into the filter, unless they fit nothing: E has jumped, if the next one says so too."""
+    """Update by a block's means, unless the innovation is an outlier: E has jumped if the next one is, too."""
     innovation_N = _innovation(f, y_N)
     variance_N2 = _spread(f) + noise_N2
     size = innovation_N / sqrt(variance_N2)
@@ -414,8 +413,8 @@ def _block(f: Record, y_N: float, noise_N2: float, duration_s: float) -> None:
 
 @compiled
 def _look_for_excitation(f: Record, web_N: float, duration_s: float) -> None:
-    """Whether speed or tension change by more than noise and than they usually do, and with which tension and speed the
-    regressors are formed: where nothing changes with means over seconds, which have none of the noise of a block."""
+    """Detect excitation: changes of speed or tension beyond noise and their usual size; select the regressors' tension
+    and speed, in quiet time means over seconds, which are free of a block's noise."""
     apart_N = web_N - f.usual_web_N
     least_N2 = (_LEAST_CHANGE * f.tension_N / _FAR) ** 2
     swing_N2 = max(f.web_swing_N2, least_N2)
@@ -442,7 +441,7 @@ def _look_for_excitation(f: Record, web_N: float, duration_s: float) -> None:
 
 @compiled
 def _noise_N2(f: Record, web_N: float, acceleration_m_s2: float) -> float:
-    """Variance of a block's mean: of torque and encoder, and what is of one instant to some milliseconds only."""
+    """Variance of a block's mean: torque and encoder noise, vibration, presliding, timing of torque and motion."""
     n, dt = f.block, f.cycle_s
     position_m2 = noise_level.variance(f.position_noise)
     white_N2 = f.force_per_torque_per_m**2 * noise_level.variance(f.torque_noise)
@@ -456,7 +455,7 @@ def _noise_N2(f: Record, web_N: float, acceleration_m_s2: float) -> float:
 
 @compiled
 def _end_block(f: Record, speed_m_s: float) -> None:
-    """Take the means of a block that is complete."""
+    """Update the filter by the means of a complete block."""
     duration_s = f.block * f.cycle_s
     for j in range(STATES):
         f.sums[j] /= f.block
@@ -467,7 +466,7 @@ def _end_block(f: Record, speed_m_s: float) -> None:
         f.usual_web_N = f.lagged_N = f.mean_N = f.web_before_N = f.regressor_N = web_N
     noise_N2 = _noise_N2(f, web_N, acceleration_m_s2)
     _look_for_excitation(f, web_N, duration_s)
-    if at_rest > 0.5 and f.at_rest <= 0.5:  # what keeps a roller at rest is another force each time
+    if at_rest > 0.5 and f.at_rest <= 0.5:  # the force that holds a roller at rest differs each time
         f.x[STUCK] = 0.0
         for j in range(STATES):
             f.covariance[STUCK, j] = f.covariance[j, STUCK] = 0.0
@@ -488,9 +487,8 @@ def _end_block(f: Record, speed_m_s: float) -> None:
 
 @compiled
 def _spread_N(f: Record, a: Array, modulus: float) -> float:
-    """Deviation of the force of what the model lacks from that of what has been accepted, by regressors a (STATES,). N.
-
-    The root of the mean square: while nothing is accepted the mean of the filter is another one."""
+    """Root-mean-square deviation of the unmodelled force from the accepted one, by regressors a (STATES,), N. While
+    nothing is accepted the filter's mean differs from it."""
     variance, apart = 0.0, 0.0
     for i in range(OFFSET, STATES):
         b = a[i] * (modulus if i >= CREEP else 1.0)
@@ -502,7 +500,7 @@ def _spread_N(f: Record, a: Array, modulus: float) -> float:
 
 @compiled
 def _state_spread(f: Record, tension_N: float) -> None:
-    """What the correction may be off by now, and what it would be with a web that pulls no more."""
+    """State the deviation of the force correction now, and for a web without tension."""
     a, b, modulus = f.now, f.row, f.stated
     f.spread_N = _spread_N(f, a, modulus)
     for i in range(STATES):
@@ -514,13 +512,13 @@ def _state_spread(f: Record, tension_N: float) -> None:
 
 @inlined
 def least_unrest_N2(tension_N: float) -> float:
-    """Variance of a force that comes and goes, at least: at a usual tension. N²."""
+    """Least variance of an intermittent force at a usual tension, N²."""
     return (_LEAST_UNREST * tension_N) ** 2
 
 
 @compiled
 def _look_at_stated(f: Record, web_N: float) -> None:
-    """How far the stated E goes to and fro, and whether it has jumped."""
+    """Track the variance of the stated E, and detect its jumps."""
     duration_s = f.block * f.cycle_s
     if f.before == 0.0:
         f.soon_before = f.before = f.stated
@@ -548,7 +546,7 @@ def take(
     next_N: float,
     stated_Pa: float,
 ) -> None:
-    """Take the balance of a cycle; `correction_N`, `rebased_N` and `spread_N` follow from it."""
+    """Take the balance of a cycle; update `correction_N`, `rebased_N` and `spread_N`."""
     noise_level.take(f.torque_noise, torque_Nm)
     noise_level.take(f.position_noise, x2_m)
     dt, web_N = f.cycle_s, web_per_Pa * f.reference_Pa
@@ -570,7 +568,7 @@ def take(
     tension_N = uncrept_N - _lost(f) * f.built_up_N
     motor_angle = x2_m * f.force_per_torque_per_m
     phi_1, phi_2 = x1_m / f.radius_1_m, x2_m / f.radius_2_m
-    # What the motor pushes with beside inertia, by the model: free of the noise of the measured torque.
+    # Motor force without inertia, by the model: free of the noise of the measured torque.
     resistance_N = torque_Nm * f.force_per_torque_per_m + next_N - force_N
     _regressors(f, web_N, velocity_m_s, tension_N + resistance_N - next_N, phi_1, phi_2)
     if f.count == 0.0:

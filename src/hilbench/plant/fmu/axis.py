@@ -1,4 +1,4 @@
-"""The `machine:` block of `kind: fmu`: a servo axis whose mechanics are an FMU, by the motor's torque."""
+"""FMU axis block `machine:` of `kind: fmu`: a servo axis whose mechanics are an FMU, driven by the motor's torque."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hilbench.plant.unit_names import unit_of_name
 
 
 class ScaledVariable(Block):
-    """A parameter of the FMU that ours follows from: ours = factor · the FMU's + offset, in our unit."""
+    """Scaled parameter of the FMU: ours = factor · the FMU's + offset, in our unit."""
 
     variable: VariableName = Field(description="parameter of the FMU")
     factor: FiniteFloat = Field(default=1.0, description="for its value in its own unit")
@@ -25,7 +25,7 @@ class ScaledVariable(Block):
 
 
 class FmuAxisParameters(FmuBlock, ServoAxisParameters):
-    """One servo axis whose mechanics are an FMU. To all but who steps it, a servo axis with the FMU's parameters."""
+    """Servo axis whose mechanics are an FMU. Except for stepping, a servo axis with the FMU's parameters."""
 
     kind: Literal["fmu"] = Field(default="fmu", description="what machine this is")  # type: ignore[assignment]
     torque: VariableName = Field(description="input: torque of the motors on the shaft, N·m")
@@ -42,7 +42,7 @@ class FmuAxisParameters(FmuBlock, ServoAxisParameters):
     @model_validator(mode="wrap")
     @classmethod
     def _with_the_fmus_values(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        """The shaft as the FMU has it at the start, where the config says nothing else."""
+        """Fill the shaft with the FMU's start values, where the config has none."""
         made = handler(data)
         if not isinstance(data, Mapping):
             return made
@@ -68,7 +68,7 @@ class FmuAxisParameters(FmuBlock, ServoAxisParameters):
         return self
 
     def variables(self) -> AxisVariables:
-        """The variables that are named, in SI units. Raises ValueError for one that isn't there, or in other units."""
+        """Named variables, in SI units. Raises ValueError for a missing one, or one in other units."""
         found = self.description()
         return AxisVariables(
             found.find(self.torque, "input", "N·m"),
@@ -78,12 +78,12 @@ class FmuAxisParameters(FmuBlock, ServoAxisParameters):
         )
 
     def as_servo_axis(self) -> ServoAxisParameters:
-        """The axis without the FMU: what a diagnosis compares a recording with."""
+        """Servo axis without the FMU, as the reference model of a diagnosis."""
         return ServoAxisParameters(shaft=self.shaft, motor=self.motor, drives=self.drives)
 
 
 class AxisVariables:
-    """The variables of an FMU that is a servo axis; parameters by our names."""
+    """Variables of an FMU that is a servo axis; parameters by our names."""
 
     def __init__(self, torque: Variable, position: Variable, speed: Variable, parameters: dict[str, Variable]) -> None:
         self.torque, self.position, self.speed, self.parameters = torque, position, speed, parameters

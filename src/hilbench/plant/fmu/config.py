@@ -1,4 +1,4 @@
-"""What a config says of an FMU: its file, which of its variables is what, and how it is stepped."""
+"""FMU configuration: its file, the mapping of its variables, and its communication steps."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ VariableName = Annotated[str, Field(min_length=1, max_length=200)]
 
 
 class FmuBlock(Block):
-    """What every use of an FMU has in common."""
+    """Common settings of every use of an FMU."""
 
     file: Path = Field(description="the FMU (FMI 2 or 3, co-simulation); a relative path is from the config's folder")
     step_s: Positive | None = Field(
@@ -31,16 +31,16 @@ class FmuBlock(Block):
     )
 
     def description(self) -> FmuDescription:
-        """What the file says of itself. Raises ValueError for one that can't be used."""
+        """Description in the file. Raises ValueError for an unusable one."""
         try:
             return read_fmu(self.file)
         except UnusableInputError as error:
             raise ValueError(f"{error.problem} ({self.file})") from None
 
     def communication_step_s(self, natural_s: float) -> float | None:
-        """The one step that the FMU is taken through time by; None: each may be as long as it has to be.
+        """Fixed communication step of the FMU; None: steps of any length.
 
-        `natural_s`: that of who steps it.
+        `natural_s`: the caller's own step.
         """
         if self.step_s is not None:
             return self.step_s
@@ -49,7 +49,7 @@ class FmuBlock(Block):
 
 
 class FmuLoadConfig(FmuBlock):
-    """`load: fmu:`, an FMU that load motors emulate: motion of the driven axes goes in, torques come out."""
+    """Settings `load: fmu:` of an FMU that load motors emulate: motion of the driven axes in, torques out."""
 
     positions: list[VariableName] = Field(
         default=[], description="inputs: measured position of each driven axis, in the machine's unit (m or rad)"
@@ -68,7 +68,7 @@ class FmuLoadConfig(FmuBlock):
     )
 
     def problems(self, axes: int, load_motors: int | None, unit: str) -> Iterator[str]:
-        """Why an FMU can't be emulated so, on a machine with so many axes and load motors, with positions in `unit`."""
+        """Reasons why the FMU can't be emulated on a machine with so many axes and load motors, positions in `unit`."""
         if not self.positions and not self.speeds:
             yield "'fmu.positions' or 'fmu.speeds': the inputs that take the motion"
         for key, names in (("positions", self.positions), ("speeds", self.speeds)):
@@ -82,7 +82,7 @@ class FmuLoadConfig(FmuBlock):
             yield str(error)
 
     def variables(self, unit: str) -> LoadVariables:
-        """The variables that are named, in SI units. Raises ValueError for one that isn't there, or in other units."""
+        """Named variables, in SI units. Raises ValueError for a missing one, or one in other units."""
         found = self.description()
 
         def named(key: str, names: Mapping[str, str]) -> dict[str, Variable]:
@@ -102,7 +102,7 @@ def _find(description: FmuDescription, name: str, causality: str, unit: str) -> 
 
 
 class LoadVariables:
-    """The variables of an FMU that load motors emulate."""
+    """Variables of an FMU that load motors emulate."""
 
     def __init__(
         self,

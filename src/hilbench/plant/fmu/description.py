@@ -1,4 +1,4 @@
-"""What an FMU says of itself (`modelDescription.xml`): its variables with units, and what its steps can do.
+"""FMU description (`modelDescription.xml`): its variables with units, and its step capabilities.
 
 FMI 2.0.4 and 3.0.1, co-simulation; read by FMPy, without running any code of the FMU.
 """
@@ -23,7 +23,7 @@ Exponents = tuple[int, ...]
 _BASE: Final = ("kg", "m", "s", "A", "K", "mol", "cd")
 _FLOATS: Final = ("Real", "Float64")
 _KINDS_OF_PARAMETER: Final = ("parameter", "structuralParameter")
-#: kg, m, s of the units that a machine has.
+#: Exponents of kg, m, s of a machine's units.
 _OF_UNIT: Final[dict[str, tuple[int, int, int]]] = {
     "1": (0, 0, 0),
     "rad": (0, 0, 0),
@@ -38,58 +38,58 @@ _OF_UNIT: Final[dict[str, tuple[int, int, int]]] = {
     "N·m·s/rad": (1, 2, -1),
 }
 _MOST_NAMES: Final = 3
-#: Bytes of what is unpacked, and of the description in it, at most.
+#: Largest size of the unpacked FMU, and of its description, bytes.
 _MOST_BYTES: Final = 1_000_000_000
 _MOST_DESCRIBED_BYTES: Final = 30_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A variable of an FMU with floating point values: SI value = factor · its value + offset."""
+    """Floating point variable of an FMU: SI value = factor · its value + offset."""
 
     name: str
     reference: int  #: value reference
     causality: str
-    settable: bool  #: while the FMU runs: an input or a tunable parameter
-    initial: bool  #: it can be given a value before the start
+    settable: bool  #: at run time: an input or a tunable parameter
+    initial: bool  #: settable before the start
     start: float | None  #: in its own unit
     unit: str  #: its own, "" where it has none
     factor: float = 1.0
     offset: float = 0.0
 
     def si(self, value: float) -> float:
-        """Its value in the SI unit that it was asked for in."""
+        """SI value in the requested unit."""
         return self.factor * value + self.offset
 
     def own(self, value: float) -> float:
-        """An SI value in its own unit."""
+        """Value in its own unit."""
         return (value - self.offset) / self.factor
 
     def scaled(self, factor: float, offset: float) -> Variable:
-        """The same with another factor and offset."""
+        """Copy with another factor and offset."""
         return replace(self, factor=factor, offset=offset)
 
 
 @dataclass(frozen=True)
 class FmuDescription:
-    """An FMU for co-simulation."""
+    """Description of an FMU for co-simulation."""
 
     path: Path
     version: int  #: major, of FMI: 2 or 3
     model: str  #: its name
     identifier: str  #: of its shared library
     token: str  #: GUID or instantiation token
-    tool: str  #: that made it, "" if it does not say
-    can_roll_back: bool  #: its state can be taken and given back (canGetAndSetFMUstate)
+    tool: str  #: generation tool, "" if not stated
+    can_roll_back: bool  #: its state can be saved and restored (canGetAndSetFMUstate)
     any_step: bool  #: canHandleVariableCommunicationStepSize
-    step_s: float | None  #: the communication step that it asks for
+    step_s: float | None  #: its default communication step
     variables: Mapping[str, Variable]
     units: Mapping[str, tuple[Exponents, float, float]]  #: base units, factor and offset to SI, by name
 
     def find(self, name: str, causality: str, unit: str) -> Variable:
-        """The variable of a name that is an ``input``, ``output`` or ``parameter``, in an SI unit.
+        """Variable by name that is an ``input``, ``output`` or ``parameter``, in an SI unit.
 
-        An output may be any variable but an input. Raises ValueError that says what was expected instead.
+        An output may be any variable but an input. Raises ValueError with the expected ones.
         """
         fitting = [each.name for each in self.variables.values() if _fits(each, causality)]
         found = self.variables.get(name)
@@ -114,7 +114,7 @@ class FmuDescription:
 
     @property
     def summary(self) -> str:
-        """What was found, in a line for a person."""
+        """One-line summary for the user."""
         counts = {
             causality: sum(_fits(each, causality) for each in self.variables.values() if each.causality != "local")
             for causality in ("input", "output", "parameter")
@@ -137,7 +137,7 @@ def _fits(variable: Variable, causality: str) -> bool:
 
 
 def read_fmu(path: Path) -> FmuDescription:
-    """What an FMU says of itself. Raises UnusableInputError with the file, what was found and what was expected."""
+    """Description of an FMU. Raises UnusableInputError with the file, found and expected."""
     if not path.is_file():
         raise UnusableInputError(path, "no such file, expected an FMU (.fmu)")
     return _read(path.resolve(), path.stat().st_mtime_ns)
@@ -168,7 +168,7 @@ def _read(path: Path, _changed_ns: int) -> FmuDescription:
         raise
     except (zipfile.BadZipFile, KeyError, OSError):
         raise UnusableInputError(path, "no FMU, expected a zip archive with a modelDescription.xml") from None
-    except Exception as error:  # FMPy raises Exception for all that is wrong with the file
+    except Exception as error:  # FMPy raises Exception for all errors of the file
         text = " ".join(str(error).split())
         raise UnusableInputError(path, f"{text}, expected a modelDescription.xml as FMI 2 or 3 has it") from None
     major = int(str(found.fmiVersion).split(".")[0])

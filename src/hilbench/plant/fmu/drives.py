@@ -1,4 +1,4 @@
-"""Drives in front of an FMU, compiled: their loops once a sample time, and the torque that the FMU gets in it."""
+"""Drives of an FMU's motors, compiled: their loops once a sample time, and the torque on the FMU in it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.layout import Vector
 
 
-#: sample(parameters, state, inputs): one sample time of all drives on the motion in the state; returns the mean of all
-#: torques on the shaft meanwhile, N·m. The state is changed in place; the motion at its end is the FMU's to say.
+#: sample(parameters, state, inputs): one sample time of all drives on the motion in the state; returns the mean sum of
+#: torques on the shaft in it, N·m. The state is changed in place; the motion at its end comes from the FMU.
 @entry_point(VECTOR, VECTOR, VECTOR)
 def sample(p: Vector, s: Vector, u: Vector) -> float:
     period, total = p[lay.P_SAMPLE_TIME_S], u[lay.U_TORQUE_NM]

@@ -1,21 +1,21 @@
-"""An FMU has no effects of hilbench: what it does is in its own equations."""
+"""Effects of an FMU: none of hilbench's, as its behaviour is in its own equations."""
 
 from __future__ import annotations
 
 
 class WithoutEffects:
-    """The part of a machine, or of what a load motor emulates, that takes effects: here it takes none."""
+    """Mixin of a machine, or of an emulated load, without effects."""
 
     def set_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
-        """It can have none. Raises ValueError."""
+        """Raise ValueError: an FMU has no effects."""
         raise _refused(effect_id)
 
     def clear_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0
     ) -> None:
-        """It can have none. Raises ValueError."""
+        """Raise ValueError: an FMU has no effects."""
         raise _refused(effect_id)
 
 

@@ -1,4 +1,4 @@
-"""An FMU that load motors emulate: a `Follower` of any kind of machine, by the names that the config maps."""
+"""FMU emulated by load motors: a `Follower` of any kind of machine, by the names mapped in the config."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from hilbench.plant.unit_names import unit_of_name
 
 
 class FmuFollower(WithoutEffects):
-    """Measured positions of the driven axes in, torques of the load motors out (`hilbench.plant.interface.Follower`).
+    """FMU follower: measured positions of the driven axes in, torques of the load motors out
+    (`hilbench.plant.interface.Follower`).
 
-    The motion of a cycle, and its mean speed, are held over it. Torques are those `lead_s` later where the FMU's state
-    can be taken back; otherwise those of now. `kind` and `unit` are those of the machine in whose place it is, `truths`
-    the names of its outputs: those that the config does not map are NaN. Raises ValueError for variables that do not
-    fit, BenchFaultError when the FMU fails, then and later.
+    The motion of a cycle, and its mean speed, are held over it. Torques are predicted by `lead_s` if the FMU's state
+    can be restored; otherwise they are the present ones. `kind` and `unit` are those of the replaced machine, `truths`
+    the names of its outputs: unmapped ones are NaN. Raises ValueError for variables that do not fit, BenchFaultError
+    when the FMU fails, then and later.
     """
 
     def __init__(
@@ -55,7 +56,7 @@ class FmuFollower(WithoutEffects):
         self._model.start()
 
     def describe(self) -> PlantDescription:
-        """What it is; see `hilbench.plant.interface.Machine`."""
+        """Description; see `hilbench.plant.interface.Machine`."""
         return self._description
 
     @property
@@ -64,12 +65,12 @@ class FmuFollower(WithoutEffects):
         return self._time_s
 
     def reset(self, positions: Sequence[float]) -> None:
-        """Start again at these positions (N,), at rest; time goes on, and parameters stay."""
+        """Restart at these positions (N,), at rest; time goes on, and parameters stay."""
         self._positions, self._speeds = list(positions), [0.0] * self._axes
         self._model.start(self._time_s)
 
     def follow(self, positions: Sequence[float], duration_s: float) -> None:
-        """The axes are now at `positions` (N,), `duration_s` (above 0) after the last call."""
+        """Move the axes to `positions` (N,), `duration_s` (above 0) after the last call."""
         self._speeds = [(now - then) / duration_s for now, then in zip(positions, self._positions, strict=True)]
         self._positions = list(positions)
         self._model.advance(self._inputs(self._positions), duration_s)
@@ -79,20 +80,20 @@ class FmuFollower(WithoutEffects):
         return [*(positions if self._positions_in else ()), *(self._speeds if self._speeds_in else ())]
 
     def load_torques_Nm(self, axes: Sequence[int], speeds: Sequence[float], lead_s: float) -> list[float]:
-        """Torque of each load motor, in their order, `lead_s` ahead with the axes going on as in the last cycle."""
+        """Torque of each load motor, in order, predicted `lead_s` ahead with the axes' motion of the last cycle."""
         later = [x + v * lead_s for x, v in zip(self._positions, self._speeds, strict=True)]
         return self._model.ahead(self._inputs(later), lead_s)[: len(axes)]
 
     def outputs(self) -> dict[str, float]:
-        """The outputs that are mapped, as they are now; NaN for the machine's others."""
+        """Present mapped outputs; NaN for the machine's others."""
         return self._truths | dict(zip(self._found.outputs, self._model.values[self._torques :], strict=True))
 
     def get_state(self) -> PlantState:
-        """The state now. Raises ValueError for an FMU that can't hand it out."""
+        """Present state. Raises ValueError for an FMU that can't save it."""
         return PlantState({}, (self._model.take_state(), self._positions, self._speeds, self._time_s))
 
     def set_state(self, state: PlantState | Mapping[str, float]) -> None:
-        """Go on from a state of this FMU. Raises ValueError for another; none can be transferred by name."""
+        """Restore a state of this FMU. Raises ValueError for another; none can be transferred by name."""
         match state:
             case PlantState(memory=(FmuState() as kept, list() as positions, list() as speeds, float() as time_s)):
                 self._model.give_state(kept)
@@ -106,14 +107,14 @@ class FmuFollower(WithoutEffects):
         return self._model.present(self._found.parameters[name])
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Give a parameter a value from now on. Raises ValueError for an unknown name, or a value that can't be."""
+        """Set a parameter from now on. Raises ValueError for an unknown name or an impossible value."""
         checked_name("parameter", name, self._description.parameters)
         if not isfinite(value):
             raise ValueError(f"{name} = {value!r}, expected a finite number")
         self._model.put(self._found.parameters[name], value)
 
     def set_input(self, name: str, value: float) -> None:
-        """It has none. Raises ValueError."""
+        """Raise ValueError: it has no inputs."""
         checked_name("input", name, ())
 
 

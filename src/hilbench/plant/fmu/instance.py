@@ -1,7 +1,7 @@
-"""An FMU that runs, through FMPy, in the process that loads its code: what `process` talks to from the other side.
+"""Running FMU instance, through FMPy, in the process that loads its code: the peer of `process`.
 
-What comes and goes over the connection is plain: requests ``(name, arguments…)``, answers ``(problem, value, said)``,
-problem "" when all went well, `log` what the FMU has logged meanwhile.
+Protocol of the connection: requests ``(name, arguments…)``, answers ``(problem, value, log)``, problem "" on success,
+`log` the FMU's log messages since.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _LEVELS = ("ok", "warning", "discard", "error", "fatal", "pending")
 
 
 class Instance:
-    """One instance of the FMU in a folder. FMPy raises Exception with the function and its status."""
+    """Instance of the FMU in a folder. FMPy raises Exception with the function and its status."""
 
     def __init__(self, folder: str, version: int, identifier: str, token: str) -> None:
         self._version = version
@@ -71,7 +71,7 @@ class Instance:
         self.log.append(text if level == "ok" else f"{level}: {text}")
 
     def start(self, time_s: float, references: References, values: Values) -> None:
-        """Begin (again) at a time, with values given before the start."""
+        """Start (again) at a time, with values set before the start."""
         if self._running:
             self._begin_anew()
         self._set(references, values)
@@ -84,7 +84,7 @@ class Instance:
         self._running = True
 
     def _begin_anew(self) -> None:
-        """As it was after it was loaded; an FMU that can't be reset is loaded again."""
+        """Reset the FMU; one that can't be reset is loaded again."""
         try:
             self._fmu.reset()
         except Exception:  # FMPy has no narrower one
@@ -93,7 +93,7 @@ class Instance:
             self._instantiate()
 
     def put(self, references: References, values: Values) -> None:
-        """Give variables values from now on."""
+        """Set variables from now on."""
         self._set(references, values)
 
     def get(self, references: References) -> list[float]:
@@ -110,7 +110,7 @@ class Instance:
     def steps(
         self, references: References, values: Values, time_s: float, step_s: float, count: int, outputs: References
     ) -> list[float]:
-        """`count` steps with inputs held; the outputs then."""
+        """Run `count` steps with inputs held; returns the outputs then."""
         self._set(references, values)
         for number in range(count):
             self._step(time_s + number * step_s, step_s, final=True)
@@ -124,7 +124,7 @@ class Instance:
     def attempt(
         self, references: References, values: Values, time_s: float, step_s: float, count: int, outputs: References
     ) -> list[list[float]]:
-        """As `steps`, and back again: the outputs after each step."""
+        """Run `steps` and roll back: returns the outputs after each step."""
         before = self._fmu.getFMUState()
         try:
             self._set(references, values)
@@ -138,21 +138,21 @@ class Instance:
             self._fmu.freeFMUState(before)
 
     def take_state(self) -> int:
-        """Keep the present state; its number."""
+        """Save the present state; returns its number."""
         self._next_state += 1
         self._states[self._next_state] = self._fmu.getFMUState()
         return self._next_state
 
     def give_state(self, number: int) -> None:
-        """Go on from a kept state."""
+        """Restore a saved state."""
         self._fmu.setFMUState(self._states[number])
 
     def drop_state(self, number: int) -> None:
-        """Forget a kept state."""
+        """Drop a saved state."""
         self._fmu.freeFMUState(self._states.pop(number))
 
     def end(self) -> None:
-        """End the FMU in order."""
+        """Terminate the FMU."""
         for number in list(self._states):
             self.drop_state(number)
         with suppress(Exception):  # an FMU that has failed may not be terminated
@@ -161,7 +161,7 @@ class Instance:
 
 
 def serve(connection: Connection, folder: str, opened: Mapping[str, Any]) -> None:
-    """Answer requests until the other side is gone; the folder of the FMU goes then."""
+    """Answer requests until the connection closes; the folder of the FMU is removed then."""
     instance: Instance | None = None
     try:
         while True:
@@ -174,7 +174,7 @@ def serve(connection: Connection, folder: str, opened: Mapping[str, Any]) -> Non
                 if instance is None:
                     instance = Instance(folder, **opened)
                 value = getattr(instance, name)(*arguments) if name != "open" else None
-            except Exception as error:  # FMPy has no narrower one; it goes to the bench as a line
+            except Exception as error:  # FMPy has no narrower one; reported to the bench as a line
                 problem = " ".join(str(error).split()) or type(error).__name__
             log = instance.log if instance else []
             connection.send((problem, value, log))
@@ -184,4 +184,4 @@ def serve(connection: Connection, folder: str, opened: Mapping[str, Any]) -> Non
     finally:
         rmtree(Path(folder), ignore_errors=True)
         sys.stdout.flush()
-        os._exit(0)  # what an FMU left running, or its library's end, keeps nobody waiting
+        os._exit(0)  # don't wait for the FMU's threads or its library's destructors

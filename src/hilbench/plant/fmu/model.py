@@ -1,4 +1,4 @@
-"""An FMU that goes through time in the steps that it can take, whatever steps it is asked for."""
+"""FMU simulation with its own communication steps, whatever steps are requested."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from hilbench.plant.fmu.config import FmuBlock
 from hilbench.plant.fmu.description import Variable
 from hilbench.plant.fmu.process import FmuProcess
 
-#: Share of a communication step that counts as nothing.
+#: Rounding tolerance, as a share of a communication step.
 _ROUNDING = 1e-6
 
 
 class FmuState:
-    """A state that the FMU's process keeps, for as long as this is there."""
+    """State saved in the FMU's process, for the lifetime of this object."""
 
     def __init__(self, process: FmuProcess, number: int, due_s: float, elapsed_s: float, pushed: list[float]) -> None:
         self.number, self.due_s, self.elapsed_s, self.pushed = number, due_s, elapsed_s, pushed
@@ -28,11 +28,11 @@ def _drop(process: FmuProcess, number: int) -> None:
 
 
 class FmuModel:
-    """Inputs go in, outputs come out, SI; time begins at 0.
+    """Simulation of an FMU with inputs and outputs in SI; time begins at 0.
 
-    `natural_s`: the step that it is mostly asked for; `mean`: an input over a communication step is the mean of what
-    was given meanwhile (torques), else the last one (positions). With communication steps of one length the FMU is at
-    the last of their ends; what is left is carried. `report`: gets what the FMU logs.
+    `natural_s`: the usual requested step; `mean`: an input over a communication step is the mean of the values in it
+    (torques), else the last one (positions). With communication steps of one length the FMU is at the last of their
+    ends; the rest is carried over. `report`: callback for the FMU's log messages.
     """
 
     def __init__(
@@ -51,20 +51,20 @@ class FmuModel:
         self._in, self._out = [each.reference for each in inputs], [each.reference for each in outputs]
         self._step_s, self._mean = block.communication_step_s(natural_s), mean
         self._process = FmuProcess(description, block.timeout_s, report)
-        self._given: dict[Variable, float] = {}  # with each start
+        self._given: dict[Variable, float] = {}  # set at each start
         self._known: dict[Variable, float] = {}
-        self._pending: dict[Variable, float] = {}  # with the next step
+        self._pending: dict[Variable, float] = {}  # set with the next step
         self._due_s = self._elapsed_s = 0.0  # since the last step; the FMU's own time
         self._pushed = [0.0] * len(self._in)
         self.values: list[float] = []
 
     @property
     def behind_s(self) -> float:
-        """Time that has been asked for and does not fill a communication step yet."""
+        """Requested time that does not yet fill a communication step."""
         return self._due_s
 
     def start(self, time_s: float = 0.0) -> None:
-        """Begin (again) as the FMU does, with the parameters that it has been given. Raises BenchFaultError."""
+        """Start (again), with the parameters set so far. Raises BenchFaultError."""
         references = [variable.reference for variable in self._given]
         self._process.ask("start", time_s, references, [each.own(value) for each, value in self._given.items()])
         self._known = dict(self._given)
@@ -83,7 +83,7 @@ class FmuModel:
         return [variable.own(value) for variable, value in zip(self._inputs, values, strict=True)]
 
     def advance(self, inputs: Sequence[float], duration_s: float) -> list[float]:
-        """Go on with inputs held; the outputs then. Raises BenchFaultError for an FMU that fails."""
+        """Advance with inputs held; returns the outputs then. Raises BenchFaultError for an FMU that fails."""
         if self._step_s is None:
             self._steps(inputs, duration_s, 1)
             return self.values
@@ -110,9 +110,9 @@ class FmuModel:
         self._elapsed_s += count * step_s
 
     def ahead(self, inputs: Sequence[float], duration_s: float) -> list[float]:
-        """The outputs `duration_s` later with these inputs; the FMU stays where it is.
+        """Outputs predicted `duration_s` ahead with these inputs; the FMU's state is unchanged.
 
-        One that can't be taken back has those of now. Between two communication steps they are on a straight line.
+        Without rollback the present ones. Between two communication steps they are interpolated linearly.
         """
         if not self.can_roll_back or not duration_s > 0.0:
             return self.values
@@ -128,7 +128,7 @@ class FmuModel:
         return [low + share * (high - low) for low, high in zip(before, after, strict=True)]
 
     def put(self, variable: Variable, value: float) -> None:
-        """Give a parameter an SI value from now on. Raises ValueError for one that is fixed while the FMU runs."""
+        """Set a parameter from now on, SI. Raises ValueError for one that is fixed while the FMU runs."""
         if not variable.settable:
             raise ValueError(f"{variable.name} is fixed while the FMU runs, expected a tunable parameter")
         self._given[variable] = self._known[variable] = value
@@ -136,33 +136,33 @@ class FmuModel:
         self._look()
 
     def put_with_next_step(self, variable: Variable, value: float) -> None:
-        """The same for a parameter that may be tuned, with the next step and no exchange of its own."""
+        """Set a tunable parameter with the next step, without an exchange of its own."""
         self._given[variable] = self._known[variable] = self._pending[variable] = value
 
     def give(self, variable: Variable, value: float) -> None:
-        """Give a variable an SI value with the next start."""
+        """Set a variable at the next start, SI."""
         self._given[variable] = value
 
     def present(self, variable: Variable) -> float:
-        """Present SI value of a parameter, which nobody else changes."""
+        """Present SI value of a parameter, cached as only this object changes it."""
         if variable not in self._known:
             (value,) = self._process.ask("get", [variable.reference])
             self._known[variable] = variable.si(value)
         return self._known[variable]
 
     def take_state(self) -> FmuState:
-        """The state as it is now. Raises ValueError for an FMU that can't."""
+        """Present state. Raises ValueError for an FMU that can't save it."""
         if not self.can_roll_back:
             raise ValueError("the FMU can't hand its state out, expected one with canGetAndSetFMUstate")
         number = self._process.ask("take_state")
         return FmuState(self._process, number, self._due_s, self._elapsed_s, list(self._pushed))
 
     def give_state(self, state: FmuState) -> None:
-        """Go on from a state of this FMU."""
+        """Restore a state of this FMU."""
         self._process.ask("give_state", state.number)
         self._due_s, self._elapsed_s, self._pushed = state.due_s, state.elapsed_s, list(state.pushed)
         self._look()
 
     def close(self) -> None:
-        """End it."""
+        """End the FMU's process."""
         self._process.close()

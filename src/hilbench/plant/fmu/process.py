@@ -1,8 +1,8 @@
-"""An FMU in a process of its own, seen from the bench: what it does there, it can't do to the bench.
+"""FMU process, from the bench's side: isolates the bench from the FMU's code.
 
-A crash, a status of error and an answer that does not come are one fault each (`BenchFaultError`, one line), after
-which the process is gone. It ends when its connection closes, however the bench dies; the folder into which the FMU was
-unpacked goes with either of them.
+A crash, an error status and a missing answer are one fault each (`BenchFaultError`, one line), after which the process
+is ended. It ends when its connection closes, however the bench dies; the folder of the unpacked FMU is removed by
+either of them.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from weakref import finalize
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.plant.fmu.description import FmuDescription
 
-#: Until the process has loaded FMPy and the FMU, s.
+#: Timeout for loading FMPy and the FMU, s.
 _LONGEST_START_S: Final = 60.0
 _END_TIMEOUT_S: Final = 2.0
 _LOG: Final = "said.txt"
-#: Of what an FMU logs so many messages are reported.
+#: Most log messages of an FMU that are reported.
 _MOST_MESSAGES: Final = 20
 
 
 class FmuProcess:
-    """One instance of an FMU. `timeout_s`: how long it may take to answer; `report`: gets what the FMU logs.
+    """Process of one instance of an FMU. `timeout_s`: of its answers; `report`: callback for the FMU's log messages.
 
     Raises UnusableInputError for an archive that can't be unpacked, BenchFaultError when the FMU can't be loaded.
     """
@@ -64,7 +64,7 @@ class FmuProcess:
         self._ask("open", (), _LONGEST_START_S, "is not loaded")
 
     def ask(self, request: str, *arguments: Any) -> Any:
-        """The answer to a request that `instance.Instance` has. Raises BenchFaultError; the process is gone then."""
+        """Answer to a request of `instance.Instance`. Raises BenchFaultError; the process is ended then."""
         return self._ask(request, arguments, self._timeout_s, f"gave no answer to '{request}'")
 
     def _ask(self, request: str, arguments: tuple[Any, ...], timeout_s: float, silent: str) -> Any:
@@ -111,7 +111,7 @@ class FmuProcess:
 
 
 def _unpack(archive: Path, folder: Path) -> None:
-    """Into a folder that is empty; names that lead out of it stay in it (`zipfile` sees to that)."""
+    """Unpack into an empty folder; names that lead out of it stay in it (ensured by `zipfile`)."""
     try:
         with zipfile.ZipFile(archive) as file:
             file.extractall(folder)

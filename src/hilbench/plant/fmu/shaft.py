@@ -1,7 +1,7 @@
-"""A servo axis whose mechanics are an FMU: for the twin, and as simulated hardware with load motor and sensors.
+"""Servo axis whose mechanics are an FMU: for the twin, and as simulated hardware with load motor and sensors.
 
-Per sample time of the drives their loops are run once, and the FMU goes on by it with the mean of their torques. What
-it says of the motion is taken as it is; the position may be shifted by a constant (`set_state`).
+Per sample time of the drives their loops are run once, and the FMU is advanced by it with the mean of their torques.
+Its motion is used unchanged, except for a constant offset of the position (`set_state`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hilbench.plant.servo_axis.shaft import Shaft
 
 
 class FmuMechanics(WithoutEffects, Shaft):
-    """What both have in common. Parameters that the FMU does not have are kept, and move nothing."""
+    """Base of both. Parameters that the FMU does not have are stored without effect."""
 
     _model: FmuModel
 
@@ -39,7 +39,7 @@ class FmuMechanics(WithoutEffects, Shaft):
         self._restart()
 
     def _restart(self) -> None:
-        """The FMU as at its start; the position stays what it was."""
+        """Restart the FMU; the position is kept."""
         self._model.start()
         position, speed = self._model.values
         self._offset_rad = self._state.item(lay.S_X) - position
@@ -56,20 +56,20 @@ class FmuMechanics(WithoutEffects, Shaft):
         state[lay.S_MEAN] /= samples
 
     def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> None:
-        """What an FMU does is its own code's."""
+        """None: the FMU's step is its own code."""
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Give a parameter a value from now on. Raises ValueError for an unknown name or an impossible value."""
+        """Set a parameter from now on. Raises ValueError for an unknown name or an impossible value."""
         changed = value != self.parameter(name)
         super().set_parameter(name, value)
         if changed and name in self._mapped:
             self._model.put_with_next_step(self._mapped[name], value)
 
     def set_state(self, state: PlantState | Mapping[str, float]) -> None:
-        """Go on from a state of an equal axis, or transfer those given by name.
+        """Restore a state of an equal axis, or transfer the states given by name.
 
-        A position is shifted to; a speed can only be that of the FMU's start, at which it then is: other speeds are
-        left to the drive, that is at the speed that it is asked for within its loop's time.
+        A position is set by an offset; the only possible speed is that of the FMU's start: other speeds are left to the
+        drive, which reaches its set point within its loop's time.
         """
         super().set_state(state)
         if isinstance(state, PlantState):
@@ -96,7 +96,7 @@ class FmuMechanics(WithoutEffects, Shaft):
 
 
 class FmuAxis(FmuMechanics, ServoAxis):
-    """The closed model: drive and FMU. Raises as `ServoAxis`, and BenchFaultError when the FMU fails."""
+    """Closed model: drive and FMU. Raises as `ServoAxis`, and BenchFaultError when the FMU fails."""
 
     def __init__(
         self,
@@ -109,7 +109,7 @@ class FmuAxis(FmuMechanics, ServoAxis):
 
 
 class FmuRig(FmuMechanics, ServoRig):
-    """The simulated hardware: drive and load motor on the FMU, with sensors. Raises as `ServoRig`, and as `FmuAxis`."""
+    """Simulated hardware: drive and load motor on the FMU, with sensors. Raises as `ServoRig`, and as `FmuAxis`."""
 
     def __init__(
         self,

@@ -1,1 +1,1 @@
-"""One shaft with inertia, friction and unbalance, turned by a servo drive; a load motor emulates what is not there."""
+"""Servo axis: one shaft with inertia, friction and unbalance, driven by a servo drive; with load emulation."""

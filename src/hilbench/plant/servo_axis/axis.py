@@ -1,4 +1,4 @@
-"""The closed model of a servo axis: drive, motor and shaft, advanced in step with the bus; what the twin simulates."""
+"""Closed model of a servo axis: drive, motor and shaft, advanced in step with the bus; simulated by the twin."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from hilbench.plant.servo_axis.shaft import Shaft
 
 
 class ServoAxis(Shaft):
-    """A `Plant` with one motor. Raises ValueError for ports that do not fit, or a port on a model without drives."""
+    """Closed model, a `Plant` with one motor. Raises ValueError for unfit ports, or a port on a model without
+    drives."""
 
     def __init__(
         self, parameters: ServoAxisParameters, ports: Sequence[MotorPort] | None = None, *, substeps: int = 1

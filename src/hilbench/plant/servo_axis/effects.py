@@ -1,4 +1,4 @@
-"""Which of the vocabulary of effects a servo axis can have, and where."""
+"""Effects of the vocabulary that a servo axis can have, and where."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ IDS = tuple(effect.id for effect in effects_of(KIND))
 
 
 class ShaftEffect(EffectEntry):
-    """One effect with its parameter values, as a servo axis has it."""
+    """Effect of a servo axis with its parameter values."""
 
     machine_kind: ClassVar[MachineKind] = KIND
 
 
 def find(effect_id: str) -> Effect:
-    """The row of an effect of a servo axis. Raises KeyError."""
+    """Effect of a servo axis by its id. Raises KeyError."""
     return find_effect(effect_id, KIND)
 
 
 def effect_problem(effect_id: str, axis: int | None) -> str | None:
-    """Why a servo axis cannot have an effect, in one line, or None."""
+    """Reason why a servo axis cannot have an effect, in one line, or None."""
     try:
         return find(effect_id).axis_problem(axis, 1)
     except KeyError as error:
@@ -35,12 +35,12 @@ def effect_problem(effect_id: str, axis: int | None) -> str | None:
 
 
 def emulated_effect_problem(effect_id: str, axis: int | None) -> str | None:
-    """Why a load motor cannot emulate an effect on the shaft, in one line, or None."""
+    """Reason why a load motor cannot emulate an effect on the shaft, in one line, or None."""
     return vocabulary.effect_problem(effect_id, axis, EffectPlace.LOAD, 1, (1,), KIND)
 
 
 def effects_problem(entries: Sequence[tuple[str, int | None]]) -> str | None:
-    """What is wrong with the effects (id, axis) of a model, in one line, or None."""
+    """Problem of the effects (id, axis) of a model, in one line, or None."""
     used: dict[str, int] = {}
     for position, (effect_id, axis) in enumerate(entries):
         problem = effect_problem(effect_id, axis)

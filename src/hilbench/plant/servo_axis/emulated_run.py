@@ -1,8 +1,8 @@
-"""A shaft that a load motor emulates, whole recordings in one compiled call: the stand under its load model.
+"""Shaft emulation by a load motor, whole recordings in one compiled call: the rig under its load model.
 
-What the bench does each cycle (`hilbench.bench.tasks.load_model` with `hilbench.plant.servo_axis.emulation`): the
-motion at SYNC is filtered and predicted over the delay of the emulation, and the load motor gets the torque with the
-next SYNC. Noise and resolution are left out.
+In each cycle, as on the bench (`hilbench.bench.tasks.load_model` with `hilbench.plant.servo_axis.emulation`): the
+motion at SYNC is filtered and predicted over the dead time of the emulation, and the load motor gets the torque with
+the next SYNC. Noise and resolution are left out.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ _EFFECTS = slice(lay.P_EFFECTS, lay.P_LOOPS)
 
 @dataclass(frozen=True)
 class ShaftEmulation:
-    """How a bench emulates a shaft: its cycle, the stand as it believes it to be, whole units of set points."""
+    """Settings of a bench's shaft emulation: its cycle, the assumed rig, and the resolution of set points."""
 
-    #: What is emulated, for a person.
+    #: Emulated part, for messages.
     part: ClassVar[str] = "shaft"
 
     cycle_s: float
     stand: ServoRigParameters
-    #: What the drive rounds a velocity command to, rad/s; None if that is not known.
+    #: Resolution of the drive's velocity command, rad/s; None if unknown.
     resolution_rad_s: float | None = None
 
     def as_taken(self, commands_rad_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Velocity commands (n,), rad/s, in the drive's whole units."""
+        """Velocity commands (n,), rad/s, rounded to the drive's units."""
         unit = self.resolution_rad_s
         return commands_rad_s if unit is None else np.asarray(np.round(commands_rad_s / unit) * unit)
 
@@ -92,14 +92,14 @@ def _simulate_rows(
             acceleration = min(max(predicted[2], -most), most)
             speed = observed[lay.O_V] + lead_s * (acceleration - 0.5 * lead_s * predicted[3])
             u[drive], u[load] = commands[row], torque
-            # The torque of what was measured at this SYNC goes out with the next.
+            # The torque for the measurement at this SYNC is sent with the next.
             torque = load_torque_Nm(emulated[b], believed, row * cycle_s, predicted[0], speed, acceleration, steepest)
             kernel.go_on(p[b], state, u, samples)
 
 
 @dataclass(frozen=True, slots=True)
 class EmulatedRun:
-    """What the drive reports; arrays (B, n), at each SYNC."""
+    """Values reported by the drive; arrays (B, n), at each SYNC."""
 
     x_rad: Vector
     v_rad_s: Vector
@@ -113,11 +113,11 @@ def simulate_emulated(
     commands_rad_s: NDArray[np.float64],
     start: tuple[float, float] = (0.0, 0.0),
 ) -> EmulatedRun:
-    """Simulate recorded velocity commands on the stand, on which a load motor emulates the shaft of a model.
+    """Simulate recorded velocity commands on the rig, on which a load motor emulates the shaft of a model.
 
-    parameters: (B, P) of the model from `layout.pack`, with effects: they act on the stand itself, as much as they
-    would in the model. commands_rad_s (n,): one each cycle. start: position (rad) and speed (rad/s) in the first row.
-    Raises ValueError for a cycle that is no multiple of the drive's sample time.
+    parameters: (B, P) of the model from `layout.pack`, with effects: they act on the rig itself, as much as they would
+    in the model. commands_rad_s (n,): one each cycle. start: position (rad) and speed (rad/s) in the first row. Raises
+    ValueError for a cycle that is no multiple of the drive's sample time.
     """
     many = np.atleast_2d(np.ascontiguousarray(parameters))
     believed = lay.pack(bench.stand.axis.model_copy(update={"effects": ()}), bench.stand.load_motor)
@@ -143,9 +143,9 @@ def simulate_emulated(
 
 
 def _stands(believed: Vector, many: Vector) -> Vector:
-    """(B, P): the stand with what the models' effects make of it.
+    """Parameters (B, P) of the rig with the models' effects.
 
-    Effects that are a share of an inertia are the shares of the model's: the stand has another.
+    Effects that are a share of an inertia are the shares of the model's: the rig has another.
     """
     stands = np.tile(believed, (len(many), 1))
     stands[:, _EFFECTS] = many[:, _EFFECTS]
@@ -156,7 +156,7 @@ def _stands(believed: Vector, many: Vector) -> Vector:
 
 
 def _emulated(many: Vector) -> Vector:
-    """(B, P): what is emulated, without what acts on the stand itself; a step of the inertia and feed-forward stay."""
+    """Parameters (B, P) of the emulated shafts, without effects on the rig; inertia steps and feed-forward stay."""
     shafts = many.copy()
     neutral = many[0].copy()
     lay.write_entries(neutral, ())
@@ -167,7 +167,7 @@ def _emulated(many: Vector) -> Vector:
 
 
 def _started(stand: Vector, position_rad: float, speed_rad_s: float) -> Vector:
-    """The stand's state (S,) in even motion; its motors take up their torques from there."""
+    """State (S,) of the rig in steady motion; its motors build up their torques from there."""
     state = lay.new_state(stand)
     state[[lay.S_X, lay.S_V]] = position_rad, speed_rad_s
     return state

@@ -1,10 +1,10 @@
-"""The shaft that a load motor emulates, from the measured position of the one that there is.
+"""Emulation of a shaft by a load motor, from the measured position of the real one.
 
     τ_load = −(J_i − J_r)·a − R_i(v) + R_r(v) + U_i(φ) − U_r(φ)
 
 makes a shaft of inertia J_r, friction R_r and unbalance U_r behave like one of J_i, R_i and U_i. The torque acts later
-than the motion was measured, so position, speed and acceleration are predicted over that lead. How much inertia can be
-emulated is a question of stability: `hilbench.plant.servo_axis.stability`.
+than the motion was measured, so position, speed and acceleration are predicted over that lead. The stability limit of
+emulated inertia is in `hilbench.plant.servo_axis.stability`.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ from hilbench.plant.servo_axis.shaft import Shaft
 from hilbench.plant.servo_axis.tracking_filter import TrackingFilter, gains, later, transition
 from hilbench.plant.servo_axis.tracking_filter import follow as follow_position
 
-#: Time constant of the filter of the acceleration, in bus cycles: longer ones allow more inertia, and emulate it worse.
+#: Time constant of the acceleration filter, in bus cycles: longer ones allow more inertia, and emulate it worse.
 FILTER_CYCLES = 2.5
-#: Dry friction changes its sign over so much speed that its slope is this share of J_r/lead: a torque that is late by
-#: `lead` can damp with π/2 times that before it swings.
+#: Slope of dry friction over its sign change, as a share of J_r/lead: a torque that is late by `lead` can damp with π/2
+#: times that before it oscillates.
 _SLOPE_SHARE = 0.25
 _LEAST_LEAD_S = 1e-3
 
@@ -52,14 +52,14 @@ Matrix = NDArray[np.float64]
 
 # Rows of the table: parameters of the emulated shaft and of the real one, inputs of the first, its filtered motion, and
 # its own figures; of a shaft on measured motion then those of that, `transition` and `gains` of a cycle, `transition`
-# until the torque acts, torques of the load motors (M,), and where is measured and shown.
+# over the lead, torques of the load motors (M,), and the process image's values and offsets.
 _EMULATED, _REAL, _INPUTS, _FILTERED, _OWN = range(5)
 _MOTION, _WAYS, _POSITIONS, _SPEEDS, _FORWARD, _GAINS, _FORWARD_AHEAD, _TORQUES, _VALUES, _AT = range(5, 15)
-#: Own figures: its time, the acceleration beyond which no motor turns it; a cycle, and how much later than measured
-#: torques act, as a rule; the time that has gone by where it was another.
+#: Own figures: its time, the largest possible acceleration; a cycle, and the usual lead of the torques; the elapsed
+#: time where it was another.
 _TIME_S, _MOST_RAD_S2, _CYCLE_S, _LEAD_S, _GONE_S, _OWN_SIZE = range(6)
-#: What `follow` has done: nothing, as there is nothing to follow; followed; nothing but counted, as other times than
-#: those of a cycle have gone by, or are to.
+#: Results of `follow`: nothing to follow; followed; only counted, as elapsed time or lead are not those of a normal
+#: cycle.
 NOTHING, FOLLOWED, ANOTHER_TIME = range(3)
 
 
@@ -67,7 +67,7 @@ NOTHING, FOLLOWED, ANOTHER_TIME = range(3)
 def load_torque_Nm(
     emulated: Vector, real: Vector, time_s: float, x: float, v: float, a: float, steepest: float
 ) -> float:
-    """Torque that makes the real shaft, at x, v, a at a time, the emulated one.
+    """Load torque that makes the real shaft, at x, v, a at a time, behave as the emulated one.
 
     steepest: N·m·s/rad, slope of the dry friction at standstill.
     """
@@ -81,11 +81,11 @@ def load_torque_Nm(
 
 @compiled
 def _torque_ahead_Nm(table: Table, forward: Matrix, lead_s: float, speed_rad_s: float) -> float:
-    """`EmulatedShaft.load_torques_Nm`; `forward` (4, 4): the `transition` of that time."""
+    """Compiled `EmulatedShaft.load_torques_Nm`; `forward` (4, 4): the `transition` over the lead."""
     emulated, real, inputs = floats(table, _EMULATED, (1,)), floats(table, _REAL, (1,)), floats(table, _INPUTS, (1,))
     motion, own = floats(table, _FILTERED, (1,)), floats(table, _OWN, (1,))
     position, a, jerk = later(motion, forward, 0), later(motion, forward, 2), later(motion, forward, 3)
-    # No motor turns the shaft faster: more is a sample of another instant than it was taken for.
+    # Largest possible acceleration: more is a sample of another instant than assumed.
     a = min(max(a, -own[_MOST_RAD_S2]), own[_MOST_RAD_S2])
     v = speed_rad_s + lead_s * (a - 0.5 * lead_s * jerk)
     steepest = _SLOPE_SHARE * real[lay.P_INERTIA] / max(lead_s, _LEAST_LEAD_S)
@@ -121,22 +121,22 @@ def _follow(late: int, table: Table) -> int:
 
 
 def most_rad_s2(real: ServoRigParameters) -> float:
-    """The acceleration beyond which no motor of the stand turns its shaft."""
+    """Largest acceleration of the rig's shaft by its motors."""
     drives = real.axis.drives
     torque_Nm = real.load_motor.torque_limit_Nm + (per_item(drives.torque_limit_Nm, 1) if drives else inf)
     return torque_Nm / real.inertia_kg_m2
 
 
 def steepest_Nm_s_per_rad(real: Vector, lead_s: float) -> float:
-    """Slope of the emulated dry friction at standstill on the stand with these parameters (P,)."""
+    """Slope of the emulated dry friction at standstill on the rig with these parameters (P,)."""
     return _SLOPE_SHARE * real.item(lay.P_INERTIA) / max(lead_s, _LEAST_LEAD_S)
 
 
 class EmulatedShaft:
-    """A `Follower`: measured positions of the shaft in, torque of the load motor on it out.
+    """Emulated shaft as a `Follower`: measured positions of the shaft in, torque of the load motor on it out.
 
-    emulated: the machine that is not there, its drive aside. real: the stand as it is believed to be; what is hidden
-    in the real one is not known here, so `effects` of the stand do not count.
+    emulated: the emulated machine, without its drive. real: the rig as assumed; hidden properties of the real one are
+    unknown here, so `effects` of the rig do not count.
     """
 
     def __init__(
@@ -158,10 +158,10 @@ class EmulatedShaft:
         #: Vectors of the first rows of the table.
         self._kept = self._machine.packed, self._real, self._machine.inputs, self._filter.motion, self._own
         self._table = table_of(self._kept)
-        self._stale = True  # something was changed since it has followed last
+        self._stale = True  # something was changed since the last step
 
     def describe(self) -> PlantDescription:
-        """Kind and parameters of a servo axis; what it says of the motion, instead of what it does."""
+        """Description: kind and parameters of a servo axis; states and outputs are the shaft's motion."""
         motion = (
             Quantity("x1_rad", "rad", "position of the shaft"),
             Quantity("v1_rad_s", "rad/s", "speed of the shaft"),
@@ -187,17 +187,17 @@ class EmulatedShaft:
         return self._own.item(_TIME_S)
 
     def reset(self, positions: Sequence[float]) -> None:
-        """The shaft is at rest at `positions` (1,)."""
+        """Reset to rest at `positions` (1,)."""
         self._filter.reset(positions[0])
 
     def follow(self, positions: Sequence[float], duration_s: float) -> None:
-        """The shaft is at `positions` (1,), `duration_s` (above 0) after the last call."""
+        """Follow the shaft to `positions` (1,), `duration_s` (above 0) after the last call."""
         self._filter.update(positions[0], duration_s)
         self._own[_TIME_S] += duration_s
         self._stale = False
 
     def load_torques_Nm(self, axes: Sequence[int], speeds: Sequence[float], lead_s: float) -> list[float]:
-        """Torque of the load motor that acts `lead_s` after the motion was measured; `speeds` (1,) are measured.
+        """Torque of the load motor, acting `lead_s` after the motion was measured; `speeds` (1,) are measured.
 
         Raises ValueError for other axes than the one.
         """
@@ -206,19 +206,19 @@ class EmulatedShaft:
         return [_torque_Nm(self._table, transition(lead_s), float(lead_s), float(speeds[0]))] * len(axes)
 
     def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> ShaftInStep:
-        """With measured motion, and load motors on `axes`; see `hilbench.plant.measured_motion.FollowsInStep`."""
+        """Compiled follower with load motors on `axes`; see `hilbench.plant.measured_motion.FollowsInStep`."""
         return ShaftInStep(self, motion, len(axes))
 
     def outputs(self) -> dict[str, float]:
-        """Motion of the shaft, as the filter has it."""
+        """Filtered motion of the shaft."""
         return dict(zip(("x1_rad", "v1_rad_s", "a1_rad_s2"), self._filter.motion.tolist(), strict=False))
 
     def get_state(self) -> PlantState:
-        """The filtered motion now."""
+        """State of the filtered motion."""
         return PlantState(self.outputs(), (self._filter.motion.copy(), self.time_s))
 
     def set_state(self, state: PlantState | Mapping[str, float]) -> None:
-        """Go on from a state of an equal machine, or transfer the states given by name. Raises ValueError."""
+        """Restore a state of an equal machine, or transfer the states given by name. Raises ValueError."""
         if isinstance(state, PlantState):
             self._restore(state.memory)
             return
@@ -235,7 +235,7 @@ class EmulatedShaft:
                 raise ValueError("a state of another machine, expected one of an equal emulated shaft")
 
     def parameter(self, name: str) -> float:
-        """Present value of what is emulated. Raises ValueError for an unknown name."""
+        """Present value of an emulated parameter. Raises ValueError for an unknown name."""
         return self._machine.parameter(name)
 
     def set_parameter(self, name: str, value: float) -> None:
@@ -244,7 +244,7 @@ class EmulatedShaft:
         self._machine.set_parameter(name, value)
 
     def set_input(self, name: str, value: float) -> None:
-        """Torque from outside that is emulated as well. Raises as `Shaft.set_input`."""
+        """Set the external torque that is emulated as well. Raises as `Shaft.set_input`."""
         self._stale = True
         self._machine.set_input(name, value)
 
@@ -259,7 +259,7 @@ class EmulatedShaft:
     def clear_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0
     ) -> None:
-        """Emulate it no more. Raises as `set_effect`."""
+        """Stop emulating an effect. Raises as `set_effect`."""
         self._check(effect_id, axis)
         self._stale = True
         self._machine.clear_effect(effect_id, axis, section=section, slot=slot)
@@ -271,8 +271,8 @@ class EmulatedShaft:
 
 
 class ShaftInStep(CompiledInStep):
-    """An `EmulatedShaft` on measured motion, in one call a cycle; see `hilbench.plant.measured_motion.InStep`. Of what
-    it is now it shows nothing: all that is asked of it are parameters."""
+    """Compiled step of an `EmulatedShaft` on measured motion; see `hilbench.plant.measured_motion.InStep`. It publishes
+    no outputs: only parameters are read of it."""
 
     def __init__(self, shaft: EmulatedShaft, motion: MeasuredMotion, motors: int) -> None:
         self._shaft, self._motion, torques_Nm = shaft, motion, np.zeros(motors)
@@ -284,16 +284,16 @@ class ShaftInStep(CompiledInStep):
 
     @property
     def usable(self) -> bool:
-        """Always."""
+        """Always True."""
         return True
 
     @property
     def is_shown(self) -> bool:
-        """See there."""
+        """True if nothing was changed since the last step."""
         return not self._shaft._stale
 
     def has_followed(self, code: int) -> HasFollowed:
-        """See there."""
+        """Result of a step by its return code; see `InStep`."""
         if code == NOTHING:
             return HasFollowed.NOT
         if code == ANOTHER_TIME:

@@ -10,7 +10,7 @@ from hilbench.plant.motor_laws import measured_direction, value_at
 from hilbench.plant.servo_axis import laws
 from hilbench.plant.servo_axis.layout import Vector
 
-#: Speed within which the direction of a measured motion is not certain, rad/s: dry friction turns over linearly there.
+#: Speed within which the direction of a measured motion is uncertain, rad/s: dry friction is linear there.
 DIRECTION_WIDTH_RAD_S = 1e-3
 
 
@@ -20,8 +20,8 @@ def reported_torque_Nm(
 ) -> float:
     """Torque that the drive reports (without its delay) for a motion of the shaft at a time, rad, rad/s, rad/s².
 
-    of_all: mean acceleration of all that turns, which is not the motor's where a part of it is behind a shaft that
-    twists; direction: of the dry friction, -1 to 1.
+    of_all: mean acceleration of all that turns, which differs from the motor's if a part of it is behind a twisting
+    shaft; direction: of the dry friction, -1 to 1.
     """
     resistance = laws.smooth_friction_Nm(p, v) + direction * laws.dry_friction_Nm(p, v) - laws.unbalance_Nm(p, x)
     passed = laws.inertia_kg_m2(p, time_s) * of_all + resistance
@@ -90,9 +90,10 @@ def required_torque_Nm(
     out_Nm: Vector,
     presliding_rad: float = 0.0,
 ) -> None:
-    """Parameters (P,), x, v, a (n,) at the shaft, a row every `period_s`; into out (n,) N·m.
+    """Torque required for a motion: parameters (P,), x, v, a (n,) at the shaft, a row every `period_s`; into out (n,)
+    N·m.
 
-    presliding_rad: way over which dry friction turns over after a reversal; 0: with the sign of the speed.
+    presliding_rad: travel over which dry friction reverses; 0: with the sign of the speed.
     """
     x, v, a = (np.ascontiguousarray(column) for column in (x_rad, v_rad_s, a_rad_s2))
     _required_torque_Nm(p, x, v, a, period_s, out_Nm, presliding_rad)

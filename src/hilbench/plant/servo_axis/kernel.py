@@ -1,4 +1,4 @@
-"""The kernel of the servo axis: one shaft with one or two motors, compiled.
+"""Kernel of the servo axis: one shaft with one or two motors, compiled.
 
 Per drive sample time: the drives' loops once, then Runge-Kutta steps of fourth order with the torques of the current
 loops known in closed form. Standstill under dry friction is an event: it is located in time, then the shaft sticks or
@@ -7,8 +7,8 @@ turns back; nothing is smoothed, nothing chatters.
     J·v' = τ_m + τ_load + τ_outside + A_u·sin(x/i + φ_u) − b·v − d·|v| − c·v·|v|
            − (Tc + Ts·e^{−(v/vs)²} + k·|τ_m|)·sign(v),   τ_m = (1 + s)·τ·(1 + Σ B·sin(n·x + φ)) + Σ A·sin(n·x + φ)
 
-With a resonance a share μ of J is behind a shaft that is twisted by q, and swings at ω with the motor held: μ·J·a₂ is
-taken off the torques, (1 − μ)·J is left at the motor, a₂ = −ω²·q − 2ζω·q', q'' = a₂ − v'.
+With a resonance a share μ of J is behind a shaft that is twisted by q, and oscillates at ω with the motor held: μ·J·a₂
+is taken off the torques, (1 − μ)·J is left at the motor, a₂ = −ω²·q − 2ζω·q', q'' = a₂ − v'.
 
 Vectors as in `hilbench.plant.servo_axis.layout`.
 """
@@ -31,16 +31,16 @@ from hilbench.plant.servo_axis import laws
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.layout import Vector
 
-#: Events within one integration step before the rest of it is taken as it comes.
+#: Most events within one integration step; then the rest of it is integrated without event location.
 _MOST_EVENTS = 16
 _EVENT_ITERATIONS = 40
-#: Size of a violation that is none: rad/s against the direction of motion, N·m beyond the breakaway torque.
+#: Tolerance of a violation: rad/s against the direction of motion, N·m beyond the breakaway torque.
 _EVENT_TOLERANCE = 1e-10
 
 
 @inlined
 def _torques_Nm(p: Vector, s: Vector, u: Vector, ahead_s: float) -> tuple[float, float]:
-    """Torques `ahead_s` from now, while the commands are held: as the drive knows its own; of all others."""
+    """Torques `ahead_s` from now, while the commands are held: the drive's own; all others."""
     own, others = 0.0, u[lay.U_TORQUE_NM]
     for j in range(int(p[lay.P_MOTORS])):
         at = lay.S_MOTORS + j * loops.STATE_SIZE
@@ -55,7 +55,7 @@ def _torques_Nm(p: Vector, s: Vector, u: Vector, ahead_s: float) -> tuple[float,
 
 @inlined
 def _net_Nm(p: Vector, motor_Nm: float, others_Nm: float, x: float, v: float) -> float:
-    """All torques on the shaft but dry friction; `motor_Nm` is what the motor turns with."""
+    """Sum of all torques on the shaft but dry friction; `motor_Nm`: the motor's shaft torque."""
     return motor_Nm + others_Nm + laws.unbalance_Nm(p, x) - laws.smooth_friction_Nm(p, v)
 
 
@@ -63,9 +63,9 @@ def _net_Nm(p: Vector, motor_Nm: float, others_Nm: float, x: float, v: float) ->
 def _acceleration(
     p: Vector, time_s: float, torques_Nm: tuple[float, float], x: float, v: float, direction: float, behind: float
 ) -> float:
-    """Of a shaft that turns in `direction`, rad/s², at a time; torques as `_torques_Nm` has them.
+    """Acceleration of a shaft that turns in `direction`, rad/s², at a time; torques as of `_torques_Nm`.
 
-    behind: acceleration of what is behind a shaft that twists; without one nothing depends on it.
+    behind: acceleration of the load behind a twisting shaft; unused without one.
     """
     motor = laws.shaft_torque_Nm(p, torques_Nm[0], x)
     net = _net_Nm(p, motor, torques_Nm[1], x, v)
@@ -79,7 +79,7 @@ def _acceleration(
 
 @inlined
 def _held_Nm(p: Vector, time_s: float, torques_Nm: tuple[float, float], x: float, behind: float) -> tuple[float, float]:
-    """Of a shaft that stands: all torques on it but dry friction, and the torque from which it turns.
+    """Torques on a shaft at rest: the sum without dry friction, and the breakaway torque.
 
     behind: as in `_acceleration`.
     """
@@ -92,22 +92,21 @@ def _held_Nm(p: Vector, time_s: float, torques_Nm: tuple[float, float], x: float
 
 @inlined
 def _behind(p: Vector, s: Vector) -> float:
-    """Acceleration of what is behind a shaft that twists, now; 0 without one."""
+    """Acceleration of the load behind a twisting shaft, now; 0 without one."""
     return laws.acceleration_behind(p, s[lay.S_TWIST], s[lay.S_TWIST_RATE]) if laws.twists(p) else 0.0
 
 
 @inlined
 def _time_s(p: Vector, s: Vector) -> float:
-    """Since the start, at the last sample of the drive."""
+    """Time since the start, at the last sample of the drive."""
     return s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S]
 
 
 @compiled
 def _attempt(p: Vector, s: Vector, u: Vector, h: float) -> tuple[float, float, float, float, float]:
-    """Position and speed after h in the present mode, how far the shaft has left it then (0 or less: not at all), twist
-    and its rate.
+    """Position and speed after h in the present mode, its violation then (0 or less: none), twist and its rate.
 
-    A shaft that turns leaves its mode by a speed against its direction, one that sticks by a torque beyond breakaway.
+    A turning shaft leaves its mode by a speed against its direction, a sticking one by a torque beyond breakaway.
     """
     if laws.twists(p):
         return _attempt_twisted(p, s, u, h)
@@ -131,7 +130,7 @@ def _attempt(p: Vector, s: Vector, u: Vector, h: float) -> tuple[float, float, f
 
 @compiled
 def _attempt_twisted(p: Vector, s: Vector, u: Vector, h: float) -> tuple[float, float, float, float, float]:
-    """The same of a shaft with a resonance; what is behind it swings on while the motor sticks."""
+    """`_attempt` of a shaft with a resonance; the load behind it oscillates on while the motor sticks."""
     noinline()
     x, v, q, w = s[lay.S_X], s[lay.S_V], s[lay.S_TWIST], s[lay.S_TWIST_RATE]
     last, dry, direction = _torques_Nm(p, s, u, h), laws.is_dry(p), s[lay.S_DIRECTION]
@@ -158,7 +157,7 @@ def _attempt_twisted(p: Vector, s: Vector, u: Vector, h: float) -> tuple[float, 
 def _slopes(
     p: Vector, s: Vector, torques_Nm: tuple[float, float], x: float, v: float, q: float, w: float, sticks: bool
 ) -> tuple[float, float]:
-    """Accelerations of a shaft that twists, and of its twist, rad/s²."""
+    """Accelerations of a twisting shaft, and of its twist, rad/s²."""
     behind = laws.acceleration_behind(p, q, w)
     a = 0.0 if sticks else _acceleration(p, _time_s(p, s), torques_Nm, x, v, s[lay.S_DIRECTION], behind)
     return a, behind - a
@@ -170,7 +169,7 @@ def _settle(p: Vector, s: Vector, u: Vector) -> None:
     v = s[lay.S_V]
     if s[lay.S_DIRECTION] == 0.0 and v != 0.0:
         s[lay.S_DIRECTION] = 1.0 if v > 0.0 else -1.0
-    if not laws.is_dry(p):  # kept fit, for friction that begins under way
+    if not laws.is_dry(p):  # kept up to date, for friction that begins in motion
         s[lay.S_DIRECTION] = 1.0 if v > 0.0 else -1.0 if v < 0.0 else 0.0
         return
     if -v * s[lay.S_DIRECTION] > _EVENT_TOLERANCE:
@@ -184,7 +183,7 @@ def _settle(p: Vector, s: Vector, u: Vector) -> None:
 
 @compiled
 def _until_event(p: Vector, s: Vector, u: Vector, h: float) -> float:
-    """How long a step of length h may be until there is an event in it.
+    """Length of a step up to h until an event in it.
 
     The event's time is found by the Illinois form of regula falsi.
     """
@@ -209,7 +208,7 @@ def _until_event(p: Vector, s: Vector, u: Vector, h: float) -> float:
 
 @inlined
 def _accept(p: Vector, s: Vector, x: float, v: float, h: float) -> None:
-    """Take the end of a step of length h over; the torques have followed their commands."""
+    """Accept the end of a step of length h; the torques have followed their commands."""
     s[lay.S_X] = x
     s[lay.S_V] = v
     for j in range(int(p[lay.P_MOTORS])):
@@ -224,7 +223,7 @@ def _accept(p: Vector, s: Vector, x: float, v: float, h: float) -> None:
 
 @compiled
 def _step(p: Vector, s: Vector, u: Vector, h: float) -> None:
-    """One integration step, cut at every event."""
+    """Integrate one step, cut at every event."""
     left = h
     for event in range(_MOST_EVENTS + 1):
         _settle(p, s, u)
@@ -242,7 +241,7 @@ def _step(p: Vector, s: Vector, u: Vector, h: float) -> None:
 
 @compiled
 def acceleration_rad_s2(p: Vector, s: Vector, u: Vector) -> float:
-    """Of the shaft now; 0 where it sticks."""
+    """Acceleration of the shaft now; 0 where it sticks."""
     noinline()
     direction = s[lay.S_DIRECTION]
     if direction == 0.0 and laws.is_dry(p):
@@ -253,13 +252,13 @@ def acceleration_rad_s2(p: Vector, s: Vector, u: Vector) -> float:
 
 @inlined
 def _fed_forward_Nm(p: Vector, s: Vector, u: Vector) -> float:
-    """Torque of the drive now that its record leaves out."""
+    """Feed-forward torque of the drive now, excluded from its record."""
     return laws.fed_forward_Nm(p, _time_s(p, s), s[lay.S_V], acceleration_rad_s2(p, s, u), s[lay.S_DIRECTION])
 
 
 @compiled
 def go_on(p: Vector, s: Vector, u: Vector, samples: int) -> None:
-    """`samples` drive sample times onwards, the state changed in place."""
+    """Advance by `samples` drive sample times, the state changed in place."""
     period, substeps = p[lay.P_SAMPLE_TIME_S], int(p[lay.P_SUBSTEPS])
     if laws.twists(p):
         substeps = max(substeps, laws.swing_steps(p, period))
@@ -298,7 +297,7 @@ def go_on(p: Vector, s: Vector, u: Vector, samples: int) -> None:
 
 @compiled
 def report(p: Vector, s: Vector, out: Vector, at: int) -> None:
-    """What is observed of the state, from place `at` of `out` on."""
+    """Write the observed values to `out` from offset `at` on."""
     out[at + lay.O_X] = s[lay.S_X]
     out[at + lay.O_V] = s[lay.S_V]
     if laws.has_encoder_error(p):
@@ -313,8 +312,8 @@ def report(p: Vector, s: Vector, out: Vector, at: int) -> None:
 #: observe(parameters, state, out): position, speed, and the torques as the drives report them.
 #: simulate(parameters (B, P), states (B, S), inputs, commands (n, M), torques (n,), samples, out (B, n, C)): for each
 #: row observe, then advance `samples` with the row's set points and the row's torque from outside.
-#: look(parameters, time_s): as many times its parameter as the inertia is then, dry friction at standstill and what the
-#: reported torque is off by, N·m.
+#: look(parameters, time_s): factor on the inertia then, dry friction at standstill, and offset of the reported torque,
+#: N·m.
 @entry_point(VECTOR, VECTOR, VECTOR, COUNT)
 def advance(p: Vector, s: Vector, u: Vector, samples: int) -> None:
     go_on(p, s, u, samples)

@@ -1,4 +1,4 @@
-"""The laws of the servo axis, each in one place: small compiled functions of parameters and state.
+"""Laws of the servo axis, each in one place: small compiled functions of parameters and state.
 
 Every effect is skipped, or multiplies by exactly 1, while its parameters are neutral. `p` is the parameter vector of
 `hilbench.plant.servo_axis.layout`; torques in N·m at the motor shaft, angles in rad, speeds in rad/s.
@@ -47,15 +47,15 @@ _LAG = place("drive_lag")
 _BEHIND = place("resonance", 0)
 _FREQUENCY = place("resonance", 1)
 _DAMPING = place("resonance", 2)
-#: Radians of a swing in a step of its integration.
+#: Largest phase angle of the oscillation in an integration step, rad.
 _SWING_STEP = 0.2
 
 
 @inlined
 def inertia_factor(p: Vector, time_s: float) -> float:
-    """What effects make of the inertia at a time: (1 + s), and (1 + s_k) of each step from its time on.
+    """Factor on the inertia by effects at a time: (1 + s), and (1 + s_k) of each step from its time on.
 
-    A step grows within the sample of the drive before its time, so that a fit can find the time.
+    A step grows within the drive's sample before its time, so that a fit can find the time.
     """
     factor = 1.0 + p[_INERTIA]
     return factor * _step_factor(p, time_s) if motors.is_any(p, _STEP, _STEP_SIZE, _STEPS) else factor
@@ -74,44 +74,44 @@ def _step_factor(p: Vector, time_s: float) -> float:
 
 @inlined
 def inertia_kg_m2(p: Vector, time_s: float) -> float:
-    """All that turns."""
+    """Inertia of all that turns."""
     return p[lay.P_INERTIA] * inertia_factor(p, time_s)
 
 
 @inlined
 def twists(p: Vector) -> bool:
-    """Whether a part of the inertia is behind a shaft that twists."""
+    """True if a part of the inertia is behind a twisting shaft."""
     return p[_BEHIND] != 0.0
 
 
 @inlined
 def share_behind(p: Vector) -> float:
-    """Of the inertia, what is behind the shaft that twists."""
+    """Share of the inertia behind the twisting shaft."""
     return p[_BEHIND]
 
 
 @inlined
 def acceleration_behind(p: Vector, twist_rad: float, twist_rad_s: float) -> float:
-    """Of what is behind a shaft that is twisted so, rad/s²: the spring's and damper's torque by its inertia."""
+    """Acceleration of the load behind a twisted shaft, rad/s²: the spring's and damper's torque by its inertia."""
     omega = 2.0 * pi * p[_FREQUENCY]
     return -omega * (omega * twist_rad + 2.0 * p[_DAMPING] * twist_rad_s)
 
 
 @inlined
 def twist_under(p: Vector, a_rad_s2: float) -> float:
-    """Twist of a shaft that has been accelerated evenly for long, rad."""
+    """Twist of a shaft under steady acceleration, rad."""
     return -a_rad_s2 / (2.0 * pi * p[_FREQUENCY]) ** 2
 
 
 @inlined
 def mean_acceleration(p: Vector, a_rad_s2: float, behind_rad_s2: float) -> float:
-    """Of all that turns, from the motor's and that of what is behind the shaft that twists."""
+    """Mean acceleration of all that turns, from the motor's and that of the load behind the twisting shaft."""
     return a_rad_s2 + p[_BEHIND] * (behind_rad_s2 - a_rad_s2)
 
 
 @inlined
 def swing_steps(p: Vector, period_s: float) -> int:
-    """Into how many steps of integration a time is cut for both sides of the shaft to swing as they do."""
+    """Number of integration steps in a time, for both sides of the shaft to oscillate correctly."""
     omega = 2.0 * pi * p[_FREQUENCY] / sqrt(1.0 - p[_BEHIND])
     return 1 + int(omega * period_s / _SWING_STEP)
 
@@ -133,19 +133,19 @@ def breakaway_Nm(p: Vector) -> float:
 
 @inlined
 def is_dry(p: Vector) -> bool:
-    """Whether there is dry friction of any kind: the shaft may stick."""
+    """True if there is dry friction of any kind: the shaft may stick."""
     return breakaway_Nm(p) + p[_LOAD_SHARE] != 0.0
 
 
 @inlined
 def load_friction_Nm(p: Vector, load_Nm: float) -> float:
-    """Size of the dry friction that a load brings with it: k·|load|, load the torque that the motor turns with."""
+    """Magnitude of the load-dependent dry friction: k·|load|, load the motor's shaft torque."""
     return p[_LOAD_SHARE] * abs(load_Nm) if p[_LOAD_SHARE] != 0.0 else 0.0
 
 
 @inlined
 def dry_friction_Nm(p: Vector, v_rad_s: float) -> float:
-    """Size of the dry friction at a speed: Tc + Ts·exp(-(v/vs)²)."""
+    """Magnitude of the dry friction at a speed: Tc + Ts·exp(-(v/vs)²)."""
     torque = p[lay.P_COULOMB] + p[_COULOMB]
     if p[_STRIBECK] != 0.0:
         torque += p[_STRIBECK] * exp(-((v_rad_s / p[_STRIBECK_SPEED]) ** 2))
@@ -154,7 +154,7 @@ def dry_friction_Nm(p: Vector, v_rad_s: float) -> float:
 
 @inlined
 def unbalance_Nm(p: Vector, x_rad: float) -> float:
-    """Torque of what is unbalanced: A·sin(phi + phi0), phi = x/i."""
+    """Torque of the unbalance: A·sin(phi + phi0), phi = x/i."""
     torque = 0.0
     if p[lay.P_UNBALANCE] != 0.0:
         torque += p[lay.P_UNBALANCE] * sin(x_rad / p[lay.P_GEAR_RATIO] + p[lay.P_UNBALANCE_PHASE])
@@ -171,8 +171,7 @@ def ripple_Nm(p: Vector, x_rad: float) -> float:
 
 @inlined
 def shaft_torque_Nm(p: Vector, torque_Nm: float, x_rad: float) -> float:
-    """What the motor turns with when its drive knows of a torque: ripple in proportion to it, scale, ripple of its
-    own."""
+    """Shaft torque of the motor for the drive's torque: ripple in proportion to it, scale, ripple by the angle."""
     return (1.0 + p[_SCALE]) * (torque_Nm * _load_ripple_factor(p, x_rad)) + ripple_Nm(p, x_rad)
 
 
@@ -183,26 +182,25 @@ def _load_ripple_factor(p: Vector, x_rad: float) -> float:
 
 @inlined
 def turned_with_Nm(p: Vector, passed_Nm: float, direction: float) -> float:
-    """What the motor turns with when, beside the friction that goes with it, so much turns the shaft; `direction` -1 to
-    1."""
+    """Shaft torque of the motor before load-dependent friction, from the passed-on one; `direction` -1 to 1."""
     return motors.before_load_friction(p[_LOAD_SHARE], passed_Nm, direction)
 
 
 @inlined
 def motor_torque_Nm(p: Vector, turned_with: float, x_rad: float) -> float:
-    """The torque the drive must know of to turn with so much: the inverse of `shaft_torque_Nm`."""
+    """Drive torque for a shaft torque: the inverse of `shaft_torque_Nm`."""
     return (turned_with - ripple_Nm(p, x_rad)) / (1.0 + p[_SCALE]) / _load_ripple_factor(p, x_rad)
 
 
 @inlined
 def has_feed_forward(p: Vector) -> bool:
-    """Whether the record of the torque leaves out what is fed forward."""
+    """True if the recorded torque excludes the feed-forward."""
     return p[_FED_INERTIA] != 0.0 or p[_FED_VISCOUS] != 0.0 or p[_FED_COULOMB] != 0.0
 
 
 @inlined
 def fed_forward_Nm(p: Vector, time_s: float, v_rad_s: float, a_rad_s2: float, direction: float) -> float:
-    """Torque that is fed forward for a motion: s_J·J·a + s_b·b·v + s_C·Tc·direction (-1 to 1)."""
+    """Feed-forward torque for a motion: s_J·J·a + s_b·b·v + s_C·Tc·direction (-1 to 1)."""
     return (
         p[_FED_INERTIA] * inertia_kg_m2(p, time_s) * a_rad_s2
         + p[_FED_VISCOUS] * (p[lay.P_VISCOUS] + p[_VISCOUS]) * v_rad_s
@@ -212,19 +210,19 @@ def fed_forward_Nm(p: Vector, time_s: float, v_rad_s: float, a_rad_s2: float, di
 
 @inlined
 def has_encoder_error(p: Vector) -> bool:
-    """Whether the encoder errs once a turn."""
+    """True if the encoder has an error once per turn."""
     return p[_ENCODER] != 0.0
 
 
 @inlined
 def measured_motion(p: Vector, x_rad: float, v_rad_s: float) -> tuple[float, float]:
-    """Angle and speed as the drive's encoder has them."""
+    """Angle and speed as measured by the drive's encoder."""
     return motors.measured_motion(p[_ENCODER], p[_ENCODER_PHASE], x_rad, v_rad_s)
 
 
 @inlined
 def true_motion(p: Vector, x_rad: float, v_rad_s: float, a_rad_s2: float) -> tuple[float, float, float]:
-    """Angle, speed and acceleration that were measured so: the inverse of `measured_motion`."""
+    """True angle, speed and acceleration from measured ones: the inverse of `measured_motion`."""
     return motors.true_motion(p[_ENCODER], p[_ENCODER_PHASE], x_rad, v_rad_s, a_rad_s2)
 
 
@@ -251,13 +249,13 @@ def current_loop_s(p: Vector, motor: int) -> float:
 
 @inlined
 def reporting_delay_s(p: Vector) -> float:
-    """By how much the reported torque is late."""
+    """Dead time of the reported torque."""
     return p[_DELAY]
 
 
 @inlined
 def reported_offset_Nm(p: Vector) -> float:
-    """What the reported torque of the drive is off by."""
+    """Offset of the drive's reported torque."""
     return p[_OFFSET]
 
 
@@ -265,7 +263,7 @@ def reported_offset_Nm(p: Vector) -> float:
 def reported_torque_Nm(p: Vector, torque_Nm: float, s: Vector) -> float:
     """Torque as the drive reports it: that of delay_s ago, linear between samples, and the offset.
 
-    What is kept of the past already lacks what is fed forward.
+    The recorded past already excludes the feed-forward.
     """
     delay = p[_DELAY] / p[lay.P_SAMPLE_TIME_S]
     if delay > 0.0 or has_feed_forward(p):

@@ -1,11 +1,11 @@
-"""Where everything stands in the flat arrays of the servo axis' kernel. Effects' places follow from their rows.
+"""Layout of the flat arrays of the servo axis's kernel. Offsets of effects follow from their rows.
 
 Three vectors of float64 describe a shaft with M motors (the drive's, and a load motor where there is one), SI:
 
 - parameters: counts and the shaft, effects, M rows of drive loops (`drive_loops`);
 - state: sample counter, position, speed, direction of the dry friction, mean torque of the drive, twist of a shaft with
   a resonance, past torques of the drive, M rows of drive states;
-- inputs: torque from outside, M rows of drive inputs.
+- inputs: external torque, M rows of drive inputs.
 """
 
 from __future__ import annotations
@@ -46,23 +46,23 @@ S_X: Final = 1
 S_V: Final = 2
 S_DIRECTION: Final = 3  #: of the dry friction: -1, 1, or 0 (sticks)
 S_MEAN: Final = 4  #: N·m, mean torque of the drive in the last step
-S_TWIST: Final = 5  #: rad, of what is behind a shaft that twists, less the motor's
+S_TWIST: Final = 5  #: rad, of the load behind a twisting shaft, less the motor's
 S_TWIST_RATE: Final = 6  #: rad/s
 S_PAST: Final = 7
 RING: Final = 128  #: past torques of the drive, one per sample time
 S_MOTORS: Final = S_PAST + RING
 
 # Inputs.
-U_TORQUE_NM: Final = 0  #: from outside, forward
+U_TORQUE_NM: Final = 0  #: external, forward
 U_MOTORS: Final = 1
 
-# Columns of what is observed: position, speed, mean torque of the drive in the last step, then each motor's torque.
+# Columns of the observed values: position, speed, mean torque of the drive in the last step, then each motor's torque.
 O_X: Final = 0
 O_V: Final = 1
 O_MEAN: Final = 2
 O_TORQUE: Final = 3
 
-#: What can be asked for and given, and where it stands in the kernel's parameters.
+#: Public parameters, and their columns in the kernel's parameters.
 PARAMETERS: Final[Mapping[str, tuple[Quantity, int]]] = {
     quantity.name: (quantity, column)
     for quantity, column in (
@@ -93,22 +93,22 @@ def place(effect_id: str, parameter: int = 0, slot: int = 0) -> int:
 
 
 def motor_count(parameters: Vector) -> int:
-    """M of a parameter vector."""
+    """Number of motors M of a parameter vector."""
     return int(parameters[P_MOTORS])
 
 
 def output_size(parameters: Vector) -> int:
-    """Columns of what is observed."""
+    """Number of columns of the observed values."""
     return O_TORQUE + motor_count(parameters)
 
 
 def new_state(parameters: Vector) -> Vector:
-    """At rest at position zero, drives off."""
+    """State at rest at position zero, drives off."""
     return np.zeros(S_MOTORS + motor_count(parameters) * loops.STATE_SIZE)
 
 
 def new_inputs(parameters: Vector) -> Vector:
-    """Every motor off, no torque from outside."""
+    """Inputs with every motor off, without external torque."""
     inputs = np.zeros(U_MOTORS + motor_count(parameters) * loops.IN_SIZE)
     rows = motor_inputs(inputs)
     rows[:, loops.IN_MODE] = MotorMode.OFF
@@ -118,12 +118,12 @@ def new_inputs(parameters: Vector) -> Vector:
 
 
 def motor_inputs(inputs: Vector) -> Vector:
-    """View (M, IN_SIZE)."""
+    """View of the motors' inputs (M, IN_SIZE)."""
     return inputs[U_MOTORS:].reshape(-1, loops.IN_SIZE)
 
 
 def motor_states(state: Vector) -> Vector:
-    """View (M, STATE_SIZE)."""
+    """View of the motors' states (M, STATE_SIZE)."""
     return state[S_MOTORS:].reshape(-1, loops.STATE_SIZE)
 
 
@@ -135,7 +135,7 @@ def write_effect(parameters: Vector, effect_id: str, slot: int, values: Iterable
 
 
 def check_effect(effect_id: str, axis: int | None, slot: int, values: dict[str, float]) -> None:
-    """Raises ValueError for an effect, axis, slot or value that a servo axis cannot have."""
+    """Raise ValueError for an effect, axis, slot or value that a servo axis cannot have."""
     problem = effect_problem(effect_id, axis)
     if problem is None:
         effect = find(effect_id)
@@ -147,7 +147,7 @@ def check_effect(effect_id: str, axis: int | None, slot: int, values: dict[str, 
 
 
 def write_entries(parameters: Vector, entries: Iterable[ShaftEffect]) -> None:
-    """Set every effect neutral, then those of a config; what can be given several times fills its slots in order."""
+    """Set every effect neutral, then those of a config; effects with several slots fill them in order."""
     for effect in effects_of(KIND):
         for slot in range(effect.slots):
             write_effect(parameters, effect.id, slot, effect.filled({}).values())
@@ -161,7 +161,7 @@ def write_entries(parameters: Vector, entries: Iterable[ShaftEffect]) -> None:
 
 
 def check_delay(parameters: Vector) -> None:
-    """Raises ValueError for a torque delay longer than torques are kept."""
+    """Raise ValueError for a torque delay longer than torques are kept."""
     longest = (RING - 2) * parameters.item(P_SAMPLE_TIME_S)
     if parameters[place("torque_delay")] > longest:
         raise ValueError(
@@ -176,7 +176,7 @@ def _new(motors: int, sample_time_s: float, substeps: int) -> Vector:
 
 
 def _write_drive(row: Vector, drives: DriveParameters | None) -> None:
-    """The loops of the drive; without drives the motor has none, and no limit."""
+    """Write the loops of the drive; without drives the motor has none, and no limit."""
     row[loops.KP] = per_item(drives.velocity_kp_Nm_s_per_rad, 1) if drives else 0.0
     row[loops.KI] = per_item(drives.velocity_ki_Nm_per_rad, 1) if drives else 0.0
     row[loops.POSITION_KP] = per_item(drives.position_kp_per_s, 1) if drives else 0.0
@@ -193,7 +193,7 @@ def _write_load_motor(row: Vector, load: LoadMotorParameters) -> None:
 
 
 def pack(model: ServoAxisParameters, load_motor: LoadMotorParameters | None = None, substeps: int = 1) -> Vector:
-    """The parameter vector of an axis: `substeps` integration steps per drive sample time.
+    """Parameter vector of an axis: `substeps` integration steps per drive sample time.
 
     load_motor: a second motor on the shaft. Its rotor's inertia adds to that of the model.
     """

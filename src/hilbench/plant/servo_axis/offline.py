@@ -17,13 +17,13 @@ from hilbench.plant.servo_axis.layout import Vector
 
 @dataclass(frozen=True, slots=True)
 class Simulation:
-    """What the axis did; arrays (..., n), values at the start of each row."""
+    """Simulation result; arrays (..., n), values at the start of each row."""
 
     x_rad: Vector
     v_rad_s: Vector
     tau_Nm: Vector  #: torque as the drive reports it
-    mean_tau_Nm: Vector  #: its mean over the time since the row before
-    state: Vector  #: (..., S) at the end, to go on from
+    mean_tau_Nm: Vector  #: its mean over the time since the previous row
+    state: Vector  #: (..., S) at the end, to continue from
 
 
 def simulate(

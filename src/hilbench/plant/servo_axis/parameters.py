@@ -1,8 +1,8 @@
-"""The `machine:` block (or model file) of `kind: servo_axis`: one shaft, its motor and its drive.
+"""Servo axis block `machine:` (or model file) of `kind: servo_axis`: one shaft, its motor and its drive.
 
-All quantities are those at the motor shaft, SI, units in the key names: the angle is the motor's, and what stands
-behind a gear is given as the motor feels it (inertia divided by i², torques by i). The gear ratio says only how often
-the motor turns per turn of what is unbalanced.
+All quantities are those at the motor shaft, SI, units in the key names: the angle is the motor's, and loads behind a
+gear are referred to the motor (inertia divided by i², torques by i). The gear ratio is only the number of motor turns
+per turn of the unbalance.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Phase = Annotated[FiniteFloat, Field(ge=-7.0, le=7.0)]
 
 
 class ShaftParameters(Block):
-    """What the motor turns."""
+    """Load of the motor."""
 
     inertia_kg_m2: NotNegative = Field(description="of what the motor turns, without its rotor (motor.inertia_kg_m2)")
     coulomb_friction_Nm: NotNegative = Field(default=0.0, description="dry friction; it holds a shaft that stands")
@@ -41,17 +41,17 @@ class ShaftParameters(Block):
 
 
 class MotorParameters(Block):
-    """The motor."""
+    """Motor of the axis."""
 
     inertia_kg_m2: NotNegative = Field(default=0.0, description="of its rotor")
 
 
 class ServoAxisParameters(Block):
-    """One servo axis. Immutable; `model_copy(update=…)` varies it."""
+    """Servo axis. Immutable; `model_copy(update=…)` varies it."""
 
-    #: Of its axis' position; speeds are per second.
+    #: Unit of its axis's position; speeds are per second.
     position_unit: ClassVar[Literal["m", "rad"]] = "rad"
-    #: By whose effects, signals and metrics it goes.
+    #: Kind that selects effects, signals and metrics.
     machine_kind: ClassVar[MachineKind] = MachineKind.SERVO_AXIS
 
     kind: Literal["servo_axis"] = Field(default="servo_axis", description="what machine this is")
@@ -90,30 +90,30 @@ class ServoAxisParameters(Block):
         return 0
 
     def motor_rad_per_unit(self, axis: int) -> float:
-        """Motor angle per unit of the axis' position, which is the motor's."""
+        """Motor angle per unit of the axis's position, which is the motor's."""
         return 1.0
 
     def gear_ratio(self, axis: int) -> float:
-        """Turns of the motor per turn of what is unbalanced."""
+        """Turns of the motor per turn of the unbalance."""
         return self.shaft.gear_ratio
 
     @property
     def inertia_kg_m2(self) -> float:
-        """J: motor and all that it turns, without effects."""
+        """Inertia J of motor and load, without effects."""
         return self.motor.inertia_kg_m2 + self.shaft.inertia_kg_m2
 
 
 class ServoRigParameters(Block):
-    """The simulated hardware. `matching` fills it from a model."""
+    """Simulated hardware of a servo axis. `matching` fills it from a model."""
 
-    axis: ServoAxisParameters  #: as it is really built, without the load motor's rotor
+    axis: ServoAxisParameters  #: as built, without the load motor's rotor
     load_motor: LoadMotorParameters = LoadMotorParameters()
     sensors: SensorParameters = SensorParameters()
     load_sensors: SensorParameters = SensorParameters()
 
     @property
     def inertia_kg_m2(self) -> float:
-        """All that really turns, the load motor's rotor included; without effects."""
+        """Total inertia as built, including the load motor's rotor; without effects."""
         return self.axis.inertia_kg_m2 + self.load_motor.inertia_kg_m2
 
     @classmethod
@@ -125,7 +125,7 @@ class ServoRigParameters(Block):
         sensors: SensorParameters | None = None,
         effects: Sequence[ShaftEffect] = (),
     ) -> ServoRigParameters:
-        """The stand on which a model's drive turns `shaft`; without one, the model's, so that nothing is emulated.
+        """Rig on which a model's drive turns `shaft`; by default the model's, so that nothing is emulated.
 
         The load motor's inertia is then taken off the shaft. Raises ValueError for a model without drives, or with less
         inertia than the load motor.

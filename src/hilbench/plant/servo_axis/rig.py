@@ -1,6 +1,6 @@
-"""The simulated hardware of a servo axis: the shaft that there is, the load motor on it, and their sensors.
+"""Simulated hardware of a servo axis: the real shaft, the load motor on it, and their sensors.
 
-What the load motor emulates (`hilbench.plant.servo_axis.emulation`) is not in it.
+Emulation by the load motor (`hilbench.plant.servo_axis.emulation`) is not included.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from hilbench.plant.servo_axis.shaft import Shaft
 
 
 class ServoRig(Shaft):
-    """A `Plant` with two motors on one shaft; ports in the order axis, load motor.
+    """Rig as a `Plant` with two motors on one shaft; ports in the order axis, load motor.
 
     A positive torque of either turns the shaft forward. The drives' loops act on the true motion; noise and resolution
-    are in what the ports report. Equal parameters, seed and set points give equal feedback, bit for bit. Raises
+    are in the ports' feedback. Equal parameters, seed and set points give equal feedback, bit for bit. Raises
     ValueError unless there are two ports and the axis has drives.
     """
 
@@ -48,7 +48,7 @@ class ServoRig(Shaft):
                 super()._restore(state)
             case _:
                 raise ValueError("a state of another machine, expected one of an equal simulated servo axis")
-        # What the sensors showed then, and will show from there on: to look once more would draw other noise.
+        # Restore the sensors' readings: observing again would draw other noise.
         self._noise = deepcopy(noise)
         for port, (position, velocity, torque) in zip(self._ports, shown, strict=True):
             port.position_rad, port.velocity_rad_s, port.torque_Nm = position, velocity, torque

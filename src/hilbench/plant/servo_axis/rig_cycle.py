@@ -1,4 +1,4 @@
-"""A step of a shaft whose motors stay in their modes, compiled: set points in, what the sensors show out."""
+"""Compiled step of a shaft whose motors stay in their modes: set points in, sensor readings out."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.layout import Vector
 
 Table = NDArray[np.int64]
-#: What a motor shows, in the order of `hilbench.plant.motor_port.MotorPort`: position, velocity, torque, reference,
-#: whether the torque was limited (1) or not (0).
+#: Feedback of a motor, in the order of `hilbench.plant.motor_port.MotorPort`: position, velocity, torque, reference,
+#: torque limited (1) or not (0).
 SHOWN = 5
-#: Of each motor: standard deviations of position, velocity and torque, and what the encoder counts.
+#: Of each motor: standard deviations of position, velocity and torque, and the encoder's increment.
 SENSOR = 4
-#: What `step_by` returns where the normal numbers are to be drawn anew, and nothing was done.
+#: Result of `step_by` when the normal numbers have to be drawn anew, and nothing was done.
 DRAW = 1
 
 
@@ -47,8 +47,7 @@ def step(table: Table, samples: int, noise: Vector) -> None:
         shown[at + 4] = s[state + loops.LIMITED] != 0.0
 
 
-#: step_by(samples, table of the vectors in this order, and behind them the numbers, as of `sensor_rows.take_row`): the
-#: same.
+#: step_by(samples, table of the vectors in this order, followed by the numbers, as of `sensor_rows.take_row`): `step`.
 @entry_point(COUNT, TABLE)
 def step_by(samples: int, table: Table) -> int:
     numbers = floats(table, 7, (1, 2))

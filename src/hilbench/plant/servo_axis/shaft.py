@@ -1,4 +1,4 @@
-"""What the closed model and the simulated hardware of a servo axis have in common: the kernel behind a plant's face."""
+"""Base of the closed model and the simulated hardware of a servo axis: the kernel as a plant."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ _TORQUE = Quantity("external_torque_Nm", "N·m", "torque on the shaft from outsi
 
 
 class ShaftStep(NamedTuple):
-    """What `rig_cycle.step` takes."""
+    """Arguments of `rig_cycle.step`."""
 
     samples: int  #: of the drives
-    vectors: tuple[Vector, ...]  #: those of its table; who calls it keeps them
-    silence: Vector  #: in the place of noise
+    vectors: tuple[Vector, ...]  #: of its table; kept by the caller
+    silence: Vector  #: zeros in place of noise
 
 
 def checked_parameter(name: str, value: float) -> float:
-    """A value that a parameter may have. Raises ValueError."""
+    """Possible value of a parameter. Raises ValueError."""
     quantity = PARAMETERS[_known(name)][0]
     positive, any_sign = name == "inertia_kg_m2", quantity.unit == "rad"
     if not isfinite(value) or (value <= 0.0 if positive else value < 0.0 and not any_sign):
@@ -50,7 +50,7 @@ def _known(name: str) -> str:
 
 
 class Shaft:
-    """A shaft with its motors; angle and torques at the motor shaft. Starts at rest at position zero.
+    """Shaft with its motors; angle and torques at the motor shaft. Starts at rest at position zero.
 
     `step` takes the set points from the ports and writes the feedback to them; without ports every motor is off.
     """
@@ -76,27 +76,27 @@ class Shaft:
         self._observe()
 
     def describe(self) -> PlantDescription:
-        """One axis in rad; motor 2 is the load motor, where there is one."""
+        """Description: one axis in rad; motor 2 is the load motor, if any."""
         return self._description
 
     @property
     def packed(self) -> Vector:
-        """The kernel's parameter vector, effects included."""
+        """Parameter vector of the kernel, including effects."""
         return self._p
 
     @property
     def inputs(self) -> Vector:
-        """Those of the kernel."""
+        """Inputs of the kernel."""
         return self._inputs
 
     @property
     def inertia_factor(self) -> float:
-        """How many times as large as its parameter the inertia is now, by effects."""
+        """Present factor on the inertia by effects."""
         return float(kernel.look(self._p, self.time_s)[0])
 
     @property
     def ports(self) -> tuple[MotorPort, ...]:
-        """One for each motor; empty if every motor is off for good."""
+        """Port of each motor; empty if every motor is off for good."""
         return self._ports
 
     @property
@@ -105,13 +105,13 @@ class Shaft:
         return float(self._state[lay.S_COUNT] * self._p[lay.P_SAMPLE_TIME_S])
 
     def lock_to(self, duration_s: float) -> None:
-        """Let the drives' sample time be the nearest to the model's of which `duration_s` is a multiple."""
+        """Set the drives' sample time to the nearest to the model's of which `duration_s` is a multiple."""
         time_s, sample_s = self.time_s, locked_sample_time_s(duration_s, self._sample_time_s)
         self._p[lay.P_SAMPLE_TIME_S] = sample_s
         self._state[lay.S_COUNT] = round(time_s / sample_s)
 
     def step(self, duration_s: float) -> None:
-        """Go on by a multiple of the drives' sample time, with the ports' set points held.
+        """Step by a multiple of the drives' sample time, with the ports' set points held.
 
         Raises ValueError for another duration.
         """
@@ -127,17 +127,17 @@ class Shaft:
             row[:] = port.mode, port.setpoint, port.slope, port.torque_limit_Nm
 
     def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> CompiledStage | None:
-        """`step` with set points (M,) in place of those of the ports, whose modes and limits stay what they are; what
-        the ports would show goes into `shown`, (5 M,): position, velocity, torque, reference, torque limited.
+        """`step` with set points (M,) in place of the ports', whose modes and limits are kept; the feedback goes into
+        `shown`, (5 M,): position, velocity, torque, reference, torque limited.
 
-        The ports do not learn of it; who calls it keeps the vectors. Raises ValueError as `step`.
+        The ports are not updated; the caller keeps the vectors. Raises ValueError as `step`.
         """
         of, noise = self.step_in_vectors(duration_s, set_points, shown), self._noise
         numbers = silence(len(self._ports)) if noise is None else (noise.rows, noise.next)
         return chained_with_noise(rig_cycle.step_by, of.samples, (*of.vectors, *numbers), noise)
 
     def step_in_vectors(self, duration_s: float, set_points: Vector, shown: Vector) -> ShaftStep:
-        """The same for compiled callers, of a shaft without sensors."""
+        """Step arguments for compiled callers, for a shaft without sensors."""
         samples = samples_per(duration_s, self._p.item(lay.P_SAMPLE_TIME_S))
         self._read_ports()
         motors = len(self._ports)
@@ -163,14 +163,14 @@ class Shaft:
         return dict(zip(self._output_names, self._out.tolist(), strict=True))
 
     def get_state(self) -> PlantState:
-        """The state now: motion and torques by name, the drives' loops beside them."""
+        """Present state: motion and torques by name, and the drives' loops."""
         torques = lay.motor_states(self._state)[:, loops.TORQUE_NM].tolist()
         values = [self._state.item(lay.S_X), self._state.item(lay.S_V), *torques]
         names = (quantity.name for quantity in self.describe().states)
         return PlantState(dict(zip(names, values, strict=True)), self._memory())
 
     def set_state(self, state: PlantState | Mapping[str, float]) -> None:
-        """Go on from a state of an equal shaft, or transfer the states given by name. Raises ValueError."""
+        """Restore a state of an equal shaft, or transfer the states given by name. Raises ValueError."""
         if isinstance(state, PlantState):
             self._restore(state.memory)
         else:
@@ -204,17 +204,17 @@ class Shaft:
         self._state[lay.S_DIRECTION] = (speed > 0.0) - (speed < 0.0)
 
     def parameter(self, name: str) -> float:
-        """Present value, without what effects make of it. Raises ValueError for an unknown name."""
+        """Present value of a parameter, without effects. Raises ValueError for an unknown name."""
         return self._p.item(PARAMETERS[_known(name)][1])
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Give a parameter a value from now on. Raises ValueError for an unknown name or an impossible value."""
+        """Set a parameter from now on. Raises ValueError for an unknown name or an impossible value."""
         value = checked_parameter(name, value)
         self._p[PARAMETERS[name][1]] = value
         self._refresh_direction()
 
     def set_input(self, name: str, value: float) -> None:
-        """Torque from outside, from now on. Raises ValueError for an unknown name or a value that is not finite."""
+        """Set the external torque from now on. Raises ValueError for an unknown name or a value that is not finite."""
         checked_name("input", name, (_TORQUE,))
         if not np.isfinite(value):
             raise ValueError(f"{name} = {value!r} N·m, expected a finite number")
@@ -223,7 +223,7 @@ class Shaft:
     def set_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
-        """Give the axis an effect from now on. Raises ValueError for what it cannot have."""
+        """Set an effect of the axis from now on. Raises ValueError for an impossible one."""
         lay.check_effect(effect_id, axis, slot, parameters)
         _refuse_section(effect_id, section)
         changed = self._p.copy()

@@ -1,4 +1,4 @@
-"""What is usual on one servo axis, of which the sizes of effects are shares."""
+"""Usual sizes of a servo axis, of which the sizes of effects are shares."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ def machine_sizes(
     torque_Nm: float | None = None,
     sample_time_s: float | None = None,
 ) -> MachineSizes:
-    """What is usual at the shaft of a model: forces are torques, at a radius of 1.
+    """Usual sizes at the shaft of a model: forces are torques, at a radius of 1.
 
-    top_speed_rad_s: highest speed, which no model tells. torque_Nm: usual torque of the motor; its default is the
-    drive's limit (1 N·m where the model has none). sample_time_s: that of what was recorded, for a model without
-    drives; default 1 ms.
+    top_speed_rad_s: highest speed, which is not in a model. torque_Nm: usual torque of the motor; its default is the
+    drive's limit (1 N·m where the model has none). sample_time_s: that of a recording, for a model without drives;
+    default 1 ms.
     """
     drives = model.drives
     limit_Nm = per_item(drives.torque_limit_Nm, 1) if drives is not None else 1.0

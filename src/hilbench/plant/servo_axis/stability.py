@@ -1,7 +1,7 @@
-"""How much inertia a load motor can emulate on a servo axis over a sampled bus.
+"""Stability limit of inertia emulation by a load motor on a servo axis over a sampled bus.
 
-The emulation feeds the acceleration back, filtered and predicted: a loop of gain (J_i − J_r)/J_r with the delay of the
-bus in it. `hilbench.plant.sampled_shaft` has the loop, this module the law.
+The emulation feeds the acceleration back, filtered and predicted: a loop of gain (J_i − J_r)/J_r with the dead time of
+the bus in it. `hilbench.plant.sampled_shaft` has the loop, this module the law.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from hilbench.plant.servo_axis.emulation import FILTER_CYCLES
 from hilbench.plant.servo_axis.parameters import ServoRigParameters
 from hilbench.plant.servo_axis.tracking_filter import gains, transition
 
-#: Multiples of the real inertia that are looked through; a shaft of none is the least.
+#: Searched range, in multiples of the real inertia; a shaft without inertia is the least.
 _MOST_RATIO, _LEAST_RATIO = 20.0, 1.0
-_ACCELERATION = 2  #: place in the filter's motion
+_ACCELERATION = 2  #: index in the filter's motion
 
 
 def sampled_shaft(rig: ServoRigParameters, cycle_s: float) -> SampledShaft:
-    """The real shaft with its drive and load motor. Raises ValueError for an axis without drives."""
+    """Real shaft with its drive and load motor. Raises ValueError for an axis without drives."""
     drives = rig.axis.drives
     if drives is None:
         raise ValueError("the axis has no drives, expected 'drives'")
@@ -42,7 +42,7 @@ def sampled_shaft(rig: ServoRigParameters, cycle_s: float) -> SampledShaft:
 
 
 def emulation_law(inertia_kg_m2: float, cycle_s: float, filter_s: float, lead_s: float) -> LinearLaw:
-    """Inertia beyond the real one as `hilbench.plant.servo_axis.emulation` brings it: its memory is the motion."""
+    """Linear law of emulated additional inertia, as in `hilbench.plant.servo_axis.emulation`; memory: the motion."""
     gain, forward = gains(cycle_s, filter_s), transition(cycle_s)
     memory = forward - np.outer(gain, forward[0])
     acceleration = -inertia_kg_m2 * transition(lead_s)[_ACCELERATION]
@@ -51,13 +51,13 @@ def emulation_law(inertia_kg_m2: float, cycle_s: float, filter_s: float, lead_s:
 
 
 def spectral_radius(shaft: SampledShaft, inertia_kg_m2: float, filter_cycles: float = FILTER_CYCLES) -> float:
-    """Greatest magnitude of the loop's eigenvalues while so much inertia beyond the real one is emulated."""
+    """Largest magnitude of the loop's eigenvalues while this inertia is emulated in addition to the real one."""
     filter_s, lead_s = filter_cycles * shaft.cycle_s, emulation_delay_s(shaft)
     return spectral_radius_under(shaft, emulation_law(inertia_kg_m2, shaft.cycle_s, filter_s, lead_s))
 
 
 def imitable_inertia_kg_m2(shaft: SampledShaft, filter_cycles: float = FILTER_CYCLES) -> tuple[float, float]:
-    """The least and the largest inertia that the shaft can be made to have without the loop going unstable."""
+    """Least and largest inertia that can be emulated on the shaft without instability of the loop."""
     real = shaft.inertia_kg_m2
     lighter = largest_stable(lambda ratio: spectral_radius(shaft, -ratio * real, filter_cycles), _LEAST_RATIO)
     heavier = largest_stable(lambda ratio: spectral_radius(shaft, ratio * real, filter_cycles), _MOST_RATIO)

@@ -1,6 +1,6 @@
-"""Motion from positions alone: position, speed, acceleration and jerk of a shaft, for what has to follow from them.
+"""Motion observer from positions alone: position, speed, acceleration and jerk of a shaft.
 
-An observer of a shaft with constant jerk between two samples, its four poles at exp(-T/T_f): what it says of a motion
+An observer of a shaft with constant jerk between two samples, its four poles at exp(-T/T_f): its estimate of a motion
 with constant jerk has no lag, whatever T_f is; T_f trades noise against how fast the jerk may change.
 """
 
@@ -23,15 +23,15 @@ ORDER = 4
 
 @compiled
 def later(motion: Vector, forward: Matrix, place: int) -> float:
-    """One of these, after the time of which `forward` (4, 4) is the `transition`."""
-    # Two sums beside each other, as a vector unit has them.
+    """Component `place` of the motion after the time of the `transition` `forward` (4, 4)."""
+    # Two parallel sums, as in a vector unit.
     even = forward[place, 0] * motion[0] + forward[place, 2] * motion[2]
     return float(even + (forward[place, 1] * motion[1] + forward[place, 3] * motion[3]))
 
 
 @compiled
 def follow(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -> None:
-    """See `TrackingFilter.update`; `forward` (4, 4), `gain` (4,): `transition` and `gains` of the time since."""
+    """Compiled `TrackingFilter.update`; `forward` (4, 4), `gain` (4,): `transition` and `gains` of the elapsed time."""
     x, v = later(motion, forward, 0), later(motion, forward, 1)
     a, j = later(motion, forward, 2), later(motion, forward, 3)
     off_rad = position_rad - x
@@ -52,17 +52,17 @@ def _follow(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) 
 
 @lru_cache(64)
 def transition(duration_s: float) -> Vector:
-    """(4, 4): the motion `duration_s` later, with constant jerk."""
+    """Transition matrix (4, 4) of the motion over `duration_s`, with constant jerk."""
     rows = range(ORDER)
     return np.array([[duration_s ** (j - i) / factorial(j - i) if j >= i else 0.0 for j in rows] for i in rows])
 
 
 @lru_cache(64)
 def gains(duration_s: float, filter_s: float) -> Vector:
-    """(4,): how much of the deviation of a position goes into the motion.
+    """Observer gains (4,) from the deviation of a position to the motion.
 
     The fading-memory filter of third degree (N. Morrison, Introduction to Sequential Smoothing and Prediction, 1969),
-    whose four poles are all where they are wanted.
+    with four equal poles.
     """
     pole = exp(-duration_s / filter_s)
     left = 1.0 - pole
@@ -77,22 +77,22 @@ def gains(duration_s: float, filter_s: float) -> Vector:
 
 
 class TrackingFilter:
-    """The observer; `motion` (4,) is what it says: rad, rad/s, rad/s², rad/s³."""
+    """Observer of a shaft's motion; `motion` (4,): rad, rad/s, rad/s², rad/s³."""
 
     def __init__(self, filter_s: float) -> None:
         self.motion: Vector = np.zeros(ORDER)
         self.filter_s = filter_s
 
     def reset(self, position_rad: float, speed_rad_s: float = 0.0) -> None:
-        """At this position, with this even speed."""
+        """Reset to this position, with constant speed."""
         self.motion[:] = position_rad, speed_rad_s, 0.0, 0.0
 
     def update(self, position_rad: float, duration_s: float) -> None:
-        """The shaft is at `position_rad`, `duration_s` after the last."""
+        """Update by a position, `duration_s` after the previous one."""
         _follow(self.motion, transition(duration_s), gains(duration_s, self.filter_s), position_rad)
 
     def predicted(self, lead_s: float) -> Vector:
-        """(4,): the motion `lead_s` later, with constant jerk."""
+        """Motion (4,) predicted `lead_s` ahead, with constant jerk."""
         motion = np.zeros(ORDER)
         _put_later(self.motion, transition(lead_s), motion)
         return motion

@@ -1,6 +1,6 @@
 """Laws of carriages (dancers, accumulators), compiled.
 
-A carriage is an axis behind the rollers of its line: x is its position along its way, positive where it lengthens the
+A carriage is an axis after the rollers of its line: x is its position along its travel, positive where it lengthens the
 web. With z(x) the length that it adds to each of its strands, z = x on a guide and R·sin(x/R) on an arm of length R:
 
     M·x'' = P - k·(x - x_rest) - b·x' - friction - z'(x)·(sum of the strands' tensions),      L_j' = z'(x)·x'
@@ -17,26 +17,26 @@ from hilbench.plant.web_line.layout import Vector
 
 @inlined
 def is_carriage(k: int, i: int) -> bool:
-    """Whether axis i (from 0) of a line of k spans, with k + 1 rollers, is a carriage; without spans there are none."""
+    """True if axis i (from 0) of a line of k spans, with k + 1 rollers, is a carriage; without spans there are none."""
     return k > 0 and i > k
 
 
 @inlined
 def gain(p: Vector, axis: int, x_m: float) -> float:
-    """z'(x): how a strand grows with the position."""
+    """Growth of a strand per travel, z'(x)."""
     arm = p[axis + lay.A_ARM_M]
     return cos(x_m / arm) if arm != 0.0 else 1.0
 
 
 @inlined
 def force_N(p: Vector, axis: int, x_m: float) -> float:
-    """Of cylinder, weight and spring, the way that lengthens the web."""
+    """Force of cylinder, weight and spring, in the direction that lengthens the web."""
     return p[axis + lay.A_FORCE_N] - p[axis + lay.A_SPRING_N_PER_M] * (x_m - p[axis + lay.A_SPRING_REST_M])
 
 
 @inlined
 def web_force_N(p: Vector, w: Vector, axis: int, tension: int, x_m: float) -> float:
-    """Pull of its strands, whose tensions (K,) stand from place `tension` of `w` on."""
+    """Force of its strands, whose tensions (K,) begin at offset `tension` of `w`."""
     total = 0.0
     for j in range(int(p[axis + lay.A_FIRST_SPAN]), int(p[axis + lay.A_LAST_SPAN]) + 1):
         total += w[tension + j]
@@ -45,7 +45,7 @@ def web_force_N(p: Vector, w: Vector, axis: int, tension: int, x_m: float) -> fl
 
 @inlined
 def add_length_rates(p: Vector, w: Vector, axis: int, length_rate: int, x_m: float, v_m_s: float) -> None:
-    """What its motion adds to the rates of the lengths (K,), m/s, from place `length_rate` of `w` on."""
+    """Add the rates by its motion to those of the lengths (K,), m/s, from offset `length_rate` of `w` on."""
     rate = gain(p, axis, x_m) * v_m_s
     for j in range(int(p[axis + lay.A_FIRST_SPAN]), int(p[axis + lay.A_LAST_SPAN]) + 1):
         w[length_rate + j] += rate
@@ -53,11 +53,11 @@ def add_length_rates(p: Vector, w: Vector, axis: int, length_rate: int, x_m: flo
 
 @inlined
 def beyond_m(p: Vector, axis: int, x_m: float) -> float:
-    """How far it is beyond the nearer of its stops; below 0 between them."""
+    """Distance beyond the nearer of its stops; below 0 between them."""
     return max(x_m - p[axis + lay.A_UPPER_STOP_M], p[axis + lay.A_LOWER_STOP_M] - x_m)
 
 
 @inlined
 def side_of_stop(p: Vector, axis: int, x_m: float) -> float:
-    """The nearer of its stops: 1 the upper, -1 the lower."""
+    """Side of the nearer of its stops: 1 the upper, -1 the lower."""
     return 1.0 if x_m - p[axis + lay.A_UPPER_STOP_M] > p[axis + lay.A_LOWER_STOP_M] - x_m else -1.0

@@ -1,4 +1,4 @@
-"""What drives' torques answer to loads: PI velocity loops that keep their rollers' speed."""
+"""Response of drives' torques to loads: PI velocity loops that keep their rollers' speed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hilbench.plant.web_line.layout import Vector
 def _answer(
     states: Vector, transition: Vector, inputs: Vector, gains: Vector, loads: Vector, torques: Vector, continues: bool
 ) -> None:
-    """The torques (N, L); `continues`: after a cycle with these loads (N, L)."""
+    """Torques (N, L); `continues`: after a cycle with these loads (N, L)."""
     for i in range(states.shape[0]):
         for j in range(states.shape[2]):
             speed, integral = states[i, 0, j], states[i, 1, j]
@@ -26,7 +26,7 @@ def _answer(
 
 
 class DriveResponse:
-    """Of N drives, to so many loads each at once, which come once a cycle; linear, without limits and current loop.
+    """Linear torque response of N drives to several loads each, updated once a cycle; without limits and current loop.
 
     With inertia J: J·w' = tau + load, tau = -kp·w - ki·∫w, all at the motor.
     """
@@ -37,21 +37,20 @@ class DriveResponse:
         self._states = np.zeros((len(kp), 2, loads))  # speed, and its integral, of each drive by each load
         self._transition, self._input = np.zeros((len(kp), 2, 2)), np.zeros((len(kp), 2))
         self._none = np.zeros((len(kp), loads))
-        #: Of each drive by each load (N, loads).
+        #: Torque of each drive by each load (N, loads).
         self.torques_Nm = np.zeros((len(kp), loads))
 
     def reset(self) -> None:
-        """At rest without load."""
+        """Reset to rest without load."""
         self._states[:] = self.torques_Nm[:] = 0.0
 
     def go_on_from(self, other: DriveResponse) -> None:
-        """As another one of the same drives and loads is now."""
+        """Copy the state of a response of the same drives and loads."""
         self._states[:] = other._states
         self._show()
 
     def set_inertia(self, inertia_kg_m2: Vector) -> None:
-        """Of each drive with what it turns, at the motor (N,). By the trapezoidal rule, that is stable for every
-        loop."""
+        """Set the inertia of each drive with its load, at the motor (N,). Trapezoidal rule, stable for every loop."""
         half = np.zeros_like(self._transition)
         half[:, 0] = -0.5 * self._cycle_s * self._gains / inertia_kg_m2[:, None]
         half[:, 1, 0] = 0.5 * self._cycle_s
@@ -60,22 +59,22 @@ class DriveResponse:
         self._input[:] = back[:, :, 0] * (self._cycle_s / inertia_kg_m2)[:, None]
 
     def step(self, loads_Nm: Vector) -> None:
-        """A cycle with these loads (N, loads), forward."""
+        """Step a cycle with these loads (N, loads), forward."""
         _answer(self._states, self._transition, self._input, self._gains, loads_Nm, self.torques_Nm, True)
 
     def add(self, load: int, shares: Vector) -> None:
-        """To what one of the loads has made so much of each that stands before it."""
+        """Add shares of the responses to all previous loads to that of `load`."""
         self._states[:, :, load] += self._states[:, :, :load] @ shares
         self._show()
 
     def turn(self, matrix: Vector) -> None:
-        """The first loads (n,) are others now: `matrix` (n, n), from the right."""
+        """Change of basis of the first n load channels: L ← L·matrix, `matrix` (n, n)."""
         count = len(matrix)
         self._states[:, :, :count] = self._states[:, :, :count] @ matrix
         self._show()
 
     def answer_from(self, cycles: int, loads: Sequence[int], loads_Nm: Vector) -> None:
-        """Some of the loads (by number) came so many cycles ago, and were nothing until then."""
+        """Recompute the response to some loads (by number), as if applied `cycles` ago and 0 before."""
         before = self._states.copy()
         self._states[:, :, loads] = 0.0
         for _ in range(cycles):

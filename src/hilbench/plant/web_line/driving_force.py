@@ -1,4 +1,4 @@
-"""What drives a roller whose motion and torque are measured: the motor, less all that resists but web and inertia."""
+"""Driving force of a roller by measured motion and torque: the motor's, less all resistance except web and inertia."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from hilbench.plant.web_line.layout import Layout, Vector
 
 
 def driving_force_N(p: Vector, axis: int, torque_Nm: float, x_m: float, v_m_s: float) -> float:
-    """(i/r)·τ − R(v) of a roller, from 1, by the parameters of a line, effects included: force at the web, N.
+    """Driving force (i/r)·τ − R(v) of a roller, from 1, by the parameters of a line, effects included: at the web, N.
 
-    `torque_Nm`: at the motor, as measured; `x_m`, `v_m_s`: place and speed of the roller at the web.
+    `torque_Nm`: at the motor, as measured; `x_m`, `v_m_s`: position and speed of the roller at the web.
     """
     at = lay.W_SIZE + (axis - 1) * lay.A_SIZE
     motor = lay.W_SIZE + Layout.of(p).axes * lay.A_SIZE + (axis - 1) * lay.M_SIZE

@@ -1,8 +1,9 @@
-"""A web that a load motor emulates, whole recordings in one compiled call: the stand's mechanics under the load model.
+"""Web emulation by load motors, whole recordings in one compiled call: the rig's mechanics under the load model.
 
-What the bench does each cycle (`hilbench.bench.tasks.load_model`): the web is followed on the rollers' positions at
-SYNC, its tension is predicted over the delay of the emulation, and the load motor gets the torque with the next SYNC.
-Between them the axes turn under their drives and the load motor, without a web. Noise and resolution are left out.
+In each cycle, as on the bench (`hilbench.bench.tasks.load_model`): the web is followed on the rollers' positions at
+SYNC, its tension is predicted over the dead time of the emulation, and the load motor gets the torque with the next
+SYNC. Between them the axes turn under their drives and the load motor, without a web. Noise and resolution are left
+out.
 """
 
 from __future__ import annotations
@@ -29,26 +30,25 @@ from hilbench.plant.web_line.stability import sampled_shaft
 
 @dataclass(frozen=True)
 class Emulation:
-    """How a bench emulates the web: its cycle, the load motors on shafts of axes, and whole units of set points."""
+    """Settings of a bench's web emulation: its cycle, the load motors on shafts of axes, the set-point resolution."""
 
-    #: What is emulated, for a person.
+    #: Emulated part, for messages.
     part: ClassVar[str] = "web"
 
     cycle_s: float
     load_motors: tuple[CoupledMotor, ...]
-    #: What the drive of each axis rounds a velocity command to, m/s at the web; None if that is not known.
+    #: Resolution of each axis's velocity command, m/s at the web; None if unknown.
     resolution_m_s: tuple[float, ...] | None = None
 
     @classmethod
     def usual(cls, model: ModelParameters, cycle_s: float) -> Emulation:
-        """Of a bench of which nothing is known: a load motor at the last roller or, with stations, wherever the web
-        pulls."""
+        """Default emulation: a load motor at the last roller or, with stations, wherever the web loads a roller."""
         axes = range(1, model.axis_count + 1)
         loaded = axes[-1:] if model.stations is None else [axis for axis in axes if model.carries_web_load(axis)]
         return cls(cycle_s, tuple(CoupledMotor(axis=axis) for axis in loaded))
 
     def as_taken(self, commands_m_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Velocity commands (n, N), m/s, in the drives' whole units."""
+        """Velocity commands (n, N), m/s, rounded to the drives' units."""
         if self.resolution_m_s is None:
             return commands_m_s
         units = np.array(self.resolution_m_s)
@@ -56,7 +56,7 @@ class Emulation:
 
 
 def lead_s(model: ModelParameters, cycle_s: float) -> float:
-    """From measured motion to the torque of a load motor, by a model: over so long its tension is predicted.
+    """Dead time from measured motion to the torque of a load motor, by a model; the tension is predicted over it.
 
     Raises ValueError for a model without drives.
     """
@@ -65,7 +65,7 @@ def lead_s(model: ModelParameters, cycle_s: float) -> float:
 
 @inlined
 def _motor(n: int, j: int) -> int:
-    """Where motor row j begins in the parameters of a machine of n axes."""
+    """Offset of motor row j in the parameters of a machine of n axes."""
     return lay.W_SIZE + n * lay.A_SIZE + j * lay.M_SIZE
 
 
@@ -93,11 +93,11 @@ def _rows(
     """Row by row observe the rig, follow the web on it, and advance.
 
     The rig of N axes and M motors: parameters `p` (P,), state `s` (S,), inputs `u`, scratch space `w`. The web of K
-    spans on it: parameters `web` of the whole line, `follower` as `span_kernel.roll_on` has it, its `scratch` space;
-    room for `guess` (as `follower`), speeds `v` (N,), `tension` (K,) and the load motors' `torques` (M - N,),
-    which come in as those that act in the first row. `commands` (n, N) rad/s at the motors, `boundary` (n, 2) upstream
-    strain and downstream tension (N), a row of `samples` drive samples each. Rows of 3·M + 2·K columns go into `out`
-    from place `at` on.
+    spans on it: parameters `web` of the whole line, `follower` as of `span_kernel.roll_on`, its `scratch` space; room
+    for `guess` (as `follower`), speeds `v` (N,), `tension` (K,) and the load motors' `torques` (M - N,), initially
+    those that act in the first row. `commands` (n, N) rad/s at the motors, `boundary` (n, 2) upstream strain and
+    downstream tension (N), a row of `samples` drive samples each. Rows of 3·M + 2·K columns go into `out` from offset
+    `at` on.
     """
     n, m, k = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(web[lay.W_SPANS])
     columns, load = 3 * m + 2 * k, lay.U_MOTORS + n * lay.UM_SIZE + lay.UM_SETPOINT
@@ -119,7 +119,7 @@ def _rows(
             out[place + 3 * m + k + j] = follower[1 + n + k + j] * scale / material - 1.0
         for j in range(len(follower)):
             guess[j] = follower[j]
-        guess[0] -= lead_s  # only the motion is predicted: the tension has the E of now
+        guess[0] -= lead_s  # only the motion is predicted: the tension has the present E
         entering, f_next_N = boundary[row, 0], boundary[row, 1]
         strain_next = laws.downstream_strain(web, f_next_N)
         spans.roll_on(web, guess, scratch, v, entering, f_next_N, strain_next, lead_s, cycle_s, tension)
@@ -128,7 +128,7 @@ def _rows(
         for j in range(m - n):
             u[load + j * lay.UM_SIZE] = torques[j]
         kernel.go_on(p, s, u, w, samples)
-        # The torque of what was measured at this SYNC goes out with the next.
+        # The torque for the measurement at this SYNC is sent with the next.
         upstream_N = laws.upstream_strain(web, boundary[row, 0], follower[0]) * web[lay.W_UPSTREAM_STIFFNESS_N]
         for j in range(m - n):
             i = int(p[_motor(n, n + j) + lay.M_AXIS])
@@ -217,7 +217,7 @@ def simulate_emulated(
 
 
 def rig_inputs(layout: Layout, axes: int, load_Nm: Vector | float) -> Vector:
-    """Inputs of a rig: its `axes` by speed, its load motors by torque, at first `load_Nm`."""
+    """Inputs of a rig: its `axes` in velocity mode, its load motors in torque mode, initially with `load_Nm`."""
     inputs = layout.new_inputs()
     motors = layout.motor_inputs(inputs)
     motors[:axes, lay.UM_MODE] = MotorMode.VELOCITY
@@ -227,15 +227,15 @@ def rig_inputs(layout: Layout, axes: int, load_Nm: Vector | float) -> Vector:
 
 
 def of_axes(layout: Layout, axes: int, out: Vector) -> tuple[Vector, Vector, Vector]:
-    """Ways (m), speeds (m/s) and torques (N·m) of a rig's axes, (..., N) each, from rows of outputs."""
+    """Positions (m), speeds (m/s) and torques (N·m) of a rig's axes, (..., N) each, from rows of outputs."""
     x, v, tau = (out[..., layout.columns[name]][..., :axes] for name in ("x_m", "v_m_s", "tau_Nm"))
     return x, v, tau
 
 
 def stands_of(emulation: Emulation, model: ModelParameters, many: Vector) -> Vector:
-    """(B, P): the stands of models (B, P), with what the models' effects make of axes and drives."""
+    """Rig parameters (B, P) for models (B, P), with the models' effects on axes and drives."""
     plain = model.model_copy(update={"effects": ()})
-    # Their rotors are part of the inertia that the model gives the rollers.
+    # Their rotors are included in the model's roller inertia.
     load_motors = [
         coupled.model_copy(update={"motor": coupled.motor.model_copy(update={"inertia_kg_m2": 0.0})})
         for coupled in emulation.load_motors
@@ -252,7 +252,7 @@ def stands_of(emulation: Emulation, model: ModelParameters, many: Vector) -> Vec
 
 
 def _start(layout: Layout, stands: Vector, many: Vector, states: Vector, boundary: Vector) -> tuple[Vector, Vector]:
-    """States (B, S) of the rigs and of the webs (as `span_kernel.roll_on` has them), for states of the models.
+    """States (B, S) of the rigs and of the webs (as of `span_kernel.roll_on`), for states of the models.
 
     `boundary` (2,): upstream strain and downstream tension (N) at the start.
     """
@@ -265,7 +265,7 @@ def _start(layout: Layout, stands: Vector, many: Vector, states: Vector, boundar
         follower[1 : 1 + n], follower[1 + n : 1 + n + 2 * k] = y[:n], y[4 * n :]
         motors = layout.motor_states(start)
         motors[:n] = of_model.motor_states(state)
-        if np.any(y[n : 2 * n]):  # under way: the load motors have been pulling
+        if np.any(y[n : 2 * n]):  # running: the load motors already have torque
             strain = y[4 * n + k :] / y[4 * n : 4 * n + k] - 1.0
             of_spans = of_model.span_rows(parameters)
             tension = strain * of_spans[:, lay.SP_MODULUS_PA] * of_spans[:, lay.SP_SECTION_M2]

@@ -11,10 +11,10 @@ from hilbench.plant.web_line import carriages, laws, motion, places
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 
-#: Events within one integration step before the rest of it is taken as it comes.
+#: Most events within one integration step; then the rest of it is integrated without event location.
 _MOST_EVENTS = 16
 _EVENT_ITERATIONS = 40
-#: Size of a violation that is none: shares of 1 mm/s, 1 N, 1 µm.
+#: Tolerance of a violation: in mm/s, N, µm.
 _EVENT_TOLERANCE = 1e-9
 #: Of a difference of two positions, per position: four units in the last place.
 _POSITION_ROUNDING = 1e-15
@@ -22,7 +22,7 @@ _POSITION_ROUNDING = 1e-15
 
 @inlined
 def any_sticks(p: Vector, s: Vector, n: int, k: int) -> bool:
-    """Whether dry friction holds a roller or carriage, or a stop a carriage."""
+    """True if dry friction holds a roller or carriage, or a stop a carriage."""
     sticks = False
     for i in range(n):
         sticks |= motion.sticks(p, s, n, k, i) or motion.is_at_stop(s, n, k, i)
@@ -31,7 +31,7 @@ def any_sticks(p: Vector, s: Vector, n: int, k: int) -> bool:
 
 @inlined
 def still_slides(p: Vector, s: Vector, w: Vector, n: int, k: int) -> bool:
-    """Whether at the end of the step all that has dry friction still moves as it did, and no carriage is at a stop."""
+    """True if at the step's end all parts with dry friction move in their direction, and no carriage is at a stop."""
     for i in range(n):
         v, direction = w[places.block(n, k, lay.STAGE) + n + i], s[places.axis_state(n, k, i) + lay.SA_DIRECTION]
         if _reversal(v, direction) > _EVENT_TOLERANCE and laws.is_dry(p, places.axis(i)):
@@ -44,13 +44,14 @@ def still_slides(p: Vector, s: Vector, w: Vector, n: int, k: int) -> bool:
 
 @inlined
 def _reversal(v: float, direction: float) -> float:
-    """How far a speed is on the other side of standstill, mm/s."""
+    """Speed beyond standstill in the opposite direction, mm/s."""
     return -v * direction * 1e3
 
 
 @compiled
 def _violations(p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y: int) -> tuple[float, float, float]:
-    """How far axis i has left its mode at place `y`, tensions and torques there: gear, friction; the force on it.
+    """Violation of axis i's mode by the quantities at `y` with their tensions and torques: gear, friction; and its
+    force.
 
     Gear: a flank passed (µm), or a flank that would have to pull (N); a carriage's stops likewise. Friction: a speed
     against its direction (mm/s), or a force too great for it to stick (N). In these units one tolerance does for all,
@@ -64,7 +65,7 @@ def _violations(p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y:
     apart, sticks = motion.is_apart(p, s, n, k, i), motion.sticks(p, s, n, k, i)
     own = motion.own_force_N(p, w, n, m, k, i, y, False) + (0.0 if apart else drive)
     if apart:
-        # Positions grow: flanks that part must not count as passed because of the rounding of their distance.
+        # Positions grow: separating flanks must not count as passed because of the rounding of their distance.
         rounding_m = _POSITION_ROUNDING * abs(w[y + i])
         gear = (abs(w[y + 2 * n + i] - w[y + i]) - _half_gap_m(p, n, i) - rounding_m) * 1e6
     elif laws.has_gap(p, axis):
@@ -124,7 +125,7 @@ def _settle_one(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> bool:
 
 @compiled
 def _stick(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int) -> None:
-    """The roller stands."""
+    """Stop the roller: it sticks."""
     s[places.axis_state(n, k, i) + lay.SA_DIRECTION] = 0.0
     w[n + i] = 0.0
     if not motion.is_apart(p, s, n, k, i):
@@ -133,7 +134,7 @@ def _stick(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int) -> None:
 
 @compiled
 def _meet_or_leave_stop(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int) -> None:
-    """A carriage stands at its stop, without a rebound; one that stood there is let go."""
+    """Stop a carriage at its stop, without a rebound; or release it from there."""
     mode = places.axis_state(n, k, i)
     side = s[mode + lay.SA_CONTACT]
     if side != 0.0:
@@ -152,7 +153,7 @@ def _meet_or_leave_stop(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int)
 
 @compiled
 def _touch(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int, half_m: float) -> None:
-    """The gear's flanks meet: plastic impact, momentum kept."""
+    """Close the gear's flanks: plastic impact, momentum kept."""
     axis, mode = places.axis(i), places.axis_state(n, k, i)
     motor_mass, roller_mass = p[axis + lay.A_MOTOR_MASS_KG], p[axis + lay.A_ROLLER_MASS_KG]
     v = (motor_mass * w[3 * n + i] + roller_mass * w[n + i]) / (motor_mass + roller_mass)
@@ -169,7 +170,7 @@ def _touch(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int, half_m: floa
 def _settle(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> None:
     """Change modes until every axis fits its own (a roller that stops may stick at once, or slide back).
 
-    One at a time: a change of one axis' mode may move the forces that another's was judged by.
+    One at a time: a change of one axis's mode may change the forces on others.
     """
     n, m, k = places.counts(p)
     for i in range(n):
@@ -184,7 +185,7 @@ def _settle(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> None:
 
 @compiled
 def _try(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> float:
-    """One step of length h; the greatest violation of any axis at its end."""
+    """Integrate one step of length h; returns the greatest violation of any axis at its end."""
     n, _, k = places.counts(p)
     motion.integrate_any(p, s, u, w, t, h)
     end = places.block(n, k, lay.STAGE)
@@ -198,13 +199,13 @@ def _try(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> floa
 
 @compiled
 def _until_event(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float, search: bool) -> float:
-    """A step of length h or, if there is an event in it and `search`, up to it; how long it was, s.
+    """Integrate a step of length h or, if there is an event in it and `search`, up to it; returns its length, s.
 
     The event's time is found by the Illinois form of regula falsi: the violation is nearly linear in the time within a
     step, and halving the value at the end that stays keeps the bracket from shrinking from one side only. Each trial
-    starts from the same quantities, so that the step that is taken is a whole Runge-Kutta step.
+    starts from the same quantities, so that the accepted step is a whole Runge-Kutta step.
     """
-    low, high, within, beyond, last = 0.0, h, -_EVENT_TOLERANCE, 0.0, 0  # at the start of the step all is well
+    low, high, within, beyond, last = 0.0, h, -_EVENT_TOLERANCE, 0.0, 0  # no violation at the start of the step
     cut, found = h, not search
     for iteration in range(_EVENT_ITERATIONS):
         violation = _try(p, s, u, w, t, cut)
@@ -218,14 +219,14 @@ def _until_event(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float,
             low, within, last = cut, min(violation, -_EVENT_TOLERANCE), -1
         found = high - low <= 1e-9 * h or iteration == _EVENT_ITERATIONS - 2
         share = within / (within - beyond)
-        # The end beyond the event: from there the new mode begins, and does not find itself in the old one again.
+        # The end after the event: the new mode starts there, and is not in the old one again.
         cut = high if found else low + (high - low) * min(max(share, 1e-3), 0.999)
     return cut
 
 
 @compiled
 def step_with_events(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
-    """One step, cut at every event; after too many of them the rest is taken as it comes, so that time goes on."""
+    """Integrate one step, cut at every event; after too many of them the rest without event location."""
     noinline()
     n, m, k = places.counts(p)
     left = h

@@ -1,5 +1,5 @@
-"""A cycle of a web that load motors emulate, compiled: how far it has to follow, the web there, the torques of the web
-ahead, and what is true."""
+"""Compiled cycle of a web emulated by load motors: time to follow, the web there, load torques of the predicted web,
+and true values."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ Table = NDArray[np.int64]
 Places = NDArray[np.int64]
 Vector = NDArray[np.float64]
 
-# Rows of the table: those of a `SpanFollower`, in whose `pull` torques are the last, those of the measured motion, then
-# where that is measured and what follows is shown.
+# Rows of the table: those of a `SpanFollower`, whose `pull` torques are the last, those of the measured motion, then
+# the process image's values and the offsets in it.
 (
     _P,
     _STATE,
@@ -38,12 +38,12 @@ Vector = NDArray[np.float64]
 ) = range(17)
 
 
-#: What `follow` has done: nothing, as there is nothing to follow; followed; the same, of a web with pieces of another.
+#: Results of `follow`: nothing to follow; followed; followed, with pieces of other web.
 NOTHING, FOLLOWED, WITH_PIECES = range(3)
 
 
-#: follow(whether a sample is late, table of the vectors in the order of these rows, the last are values and places in
-#: these): as of `measured_motion.InStep`.
+#: follow(late-sample flag, table of the vectors in the order of these rows, the last are values and offsets in these):
+#: as of `measured_motion.InStep`.
 @entry_point(COUNT, TABLE)
 def follow(late: int, table: Table) -> int:
     if len(table) == 0:

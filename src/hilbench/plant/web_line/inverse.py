@@ -14,7 +14,7 @@ from hilbench.plant.web_line.layout import Vector
 
 @inlined
 def true_motion(p: Vector, motor: int, x_m: float, v_m_s: float, a_m_s2: float) -> tuple[float, float, float]:
-    """Position, speed and acceleration at the web that were measured so."""
+    """True position, speed and acceleration at the web for measured ones."""
     if not laws.has_encoder_error(p, motor):
         return x_m, v_m_s, a_m_s2
     ratio = p[motor + lay.M_RAD_PER_M]
@@ -36,7 +36,7 @@ def reported_torque_Nm(
 ) -> float:
     """Torque, motor side, that a drive reports (without its delay) for a motion of its axis; `pull_N` of the web.
 
-    direction: of the dry friction, -1 to 1; carried: what of the roller goes along, 0 within a play of the gear.
+    direction: of the dry friction, -1 to 1; carried: share of the roller that moves along, 0 within a play of the gear.
     """
     ratio = p[motor + lay.M_RAD_PER_M]
     mass = (p[axis + lay.A_MOTOR_MASS_KG] + carried * p[axis + lay.A_ROLLER_MASS_KG]) * laws.inertia_factor(p, axis)
@@ -89,9 +89,10 @@ def required_torque_Nm(
     out_Nm: Vector,
     presliding_m: float = 0.0,
 ) -> None:
-    """Parameters (P,), x, v, a (n,) at the web, a row every `period_s`; into out (n,) N·m at the motor.
+    """Torque required for a motion: parameters (P,), x, v, a (n,) at the web, a row every `period_s`; into out (n,) N·m
+    at the motor.
 
-    presliding_m: way over which dry friction turns over after a reversal; 0: with the sign of the speed.
+    presliding_m: travel over which dry friction reverses; 0: with the sign of the speed.
     """
     x, v, a = (np.ascontiguousarray(column) for column in (x_m, v_m_s, a_m_s2))
     _required_torque_Nm(p, x, v, a, period_s, out_Nm, presliding_m)

@@ -1,20 +1,19 @@
-"""The model kernel: a line of rollers, carriages and reels with the web between them, compiled.
+"""Model kernel: a line of rollers, carriages and reels with the web between them, compiled.
 
-Per drive sample time: the drives' loops once, then Runge-Kutta steps of fourth order with the torque of the
-current loops known in closed form. Standstill under dry friction and the flanks of gear play are events: located
-in time, then the roller sticks or slides, the gear touches or not; nothing is smoothed, nothing chatters.
+Per drive sample time: the drives' loops once, then Runge-Kutta steps of fourth order with the torque of the current
+loops known in closed form. Standstill under dry friction and the flanks of gear play are events: located in time, then
+the roller sticks or slides, the gear touches or not; nothing is smoothed, nothing chatters.
 
-Vectors as in `hilbench.plant.web_line.layout`. Compiled functions pass whole vectors and places in them; nothing is
-allocated while time goes on, and nothing is reference-counted (`hilbench.compiled`). A step without events is compiled
-once for the one-span line, with the counts of axes, motors and spans as constants: every place is one, and quantities
-stay in registers. Events, and laws with a wave or an iteration in them, stay calls. A step without events costs four
-evaluations of the rates; whether there was one shows in the speeds at its end, unless a roller sticks or a gear has
-play.
+Vectors as in `hilbench.plant.web_line.layout`. Compiled functions pass whole vectors and offsets; during a step nothing
+is allocated or reference-counted (`hilbench.compiled`). A step without events is compiled once for the one-span line,
+with the counts of axes, motors and spans as constants: every offset is one, and quantities stay in registers. Events,
+and laws with a wave or an iteration in them, stay calls. A step without events costs four evaluations of the rates; an
+event shows in the speeds at its end, unless a roller sticks or a gear has play.
 
 Arguments that mean the same everywhere, float64 and SI: `p` (P,) parameters, `s` (S,) state, `u` (U,) inputs, `w` (W,)
-scratch space, all of one line of `n` axes, `m` motors and `k` spans; `i` an axis and `j` a motor, from 0; `y` the place
-in `w` of a block of integrated quantities (now, stage, …); `t` the time since the start and `h` the length of a step,
-both s. Positions, speeds, masses and forces are those at the web. What goes on changes `s` and `w` in place.
+scratch space, all of one line of `n` axes, `m` motors and `k` spans; `i` an axis and `j` a motor, from 0; `y` the
+offset in `w` of a block of integrated quantities (now, stage, …); `t` the time since the start and `h` the length of a
+step, both s. Positions, speeds, masses and forces are those at the web. Stepping functions change `s` and `w` in place.
 """
 
 from __future__ import annotations
@@ -40,9 +39,9 @@ from hilbench.plant.web_line.layout import Vector
 
 @inlined
 def _motor_motion(p: Vector, n: int, j: int) -> int:
-    """Where the position of the shaft that motor j sits on stands among the integrated quantities.
+    """Index of the position of motor j's shaft in the integrated quantities.
 
-    An axis' own motor is on the motor's side of the gear play, a load motor on the roller's.
+    An axis's own motor is on the motor's side of the gear play, a load motor on the roller's.
     """
     return 2 * n + j if j < n else int(p[places.motor(n, j) + lay.M_AXIS])
 
@@ -51,7 +50,7 @@ def _motor_motion(p: Vector, n: int, j: int) -> int:
 def _sample_drive(
     p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, j: int, position: float, velocity: float
 ) -> None:
-    """The loops of motor j once, on a motion of its shaft as it is measured, rad and rad/s."""
+    """Sample the loops of motor j once, on its measured shaft motion, rad and rad/s."""
     gains, state, inputs = places.motor(n, j) + lay.M_LOOPS, places.motor_state(n, k, j), lay.U_MOTORS + j * lay.UM_SIZE
     kp, ki = w[places.part(n, m, k, lay.LOOP_KP) + j], w[places.part(n, m, k, lay.LOOP_KI) + j]
     current_s = w[places.part(n, m, k, lay.LOOP_CURRENT_S) + j]
@@ -67,7 +66,7 @@ def _sample_drives(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k
 
 @compiled
 def _sample_erring_drives(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
-    """The same where encoders may err."""
+    """Sample all drives, with encoder errors."""
     noinline()
     n, m, k = places.counts(p)
     for j in range(m):
@@ -91,10 +90,10 @@ def _simple_step(
     pace: float,
     counted: bool,
 ) -> bool:
-    """One step, taken only if there is no event in it; whether it was.
+    """Take one step unless there is an event in it; True if taken.
 
-    `pace`: of the line; without gear play and a roller that sticks an event shows in the speeds at the step's end.
-    `counted`: the counts are constants, and so is this; the rates are then compiled with them.
+    `pace`: integration mode of the line; without gear play and a sticking roller an event shows in the speeds at the
+    step's end. `counted`: compile-time constant, as are the counts then; the rates are compiled with them.
     """
     if pace == lay.PLAY or events.any_sticks(p, s, n, k):
         return False
@@ -112,7 +111,7 @@ def _simple_step(
 def advance_line(
     p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, samples: int, counted: bool
 ) -> None:
-    """`go_on` of a line with these counts; `counted`: they are constants, with which it is compiled, as is this."""
+    """`go_on` of a line with these counts; `counted`: the counts are compile-time constants."""
     substeps = int(p[lay.W_SUBSTEPS])
     period = p[lay.W_SAMPLE_TIME_S]
     h = period / substeps
@@ -140,7 +139,7 @@ def advance_line(
 
 @compiled
 def _fed_forward_Nm(p: Vector, s: Vector, u: Vector, w: Vector, t: float, j: int) -> float:
-    """Torque of motor j now that its record leaves out."""
+    """Torque of motor j now that its record excludes."""
     noinline()
     n, m, k = places.counts(p)
     axis, motor = places.axis(j), places.motor(n, j)
@@ -163,13 +162,13 @@ def _fed_forward_Nm(p: Vector, s: Vector, u: Vector, w: Vector, t: float, j: int
 
 @inlined
 def _set_blur(w: Vector, n: int, m: int, k: int, h: float) -> None:
-    """Over which way the ends of pieces are not sharp in a step of length h."""
+    """Set the blur length of pieces' ends in a step of length h."""
     w[places.part(n, m, k, lay.SPLICE_BLUR)] = max(abs(w[n]) * h, lay.LEAST_BLUR_M)
 
 
 @compiled
 def _follow_pieces(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
-    """Pieces of other web during a step from t on: one that is yet to come may come in, those that are out go."""
+    """Update pieces of other web for a step from t on: a pending one may come in, passed ones are dropped."""
     noinline()
     n, m, k = places.counts(p)
     pieces, strain_prev = places.pieces(n, m, k), laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
@@ -184,7 +183,7 @@ def _follow_pieces(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: floa
 
 @compiled
 def _leave_out(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
-    """Take off the torques just kept what their records leave out."""
+    """Subtract the excluded feed-forward from the torques just recorded."""
     noinline()
     n, m, k = places.counts(p)
     for j in range(m):
@@ -208,7 +207,7 @@ def _advance_any(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> No
 
 @merged
 def go_on(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
-    """Between `enter` and `leave`. The one-span line with its counts as constants, every other line without."""
+    """Advance by `samples` drive samples, between `enter` and `leave`; counts are constants for one span."""
     if places.is_one_span(p):
         _advance_one_span(p, s, u, w, samples)
     else:
@@ -217,7 +216,7 @@ def go_on(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
 
 @compiled
 def enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
-    """Bring into the scratch space what is integrated, and what stays the same during a call.
+    """Load the integrated quantities and the constants of a call into the scratch space.
 
     Masses and effects may have changed between two calls, and the scratch space may have served another line.
     """
@@ -257,7 +256,7 @@ def enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
 
 @compiled
 def leave(s: Vector, w: Vector, size: int) -> None:
-    """Bring what is integrated back into the state."""
+    """Copy the integrated quantities back into the state."""
     for j in range(size):
         s[lay.S_Y + j] = w[j]
 
@@ -303,7 +302,7 @@ def _report_any(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int
 
 @merged
 def report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
-    """What is measured and true now, from place `at` of `out` on; between `enter` and `leave`."""
+    """Write measured and true values now to `out` from offset `at` on; between `enter` and `leave`."""
     if places.is_one_span(p):
         _report_one_span(p, s, u, w, out, at)
     else:
@@ -314,7 +313,7 @@ def report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> 
 def _rows(
     p: Vector, s: Vector, u: Vector, w: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector, at: int
 ) -> None:
-    """Observe and advance, row by row, from place `at` of `out` on; between `enter` and `leave`.
+    """Observe and advance, row by row, to `out` from offset `at` on; between `enter` and `leave`.
 
     `commands` (n, M) set points, motor side, and `boundary` (n, 2), upstream strain and downstream tension (N), each
     held for `samples` drive samples.

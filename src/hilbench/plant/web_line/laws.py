@@ -1,7 +1,7 @@
-"""The laws of the web model, each effect's in one place: small compiled functions of parameter rows and state.
+"""Laws of the web model, each effect's in one place: small compiled functions of parameter rows and state.
 
-Design sections 5 and 6. Every effect is skipped, or multiplies by exactly 1, while its parameters are neutral.
-`p` is the parameter vector of `hilbench.plant.web_line.layout`; in it, rows begin at `axis`, `motor` and `span`.
+Design sections 5 and 6. Every effect is skipped, or multiplies by exactly 1, while its parameters are neutral. `p` is
+the parameter vector of `hilbench.plant.web_line.layout`; in it, rows begin at `axis`, `motor` and `span`.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ _DISTURBANCE = place("upstream_disturbance", "amplitude_N")
 _DISTURBANCES = find_effect("upstream_disturbance").slots
 _LENGTH = place("span_length_error", "relative_change")
 
-#: Width of the change of dry friction around standstill, m/s, where motion is measured: a force that is worked out of
-#: it must not flip with the noise of v.
+#: Width of the change of dry friction around standstill, m/s, for measured motion: a force computed from it must not
+#: flip with the noise of v.
 FRICTION_WIDTH_M_S = 1e-3
 #: Tension change (N) at which the iteration for damping with creep stops.
 _TENSION_TOLERANCE_N = 1e-10
@@ -71,7 +71,7 @@ def smooth_resistance_N(p: Vector, axis: int, v_m_s: float) -> float:
 
 @inlined
 def drag_N(p: Vector, axis: int, v_m_s: float) -> float:
-    """Drag of what is moved along: c·v·|v|."""
+    """Aerodynamic drag: c·v·|v|."""
     return p[axis + _DRAG] * v_m_s * abs(v_m_s) if p[axis + _DRAG] != 0.0 else 0.0
 
 
@@ -83,19 +83,19 @@ def breakaway_N(p: Vector, axis: int) -> float:
 
 @inlined
 def is_dry(p: Vector, axis: int) -> bool:
-    """Whether a roller has dry friction of any kind: it may stick."""
+    """True if a roller has dry friction of any kind: it may stick."""
     return breakaway_N(p, axis) + p[axis + _LOAD_SHARE] != 0.0
 
 
 @inlined
 def load_friction_N(p: Vector, axis: int, load_N: float) -> float:
-    """Size of the dry friction that a load brings with it: k·|load|."""
+    """Magnitude of the load-dependent dry friction: k·|load|."""
     return p[axis + _LOAD_SHARE] * abs(load_N) if p[axis + _LOAD_SHARE] != 0.0 else 0.0
 
 
 @inlined
 def dry_friction_N(p: Vector, axis: int, v_m_s: float) -> float:
-    """Size of the dry friction at speed v: Fc + Fs·exp(-(v/vs)²)."""
+    """Magnitude of the dry friction at speed v: Fc + Fs·exp(-(v/vs)²)."""
     force = p[axis + _COULOMB_N]
     if p[axis + _STRIBECK_N] != 0.0:
         force += p[axis + _STRIBECK_N] * exp(-((v_m_s / p[axis + _STRIBECK_SPEED]) ** 2))
@@ -104,7 +104,7 @@ def dry_friction_N(p: Vector, axis: int, v_m_s: float) -> float:
 
 @inlined
 def has_unbalance(p: Vector, axis: int) -> bool:
-    """Whether the roller is out of balance."""
+    """True if the roller has an unbalance."""
     return p[axis + _UNBALANCE_NM] != 0.0
 
 
@@ -118,7 +118,7 @@ def unbalance_N(p: Vector, axis: int, x_m: float) -> float:
 
 @inlined
 def has_rare_force(p: Vector, axis: int, motor: int) -> bool:
-    """Whether a force acts on axis or motor that is left out where every step would pay for it."""
+    """True if a force acts on axis or motor that the usual step leaves out for speed."""
     return (
         has_unbalance(p, axis)
         or p[axis + _DRAG] != 0.0
@@ -129,9 +129,9 @@ def has_rare_force(p: Vector, axis: int, motor: int) -> bool:
 
 @inlined
 def measured_resistance_N(p: Vector, axis: int, x_m: float, v_m_s: float, direction: float) -> float:
-    """Force against a roller of which motion is measured: position x, speed v; dry friction, that a simulation takes as
-    an event at standstill, acts in a `direction` from -1 to 1 (`motor_laws.measured_direction`), and unbalance is a
-    resistance by the angle. That of a load is the gear's: see `passed_on_N`."""
+    """Resistance of a roller in measured motion: position x, speed v; dry friction, which a simulation treats as an
+    event at standstill, acts in a `direction` from -1 to 1 (`motor_laws.measured_direction`), and unbalance is a
+    resistance by the angle. Load-dependent friction is the gear's: see `passed_on_N`."""
     resistance = smooth_resistance_N(p, axis, v_m_s) + direction * dry_friction_N(p, axis, v_m_s)
     resistance += drag_N(p, axis, v_m_s)
     if has_unbalance(p, axis):
@@ -141,13 +141,13 @@ def measured_resistance_N(p: Vector, axis: int, x_m: float, v_m_s: float, direct
 
 @inlined
 def passed_on_N(p: Vector, axis: int, force_N: float, direction: float) -> float:
-    """What of the motor's force friction in proportion to it leaves, when the roller turns in `direction` (-1 to 1)."""
+    """Motor force less its load-dependent friction, for a roller turning in `direction` (-1 to 1)."""
     return force_N - direction * load_friction_N(p, axis, force_N)
 
 
 @inlined
 def pushed_with_N(p: Vector, axis: int, passed_N: float, direction: float) -> float:
-    """The motor's force of which so much is passed on: the inverse of `passed_on_N`."""
+    """Motor force for the passed-on one: the inverse of `passed_on_N`."""
     return motors.before_load_friction(p[axis + _LOAD_SHARE], passed_N, direction)
 
 
@@ -162,7 +162,7 @@ def web_speed_m_s(p: Vector, axis: int, x_m: float, v_m_s: float) -> float:
 
 @inlined
 def eccentric_travel_m(p: Vector, axis: int, x_m: float, end_m: float) -> float:
-    """What the web goes beyond what a roller turns from x to the end: `web_speed_m_s` integrated."""
+    """Web travel in excess of the roller's from x to the end by eccentricity: `web_speed_m_s` integrated."""
     if p[axis + _ECCENTRICITY_M] == 0.0:
         return 0.0
     radius, phase = p[axis + lay.A_RADIUS_M], p[axis + _ECCENTRICITY_PHASE]
@@ -183,19 +183,19 @@ def half_gap_m(p: Vector, axis: int, motor_rad_per_m: float) -> float:
 
 @inlined
 def has_gap(p: Vector, axis: int) -> bool:
-    """Whether the gear has play."""
+    """True if the gear has play."""
     return p[axis + _GAP_RAD] > 0.0
 
 
 @inlined
 def shaft_torque_Nm(p: Vector, motor: int, torque_Nm: float, angle_rad: float) -> float:
-    """Torque on the shaft from the torque the drive knows: ripple in proportion to it, scale, ripple by the angle."""
+    """Torque on the shaft from the drive's torque: ripple in proportion to it, scale, ripple by the angle."""
     return usual_shaft_torque_Nm(p, motor, torque_Nm * load_ripple_factor(p, motor, angle_rad), angle_rad)
 
 
 @inlined
 def usual_shaft_torque_Nm(p: Vector, motor: int, torque_Nm: float, angle_rad: float) -> float:
-    """The same of a motor without ripple in proportion to its torque."""
+    """Torque on the shaft of a motor without ripple in proportion to its torque."""
     return (1.0 + p[motor + _SCALE]) * torque_Nm + _ripple_Nm(p, motor, angle_rad)
 
 
@@ -212,14 +212,14 @@ def load_ripple_factor(p: Vector, motor: int, angle_rad: float) -> float:
 
 @inlined
 def motor_torque_Nm(p: Vector, motor: int, shaft_Nm: float, angle_rad: float) -> float:
-    """The torque the drive must know of for this one on the shaft: the inverse of `shaft_torque_Nm`."""
+    """Drive torque for this one on the shaft: the inverse of `shaft_torque_Nm`."""
     torque = (shaft_Nm - _ripple_Nm(p, motor, angle_rad)) / (1.0 + p[motor + _SCALE])
     return torque / load_ripple_factor(p, motor, angle_rad)
 
 
 @inlined
 def has_feed_forward(p: Vector, motor: int) -> bool:
-    """Whether the record of a motor's torque leaves out what is fed forward."""
+    """True if the recorded torque excludes the feed-forward."""
     return p[motor + _FED_INERTIA] != 0.0 or p[motor + _FED_VISCOUS] != 0.0 or p[motor + _FED_COULOMB] != 0.0
 
 
@@ -227,7 +227,7 @@ def has_feed_forward(p: Vector, motor: int) -> bool:
 def fed_forward_N(
     p: Vector, axis: int, motor: int, mass_kg: float, v_m_s: float, a_m_s2: float, direction: float
 ) -> float:
-    """Force, at the web, that is fed forward for a motion: s_J·m·a + s_b·b·v + s_C·Fc·direction (-1 to 1)."""
+    """Feed-forward force, at the web, for a motion: s_J·m·a + s_b·b·v + s_C·Fc·direction (-1 to 1)."""
     return (
         p[motor + _FED_INERTIA] * mass_kg * a_m_s2
         + p[motor + _FED_VISCOUS] * p[axis + _VISCOUS] * v_m_s
@@ -237,13 +237,13 @@ def fed_forward_N(
 
 @inlined
 def has_encoder_error(p: Vector, motor: int) -> bool:
-    """Whether the encoder errs once a turn."""
+    """True if the encoder has an error once per turn."""
     return p[motor + _ENCODER_RAD] != 0.0
 
 
 @inlined
 def measured_motion(p: Vector, motor: int, angle_rad: float, speed_rad_s: float) -> tuple[float, float]:
-    """Angle and speed of a motor as its encoder has them."""
+    """Angle and speed of a motor as measured by its encoder."""
     return motors.measured_motion(p[motor + _ENCODER_RAD], p[motor + _ENCODER_PHASE], angle_rad, speed_rad_s)
 
 
@@ -251,7 +251,7 @@ def measured_motion(p: Vector, motor: int, angle_rad: float, speed_rad_s: float)
 def true_motion(
     p: Vector, motor: int, angle_rad: float, speed_rad_s: float, acceleration_rad_s2: float
 ) -> tuple[float, float, float]:
-    """Angle, speed and acceleration of a motor that were measured so: the inverse of `measured_motion`."""
+    """True angle, speed and acceleration of a motor from measured ones: the inverse of `measured_motion`."""
     amplitude, phase = p[motor + _ENCODER_RAD], p[motor + _ENCODER_PHASE]
     return motors.true_motion(amplitude, phase, angle_rad, speed_rad_s, acceleration_rad_s2)
 
@@ -276,13 +276,13 @@ def current_loop_s(p: Vector, motor: int) -> float:
 
 @inlined
 def reporting_delay_s(p: Vector, motor: int) -> float:
-    """By how much a reported torque is late."""
+    """Dead time of the reported torque."""
     return p[motor + _DELAY_S]
 
 
 @inlined
 def reported_offset_Nm(p: Vector, motor: int) -> float:
-    """What a reported torque is off by."""
+    """Offset of the reported torque."""
     return p[motor + _OFFSET_NM]
 
 
@@ -297,7 +297,7 @@ def measured_torque_Nm(p: Vector, motor: int, torque_Nm: float, s: Vector, past:
 
 @inlined
 def true_torque_Nm(p: Vector, motor: int, measured_Nm: float) -> float:
-    """Torque that the drive produced, from what it reported: without the offset (the delay is not undone)."""
+    """Torque produced by the drive, from the reported one: without the offset (the delay is not undone)."""
     return measured_Nm - p[motor + _OFFSET_NM]
 
 
@@ -328,7 +328,7 @@ def _step_factor(p: Vector, span: int, t_s: float, duration_s: float) -> float:
 
 @inlined
 def put_step_factors(p: Vector, first: int, spans: int, t_s: float, duration_s: float, w: Vector, at: int) -> None:
-    """`step_factor` of all spans (K,), whose rows begin at `first`, to place `at` of `w`."""
+    """`step_factor` of all spans (K,), whose rows begin at `first`, at offset `at` of `w`."""
     for k in range(spans):
         w[at + k] = step_factor(p, first + k * lay.SP_SIZE, t_s, duration_s)
 
@@ -341,7 +341,7 @@ def stiffness_N(p: Vector, span: int, t_s: float, factor_of_steps: float) -> flo
 
 @inlined
 def elasticity_factor(p: Vector, span: int, t_s: float, factor_of_steps: float) -> float:
-    """What shift, steps, ramps and drift make of E."""
+    """Factor on E by shift, steps, ramps and drift."""
     return (1.0 + p[span + _SHIFT]) * factor_of_steps * (1.0 + p[span + _DRIFT] * t_s)
 
 
@@ -366,7 +366,7 @@ def _disturbance_N(p: Vector, t_s: float) -> float:
 
 @inlined
 def downstream_strain(p: Vector, f_next_N: float) -> float:
-    """Strain of the web behind the line, which enters in reverse, by the tension there."""
+    """Strain of the web after the line, which enters in reverse, by the tension there."""
     return f_next_N / p[lay.W_DOWNSTREAM_STIFFNESS_N]
 
 
@@ -378,7 +378,7 @@ def length_factor(p: Vector, span: int) -> float:
 
 @inlined
 def _any_in_spans(p: Vector, first: int, spans: int, place_: int) -> bool:
-    """Whether a parameter at `place_` of the span rows is above 0 in any of the spans, whose rows begin at `first`."""
+    """True if a parameter at `place_` of the span rows is above 0 in any of the spans, whose rows begin at `first`."""
     found = False
     for k in range(spans):
         found |= p[first + k * lay.SP_SIZE + place_] > 0.0
@@ -402,15 +402,14 @@ def span_rates(
     tension: int,
     rate: int,
 ) -> None:
-    """Tensions of the K spans and the rates of the unstretched web in them, in the vector `w` at the given places.
+    """Tensions of the K spans and the rates of the unstretched web in them, in the vector `w` at the given offsets.
 
-    The exact mass conservation of the design, written for the unstretched length m = L/(1 + strain) that lies in
-    a span: m' = v1/(1 + strain_prev) - v2/(1 + strain); in reverse m' = v1/(1 + strain) - v2/(1 + strain_next), as web
-    passes a roller with the strain of where it comes from. It holds for any L(t), and a Runge-Kutta step conserves
-    the web to rounding.
+    The exact mass conservation of the design, written for the unstretched length m = L/(1 + strain) in a span: m' =
+    v1/(1 + strain_prev) - v2/(1 + strain); in reverse m' = v1/(1 + strain) - v2/(1 + strain_next), as web passes a
+    roller with the strain of its origin. It holds for any L(t), and a Runge-Kutta step conserves the web to rounding.
 
     p (P,): parameters, with the rows of the spans from `first` on; spans: K; t_s: since the start; strain_prev: of the
-    web before the line; f_next_N, strain_next: tension and strain of that behind it. Read from `w`: factors (K,) of the
+    web before the line; f_next_N, strain_next: tension and strain of that after it. Read from `w`: factors (K,) of the
     steps of E (`steps`), speeds (K + 1,) of the web at the rollers without creep, m/s (`speed`), unstretched (K,) and
     then nominal lengths (K,), m (`material`), rates (K,) of the nominal lengths, m/s (`length_rate`). Written: tensions
     (K,), N (`tension`), and rates (K,) of the unstretched lengths, m/s (`rate`).
@@ -441,9 +440,9 @@ def _flows(
     tension: int,
     rate: int,
 ) -> None:
-    """Rates of the unstretched web in the spans at these tensions: what comes in less what goes out, m/s.
+    """Rates of the unstretched web in the spans at these tensions: inflow less outflow, m/s.
 
-    Places in `w` and units as in `span_rates`; read: `speed`, `material`, `tension`, written: `rate`.
+    Offsets in `w` and units as in `span_rates`; read: `speed`, `material`, `tension`, written: `rate`.
     """
     inflow = w[speed] / (1.0 + strain_prev) if w[speed] >= 0.0 else _unstretched(p, first, spans, w, speed, material, 0)
     for k in range(spans):
@@ -463,14 +462,14 @@ def _flows(
 
 @inlined
 def _unstretched(p: Vector, first: int, spans: int, w: Vector, speed: int, material: int, k: int) -> float:
-    """What passes a roller, m/s, of web strained as in span k; `speed`: where that of the roller of span 0 stands."""
+    """Unstretched web passing a roller, m/s, strained as in span k; `speed`: offset of the speed of span 0's roller."""
     return w[speed + k] * w[material + k] / (w[material + spans + k] * length_factor(p, first + k * lay.SP_SIZE))
 
 
 @inlined
 def creep_factor(p: Vector, span: int, v_m_s: float, less_N: float) -> float:
-    """Factor on the web that passes the roller behind a span, whose tension is by `less_N` lower behind it: the web
-    slips the way that it is pulled, whichever way the roller turns."""
+    """Factor on the web passing the roller after a span, whose tension is by `less_N` lower after it: the web slips in
+    the direction of the higher tension, whichever way the roller turns."""
     return 1.0 - (p[span + _CREEP] if v_m_s >= 0.0 else -p[span + _CREEP]) * less_N
 
 
@@ -493,7 +492,7 @@ def _damped(
 ) -> None:
     """Add the damping to the tensions. It needs the rates, and with creep the rates need the tensions: iterated.
 
-    Arguments, places in `w` and units as in `span_rates`; read: all of them, written: `tension` and `rate`.
+    Arguments, offsets in `w` and units as in `span_rates`; read: all of them, written: `tension` and `rate`.
     """
     noinline()
     creeps = _any_in_spans(p, first, spans, _CREEP)

@@ -1,16 +1,17 @@
-"""Where everything stands in the kernel's flat arrays. Effects' places follow from the table of effects.
+"""Layout of the kernel's flat arrays. Offsets of effects follow from the table of effects.
 
 Three vectors of float64 describe a line of N axes, M motors and K spans:
 
-- parameters: web row, N axis rows, M motor rows, K span rows (the counts stand in front, so the vector describes
-  itself);
+- parameters: web row, N axis rows, M motor rows, K span rows (the counts come first, so the vector is
+  self-describing);
 - state: sample counter, the integrated quantities (x, v, motor x, motor v per axis; material length and length per
-  span), per axis the friction direction and gear contact, M motor rows, M rows of past torques, pieces of other web;
+  span), per axis the friction direction and gear contact, M motor rows, M rows of past torques, pieces of other
+web;
 - inputs: boundary, M motor rows (mode, set point, slope, limit), K rates of length.
 
 Axes are the rollers in the direction of the web, K + 1 where there are spans, then the carriages. Motor k drives axis
-k; of an axis that is not driven it is never on. Motors beyond the last axis (load motors of a rig) sit on the roller's
-side of the gear play of the axis that their row names.
+k; of an axis that is not driven it is never on. Motors beyond the last axis (load motors of a rig) are on the roller's
+side of the gear play of the axis named in their row.
 """
 
 from __future__ import annotations
@@ -55,25 +56,25 @@ A_AXIS: Final = 4  #: number of the driven axis, from 1; 0 of a roller without a
 A_REEL_SLOPE_PER_M: Final = 5  #: of a reel: change of the radius over that at the start, per m; 0: no reel
 A_CORE_RATIO: Final = 6  #: of a reel: radius of the core over that at the start
 A_WOUND_KG: Final = 7  #: of a reel: J/r² of a web wound from nothing to the radius at the start
-A_FORCE_N: Final = 8  #: of a carriage, as all that follow
+A_FORCE_N: Final = 8  #: of a carriage, as all following ones
 A_SPRING_N_PER_M: Final = 9
 A_SPRING_REST_M: Final = 10
-A_ARM_M: Final = 11  #: 0: on a guide
+A_ARM_M: Final = 11  #: 0: linear guide
 A_LOWER_STOP_M: Final = 12
 A_UPPER_STOP_M: Final = 13
-A_FIRST_SPAN: Final = 14  #: that its way lengthens, from 0
+A_FIRST_SPAN: Final = 14  #: first span lengthened by its travel, from 0
 A_LAST_SPAN: Final = 15
-A_RADIUS_SHARE: Final = 16  #: of a reel: by what share its radius at the start is larger than that it is counted by
+A_RADIUS_SHARE: Final = 16  #: of a reel: relative error of the assumed radius at the start
 A_FIXED: Final = 17  #: effects from here on
 # Motor rows.
 M_RAD_PER_M: Final = 0  #: i/r
-M_LOOPS: Final = 1  #: from here on as `drive_loops` has them
+M_LOOPS: Final = 1  #: from here on as in `drive_loops`
 M_KP: Final = M_LOOPS + loops.KP
 M_KI: Final = M_LOOPS + loops.KI
 M_POSITION_KP: Final = M_LOOPS + loops.POSITION_KP
 M_LIMIT_NM: Final = M_LOOPS + loops.LIMIT_NM
 M_CURRENT_S: Final = M_LOOPS + loops.CURRENT_S
-M_AXIS: Final = M_LOOPS + loops.LOOPS_SIZE  #: on whose shaft it is, from 0; of a motor beyond the last axis any
+M_AXIS: Final = M_LOOPS + loops.LOOPS_SIZE  #: axis of its shaft, from 0; arbitrary for a motor beyond the last axis
 # Span rows.
 SP_SECTION_M2: Final = 0
 SP_MODULUS_PA: Final = 1
@@ -93,17 +94,17 @@ SM_LIMITED: Final = loops.LIMITED
 SM_MODE: Final = loops.MODE
 SM_SIZE: Final = loops.STATE_SIZE
 RING: Final = 128  #: past torques kept per motor, one per sample time
-# Pieces of other web in the line, behind the past torques: a ring of the last ones that came in.
-PIECES_CAME: Final = 0  #: whether the splice of the effect as it is given now has come in
-PIECES_COUNT: Final = 1  #: how many have come in since the line was last without any
+# Pieces of other web in the line, after the past torques: a ring of the last ones.
+PIECES_CAME: Final = 0  #: whether the splice of the present effect has come in
+PIECES_COUNT: Final = 1  #: number that came in since the line was last without any
 PIECES_FIRST: Final = 2
-PIECE_FRONT_M: Final = 0  #: where the web at roller 1 was when the piece came in
+PIECE_FRONT_M: Final = 0  #: web position at roller 1 when the piece came in
 PIECE_LENGTH_M: Final = 1  #: unstretched
 PIECE_CHANGE: Final = 2  #: relative change of E·S
 PIECE_SIZE: Final = 3
-PIECES: Final = 8  #: how many are kept
+PIECES: Final = 8  #: capacity
 PIECES_SIZE: Final = PIECES_FIRST + PIECES * PIECE_SIZE
-#: A piece is forgotten when it has left the line by more than this: the web may go back a little.
+#: Distance behind the line at which a piece is forgotten: the web may go back a little.
 FORGOTTEN_BEHIND_M: Final = 1.0
 
 # Inputs.
@@ -118,7 +119,7 @@ UM_SIZE: Final = loops.IN_SIZE
 
 # Scratch space: blocks as long as the integrated quantities, then parts as long as there are motors.
 NOW: Final = 0  #: at the start of a step
-STAGE: Final = 1  #: where rates are taken; after the last stage the end of the step
+STAGE: Final = 1  #: for the rates; after the last stage the end of the step
 SUM: Final = 2  #: weighted rates of the stages so far
 BLOCKS: Final = 3
 TORQUE: Final = 0
@@ -132,24 +133,23 @@ PER_MASS: Final = 7  #: 1/kg of motor and roller together
 PER_ROLLER_MASS: Final = 8
 PER_MOTOR_MASS: Final = 9
 STEPS: Final = 10  #: factor of the steps of E in each span in this step
-DECAY_STEP_S: Final = 11  #: length of step that the decays are for
-PACE: Final = 12  #: one number: which of the ways to step the line its effects allow
-REPORTS: Final = 13  #: one number: whether any drive measures or records something else than what is
-LOOP_KP: Final = 14  #: gains and current loop of a motor's drive, with what effects make of them
+DECAY_STEP_S: Final = 11  #: step length of the decays
+PACE: Final = 12  #: one number: integration mode that the line's effects allow
+REPORTS: Final = 13  #: one number: whether any drive's measurement or record differs from the true value
+LOOP_KP: Final = 14  #: gains and current loop of a motor's drive, with effects
 LOOP_KI: Final = 15
 LOOP_CURRENT_S: Final = 16
-SPLICE_BLUR: Final = 17  #: one number: way of the web in a step, over which the ends of a piece are blurred, m
+SPLICE_BLUR: Final = 17  #: one number: travel of the web in a step, over which the ends of a piece are blurred, m
 PARTS: Final = 18
-#: Least way over which the ends of a piece are blurred, m.
+#: Least travel over which the ends of a piece are blurred, m.
 LEAST_BLUR_M: Final = 1e-9
-#: Paces: the step that is made for what is usual; the general one, that knows every force; gear play, whose contact is
-#: an event.
+#: Integration modes: the usual step; the general one, with every force; gear play, whose contact is an event.
 PLAIN: Final = 0.0
 RARE: Final = 1.0
 PLAY: Final = 2.0
 
 
-#: Effects that enter there belong to a motor; others of an axis to its roller.
+#: Domains of a motor's effects; others of an axis belong to its roller.
 _OF_A_MOTOR: Final = (
     Domain.MOTOR_TORQUE,
     Domain.TORQUE_MEASUREMENT,
@@ -159,7 +159,7 @@ _OF_A_MOTOR: Final = (
 
 
 def row_of(effect: Effect) -> str:
-    """Which row holds an effect's parameters: "web", "axis", "motor" or "span"."""
+    """Row of an effect's parameters: "web", "axis", "motor" or "span"."""
     if not effect.per_axis:
         return "span" if effect.per_section else "web"
     return "motor" if effect.domain in _OF_A_MOTOR else "axis"
@@ -188,7 +188,7 @@ def place(effect_id: str, parameter: str, slot: int = 0) -> int:
     return _FIRST[effect_id] + slot * len(names) + names.index(parameter)
 
 
-#: Column that an effect of a carriage or idler changes, and what the station's block calls it.
+#: Column that an effect of a carriage or idler changes, and its name in the station's block.
 _CHANGED: Final = MappingProxyType(
     {
         "carriage_coulomb_friction": (place("coulomb_friction", "force_N"), "coulomb_friction_N"),
@@ -218,7 +218,7 @@ class Layout:
 
     @classmethod
     def of(cls, parameters: Vector) -> Layout:
-        """The layout a parameter vector describes."""
+        """Layout described by a parameter vector."""
         return cls(int(parameters[W_AXES]), int(parameters[W_MOTORS]), int(parameters[W_SPANS]))
 
     @property
@@ -227,12 +227,12 @@ class Layout:
 
     @property
     def first_span(self) -> int:
-        """Where the span rows begin in the parameters."""
+        """Offset of the span rows in the parameters."""
         return W_SIZE + self.axes * A_SIZE + self.motors * M_SIZE
 
     @property
     def y_size(self) -> int:
-        """Integrated quantities."""
+        """Number of integrated quantities."""
         return 4 * self.axes + 2 * self.spans
 
     @property
@@ -245,7 +245,7 @@ class Layout:
 
     @property
     def output_size(self) -> int:
-        """Columns of `kernel.simulate`: see `columns`."""
+        """Number of columns of `kernel.simulate`: see `columns`."""
         return 3 * self.motors + 2 * self.spans
 
     @property
@@ -254,15 +254,15 @@ class Layout:
         return _columns(self.motors, self.spans)
 
     def axis_rows(self, parameters: Vector) -> Vector:
-        """View (N, A_SIZE)."""
+        """View of the axis rows (N, A_SIZE)."""
         return parameters[W_SIZE : W_SIZE + self.axes * A_SIZE].reshape(self.axes, A_SIZE)
 
     def motor_rows(self, parameters: Vector) -> Vector:
-        """View (M, M_SIZE)."""
+        """View of the motor rows (M, M_SIZE)."""
         return parameters[W_SIZE + self.axes * A_SIZE : self.first_span].reshape(self.motors, M_SIZE)
 
     def span_rows(self, parameters: Vector) -> Vector:
-        """View (K, SP_SIZE)."""
+        """View of the span rows (K, SP_SIZE)."""
         return parameters[self.first_span :].reshape(self.spans, SP_SIZE)
 
     def y(self, state: Vector) -> Vector:
@@ -270,16 +270,16 @@ class Layout:
         return state[S_Y : S_Y + self.y_size]
 
     def motor_states(self, state: Vector) -> Vector:
-        """View (M, SM_SIZE)."""
+        """View of the motor states (M, SM_SIZE)."""
         start = S_Y + self.y_size + self.axes * SA_SIZE
         return state[start : start + self.motors * SM_SIZE].reshape(self.motors, SM_SIZE)
 
     def motor_inputs(self, inputs: Vector) -> Vector:
-        """View (M, UM_SIZE)."""
+        """View of the motor inputs (M, UM_SIZE)."""
         return inputs[U_MOTORS : U_MOTORS + self.motors * UM_SIZE].reshape(self.motors, UM_SIZE)
 
     def length_rates(self, inputs: Vector) -> Vector:
-        """View (K,): m/s."""
+        """View of the rates of length (K,): m/s."""
         return inputs[U_MOTORS + self.motors * UM_SIZE :]
 
     def new_inputs(self) -> Vector:
@@ -371,7 +371,7 @@ def write_drive(row: Vector, drives: DriveParameters | None, axis: int) -> None:
 
 
 def pack(model: ModelParameters, substeps: int = 1) -> Vector:
-    """The parameter vector of a model: `substeps` integration steps per drive sample time.
+    """Parameter vector of a model: `substeps` integration steps per drive sample time.
 
     Raises ValueError for gear play without motor inertia and for a torque delay longer than is kept.
     """
@@ -501,7 +501,7 @@ def write_entries(parameters: Vector, entries: Iterable[EffectEntry]) -> None:
 
 
 def check_effects(parameters: Vector) -> None:
-    """Raises ValueError for effects that this line cannot show: gear play without motor inertia, too long a delay."""
+    """Raise ValueError for effects impossible on this line: gear play without motor inertia, too long a delay."""
     layout = Layout.of(parameters)
     if layout.spans:
         check_play(parameters)
@@ -516,8 +516,8 @@ def check_effects(parameters: Vector) -> None:
 
 
 def check_play(parameters: Vector) -> None:
-    """Raises ValueError for gear play without inertia on both sides, which can't be simulated: what a lone axis needs
-    for a motion is known without."""
+    """Raise ValueError for gear play without inertia on both sides, which can't be simulated (the inverse of a single
+    axis does not need it)."""
     layout = Layout.of(parameters)
     for at in driven_rows(parameters):
         row = layout.axis_rows(parameters)[at]
@@ -528,7 +528,7 @@ def check_play(parameters: Vector) -> None:
 
 
 def new_state(parameters: Vector, strain: float | Vector = 0.0, length_m: float | Vector = 1.0) -> Vector:
-    """A state at rest, at position zero, with the given strains and (nominal) lengths of the spans."""
+    """State at rest, at position zero, with the given strains and (nominal) lengths of the spans."""
     layout = Layout.of(parameters)
     state = np.zeros(layout.state_size)
     y, n, k = layout.y(state), layout.axes, layout.spans
@@ -548,31 +548,31 @@ def set_strain(parameters: Vector, state: Vector, strain: ArrayLike) -> None:
 
 
 def length_factor(parameters: Vector, layout: Layout, span: int) -> float:
-    """Factor on the nominal length of a span, from 1, in plain Python."""
+    """Factor on the nominal length of a span, from 1, by scalar access."""
     return 1.0 + parameters.item(layout.first_span + (span - 1) * SP_SIZE + _LENGTH_ERROR)
 
 
 def strand_length_m(carriage: Vector, x_m: float) -> float:
-    """What a carriage at x adds to each of its strands; `carriage`: the row of its axis."""
+    """Length that a carriage at x adds to each of its strands; `carriage`: the row of its axis."""
     arm = float(carriage[A_ARM_M])
     return arm * sin(x_m / arm) if arm else x_m
 
 
 def await_splice(state: Vector) -> None:
-    """A splice is yet to come; what came in before stays in the web."""
+    """Await a splice; pieces that came in before stay in the web."""
     state[PIECES_CAME - PIECES_SIZE] = 0.0
 
 
 def forget_pieces(state: Vector) -> None:
-    """The web is all of one kind, and a splice is yet to come."""
+    """Remove all pieces from the web, and await a splice."""
     state[-PIECES_SIZE:] = 0.0
 
 
 def refresh_modes(parameters: Vector, state: Vector) -> None:
-    """Make friction direction and gear contact fit the motion after state or effects were changed from outside."""
+    """Set friction direction and gear contact by the motion after external changes of state or effects."""
     n, gap = int(parameters[W_AXES]), W_SIZE + place("backlash", "gap_rad")
     modes = S_Y + 4 * n + 2 * int(parameters[W_SPANS])
-    for axis in range(n):  # in plain Python: of two axes, every cycle, that is a fifth of numpy's time
+    for axis in range(n):  # scalar access: of two axes, every cycle, a fifth of numpy's time
         speed = state.item(S_Y + n + axis)
         state[modes + axis * SA_SIZE + SA_DIRECTION] = 1.0 if speed > 0.0 else -1.0 if speed < 0.0 else speed
         if parameters[gap + axis * A_SIZE] == 0.0:

@@ -1,4 +1,4 @@
-"""The closed model: drives, rollers and web of a line, advanced in step with the bus."""
+"""Closed model: drives, rollers and web of a line, advanced in step with the bus."""
 
 from __future__ import annotations
 
@@ -36,21 +36,23 @@ from hilbench.plant.web_line.stations import Reel, force_input, reel_name
 
 
 class LineStep(NamedTuple):
-    """What `rig_cycle.step` takes beside the vectors of a line."""
+    """Arguments of `rig_cycle.step` in addition to the vectors of a line."""
 
     samples: int  #: of the drives
     motors: NDArray[np.int64]  #: rows of those with ports
     sensors: Vector
-    silence: Vector  #: in the place of noise
+    silence: Vector  #: zeros in place of noise
 
 
 class Line(SimulatedLine):
-    """N driven rollers and what else the web runs over, with spans of web between; motor k drives roller k by port k.
+    """N driven rollers and all else that the web runs over, with spans of web between; motor k drives roller k by port
+    k.
 
-    Starts at rest, with every span strained as the web that enters. `step` takes the set points from the ports
-    and writes the feedback to them; without ports every motor is off. Parameters may change between calls; a change of
-    E leaves the strains, so the tensions jump. `substeps`: integration steps per sample time of the drives; unless it
-    is given, as many as the line needs.
+    Starts at rest, with every span strained as the web that enters. `step` takes the set points from the ports and
+    writes the feedback to them; without ports every motor is off. Parameters may change between calls; a change of E
+    leaves the strains, so the tensions jump. `substeps`: integration steps per sample time of the drives; by default as
+    many as the line needs.
+
     Raises ValueError for ports that do not fit, or ports on a model without drives.
     """
 
@@ -80,37 +82,36 @@ class Line(SimulatedLine):
         self._elastic = any(_acts_on_elasticity(entry.effect) for entry in parameters.effects)
         self._observe()
 
-    first_axis = 0  #: of the rollers around its first span, from 0
+    first_axis = 0  #: index of the first roller of its first span, from 0
 
     @property
     def vectors(self) -> LineVectors:
-        """What it consists of, for compiled callers; `show` after they have changed it."""
+        """Vectors of the line, for compiled callers; call `show` after they have changed them."""
         return LineVectors(self._p, self._state, self._inputs, self._work, self._out)
 
     def step_in_vectors(self, duration_s: float) -> LineStep:
-        """For compiled callers that go on by so long. Raises ValueError as `step`."""
+        """Step arguments for compiled callers. Raises ValueError as `step`."""
         samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
         return LineStep(samples, self._places_of_motors, self._figures, self._silence[0])
 
     @property
     def moduli(self) -> Vector:
-        """(2, K): where E of each span stands in the parameters, and 1 for each."""
+        """Parameter index of E of each span, and 1 for each; (2, K)."""
         layout = self._layout
         places = layout.first_span + lay.SP_SIZE * np.arange(layout.spans) + lay.SP_MODULUS_PA
         return np.array([places, np.ones(layout.spans)])
 
     @property
     def further_places(self) -> list[int]:
-        """Where positions and speeds of what no motor drives stand among what is integrated, of those that are
-        states."""
+        """Indices of the states of parts without a motor (positions and speeds) in the integrated quantities."""
         return [each.place for each in self._further]
 
     def set_boundary(self, strain_prev: float, F_next_N: float) -> None:
-        """What the neighbouring sections do from now on: the inputs of these names."""
+        """Set the boundary inputs of these names from now on."""
         self._inputs[lay.U_STRAIN_PREV], self._inputs[lay.U_F_NEXT_N] = strain_prev, F_next_N
 
     def show(self) -> None:
-        """Bring the ports up to what was changed in the vectors, which is in their `out`."""
+        """Write the outputs `out` of changed vectors to the ports."""
         self._write_ports()
 
     def parameter(self, name: str) -> float:
@@ -119,7 +120,7 @@ class Line(SimulatedLine):
         return super().parameter(name) if modulus_Pa is None else float(modulus_Pa.item(0))
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Give a parameter a value from now on. Raises ValueError for an unknown name or an impossible value."""
+        """Set a parameter from now on. Raises ValueError for an unknown name or an impossible value."""
         modulus_Pa = self._moduli.get(name)
         if modulus_Pa is not None:  # in every cycle of a twin
             modulus_Pa[:] = checked_positive(name, value, "Pa")
@@ -131,18 +132,17 @@ class Line(SimulatedLine):
     def set_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
-        """Give an effect these parameters from now on; strain and motion stay. Raises as `SimulatedLine`."""
+        """Set an effect's parameters from now on; strain and motion stay. Raises as `SimulatedLine`."""
         super().set_effect(effect_id, axis, section=section, slot=slot, **parameters)
         self._elastic |= _acts_on_elasticity(effect_id)
 
     @property
     def changes_elasticity(self) -> bool:
-        """Whether it may have effects on E."""
+        """True if the line may have effects on E."""
         return self._elastic
 
     def elasticity_factor(self, span: int) -> float:
-        """What the effects on E make of it now in a span (counted from 1), of web with a splice in it that of the
-        whole; 1 without any."""
+        """Present factor on E of a span (from 1) by effects, including a splice in it; 1 without any."""
         if not self._elastic:
             return 1.0
         sample_s, time_s, row = self._p[lay.W_SAMPLE_TIME_S], self.time_s, self._layout.first_span
@@ -163,7 +163,7 @@ class Line(SimulatedLine):
 
     @property
     def shown_tensions_N(self) -> list[float]:
-        """The same (K,) as it was when the motors' feedback was last written, after a step or a change of the state."""
+        """Tensions (K,) at the motors' last feedback, after a step or a change of the state."""
         tensions_N: list[float] = self._out[self._layout.columns["F_N"]].tolist()
         return tensions_N
 
@@ -173,8 +173,8 @@ class Line(SimulatedLine):
         return self._out[self._layout.columns["strain"]].copy()
 
     def torque_ripples_Nm(self, duration_s: float) -> Vector:
-        """By how much the torque of each driven axis (N,) was larger in the mean of the time just gone by than in the
-        mean of its begin and end: a drive whose set point goes in steps pushes most behind each of them.
+        """Excess of each driven axis's mean torque (N,) over the last `duration_s` over the mean of its two ends: with
+        stepped set points a drive's torque is highest after each step.
 
         Raises ValueError for a duration that is no multiple of the drives' sample time.
         """
@@ -195,7 +195,7 @@ class Line(SimulatedLine):
 
 
 def _values(parameters: ModelParameters) -> dict[Quantity, float]:
-    """What can be changed while the line runs, with its values: the rollers' inertias, then E where there is a web."""
+    """Changeable parameters with their values: the rollers' inertias, then E where there is a web."""
     inertia = parameters.rollers.inertia_kg_m2
     values = {
         Quantity(f"roller_inertia{k}_kg_m2", "kg·m²", f"of roller {k} about its own shaft"): per_item(inertia, k)
@@ -208,7 +208,7 @@ def _values(parameters: ModelParameters) -> dict[Quantity, float]:
 
 
 def _further_states(parameters: ModelParameters) -> list[FurtherState]:
-    """Speeds of rollers without a motor, position and speed of carriages, in the direction of the web."""
+    """States of speeds of rollers without a motor, and position and speed of carriages, in the direction of the web."""
     rollers, carriages = parameters.line_rollers, parameters.carriages
     axes = len(rollers) + len(carriages)
     found = [
@@ -225,7 +225,7 @@ def _further_states(parameters: ModelParameters) -> list[FurtherState]:
 
 
 def _radii(parameters: ModelParameters) -> dict[Quantity, Callable[[Vector], float]]:
-    """Radii of the reels."""
+    """Radius outputs of the reels."""
     found: dict[Quantity, Callable[[Vector], float]] = {}
     rows = lay.Layout.of(p := lay.pack(parameters)).axis_rows(p)
     for row, roller in enumerate(parameters.line_rollers):
@@ -236,12 +236,12 @@ def _radii(parameters: ModelParameters) -> dict[Quantity, Callable[[Vector], flo
 
 
 def _radius_m(reel: Vector, place: int, y: Vector) -> float:
-    """Of a reel by the row of its axis and its position at `place` of what is integrated."""
+    """Radius of a reel by the row of its axis and its position at `place` of the integrated quantities."""
     return float(reel[lay.A_RADIUS_M] * reels.radius_ratio(reel, 0, y[place]))
 
 
 def _forces(parameters: ModelParameters) -> dict[Quantity, CarriagePush]:
-    """What pushes each carriage: told as an input, beside what an effect adds to it."""
+    """Force inputs of the carriages, with the force that an effect adds."""
     found, rollers = {}, len(parameters.line_rollers)
     rows = lay.Layout.of(p := lay.pack(parameters)).axis_rows(p)
     for row, carriage in enumerate(parameters.carriages, rollers):

@@ -1,5 +1,5 @@
-"""A cycle of a line with stations that load motors emulate, compiled: how far it has to follow, the line there, the
-torques of the line ahead, and what is true. As `follower_cycle`, of a `LineFollower`."""
+"""Compiled cycle of a line with stations emulated by load motors: time to follow, the line there, load torques of the
+predicted line, and true values. As `follower_cycle`, of a `LineFollower`."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from hilbench.plant.web_line.layout import Vector
 Table = NDArray[np.int64]
 Places = NDArray[np.int64]
 
-# Rows of the table: those of `line_kernel.pull`, those of the measured motion, what no further way is told by (N,),
-# places of the outputs among what the kernel reports, among what is integrated, and rows of the reels; room for all
-# outputs; then where motion is measured and what follows is shown.
+# Rows of the table: those of `line_kernel.pull`, those of the measured motion, zero position offsets (N,), indices of
+# the outputs in the kernel's report and in the integrated quantities, and rows of the reels; room for all outputs; then
+# the process image's values and the offsets in it.
 _MOTION, _WAYS, _POSITIONS, _FURTHER, _COLUMNS, _STATES, _REELS, _SHOWN, _VALUES, _AT = range(
     line_kernel.TORQUES + 1, line_kernel.TORQUES + 11
 )
 
-#: What `follow` has done.
+#: Results of `follow`.
 NOTHING, FOLLOWED = range(2)
 
 
 @compiled
 def _show(p: Vector, s: Vector, out: Vector, columns: Places, states: Places, rows: Places, shown: Vector) -> None:
-    """The outputs in the order of the follower's description."""
+    """Write the outputs in the order of the follower's description."""
     n, m, k = places.counts(p)
     at = 0
     for j in range(len(columns)):
@@ -45,8 +45,8 @@ def _show(p: Vector, s: Vector, out: Vector, columns: Places, states: Places, ro
         at += 1
 
 
-#: follow(whether a sample is late, table of the vectors in the order of these rows, the last are values and places in
-#: these): as of `measured_motion.InStep`.
+#: follow(late-sample flag, table of the vectors in the order of these rows, the last are values and offsets in these):
+#: as of `measured_motion.InStep`.
 @entry_point(COUNT, TABLE)
 def follow(late: int, table: Table) -> int:
     if len(table) == 0:

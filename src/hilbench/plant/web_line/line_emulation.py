@@ -1,7 +1,7 @@
-"""A line with idlers, dancers, accumulators and reels that load motors emulate, whole recordings in one compiled call.
+"""Emulation of a line with idlers, dancers, accumulators and reels, whole recordings in one compiled call.
 
-As `emulation`, with the line of `line_follower` in the place of the web: its driven rollers are held to the motion that
-the rig shows at each SYNC, what has no motor moves by itself.
+As `emulation`, with the line of `line_follower` in place of the web: its driven rollers are held to the rig's motion at
+each SYNC, parts without a motor move freely.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Rows = NDArray[np.int64]
 
 @inlined
 def _show(p: Vector, s: Vector, sensors: Rows, out: Vector, at: int) -> None:
-    """What sensors at `sensors`, rows of the line, say, from place `at` of `out` on, m."""
+    """Write the readings of `sensors` (rows of the line) to `out` from offset `at` on, m."""
     for j in range(len(sensors)):
         axis, x = places.axis(sensors[j]), s[lay.S_Y + sensors[j]]
         out[at + j] = p[axis + lay.A_RADIUS_M] * reels.radius_ratio(p, axis, x) if reels.is_reel(p, axis) else x
@@ -38,8 +38,8 @@ def _show(p: Vector, s: Vector, sensors: Rows, out: Vector, at: int) -> None:
 def _pull(
     p: Vector, s: Vector, boundary: Vector, row: int, rows: Rows, pulls: Vector, seen: Vector, loads: Vector
 ) -> None:
-    """Torque at the motor of each driven axis, `loads` (N,) N·m, by the line's tensions in `seen`; `pulls` (N,): N·m
-    per N, with reels as at the start."""
+    """Load torque at the motor of each driven axis, `loads` (N,) N·m, by the line's tensions in `seen`; `pulls` (N,):
+    N·m per N, with reels as at the start."""
     _, m, k = places.counts(p)
     for i in range(len(rows)):
         at, x = rows[i], s[lay.S_Y + rows[i]]
@@ -69,8 +69,8 @@ def _run(
 
     The rig of N axes: `p`, `s`, `u`, `w`; the line: parameters `web`, state `line`, `line_u`, `line_w`, its driven
     rollers at `rows` (N,). Room for a `guess` of its state, for mean speeds, speeds, accelerations and loads (4, N),
-    and for what is `seen` of it. Carriages `pushed`, rows of the line, are told `forces` (n, C), each of which acts to
-    the next row; `more` (C,): what effects add to them.
+    and for its outputs `seen`. Carriages `pushed`, rows of the line, get `forces` (n, C), each of which acts to the
+    next row; `more` (C,): forces added by effects.
     """
     n, m, k, axes = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(web[lay.W_SPANS]), int(web[lay.W_AXES])
     columns, load = 3 * m + 2 * k + len(sensors), lay.U_MOTORS + n * lay.UM_SIZE + lay.UM_SETPOINT
@@ -110,7 +110,7 @@ def _run(
         kernel.report(web, guess, line_u, line_w, seen, 0)
         for j in range(n):
             u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = commands[row, j]
-        for j in range(m - n):  # the torque of what was measured at the SYNC before
+        for j in range(m - n):  # the torque for the measurement at the previous SYNC
             u[load + j * lay.UM_SIZE] = loads[int(p[places.motor(n, n + j) + lay.M_AXIS])]
         kernel.go_on(p, s, u, w, samples)
         _pull(web, line, boundary, row, rows, pulls, seen, loads)
@@ -148,13 +148,13 @@ def simulate_emulated_line(
     sensors: Sequence[str] = (),
     forces_N: Mapping[str, NDArray[np.float64]] = MappingProxyType({}),
 ) -> Simulation:
-    """Simulate recorded velocity commands, from rest, on the rig of a model with stations that load motors emulate.
+    """Simulate recorded velocity commands, from rest, on the rig of a model with stations emulated by load motors.
 
     parameters: (P,) or (B, P) of the model from `layout.pack`, with effects: those of the axes are in the mechanics,
-    others in what is emulated. commands (n, N) m/s at the web, boundary (n, 2) upstream strain and downstream tension
-    (N), a row each cycle; `sensors`: stations by name; `forces_N`: by station (n,), on carriages that are told a force.
-    Motion and torques of the result are those of the axes.
-    Raises ValueError for a cycle that is no multiple of the drives' sample time.
+    others in the emulation. commands (n, N) m/s at the web, boundary (n, 2) upstream strain and downstream tension (N),
+    a row each cycle; `sensors`: stations by name; `forces_N`: by station (n,), on carriages with a stated force. Motion
+    and torques of the result are those of the axes. Raises ValueError for a cycle that is no multiple of the drives'
+    sample time.
     """
     many = np.array(np.atleast_2d(parameters))
     stands = stands_of(emulation, model, many)
@@ -201,7 +201,7 @@ def _sample_s(many: Vector) -> float:
 
 
 def _rows_of(model: ModelParameters, names: Sequence[str]) -> list[int]:
-    """Where carriages and reels stand among the axes of a line, by name."""
+    """Rows of carriages and reels among the axes of a line, by name."""
     rollers = model.line_rollers
     rows = {station_name(roller.station): row for row, roller in enumerate(rollers)}
     rows |= {each.station.name: row for row, each in enumerate(model.carriages, len(rollers))}

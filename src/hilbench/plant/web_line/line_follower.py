@@ -1,9 +1,9 @@
-"""A line with idlers, dancers, accumulators and reels on measured motion of its driven rollers: for load models.
+"""Line with idlers, dancers, accumulators and reels on measured motion of its driven rollers: for load models.
 
-What no motor drives has a motion of its own, which nobody measures: it is simulated by the kernel of the closed line,
-with the driven rollers held to their measured motion. A driven roller turns at constant speed within a cycle, or where
-the line speeds up in steps along a parabola: what has no motor needs tension for its acceleration, all the time. It is
-so heavy that nothing moves it, and no web loads it.
+Parts without a motor have an unmeasured motion of their own: it is simulated by the kernel of the closed line, with the
+driven rollers held to their measured motion. A driven roller turns at constant speed within a cycle, or, where the line
+accelerates in steps, along a parabola: parts without a motor need tension for their acceleration, all the time. Its
+simulated mass is too large to be moved, and no web loads it.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from hilbench.plant.web_line.simulated import KIND
 from hilbench.plant.web_line.span import BROKEN, SpanFollower
 from hilbench.plant.web_line.stations import Reel
 
-#: Of a driven roller: a pull of 1 kN makes it 1e-9 m/s faster in a second.
+#: Mass of a held driven roller: 1 kN accelerates it to 1e-9 m/s in a second.
 _HELD_KG: Final = 1e12
-#: E·S of a web that has torn, as a share of what it was: nothing pulls.
+#: E·S of a broken web, as a share of the original: no tension.
 _TORN: Final = 1e-12
-#: Longest integration step where no roller asks for a shorter one, as of a web on driven rollers alone.
+#: Longest integration step unless a roller needs a shorter one, as of a web on driven rollers alone.
 LONGEST_STEP_S: Final = 0.001
 
 
 def follower_of(parameters: ModelParameters) -> SpanFollower | LineFollower:
-    """The follower of a web line: of driven rollers alone the web's, else that of all that the web runs over.
+    """Follower of a web line: the web's for driven rollers alone, else that of all that the web runs over.
 
     Raises ValueError for a model without a web.
     """
@@ -48,7 +48,7 @@ def follower_of(parameters: ModelParameters) -> SpanFollower | LineFollower:
 
 
 def hold(p: Vector) -> None:
-    """Let nothing move the driven rollers of a line, by its parameters (P,), but what is measured."""
+    """Make the driven rollers of a line immovable, in its parameters (P,), except by measured motion."""
     for row in lay.driven_rows(p):
         axis = lay.Layout.of(p).axis_rows(p)[row]
         axis[lay.A_MOTOR_MASS_KG], axis[lay.A_ROLLER_MASS_KG] = 0.0, _HELD_KG
@@ -62,42 +62,42 @@ def step_s(parameters: ModelParameters) -> float:
 
 
 class PerturbedCopies:
-    """Followers (F,) of one line, on the same measured motion but for how much further each is taken to be: all of them
-    in one call. What they show may be changed; `put` brings them to it."""
+    """Followers (F,) of one line on the same measured motion, each with position offsets, in one call. Their outputs
+    may be changed; `put` writes them back."""
 
     def __init__(self, lines: Sequence[LineFollower]) -> None:
         first = lines[0].vectors
         n, k = int(first.p[lay.W_AXES]), int(first.p[lay.W_SPANS])
         rows = lines[0].driven_rows
         self._x = np.zeros(len(rows))
-        #: How much further the driven rollers are taken to be (F, N), m.
+        #: Position offsets of the driven rollers (F, N), m.
         self.offsets_m = np.zeros((len(lines), len(rows)))
-        self.tensions_N = np.zeros((len(lines), k))  #: as shown last, (F, K)
-        self.motions = np.zeros((len(lines), 4 * n + 2 * k))  #: what is integrated (F, Y), see `Layout.y`
-        #: Radii of the driven rollers (N,) of the first over those at the start; 1 of one that is no reel.
+        self.tensions_N = np.zeros((len(lines), k))  #: as last shown, (F, K)
+        self.motions = np.zeros((len(lines), 4 * n + 2 * k))  #: integrated quantities (F, Y), see `Layout.y`
+        #: Radii of the first line's driven rollers (N,) over those at the start; 1 of one that is no reel.
         self.ratios = np.ones(len(rows))
         shared = (self._x, rows, self.offsets_m, self.tensions_N, self.motions, self.ratios)
         self._kept = (*shared, *(vector for line in lines for vector in line.vectors_in_order))
         self._table = table_of(self._kept)
 
     def follow(self, positions: Sequence[float] | Vector, duration_s: float) -> None:
-        """The driven rollers are now at `positions` (N,), m, `duration_s` after the last call."""
+        """Move the driven rollers to `positions` (N,), m, `duration_s` after the last call."""
         self._x[:] = positions
         line_kernel.follow(duration_s, self._table)
 
     def show(self) -> Self:
-        """Bring what is shown up to what was changed in the lines."""
+        """Update the outputs after changes of the lines."""
         line_kernel.show(0.0, self._table)
         return self
 
     def put(self) -> None:
-        """Let the lines go on from `motions`."""
+        """Write `motions` back to the lines."""
         line_kernel.put(0.0, self._table)
 
 
 class StateTransfer:
-    """Lets a closed line go on with the web, and with all that no motor drives, as the follower of an equal one has
-    them; so also driven rollers on `axes`, from 1."""
+    """Transfer of web and undriven parts' state from a follower to an equal closed line; also of driven rollers on
+    `axes`, from 1."""
 
     def __init__(self, follower: LineFollower, line: Line, axes: Sequence[int] = ()) -> None:
         n, k = int(follower.vectors.p[lay.W_AXES]), int(follower.vectors.p[lay.W_SPANS])
@@ -109,13 +109,13 @@ class StateTransfer:
         self._table = table_of(self._kept)
 
     def __call__(self) -> None:
-        """As it is now."""
+        """Transfer the present state."""
         line_kernel.hand_on(0.0, self._table)
         self._line.show()
 
 
 class _Pull(NamedTuple):
-    """What load motors pull by; see `line_kernel`."""
+    """Load-motor torque calculation; see `line_kernel`."""
 
     table: NDArray[np.int64]
     speeds: Vector
@@ -125,10 +125,11 @@ class _Pull(NamedTuple):
 
 
 class LineFollower(Line):
-    """All that the web of a model runs over, on measured positions (N,) of its driven rollers, at the web.
+    """Simulation of all that the web of a model runs over, on measured positions (N,) of its driven rollers, at the
+    web.
 
-    See `hilbench.plant.interface.Follower`; states and outputs are those of the closed line, with E as it acts
-    (`E1_Pa` …) beside them. Raises ValueError for a model without a web.
+    See `hilbench.plant.interface.Follower`; states and outputs are those of the closed line, with the effective E
+    (`E1_Pa` …) in addition. Raises ValueError for a model without a web.
     """
 
     def __init__(self, parameters: ModelParameters) -> None:
@@ -138,7 +139,7 @@ class LineFollower(Line):
         hold(self._p)
         count, carries = len(self._driven), parameters.carries_web_load
         self._rows = np.array(self._driven, np.int64)
-        #: What is known of the motion of the driven rollers; see `line_kernel`.
+        #: Motion history of the driven rollers; see `line_kernel`.
         self.memory = np.zeros(line_kernel.FIRST + 3 * count)
         sample_s = float(self._p[lay.W_SAMPLE_TIME_S])
         self.memory[[line_kernel.SAMPLE_S, line_kernel.STEP_S]] = sample_s, step_s(self.parameters)
@@ -151,16 +152,16 @@ class LineFollower(Line):
         self._observe()
 
     def _forget_motion(self) -> None:
-        """Nothing is known of what the driven rollers did."""
+        """Forget the motion history of the driven rollers."""
         self.memory[[line_kernel.KNOWN, line_kernel.DURATION_S]] = 0.0
         self.memory[line_kernel.FIRST :] = 0.0
 
     def describe(self) -> PlantDescription:
-        """What it is; see `hilbench.plant.interface.Machine`."""
+        """Description; see `hilbench.plant.interface.Machine`."""
         return self._described
 
     def reset(self, positions: ArrayLike, strain: ArrayLike | None = None) -> None:
-        """Start again at these positions (N,) and strains (K,), at rest, carriages as at the start; time goes on."""
+        """Restart at these positions (N,) and strains (K,), at rest, carriages as at the start; time goes on."""
         count = self._state[lay.S_COUNT]
         self._state[:] = start_state(self._p, self.parameters, strain)
         self._state[lay.S_COUNT] = count
@@ -172,7 +173,7 @@ class LineFollower(Line):
         self._observe()
 
     def follow(self, positions: Sequence[float] | Vector, duration_s: float) -> None:
-        """The driven rollers are now at `positions` (N,), `duration_s` after the last call.
+        """Move the driven rollers to `positions` (N,), `duration_s` after the last call.
 
         Raises ValueError for a duration that is not positive.
         """
@@ -182,7 +183,7 @@ class LineFollower(Line):
 
     @property
     def motion(self) -> Vector:
-        """View of what is integrated (`Layout.y`): a change acts at once, `set_state` brings outputs up to it."""
+        """View of the integrated quantities (`Layout.y`): a change acts at once, `set_state` updates the outputs."""
         return self._layout.y(self._state)
 
     @motion.setter
@@ -194,7 +195,7 @@ class LineFollower(Line):
         return self._alone.show().ratios.item(axis - 1)
 
     def predicted_tension_N(self, lead_s: float) -> Vector:
-        """The tensions (K,) `lead_s` later if the driven rollers go on as until now; changes nothing."""
+        """Tensions (K,) predicted `lead_s` ahead with the driven rollers' present motion; changes nothing."""
         if not lead_s > 0.0:
             return self.tension_N
         pull = self._pull_of(())
@@ -203,12 +204,12 @@ class LineFollower(Line):
         return tension
 
     def load_torques_Nm(self, axes: Sequence[int], speeds: Sequence[float], lead_s: float) -> list[float]:
-        """Torques at the shafts of load motors on `axes`, of the line `lead_s` ahead; `speeds` (N,) of the driven
-        rollers, m/s. A load motor turns as fast as the axis' motor.
+        """Torques at the shafts of load motors on `axes`, by the line predicted `lead_s` ahead; `speeds` (N,) of the
+        driven rollers, m/s. A load motor turns as fast as the axis's motor.
 
         They emulate the web and the roller's resistance: (r/i)·(F_next - F - R(v)). F is the tension of the span before
-        the roller, F_next that of the span behind it; of a reel one of them, with its present radius in the place of
-        the nominal.
+        the roller, F_next that of the span after it; of a reel one of them, with its present radius in place of the
+        nominal.
         """
         pull = self._pull_of(tuple(axes))
         pull.speeds[:] = speeds
@@ -217,32 +218,32 @@ class LineFollower(Line):
         return found
 
     def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> LineInStep:
-        """With measured motion, and load motors on `axes`; see `hilbench.plant.measured_motion.FollowsInStep`."""
+        """Compiled follower with load motors on `axes`; see `hilbench.plant.measured_motion.FollowsInStep`."""
         return LineInStep(self, motion, axes)
 
     def pulled_by(self, axes: Sequence[int]) -> tuple[NDArray[Any], ...]:
-        """What `line_kernel.pull` works on, for load motors on these axes."""
+        """Vectors of `line_kernel.pull` for load motors on these axes."""
         return self._pull_of(tuple(axes)).kept
 
     @property
     def fits_fast_path(self) -> bool:
-        """Whether its web is whole, and E of each span the parameter."""
+        """True if its web is not broken, and E of each span is the parameter."""
         return self._torn_Pa is None and not self._elastic
 
     @property
     def places_of_outputs(self) -> tuple[NDArray[np.int64], ...]:
-        """Of its description: those that the kernel reports, among that; those that are integrated, among these; rows
-        of the reels, whose radii come behind them, and then E of the spans."""
+        """Indices of the described outputs: in the kernel's report; in the integrated quantities; rows of the reels,
+        whose radii follow, and then E of the spans."""
         reels = [row for row, roller in enumerate(self.parameters.line_rollers) if isinstance(roller.station, Reel)]
-        columns = [place for place, _ in self._columns]  # at the web: as they are
+        columns = [place for place, _ in self._columns]  # at the web: unscaled
         return np.array(columns, np.int64), np.array(self.further_places, np.int64), np.array(reels, np.int64)
 
     def web_torque_Nm(self, axis: int, v_m_s: float) -> float:
-        """The same of one axis at the present tensions."""
+        """Load torque of one axis at the present tensions."""
         return self.load_torques_Nm([axis], [v_m_s] * len(self._driven), 0.0)[0]
 
     def _pull_of(self, axes: tuple[int, ...]) -> _Pull:
-        """What `line_kernel.pull` works on, for load motors on these axes."""
+        """Vectors and table of `line_kernel.pull` for load motors on these axes."""
         if axes not in self._pulls:
             loads = self._all_loads[np.array(axes, int) - 1]
             own, room = (*self.vectors_in_order, self._rows), (np.zeros_like(self._state), np.zeros_like(self._out))
@@ -253,28 +254,28 @@ class LineFollower(Line):
 
     @property
     def vectors_in_order(self) -> tuple[Vector, ...]:
-        """What it consists of, in the order of `line_kernel`."""
+        """Vectors of the follower, in the order of `line_kernel`."""
         return (*self.vectors, self.memory)
 
     @property
     def driven_rows(self) -> NDArray[np.int64]:
-        """Of its driven rollers, (N,)."""
+        """Rows of the driven rollers, (N,)."""
         return self._rows
 
     @property
     def tension_N(self) -> Vector:
-        """Tension of each span (K,); of a web that has torn none."""
+        """Tension of each span (K,); 0 for a broken web."""
         return np.zeros(self._layout.spans) if self._torn_Pa is not None else super().tension_N
 
     @property
     def effective_moduli_Pa(self) -> Vector:
-        """E as it acts now in each span (K,), with the effects on it."""
+        """Present E of each span (K,), with effects."""
         spans = range(1, self._layout.spans + 1)
         moduli = self._layout.span_rows(self._p)[:, lay.SP_MODULUS_PA] if self._torn_Pa is None else self._torn_Pa
         return np.array([self.elasticity_factor(span) for span in spans]) * moduli if self._elastic else moduli.copy()
 
     def outputs(self) -> dict[str, float]:
-        """Those of the closed line, and E as it acts; a web that has torn has neither tension nor strain."""
+        """Outputs of the closed line, and the effective E; tension and strain are 0 for a broken web."""
         spans, moduli = range(1, self._layout.spans + 1), self.effective_moduli_Pa.tolist()
         found = super().outputs() | {f"E{span}_Pa": moduli[span - 1] for span in spans}
         if self._torn_Pa is not None:
@@ -293,11 +294,11 @@ class LineFollower(Line):
         return value
 
     def put_modulus(self, span: int, modulus_Pa: float) -> None:
-        """E of a span, from 1, of a web that is whole; what is shown follows with the next call."""
+        """Set E of a span, from 1, of a web that is not broken; outputs follow with the next call."""
         self._p[self._layout.first_span + (span - 1) * lay.SP_SIZE + lay.SP_MODULUS_PA] = modulus_Pa
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Give a parameter a value from now on. Raises ValueError for an unknown name or an impossible value."""
+        """Set a parameter from now on. Raises ValueError for an unknown name or an impossible value."""
         checked_name("parameter", name, self._described.parameters)
         if name == BROKEN.name:
             if value not in (0.0, 1.0):
@@ -311,7 +312,7 @@ class LineFollower(Line):
         self._observe()
 
     def _tear(self, torn: bool) -> None:
-        """Let the web pull nothing any more, or again."""
+        """Break the web, or restore it."""
         moduli = self._layout.span_rows(self._p)[:, lay.SP_MODULUS_PA]
         if torn and self._torn_Pa is None:
             self._torn_Pa = moduli.copy()
@@ -322,7 +323,7 @@ class LineFollower(Line):
 
 
 class LineInStep(CompiledInStep):
-    """A `LineFollower` on measured motion, in one call a cycle; see `hilbench.plant.measured_motion.InStep`."""
+    """Compiled step of a `LineFollower` on measured motion; see `hilbench.plant.measured_motion.InStep`."""
 
     def __init__(self, line: LineFollower, motion: MeasuredMotion, axes: Sequence[int]) -> None:
         self._line = line
@@ -335,21 +336,21 @@ class LineInStep(CompiledInStep):
 
     @property
     def usable(self) -> bool:
-        """Whether the web is whole, and E what it is told to be."""
+        """True if the web is not broken, and E is the parameter."""
         return self._line.fits_fast_path
 
     @property
     def is_shown(self) -> bool:
-        """A change acts as it follows next."""
+        """True: a change acts at the next step."""
         return True
 
     def has_followed(self, code: int) -> HasFollowed:
-        """See there."""
+        """Result of a step by its return code; see `InStep`."""
         return HasFollowed.NOT if code == line_cycle.NOTHING else HasFollowed.ALL
 
 
 def _description(line: PlantDescription) -> PlantDescription:
-    """Of the follower of a closed line: it has no motors, its rollers' inertia is nobody's to change."""
+    """Description of the follower of a closed line: without motors, and without the rollers' inertias as parameters."""
     spans = sum(quantity.name.startswith("strain") for quantity in line.states)
     moduli = tuple(
         Quantity(f"E{k}_Pa", "Pa", f"Young's modulus as it acts in span {k}, with the effects on it")

@@ -1,7 +1,7 @@
 """Inverse dynamics of a line: the torques its drives report, and the tensions, for a measured motion of its axes.
 
-No control loop is in it. The strain of a span follows from the conservation of mass in what the web travelled at both
-of its rollers, which encoders tell far better than speeds do; each torque from the balance of its roller.
+No control loop is involved. The strain of a span follows from mass conservation by the travel at both of its rollers,
+which encoders measure far better than speeds; each torque from the momentum balance of its roller.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 @inlined
 def _pull_N(p: Vector, w: Vector, tension: int, i: int, n: int, upstream_N: float, downstream_N: float) -> float:
-    """Pull of the web on roller i, N forward."""
+    """Force of the web on roller i, N forward."""
     if p[lay.W_SIZE + i * lay.A_SIZE + lay.A_WEB_LOAD] == 0.0:
         return 0.0
     before = w[tension + i - 1] if i > 0 else upstream_N
@@ -34,8 +34,8 @@ def _pull_N(p: Vector, w: Vector, tension: int, i: int, n: int, upstream_N: floa
 
 @inlined
 def _parts(n: int) -> tuple[int, int, int, int, int, int]:
-    """Where in the scratch space of a line of n rollers begin: the web's speeds, the tensions, the rates of the
-    unstretched and of the nominal lengths, these lengths, the factors of the steps of E."""
+    """Offsets in the scratch space of a line of n rollers: web speeds, tensions, rates of the unstretched and of the
+    nominal lengths, these lengths, factors of the steps of E."""
     k = n - 1
     return 0, n, n + k, n + 2 * k, n + 3 * k, n + 5 * k
 
@@ -113,8 +113,7 @@ def _required_torques(
             tau_Nm[row, i] = reported_torque_Nm(p, axis, motor, x, v, a, pull, direction, 1.0)
         if row + 1 == x_m.shape[0]:
             break
-        # To the next row by Heun's rule, with the way that the web went and not with speeds: what was travelled is
-        # exact, whatever the period.
+        # To the next row by Heun's rule, with the web's travel instead of speeds: it is exact, whatever the period.
         for i in range(n):
             axis = lay.W_SIZE + i * lay.A_SIZE
             gone = xs[row + 1, i] - xs[row, i] + laws.eccentric_travel_m(p, axis, xs[row, i], xs[row + 1, i])
@@ -141,7 +140,7 @@ def _required_torques(
 
 @dataclass(frozen=True, slots=True)
 class RequiredTorques:
-    """What the measured motion needs; (B, n, axes or spans)."""
+    """Torques, tensions and strains for the measured motion; (B, n, axes or spans)."""
 
     tau_Nm: Array  #: as the drives report it, motor side
     F_N: Array
@@ -157,11 +156,11 @@ def required_torques(
     boundary: Array,
     period_s: float,
 ) -> RequiredTorques:
-    """Torques that the motion of a line's driven axes needs.
+    """Torques required for the motion of a line's driven axes.
 
     parameters: (B, P) from `layout.pack`, shared out among all cores; model: for the lengths of the spans. x_m, v_m_s,
-    a_m_s2: (n, axes) motion at the web, a row every `period_s`; boundary: (n, 2) upstream strain and downstream
-    tension (N). The first row's strain is that of the web that enters.
+    a_m_s2: (n, axes) motion at the web, a row every `period_s`; boundary: (n, 2) upstream strain and downstream tension
+    (N). The first row's strain is that of the web that enters.
     """
     many = np.ascontiguousarray(np.atleast_2d(parameters))
     layout = Layout.of(many[0])

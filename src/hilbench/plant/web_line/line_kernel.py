@@ -1,9 +1,9 @@
-"""Lines on the measured motion of their driven rollers, compiled: one of them, or several beside each other.
+"""Lines on the measured motion of their driven rollers, compiled: one of them, or several in one call.
 
-See `line_follower`. Arguments as in the kernel, of a line that is held to its driven rollers; `rows` (N,): where these
-stand among its axes, in order. `memory` (`FIRST` + 3 N,): what is known of their motion: whether they have been
-followed at all, over which time s, in which its time is counted s, and the longest step of integration s; then, of each
-driven roller, its mean speed in that time m/s, its acceleration m/s², and room for a speed.
+See `line_follower`. Arguments as in the kernel, of a line that is held to its driven rollers; `rows` (N,): their rows
+among its axes, in order. `memory` (`FIRST` + 3 N,): motion history: whether they have been followed at all, over which
+time s, the line's sample time s, and the longest integration step s; then, of each driven roller, its mean speed in
+that time m/s, its acceleration m/s², and room for a speed.
 """
 
 from __future__ import annotations
@@ -23,31 +23,31 @@ from hilbench.plant.web_line.line_vectors import LineVectors
 Rows = NDArray[np.int64]
 Table = NDArray[np.int64]
 
-#: Over which the acceleration of driven rollers is averaged: positions are counted, and load motors must not chase
-#: their own swings with it. Less acceleration is none, m/s².
+#: Averaging time of the driven rollers' acceleration: positions are quantized, and load motors must not amplify their
+#: own oscillation by it. Less acceleration counts as none, m/s².
 ACCELERATION_S: Final = 0.05
 LEAST_M_S2: Final = 0.02
 
-# Of the memory.
+# Offsets in the memory.
 KNOWN, DURATION_S, SAMPLE_S, STEP_S, FIRST = range(5)
-# Of the table of lines that are followed together. Shared by all: positions (N,) m, rows (N,) of the driven rollers; of
-# each of F lines how much further they are taken to be (F, N) m, its tensions (F, K) N and what is integrated (F, Y);
-# radii of the driven rollers (N,) over those at the start, of the first line. Then of each line:
+# Rows of the table of lines that are followed together. Common: positions (N,) m, rows (N,) of the driven rollers; of
+# each of F lines its position offsets (F, N) m, its tensions (F, K) N and integrated quantities (F, Y); radii of the
+# driven rollers (N,) over those at the start, of the first line. Then of each line:
 X, ROWS, OFFSETS, TENSIONS, MOTIONS, RATIOS, SHARED = range(7)
 P, STATE, INPUTS, WORK, OUT, MEMORY, EACH = range(7)
-# Of the table of load motors, behind a line's own six rows: rows of the driven rollers; of each load motor that driven
-# roller, from 0, rad per m at its shaft, whether it carries the web (L, 3); speeds of the driven rollers (N,) m/s; room
-# for a state, and for what it shows; torques (L,) N·m.
+# Rows of the table of load motors, after a line's own six: rows of the driven rollers; of each load motor that driven
+# roller, from 0, rad per m at its shaft, web load flag (L, 3); speeds of the driven rollers (N,) m/s; room for a state,
+# and for its outputs; torques (L,) N·m.
 LINE_ROWS, LOADS, SPEEDS, GUESS, AHEAD, TORQUES = range(EACH, EACH + 6)
 
-# Of the table of a closed line that goes on with what another one has: state of that, places among what is integrated,
-# and the line's own five.
+# Rows of the table of a state transfer to a closed line: source state, indices in the integrated quantities, and the
+# line's own five.
 FROM, PLACES, TO = range(3)
 
 
 @inlined
 def gained_m_s(a_m_s2: float, duration_s: float) -> float:
-    """What a driven roller gains of speed, as it goes on."""
+    """Speed that a driven roller gains at this acceleration."""
     return 0.0 if abs(a_m_s2) < LEAST_M_S2 else a_m_s2 * duration_s
 
 
@@ -56,11 +56,11 @@ def turn(
     p: Vector, s: Vector, u: Vector, w: Vector, rows: Rows, v: Vector, a: Vector, duration_s: float, sample_s: float,
     step_s: float,
 ) -> None:  # fmt: skip
-    """Let a line run: its driven rollers begin with speeds `v` (N,) m/s and accelerate by `a` (N,) m/s², in as many
-    steps as their drives have samples; they have the speeds of the end then. Dry friction goes by their motion.
+    """Advance a line: its driven rollers start at speeds `v` (N,) m/s and accelerate by `a` (N,) m/s², in as many steps
+    as their drives have samples, to their final speeds. Dry friction follows their motion.
 
-    `sample_s`: in which its time is counted; those of drives, which are off, are cut to fit any duration. `step_s`:
-    longest of a step of integration.
+    `sample_s`: sample time of the line's clock; samples of the drives, which are off, are adapted to any duration.
+    `step_s`: longest integration step.
     """
     n, _, k = places.counts(p)
     gains = False
@@ -96,7 +96,7 @@ def _follow(
     p: Vector, s: Vector, u: Vector, w: Vector, memory: Vector, rows: Rows, x: Vector, further: Vector,
     duration_s: float,
 ) -> None:  # fmt: skip
-    """The driven rollers are now at `x` and `further` (N,), m, `duration_s` after the last call."""
+    """Move the driven rollers to `x` + `further` (N,), m, `duration_s` after the last call."""
     n, count = int(p[lay.W_AXES]), len(rows)
     mean, a, v = memory[FIRST : FIRST + count], memory[FIRST + count : FIRST + 2 * count], memory[FIRST + 2 * count :]
     apart_s, share = 0.5 * (duration_s + memory[DURATION_S]), duration_s / (duration_s + ACCELERATION_S)
@@ -122,7 +122,7 @@ def ratio(p: Vector, s: Vector, row: int) -> float:
 
 @compiled
 def _web_torque_Nm(p: Vector, s: Vector, u: Vector, seen: Vector, row: int, load: Vector, v: float) -> float:
-    """See `LineFollower.web_torque_Nm`, of the tensions that are `seen`; `load`: as in the table."""
+    """Compiled `LineFollower.web_torque_Nm`, for the tensions in `seen`; `load`: as in the table."""
     _, m, k = places.counts(p)
     axis, x, force = places.axis(row), s[lay.S_Y + row], 0.0
     if load[2] != 0.0:
@@ -149,7 +149,7 @@ def _observe(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector) -> None:
 
 @compiled
 def _gather(table: Table, line: int) -> None:
-    """What a line shows, and what is integrated of it, to the others'."""
+    """Copy a line's outputs and integrated quantities to the common arrays."""
     first = SHARED + line * EACH
     p, s = floats(table, first + P, (1,)), floats(table, first + STATE, (1,))
     out, tensions = floats(table, first + OUT, (1,)), floats(table, TENSIONS, (1, 2))
@@ -166,7 +166,7 @@ def _gather(table: Table, line: int) -> None:
 
 @compiled
 def follow_alone(table: Table, x: Vector, further: Vector, duration_s: float) -> None:
-    """The line of a table of load motors goes on to where its driven rollers are now, and shows itself."""
+    """Move the line of a load-motor table to its driven rollers' positions, and update its outputs."""
     p, s, u = floats(table, P, (1,)), floats(table, STATE, (1,)), floats(table, INPUTS, (1,))
     w, memory, rows = floats(table, WORK, (1,)), floats(table, MEMORY, (1,)), integers(table, LINE_ROWS, (1,))
     _follow(p, s, u, w, memory, rows, x, further, duration_s)
@@ -175,7 +175,7 @@ def follow_alone(table: Table, x: Vector, further: Vector, duration_s: float) ->
 
 @compiled
 def pull_alone(table: Table, lead_s: float) -> None:
-    """Torques of a table of load motors, of the line so much later, if its driven rollers go on as until now."""
+    """Torques of a load-motor table, by the line predicted `lead_s` ahead at its driven rollers' present motion."""
     p, s, u = floats(table, P, (1,)), floats(table, STATE, (1,)), floats(table, INPUTS, (1,))
     w, memory, ahead = floats(table, WORK, (1,)), floats(table, MEMORY, (1,)), floats(table, AHEAD, (1,))
     rows, loads = integers(table, LINE_ROWS, (1,)), floats(table, LOADS, (1, 2))

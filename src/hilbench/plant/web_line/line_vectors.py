@@ -1,4 +1,4 @@
-"""The vectors of a line that is simulated, and what is transferred into its state from outside; compiled."""
+"""Vectors of a simulated line, and state transfer into them; compiled."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from hilbench.plant.web_line.layout import Vector
 
 
 class LineVectors(NamedTuple):
-    """What a `hilbench.plant.web_line.line.Line` consists of, for compiled callers: `layout` has what stands where,
-    `kernel` goes on with it."""
+    """Vectors of a `hilbench.plant.web_line.line.Line`, for compiled callers; described by `layout`, advanced by
+    `kernel`."""
 
     p: Vector  #: parameters
     s: Vector  #: state
     u: Vector  #: inputs
     w: Vector  #: scratch space
-    out: Vector  #: what is measured and true now (`Layout.columns`)
+    out: Vector  #: measured and true values now (`Layout.columns`)
 
 
 @compiled
 def put_strain(line: LineVectors, span: int, strain: float) -> None:
-    """Let the web in a span (from 0) be strained so; its length stays. `show` after it."""
+    """Set the strain of a span (from 0); its length stays. Call `show` after it."""
     n, m, k = places.counts(line.p)
     material = lay.S_Y + 4 * n + span
     factor = laws.length_factor(line.p, places.first_span(n, m) + span * lay.SP_SIZE)
@@ -35,7 +35,7 @@ def put_strain(line: LineVectors, span: int, strain: float) -> None:
 
 @compiled
 def put_motion(line: LineVectors, axis: int, x_m: float, v_m_s: float) -> None:
-    """Let an axis (from 0), its motor with it, be there and as fast. `show` after it."""
+    """Set position and speed of an axis (from 0) with its motor. Call `show` after it."""
     n = int(line.p[lay.W_AXES])
     at = lay.S_Y + axis
     line.s[at] = x_m
@@ -46,7 +46,7 @@ def put_motion(line: LineVectors, axis: int, x_m: float, v_m_s: float) -> None:
 
 @compiled
 def show(line: LineVectors) -> None:
-    """Bring what is measured up to a state that was changed: friction and gear contact fit the motion, too."""
+    """Update measured values after a change of the state; friction and gear contact follow the motion."""
     n = int(line.p[lay.W_AXES])
     modes = lay.S_Y + 4 * n + 2 * int(line.p[lay.W_SPANS])
     for axis in range(n):
@@ -61,35 +61,35 @@ def show(line: LineVectors) -> None:
 
 @compiled
 def reports(line: LineVectors) -> bool:
-    """Whether what drives report is more than their motion and torque, and may go with the strain."""
+    """True if drives report other values than their motion and torque, possibly depending on the strain."""
     n, m, k = places.counts(line.p)
     return bool(line.w[places.part(n, m, k, lay.REPORTS)] != 0.0)
 
 
 @compiled
 def strain(line: LineVectors, span: int) -> float:
-    """Of a span (from 0), as it was shown last."""
+    """Strain of a span (from 0), as last observed."""
     m, k = int(line.p[lay.W_MOTORS]), int(line.p[lay.W_SPANS])
     return float(line.out[3 * m + k + span])
 
 
 @compiled
 def tension_behind_N(line: LineVectors, span: int, F_next_N: float) -> float:
-    """Behind a span (from 0): that of the next one, as it was shown last; behind the last one `F_next_N`."""
+    """Tension after a span (from 0): that of the next one, as last observed; after the last one `F_next_N`."""
     m, k = int(line.p[lay.W_MOTORS]), int(line.p[lay.W_SPANS])
     return float(line.out[3 * m + span + 1] if span + 1 < k else F_next_N)
 
 
 @compiled
 def is_near(line: LineVectors, axis: int, x1_m: float, x2_m: float, limit_m: float) -> bool:
-    """Whether two axes (the first from 0), as they were shown last, are so near to these positions."""
+    """True if two axes (the first from 0), as last observed, are within `limit_m` of these positions."""
     apart_1_m, apart_2_m = abs(x1_m - line.out[axis]), abs(x2_m - line.out[axis + 1])
     return bool(max(apart_1_m, apart_2_m) <= limit_m)
 
 
 @compiled
 def is_as_fast(line: LineVectors, axis: int, v1_m_s: float, v2_m_s: float, limit_m_s: float) -> bool:
-    """The same of their speeds."""
+    """True if their speeds are within `limit_m_s` of these."""
     first = int(line.p[lay.W_MOTORS]) + axis
     apart_1_m_s, apart_2_m_s = abs(v1_m_s - line.out[first]), abs(v2_m_s - line.out[first + 1])
     return bool(max(apart_1_m_s, apart_2_m_s) <= limit_m_s)
@@ -97,10 +97,10 @@ def is_as_fast(line: LineVectors, axis: int, v1_m_s: float, v2_m_s: float, limit
 
 @compiled
 def put_torque_ripples(p: Vector, s: Vector, motors: NDArray[np.int64], samples: int, ripples_Nm: Vector) -> None:
-    """By how much the torque of the first N of these motors was larger in the mean of the last `samples` sample times
-    of the drives than in the mean of their begin and end, N·m, into `ripples_Nm` (N,)."""
+    """Excess of the mean torque of the first N of these motors over the last `samples` drive sample times over the mean
+    of its two ends, N·m, into `ripples_Nm` (N,)."""
     (n, m, k), now = places.counts(p), int(s[lay.S_COUNT])
-    # Fours are added up in two sums beside each other, as a vector unit does.
+    # Fours are added up in two parallel sums, as a vector unit does.
     inner, ends = 1.0 / samples, 0.5 / samples - 0.5
     fours = (samples + 1) // 4 * 4
     for row in range(len(ripples_Nm)):

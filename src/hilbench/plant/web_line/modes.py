@@ -10,14 +10,14 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 
-#: Angle by which the fastest mode may go on in an integration step; Runge-Kutta's error is then below 1e-4 a period.
+#: Largest angle of the fastest mode per integration step; Runge-Kutta's error is then below 1e-4 a period.
 _ANGLE_OF_A_STEP = 0.4
 
 
 def natural_frequencies_rad_s(model: ModelParameters) -> Vector:
-    """Of all axes of the kernel (n,), ascending: M·x'' = -K·x about the start.
+    """Natural frequencies of all axes of the kernel (n,), ascending: M·x'' = -K·x about the start.
 
-    A span of stiffness E·S/L lies between two rollers, and is stretched by the carriage that carries one of them.
+    A span of stiffness E·S/L is between two rollers, and is stretched by the carriage of one of them.
     """
     p = lay.pack(model)
     layout = Layout.of(p)
@@ -39,9 +39,9 @@ def natural_frequencies_rad_s(model: ModelParameters) -> Vector:
 
 
 def needed_substeps(model: ModelParameters) -> int:
-    """Integration steps per sample time of the drives that the fastest roller of a line of stations needs.
+    """Integration steps per sample time of the drives for the fastest roller of a line of stations.
 
-    Of a line of driven rollers alone one: these are heavy.
+    One for a line of driven rollers alone: these are heavy.
     """
     if model.stations is None:
         return 1

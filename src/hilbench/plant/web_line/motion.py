@@ -1,4 +1,4 @@
-"""What moves a line, compiled: tensions, forces and rates of all it has, and a Runge-Kutta step over them.
+"""Equations of motion of a line, compiled: tensions, forces and rates of all parts, and a Runge-Kutta step over them.
 
 Arguments as in `hilbench.plant.web_line.kernel`.
 """
@@ -58,13 +58,13 @@ def web(
 
 @inlined
 def web_travel_m(p: Vector, x_m: float) -> float:
-    """Way of the web at the first roller, which is at x."""
+    """Travel of the web at the first roller, whose position is x."""
     return reels.web_travel_m(p, places.axis(0), x_m) if reels.is_reel(p, places.axis(0)) else x_m
 
 
 @inlined
 def _put_rates_of_stations(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, y: int) -> None:
-    """What reels make of the web's speeds, and carriages of the rates of the lengths."""
+    """Apply reels to the web's speeds, and carriages to the rates of the lengths."""
     speed, length_rate = places.part(n, m, k, lay.SPEED), places.part(n, m, k, lay.LENGTH_RATE)
     if reels.is_reel(p, places.axis(0)):
         w[speed] *= reels.radius_ratio(p, places.axis(0), w[y])
@@ -81,9 +81,9 @@ def _put_rates_of_stations(p: Vector, u: Vector, w: Vector, n: int, m: int, k: i
 def web_force_N(
     p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int, strain_prev: float, slides: bool
 ) -> float:
-    """Pull of the web on axis i, N forward: the tension behind the roller less the one before it, as last put into `w`.
+    """Force of the web on axis i, N forward: the tension after the roller less the one before it, as last put into `w`.
 
-    An unwinder has none before it, a rewinder none behind it; a carriage is pulled by all its strands. `slides` as in
+    An unwinder has none before it, a rewinder none after it; a carriage is loaded by all its strands. `slides` as in
     `_go_axis`.
     """
     axis = places.axis(i)
@@ -127,19 +127,19 @@ def own_force_N(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int, sl
 
 @inlined
 def is_apart(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
-    """Whether the motor of axis i moves within its gear play."""
+    """True if the motor of axis i moves within its gear play."""
     return laws.has_gap(p, places.axis(i)) and s[places.axis_state(n, k, i) + lay.SA_CONTACT] == 0.0
 
 
 @inlined
 def is_at_stop(s: Vector, n: int, k: int, i: int) -> bool:
-    """Whether axis i is a carriage at one of its stops."""
+    """True if axis i is a carriage at one of its stops."""
     return carriages.is_carriage(k, i) and s[places.axis_state(n, k, i) + lay.SA_CONTACT] != 0.0
 
 
 @inlined
 def per_mass(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int) -> float:
-    """1/kg of roller and motor i as one, of a reel with what is wound on it."""
+    """Inverse mass, 1/kg, of roller and motor i as one, of a reel with the web on it."""
     axis = places.axis(i)
     if reels.is_reel(p, axis):
         return 1.0 / (reels.mass_kg(p, axis, w[y + i]) * laws.inertia_factor(p, axis))
@@ -148,7 +148,7 @@ def per_mass(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int) -> fl
 
 @inlined
 def sticks(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
-    """Whether dry friction holds roller i."""
+    """True if dry friction holds roller i."""
     return s[places.axis_state(n, k, i) + lay.SA_DIRECTION] == 0.0 and laws.is_dry(p, places.axis(i))
 
 
@@ -166,10 +166,10 @@ def acceleration_m_s2(
     load_N: float,
     slides: bool,
 ) -> float:
-    """m/s² of a roller that does not stick, at speed `v` (m/s).
+    """Acceleration, m/s², of a roller that does not stick, at speed `v` (m/s).
 
-    `per_mass`: 1/kg of all that turns with it; `force_N`: motors and smooth resistance on that, `web_N`: pull of the
-    web, `load_N`: what its own motor pushes with through the gear. `slides` as in `_go_axis`.
+    `per_mass`: 1/kg of all that turns with it; `force_N`: motors and smooth resistance on that, `web_N`: force of the
+    web, `load_N`: force of its own motor through the gear. `slides` as in `_go_axis`.
     """
     axis = places.axis(i)
     if slides:
@@ -183,7 +183,7 @@ def acceleration_m_s2(
 
 @inlined
 def _go(w: Vector, size: int, j: int, rate: float, weight: float, ahead: float) -> None:
-    """Quantity j of `size`: its rate into the weighted sum of the step, and on to the next stage, `ahead` s of now."""
+    """Advance quantity j of `size`: its rate into the step's weighted sum, and the next stage, `ahead` s from now."""
     w[lay.SUM * size + j] += weight * rate
     w[lay.STAGE * size + j] = w[lay.NOW * size + j] + ahead * rate
 
@@ -206,8 +206,8 @@ def _go_axis(
     """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play; it may stick, and a
     carriage be at a stop.
 
-    `weight`, `ahead` (s): of this stage of the Runge-Kutta step. `slides`: known beforehand that no gear has play, no
-    roller sticks and no rare force acts, a constant where it is compiled for, so that none is asked for.
+    `weight`, `ahead` (s): of this stage of the Runge-Kutta step. `slides`: compile-time constant, true if no gear has
+    play, no roller sticks and no rare force acts, which saves the checks.
     """
     size, y = places.block(n, k, 1), places.block(n, k, lay.STAGE)
     v = w[y + n + i]
@@ -244,7 +244,7 @@ def _stage(
     ahead: float,
     slides: bool,
 ) -> None:
-    """Rates at time t of what is in the stage block and the torques there, and the next stage `ahead` (s) of now.
+    """Rates at time t for stage block and torques, and the next stage `ahead` (s) from now.
 
     `weight` of these rates in the step's sum; `slides` as in `_go_axis`.
     """
@@ -260,7 +260,7 @@ def _stage(
 
 @inlined
 def _torques(s: Vector, w: Vector, n: int, m: int, k: int, decay: int) -> None:
-    """Torques after the time that belongs to the decays at `decay`, exact for the held commands."""
+    """Torques after the time of the decays at `decay`, exact for the held commands."""
     torque = places.part(n, m, k, lay.TORQUE)
     for j in range(m):
         at = places.motor_state(n, k, j)
@@ -290,10 +290,9 @@ def set_decays(p: Vector, w: Vector, h: float) -> None:
 def integrate(
     p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, slides: bool
 ) -> None:
-    """One classical Runge-Kutta step: quantities at its end in the stage block, torques there; none taken over yet.
+    """Classical Runge-Kutta step: quantities at its end in the stage block, torques there; none accepted yet.
 
-    That they are not taken over is what lets a step with an event in it be tried again, shorter. `slides` as in
-    `_go_axis`.
+    So a step with an event in it can be repeated, shorter. `slides` as in `_go_axis`.
     """
     size = places.block(n, k, 1)
     if w[places.part(n, m, k, lay.DECAY_STEP_S)] != h:
@@ -314,7 +313,7 @@ def integrate(
 
 @compiled
 def integrate_any(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
-    """The same for any line in any mode."""
+    """`integrate` for any line in any mode."""
     noinline()
     n, m, k = places.counts(p)
     integrate(p, s, u, w, n, m, k, t, h, False)
@@ -322,7 +321,7 @@ def integrate_any(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float
 
 @inlined
 def accept(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
-    """Take the end of the step over."""
+    """Accept the end of the step."""
     size = places.block(n, k, 1)
     for j in range(size):
         w[lay.NOW * size + j] = w[lay.STAGE * size + j]

@@ -17,20 +17,20 @@ from hilbench.plant.web_line.parameters import ModelParameters
 
 @dataclass(frozen=True, slots=True)
 class Simulation:
-    """What the model did; arrays of shape (…, n, number of motors or spans), values at the start of each row."""
+    """Simulation result; arrays of shape (…, n, number of motors or spans), values at the start of each row."""
 
     x_m: Vector  #: motor positions at the web, by nominal radius
     v_m_s: Vector
     tau_Nm: Vector  #: measured torques, motor side
     F_N: Vector
     strain: Vector
-    state: Vector  #: at the end, to go on from
-    #: What sensors of stations would say, (…, n, stations): positions of carriages, radii of reels, m.
+    state: Vector  #: at the end, to continue from
+    #: Readings of station sensors, (…, n, stations): positions of carriages, radii of reels, m.
     sensors_m: Vector | None = None
 
 
 def start_state(parameters: Vector, model: ModelParameters, strain: ArrayLike | None = None) -> Vector:
-    """At rest, at position zero (carriages where the model says); every span strained by `strain`.
+    """State at rest, at position zero (carriages at the model's positions); every span strained by `strain`.
 
     Default: as the web that enters.
     """

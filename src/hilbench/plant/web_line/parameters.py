@@ -1,7 +1,7 @@
-"""The model file (also the ``machine:`` block of a bench config): what it may hold, and what follows from it.
+"""Model file of a web line (also the ``machine:`` block of a bench config), and quantities derived from it.
 
-All quantities SI, units in the key names. A value that may differ from roller to roller (or span to span) is
-one number for all of them or a list. Without ``web:`` the model is a lone axis.
+All quantities SI, units in the key names. A value that may differ from roller to roller (or span to span) is one number
+for all of them or a list. Without ``web:`` the model is a lone axis.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from hilbench.plant.web_line.stations import (
     types_by_name,
 )
 
-#: Young's moduli with a meaning: from the softest gel to beyond diamond.
+#: Range of meaningful Young's moduli: from the softest gel to beyond diamond.
 LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa = 1e3, 1e13
 Length = Annotated[FiniteFloat, Field(ge=1e-3, le=1e4)]
 Radius = Annotated[FiniteFloat, Field(ge=1e-4, le=100.0)]
@@ -48,7 +48,7 @@ Modulus = Annotated[FiniteFloat, Field(ge=LEAST_MODULUS_Pa, le=LARGEST_MODULUS_P
 
 
 class WebParameters(Block):
-    """The web: elastic; each value is one for every span or a list of them, in the direction of the web."""
+    """Elastic web; each value is one for every span or a list of them, in the direction of the web."""
 
     youngs_modulus_Pa: Modulus | Annotated[list[Modulus], Field(min_length=1)] = Field(
         description="E along the run of the web; a list where it differs from span to span (warmth, moisture)"
@@ -79,8 +79,8 @@ class MotorParameters(Block):
 
 
 class BoundaryParameters(Block):
-    """What the neighbouring sections do. Without `upstream_strain` it is upstream_tension_N/(E·S) by E·S of span 1,
-    without `downstream_strain` downstream_tension_N/(E·S) by that of the last span."""
+    """Boundary conditions by the neighbouring sections. Without `upstream_strain` it is upstream_tension_N/(E·S) by E·S
+    of span 1, without `downstream_strain` downstream_tension_N/(E·S) by that of the last span."""
 
     upstream_tension_N: NotNegative = Field(default=0.0, description="before the first roller")
     downstream_tension_N: NotNegative = Field(default=0.0, description="behind the last roller")
@@ -195,12 +195,12 @@ class ModelParameters(Block):
 
     @property
     def axis_count(self) -> int:
-        """N: driven rollers in the line (1 without a web)."""
+        """Number N of driven rollers in the line (1 without a web)."""
         return _axis_count(self.stations, self.web, self.rollers, self.motors, self.drives)
 
     @property
     def span_count(self) -> int:
-        """Free spans between rollers that follow each other."""
+        """Number of free spans between successive rollers."""
         return _span_count(self.stations, self.web, self.rollers, self.motors, self.drives)
 
     @property
@@ -212,12 +212,12 @@ class ModelParameters(Block):
 
     @property
     def carriages(self) -> tuple[LineCarriage, ...]:
-        """Those of dancers and accumulators, in the direction of the web."""
+        """Carriages of dancers and accumulators, in the direction of the web."""
         return () if self.stations is None else carriages_of(self.stations)
 
     @property
     def station_types(self) -> dict[str, str]:
-        """Types of the stations that have a name."""
+        """Types of the named stations."""
         return types_by_name(self.stations)
 
     def radius_m(self, axis: int) -> float:
@@ -229,11 +229,11 @@ class ModelParameters(Block):
         return per_item(self.rollers.gear_ratio, axis)
 
     def motor_rad_per_m(self, axis: int) -> float:
-        """i/r: motor angle per metre of web; also web force per motor torque."""
+        """Motor angle per metre of web, i/r; also web force per motor torque."""
         return self.gear_ratio(axis) / self.radius_m(axis)
 
     def velocity_loop_per_s(self, axis: int) -> float:
-        """How fast the velocity loop of an axis follows a set point: kp/J at the motor, 0 without drives."""
+        """Bandwidth of the velocity loop of an axis: kp/J at the motor, 0 without drives."""
         kp = per_item(self.drives.velocity_kp_Nm_s_per_rad, axis) if self.drives else 0.0
         return kp * self.motor_rad_per_m(axis) ** 2 / self.mass_kg(axis)
 
@@ -246,7 +246,7 @@ class ModelParameters(Block):
         return per_item(self.rollers.inertia_kg_m2, axis) / self.radius_m(axis) ** 2
 
     def wound_inertia_kg_m2(self, axis: int) -> float:
-        """Of the web that is on a reel at the start, about its shaft; 0 of another roller."""
+        """Inertia of the web on a reel at the start, about its shaft; 0 of another roller."""
         if self.stations is None:
             return 0.0
         roller = next(roller for roller in self.line_rollers if roller.axis == axis)
@@ -257,21 +257,21 @@ class ModelParameters(Block):
         return 0.5 * pi * roller.station.density_kg_m3 * per_item(self.required_web.width_m, span) * ring_m4
 
     def motor_mass_kg(self, axis: int) -> float:
-        """i²·J_motor/r²: the motor alone, at the web."""
+        """Mass i²·J_motor/r² of the motor alone, at the web."""
         return per_item(self.motors.inertia_kg_m2, axis) * self.motor_rad_per_m(axis) ** 2
 
     def mass_kg(self, axis: int) -> float:
-        """m = (J_roller + i²·J_motor)/r² (design section 5); of a reel with the web that is on it at the start."""
+        """Mass m = (J_roller + i²·J_motor)/r² (design section 5); of a reel with the web on it at the start."""
         wound_kg = self.wound_inertia_kg_m2(axis) / self.radius_m(axis) ** 2
         return self.roller_mass_kg(axis) + self.motor_mass_kg(axis) + wound_kg
 
     def drive_stiffness_N_per_m(self, axis: int) -> float:
-        """ki·(i/r)²: how stiffly the integral part of the velocity loop holds the roller; inf without one."""
+        """Stiffness ki·(i/r)² of the integral part of the velocity loop at the roller; inf without one."""
         ki = per_item(self.drives.velocity_ki_Nm_per_rad, axis) if self.drives else 0.0
         return ki * self.motor_rad_per_m(axis) ** 2 if ki > 0.0 else float("inf")
 
     def carries_web_load(self, axis: int) -> bool:
-        """Whether the tensions act on the roller of `axis`."""
+        """True if the tensions act on the roller of `axis`."""
         return self.web is not None and per_item(self.web_load, axis)
 
     def span_length_m(self, span: int) -> float:
@@ -292,29 +292,29 @@ class ModelParameters(Block):
 
     @property
     def required_web(self) -> WebParameters:
-        """The web. Raises ValueError when the model is a lone axis."""
+        """Parameters of the web. Raises ValueError when the model is a lone axis."""
         if self.web is None:
             raise ValueError("the model has no web, expected 'web' in the model file")
         return self.web
 
     @property
     def upstream_strain(self) -> float:
-        """Strain of the web that enters; stays what it is when E changes (0 without a web)."""
+        """Strain of the web that enters; independent of changes of E (0 without a web)."""
         if self.boundary.upstream_strain is not None:
             return self.boundary.upstream_strain
         return self.boundary.upstream_tension_N / self.stiffness_N(1) if self.web else 0.0
 
     @property
     def downstream_strain(self) -> float:
-        """Strain of the web behind the last roller, which enters in reverse; stays what it is when E changes (0 without
-        a web)."""
+        """Strain of the web after the last roller, which enters in reverse; independent of changes of E (0 without a
+        web)."""
         if self.boundary.downstream_strain is not None:
             return self.boundary.downstream_strain
         return self.boundary.downstream_tension_N / self.stiffness_N(self.span_count) if self.web else 0.0
 
     @property
     def upstream_stiffness_N(self) -> float:
-        """Upstream tension per upstream strain: how F_prev follows a recorded strain."""
+        """Upstream tension per upstream strain: F_prev by a recorded strain."""
         strain, tension = self.upstream_strain, self.boundary.upstream_tension_N
         if tension > 0.0 and strain > 0.0:
             return tension / strain
@@ -322,24 +322,23 @@ class ModelParameters(Block):
 
     @property
     def downstream_stiffness_N(self) -> float:
-        """Downstream tension per downstream strain: how that strain follows a recorded F_next."""
+        """Downstream tension per downstream strain: strain by a recorded F_next."""
         strain, tension = self.downstream_strain, self.boundary.downstream_tension_N
         if tension > 0.0 and strain > 0.0:
             return tension / strain
         return self.stiffness_N(self.span_count) if self.web else 0.0
 
     def with_effects(self, *entries: EffectEntry) -> ModelParameters:
-        """The same model with further effects, validated. Raises pydantic.ValidationError."""
+        """Model with further effects, validated. Raises pydantic.ValidationError."""
         data = self.model_dump()
         data["effects"] = [*data["effects"], *(entry.model_dump() for entry in entries)]
         return ModelParameters.model_validate(data)
 
 
 def places_of(effect: Effect, axis: int | None, span: Section | None, spans: int) -> tuple[Section | None, ...]:
-    """Where of a line with `spans` an effect is that is given so: its axis, its spans, its station, or (None,) for all
-    of the line.
+    """Locations of an effect in a line with `spans`: its axis, its spans, its station, or (None,) for all of the line.
 
-    One of a span without the span is in all of them.
+    A per-span effect without a span is in all of them.
     """
     if effect.per_axis:
         return (axis,)

@@ -1,4 +1,4 @@
-"""Where rows, states and scratch space of a line begin in the vectors of the kernel, compiled; see `layout`.
+"""Offsets of rows, states and scratch space of a line in the vectors of the kernel, compiled; see `layout`.
 
 `n` axes, `m` motors and `k` spans; `i` an axis and `j` a motor, from 0.
 """
@@ -12,55 +12,55 @@ from hilbench.plant.web_line.layout import Vector
 
 @inlined
 def axis(i: int) -> int:
-    """Where axis row i begins in the parameters."""
+    """Offset of axis row i in the parameters."""
     return lay.W_SIZE + i * lay.A_SIZE
 
 
 @inlined
 def motor(n: int, j: int) -> int:
-    """Where motor row j begins in the parameters."""
+    """Offset of motor row j in the parameters."""
     return lay.W_SIZE + n * lay.A_SIZE + j * lay.M_SIZE
 
 
 @inlined
 def first_span(n: int, m: int) -> int:
-    """Where the span rows begin in the parameters."""
+    """Offset of the span rows in the parameters."""
     return lay.W_SIZE + n * lay.A_SIZE + m * lay.M_SIZE
 
 
 @inlined
 def axis_state(n: int, k: int, i: int) -> int:
-    """Where the direction and contact of axis i stand in the state."""
+    """Offset of direction and contact of axis i in the state."""
     return lay.S_Y + 4 * n + 2 * k + i * lay.SA_SIZE
 
 
 @inlined
 def motor_state(n: int, k: int, j: int) -> int:
-    """Where the state of motor j begins."""
+    """Offset of the state of motor j."""
     return lay.S_Y + 4 * n + 2 * k + n * lay.SA_SIZE + j * lay.SM_SIZE
 
 
 @inlined
 def past(n: int, m: int, k: int, j: int) -> int:
-    """Where the past torques of motor j begin in the state."""
+    """Offset of the past torques of motor j in the state."""
     return motor_state(n, k, m) + j * lay.RING
 
 
 @inlined
 def pieces(n: int, m: int, k: int) -> int:
-    """Where the pieces of other web stand in the state."""
+    """Offset of the pieces of other web in the state."""
     return past(n, m, k, m)
 
 
 @inlined
 def block(n: int, k: int, b: int) -> int:
-    """Where block b of integrated quantities begins in the scratch space."""
+    """Offset of block b of integrated quantities in the scratch space."""
     return b * (4 * n + 2 * k)
 
 
 @inlined
 def part(n: int, m: int, k: int, part: int) -> int:
-    """Where a part behind the blocks begins in the scratch space."""
+    """Offset of a part after the blocks in the scratch space."""
     return block(n, k, lay.BLOCKS) + part * m
 
 
@@ -72,5 +72,5 @@ def counts(p: Vector) -> tuple[int, int, int]:
 
 @inlined
 def is_one_span(p: Vector) -> bool:
-    """Whether it is the line most often simulated, for which the path of a step is compiled with constant places."""
+    """True for the line most often simulated, whose step is compiled with constant offsets."""
     return p[lay.W_AXES] == 2.0 and p[lay.W_MOTORS] == 2.0 and p[lay.W_SPANS] == 1.0

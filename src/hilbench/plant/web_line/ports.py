@@ -1,4 +1,4 @@
-"""Between motor ports and the kernel's vectors: set points in, feedback out."""
+"""Transfer between motor ports and the kernel's vectors: set points in, feedback out."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hilbench.plant.web_line.layout import Layout, Vector
 def read_ports(
     layout: Layout, motors: Sequence[int], ports: Sequence[MotorPort], state: Vector, inputs: Vector
 ) -> None:
-    """Set points of the ports into the inputs; forgets that a limit was reached earlier.
+    """Read set points of the ports into the inputs; clears the torque-limited flags.
 
     `motors`: the kernel's motor, from 0, of each port.
     """

@@ -1,7 +1,7 @@
-"""The mechanics of the simulated hardware: servo axes on a test stand, and load motors coupled to their shafts.
+"""Mechanics of the simulated hardware: servo axes on a test rig, and load motors coupled to their shafts.
 
-Each axis turns a flywheel; the shaft of an axis may carry load motors as well. There is no web here: its pull is what
-the bench's load model commands the load motors to do. Quantities at the motor shafts, SI; forces and amplitudes of
+Each axis turns a flywheel; the shaft of an axis may carry load motors as well. There is no web here: its tension is
+commanded to the load motors by the bench's load model. Quantities at the motor shafts, SI; forces and amplitudes of
 effects are those at the web, as everywhere (radius and gear ratio convert them).
 """
 
@@ -30,20 +30,20 @@ OfAxes = FiniteFloat | Annotated[list[FiniteFloat], Field(min_length=1)]
 
 
 class CoupledMotor(Block):
-    """A load motor and the axis whose shaft it turns with."""
+    """Load motor, and the axis whose shaft it turns with."""
 
     axis: int = Field(ge=1, description="on whose shaft it is, counted from 1")
     motor: LoadMotorParameters = LoadMotorParameters()
 
 
 class RigParameters(Block):
-    """The simulated hardware of N axes. One value for all axes or a list of N. `matching` fills it from a model."""
+    """Simulated hardware of N axes. One value for all axes or a list of N. `matching` fills it from a model."""
 
     axes: int = Field(ge=1)
     radius_m: OfAxes
     gear_ratio: OfAxes
     motor_inertia_kg_m2: OfAxes
-    #: What each motor turns besides itself and the load motors on its shaft.
+    #: Load of each motor, without itself and the load motors on its shaft.
     flywheel_inertia_kg_m2: OfAxes
     drives: DriveParameters
     load_motors: tuple[CoupledMotor, ...] = ()
@@ -86,11 +86,11 @@ class RigParameters(Block):
         sensors: SensorParameters | None = None,
         effects: Sequence[EffectEntry] = (),
     ) -> RigParameters:
-        """The stand on which a model's axes turn as in the model: flywheels of J_roller/i², of a reel with the web that
-        is on it at the start.
+        """Rig on which a model's axes turn as in the model: flywheels of J_roller/i², of a reel with the web on it at
+        the start.
 
         The inertia of load motors is taken off the flywheels on their shafts. Raises ValueError for a model without
-        drives, or load motors heavier than the roller they stand for.
+        drives, or load motors heavier than the roller they replace.
         """
         if model.drives is None:
             raise ValueError("the model has no drives, expected 'drives'")
@@ -124,7 +124,7 @@ class RigParameters(Block):
 
 
 def pack_rig(rig: RigParameters, substeps: int = 1) -> Vector:
-    """The kernel's parameter vector (P,) of a rig: N axes, N motors and the load motors, no span.
+    """Parameter vector (P,) of a rig for the kernel: N axes, N motors and the load motors, no span.
 
     `substeps`: integration steps per sample time of the drives.
     """
@@ -170,8 +170,8 @@ class TestRig(SimulatedLine):
     """N axes and the load motors on their shafts; ports in the order of the axes, then of the load motors.
 
     A positive torque of any of them turns its shaft forward. The drives' loops act on the true motion; noise and
-    resolution are in what the ports report. Starts at rest at position zero. Equal parameters, seed and set points
-    give equal feedback, bit for bit. Raises ValueError for another number of ports.
+    resolution are in the ports' feedback. Starts at rest at position zero. Equal parameters, seed and set points give
+    equal feedback, bit for bit. Raises ValueError for another number of ports.
     """
 
     __test__ = False  # not a test, whatever pytest thinks of the name
@@ -196,7 +196,7 @@ class TestRig(SimulatedLine):
         show(self._ports, self._sensors, self._noise)
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Give a flywheel another inertia from now on. Raises ValueError for an unknown name or impossible value."""
+        """Set a flywheel's inertia from now on. Raises ValueError for an unknown name or impossible value."""
         names = [quantity.name for quantity in self._description.parameters]
         axis = names.index(checked_name("parameter", name, self._description.parameters)) + 1
         turned = value + self._rig.rotors_kg_m2(axis)
@@ -205,7 +205,7 @@ class TestRig(SimulatedLine):
     def set_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
-        """Give an axis an effect from now on. Raises ValueError, also for an effect of the web."""
+        """Set an effect of an axis from now on. Raises ValueError, also for an effect of the web."""
         problem = effect_problem(effect_id, axis, EffectPlace.HARDWARE, self._layout.axes, section=section)
         if problem:
             raise ValueError(problem)
@@ -213,7 +213,7 @@ class TestRig(SimulatedLine):
 
 
 def _values(parameters: RigParameters) -> dict[Quantity, float]:
-    """What can be changed while the rig runs, with its values."""
+    """Changeable parameters with their values."""
     return {
         Quantity(f"flywheel_inertia{k}_kg_m2", "kg·m²", f"of what motor {k} turns without load motors, at its shaft"):
         per_item(parameters.flywheel_inertia_kg_m2, k)

@@ -1,4 +1,4 @@
-"""A step of a rig whose motors stay in their modes, compiled: set points in, what the sensors show out."""
+"""Compiled step of a rig whose motors stay in their modes: set points in, sensor readings out."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from hilbench.plant.web_line.kernel import advance, observe
 from hilbench.plant.web_line.layout import Vector
 
 Table = NDArray[np.int64]
-#: What a motor shows, in the order of `hilbench.plant.motor_port.MotorPort`: position, velocity, torque, reference,
-#: whether the torque was limited (1) or not (0).
+#: Feedback of a motor, in the order of `hilbench.plant.motor_port.MotorPort`: position, velocity, torque, reference,
+#: torque limited (1) or not (0).
 SHOWN = 5
-#: Of each motor: standard deviations of position, velocity and torque, and what the encoder counts.
+#: Of each motor: standard deviations of position, velocity and torque, and the encoder's increment.
 SENSOR = 4
-#: What `step_by` returns where the normal numbers are to be drawn anew, and nothing was done.
+#: Result of `step_by` when the normal numbers have to be drawn anew, and nothing was done.
 DRAW = 1
 
 
@@ -26,7 +26,7 @@ DRAW = 1
 def show(
     p: Vector, s: Vector, out: Vector, motors: NDArray[np.int64], sensors: Vector, noise: Vector, shown: Vector
 ) -> None:
-    """What the motors show of what was observed, into `shown`; arguments as of `step`."""
+    """Write the motors' feedback from the observed values into `shown`; arguments as of `step`."""
     axes, count, spans = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
     rows = lay.W_SIZE + axes * lay.A_SIZE
     states = lay.S_Y + 4 * axes + 2 * spans + axes * lay.SA_SIZE
@@ -71,7 +71,7 @@ def step(
 
 
 #: step_by(samples, table of the vectors in this order but for the numbers, which are the last two, as of
-#: `sensor_rows.take_row`): the same.
+#: `sensor_rows.take_row`): `step`.
 @entry_point(COUNT, TABLE)
 def step_by(samples: int, table: Table) -> int:
     numbers = floats(table, 9, (1, 2))

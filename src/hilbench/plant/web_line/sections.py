@@ -1,7 +1,7 @@
 """Sections of a line: the web between two driven rollers, with all idlers, dancers and accumulators that it runs over.
 
-To drives and controllers a section is a span: as long as its strands together, which are springs in series. What turns
-or moves between its ends without a motor is left out.
+To drives and controllers a section is a span: its strands in total length, as springs in series. Rollers and carriages
+between its ends without a motor are left out.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ def axes_before_spans(model: ModelParameters) -> tuple[int, ...]:
 
 
 def first_spans(model: ModelParameters) -> tuple[int, ...]:
-    """Of each section its first span, right behind a driven roller."""
+    """First span of each section, right after a driven roller."""
     rollers = model.line_rollers
     return tuple(number for number, roller in enumerate(rollers[:-1], 1) if roller.axis is not None)
 
 
 def section_model(model: ModelParameters) -> ModelParameters:
-    """A line whose spans are the sections of another; a line of driven rollers alone as it is.
+    """Line whose spans are the sections of another; a line of driven rollers alone is returned unchanged.
 
     Raises ValueError for a line that does not begin and end with a driven roller.
     """

@@ -1,7 +1,7 @@
-"""A line on the measured motion of its driven rollers, beside copies of it in which one unknown each is a little other.
+"""Sensitivity model: a line on the measured motion of its driven rollers, and copies with one unknown perturbed each.
 
-What the copies do differently, over what was varied, is how everything depends on the unknowns: tensions, carriages.
-An unknown is corrected by moving the line along those differences, as if it had been right from the start.
+The copies' differences over the perturbation are the sensitivities of tensions and carriages to the unknowns. An
+unknown is corrected by moving the line along those differences, as if it had been right from the start.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.stations import Reel, reel_name
 
-#: Less of what a carriage was varied by is left no more, and is not blown up again.
+#: Least remaining share of a carriage's perturbation; less is not rescaled.
 _LEAST_LEFT: Final = 0.05
 
 
-#: Of the web, by which idlers and carriages that swing against it come to rest.
+#: Damping of the web, by which idlers and carriages that oscillate against it come to rest.
 _DAMPING_S: Final = 1e-3
 
 
 @entry_point(COUNT, TABLE)
 def _put_load_slopes(unused: int, table: NDArray[np.int64]) -> int:
-    """Table: tensions (F, K), radii over those at the start (N,), pulls per tension (N, K), steps (n,), errors
-    (n,), shares of what tensions tell of unknowns (n, K), the axis, from 0, and the unknown of each reel, and the
-    slopes (N, n + 1)."""
+    """Update the load sensitivities. Table: tensions (F, K), radii over those at the start (N,), load per tension (N,
+    K), perturbations (n,), errors (n,), observability of unknowns by tensions (n, K), the axis, from 0, and the unknown
+    of each reel, and the sensitivities (N, n + 1)."""
     tensions, ratios, pulls = floats(table, 0, (1, 2)), floats(table, 1, (1,)), floats(table, 2, (1, 2))
     steps, errors, identifies = floats(table, 3, (1,)), floats(table, 4, (1,)), floats(table, 5, (1, 2))
     reels, slopes = integers(table, 6, (1, 2)), floats(table, 7, (1, 2))
@@ -55,34 +55,34 @@ def _put_load_slopes(unused: int, table: NDArray[np.int64]) -> int:
 
 
 class Kind(StrEnum):
-    """What may be unknown of a line."""
+    """Kind of an unknown of a line."""
 
-    CARRIAGE = "carriage"  #: where it stands, m
+    CARRIAGE = "carriage"  #: its position, m
     RADIUS = "radius"  #: of a reel: error over the radius at the start
     MODULUS = "modulus"  #: E of a section: relative error
-    STRAIN = "strain"  #: of a section, times relative E: its tension, whatever E is
+    STRAIN = "strain"  #: of a section, times relative E: its tension, independent of E
 
 
-#: By how much each is varied: so little that nothing bends, so much that rounding does not show.
+#: Perturbation of each: small enough to be linear, large enough against rounding.
 _STEPS: Final = {Kind.CARRIAGE: 1e-4, Kind.RADIUS: 1e-5, Kind.MODULUS: 1e-3, Kind.STRAIN: 1e-7}
 
 
 class Unknown(NamedTuple):
-    """What is unknown, and where: number of the carriage, of the axis of a reel, or of the axis before a section."""
+    """Unknown with its location: number of the carriage, of a reel's axis, or of the axis before a section."""
 
     kind: Kind
     number: int
 
     @property
     def step(self) -> float:
-        """By which it is varied."""
+        """Size of its perturbation."""
         return _STEPS[self.kind]
 
 
 def estimated_parameters_of(model: ModelParameters, measured: Collection[str] = ()) -> tuple[Unknown, ...]:
-    """Of a line: its carriages and reels; the strain of the sections without a carriage, which would make its own
-    tension at once; E of each section where every reel is `measured` (stations by name): the tension beside one whose
-    radius is not known shows that, and E no more."""
+    """Unknowns of a line: its carriages and reels; the strain of the sections without a carriage, which would set its
+    own tension at once; E of each section where every reel is `measured` (stations by name): next to an unknown radius
+    the tension identifies that, and not E."""
     before = axes_before_spans(model)
     held = {before[carriage.first_span - 1] for carriage in model.carriages}
     sections = range(1, model.axis_count)
@@ -97,8 +97,8 @@ def estimated_parameters_of(model: ModelParameters, measured: Collection[str] = 
 
 
 class SensitivityModel:
-    """The line, and a copy for each of `unknowns`; `measured`: as `estimated_parameters_of`. Positions
-    (N,) of the driven rollers are at the web."""
+    """Line and a perturbed copy for each of `unknowns`; `measured`: as `estimated_parameters_of`. Positions (N,) of the
+    driven rollers are at the web."""
 
     def __init__(self, model: ModelParameters, measured: Collection[str] = ()) -> None:
         self.unknowns = estimated_parameters_of(model, measured)
@@ -107,22 +107,22 @@ class SensitivityModel:
         self.line = damped_follower(model)
         self._model = model
         self._followers = [self.line, *(damped_follower(model) for _ in self.unknowns)]
-        #: All of them beside each other, the line itself in the first row.
+        #: All of them, the line itself in the first row.
         self._all = PerturbedCopies(self._followers)
-        self.motion_count = self._all.motions.shape[1]  #: of what is integrated
+        self.motion_count = self._all.motions.shape[1]  #: number of integrated quantities
         self._steps = np.array([unknown.step for unknown in self.unknowns])
         self._axes, self._boundary = model.axis_count, (nan, nan)
         self._idlers = [roller.name for roller in model.line_rollers if roller.axis is None]
         self._rollers, carriages = len(model.line_rollers), model.carriages
         self._before, self._span_count = axes_before_spans(model), model.span_count
-        #: Where the lengths of material and of spans begin among what is integrated.
+        #: Offsets of material lengths and span lengths in the integrated quantities.
         self._material = 4 * (self._rollers + len(carriages))
         self._lengths = self._material + self._span_count
         idle = [row for row, each in enumerate(model.line_rollers) if each.axis is None]
         turning = 2 * (self._rollers + len(carriages))
-        #: Where the angles of idlers are among what is integrated: nothing depends on them or brings them back.
+        #: Indices of idler angles in the integrated quantities: nothing depends on them or restores them.
         self._turned = np.array([*idle, *(turning + row for row in idle)], int)
-        #: What a strain changes by carriages alone: where these are, and the lengths of spans.
+        #: Quantities that a strain changes only through carriages: carriage positions, and lengths of spans.
         moved = range(self._rollers, self._rollers + len(carriages))
         spans = range(self._lengths, self._lengths + model.span_count)
         self._kept_by_strain = np.array([*moved, *(turning + row for row in moved), *spans], int)
@@ -137,8 +137,8 @@ class SensitivityModel:
         self._moduli = np.array([model.youngs_modulus_Pa(span) for span in range(1, model.span_count + 1)])
         self._pulls = self._lever_arms()
         self._errors = np.zeros(len(self.unknowns))  # of E and radii, as corrected so far
-        #: What the web pulls at each motor, forward, N·m: how that changes with each unknown, and in the last column by
-        #: how much it is more than with reels of the radius that the model has at their measured position (N, n + 1).
+        #: Sensitivities of the web load at each motor, forward, N·m, to each unknown, and in the last column its excess
+        #: over that with reels of the model's radius at their measured position (N, n + 1).
         self.load_slopes = np.zeros((self._axes, len(self.unknowns) + 1))
         radii = [(each.number - 1, place) for each, place in self.places.items() if each.kind is Kind.RADIUS]
         reels = np.array(radii, np.int64).reshape(-1, 2)
@@ -152,8 +152,8 @@ class SensitivityModel:
         return [each for each in self.unknowns if each.kind is kind]
 
     def _identified_moduli(self) -> Vector:
-        """Whether tensions (K,) tell of unknowns (n, K): where a carriage keeps them E of its web shows in swings
-        alone, of which nobody knows how they began."""
+        """Observability of unknowns by tensions (n, K): where a carriage keeps them E of its web shows only in
+        oscillations, whose initial state is unknown."""
         identifies = np.ones((len(self.unknowns), self._span_count))
         for carriage in self._model.carriages:
             axis = self._before[carriage.first_span - 1]
@@ -175,8 +175,7 @@ class SensitivityModel:
         return arms
 
     def reset(self, positions_m: Sequence[float], speed_m_s: float) -> None:
-        """Start again at these positions, as the model is, with nothing corrected; rollers turn with the web, which has
-        this speed."""
+        """Restart at these positions with the model's state, uncorrected; rollers turn with the web at this speed."""
         turning = {f"v_{name}_m_s": speed_m_s for name in self._idlers}
         self._errors[:] = 0.0
         self._put_errors()
@@ -196,24 +195,24 @@ class SensitivityModel:
         self._all.show()
 
     def set_boundary(self, strain_prev: float, F_next_N: float) -> None:
-        """What the neighbouring sections do from now on."""
+        """Set the boundary inputs from now on."""
         if (strain_prev, F_next_N) != self._boundary:
             self._boundary = (strain_prev, F_next_N)
             for follower in self._followers:
                 follower.set_boundary(strain_prev, F_next_N)
 
     def set_input(self, name: str, value: float) -> None:
-        """One of the inputs of a line from now on. Raises ValueError for an unknown name."""
+        """Set an input of the line from now on. Raises ValueError for an unknown name."""
         for follower in self._followers:
             follower.set_input(name, value)
 
     def follow(self, positions_m: Sequence[float], duration_s: float) -> None:
-        """The driven rollers are now there, `duration_s` after the last call."""
+        """Move the driven rollers to these positions, `duration_s` after the last call."""
         self._all.follow(positions_m, duration_s)
 
     def _put_errors(self) -> None:
-        """Let all go by E and radii as corrected, and as each is varied: a reel of another radius has turned on by what
-        it takes."""
+        """Apply corrected and perturbed E and radii to line and copies: a reel of another radius has turned on
+        accordingly."""
         for i, unknown in enumerate(self.unknowns):
             if unknown.kind is Kind.RADIUS:
                 of_each = self._error_of_each(i)
@@ -225,19 +224,19 @@ class SensitivityModel:
                         follower.put_modulus(k + 1, self._moduli.item(k) * (1.0 + error))
 
     def _error_of_each(self, place: int) -> Vector:
-        """By which the line and the copies (F,) have an unknown other than the model."""
+        """Error of an unknown in the line and the copies (F,), relative to the model."""
         errors = np.full(1 + len(self.unknowns), self._errors[place])
         errors[1 + place] += self._steps[place]
         return errors
 
-    # -- what follows ------------------------------------------------------------------------------------
+    # -- values ------------------------------------------------------------------------------------------
 
     def carriage_m(self, number: int) -> float:
         """Position of a carriage, from 1."""
         return self._all.motions.item(0, self.carriage_row(number))
 
     def carriage_row(self, number: int) -> int:
-        """Place of that among what is integrated."""
+        """Index of a carriage's position in the integrated quantities."""
         return self._rollers + number - 1
 
     def ratio(self, axis: int) -> float:
@@ -246,7 +245,7 @@ class SensitivityModel:
 
     @property
     def ratios(self) -> Vector:
-        """Of all driven rollers (N,); 1 of those that are no reels."""
+        """Radii of all driven rollers (N,) over those at the start; 1 of those that are no reels."""
         return self._all.ratios
 
     def slope_per_m(self, axis: int) -> float:
@@ -254,49 +253,49 @@ class SensitivityModel:
         return self._slopes[axis]
 
     def modulus_factor(self, axis: int) -> float:
-        """What E of the section behind an axis is multiplied with."""
+        """Factor on E of the section after an axis."""
         place = self._place_of_modulus.get(axis)
         return 1.0 + (0.0 if place is None else self._errors.item(place))
 
     @property
     def tensions_N(self) -> Vector:
-        """Of the spans (K,), as of the last call."""
+        """Tensions of the spans (K,), as of the last call."""
         own: Vector = self._all.tensions_N[0]
         return own
 
     def refresh_load_slopes(self) -> None:
-        """Bring `load_slopes` up to what is followed."""
+        """Update `load_slopes` to the present state."""
         _put_load_slopes(0, self._slopes_table)
 
     def shown(self, of_motions: Vector, of_tensions: Vector) -> tuple[Vector, Vector]:
-        """Sums (s,) of what is integrated (s, `motion_count`) and of tensions (s, K), and how they depend on each
-        unknown (s, n)."""
+        """Sums (s,) of integrated quantities (s, `motion_count`) and of tensions (s, K), and their sensitivities to
+        each unknown (s, n)."""
         seen = self._all.motions @ of_motions.T + self._all.tensions_N @ of_tensions.T
         return seen[0], ((seen[1:] - seen[0]) / self._steps[:, None]).T
 
     def _over_steps(self, seen: Vector) -> Vector:
-        """How something that the line and the copies show (F,) depends on each unknown (n,)."""
+        """Sensitivity of an output of line and copies (F,) to each unknown (n,)."""
         slopes: Vector = (seen[1:] - seen[0]) / self._steps
         return slopes
 
     def length_m(self, axis: int) -> float:
-        """Of the section behind an axis, with what its carriages have made longer."""
+        """Length of the section after an axis, including its carriages' strands."""
         return float(sum(self._all.motions[0, self._lengths + k] for k in self._spans[axis]))
 
     def longer_by(self, carriage: Unknown, axis: int) -> float:
-        """By how much the section behind an axis is longer with its carriage so much further; 0 of one at a stop."""
+        """Increase of the length of the section after an axis per travel of its carriage; 0 at a stop."""
         c = self.places[carriage]
         further = self._slopes_seen(carriage).item(c)
         return self._over_steps(self._web_m(axis)[0]).item(c) / further if further > _LEAST_LEFT else 0.0
 
     def strain(self, axis: int) -> float:
-        """Of the section behind an axis, times relative E."""
+        """Strain of the section after an axis, times relative E."""
         return self._seen(Unknown(Kind.STRAIN, axis)).item(0)
 
     # -- corrections -------------------------------------------------------------------------------------
 
     def correct(self, changes: Vector) -> None:
-        """Go on as if the unknowns (n,) had been so much larger from the start."""
+        """Correct the unknowns by `changes` (n,), as if they had been right from the start."""
         motions = self._all.motions
         differences = motions[1:] - motions[0]
         strains = {c: self._slopes_seen(each) for c, each in enumerate(self.unknowns) if each.kind is Kind.STRAIN}
@@ -305,7 +304,7 @@ class SensitivityModel:
             if unknown.kind in (Kind.RADIUS, Kind.MODULUS):
                 self._errors[i] += changes[i]
         motions[0] += (changes / self._steps) @ differences
-        # Of another E the differences are no more those that they were: the tensions are to be right all the same.
+        # With another E the differences change: the tensions have to be right all the same.
         for c, slopes in strains.items():
             left = wanted[c] - self._seen(self.unknowns[c])[0]
             if slopes[c] > _LEAST_LEFT:
@@ -316,7 +315,7 @@ class SensitivityModel:
         self._keep_within_stops()
 
     def rebook(self, changes: Vector) -> None:
-        """E of sections is other by so much (n,), and has been all the time; their tensions are as they are."""
+        """Correct E of sections by so much (n,), as if from the start, at constant tensions."""
         before = [self._error_of_each(i) for i in range(len(self.unknowns))]
         for i, unknown in enumerate(self.unknowns):
             if unknown.kind is not Kind.MODULUS or not changes[i]:
@@ -330,7 +329,7 @@ class SensitivityModel:
         self._all.put()
 
     def _keep_within_stops(self) -> None:
-        """Let carriages that are beyond a stop be at it."""
+        """Move carriages beyond a stop back to it."""
         beyond = False
         for row, name, lower_m, upper_m in self._stops:
             lowest_m, highest_m = -np.inf if lower_m is None else lower_m, np.inf if upper_m is None else upper_m
@@ -342,17 +341,17 @@ class SensitivityModel:
             self._all.show()
 
     def renew(self) -> Vector:
-        """Let carriages and strains be unknowns of now, and no more of the start: what other unknowns have made of them
-        is their own from now on.
+        """Redefine carriages and strains as unknowns of now instead of the start, including the influence of other
+        unknowns.
 
-        Returns what the unknowns are in those of before, (n, n): new = matrix @ old.
+        Returns the change of basis of the unknowns, (n, n): new = matrix @ old.
         """
         turned, motions = np.eye(len(self.unknowns)), self._all.motions
         motions[1:, self._turned] = motions[0, self._turned]
         for c, unknown in enumerate(self.unknowns):
             if unknown.kind not in (Kind.CARRIAGE, Kind.STRAIN):
                 continue
-            if unknown.kind is Kind.STRAIN:  # carriages come first: what is left is rounding, and would be blown up
+            if unknown.kind is Kind.STRAIN:  # carriages come first: the rest is rounding, and would be magnified
                 motions[1 + c, self._kept_by_strain] = motions[0, self._kept_by_strain]
             slopes = self._slopes_seen(unknown)
             if not slopes[c] > _LEAST_LEFT:  # a slack web, or a carriage at its stop
@@ -367,8 +366,8 @@ class SensitivityModel:
         return turned
 
     def web_changed(self) -> Vector:
-        """What unknowns become of others, (n, n), where web suddenly has another E with the strain that it has: its
-        tension is another one at once, and a carriage soon gives way to that."""
+        """Change of unknowns (n, n) by a sudden change of E at constant strain: the tension jumps, and a carriage soon
+        yields."""
         turned = np.eye(len(self.unknowns))
         for c, unknown in enumerate(self.unknowns):
             if unknown.kind is Kind.CARRIAGE:
@@ -381,17 +380,17 @@ class SensitivityModel:
             if unknown.kind is Kind.STRAIN and i is not None:
                 strain = self._seen(unknown)[0] / self.modulus_factor(unknown.number)
                 slopes = self._slopes_seen(unknown)
-                # Of the strain that has come since the last `renew` the modulus makes another tension by itself.
+                # The strain's part since the last `renew` already changes the tension with E.
                 turned[c, i] = (strain - slopes[i]) / slopes[c] if slopes[c] > _LEAST_LEFT else 0.0
         return turned
 
     def _slopes_seen(self, unknown: Unknown) -> Vector:
-        """How a carriage or strain depends on each unknown (n,)."""
+        """Sensitivity of a carriage or strain to each unknown (n,)."""
         return self._over_steps(self._seen(unknown))
 
     def _seen(self, unknown: Unknown) -> Vector:
-        """Of the line and the copies (F,): position of a carriage, or strain times relative E of a section, which is
-        its tension. The strain is that of how much web there is, which never swings."""
+        """Carriage position of line and copies (F,), or a section's strain times relative E, which is its tension. The
+        strain is by the amount of web, which never oscillates."""
         if unknown.kind is Kind.CARRIAGE:
             return self._all.motions[:, self.carriage_row(unknown.number)]
         length_m, material_m = self._web_m(unknown.number)
@@ -401,7 +400,7 @@ class SensitivityModel:
         return seen
 
     def _web_m(self, axis: int) -> tuple[Vector, Vector]:
-        """Of the section behind an axis, of the line and the copies (F,): its length, and that of its web at rest."""
+        """Length of the section after an axis, and unstretched length of its web, for line and copies (F,)."""
         motions, spans = self._all.motions, self._spans[axis]
         material_m: Vector = motions[:, [self._material + k for k in spans]].sum(axis=1)
         length_m: Vector = motions[:, [self._lengths + k for k in spans]].sum(axis=1)
@@ -409,7 +408,7 @@ class SensitivityModel:
 
 
 def damped_follower(model: ModelParameters) -> LineFollower:
-    """A line whose swings come to rest: those of the real one are not known, and what swings tells nothing slow."""
+    """Damped line follower: the real line's oscillations are unknown, and have no information on slow unknowns."""
     follower = LineFollower(model)
     for span in range(1, model.span_count + 1):
         if not any(entry.effect == "web_damping" and entry.span in (None, span) for entry in model.effects):

@@ -1,7 +1,7 @@
-"""What the closed line and its test rig have in common: the kernel's vectors, motor ports, states and effects by name.
+"""Base of the closed line and its test rig: the kernel's vectors, motor ports, states and effects by name.
 
-Both are driven axes that the kernel moves; a line has web between them and says so in metres, a rig has load motors on
-its shafts and says so in radians.
+Both are driven axes moved by the kernel; a line has web between them and uses metres, a rig has load motors on its
+shafts and uses radians.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ YOUNGS_MODULUS = Quantity("youngs_modulus_Pa", "Pa", "Young's modulus E of the w
 
 @dataclass(frozen=True, slots=True)
 class _Memory:
-    """What a state holds beside its names: the kernel's whole state vector, what ports show, and what sensors hold."""
+    """State in addition to its names: the kernel's whole state vector, the ports' feedback, and the sensors' noise."""
 
     state: bytes
     feedback: tuple[tuple[float, float, float, float, bool], ...]
@@ -43,7 +43,7 @@ class _Memory:
 
 @dataclass(frozen=True, slots=True)
 class FurtherState:
-    """Position or speed of a part without a motor, which is a state and an output: `place` among what is integrated."""
+    """Position or speed of a part without a motor, a state and an output: `place` in the integrated quantities."""
 
     quantity: Quantity
     place: int
@@ -51,14 +51,14 @@ class FurtherState:
 
 @dataclass(frozen=True, slots=True)
 class CarriagePush:
-    """An input that pushes a carriage: the row of its axis, from 0, and what an effect adds to it, N."""
+    """Input force of a carriage: the row of its axis, from 0, and the force added by an effect, N."""
 
     row: int
     more_N: float
 
 
 def axis_names(axes: int, unit: Literal["m", "rad"]) -> tuple[Quantity, ...]:
-    """Position and speed of each driven axis, as states and outputs have them."""
+    """Position and speed of each driven axis, named as in states and outputs."""
     place = "at the web: angle × nominal radius / gear ratio" if unit == "m" else "of the motor's shaft"
     return (
         *(Quantity(f"x{k}_{unit}", unit, f"position of axis {k} {place}") for k in range(1, axes + 1)),
@@ -74,7 +74,7 @@ def torque_names(axes: int, motors: int, of: str) -> tuple[Quantity, ...]:
 
 
 def boundary_names() -> tuple[Quantity, ...]:
-    """What the neighbouring sections do to a line."""
+    """Boundary inputs of a line."""
     return (
         Quantity("strain_prev", "1", "strain of the web that enters; the tension before the line follows it"),
         Quantity("F_next_N", "N", "tension behind the last roller"),
@@ -108,7 +108,7 @@ def moduli_by_name(p: Vector) -> dict[str, Vector]:
 
 
 def known_effect(effect_id: str) -> Effect:
-    """The effect with this id. Raises ValueError that lists the known ones."""
+    """Effect with this id. Raises ValueError that lists the known ones."""
     try:
         return find_effect(effect_id)
     except KeyError as error:
@@ -124,7 +124,7 @@ def set_effect(
     parameters: Mapping[str, float],
     able: Iterable[str],
 ) -> None:
-    """Check and write one effect into a parameter vector (P,), or leave it as it was and raise ValueError.
+    """Check and write one effect into a parameter vector (P,); on an error leave it unchanged and raise ValueError.
 
     `able`: ids of the effects that this machine can have.
     """
@@ -147,19 +147,18 @@ def set_effect(
 
 
 def checked_positive(name: str, value: float, unit: str) -> float:
-    """The value of a parameter that is above 0 and finite. Raises ValueError."""
+    """Positive finite value of a parameter. Raises ValueError."""
     if not 0.0 < value < np.inf:
         raise ValueError(f"{name} = {value!r} {unit}, expected a positive number")
     return float(value)
 
 
 class SimulatedLine:
-    """Driven axes that the kernel moves, a motor port for each motor; see `hilbench.plant.interface.Plant`.
+    """Simulation of driven axes with a motor port for each motor; see `hilbench.plant.interface.Plant`.
 
-    `p` (P,): parameter vector, which the machine makes its own; `state` (S,): where it starts; `unit`: of positions.
-    `effects`: ids of those that it can be given. `further`: motion of parts without a motor; `derived`: outputs that
-    follow from what is integrated (`Layout.y`); `forces`: inputs that push carriages.
-    Without ports every motor is off.
+    `p` (P,): parameter vector, owned by the machine; `state` (S,): initial state; `unit`: of positions. `effects`: ids
+    of the supported ones. `further`: motion of parts without a motor; `derived`: outputs computed from the integrated
+    quantities (`Layout.y`); `forces`: force inputs of carriages. Without ports every motor is off.
     """
 
     def __init__(
@@ -178,19 +177,19 @@ class SimulatedLine:
         self._sample_time_s = p.item(lay.W_SAMPLE_TIME_S)
         self._layout = layout = Layout.of(p)
         self._ports = tuple(ports)
-        self._noise: SensorNoise | None = None  # of one with sensors
+        self._noise: SensorNoise | None = None  # only with sensors
         self._inputs, self._work = layout.new_inputs(), layout.new_work()
         self._out = np.zeros(layout.output_size)
         self._parameters = {quantity.name: value for quantity, value in parameters.items()}
         m, k = layout.motors, layout.spans
-        #: Rows of the driven axes, and of the motors that have ports: the kernel's, from 0.
+        #: Rows of the driven axes, and of the motors with ports: the kernel's, from 0.
         self._driven = lay.driven_rows(p)
         self._motors = (*self._driven, *range(layout.axes, m))
         n = len(self._driven)
         rows = layout.motor_rows(p)
         shown = [rows[motor] for motor in self._motors]
         self._places_of_motors = np.array(self._motors, np.int64)
-        self._figures = np.zeros(rig_cycle.SENSOR * len(shown))  # of sensors that add nothing:
+        self._figures = np.zeros(rig_cycle.SENSOR * len(shown))  # sensors without errors:
         self._silence, self._always = silence(len(shown))
         axis_of = {row: number for number, row in enumerate(self._driven, 1)}
         self._per_m = [1.0 if unit == "m" else float(rows[row, lay.M_RAD_PER_M]) for row in self._driven]
@@ -224,7 +223,7 @@ class SimulatedLine:
         self._further = tuple(further)
         self._derived = tuple(derived.values())
         self._forces = {quantity.name: push for quantity, push in forces.items()}
-        #: Where the outputs stand in what the kernel reports, and what they are multiplied with.
+        #: Columns of the outputs in the kernel's report, and their scales.
         columns = [(row, scale) for row, scale in zip(self._driven, self._per_m, strict=True)]
         columns += [(m + row, scale) for row, scale in columns[:n]]
         columns += [(2 * m + motor, 1.0) for motor in self._motors]
@@ -233,12 +232,12 @@ class SimulatedLine:
         self._places = {quantity.name: i for i, quantity in enumerate(self._description.states)}
 
     def describe(self) -> PlantDescription:
-        """What it is; see `hilbench.plant.interface.Machine`."""
+        """Description; see `hilbench.plant.interface.Machine`."""
         return self._description
 
     @property
     def ports(self) -> tuple[MotorPort, ...]:
-        """Those of the axes' motors, then those of load motors."""
+        """Ports of the axes' motors, then of load motors."""
         return self._ports
 
     @property
@@ -247,13 +246,13 @@ class SimulatedLine:
         return float(self._state[lay.S_COUNT] * self._p[lay.W_SAMPLE_TIME_S])
 
     def lock_to(self, duration_s: float) -> None:
-        """Let the drives' sample time be the nearest to the model's of which `duration_s` is a multiple."""
+        """Set the drives' sample time to the nearest to the model's of which `duration_s` is a multiple."""
         time_s, sample_s = self.time_s, locked_sample_time_s(duration_s, self._sample_time_s)
         self._p[lay.W_SAMPLE_TIME_S] = sample_s
         self._state[lay.S_COUNT] = round(time_s / sample_s)
 
     def step(self, duration_s: float) -> None:
-        """Go on by a multiple of the drives' sample time with the ports' set points; write the feedback to them.
+        """Step by a multiple of the drives' sample time with the ports' set points; write the feedback to them.
 
         Raises ValueError for another duration.
         """
@@ -263,10 +262,10 @@ class SimulatedLine:
         self._observe()
 
     def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> CompiledStage:
-        """`step` with set points (M,) in place of those of the ports, whose modes and limits stay what they are; what
-        the ports would show goes into `shown`, (5 M,): position, velocity, torque, reference, torque limited.
+        """`step` with set points (M,) in place of the ports', whose modes and limits are kept; the feedback goes into
+        `shown`, (5 M,): position, velocity, torque, reference, torque limited.
 
-        The ports do not learn of it; who calls it keeps the vectors. Raises ValueError as `step`.
+        The ports are not updated; the caller keeps the vectors. Raises ValueError as `step`.
         """
         samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
         own = self._p, self._state, self._inputs, self._work, self._out, self._places_of_motors
@@ -276,7 +275,7 @@ class SimulatedLine:
         return chained_with_noise(rig_cycle.step_by, samples, vectors, noise)
 
     def _observe(self) -> None:
-        """Bring `_out` up to the state, and the feedback to the ports."""
+        """Update `_out` to the state, and the ports' feedback."""
         self._refresh()
         self._write_ports()
 
@@ -287,7 +286,7 @@ class SimulatedLine:
         kernel.observe(self._p, self._state, self._inputs, self._work, self._out)
 
     def outputs(self) -> dict[str, float]:
-        """The outputs as they are now, with the present parameters."""
+        """Present outputs, with the present parameters."""
         self._refresh()
         values, y = self._out.tolist(), self._layout.y(self._state)
         result = [values[place] * scale for place, scale in self._columns]
@@ -296,7 +295,7 @@ class SimulatedLine:
         return dict(zip(self._output_names, result, strict=True))
 
     def get_state(self) -> PlantState:
-        """The state now; an equal machine goes on from it bit for bit."""
+        """Present state; an equal machine continues from it bit for bit."""
         self._refresh()
         columns, n, rows = self._layout.columns, self._layout.axes, list(self._driven)
         y = self._layout.y(self._state)
@@ -313,10 +312,10 @@ class SimulatedLine:
         )
 
     def set_state(self, state: PlantState | Mapping[str, float]) -> None:
-        """Go on from a state of an equal machine; or transfer states by name, the others stay.
+        """Restore a state of an equal machine; or transfer states by name, the others stay.
 
-        A position or speed is that of an axis with its motor; a control loop goes on from the torque that is given, as
-        one that is entered. Raises ValueError for an unknown name, or a state of another machine.
+        A position or speed is that of an axis with its motor; a control loop continues from the given torque by
+        bumpless transfer. Raises ValueError for an unknown name, or a state of another machine.
         """
         if not isinstance(state, PlantState):
             self._transfer(state)
@@ -374,7 +373,7 @@ class SimulatedLine:
         return self._parameters[checked_name("parameter", name, self._description.parameters)]
 
     def set_input(self, name: str, value: float) -> None:
-        """What the neighbourhood does from now on. Raises ValueError for an unknown name."""
+        """Set an input from now on. Raises ValueError for an unknown name."""
         checked_name("input", name, self._description.inputs)
         if name == "strain_prev":
             self._inputs[lay.U_STRAIN_PREV] = value
@@ -390,7 +389,7 @@ class SimulatedLine:
     def set_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
-        """Give an effect these parameters from now on; strain and motion stay.
+        """Set an effect's parameters from now on; strain and motion stay.
 
         Raises ValueError for an unknown effect, one that this machine cannot have, or a wrong axis, span, slot or
         parameter.
@@ -409,7 +408,7 @@ class SimulatedLine:
         self.set_effect(effect_id, axis, section=section, slot=slot, **known_effect(effect_id).filled({}))
 
     def _set_inertia(self, name: str, value: float, axis: int, roller_mass_kg: float) -> None:
-        """Give axis (counted from 1) another mass on the roller's side of the gear. Raises ValueError."""
+        """Set another mass on the roller's side of the gear of an axis (from 1). Raises ValueError."""
         row = self._layout.axis_rows(self._p)[self._driven[axis - 1]]
         if not 0.0 <= value < np.inf or row[lay.A_MOTOR_MASS_KG] + roller_mass_kg <= 0.0:
             raise ValueError(f"{name} = {value!r} kg·m², expected 0 or more, and inertia of roller or motor above 0")
@@ -424,7 +423,7 @@ class SimulatedLine:
 
 
 def _inputs(spans: int) -> tuple[Quantity, ...]:
-    """The boundary of a line of so many spans, and how their lengths grow; none without a web."""
+    """Inputs of a line of so many spans: boundary, and growth of their lengths; none without a web."""
     if not spans:
         return ()
     rates = (Quantity(f"length_rate{k}_m_s", "m/s", f"growth of the length of span {k}") for k in range(1, spans + 1))

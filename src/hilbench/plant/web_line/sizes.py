@@ -1,4 +1,4 @@
-"""What is usual on one web line or lone axis, of which the sizes of effects are shares."""
+"""Usual sizes of a web line or lone axis, of which the sizes of effects are shares."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import Reel
 
-#: Share of a roller's radius by which positions may differ that are of one instant: encoders, and what slips.
+#: Share of a roller's radius by which positions of one instant may differ: encoders, and slip.
 _ALIKE_SHARE: Final = 5e-4
 #: By how much of an acceleration rollers may differ in a cycle, m/s²: five times what those of one line did that is
 #: brought to 2 m/s in 1 s by set points that go in steps of 16 ms.
@@ -18,10 +18,11 @@ _ALIKE_M_S2: Final = 2.0
 
 
 def least_travel_m(model: ModelParameters, cycle_s: float) -> float:
-    """Way at the web that is measured well enough to tell cycles by it: a share of the smallest roller, and by how much
-    drives follow a step of their set points differently in a cycle of `cycle_s`.
+    """Least travel at the web for counting cycles by it: a share of the smallest roller, and by how much drives follow
+    a step of their set points differently in a cycle of `cycle_s`.
 
-    inf where a dancer, an accumulator or a reel lets the rollers turn at speeds of their own: no way tells anything.
+    inf where a dancer, an accumulator or a reel lets the rollers turn at speeds of their own: travel has no information
+    then.
     """
     if model.carriages or any(isinstance(roller.station, Reel) for roller in model.line_rollers):
         return inf
@@ -37,12 +38,11 @@ def machine_sizes(
     torque_Nm: float | None = None,
     sample_time_s: float | None = None,
 ) -> MachineSizes:
-    """What is usual at an axis (from 1; None: the first) of the machine of a model.
+    """Usual sizes at an axis (from 1; None: the first) of the machine of a model.
 
-    top_speed_m_s: highest speed at the web, which no model tells; only sizes that go with it need it.
-    torque_Nm: usual torque at the motor; where there is no web the force comes from it, and its default is the drive's
-    limit (1 N·m where the model has none).
-    sample_time_s: that of what was recorded, for a model without drives; default 1 ms.
+    top_speed_m_s: highest speed at the web, which is not in a model; only sizes that depend on it need it. torque_Nm:
+    usual torque at the motor; without a web the force follows from it, and its default is the drive's limit (1 N·m
+    where the model has none). sample_time_s: that of a recording, for a model without drives; default 1 ms.
     """
     axis = 1 if axis is None else axis
     radius_m, per_m = model.radius_m(axis), model.motor_rad_per_m(axis)

@@ -1,4 +1,4 @@
-"""The web on measured motion: strain and tension from encoder positions, for the load model and for diagnosis."""
+"""Web on measured motion: strain and tension from encoder positions, for the load model and for diagnosis."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ BROKEN = Quantity("broken", "1", "1: the web has torn and pulls no more; 0: it i
 
 @dataclass(frozen=True, slots=True)
 class _Memory:
-    """What a follower's state holds beside its names: its state vector and the rollers' speeds over the last cycle."""
+    """State of a follower beyond its named states: its state vector and the rollers' speeds over the last cycle."""
 
     state: bytes
     speeds: bytes
 
 
 class SpanFollower:
-    """The web of a model on measured roller positions; the rollers turn at constant speed within a cycle.
+    """Simulation of the web on measured roller positions; the rollers turn at constant speed within a cycle.
 
     N rollers with N-1 spans; positions at the web (motor angle × nominal radius / gear ratio). Starts at `x_m` (N,)
     with the spans strained by `strain` (K,) (default: as the web that enters). See `hilbench.plant.interface.Follower`.
@@ -66,14 +66,14 @@ class SpanFollower:
         self._work = span_kernel.new_follower_work(self._layout)
         self._state = np.zeros(span_kernel.follower_size(self._layout))
         self._v, self._x = np.zeros(n), np.zeros(n)
-        self._ahead, self._tension_ahead = np.zeros_like(self._state), np.zeros(k)  # of the web ahead
-        self._pulled: Sequence[int] = ()  # axes whose load motors are in the next three
+        self._ahead, self._tension_ahead = np.zeros_like(self._state), np.zeros(k)  # of the predicted web
+        self._pulled: Sequence[int] = ()  # axes of the load motors in the next three
         self._loads, self._torques, self._speeds = np.zeros((0, 3)), np.zeros(0), np.zeros(n)
         self._shown = np.zeros(2 * n + 3 * k)
         behind_N = parameters.boundary.downstream_tension_N
         self._boundary = np.array([parameters.upstream_strain, behind_N, _downstream_strain(self._p, behind_N), 0.0])
         self._tension = np.zeros(k)
-        self._stale = False  # tensions are not those of state, boundary and parameters
+        self._stale = False  # tensions are not up to date with state, boundary and parameters
         self._broken = False
         self._rad_per_m = [parameters.motor_rad_per_m(axis) for axis in range(1, n + 1)]
         self._description = _description(parameters)
@@ -82,16 +82,16 @@ class SpanFollower:
 
     @property
     def vectors(self) -> SpanVectors:
-        """What it consists of, for compiled callers: those that move it leave tensions that are up to date."""
+        """Vectors of the follower, for compiled callers, which have to keep the tensions up to date."""
         self._stale = False
         return SpanVectors(self._p, self._state, self._work, self._v, self._boundary, self._tension)
 
     def describe(self) -> PlantDescription:
-        """What it is; see `hilbench.plant.interface.Machine`."""
+        """Description; see `hilbench.plant.interface.Machine`."""
         return self._description
 
     def reset(self, positions: ArrayLike, strain: ArrayLike | None = None) -> None:
-        """Start again at these positions (N,) and strains (K,), at rest; time goes on."""
+        """Restart at these positions (N,) and strains (K,), at rest; time goes on."""
         n = self._layout.axes
         start = start_state(self._p, self.parameters, strain)
         self._state[POSITIONS : POSITIONS + n] = positions
@@ -104,7 +104,7 @@ class SpanFollower:
         self._go_on(0.0)
 
     def follow(self, positions: Sequence[float] | Vector, duration_s: float) -> None:
-        """The rollers are now at `positions` (N,), `duration_s` after the last call.
+        """Move the rollers to `positions` (N,), `duration_s` after the last call.
 
         Raises ValueError for a duration that is not positive.
         """
@@ -114,7 +114,7 @@ class SpanFollower:
         self._go_on(duration_s)
 
     def _go_on(self, duration_s: float) -> None:
-        """To the positions `_x`; of no time only the tensions, as they are where the rollers stand."""
+        """Move to the positions `_x`; for duration 0 compute the tensions at the present ones."""
         span_kernel.follow(
             *(self._p, self._state, self._work, self._v, self._boundary, self._x),
             *(duration_s, self._tension),
@@ -124,10 +124,10 @@ class SpanFollower:
     def follow_on(
         self, p: Vector, x_m: NDArray[np.float64], boundary: NDArray[np.float64], dt_s: float, strain: Vector
     ) -> tuple[Vector, Vector]:
-        """Tensions (n, K) on positions (n, N) as `follow`, from spans that are strained by `strain` (K,) on; and the
-        strains (K,) at the end.
+        """Tensions (n, K) on positions (n, N) as `follow`, starting with strains `strain` (K,); and the final strains
+        (K,).
 
-        From now on the web is that of a parameter vector `p` (P,): the model's with other effects.
+        From now on the parameter vector is `p` (P,): the model's with other effects.
         """
         self._p[:] = p
         self._state[:] = 0.0
@@ -135,25 +135,25 @@ class SpanFollower:
         return self.follow_rows(x_m, boundary, dt_s), self.strain
 
     def follow_rows(self, x_m: NDArray[np.float64], boundary: NDArray[np.float64], dt_s: float) -> Vector:
-        """Tensions (n, K) on positions (n, N) as `follow`; the first row is where the rollers are. `boundary` (n, 2):
-        strain of the web that enters, tension behind the line in N."""
+        """Tensions (n, K) on positions (n, N) as `follow`; the first row is the present position. `boundary` (n, 2):
+        strain of the web that enters, tension after the line in N."""
         out = np.empty((len(x_m), self._layout.spans))
         x, limits = np.ascontiguousarray(x_m, dtype=float), np.ascontiguousarray(boundary, dtype=float)
         span_kernel.follow_rows(self._p, self._state, self._work, x, limits, dt_s, self._v, out)
         return out
 
     def predicted_tension_N(self, lead_s: float) -> Vector:
-        """The tensions (K,) `lead_s` later if the rollers go on as in the last cycle; changes nothing.
+        """Tensions (K,) predicted `lead_s` ahead at the rollers' present speeds; changes nothing.
 
-        Makes good the delay between measuring the motion and the load motor's torque.
+        Compensates the dead time between measuring the motion and the load motor's torque.
         """
         self._pull((), lead_s)
         return self._tension_ahead.copy()
 
     def load_torques_Nm(self, axes: Sequence[int], speeds: Sequence[float], lead_s: float) -> list[float]:
-        """Torques at the shafts of load motors on `axes`, of the web `lead_s` ahead; `speeds` (N,) of all rollers, m/s.
+        """Torques at the shafts of load motors on `axes`, by the web `lead_s` ahead; `speeds` (N,) of all rollers, m/s.
 
-        A load motor turns as fast as the axis' motor.
+        A load motor turns as fast as the axis's motor.
         """
         self._speeds[:] = speeds
         return self._pull(axes, lead_s)
@@ -161,16 +161,16 @@ class SpanFollower:
     def web_torque_Nm(self, axis: int, v_m_s: float) -> float:
         """Torque at the motor of `axis` that emulates the web and the roller's resistance: (r/i)·(F_next - F - R(v)).
 
-        F is the tension of the span before roller `axis` (of the first: the upstream one), F_next that of the span
-        behind it (of the last: the downstream one), as they are now; `v_m_s`: speed of the roller. Dry friction turns
-        over linearly within ±`laws.FRICTION_WIDTH_M_S`: emulated by a torque it must not flip with the noise of v.
-        Inertia and gear effects can't be emulated by it.
+        F is the present tension of the span before roller `axis` (of the first: the upstream one), F_next that of the
+        span after it (of the last: the downstream one); `v_m_s`: speed of the roller. Dry friction is linear within
+        ±`laws.FRICTION_WIDTH_M_S`: emulated by a torque it must not flip with the noise of v. Inertia and gear effects
+        can't be emulated by it.
         """
         self._speeds[axis - 1] = v_m_s
         return self._pull((axis,), None)[0]
 
     def _pull(self, axes: Sequence[int], lead_s: float | None) -> list[float]:
-        """Torques on these axes of the web ahead, whose tensions are in `_tension_ahead` then; None: of that of now."""
+        """Torques on these axes by the predicted web (tensions into `_tension_ahead`); None: by the present one."""
         if self._pulled != axes:
             self._pulled, self._loads = axes, self._pulled_by(axes)
             self._torques = np.zeros(len(axes))
@@ -189,7 +189,7 @@ class SpanFollower:
         return np.array(pulled, float).reshape(-1, 3)
 
     def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> SpansInStep:
-        """With measured motion, and load motors on `axes`; see `hilbench.plant.measured_motion.FollowsInStep`."""
+        """Compiled follower with load motors on `axes`; see `hilbench.plant.measured_motion.FollowsInStep`."""
         return SpansInStep(self, motion, axes)
 
     @property
@@ -199,7 +199,7 @@ class SpanFollower:
 
     @property
     def tension_N(self) -> Vector:
-        """Tension of each span (K,); of a web that has torn none."""
+        """Tension of each span (K,); 0 for a broken web."""
         if self._stale:
             self._evaluate()
         return np.zeros_like(self._tension) if self._broken else self._tension.copy()
@@ -211,20 +211,20 @@ class SpanFollower:
 
     @property
     def strain(self) -> Vector:
-        """Strain of each span (K,); of a web that has torn none."""
+        """Strain of each span (K,); 0 for a broken web."""
         return np.zeros(self._layout.spans) if self._broken else np.array(self._strain_of_lengths())
 
     @property
     def first_strain(self) -> float:
-        """Of the first span."""
+        """Strain of the first span."""
         if self._broken:
             return 0.0
-        first, state = POSITIONS + self._layout.axes, self._state  # in plain Python: of one span, several times a cycle
+        first, state = POSITIONS + self._layout.axes, self._state  # scalars: faster than numpy, several times a cycle
         return state.item(first + self._layout.spans) * self._length_factor(1) / state.item(first) - 1.0
 
     def _strain_of_lengths(self) -> list[float]:
         n, k = self._layout.axes, self._layout.spans
-        # In plain Python: of one span, every cycle, a third of numpy's time.
+        # Scalar access: with one span, every cycle, a third of numpy's time.
         lengths = self._state[POSITIONS + n : POSITIONS + n + 2 * k].tolist()
         return [lengths[k + j] * self._length_factor(j + 1) / lengths[j] - 1.0 for j in range(k)]
 
@@ -233,13 +233,13 @@ class SpanFollower:
 
     @property
     def effective_moduli_Pa(self) -> Vector:
-        """E as it acts now in each span (K,), with the effects on it; of web with a splice in it that of the whole."""
+        """Present E of each span (K,) with effects, including a splice in it."""
         moduli = np.array([span_kernel.modulus_Pa(self._p, span, self._state[0]) for span in range(self._layout.spans)])
         return moduli * [span.factor for span in self.spliced_spans] if has_pieces(self._state) else moduli
 
     @property
     def spliced_spans(self) -> list[SplicedSpan]:
-        """What pieces of other web make of each span (K,)."""
+        """Effect of the pieces of other web on each span (K,)."""
         n, k = self._layout.axes, self._layout.spans
         if not has_pieces(self._state):
             return [WHOLE] * k
@@ -248,12 +248,12 @@ class SpanFollower:
         return spliced_spans(self._state, self._state.item(POSITIONS), stretch, unstretched_m)
 
     def put_pieces(self, pieces: Sequence[Piece]) -> None:
-        """Let these be the pieces of other web in it, in the order in which they came in; the strains stay."""
+        """Set the pieces of other web, in the order in which they came in; the strains stay."""
         put_pieces(self._state, pieces)
         self._stale = True
 
     def outputs(self) -> dict[str, float]:
-        """Motion of the rollers, tension and strain of the spans, and E as it acts."""
+        """Motion of the rollers, tension and strain of the spans, and E with effects."""
         n, k, shown = self._layout.axes, self._layout.spans, self._shown
         if self._stale:
             self._evaluate()
@@ -265,7 +265,7 @@ class SpanFollower:
         return dict(zip(self._names, shown.tolist(), strict=True))
 
     def get_state(self) -> PlantState:
-        """The state now; an equal follower goes on from it bit for bit."""
+        """Present state; an equal follower continues from it bit for bit."""
         outputs = self.outputs()
         return PlantState(
             values={quantity.name: outputs[quantity.name] for quantity in self._description.states},
@@ -273,7 +273,7 @@ class SpanFollower:
         )
 
     def set_state(self, state: PlantState | Mapping[str, float]) -> None:
-        """Go on from a state of an equal follower; or transfer states by name, the others stay.
+        """Restore a state of an equal follower; or transfer states by name, the others stay.
 
         Raises ValueError for an unknown name, or a state of another machine.
         """
@@ -312,7 +312,7 @@ class SpanFollower:
         return float(self._broken)
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Give a parameter a value from now on; strains stay, so a new E makes the tensions jump.
+        """Set a parameter from now on; strains stay, so a new E makes the tensions jump.
 
         Raises ValueError for an unknown name or an impossible value.
         """
@@ -326,10 +326,10 @@ class SpanFollower:
             self._stale = True
 
     def set_input(self, name: str, value: float) -> None:
-        """What the neighbouring sections do from now on. Raises ValueError for an unknown name."""
+        """Set a boundary input from now on. Raises ValueError for an unknown name."""
         checked_name("input", name, self._description.inputs)
         place = 0 if name == "strain_prev" else 1
-        if value != self._boundary.item(place):  # every cycle, and mostly what it was
+        if value != self._boundary.item(place):  # every cycle, mostly unchanged
             self._boundary[place], self._stale = value, True
             if place == 1:
                 self._boundary[2] = _downstream_strain(self._p, value)
@@ -337,7 +337,7 @@ class SpanFollower:
     def set_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
-        """Give an effect these parameters from now on; the strain stays.
+        """Set an effect's parameters from now on; the strain stays.
 
         Raises ValueError for an effect that is unknown or cannot be emulated, or a wrong axis, span, slot or parameter.
         """
@@ -357,7 +357,7 @@ class SpanFollower:
 
 
 class SpansInStep(CompiledInStep):
-    """A `SpanFollower` on measured motion, in one call a cycle; see `hilbench.plant.measured_motion.InStep`."""
+    """Compiled step of a `SpanFollower` on measured motion; see `hilbench.plant.measured_motion.InStep`."""
 
     def __init__(self, web: SpanFollower, motion: MeasuredMotion, axes: Sequence[int]) -> None:
         self._web, torques_Nm = web, np.zeros(len(axes))
@@ -368,16 +368,16 @@ class SpansInStep(CompiledInStep):
 
     @property
     def usable(self) -> bool:
-        """Whether the web is whole."""
+        """True if the web is not broken."""
         return not self._web._broken
 
     @property
     def is_shown(self) -> bool:
-        """Whether nothing was changed since it has followed."""
+        """True if nothing was changed since the last step."""
         return not self._web._stale
 
     def has_followed(self, code: int) -> HasFollowed:
-        """See there."""
+        """Result of a step by its return code; see `InStep`."""
         if code == follower_cycle.NOTHING:
             return HasFollowed.NOT
         self._web._stale = False

@@ -1,4 +1,4 @@
-"""The web on measured motion, compiled: driven rollers at constant speed within a cycle, the spans between them.
+"""Web on measured motion, compiled: driven rollers at constant speed within a cycle, the spans between them.
 
 Vectors as in `hilbench.plant.web_line.layout`; N rollers, K spans.
 """
@@ -21,13 +21,13 @@ Matrix = NDArray[np.float64]
 #: Longest integration step; the error of a step is of order (v·h/L)^5/120, below rounding on the demonstrator.
 LONGEST_STEP_S = 0.001
 
-#: Where the positions begin in the state of `roll_on`: behind the time.
+#: Offset of the positions in the state of `roll_on`: after the time.
 POSITIONS = 1
 
 
 @inlined
 def _first_span(p: Vector) -> int:
-    """Where the span rows begin in the parameters."""
+    """Offset of the span rows in the parameters."""
     return lay.W_SIZE + int(p[lay.W_AXES]) * lay.A_SIZE + int(p[lay.W_MOTORS]) * lay.M_SIZE
 
 
@@ -47,12 +47,12 @@ def _span_rates(
     strain_next: float,
     blur_m: float,
 ) -> None:
-    """Rates (2·K,), m/s, to place `rate` of `w`, of the unstretched and then the nominal lengths (2·K,), m, at `at`.
+    """Rates (2·K,), m/s, at offset `rate` of `w`, of the unstretched and then the nominal lengths (2·K,), m, at `at`.
 
     p (P,): parameters of the line. s: state of `roll_on`, for the pieces of other web. w: positions (n,), m, and speeds
-    (n,), m/s, at its start; behind them room for the web's speeds (n,), then rates of the nominal lengths (k,), and the
-    tensions (k,), N, that come with it; factors (k,) of the steps of E at `steps`. t: s since the start. strain_prev:
-    of the web before the line; f_next, strain_next: tension, N, and strain behind it; blur_m: way in a step (see
+    (n,), m/s, at its start; after them room for the web's speeds (n,), then rates of the nominal lengths (k,), and the
+    tensions (k,), N, that are returned; factors (k,) of the steps of E at `steps`. t: s since the start. strain_prev:
+    of the web before the line; f_next, strain_next: tension, N, and strain after it; blur_m: travel in a step (see
     `spliced_span_rates`).
     """
     speed, length_rate, tension = 2 * n, 3 * n, 3 * n + k
@@ -88,7 +88,7 @@ def roll_on(
     """Advance s = [t, positions (N,), unstretched lengths (K,), lengths (K,), pieces], s and m, at constant speeds.
 
     p (P,): parameters of the line; w: scratch space of `new_follower_work`; v (N,): speeds, m/s; strain_prev: of the
-    web before the line; f_next, strain_next: tension, N, and strain behind it; duration: s, 0 for the tensions alone.
+    web before the line; f_next, strain_next: tension, N, and strain after it; duration: s, 0 for the tensions alone.
     Tensions into `out` (K,), N, with steps of E spread over the next `spread_s` (`laws.step_factor`).
     """
     n, k = int(p[lay.W_AXES]), int(p[lay.W_SPANS])
@@ -139,7 +139,7 @@ def roll_on(
 
 @inlined
 def _tension_around_N(p: Vector, t: float, boundary: Vector, tension: Vector, span: int) -> float:
-    """Of a span, counted from 0; before the first that upstream of the line, behind the last that downstream of it."""
+    """Tension of a span, from 0; before the first the upstream, after the last the downstream one."""
     if span < 0:
         return float(laws.upstream_strain(p, boundary[0], t) * p[lay.W_UPSTREAM_STIFFNESS_N])
     return float(tension[span] if span < len(tension) else boundary[1])
@@ -147,7 +147,7 @@ def _tension_around_N(p: Vector, t: float, boundary: Vector, tension: Vector, sp
 
 @compiled
 def _web_torque_Nm(p: Vector, s: Vector, boundary: Vector, tension: Vector, load: Vector, v: float) -> float:
-    """See `SpanFollower.web_torque_Nm`; `load`: roller from 0, rad per m at its motor, whether it carries the web."""
+    """Compiled `SpanFollower.web_torque_Nm`; `load`: roller from 0, rad per m at its motor, web load flag."""
     roller, force = int(load[0]), 0.0
     if load[2] != 0.0:
         behind = _tension_around_N(p, s[0], boundary, tension, roller)
@@ -168,7 +168,7 @@ def _modulus_Pa(p: Vector, span: int, t: float) -> float:
 def follow(
     p: Vector, s: Vector, w: Vector, v: Vector, boundary: Vector, x: Vector, duration: float, out: Vector
 ) -> None:
-    """Put the rollers to x (N,), m, `duration` later; of no time the tensions alone."""
+    """Move the rollers to x (N,), m, in `duration`; for 0 the tensions alone."""
     n = len(x) if duration > 0.0 else 0
     for i in range(n):
         v[i] = (x[i] - s[POSITIONS + i]) / duration
@@ -191,9 +191,9 @@ def pull(
     speeds: Vector,
     torques: Vector,
 ) -> None:
-    """Torques, N·m, at the motors of `loads` (L, 3; rows as in `_web_torque_Nm`) of the web `lead` s ahead.
+    """Torques, N·m, at the motors of `loads` (L, 3; rows as in `_web_torque_Nm`) by the web predicted `lead` s ahead.
 
-    `ahead` becomes the state and `tension` (K,) the tensions; as they are given where `lead` is negative.
+    `ahead` returns the state and `tension` (K,) the tensions; unchanged where `lead` is negative.
     """
     if lead >= 0.0:
         for i in range(len(s)):
@@ -205,7 +205,7 @@ def pull(
 
 @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
 def show(p: Vector, s: Vector, v: Vector, tension: Vector, out: Vector) -> None:
-    """Put positions, speeds, tensions, strains and E into `out`."""
+    """Write positions, speeds, tensions, strains and E into `out`."""
     n, k = len(v), len(tension)
     first = _first_span(p)
     for i in range(n):
@@ -222,7 +222,7 @@ def show(p: Vector, s: Vector, v: Vector, tension: Vector, out: Vector) -> None:
 def follow_rows(
     p: Vector, s: Vector, w: Vector, x: Matrix, boundary: Matrix, dt: float, v: Vector, out: Matrix
 ) -> None:
-    """Do the same for the rows of x (n, N), tensions into `out` (n, K)."""
+    """Follow the rows of x (n, N); tensions into `out` (n, K)."""
     for row in range(x.shape[0]):
         for i in range(x.shape[1]):
             v[i] = (x[row, i] - s[1 + i]) / dt if row > 0 else 0.0
@@ -247,7 +247,7 @@ def modulus_Pa(p: Vector, span: int, t: float) -> float:
 
 
 class SpanVectors(NamedTuple):
-    """What a `SpanFollower` consists of, for compiled callers."""
+    """Vectors of a `SpanFollower`, for compiled callers."""
 
     p: Vector  #: parameters of the line
     s: Vector  #: state, as of `roll_on`
@@ -259,7 +259,7 @@ class SpanVectors(NamedTuple):
 
 @compiled
 def follow_to(web: SpanVectors, x1_m: float, x2_m: float, duration_s: float) -> None:
-    """The web of two rollers, which are now at these positions, `duration_s` after the last call."""
+    """Move two rollers with web between to these positions, `duration_s` after the last call."""
     web.v[0] = (x1_m - web.s[POSITIONS]) / duration_s
     web.v[1] = (x2_m - web.s[POSITIONS + 1]) / duration_s
     _roll_between(web, duration_s)
@@ -271,10 +271,10 @@ def follow_to(web: SpanVectors, x1_m: float, x2_m: float, duration_s: float) -> 
 def put_boundary(
     web: SpanVectors, strain_prev: float, f_next_N: float, strain_next: float, creep_ratio_prev: float
 ) -> None:
-    """Set what the neighbouring sections do from now on; tensions are those that come with it.
+    """Set inlet strain, outlet tension and strain, and creep ratio at roller 1; recomputes the tensions.
 
-    `creep_ratio_prev`: share by which the web before the line pulls what passes the first roller back over it. What
-    enters has that in its strain; in reverse so much more leaves than the roller turns.
+    `creep_ratio_prev`: share by which the web before the line pulls the web back over the first roller. What enters has
+    that in its strain; in reverse so much more leaves than the roller turns.
     """
     web.boundary[2], web.boundary[3] = strain_next, creep_ratio_prev
     if web.boundary[0] != strain_prev or web.boundary[1] != f_next_N:
@@ -285,7 +285,7 @@ def put_boundary(
 
 @compiled
 def _roll_between(web: SpanVectors, duration_s: float) -> None:
-    """`roll_on` between these neighbours, with the speed that the web has over the first roller."""
+    """`roll_on` with these boundary inputs, at the web's speed over the first roller."""
     turns_m_s, (strain_prev, f_next_N) = web.v[0], (web.boundary[0], web.boundary[1])
     if turns_m_s < 0.0:
         web.v[0] = turns_m_s * (1.0 + web.boundary[3])
@@ -295,7 +295,7 @@ def _roll_between(web: SpanVectors, duration_s: float) -> None:
 
 @inlined
 def modulus_place(p: Vector) -> int:
-    """Where E of the first span stands in the parameters."""
+    """Parameter index of E of the first span."""
     return _first_span(p) + lay.SP_MODULUS_PA
 
 
@@ -307,14 +307,14 @@ def first_strain(web: SpanVectors) -> float:
 
 @inlined
 def first_strain_of(p: Vector, s: Vector) -> float:
-    """The same by parameters and state of `SpanVectors`."""
+    """Strain of the first span by parameters and state of `SpanVectors`."""
     unstretched_m, length_m = s[POSITIONS + 2], s[POSITIONS + 3]
     return float(length_m * laws.length_factor(p, _first_span(p)) / unstretched_m - 1.0)
 
 
 @compiled
 def first_spliced(web: SpanVectors) -> tuple[bool, float, float]:
-    """Whether there are pieces of other web; what they make of the first span, of two rollers (`SplicedSpan`)."""
+    """True if there are pieces of other web; their effect on the first span, of two rollers (`SplicedSpan`)."""
     pieces = len(web.s) - lay.PIECES_SIZE
     if not web.s[pieces + lay.PIECES_COUNT] > 0.0:
         return False, 1.0, 1.0

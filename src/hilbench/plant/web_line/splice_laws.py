@@ -1,7 +1,6 @@
-"""The laws of other web on its way through a line: compiled functions as in `hilbench.plant.web_line.laws`.
+"""Laws of other web passing through a line: compiled functions as in `hilbench.plant.web_line.laws`.
 
-Pieces stand in a ring in the state, the oldest first, from a place `pieces` on (`layout.PIECES_COUNT` and what
-follows).
+Pieces are in a ring in the state, the oldest first, from offset `pieces` on (`layout.PIECES_COUNT` and following).
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ _STRAIN_OFFSET = place("strain_offset", "strain")
 
 @inlined
 def has_splice(p: Vector, s: Vector, pieces: int) -> bool:
-    """Whether a piece of other web is to come, or is in the line; `pieces`: where what has come in stands in `s`."""
+    """True if a piece of other web is pending or in the line; `pieces`: offset of the pieces in `s`."""
     return p[_SPLICE] != 0.0 or s[pieces + lay.PIECES_COUNT] > 0.0
 
 
@@ -29,11 +28,11 @@ def has_splice(p: Vector, s: Vector, pieces: int) -> bool:
 def let_splice_in(
     p: Vector, s: Vector, pieces: int, t_s: float, duration_s: float, x_m: float, v_m_s: float, strain_prev: float
 ) -> None:
-    """Let the splice come in, if that is in [t, t + duration]; one that should have come in before comes now.
+    """Admit the splice, if its time is in [t, t + duration], or has passed.
 
-    `x_m`, `v_m_s`: way and speed of the web at roller 1 at t. What came in before stays; where the new piece comes in
-    before the last one is all in, it takes the place of the rest. Of more than `layout.PIECES` in the line the oldest
-    is forgotten.
+    `x_m`, `v_m_s`: travel and speed of the web at roller 1 at t. Earlier pieces stay; where the new piece comes in
+    before the last one is all in, it replaces the rest. Of more than `layout.PIECES` in the line the oldest is
+    forgotten.
     """
     noinline()
     if p[_SPLICE] == 0.0 or s[pieces + lay.PIECES_CAME] != 0.0 or t_s + duration_s <= p[_SPLICE_S]:
@@ -54,13 +53,13 @@ def let_splice_in(
 
 @inlined
 def _piece(pieces: int, number: int) -> int:
-    """Where the piece that came in as `number` (from 0) stands in the ring."""
+    """Offset of the piece that came in as `number` (from 0) in the ring."""
     return pieces + lay.PIECES_FIRST + number % lay.PIECES * lay.PIECE_SIZE
 
 
 @inlined
 def _oldest(s: Vector, pieces: int) -> int:
-    """Number of the oldest piece that is kept."""
+    """Number of the oldest kept piece."""
     return max(int(s[pieces + lay.PIECES_COUNT]) - lay.PIECES, 0)
 
 
@@ -78,7 +77,7 @@ def forget_passed(s: Vector, pieces: int, x_m: float, strain_prev: float, web_m:
 
 @inlined
 def change_at(s: Vector, pieces: int, x_m: float, at_m: float, stretch: float, blur_m: float) -> float:
-    """Relative change of E·S of the web `at_m` behind roller 1: that of the piece there, with ends that are not sharp.
+    """Relative change of E·S of the web `at_m` after roller 1: that of the piece there, with blurred ends.
 
     Arguments as in `series_factor` and `spliced_span_rates`.
     """
@@ -96,8 +95,8 @@ def change_at(s: Vector, pieces: int, x_m: float, at_m: float, stretch: float, b
 def series_factor(s: Vector, pieces: int, x_m: float, first_m: float, length_m: float, stretch: float) -> float:
     """Factor on E·S of a span that begins at `first_m` and holds `length_m` of web: springs in series.
 
-    Lengths unstretched, from roller 1, whose web has gone `x_m` at the `stretch` of what enters:
-    L/(E·S) = sum of l_j/(E_j·S_j) over what lies in the span.
+    Lengths unstretched, from roller 1, whose web travel is `x_m` at the `stretch` of the entering web: L/(E·S) = sum of
+    l_j/(E_j·S_j) over the pieces in the span.
     """
     compliance = 1.0
     for number in range(_oldest(s, pieces), int(s[pieces + lay.PIECES_COUNT])):
@@ -129,13 +128,13 @@ def spliced_span_rates(
     x_m: float,
     blur_m: float,
 ) -> None:
-    """As `laws.span_rates`, with pieces of other web on their way, which stand from place `pieces` of the state `s` on.
+    """Tensions and rates as `laws.span_rates`, with pieces of other web, from offset `pieces` of the state `s` on.
 
     In every span one tension, F = (L - m)/sum of m_j/(E_j·S_j), and where web leaves it the strain of the piece that is
     there. What comes in has the strain of the web that enters, as when E of the span steps; a piece that comes back in
-    reverse that of its own E·S at the tension behind the line. Places of pieces are counted unstretched from roller 1,
-    whose web has gone `x_m`. `blur_m`: way over which the ends of a piece are not sharp where it leaves a span, so that
-    rates do not jump within a step. Damping beside creep takes the rates at the tension without it.
+    reverse that of its own E·S at the tension after the line. Positions of pieces are unstretched from roller 1, whose
+    web travel is `x_m`. `blur_m`: travel over which the ends of a piece are blurred where it leaves a span, so that
+    rates do not jump within a step. Damping with creep takes the rates at the tension without it.
     """
     noinline()
     stretch_prev = 1.0 + strain_prev

@@ -1,4 +1,4 @@
-"""Pieces of other web in a line, as seen from outside the kernel: which there are, and what they make of each span."""
+"""Pieces of other web in a line, outside the kernel: setting them, and their effect on each span."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from hilbench.plant.web_line.layout import Vector
 
 
 class Piece(NamedTuple):
-    """A piece of web whose E·S is another: where the web at roller 1 was when it came in, m; its length, m
-    unstretched; the relative change."""
+    """Piece of web with another E·S: position of the web at roller 1 when it came in, m; its unstretched length, m; the
+    relative change."""
 
     front_m: float
     length_m: float
@@ -23,8 +23,8 @@ class Piece(NamedTuple):
 
 
 class SplicedSpan(NamedTuple):
-    """What pieces make of a span: factor on E·S of the whole, as of springs in series, and on that of the web that
-    leaves it."""
+    """Effect of pieces on a span: factor on E·S of the whole, as of springs in series, and on that of the web leaving
+    it."""
 
     factor: float
     at_end: float
@@ -35,8 +35,8 @@ WHOLE = SplicedSpan(1.0, 1.0)
 
 @entry_point(VECTOR, REAL, REAL, VECTOR, VECTOR)
 def _put_factors(s: Vector, x_m: float, stretch: float, unstretched_m: Vector, out: Vector) -> None:
-    """Into `out` (2·K,) factor and factor at the end of each span. s: pieces alone; x_m: way of the web at roller
-    1, m; stretch: 1 + strain of what enters; unstretched_m (K,): web in the spans."""
+    """Factor and factor at the end of each span into `out` (2·K,). s: pieces alone; x_m: travel of the web at roller 1,
+    m; stretch: 1 + strain of the entering web; unstretched_m (K,): web in the spans."""
     begin = 0.0
     for k in range(len(unstretched_m)):
         out[2 * k] = splice_laws.series_factor(s, 0, x_m, begin, unstretched_m[k], stretch)
@@ -45,20 +45,20 @@ def _put_factors(s: Vector, x_m: float, stretch: float, unstretched_m: Vector, o
 
 
 def has_pieces(state: Vector) -> bool:
-    """Whether the `state` of a line or follower has any."""
+    """True if the `state` of a line or follower has pieces."""
     return state.item(len(state) - lay.PIECES_SIZE + lay.PIECES_COUNT) > 0.0
 
 
 def spliced_spans(state: Vector, x_m: float, stretch: float, unstretched_m: Sequence[float]) -> list[SplicedSpan]:
-    """What the pieces in the `state` of a line or a follower make of its spans; arguments as `put_factors`."""
+    """Effect of the pieces in the `state` of a line or follower on its spans; arguments as `put_factors`."""
     out = np.empty(2 * len(unstretched_m))
     _put_factors(state[-lay.PIECES_SIZE :], x_m, stretch, np.array(unstretched_m), out)
     return [SplicedSpan(factor, at_end) for factor, at_end in out.reshape(-1, 2).tolist()]
 
 
 def put_pieces(state: Vector, pieces: Sequence[Piece]) -> None:
-    """Let these be the pieces in a line or follower, in the order in which they came in; the last ones if they are
-    more than are kept."""
+    """Set the pieces in a line or follower, in the order in which they came in; the last ones if they exceed the
+    capacity."""
     kept = pieces[-lay.PIECES :]
     of_state = state[-lay.PIECES_SIZE :]
     of_state[lay.PIECES_COUNT] = len(kept)

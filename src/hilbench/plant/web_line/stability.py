@@ -1,7 +1,7 @@
-"""How stiff a web a load motor can emulate over a sampled bus before the loop through it goes unstable.
+"""Stability limit of web emulation over a sampled bus: the stiffest web that a load motor can emulate.
 
-The web is a spring at the shaft, tau = -k·(x + lead·x'), on the loop of `hilbench.plant.sampled_shaft`: the delay works
-as negative damping of about k·(delay - lead).
+The web is a spring at the shaft, tau = -k·(x + lead·x'), on the loop of `hilbench.plant.sampled_shaft`: the dead time
+works as negative damping of about k·(delay - lead).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from hilbench.plant.web_line.parameters import ModelParameters
 
 
 def sampled_shaft(model: ModelParameters, axis: int = 2, **changes: float) -> SampledShaft:
-    """The shaft of a model's axis. Raises ValueError for a model without drives."""
+    """Shaft of a model's axis. Raises ValueError for a model without drives."""
     if model.drives is None:
         raise ValueError("the model has no drives, expected 'drives'")
     values: dict[str, float] = {
@@ -38,7 +38,7 @@ def largest_stiffness_Nm_per_rad(shaft: SampledShaft, lead_s: float = 0.0, most:
 
 
 def _spring(shaft: SampledShaft, stiffness: float, lead_s: float) -> LinearLaw:
-    """The memory is the position of the SYNC before."""
+    """Linear law of a spring; its memory is the position of the previous SYNC."""
     rate = 1.0 / shaft.cycle_s
     return LinearLaw(
         memory=np.zeros((1, 1)),

@@ -1,7 +1,7 @@
-"""What a web runs over beside driven rollers: idlers, dancers, accumulators, reels; and what a line is made of then.
+"""Stations of a web line besides driven rollers: idlers, dancers, accumulators, reels; rollers and carriages of a line.
 
-The web turns half round at every roller of a dancer or accumulator, so that the strands beside them are parallel to the
-way of the carriage. Every value is at the web or, of a carriage, along its way.
+The web turns half round at every roller of a dancer or accumulator, so that its strands are parallel to the carriage's
+travel. Every value is at the web or, of a carriage, along its travel.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from pydantic import Discriminator, Field, FiniteFloat, model_validator
 from hilbench.block import Block
 from hilbench.plant.parameters import NotNegative, Positive
 
-#: What is expected where dancers and the like are not known yet.
+#: Expected line where other stations are not supported.
 ONLY_DRIVEN = "driven rollers alone: idlers, dancers, accumulators and reels are not known here yet"
 
 StationName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
 class DrivenRoller(Block):
-    """The next of the driven rollers, which stand under `rollers:`, `motors:` and `drives:`."""
+    """Next one of the driven rollers, defined under `rollers:`, `motors:` and `drives:`."""
 
     type: Literal["roller"] = Field(description="one that a motor drives")
 
 
 class Reel(Block):
-    """A driven reel at an end of the line: it too stands under `rollers:` (its radius at the start, which its motion is
-    counted by, and its inertia without the web on it), `motors:` and `drives:`."""
+    """Driven reel at an end of the line: defined, too, under `rollers:` (its radius at the start, which its motion
+    refers to, and its inertia without the web on it), `motors:` and `drives:`."""
 
     type: Literal["unwinder", "rewinder"] = Field(description="the first, or the last, of the line")
     name: StationName | None = Field(default=None, description="its type unless given")
@@ -39,7 +39,7 @@ class Reel(Block):
 
 
 class IdlerRollers(Block):
-    """A roller without a motor; of an accumulator each of them."""
+    """Roller without a motor; of an accumulator each of them."""
 
     radius_m: Annotated[FiniteFloat, Field(ge=1e-4, le=100.0)] = Field(description="of a roller without a motor")
     inertia_kg_m2: Positive = Field(description="of such a roller about its shaft")
@@ -50,14 +50,14 @@ class IdlerRollers(Block):
 
 
 class Idler(IdlerRollers):
-    """A roller that the web turns."""
+    """Roller turned by the web."""
 
     type: Literal["idler"] = Field(description="one that the web turns")
     name: StationName = Field(description="in the names of its quantities")
 
 
 class CarriageStation(IdlerRollers):
-    """A carriage that carries rollers, and lengthens the strands of web beside them as it moves."""
+    """Carriage with rollers, whose motion lengthens its strands of web."""
 
     name: StationName = Field(description="in the names of its quantities")
     mass_kg: Positive = Field(description="that moves, with the rollers; of an arm J/arm²")
@@ -84,32 +84,32 @@ class CarriageStation(IdlerRollers):
 
     @property
     def strand_count(self) -> int:
-        """Strands of web that its way lengthens; there is a roller between any two of them."""
+        """Number of strands of web lengthened by its travel; there is a roller between any two of them."""
         return 2
 
     @property
     def arm_length_m(self) -> float:
-        """Of a carriage on an arm; 0 on a guide."""
+        """Arm length of a carriage on an arm; 0 on a guide."""
         return 0.0
 
     def strand_gain(self, position_m: float) -> float:
-        """How much a strand grows with the position there."""
+        """Growth of a strand per travel at this position."""
         return cos(position_m / self.arm_length_m) if self.arm_length_m else 1.0
 
     def held_by_N(self, tension_N: float, position_m: float) -> float:
-        """Force that holds it there against its spring, and strands of this tension."""
+        """Force that holds it at this position against its spring and strands of this tension."""
         spring_N = self.spring_N_per_m * (position_m - self.spring_rest_m)
         return self.strand_count * self.strand_gain(position_m) * tension_N + spring_N
 
     @property
     def kept_tension_N(self) -> float:
-        """Tension of its strands that its force and spring keep where it stands at the start."""
+        """Tension of its strands kept by its force and spring at its start position."""
         spring_N, per_N = self.held_by_N(0.0, self.position_m), self.held_by_N(1.0, self.position_m)
         return (self.force_N - spring_N) / (per_N - spring_N)
 
 
 class Dancer(CarriageStation):
-    """One roller on a carriage or an arm between two strands."""
+    """Dancer: one roller on a carriage or an arm between two strands."""
 
     type: Literal["dancer"] = Field(description="a roller on a carriage or arm")
     arm_m: Positive | None = Field(
@@ -120,19 +120,19 @@ class Dancer(CarriageStation):
 
     @property
     def arm_length_m(self) -> float:
-        """Of the arm; 0 without one."""
+        """Arm length; 0 without one."""
         return self.arm_m or 0.0
 
 
 class Accumulator(CarriageStation):
-    """A carriage over several strands, with rollers by turns on the carriage and in the frame."""
+    """Accumulator: a carriage over several strands, with rollers alternating between carriage and frame."""
 
     type: Literal["accumulator"] = Field(description="a carriage over several strands")
     strands: int = Field(ge=2, le=64, description="of web; there are as many rollers less one")
 
     @property
     def strand_count(self) -> int:
-        """As many as it says."""
+        """Configured number of strands."""
         return self.strands
 
 
@@ -141,7 +141,7 @@ Station = Annotated[DrivenRoller | Reel | Idler | Dancer | Accumulator, Discrimi
 
 @dataclass(frozen=True, slots=True)
 class LineRoller:
-    """A roller that the web runs over, in its direction."""
+    """Roller that the web runs over, in its direction."""
 
     name: str  #: in names of quantities; of a driven one its number
     axis: int | None  #: number of the driven axis, from 1; None: it has no motor
@@ -150,7 +150,7 @@ class LineRoller:
 
 @dataclass(frozen=True, slots=True)
 class LineCarriage:
-    """A carriage, and the spans that its way lengthens, from 1."""
+    """Carriage, and the spans lengthened by its travel, from 1."""
 
     station: Dancer | Accumulator
     first_span: int
@@ -158,7 +158,7 @@ class LineCarriage:
 
 
 def rollers_of(stations: Sequence[Station]) -> tuple[LineRoller, ...]:
-    """All rollers of a line, those on carriages among them."""
+    """All rollers of a line, including those on carriages."""
     found: list[LineRoller] = []
     axis = 0
     for station in stations:
@@ -176,7 +176,7 @@ def rollers_of(stations: Sequence[Station]) -> tuple[LineRoller, ...]:
 
 
 def carriages_of(stations: Sequence[Station]) -> tuple[LineCarriage, ...]:
-    """The carriages of a line with the spans beside their rollers."""
+    """Carriages of a line with the spans at their rollers."""
     found, rollers = [], 0
     for station in stations:
         if isinstance(station, Dancer | Accumulator):
@@ -188,7 +188,7 @@ def carriages_of(stations: Sequence[Station]) -> tuple[LineCarriage, ...]:
 
 
 def stations_problem(stations: Sequence[Station]) -> str | None:
-    """Why a web can't run over these, in one line, or None."""
+    """Reason why a web can't run over these stations, in one line, or None."""
     last = len(stations) - 1
     names: set[str] = set()
     for number, station in enumerate(stations):
@@ -209,22 +209,22 @@ def stations_problem(stations: Sequence[Station]) -> str | None:
 
 
 def force_input(name: str) -> str:
-    """The input of a plant that is the force on the carriage of a station."""
+    """Name of the input of a plant that is the force on a station's carriage."""
     return f"force_{name}_N"
 
 
 def reel_name(reel: Reel) -> str:
-    """In names of its quantities."""
+    """Name of a reel in its quantities."""
     return reel.name or reel.type
 
 
 def station_name(station: Station | None) -> str | None:
-    """In names of its quantities and effects; None of a driven roller, which has a number."""
+    """Name of a station in its quantities and effects; None of a driven roller, which has a number."""
     if isinstance(station, Reel):
         return reel_name(station)
     return None if station is None or isinstance(station, DrivenRoller) else station.name
 
 
 def types_by_name(stations: Sequence[Station] | None) -> dict[str, str]:
-    """Types of those that have a name."""
+    """Types of the named stations."""
     return {name: each.type for each in stations or () if (name := station_name(each)) is not None}

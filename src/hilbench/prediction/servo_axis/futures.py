@@ -1,4 +1,4 @@
-"""Futures of a servo axis from what is known of it now."""
+"""Futures of a servo axis from its present estimate."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ Array = NDArray[np.float64]
 _LEAST_INERTIA_SHARE: Final = 0.05
 #: Longest step, s.
 _LONGEST_STEP_S: Final = 0.00625
-#: So many deviations of its speed within zero a shaft is taken to stand.
+#: Deviations of its speed from zero within which a shaft counts as at rest.
 _STANDS: Final = 3.0
 
 
 @dataclass(frozen=True)
 class ShaftPresent:
-    """What is known of a servo axis now, at the motor shaft, SI.
+    """Present estimate of a servo axis, at the motor shaft, SI.
 
-    `speed_sd_rad_s`: what the speed may be off by. Inertia and friction as the twin has them, with their stated
-    deviations; `command_rad_s`: as the drive follows it from now on; `error_rad_s`: how far the speed was off what it
-    followed when its velocity loop last looked.
+    `speed_sd_rad_s`: deviation of the speed. Inertia and friction by the twin, with their stated deviations;
+    `command_rad_s`: as the drive follows it from now on; `error_rad_s`: speed error at the last sample of its velocity
+    loop.
     """
 
     now_s: float
@@ -60,24 +60,24 @@ class ShaftPresent:
 
 @dataclass(frozen=True)
 class ShaftCourses:
-    """What is asked for at each of T times (T,): speed, rad/s; inertia of the emulated shaft over the
-    present one; its dry friction beyond the present one, N·m."""
+    """Set points at each of T times (T,): speed, rad/s; inertia of the emulated shaft over the present one; its dry
+    friction beyond the present one, N·m."""
 
     speed_rad_s: Array
     inertia_factor: Array
     dry_friction_Nm: Array
 
 
-#: Courses at times (T,), s of experiment time; what is asked for acts a cycle later.
+#: Courses at times (T,), s of experiment time; set points act a cycle later.
 CoursesAt = Callable[[Array], ShaftCourses]
 
 
 class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
-    """Draws and runs the futures of one servo axis.
+    """Futures of one servo axis, drawn and simulated.
 
-    `watched`: its quantities in the kernel's order; `real`: the stand as it is believed to be, beside which the load
-    motor emulates; `cycle_s`: between two measurements. What `prepare` returns may be run by any thread. Raises
-    ValueError for a model without drives.
+    `watched`: its quantities in the kernel's order; `real`: the rig as assumed, on which the load motor emulates;
+    `cycle_s`: between two measurements. The result of `prepare` may be run by any thread. Raises ValueError for a model
+    without drives.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
     def prepare(
         self, present: ShaftPresent, courses_at: CoursesAt, offsets: Offsets, *key: int
     ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
-        """See `Futures`."""
+        """Prepare a prediction; see `Futures`."""
         step_s, courses = self._courses(present, courses_at)
         z = normal_draws(self._futures, 4 + self.quantities, *key)
         p = self._p.copy()
@@ -124,7 +124,7 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         return run, lambda: tally.outlook(present.now_s)
 
     def at_rest(self) -> tuple[ShaftPresent, CoursesAt]:
-        """A shaft that stands and is to stand."""
+        """Present and courses of a shaft at rest that stays at rest."""
         inertia, dry, viscous = (self._p.item(at) for at in (lay.P_INERTIA, lay.P_COULOMB, lay.P_VISCOUS))
         return (
             ShaftPresent(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, inertia, 0.0, dry, 0.0, viscous, 0.0),
@@ -133,15 +133,15 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
 
     @property
     def step_s(self) -> float:
-        """Of futures with the model's inertia."""
+        """Step of futures with the model's inertia."""
         return self._step_s(self._p.item(lay.P_INERTIA))
 
     def _step_s(self, inertia_kg_m2: float) -> float:
-        """As long as the drive's velocity loop on so much inertia allows; a twist of the shaft has steps of its own."""
+        """Longest step allowed by the drive's velocity loop on this inertia; a twisting shaft has steps of its own."""
         return whole_step_s(self._kp / inertia_kg_m2, self._horizon_s, _LONGEST_STEP_S)
 
     def _courses(self, present: ShaftPresent, courses_at: CoursesAt) -> tuple[float, Array]:
-        """The step that the lightest shaft to come allows, and the courses in it, (T, `kernel.COURSES`)."""
+        """Step allowed by the lightest future shaft, and the courses in it, (T, `kernel.COURSES`)."""
         lightest = max(
             present.inertia_kg_m2 - 3.0 * present.inertia_sd_kg_m2, _LEAST_INERTIA_SHARE * present.inertia_kg_m2
         )
@@ -158,7 +158,7 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         return step_s, np.ascontiguousarray(np.stack(columns, axis=1))
 
     def _times_s(self, now_s: float, step_s: float) -> Array:
-        """When that is asked for which the drive follows in each step: a cycle before."""
+        """Times of the set points that the drive follows in each step: a cycle earlier."""
         steps = round(self._horizon_s / step_s)
         return np.asarray(now_s - self._cycle_s + step_s * np.arange(steps), np.float64)
 
@@ -168,13 +168,13 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         inertia = present.inertia_kg_m2 * np.maximum(1.0 + share * z[:, 0], _LEAST_INERTIA_SHARE)
         dry = present.dry_friction_Nm + present.dry_friction_sd_Nm * z[:, 1]
         viscous = present.viscous_friction_Nm_s_per_rad + present.viscous_friction_sd_Nm_s_per_rad * z[:, 2]
-        # What was found has what the model's effects make of the inertia.
+        # The estimate includes the effect of the model's effects on the inertia.
         return np.ascontiguousarray(np.stack((inertia / look_at(p, present.now_s)[0], dry, viscous), axis=1))
 
     def _start(self, p: Array, present: ShaftPresent, z: Array) -> Array:
-        """States (B, S): the shaft at its speed in the drive's loop; z (B,) of the speed."""
+        """States (B, S): the shaft at its speed in the drive's loop; z (B,): draws of the speed."""
         state = lay.new_state(p)
-        state[lay.S_COUNT] = round(present.now_s / p[lay.P_SAMPLE_TIME_S])  # effects go by the experiment's time
+        state[lay.S_COUNT] = round(present.now_s / p[lay.P_SAMPLE_TIME_S])  # effects follow the experiment's time
         state[lay.S_X] = present.position_rad
         state[lay.S_PAST : lay.S_PAST + lay.RING] = present.torque_Nm
         (motor,) = lay.motor_states(state)

@@ -1,11 +1,10 @@
-"""Futures of a servo axis: the plant's kernel behind the set points to come, compiled.
+"""Futures of a servo axis: the plant's kernel driven by future set points, compiled.
 
 The closed loop of shaft and drive at one coarse step: the drive's loop samples once per step, the mechanics are
-integrated by the plant's own kernel, with every effect that the model has; what the load motor then has to emulate is
-the law of `hilbench.plant.servo_axis.emulation`.
-
-Vectors as in `hilbench.plant.servo_axis.layout`. B futures, T steps; the quantities that are watched, Q = 3, in this
-order: torques of the axis' motor as its drive reports it and of the load motor (N·m), speed of the axis (rad/s).
+integrated by the plant's own kernel, with every effect of the model; the load motor's torque follows the law of
+`hilbench.plant.servo_axis.emulation`. Vectors as in `hilbench.plant.servo_axis.layout`. B futures, T steps; the watched
+quantities, Q = 3, in this order: torques of the axis's motor as reported by its drive and of the load motor (N·m),
+speed of the axis (rad/s).
 """
 
 from __future__ import annotations
@@ -26,17 +25,17 @@ from hilbench.prediction.judging import TallyVectors, keep, of_table, see
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Quantities that are watched.
+# Watched quantities.
 Q_TORQUE: Final = 0
 Q_LOAD_TORQUE: Final = 1
 Q_SPEED: Final = 2
 QUANTITIES: Final = 3
-# Columns of what is asked for at the start of each step.
+# Columns of the set points at the start of each step.
 C_COMMAND: Final = 0  #: rad/s
 C_INERTIA: Final = 1  #: as a share of the present one
 C_DRY: Final = 2  #: dry friction beyond the present one, N·m
 COURSES: Final = 3
-# Columns of what a future has drawn of its shaft.
+# Columns of the draws of a future's shaft.
 D_INERTIA: Final = 0  #: kg·m², without the model's effects
 D_DRY: Final = 1  #: dry friction, N·m, without the model's effects
 D_VISCOUS: Final = 2  #: viscous friction, N·m·s/rad, without the model's effects
@@ -45,14 +44,14 @@ DRAWN: Final = 3
 
 @inlined
 def _change_shaft(p: Vector, shaft: Matrix, b: int, courses: Matrix, i: int) -> None:
-    """Inertia and friction of future b in step i."""
+    """Set inertia and friction of future b in step i."""
     p[lay.P_INERTIA] = shaft[b, D_INERTIA] * courses[i, C_INERTIA]
     p[lay.P_COULOMB], p[lay.P_VISCOUS] = max(shaft[b, D_DRY] + courses[i, C_DRY], 0.0), max(shaft[b, D_VISCOUS], 0.0)
 
 
 @inlined
 def _watched(p: Vector, real: Vector, steepest: float, s: Vector, u: Vector, out: Vector, q: Vector) -> None:
-    """The quantities now into q (Q,); out: scratch for what is observed."""
+    """Write the present quantities to q (Q,); out: scratch for observed values."""
     kernel.report(p, s, out, 0)
     q[Q_TORQUE], q[Q_SPEED] = out[lay.O_TORQUE], out[lay.O_V]
     now_s, a = s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S], kernel.acceleration_rad_s2(p, s, u)
@@ -76,7 +75,7 @@ def _run(
     every: int,
     b: int,
 ) -> None:
-    """Future b, to its end."""
+    """Run future b to its end."""
     row, until_row = 0, every
     for i in range(courses.shape[0]):
         _change_shaft(p, shaft, b, courses, i)
@@ -90,9 +89,9 @@ def _run(
             row, until_row = row + 1, every
 
 
-#: run_futures(parameters, those of the stand as it is believed to be, slope of the emulated dry friction at standstill,
-#: states (B, S), drawn (B, DRAWN), courses (T, COURSES), state, inputs, observed, quantities, table of the tally
-#: (`Tally.table`), measurements in a step, steps in a row).
+#: run_futures(parameters, those of the rig as assumed, slope of the emulated dry friction at standstill, states (B, S),
+#: draws (B, DRAWN), courses (T, COURSES), state, inputs, observed, quantities, table of the tally (`Tally.table`),
+#: measurements in a step, steps in a row).
 @entry_point(
     *[VECTOR] * 2,
     REAL,

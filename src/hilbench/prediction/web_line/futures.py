@@ -1,4 +1,4 @@
-"""Futures of a web line from what is known of it now."""
+"""Futures of a web line from its present estimate."""
 
 from __future__ import annotations
 
@@ -23,33 +23,33 @@ from hilbench.prediction.tally import Offsets, Tally, whole_step_s
 from hilbench.prediction.web_line import kernel
 
 Array = NDArray[np.float64]
-#: Gains (K, `kernel.G_SIZE`) of the controllers at an E (Pa) as the twin has it.
+#: Gains (K, `kernel.G_SIZE`) of the controllers at an E (Pa) by the twin.
 Gains = Callable[[float], Array]
 
 #: Longest step, s: the drives' loops act once in it, and with more the torques where a ramp begins are off by more than
-#: 2 % of what is steered.
+#: 2 % of the control action.
 _LONGEST_STEP_S: Final = 0.007
-#: How the twin finds another E, which the controllers go by: cycles of the bus in which it shows nothing of it; the
-#: share of the change that follows soon, with a time constant in cycles times the root of how many rollers' torques
-#: tell it together; and that of the rest, s. (Of its default method, as runs of one and two spans with steps by 10 and
-#: 20 % have it, at 1 to 3 m/s.)
+#: Response of the twin's E, which the controllers use, to a change: dead time in bus cycles; the share of the change
+#: that follows soon, with a time constant in cycles times the root of the number of rollers whose torques are summed;
+#: and that of the rest, s. (Of its default method, from runs of one and two spans with steps by 10 and 20 %, at 1 to 3
+#: m/s.)
 _UNSEEN_CYCLES: Final = 4
 _SOON_SHARE: Final = 0.8
 _SOON_CYCLES: Final = 15
 _LATER_S: Final = 0.15
-#: Gains are told apart by E in so many steps of it.
+#: Resolution of gains over E, in steps per E.
 _GAINS_PER_MODULUS: Final = 50
-#: E of a future is at least this share of the estimate.
+#: Least E of a future, as a share of the estimate.
 _LEAST_MODULUS_SHARE: Final = 0.05
 
 
 @dataclass(frozen=True)
 class LinePresent:
-    """What is known of a line now: N axes, K spans, L load motors; at the web but for torques (motor side), SI.
+    """Present estimate of a line: N axes, K spans, L load motors; at the web but for torques (motor side), SI.
 
-    Of what is measured with noise the deviation of one sample is given, too. `modulus_Pa`: as the twin has it,
-    `modulus_sd_Pa` its stated deviation; `tensions_N`: as the twin simulates them; `commands_m_s`: as the drives have
-    them from now on, `commands_before_m_s` until now.
+    For noisy measurements the deviation of one sample is included. `modulus_Pa`: by the twin, `modulus_sd_Pa` its
+    stated deviation; `tensions_N`: as simulated by the twin; `commands_m_s`: of the drives from now on,
+    `commands_before_m_s` until now.
     """
 
     now_s: float
@@ -70,8 +70,8 @@ class LinePresent:
 
 @dataclass(frozen=True)
 class LineCourses:
-    """What is asked for at the start of each of T steps: line speed (T,), m/s; set-points (T, K), N; E of the emulated
-    web in each span over the present one (T, K)."""
+    """Set points at the start of each of T steps: line speed (T,), m/s; set points (T, K), N; E of the emulated web in
+    each span over the present one (T, K)."""
 
     line_speed_m_s: Array
     set_points_N: Array
@@ -79,10 +79,10 @@ class LineCourses:
 
 
 def step_s(model: ModelParameters, horizon_s: float) -> float:
-    """The step of futures: as long as the fastest motion of the line allows, and a whole part of the horizon.
+    """Step of futures: as long as the fastest motion of the line allows, and a whole part of the horizon.
 
-    That is the swing of a roller between the spans beside it, or its velocity loop. Raises ValueError for a model
-    without web or drives.
+    That is a roller's oscillation between its spans, or its velocity loop. Raises ValueError for a model without web or
+    drives.
     """
     if model.drives is None:
         raise ValueError("the model has no drives, expected 'drives'")
@@ -96,12 +96,12 @@ def step_s(model: ModelParameters, horizon_s: float) -> float:
 
 
 class LineFutures(Futures[LinePresent, LineCourses]):
-    """Draws and runs the futures of one line.
+    """Futures of one line, drawn and simulated.
 
-    `leads` (N, `kernel.LEAD_SIZE`) at a step, s: what leads the rollers ahead of the controllers, None for nothing;
-    `watched`: its quantities in the kernel's order; `load_axes`: axis (from 1) of each load motor; `span`: at which
-    the twin finds E, that of the others goes with it by the model; `cycle_s`: between two measurements. What `prepare`
-    returns may be run by any thread, one at a time.
+    `leads` (N, `kernel.LEAD_SIZE`) at a step, s: feed-forward of the rollers, None for none; `watched`: its quantities
+    in the kernel's order; `load_axes`: axis (from 1) of each load motor; `span`: that of the twin's estimate of E, the
+    others follow it by the model; `cycle_s`: between two measurements. The result of `prepare` may be run by any
+    thread, one at a time.
     """
 
     def __init__(
@@ -136,13 +136,13 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         self._layout.motor_inputs(self._inputs)[:, lay.UM_MODE] = MotorMode.VELOCITY
 
     def times_s(self, now_s: float) -> Array:
-        """When each of the T steps begins."""
+        """Start times of the T steps."""
         return np.asarray(now_s + self.step_s * np.arange(self.steps), np.float64)
 
     def prepare(
         self, present: LinePresent, courses: LineCourses, offsets: Offsets, *key: int
     ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
-        """See `Futures`."""
+        """Prepare a prediction; see `Futures`."""
         n, k, q = self._layout.axes, self._layout.spans, self.quantities
         z = normal_draws(self._futures, 1 + n + q, *key)
         scale = np.maximum(1.0 + present.modulus_sd_Pa / present.modulus_Pa * z[:, 0], _LEAST_MODULUS_SHARE)
@@ -150,7 +150,7 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         moduli = present.modulus_Pa * self._moduli
         factor = self._as_found(courses.modulus_factor)
         known = np.ascontiguousarray(moduli * self._sections_m2 * factor)
-        # All controllers go by the one E that the twin tells.
+        # All controllers use the same stated E of the twin.
         near = np.round(_GAINS_PER_MODULUS * factor[:, self._span - 1]) / _GAINS_PER_MODULUS
         seen, row_of = np.unique(present.modulus_Pa * near, return_inverse=True)
         gains = np.concatenate([self._gains(float(modulus)) for modulus in seen])
@@ -172,7 +172,7 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         return run, lambda: tally.outlook(present.now_s)
 
     def at_rest(self) -> tuple[LinePresent, LineCourses]:
-        """A line that stands and is to stand, strained as the web that enters."""
+        """Present and courses of a line at rest that stays at rest, strained as the web that enters."""
         steps, n, k = self.steps, self._layout.axes, self._layout.spans
         tension_N = np.array([self._model.upstream_strain * self._model.stiffness_N(span + 1) for span in range(k)])
         rest = np.zeros(n)
@@ -195,11 +195,11 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         return present, LineCourses(np.zeros(steps), np.tile(tension_N, (steps, 1)), np.ones((steps, k)))
 
     def _start(self, present: LinePresent, z: Array) -> Array:
-        """States (B, S): axes at the web's speed in their control loops; z (B, N) of the speeds."""
+        """States (B, S): axes at the web's speed in their control loops; z (B, N): draws of the speeds."""
         layout, n = self._layout, self._layout.axes
         strain = self._strains(present)
         state = start_state(self._p, self._model, strain)
-        state[lay.S_COUNT] = round(present.now_s / self.step_s)  # effects of the model go by the experiment's time
+        state[lay.S_COUNT] = round(present.now_s / self.step_s)  # effects follow the experiment's time
         rows, motors = layout.motor_rows(self._p), layout.motor_states(state)
         ratio = rows[:, lay.M_RAD_PER_M]
         motors[:, lay.SM_MODE] = MotorMode.VELOCITY
@@ -215,14 +215,14 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         return states
 
     def _controllers(self, present: LinePresent, gains: Array) -> Array:
-        """What the controllers keep (B, 4·K): their integrals are those that led to the present commands."""
+        """Controller states (B, 4·K): the integrals are those of the present commands."""
         k = self._layout.spans
         kept = np.zeros((k, kernel.C_SIZE))
         error_N, strains = present.set_points_N - present.tensions_N, self._strains(present)
         commands = np.append(present.commands_m_s[:-1], present.line_speed_m_s)
         around = commands[1:].copy()
         ahead = gains[:, kernel.G_TRAJECTORY_PER_S] > 0.0
-        # On the way of a set-point it is where the web is: how far it has come is told by nothing else.
+        # On a set point's trajectory it is taken as reached: its progress is not known otherwise.
         error_N[ahead] = 0.0
         entering = np.concatenate(([present.upstream_strain], strains[:-1]))
         entering_back = interpreted(laws.downstream_strain)(self._p, present.downstream_tension_N)
@@ -234,11 +234,11 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         return np.tile(np.append(kept.reshape(-1), np.full(k + 1, np.nan)), (self._futures, 1))
 
     def _strains(self, present: LinePresent) -> Array:
-        """Of the spans (K,), which the twin takes over from the axes."""
+        """Strains of the spans (K,), which the twin transfers from the axes."""
         return np.asarray(present.tensions_N / (present.modulus_Pa * self._moduli * self._sections_m2), np.float64)
 
     def _as_found(self, factor: Array) -> Array:
-        """What the twin tells of E over the present one (T, K), where `factor` is what there is."""
+        """Stated E of the twin over the present one (T, K), for a true `factor`."""
         stated = factor.copy()
         for span in np.flatnonzero((factor != 1.0).any(axis=0)):
             changes = np.diff(factor[:, span], prepend=1.0)
@@ -247,7 +247,7 @@ class LineFutures(Futures[LinePresent, LineCourses]):
 
 
 def _found_after(step_s: float, steps: int, cycle_s: float, model: ModelParameters) -> Array:
-    """Share of a change of E in span k that the twin has found so many steps after it, (K, T)."""
+    """Share of a change of E in span k that the twin has followed so many steps after it, (K, T)."""
     rollers = model.axis_count - np.arange(1, model.span_count + 1)
     unseen = round(_UNSEEN_CYCLES * cycle_s / step_s)
     passed_s = step_s * np.maximum(np.arange(1, steps + 1) - unseen, 0)

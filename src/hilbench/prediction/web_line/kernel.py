@@ -1,11 +1,11 @@
 """Futures of a web line: the plant's kernel with the tension controllers around it, compiled.
 
 The closed loop of plant, drives and controllers at one coarse step: the drives' loops sample and the controllers act
-once per step, the mechanics are integrated by the plant's own kernel, with every effect that the model has. What a
-coarse step changes is small beside what is not known: docs/prediction.md has the figures.
+once per step, the mechanics are integrated by the plant's own kernel, with every effect of the model. The error of a
+coarse step is small against the uncertainty: docs/prediction.md has the figures.
 
-Vectors as in `hilbench.plant.web_line.layout`. B futures, T steps, N axes, K spans, L load motors; the quantities that
-are watched, Q = K + N + L + N, in this order: tensions (N), torques of the axes' motors and of the load motors (N·m),
+Vectors as in `hilbench.plant.web_line.layout`. B futures, T steps, N axes, K spans, L load motors; the watched
+quantities, Q = K + N + L + N, in this order: tensions (N), torques of the axes' motors and of the load motors (N·m),
 speeds of the axes at the web (m/s).
 """
 
@@ -46,46 +46,46 @@ G_LEAST_PER_S: Final = 2  #: of the integral: inverse of the longest integral ti
 G_LIMIT_M_S: Final = 3
 G_RATE: Final = 4  #: of the damping
 G_ELONGATION_PER_S: Final = 5
-G_FADES: Final = 6  #: what is left of the elongation after a step
+G_FADES: Final = 6  #: remaining share of the elongation after a step
 G_SENT: Final = 7  #: of the damping's last command
 G_DAMPING_LIMIT_M_S: Final = 8
-G_TRAJECTORY_PER_S: Final = 9  #: rate of the poles on which a set-point goes its way (feed-forward); 0: there is none
+G_TRAJECTORY_PER_S: Final = 9  #: rate of the poles of a set point's trajectory (feed-forward); 0: none
 G_LENGTH_M: Final = 10  #: of the span
-_G_TRAJECTORY_LEFT: Final = 11  # what a step leaves of the way
+_G_TRAJECTORY_LEFT: Final = 11  # remaining share of the trajectory after a step
 G_SIZE: Final = 12
 
-# What the controller of a span keeps, from C_SIZE times its number (from 0) on; behind those of all spans stands what
-# each driven roller's drive has taken up of what pulls it, N (NaN: not known yet).
+# State of a span's controller, from C_SIZE times its number (from 0) on; after those of all spans the force that each
+# driven roller's drive has taken up, N (NaN: unknown yet).
 C_INTEGRAL_M_S: Final = 0
 C_ELONGATION_M: Final = 1
 C_STRAIN: Final = 2  #: in the last step
 C_DAMPING_M_S: Final = 3  #: last command of the damping
-C_TRAJECTORY_STRAIN: Final = 4  #: on the way of the set-point, with its rate and that one's
+C_TRAJECTORY_STRAIN: Final = 4  #: on the set point's trajectory, with its first and second derivative
 C_TRAJECTORY_PER_S: Final = 5
 C_WAY_PER_S2: Final = 6
-C_SHOWN_M_S: Final = 7  #: by how much the span was to lengthen in the last step
+C_SHOWN_M_S: Final = 7  #: intended growth rate of the span in the last step
 C_SIZE: Final = 8
 
-# Columns of what leads a roller (N, `LEAD_SIZE`): at the web.
+# Columns of a roller's feed-forward (N, `LEAD_SIZE`): at the web.
 LEAD_MASS_KG: Final = 0
-LEAD_KP_N_S_PER_M: Final = 1  #: 0: no lead
-LEAD_SHARE: Final = 2  #: of what is not yet taken up, that a step takes up
+LEAD_KP_N_S_PER_M: Final = 1  #: 0: none
+LEAD_SHARE: Final = 2  #: share of the force not yet taken up that a step takes up
 LEAD_LIMIT_N: Final = 3
-LEAD_PULLED: Final = 4  #: 1: the web pulls the roller
+LEAD_PULLED: Final = 4  #: 1: the web loads the roller
 LEAD_SIZE: Final = 5
 
 
 @inlined
 def _strain(p: Vector, w: Vector, n: int, m: int, k: int, j: int) -> float:
-    """Of span j, from the quantities now."""
+    """Strain of span j, from the present quantities."""
     scale = laws.length_factor(p, places.first_span(n, m) + j * lay.SP_SIZE)
     return w[4 * n + k + j] * scale / w[4 * n + j] - 1.0
 
 
 @inlined
 def _go_way(c: Vector, at: int, rate_per_s: float, left: float, goal: float, h: float) -> None:
-    """The strain that is wanted in a span, a step further on its way to `goal`: three equal poles, of which `left` is
-    left after it."""
+    """Advance the wanted strain of a span by a step on its trajectory to `goal`: three equal poles, with `left`
+    remaining after it."""
     off = c[at + C_TRAJECTORY_STRAIN] - goal
     slope = c[at + C_TRAJECTORY_PER_S] + rate_per_s * off
     bend = 0.5 * (c[at + C_WAY_PER_S2] + 2.0 * rate_per_s * c[at + C_TRAJECTORY_PER_S] + rate_per_s * rate_per_s * off)
@@ -98,7 +98,7 @@ def _go_way(c: Vector, at: int, rate_per_s: float, left: float, goal: float, h: 
 
 @inlined
 def _lead(leads: Matrix, i: int, c: Vector, held: int, acceleration: float, pull_N: float) -> float:
-    """By how much the command of roller i leads its planned speed, m/s; c[held]: what its drive has taken up, N."""
+    """Feed-forward of roller i's command over its planned speed, m/s; c[held]: force taken up by its drive, N."""
     kp = leads[i, LEAD_KP_N_S_PER_M]
     if kp <= 0.0:
         return 0.0
@@ -123,11 +123,11 @@ def _plan(
     h: float,
     ahead: Vector,
 ) -> None:
-    """Ways of the set-points in step i, and what leads each roller into `ahead` (K + 1,), m/s.
+    """Advance the set points' trajectories in step i, and write each roller's feed-forward to `ahead` (K + 1,), m/s.
 
     `acceleration`: of the line, m/s². As `hilbench.bench.tasks.tension_feed_forward`.
     """
-    pull_N = 0.0  # of the web behind a roller
+    pull_N = 0.0  # of the web after a roller
     for j in range(k, -1, -1):
         here_N = 0.0  # of the web before it
         if j < k and g[row * k + j, G_TRAJECTORY_PER_S] > 0.0:
@@ -159,7 +159,7 @@ def _command(
 ) -> tuple[float, float]:
     """Speed of the axis before a span, m/s, without and with the damping.
 
-    c: from `at` on what the controller keeps; `lead`: speed of the axis behind the span, `around` what is corrected.
+    c: controller state from `at` on; `lead`: speed of the axis after the span, `around`: speed to be corrected.
     """
     kp = g[row, G_KP]
     ki = kp * max(abs(lead) / g[row, G_POLE_LENGTH_M], g[row, G_LEAST_PER_S])
@@ -194,8 +194,8 @@ def _set_points(
     known: Matrix,
     ahead: Vector,
 ) -> None:
-    """Velocities of all axes for step i, from the last one on; `known` (T, K): E·S as the twin has it, N; `ahead`
-    (K + 1,): what leads each roller, m/s."""
+    """Set velocities of all axes for step i, from the last one on; `known` (T, K): E·S by the twin, N; `ahead` (K +
+    1,): feed-forward of each roller, m/s."""
     h = p[lay.W_SAMPLE_TIME_S]
     speed = command = lead
     for j in range(k, -1, -1):
@@ -223,7 +223,7 @@ def _set_points(
 
 @inlined
 def _watched(n: int, m: int, k: int, p: Vector, s: Vector, u: Vector, w: Vector, load_axes: Indices, q: Vector) -> None:
-    """The quantities now into q (Q,)."""
+    """Write the present quantities to q (Q,)."""
     loads, now_s = load_axes.shape[0], s[lay.S_COUNT] * p[lay.W_SAMPLE_TIME_S]
     for j in range(k):
         span = places.first_span(n, m) + j * lay.SP_SIZE
@@ -242,7 +242,7 @@ def _watched(n: int, m: int, k: int, p: Vector, s: Vector, u: Vector, w: Vector,
 
 @inlined
 def _change_moduli(n: int, m: int, k: int, p: Vector, moduli: Vector, scale: float, factor: Matrix, i: int) -> bool:
-    """E of all spans in step i; whether that is another than before."""
+    """Set E of all spans in step i; True if it has changed."""
     changed = False
     for j in range(k):
         at = places.first_span(n, m) + j * lay.SP_SIZE + lay.SP_MODULUS_PA
@@ -254,7 +254,7 @@ def _change_moduli(n: int, m: int, k: int, p: Vector, moduli: Vector, scale: flo
 
 @compiled
 def _go_on_two_spans(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
-    """`kernel.go_on` by one step of three rollers with their own motors alone, the counts as constants."""
+    """Step `kernel.go_on` for three rollers with their own motors alone, the counts as constants."""
     noinline()
     kernel.advance_line(p, s, u, w, 3, 3, 2, 1, True)
 
@@ -287,7 +287,7 @@ def _run(
     every: int,
     b: int,
 ) -> None:
-    """Future b, to its end; `before`: the line speed until now, m/s."""
+    """Run future b to its end; `before`: the line speed until now, m/s."""
     leading, h = leads[0, LEAD_KP_N_S_PER_M] > 0.0, p[lay.W_SAMPLE_TIME_S]
     _change_moduli(n, m, k, p, moduli, scale, factor, 0)
     kernel.enter(p, s, u, w)
@@ -298,7 +298,7 @@ def _run(
             acceleration = (lead[i] - (lead[i - 1] if i else before)) / h
             _plan(k, c, g, row_of[i], acceleration, set_point, i, known, leads, h, ahead)
         _set_points(n, m, k, p, u, w, c, g, row_of[i], lead[i], set_point, i, known, ahead)
-        if changed:  # the tension jumps with E, and the rollers give way within a step
+        if changed:  # the tension jumps with E, and the rollers yield within a step
             _watched(n, m, k, p, s, u, w, load_axes, q)
             see(tally, q, 1.0, b, i - 1)
         if k == 2 and m == 3 and n == 3:

@@ -1,1 +1,1 @@
-"""The kinds of machine, each as the twin knows it: the closed model, and what keeps it in step with the measurement."""
+"""Machines of the twin by kind: the closed model, and its estimator from measurements."""

@@ -1,4 +1,4 @@
-"""Which kind of machine the twin is of. What only another kind needs is not loaded."""
+"""Factory of machines by kind; modules of other kinds are not loaded."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _WARM_UP_CYCLES = 100
 
 
 def maker(model: MachineParameters) -> Callable[[TwinConfig, Shape, float, BoundaryInputs], TwinMachine]:
-    """How the machine of a model is made (`new_machine`). What it is made of has been imported then."""
+    """Constructor of a model's machine (`new_machine`); imports its modules."""
     if isinstance(model, ServoAxisParameters):
         from hilbench.twin.machines.servo_axis import ServoAxisTwin
 
@@ -33,12 +33,12 @@ def maker(model: MachineParameters) -> Callable[[TwinConfig, Shape, float, Bound
 def new_machine(
     model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s: float, boundary_inputs: BoundaryInputs
 ) -> TwinMachine:
-    """The machine of a model; `boundary_inputs`: what the bench last said of its boundary."""
+    """Machine of a model; `boundary_inputs`: last stated boundary inputs."""
     return maker(model)(config, shape, cycle_s, boundary_inputs)
 
 
 def boundary(model: MachineParameters, shape: Shape) -> Mapping[str, float]:
-    """What 6413h holds before the bench writes it, by signal."""
+    """Initial values of 6413h, by signal."""
     if isinstance(model, ServoAxisParameters):
         return {}
     from hilbench.twin.machines import web_line
@@ -47,7 +47,7 @@ def boundary(model: MachineParameters, shape: Shape) -> Mapping[str, float]:
 
 
 def warm_up(model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s: float) -> None:
-    """Compile (or load) what a cycle runs on scratch objects, so that it is over before the devices boot."""
+    """Compile (or load) the cycle's functions on scratch objects before the devices boot."""
     machine = new_machine(model, config, shape, cycle_s, boundary(model, shape).__getitem__)
     axes = range(model.axis_count)
     for k in range(_WARM_UP_CYCLES):
@@ -58,7 +58,7 @@ def warm_up(model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s:
 
 
 def warm_up_in_vectors(model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s: float) -> None:
-    """The same of what a machine in vectors runs on."""
+    """Compile (or load) the functions of a machine in vectors."""
     machine = new_machine(model, config, shape, cycle_s, boundary(model, shape).__getitem__)
     if isinstance(machine, VectorMachine):
         machine.warm_up_in_vectors()

@@ -1,4 +1,4 @@
-"""What a machine is to the twin's process; listening, time, alarms and status are the same for all."""
+"""Interface of a machine to the twin's process; reception, time, alarms and status are common to all."""
 
 from __future__ import annotations
 
@@ -17,117 +17,116 @@ from hilbench.twin.estimated_errors import EstimatedModelError
 
 #: Position in rad and torque in N·m of one axis, at the motor.
 Measured = tuple[float, float]
-#: What the bench last said of the machine's boundary, by the name of the signal (6413h).
+#: Boundary input last stated by the bench, by the name of the signal (6413h).
 BoundaryInputs = Callable[[str], float]
 
 
 class TwinMachine(Protocol):
-    """The closed model of a machine with its estimator."""
+    """Closed-loop model of a machine with its estimator."""
 
     @property
     def ports(self) -> Sequence[MotorPort]:
-        """Of the model's motors, one for each virtual axis."""
+        """Ports of the model's motors, one for each virtual axis."""
 
     @property
     def plant(self) -> Plant:
-        """The model."""
+        """Model of the plant."""
 
     @property
     def problem(self) -> Problem | None:
-        """Why the last measurement could not be used."""
+        """Reason why the last measurement could not be used, if any."""
 
     @property
     def problems(self) -> Mapping[int, Problem | None]:
-        """The same by the number of the span at which it is; of a machine with one, or without, under 0."""
+        """Problems by span number; under 0 for a machine with one span, or none."""
 
     @property
     def shift_span(self) -> int:
-        """Number of the span at which the torque has shifted, or is undecided, most; 0 where there is one, or none."""
+        """Number of the span with the largest (or an undecided) torque shift; 0 with one span, or none."""
 
     @property
     def refused(self) -> bool:
-        """Whether a measured state was not plausible and was not taken over in the last cycle."""
+        """True if a measured state was implausible in the last cycle and was not transferred."""
 
     @property
     def synchronized(self) -> bool:
-        """Whether what is estimated is known as well as the config asks for."""
+        """True if the estimate is as certain as configured."""
 
     @property
     def separable(self) -> bool:
-        """Whether the data tell everything that is estimated apart."""
+        """True if the data separate all estimated parameters."""
 
     @property
     def torque_shift_Nm(self) -> float:
-        """What the measured torque has shifted by, and is corrected for; 0 where nothing looks for it."""
+        """Shift of the measured torque that is compensated; 0 without detection."""
 
     @property
     def torque_undecided(self) -> bool:
-        """Whether the torque has changed, and nothing tells yet why."""
+        """True if the torque has changed for a reason that is still undecided."""
 
     def reset(self) -> None:
-        """Start anew with what is assumed at the start, at rest."""
+        """Reset to the initial assumptions, at rest."""
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
-        """Whether nobody knows how long a cycle is, as SYNC does not come as often as was believed: what is measured
-        is followed then, and nothing is learned from it."""
+        """Freeze parameter adaptation while the SYNC period is uncertain; state tracking goes on."""
 
     def set_cycle_time(self, cycle_s: float) -> None:
-        """Each cycle is so long from the next on. Goes on from what was known when it was last but one said to `keep`
-        it, and from where the machine is now."""
+        """Set the cycle time. Parameters are restored from the last-but-one checkpoint (`keep`); the machine state is
+        kept."""
 
     def keep(self) -> None:
-        """What is known now was found with cycles that are as long as is believed. A release does the same."""
+        """Take a checkpoint of the estimate: the cycle time is as assumed. A release does the same."""
 
     def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
-        """The drives have been enabled: take motion and torque of the axes (N,) over, from two cycles in a row.
+        """Release the machine after the drives were enabled: take over motion and torque of the axes (N,), from two
+        cycles in a row.
 
-        `under_way`: they were enabled already when the twin began. False where either measurement is of several
-        instants: nothing is taken over.
+        `under_way`: they were enabled already when the twin began. False if either measurement is incoherent (of
+        several instants): nothing is taken over.
         """
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
-        """Take what the axes (N,) measured at the instant that the model has been simulated to.
+        """Take the axes' (N,) measurements at the instant that the model has been simulated to.
 
-        False where the measurements are not of one instant: a `miss`.
+        False if they are not coherent (of one instant): a `miss`.
         """
 
     def miss(self) -> None:
-        """A cycle without measurement: the estimate is held."""
+        """Hold the estimate in a cycle without measurement."""
 
     def listen(self) -> None:
-        """Take over what the bench says of the machine's boundary: it acts in the next step of the plant."""
+        """Read the boundary inputs; they act in the next step of the plant."""
 
     def use_method(self, number: int) -> None:
-        """Go on with another method from the present estimate (2101h); 0: the configured one.
+        """Switch to another method from the present estimate (2101h); 0: the configured one.
 
-        Raises ValueError for a number that there is not.
+        Raises ValueError for an unknown number.
         """
 
     def found(self) -> Sequence[EstimatedModelError]:
-        """What is known by now of errors of the model."""
+        """Estimated errors of the model."""
 
     def published(self) -> Sequence[float]:
-        """What the virtual I/O shows now: one value for each signal of 6403h (`ProcessData.published`)."""
+        """Outputs of the virtual I/O: one value for each signal of 6403h (`ProcessData.published`)."""
 
     @property
     def largest_steps(self) -> Sequence[float]:
-        """Of each of these values by how much another model may change it from one cycle to the next; inf, or nothing
-        where there are no more: by anything."""
+        """Largest step of each output by a model switch, from one cycle to the next; inf, or absent: unlimited."""
 
 
-#: What a machine in vectors has done in a cycle: gone on; the same, and what it reports may be another; gone on without
-#: a measurement, as they were not of one instant.
+#: Result of a cycle in vectors: continued; continued, with a possibly changed report; continued without measurement, as
+#: it was not coherent.
 WENT_ON, LOOK, MISSED = range(3)
 
 
 @dataclass(frozen=True)
 class MachineVectors:
-    """Where a machine in vectors finds what it takes, and leaves what it shows; of N axes.
+    """Process image of a machine in vectors, for N axes.
 
     `measured` (4 N,): position and torque of an axis in the first and third of its four; `asked` (N,), `shown` (5 N,):
-    set points and feedback of the motors as of `hilbench.plant.interface.StepsInModes`. `values`: with what the bench
-    says of the boundary at the places `boundary_places`, by signal, and what is published at `published`; `whole`: with
-    number and status of the next SYNC at these places.
+    set points and feedback of the motors as of `hilbench.plant.interface.StepsInModes`. `values`: boundary inputs at
+    the offsets `boundary_places`, by signal, and outputs at `published`; `whole`: number and status of the next SYNC at
+    these offsets.
     """
 
     measured: NDArray[np.float64]
@@ -142,33 +141,33 @@ class MachineVectors:
 
 
 class InVectors(Protocol):
-    """A released machine, with the model that it was configured with, while it goes on in vectors."""
+    """Released machine with its configured model, running in vectors."""
 
     @property
     def piece(self) -> CompiledStage:
-        """Of a cycle: `compare`, `listen`, a step of the plant, `published`, and the status for the next SYNC; another
-        one once `go_on_from` has made its vectors others."""
+        """Compiled stage of `compare`, `listen`, a plant step, `published`, and the status for the next SYNC; replaced
+        when `go_on_from` changes its vectors."""
 
     def has_ended(self, code: int) -> bool:
-        """Whether with this the cycle has gone on to its end."""
+        """True if the cycle was completed with this return code."""
 
     def go_on_from(self, code: int) -> int:
-        """The rest of a cycle whose piece has returned this: WENT_ON, LOOK or MISSED."""
+        """Run the rest of a cycle whose stage returned this code: WENT_ON, LOOK or MISSED."""
 
     def give(self) -> int:
-        """The objects get what the vectors have; returns the status that was said at the last SYNC."""
+        """Write the vectors back to the objects; returns the status published at the last SYNC."""
 
 
 @runtime_checkable
 class VectorMachine(Protocol):
-    """A machine that may go on in vectors."""
+    """Machine that can run in vectors."""
 
     @property
     def goes_in_vectors(self) -> bool:
-        """Whether it does so as it is now."""
+        """True if it can do so in its present state."""
 
     def warm_up_in_vectors(self) -> None:
-        """Compile, or load, what it runs on then."""
+        """Compile, or load, the functions for that."""
 
     def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> InVectors:
-        """The machine in vectors; its objects are to be left alone until it gives. `fallback`: of its piece."""
+        """Move the machine into vectors; its objects must not be used until `give`. `fallback`: of its stage."""

@@ -1,4 +1,4 @@
-"""The twin of a servo axis: the simulated shaft, and the estimator that finds its inertia and friction."""
+"""Twin of a servo axis: the simulated shaft, and the estimator of its inertia and friction."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from hilbench.twin.machines import servo_axis_cycle as cycle
 from hilbench.twin.machines.machine import BoundaryInputs, MachineVectors, Measured
 from hilbench.twin.machines.servo_axis_cycle import ShaftInVectors
 
-#: Above this speed the plant runs already when the twin joins.
+#: Speed above which the plant counts as running when the twin joins.
 _MOVES_RAD_S = 0.02
 _COULOMB, _VISCOUS = "coulomb_friction_Nm", "viscous_friction_Nm_s_per_rad"
 
 
 class ServoAxisTwin:
-    """A `TwinMachine` with one axis. The model gets the inertia and friction that are found, in every cycle."""
+    """`TwinMachine` with one axis. The model gets the estimated inertia and friction in every cycle."""
 
     refused = False
     torque_shift_Nm = 0.0
@@ -48,7 +48,7 @@ class ServoAxisTwin:
 
     @property
     def synchronized(self) -> bool:
-        """Whether the inertia is known as well as the config asks for."""
+        """True if the inertia is known as configured."""
         found = self._estimate
         return (
             self.problem is None and found.deviation_kg_m2 <= 0.01 * self._config.synchronized_pct * found.inertia_kg_m2
@@ -56,16 +56,16 @@ class ServoAxisTwin:
 
     @property
     def separable(self) -> bool:
-        """Whether the motion has said enough of the inertia."""
+        """True if the inertia is identified by the motion."""
         return self._estimate.separable
 
     @property
     def problems(self) -> Mapping[int, Problem | None]:
-        """Why the last measurement could not be used."""
+        """Reason why the last measurement could not be used, if any."""
         return {0: self.problem}
 
     def reset(self) -> None:
-        """Start anew with the inertia and friction of the model, at rest."""
+        """Reset to inertia and friction of the model, at rest."""
         shaft = self._model.shaft
         self._found = {_COULOMB: shaft.coulomb_friction_Nm, _VISCOUS: shaft.viscous_friction_Nm_s_per_rad}
         self._begin()
@@ -88,21 +88,21 @@ class ServoAxisTwin:
         self._torque_before_Nm: float | None = None  # simulated
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
-        """See `TwinMachine`."""
+        """Freeze parameter adaptation; see `TwinMachine`."""
         self._frozen = frozen
 
     def set_cycle_time(self, cycle_s: float) -> None:
-        """Each cycle is so long from the next on; see `TwinMachine`."""
+        """Set the cycle time; see `TwinMachine`."""
         self.plant.lock_to(cycle_s)
         self._set_cycle(cycle_s)
         self._estimate = self._estimator.go_back(self._kept[0])
 
     def keep(self) -> None:
-        """What is known now, for `set_cycle_time`."""
+        """Take a checkpoint, for `set_cycle_time`."""
         self._kept = self._kept[-1], self._estimator.known()
 
     def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
-        """Let the shaft go where the real one is."""
+        """Release the shaft at the real one's position."""
         ((then_rad, _),), ((position_rad, torque_Nm),) = before, now
         speed_rad_s = (position_rad - then_rad) / self._cycle_s
         moves = abs(speed_rad_s) > _MOVES_RAD_S
@@ -118,7 +118,7 @@ class ServoAxisTwin:
         return True
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
-        """Let the estimator compare; the model has its inertia and friction from now on."""
+        """Update the estimator; the model gets its inertia and friction."""
         ((position_rad, torque_Nm),) = measured
         simulated_Nm = self.ports[0].torque_Nm
         self._residual_Nm = torque_Nm - simulated_Nm
@@ -134,32 +134,32 @@ class ServoAxisTwin:
         self._estimate = self._estimator.update(ShaftSample(self._cycle_s, position_rad, torque_Nm, ripple_Nm))
         self._found |= {found.name: found.value for found in self._estimate.also if found.name in self._found}
         self._simulate(self._estimate.inertia_kg_m2)
-        # Where an unbalance stands is the encoder's to say: the simulated drive follows its speed, and drifts.
+        # The angle of an unbalance is the encoder's: the simulated drive follows its speed, and drifts.
         self.plant.set_state({"x1_rad": position_rad})
         return True
 
     def _simulate(self, inertia_kg_m2: float) -> None:
-        # What is found has what the model's effects make of the inertia.
+        # The estimate includes the effect of the model's effects on the inertia.
         self.plant.set_parameter("inertia_kg_m2", inertia_kg_m2 / self.plant.inertia_factor)
         for name, value in self._found.items():
             self.plant.set_parameter(name, max(value, 0.0))
 
     def miss(self) -> None:
-        """A cycle without measurement."""
+        """Skip a cycle without measurement."""
         self._torque_before_Nm = None
         self._estimate = self._estimator.miss(self._cycle_s)
 
     @property
     def goes_in_vectors(self) -> bool:
-        """Whether `in_vectors` does all that is done in a cycle: not with an FMU, which is somebody else's code."""
+        """True if `in_vectors` covers all of a cycle: not with an FMU, which is foreign code."""
         return not isinstance(self.plant, FmuAxis)
 
     def warm_up_in_vectors(self) -> None:
-        """Compile, or load, what it runs on then."""
+        """Compile, or load, the functions for running in vectors."""
         cycle.warm_up()
 
     def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> ShaftInVectors:
-        """While this goes on in vectors; see `VectorMachine`."""
+        """Runner in vectors; see `VectorMachine`."""
         before_Nm = nan if self._torque_before_Nm is None else self._torque_before_Nm
         estimates = {
             cycle.RESIDUAL_NM: self._residual_Nm,
@@ -181,21 +181,21 @@ class ServoAxisTwin:
         )
 
     def _take_over(self, estimates: Vector) -> None:
-        """What was said in vectors."""
+        """Take over the outputs of the vectors."""
         self._estimate, self.problem = self._estimator.estimate, cycle.problem_of(estimates)
         self._residual_Nm, before_Nm = estimates.item(cycle.RESIDUAL_NM), estimates.item(cycle.BEFORE_NM)
         self._torque_before_Nm = None if isnan(before_Nm) else before_Nm
         self._found = {_COULOMB: estimates.item(cycle.COULOMB), _VISCOUS: estimates.item(cycle.VISCOUS)}
 
     def listen(self) -> None:
-        """There is nothing around the shaft."""
+        """No-op: a shaft has no boundary inputs."""
 
     def found(self) -> Sequence[EstimatedModelError]:
-        """No errors of the model are looked for."""
+        """Empty: no model errors are estimated."""
         return ()
 
     def use_method(self, number: int) -> None:
-        """There is one method."""
+        """Raise ValueError for other than 0: there is one method."""
         if number:
             raise ValueError(f"method {number}, expected 0: a servo axis has the configured one")
 

@@ -1,8 +1,8 @@
-"""A cycle of the twin of a servo axis, compiled: `ServoAxisTwin.compare`, the step of its shaft and `published`, with
-the status that `TwinApplication` says with the next SYNC.
+"""Compiled cycle of the twin of a servo axis: `ServoAxisTwin.compare`, the step of its shaft and `published`, with the
+`TwinApplication` status for the next SYNC.
 
-It goes by stages: where something happens that is rare it returns the stage, Python does its part, and calls it again
-from the stage behind. All of it stands in vectors, by a table of where these are.
+It runs in stages: it returns the stage of a rare event, the interpreter does its part, and calls it again from the
+following stage. All state is in vectors, addressed by a table.
 """
 
 from __future__ import annotations
@@ -30,31 +30,31 @@ from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZ
 
 Places = NDArray[np.int64]
 
-#: Where a cycle begins; what `inertia.take_next` leaves to Python, and that nothing can be used; where to go on with
-#: what is found, or without; the ends.
+#: Stages: start of a cycle; results of `inertia.take_next` for the interpreter; unusable measurement; resume with the
+#: estimate, or without; final codes.
 _COMPARE, NOT_NEXT, _MISLED, HOLD, _SIMULATE, _FINISH, _DONE, _LOOK = range(8)
 _STAGE_OF = {NOT_NEXT: inertia.NOT_NEXT, _MISLED: inertia.MISLED}
-#: What the machine has done where nothing is left to do.
+#: Machine result of each final code.
 _ENDS = {_DONE: WENT_ON, _LOOK: LOOK}
 # Rows of the table: those of `rig_cycle.step`, then the machine's own, then those of the estimator.
 _P, _S, _U, _OUT, _SET_POINTS, _SENSORS, _SHOWN = range(7)
 _SILENCE, _FIGURES, _OUTPUTS, _MEASURED, _VALUES, _WHOLE, _AT, _PLAUSIBILITY, _STATED, _INPUTS = range(7, 17)
 _BANK = _INPUTS + len(balance.InputVectors._fields)
-#: Figures: drive samples of a cycle, share of the inertia up to which its deviation is that of a known one.
+#: Figures: drive samples of a cycle, share of the inertia up to which its deviation counts as known.
 _SAMPLES, _KNOWN = range(2)
-#: What was said last: residual of the torque, what was simulated (NaN: nothing) and its ripple; the `Problem`; dry and
-#: viscous friction as they are found; the status of the last SYNC; the problem of the cycle before.
+#: Outputs: torque residual, simulated torque (NaN: none) and its ripple; the `Problem`; estimated dry and viscous
+#: friction; the status of the last SYNC; the problem of the previous cycle.
 RESIDUAL_NM, BEFORE_NM, _RIPPLE_NM, PROBLEM, COULOMB, VISCOUS, _STATUS, _PROBLEM_BEFORE = range(8)
-#: Places: number of the SYNC and status among the whole numbers; among the values what is published.
+#: Offsets: SYNC number and status in the integers; published values.
 _NUMBER, _STATUS_AT, _PUBLISHED = range(3)
-#: Position and torque in what is measured, torque in what the motor shows.
+#: Offsets of position and torque in the measurement, and of the torque in the motor's feedback.
 _POSITION, _TORQUE = 0, 2
 _NUMBERS = 0x10000
 
 
 @compiled
 def _ripple_Nm(outputs: Vector, out: Vector, simulated_Nm: float) -> float:
-    """What the mean of the simulated torque is more than that of both ends of the cycle."""
+    """Excess of the simulated torque's mean over that of both ends of the cycle."""
     before_Nm, outputs[BEFORE_NM] = outputs[BEFORE_NM], simulated_Nm
     return 0.0 if isnan(before_Nm) else out[lay.O_MEAN] - 0.5 * (before_Nm + simulated_Nm)
 
@@ -63,7 +63,7 @@ def _ripple_Nm(outputs: Vector, out: Vector, simulated_Nm: float) -> float:
 def _simulate(
     p: Vector, s: Vector, out: Vector, outputs: Vector, stated: Vector, figures: Vector, position_rad: float
 ) -> None:
-    """`ServoAxisTwin._simulate`; `figures`: those of the bank."""
+    """Compiled `ServoAxisTwin._simulate`; `figures`: those of the bank."""
     if figures[inertia.PRIORS + 1] > 0.0:
         outputs[VISCOUS] = stated[inertia.VISCOUS]
     if figures[inertia.PRIORS + 2] > 0.0:
@@ -77,7 +77,7 @@ def _simulate(
 
 @compiled
 def _publish(values: Vector, at: Places, stated: Vector, outputs: Vector, torque_Nm: float) -> None:
-    """`ServoAxisTwin.published`."""
+    """Compiled `ServoAxisTwin.published`."""
     values[at[_PUBLISHED]] = stated[inertia.INERTIA]
     values[at[_PUBLISHED + 1]] = outputs[COULOMB]
     values[at[_PUBLISHED + 2]] = stated[inertia.DEVIATION]
@@ -90,7 +90,7 @@ def _publish(values: Vector, at: Places, stated: Vector, outputs: Vector, torque
 
 @compiled
 def _status(stated: Vector, problem: float, known: float) -> int:
-    """`TwinApplication._status` of a machine that is released, with the model that it was configured with."""
+    """Compiled `TwinApplication._status` of a released machine with its configured model."""
     status = RUNNING
     if problem != 0.0:
         status |= HOLDING
@@ -136,15 +136,15 @@ def _run(stage: int, table: Places) -> int:
 
 
 def warm_up() -> None:
-    """Compile, or load, before anybody waits for a cycle."""
+    """Compile, or load, the cycle in advance."""
     _run(-1, np.zeros((1, 1), np.int64))
 
 
 class ShaftInVectors:
-    """A `ServoAxisTwin` that goes on in vectors; see `machine.InVectors`.
+    """Runner of a `ServoAxisTwin` in vectors; see `machine.InVectors`.
 
-    `outputs`: by RESIDUAL_NM and so on, what it has said last; `keeps`: who takes what was said over, in the end and
-    when there is a problem, or none any more.
+    `outputs`: initial outputs by RESIDUAL_NM and so on; `keeps`: callback that takes the outputs over, at the end and
+    when a problem appears or ends.
     """
 
     def __init__(
@@ -175,17 +175,17 @@ class ShaftInVectors:
         self._take_table()
 
     def _take_table(self) -> None:
-        """What the estimator consists of may be other vectors."""
+        """Update the table after a change of the estimator's vectors."""
         self._of = self._estimator.table
         self._table = np.concatenate([table_of(self._own), self._of])
         self.piece = CompiledStage(_run, _COMPARE, self._table, continues=_DONE, fallback=self._otherwise)
 
     def has_ended(self, code: int) -> bool:
-        """See `machine.InVectors`."""
+        """True if the cycle was completed; see `machine.InVectors`."""
         return code in _ENDS
 
     def go_on_from(self, code: int) -> int:
-        """See `machine.InVectors`."""
+        """Run the rest of a cycle; see `machine.InVectors`."""
         if code not in _ENDS:
             code = self._go_on_by_objects(code)
         if code == _LOOK:
@@ -193,7 +193,7 @@ class ShaftInVectors:
         return _ENDS[code]
 
     def _go_on_by_objects(self, stage: int) -> int:
-        """What is Python's of a stage, and what is behind that."""
+        """Run an interpreted stage, then the compiled ones after it."""
         if stage == HOLD:
             self._outputs[BEFORE_NM] = nan
             self._estimator.hold(self._cycle_s)
@@ -206,11 +206,11 @@ class ShaftInVectors:
         return _run(_FINISH if stage == HOLD else _SIMULATE, self._table)
 
     def give(self) -> int:
-        """See `machine.InVectors`."""
+        """Write back to the objects; see `machine.InVectors`."""
         self._keeps(self._outputs)
         return int(self._outputs.item(_STATUS))
 
 
 def problem_of(outputs: Vector) -> Problem | None:
-    """Why the last measurement could not be used."""
+    """Reason why the last measurement could not be used, if any."""
     return PROBLEMS[int(outputs.item(PROBLEM))]

@@ -1,4 +1,4 @@
-"""The twin of a web line: the simulated web, and for each span a synchronizer that finds E from torques behind it."""
+"""Twin of a web line: the simulated web, and for each span an estimator of E from the torques after it."""
 
 from __future__ import annotations
 
@@ -41,25 +41,25 @@ from hilbench.twin.machines.web_line_errors import as_effects
 from hilbench.twin.machines.web_section import WebSection
 from hilbench.twin.machines.web_splice_tracker import SpliceTracker
 
-#: By how much another model may change a tension from one cycle to the next, as a share of a usual one.
+#: Largest step of a tension by a model switch from one cycle to the next, as a share of a usual one.
 _LARGEST_STEP = 0.005
-#: Share of a cycle, in time constants of the velocity loop, from which the torque is corrected for its ripple: what it
-#: is at SYNC in a ramp is less than its mean by half of that share. Between two tests: at 0.13 (the demonstrator at
-#: 4 ms) the correction costs E 1 % for a while where the period changes, at 0.73 a light web is broken without it.
+#: Share of a cycle, in time constants of the velocity loop, from which on the torque is corrected for its ripple: at
+#: SYNC in a ramp it is below its mean by half of that share. Between two tests: at 0.13 (the demonstrator at 4 ms) the
+#: correction costs E 1 % for a while where the period changes, at 0.73 a light web is broken without it.
 _RIPPLES_FROM = 0.2
 
 
 def boundary(model: ModelParameters) -> dict[str, float]:
-    """What is around the web before the bench says it."""
+    """Initial boundary inputs of the web."""
     return {"strain_prev": model.upstream_strain, "F_next_N": model.boundary.downstream_tension_N}
 
 
 class WebLineTwin:
-    """A `TwinMachine` with N axes and the spans between them; E of each span is found from the torques behind it.
+    """`TwinMachine` with N axes and the spans between them; E of each span is found from the torques after it.
 
-    The web starts as the bench's load model does, strained like the web upstream. On axes that move already this is a
-    guess: the twin then calls itself synchronized when strain and E are known, at the latest when the web that it could
-    not know has been transported out of the line.
+    The web starts as the bench's load model does, strained like the web upstream. On moving axes this is a guess: the
+    twin then is synchronized when strain and E are known, at the latest when all web of unknown strain has been
+    transported out of the line.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class WebLineTwin:
             tracking = SpanEstimator(section.model, of_span, section, section, cycle_s)
             self._estimated[span] = EstimatedSpan(span, section, tracking)
         self._all = tuple(self._estimated.values())
-        #: What is asked for in every cycle is asked of it without a loop.
+        #: Shortcut without a loop for queries of every cycle.
         self._only = self._all[0] if len(self._all) == 1 else None
         first, joined = self._all[0].span, list[SpanEstimator]()
         for span in range(first, len(spans) + 1):
@@ -97,10 +97,10 @@ class WebLineTwin:
         self._others = _OtherSpans(model, others, config.transfer.strain_limit) if others else None
         self._boundary_inputs = boundary_inputs
         self._metres_per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in axes]
-        self._last_at: tuple[float, Sequence[float]] | None = None  # while it may have to be brought back
+        self._last_at: tuple[float, Sequence[float]] | None = None  # while a reset may be due
         self._must_come_back = False
         self._set_cycle(cycle_s)
-        #: What was known before, and then.
+        #: The last checkpoints, oldest first.
         self._kept: tuple[Sequence[Known], ...] = ([each.tracking.known() for each in self._all],)
 
     def _set_cycle(self, cycle_s: float) -> None:
@@ -108,32 +108,32 @@ class WebLineTwin:
         self._least_m = least_travel_m(self._model, cycle_s)
         self._pairing = SampleCoherence(self._least_m)
         self._splice_tracker = SpliceTracker(self._joined, cycle_s) if self._joined else None
-        # What is measured is a torque a cycle, while the set points of a ramp go in steps: where drives have followed
+        # The measurement is one torque a cycle, while the set points of a ramp go in steps: where drives have followed
         # them well before the next, as on the longer cycles of several spans, the mean is another one.
         self._ripples = self._several or self._model.velocity_loop_per_s(2) * cycle_s > _RIPPLES_FROM
-        self._steady = IncrementCheck(cycle_s)  # of the axis behind the first of the spans at which E is found
+        self._steady = IncrementCheck(cycle_s)  # of the axis after the first span with an estimator
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
-        """See `TwinMachine`."""
+        """Freeze adaptation of E; see `TwinMachine`."""
         for each in self._all:
             each.tracking.freeze_adaptation(frozen=frozen)
 
     def set_cycle_time(self, cycle_s: float) -> None:
-        """Each cycle is so long from the next on; see `TwinMachine`."""
+        """Set the cycle time; see `TwinMachine`."""
         self.plant.lock_to(cycle_s)
         self._set_cycle(cycle_s)
         for each, known in zip(self._all, self._kept[0], strict=True):
             each.tracking.span.put_pieces(())
             each.tracking.set_cycle_time(cycle_s, known)
-        self._last_at, self._must_come_back = None, True  # where the wrong cycles have led it
+        self._last_at, self._must_come_back = None, True  # undo the travel of wrong cycles
 
     def keep(self) -> None:
-        """What is known now, for `set_cycle_time`."""
+        """Take a checkpoint, for `set_cycle_time`."""
         self._kept = self._kept[-1], [each.tracking.known() for each in self._all]
 
     @property
     def problem(self) -> Problem | None:
-        """Why the last measurement could not be used; of several spans at the first that has a problem."""
+        """Reason why the last measurement could not be used; of several spans the first problem."""
         if self._only is not None:
             return self._only.tracking.problem
         for each in self._all:
@@ -144,12 +144,12 @@ class WebLineTwin:
 
     @property
     def problems(self) -> Mapping[int, Problem | None]:
-        """The same of each span."""
+        """Problem of each span."""
         return {each.span if self._several else 0: each.tracking.problem for each in self._all}
 
     @property
     def shift_span(self) -> int:
-        """The span whose torque has shifted most, or is undecided; 0 where there is one."""
+        """Span with the largest (or an undecided) torque shift; 0 with one span."""
         if not self._several:
             return 0
         found = max(self._all, key=lambda each: (abs(each.tracking.torque_shift_Nm), each.tracking.torque_undecided))
@@ -157,7 +157,7 @@ class WebLineTwin:
 
     @property
     def refused(self) -> bool:
-        """Whether a measured state was not plausible and was not taken over in the last cycle."""
+        """True if a measured state was implausible in the last cycle and was not transferred."""
         for each in self._all:
             if each.tracking.refused:
                 return True
@@ -165,34 +165,34 @@ class WebLineTwin:
 
     @property
     def synchronized(self) -> bool:
-        """Whether E of each span is known as well as the config asks for, and the web is the one that was measured."""
+        """True if E of each span is known as configured, and the web is the one that was measured."""
         if self._only is not None:
             return self._only.tracking.synchronized
         return all(each.tracking.synchronized for each in self._all)
 
     @property
     def separable(self) -> bool:
-        """Whether the data tell everything that is estimated from E."""
+        """True if the data separate all nuisance parameters from E."""
         if self._only is not None:
             return self._only.tracking.separable
         return all(each.tracking.separable for each in self._all)
 
     @property
     def torque_shift_Nm(self) -> float:
-        """What the measured torque has shifted by, and is corrected for; of several spans the largest."""
+        """Compensated shift of the measured torque; of several spans the largest."""
         if self._only is not None:
             return self._only.tracking.torque_shift_Nm
         return max([each.tracking.torque_shift_Nm for each in self._all], key=abs)
 
     @property
     def torque_undecided(self) -> bool:
-        """Whether the torque has changed, and nothing tells yet whether that was E or a shift."""
+        """True if the torque has changed and the cause, E or a torque shift, is still undecided."""
         if self._only is not None:
             return self._only.tracking.torque_undecided
         return any(each.tracking.torque_undecided for each in self._all)
 
     def reset(self) -> None:
-        """Start anew with the E that is assumed at the start, at rest."""
+        """Reset to the initially assumed E, at rest."""
         for each in self._all:
             each.tracking.reset()
             each.residual_Nm = 0.0
@@ -201,7 +201,7 @@ class WebLineTwin:
         self.plant.set_state(_states(self._boundary_inputs("strain_prev"), at_rest, at_rest, at_rest))
 
     def _start_anew(self) -> None:
-        """What is measured has no past."""
+        """Forget the past measurements."""
         self._rollers.reset()
         if self._splice_tracker is not None:
             self._splice_tracker.reset()
@@ -210,7 +210,7 @@ class WebLineTwin:
         self._last_at, self._must_come_back = None, False
 
     def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
-        """Let the web go, with the axes' motion and torque."""
+        """Release the web, with the axes' motion and torque."""
         last, positions = self._positions_m(before), self._positions_m(now)
         self._pairing.reset()
         if not (self._pairing.update(*last) and self._pairing.update(*positions)):
@@ -240,7 +240,7 @@ class WebLineTwin:
         return True
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
-        """Let the synchronizers compare; False where the positions are not of one instant."""
+        """Update the estimators; False if the positions are not coherent (of one instant)."""
         positions_m = self._positions_m(measured)
         if not self._pairing.update(*positions_m):
             self._steady.miss()
@@ -275,8 +275,8 @@ class WebLineTwin:
         return True
 
     def _bring_back(self, time_s: float, positions_m: Sequence[float], torques_Nm: Sequence[float]) -> None:
-        """Let a simulation that diverged go on from where the machine is; a span whose measured strain no web has,
-        strained as upstream."""
+        """Reset a diverged simulation to the measured state; spans with an impossible strain are strained as
+        upstream."""
         last, self._last_at = self._last_at, (time_s, positions_m)
         others = self._others
         diverged = any(each.tracking.diverged for each in self._all) or (others is not None and others.diverged)
@@ -292,7 +292,7 @@ class WebLineTwin:
         self.plant.set_state(states | {f"strain{span}": strain for span, strain in believed.items()})
 
     def _strain_before(self, span: int, strain_prev: float) -> float:
-        """Strain of the web that enters a span, as measured."""
+        """Measured strain of the web that enters a span."""
         if span == 1:
             return strain_prev
         before = self._estimated.get(span - 1)
@@ -302,7 +302,7 @@ class WebLineTwin:
         return interpreted(equivalent_strain)(self._others.strain(span - 1), self._others.creep_ratio(span - 1))
 
     def _creep_ratio_before(self, span: int) -> float:
-        """Share by which less web comes over the roller before a span than that turns, in reverse more."""
+        """Creep ratio at the roller before a span: share of missing web per turn, in reverse more."""
         if span == 1:
             return 0.0
         before = self._estimated.get(span - 1)
@@ -312,7 +312,7 @@ class WebLineTwin:
         return self._others.creep_ratio(span - 1)
 
     def _strain_behind(self, span: int) -> float | None:
-        """Strain of the web behind a span, which enters it in reverse, as last measured; None behind the line."""
+        """Last measured strain of the web after a span, which enters it in reverse; None at the end of the line."""
         behind = self._estimated.get(span + 1)
         if behind is not None:
             return behind.tracking.span.reverse_outlet_strain
@@ -337,14 +337,14 @@ class WebLineTwin:
         tracking.look_for_known_change(self.ports[span].setpoint / rad_per_m)
 
     def _positions_m(self, measured: Sequence[Measured]) -> list[float]:
-        """Of all axes, at the web."""
+        """Positions of all axes at the web."""
         return [
             position_rad * metres_per_rad
             for (position_rad, _), metres_per_rad in zip(measured, self._metres_per_rad, strict=True)
         ]
 
     def miss(self) -> None:
-        """A cycle without measurement: what is measured next has come a cycle further."""
+        """Skip a cycle without measurement: the next one is a cycle further."""
         self._pairing.miss()
         self._steady.miss()
         self._go_without()
@@ -354,32 +354,32 @@ class WebLineTwin:
             each.tracking.miss()
 
     def listen(self) -> None:
-        """Take over what is around the web now."""
+        """Read the boundary inputs of the web."""
         first = self._all[0].tracking
         self.plant.set_boundary(
             first.upstream_strain(self._boundary_inputs("strain_prev")), self._boundary_inputs("F_next_N")
         )
 
     def found(self) -> Sequence[EstimatedModelError]:
-        """What the methods of all spans know of errors of the model."""
+        """Estimated errors of the model, of all spans."""
         return [found for each in self._all for found in as_effects(each.tracking.errors, self._model, each.span)]
 
     @property
     def goes_in_vectors(self) -> bool:
-        """Whether `in_vectors` does all that is done in a cycle: where E of every span is found, and no effects on E
-        are in the model."""
+        """True if `in_vectors` covers all of a cycle: E of every span is estimated, and the model has no
+        effects on E."""
         if self._others is not None or self.plant.changes_elasticity or self._must_come_back:
             return False
-        # While it refuses what is measured, the simulation may have to be brought back.
+        # While it refuses measured states, the simulation may have to be reset.
         return all(each.tracking.in_vectors and not each.tracking.refused for each in self._all)
 
     def warm_up_in_vectors(self) -> None:
-        """Compile, or load, what it runs on then."""
+        """Compile, or load, the functions for running in vectors."""
         if self._others is None:
             web_line_cycle.warm_up()
 
     def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> LineInVectors:
-        """While this goes on in vectors; see `VectorMachine`."""
+        """Runner in vectors; see `VectorMachine`."""
         return LineInVectors(
             self._all,
             self._pairing,
@@ -396,7 +396,7 @@ class WebLineTwin:
         )
 
     def use_method(self, number: int) -> None:
-        """Go on with another synchronizer, by its number in the vocabulary, from the present E."""
+        """Switch to another synchronizer, by its number in the vocabulary, from the present E."""
         methods = list(METHODS.values())
         if number > len(methods):
             raise ValueError(f"method {number}, expected 0 to {len(methods)}")
@@ -407,22 +407,22 @@ class WebLineTwin:
             each.tracking.use(method and _over_rollers(method, len(self.ports) - each.span))
 
     def published(self) -> tuple[float, ...]:
-        """Of each span its tension; where E is found E, its deviation, and of the torque of the axis behind it what is
-        simulated, and the residual."""
+        """Tension of each span; where E is estimated also E, its deviation, and simulated torque and residual of the
+        axis after it."""
         line, values = self.plant, list[float]()
         for span, tension_N in enumerate(line.shown_tensions_N, 1):
             values.append(tension_N)
             each = self._estimated.get(span)
             if each is not None:
                 modulus_Pa, deviation_Pa = each.tracking.modulus_and_deviation_Pa
-                # The E that acts is told, as of a web that is measured.
+                # The effective E is stated, as of a measured web.
                 factor = line.elasticity_factor(span) * each.tracking.span.series_factor
                 values += (factor * modulus_Pa, factor * deviation_Pa, self.ports[span].torque_Nm, each.residual_Nm)
         return tuple(values)
 
     @property
     def largest_steps(self) -> Sequence[float]:
-        """See `TwinMachine`: of tensions."""
+        """Largest step of each output by a model switch; limited for tensions."""
         around = self._model.boundary
         step_N = _LARGEST_STEP * max(around.upstream_tension_N, around.downstream_tension_N)
         steps = list[float]()
@@ -432,15 +432,15 @@ class WebLineTwin:
 
 
 def _over_rollers(method: SynchronizerConfig, rollers: int) -> SynchronizerConfig:
-    """A method that sees the torques of so many rollers together: their noise adds up, and to be as cautious as with
-    one would be to wait so much longer."""
+    """Method settings for the summed torques of so many rollers: their noise adds up, and the same caution as with one
+    would slow it accordingly."""
     if rollers == 1 or not isinstance(method, ChangepointConfig):
         return method
     return method.model_copy(update={"cautious_pct": sqrt(rollers) * method.cautious_pct})
 
 
 class _OtherSpans:
-    """The spans of a line at which nothing is estimated, on the measured motion: their strains are taken over.
+    """Spans without an estimator, followed on the measured motion: their strains are transferred.
 
     `spans`: their numbers; `strain_limit`: largest plausible difference of a strain.
     """
@@ -456,14 +456,14 @@ class _OtherSpans:
         self.reset()
 
     def reset(self) -> None:
-        """The next positions are the first."""
+        """Take the next positions as the first."""
         self.refused = False
         self._refused_m = self._refused_s = 0.0  # web that has passed, and time, while states were refused
         self._running = False
         self._last_m: Sequence[float] = ()
 
     def follow(self, positions_m: Sequence[float], strain_prev: float, F_next_N: float, cycle_s: float) -> None:
-        """The rollers are at these positions (N,) a cycle after the last; around the line is what is told."""
+        """Follow the rollers to these positions (N,), a cycle after the last, with the stated boundary inputs."""
         web = self._web
         web.set_input("strain_prev", strain_prev)
         web.set_input("F_next_N", F_next_N)
@@ -484,15 +484,15 @@ class _OtherSpans:
 
     @property
     def diverged(self) -> bool:
-        """As `SpanEstimator.diverged`."""
+        """True if diverged, as `SpanEstimator.diverged`."""
         return self._refused_s > DIVERGED_S and self._refused_m > self._passed_m
 
     def strain(self, span: int) -> float:
-        """Of the web in one of these spans, as measured."""
+        """Measured strain of the web in one of these spans."""
         return float(self._web.strain[span - 1])
 
     def creep_ratio(self, span: int) -> float:
-        """Share by which less web leaves one of these spans than the roller behind it turns, as it creeps."""
+        """Share by which less web leaves one of these spans than the roller after it turns, by creep."""
         tensions, behind_N = self._web.tension_N, self._behind_N
         if span < len(tensions):
             behind_N = float(tensions[span])
@@ -500,11 +500,11 @@ class _OtherSpans:
 
     @property
     def strains(self) -> dict[int, float]:
-        """The strains of all of them, by span."""
+        """Measured strains, by span."""
         return {span: self.strain(span) for span in self._spans}
 
     def transfer(self, line: Line) -> None:
-        """Put the measured strains in the place of the simulated ones, unless they are too far off to be believed."""
+        """Transfer the measured strains to the line, unless they are implausible."""
         states = {}
         self.refused = False
         measured, simulated = self._web.strain.tolist(), line.strain.tolist()

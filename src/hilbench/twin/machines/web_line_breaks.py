@@ -1,12 +1,12 @@
-"""A web that has torn, slips or is slack, in a section of a line with idlers, dancers, accumulators or reels.
+"""Web break, slip and slack detection in a section of a line with idlers, dancers, accumulators or reels.
 
-All driven rollers behind a section together carry the difference of its tension and that behind the line, whatever is
-between them. So what their torques and speeds say, beside what the line that is followed has, is the tension that the
-section has in truth: where almost nothing is left of it, in two blocks running, the web has torn. Where the roller
-behind it slips, more and more is lost of what the encoders promise (`hilbench.estimation.web_line.section_slip`); a
-carriage would give way to that and keep the tension: where it has a sensor, web that is lost shows
-(`hilbench.estimation.web_line.carriage_slip`). Beside a reel without a sensor nobody knows what they promise.
-Where they promise a slack web and the torques say that it pulls, a roller beside it goes another way than its web.
+All driven rollers after a section together carry the difference of its tension and that at the end of the line,
+whatever is between them. So the residuals of their torques and speeds to the simulated line give the section's true
+tension: where almost nothing is left of it, in two blocks running, the web is broken. Where the roller after it slips,
+more and more is missing of the encoders' tension (`hilbench.estimation.web_line.section_slip`); a carriage would move
+and keep the tension: with a sensor, lost web shows (`hilbench.estimation.web_line.carriage_slip`). Next to a reel
+without a sensor the encoders' tension is unknown. If the encoders indicate slack and the torques tension, a roller next
+to it does not move with its web.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Unknown
 from hilbench.plant.web_line.stations import Reel, reel_name
 
-#: Share below which nothing is learned, and for how long: a web that tears has this on its way, another one for good.
+#: Share of the tension below which nothing is learned, and for how long: a breaking web passes it, another web stays.
 _DOUBTFUL, _DOUBT_S = 0.5, 0.15
-#: Share of the usual tension from which a web pulls, whatever the encoders promise; that within which the torques say
-#: what is promised; and way of the web, in lengths of the section, after which they do so again.
+#: Share of the usual tension by the torques from which on a web is tight; largest difference to the encoders' tension
+#: that agrees; and travel, in section lengths, after which they agree again.
 _PULLS, _AGREES, _AGREES_AGAIN = 0.25, 0.1, 1.0
-#: By which a reel with a sensor may carry another length of web than is reckoned with.
+#: Relative error of the web length carried by a reel with a sensor.
 _REEL_SHARE: Final = 5e-4
-#: Share of the usual tension that may accelerate the rollers while slip is looked for: of more the model is not sure.
+#: Share of the usual tension that may accelerate the rollers in the slip detection: the model's accuracy.
 _ACCELERATES: Final = 0.2
-#: From when on: until then the line that is followed comes to the tensions that there are.
+#: Settling time of the simulated line's tensions.
 _SETTLED_S: Final = 0.5
 
 
 class SectionWatch:
     """Detector of web breaks, slip and slack of a line whose N driven rollers answer once a cycle.
 
-    `span_of`: the span whose number each section has in reports, by the axis before it; `unknowns`: what the line that
-    is followed is corrected by; `measured`: names of stations with a sensor; `sensed_length_m`: of the section behind
-    an axis, with its carriage where its sensor says.
+    `span_of`: span number of each section in reports, by the axis before it; `unknowns`: corrections of the simulated
+    line; `measured`: names of stations with a sensor; `sensed_length_m`: length of the section after an axis, with its
+    carriage at its sensed position.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class SectionWatch:
         self._spans = {axis: [k for k, of in enumerate(before) if of == axis] for axis in span_of}
         self._axes = axes = range(1, model.axis_count + 1)
         carried = [model.carries_web_load(axis) for axis in axes]
-        #: Sections behind which every roller is loaded: of the others no torque tells the tension.
+        #: Sections after which every roller is loaded: the tension of others is not observable by torques.
         self._seen = [axis for axis in span_of if all(carried[axis:])]
         self._span_of = span_of
         self._per_m = np.array([model.motor_rad_per_m(axis) for axis in axes])
@@ -82,34 +82,34 @@ class SectionWatch:
         self.reset(under_way=False)
 
     def reset(self, *, under_way: bool) -> None:
-        """The web is let go, at rest or under way."""
+        """Reset for a released web, at rest or running."""
         self._time_s = 0.0
-        self._low = dict.fromkeys(self._seen, False)  # in the block before
+        self._low = dict.fromkeys(self._seen, False)  # in the previous block
         self._torn = dict.fromkeys(self._seen, False)
         self._doubt_s = dict.fromkeys(self._seen, 0.0)
         self._slack = dict.fromkeys(self._span_of, False)
-        #: What the encoders promise of a section is not so, though it was until then; and the tension by the torques.
+        #: Latest time at which the encoders' tension agreed, where it does not; and the tension by the torques.
         self._belied_since_s: dict[int, float] = {}
-        self._belied = dict.fromkeys(self._seen, False)  # in the block before
+        self._belied = dict.fromkeys(self._seen, False)  # in the previous block
         self._agreed_s = dict.fromkeys(self._seen, 0.0)
-        self._agreed_m = dict.fromkeys(self._seen, 0.0)  # way of the web for which they have agreed again
+        self._agreed_m = dict.fromkeys(self._seen, 0.0)  # travel of the web since they agree again
         self._is_N: dict[int, float] = {}
         for slip in self._slips.values():
             slip.reset(under_way=under_way)
         for of_carriage in self._carriage_slips.values():
             of_carriage.reset()
-        self._lengths_m: dict[int, float] = {}  # of the sections with a carriage, when they were judged
-        self._judged_m: Vector | None = None  # where the driven rollers were then
+        self._lengths_m: dict[int, float] = {}  # of the sections with a carriage, at the last evaluation
+        self._judged_m: Vector | None = None  # positions of the driven rollers then
         self.interrupt()
 
     def suspend(self) -> None:
-        """The torques say nothing: nothing is judged across that."""
+        """Stop the evaluation over unusable torques."""
         for slip in self._slips.values():
             slip.suspend()
         self.interrupt()
 
     def interrupt(self) -> None:
-        """A cycle is missing: a new block begins."""
+        """Start a new block after a missing cycle."""
         self._collected = 0
         self._differences_Nm = np.zeros(len(self._per_m))
         self._promised_N = [0.0] * len(self._spans)
@@ -119,7 +119,7 @@ class SectionWatch:
 
     @property
     def problems(self) -> dict[int, Problem | None]:
-        """What is wrong with each section, by the span by which it is told."""
+        """Problem of each section, by its span number."""
         found: dict[int, Problem | None] = {}
         for axis, span in self._span_of.items():
             found[span] = Problem.SLACK if self._slack[axis] else None
@@ -137,19 +137,19 @@ class SectionWatch:
 
     @property
     def doubtful(self) -> bool:
-        """Whether something may be torn: what the torques say is nothing to learn from."""
+        """True if a break is suspected: the torques are not to be learned from."""
         return any(self._torn.values()) or any(0.0 < doubt_s <= _DOUBT_S for doubt_s in self._doubt_s.values())
 
     @property
     def slips_since_s(self) -> float:
-        """When no web slipped yet; inf where none does."""
+        """Latest time without slip; inf without slip."""
         since_s = [slip.since_s for slip in self._slips.values() if slip.slips]
         since_s += [slip.since_s for slip in self._carriage_slips.values()]
         return min([*since_s, *self._belied_since_s.values()], default=inf)
 
     def take_belied(self) -> dict[int, float]:
-        """Since the last call: tensions by the torques of the sections of which the encoders promise something else for
-        good, N, by the axis before."""
+        """Tensions by torques, since the last call, of sections whose encoders' tension is wrong for good, N, by the
+        axis before."""
         taken = {axis: tension_N for axis, tension_N in self._is_N.items() if axis in self._belied_since_s}
         self._is_N.clear()
         return taken
@@ -164,8 +164,8 @@ class SectionWatch:
         *,
         swings: bool,
     ) -> None:
-        """One cycle: of the driven rollers positions (N,) at the web and torques, beside the line that follows them;
-        `inertia_kg_m2` (N,): at the motors; `swings`: the web has just become another one, and carriages give way."""
+        """Evaluate a cycle: positions (N,) of the driven rollers at the web and torques, with the line that follows
+        them; `inertia_kg_m2` (N,): at the motors; `swings`: carriages move after a change of the web."""
         line, tensions_N = followed.line, followed.tensions_N
         self._time_s += self._cycle_s
         self._now_N = self._by_model_N(followed)
@@ -185,17 +185,17 @@ class SectionWatch:
             self.interrupt()
 
     def corrected(self, followed: SensitivityModel) -> None:
-        """The line that is followed was corrected since the last look."""
+        """Account for a correction of the simulated line since the last evaluation."""
         for axis, after_N in self._by_model_N(followed).items():
             self._slips[axis].correct(after_N - self._now_N[axis])
 
     def _by_model_N(self, followed: SensitivityModel) -> dict[int, float]:
-        """Tension of the sections that may slip, by the axis before, with the model's E."""
+        """Tension of the sections with slip detection, by the axis before, with the model's E."""
         tensions_N = followed.tensions_N
         return {axis: tensions_N.item(self._spans[axis][-1]) / followed.modulus_factor(axis) for axis in self._slips}
 
     def _judge(self, time_s: float, line: LineFollower, inertia_kg_m2: Vector) -> None:
-        """A block is complete."""
+        """Evaluate a complete block."""
         lows = zip(self._spans, self._tightest_N, self._usual_N, strict=True)
         self._slack = {axis: tightest_N <= SLACK * usual_N for axis, tightest_N, usual_N in lows}
         speeds = np.diff(np.array(self._travel_m), axis=0) / self._cycle_s
@@ -215,7 +215,7 @@ class SectionWatch:
                 self._look_for_slip(time_s, axis, is_N, ratios.item(axis), steady=bool(steady))
 
     def _look_for_lost_web(self, time_s: float, followed: SensitivityModel, swings: bool) -> None:
-        """A block is complete: of the sections whose carriage has a sensor."""
+        """Evaluate lost web in a complete block, for sections whose carriage has a sensor."""
         before_m, self._lengths_m = (
             self._lengths_m,
             {axis: self._sensed_length_m(axis) for axis in self._carriage_slips},
@@ -230,7 +230,7 @@ class SectionWatch:
             slip.take(time_s, into_m, out_m, self._lengths_m[axis] - before_m.get(axis, self._lengths_m[axis]))
 
     def _look_for_slip(self, time_s: float, axis: int, is_N: float, ratio: float, *, steady: bool) -> None:
-        """In a block; `ratio`: radius of the roller behind the section over that at the start."""
+        """Update slip detection by a block; `ratio`: radius of the roller after the section over that at the start."""
         if axis not in self._slips or self._judged_m is None or self._time_s < _SETTLED_S:
             return
         travel_m = float(self._travel_m[-1][axis] - self._judged_m[axis]) * ratio
@@ -238,7 +238,7 @@ class SectionWatch:
         self._slips[axis].take(time_s, is_N, followed_N, travel_m, lasted_s, steady=steady)
 
     def _compare(self, time_s: float, axis: int, share: float, promised: float) -> None:
-        """In a block, of the usual tension: what a section has by the torques, and what the encoders promise."""
+        """Compare a section's tension by torques and by encoders in a block, both over the usual tension."""
         belied = self._slack[axis] and share > _PULLS
         self._slack[axis] &= not belied
         if belied and self._belied[axis] and self._time_s >= _SETTLED_S:
@@ -253,7 +253,7 @@ class SectionWatch:
             self._belied_since_s.pop(axis, None)
 
     def _take(self, axis: int, share: float) -> None:
-        """What is left of a section's tension, in a block."""
+        """Update break detection by the remaining share of a section's tension in a block."""
         if self._time_s < _SETTLED_S:
             return
         low = share < (WHOLE if self._torn[axis] else BROKEN)
@@ -271,8 +271,8 @@ def _middle(values: Vector) -> Vector:
 def _carriage_slips(
     model: ModelParameters, measured: Sequence[str], lengths_m: Mapping[int, float]
 ) -> dict[int, CarriageSlip]:
-    """Of the sections with one carriage that has a sensor, by the axis before; not beside a reel whose radius has
-    none. `lengths_m`: of the sections."""
+    """Slip detectors of the sections with one carriage that has a sensor, by the axis before; not next to a reel
+    without radius sensor. `lengths_m`: of the sections."""
     before = axes_before_spans(model)
     held = [before[carriage.first_span - 1] for carriage in model.carriages]
     reels = {each.axis: reel_name(each.station) for each in model.line_rollers if isinstance(each.station, Reel)}

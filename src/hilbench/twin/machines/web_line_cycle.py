@@ -1,9 +1,9 @@
-"""A cycle of the twin of a web line, compiled: `WebLineTwin.compare`, `listen`, the step of its line and `published`,
-with the status that `TwinApplication` says with the next SYNC.
+"""Compiled cycle of the twin of a web line: `WebLineTwin.compare`, `listen`, the step of its line and `published`, with
+the `TwinApplication` status for the next SYNC.
 
-It goes by stages as `tracking_cycle.run` does: where something happens that is rare it returns the stage, Python does
-its part, and calls it again from the stage behind. All of it stands in vectors, by a table of where these are: those of
-the line, then those of each span with the rollers around it, one span after the other.
+It runs in stages as `span_estimator_cycle.run` does: it returns the stage of a rare event, the interpreter does its
+part, and calls it again from the following stage. All state is in vectors, addressed by a table: those of the line,
+then those of each span with its rollers, one span after the other.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZ
 Places = NDArray[np.int64]
 Matrix = NDArray[np.float64]
 
-#: Where to go on behind what is Python's: at the next span; with measurements that were compared, or without. What
-#: `run` returns is one of the stages of `tracking_cycle` that are Python's, or one of these.
+#: Stages to resume at after an interpreted part: next span; end of the cycle with compared measurements, or without.
+#: `run` returns an interpreted stage of `span_estimator_cycle`, or one of these.
 _NEXT_SPAN, _FINISH, _FINISH_WITHOUT, _UNPAIRED, PASSAGE, _DONE, _LOOK, _WITHOUT = range(cycle.DONE + 1, cycle.DONE + 9)
-#: What the machine has done where nothing is left to do.
+#: Machine result of each final code.
 _ENDS = {_DONE: WENT_ON, _LOOK: LOOK, _WITHOUT: MISSED}
 
-# Rows of the table; behind them those of the trackings.
+# Rows of the table; after them those of the span estimators.
 (
     _WAYS,
     _STEADY,
@@ -70,28 +70,28 @@ _ENDS = {_DONE: WENT_ON, _LOOK: LOOK, _WITHOUT: MISSED}
     _OF_BLOCK,
     _OWN,
 ) = range(23)
-#: Parameters, state, inputs, scratch space and outputs of the line, among those of the first tracking.
+#: Parameters, state, inputs, scratch space and outputs of the line, among those of the first estimator.
 _LINE = _OWN + cycle.LINE_ROW
-#: Figures: by how much ways may differ, drive samples of a cycle, its length; of a method that is Python's what it
-#: takes the strain upstream for beyond what is told; whether torques are corrected for their ripple.
+#: Figures: least travel of the coherence check, drive samples of a cycle, cycle time; upstream-strain correction of an
+#: interpreted method; torque ripple correction flag.
 _LEAST_TRAVEL_M, _SAMPLES, _CYCLE_S, _INPUT_STRAIN, _RIPPLES = range(5)
-#: Of each span (K, 6): from which deviation E counts as known; whether a method that is Python's tells all apart;
-#: strain of the web that enters; residual of the torque; its shift and whether it is undecided, as they were reported.
+#: Of each span (K, 6): deviation up to which E counts as known; separable flag of an interpreted method; strain of the
+#: entering web; torque residual; last reported torque shift and undecided flag.
 _KNOWN_PCT, _SEPARABLE, _STRAIN_BEFORE, _RESIDUAL_NM, _SHIFT_NM, _UNDECIDED = range(6)
-#: What was said last: the span at which Python has its part, from 0, and the status of the last SYNC.
+#: Outputs: the span of an interpreted part, from 0, and the status of the last SYNC.
 _AT_SPAN, _STATUS = range(2)
-#: Places in the values: strain upstream and tension downstream as told, then what is published of each span; among the
-#: whole numbers: number of the SYNC and status.
+#: Offsets in the values: stated strain upstream and tension downstream, then the outputs of each span; in the integers:
+#: SYNC number and status.
 _STRAIN_PREV, _F_NEXT_N, _NUMBER, _STATUS_AT, _PUBLISHED = range(5)
 _F_SIM_N, _E_SIM_PA, _E_DEVIATION_PA, _TORQUE_SIM_NM, _TORQUE_RESIDUAL_NM, _COUNT_PUBLISHED = range(6)
-#: What is measured of an axis, and the torque among that and among what its motor shows.
+#: Size of an axis's measurement, and offset of the torque in it and in a motor's feedback.
 _MEASURED_SIZE, _TORQUE = 4, 2
 _NUMBERS = 0x10000
 
 
 @compiled
 def _torque_of_motors_Nm(shown: Vector, rad_per_m: Vector, span: int) -> float:
-    """`WebSection.torque_Nm`."""
+    """Compiled `WebSection.torque_Nm`."""
     total_Nm = 0.0
     for axis in range(span + 1, len(rad_per_m)):
         total_Nm += shown[rig_cycle.SHOWN * axis + _TORQUE] * (rad_per_m[axis] / rad_per_m[span + 1])
@@ -100,7 +100,7 @@ def _torque_of_motors_Nm(shown: Vector, rad_per_m: Vector, span: int) -> float:
 
 @compiled
 def _measured(table: Places) -> bool:
-    """Take positions and torques over; whether the positions are of one instant."""
+    """Read positions and torques; True if the positions are coherent (of one instant)."""
     x_m, measured, rad_per_m = (
         floats(table, _POSITIONS, (1,)),
         floats(table, _MEASURED, (1,)),
@@ -127,7 +127,7 @@ def _measured(table: Places) -> bool:
 
 @compiled
 def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> int:
-    """Let the spans from this one on (from 0) compare; the stage at which Python has its part, or _FINISH."""
+    """Compare the spans from this one on (from 0); returns the stage that needs the interpreter, or _FINISH."""
     spans, rad_per_m = floats(table, _SPANS, (1, 2)), floats(table, _RAD_PER_M, (1,))
     shown, x_m = floats(table, _SHOWN, (1,)), floats(table, _POSITIONS, (1,))
     measured, torques_Nm = floats(table, _MEASURED, (1,)), floats(table, _TORQUES, (1,))
@@ -169,14 +169,14 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
 
 @compiled
 def _strain(of_span: Places) -> float:
-    """Of the web in a span, as measured."""
+    """Measured strain of the web in a span."""
     web = floats(of_span, cycle.WEB_ROW, (1,)), floats(of_span, cycle.WEB_ROW + 1, (1,))
     return span_kernel.first_strain_of(web[0], web[1])
 
 
 @compiled
 def _show(table: Places) -> None:
-    """A state was changed: bring the motors up to it."""
+    """Update the motors' feedback after a change of state."""
     p, s, out = floats(table, _LINE, (1,)), floats(table, _LINE + 1, (1,)), floats(table, _LINE + 4, (1,))
     motors, sensors, silence = (
         integers(table, _MOTORS, (1,)),
@@ -188,7 +188,7 @@ def _show(table: Places) -> None:
 
 @compiled
 def _go_on(table: Places, strain_prev: float, F_next_N: float) -> None:
-    """A step of the line."""
+    """Step the line."""
     p, s, u = floats(table, _LINE, (1,)), floats(table, _LINE + 1, (1,)), floats(table, _LINE + 2, (1,))
     work, out, figures = floats(table, _LINE + 3, (1,)), floats(table, _LINE + 4, (1,)), floats(table, _FIGURES, (1,))
     u[lay.U_STRAIN_PREV], u[lay.U_F_NEXT_N] = strain_prev + figures[_INPUT_STRAIN], F_next_N
@@ -199,7 +199,7 @@ def _go_on(table: Places, strain_prev: float, F_next_N: float) -> None:
 
 @compiled
 def _publish(table: Places, k: int) -> None:
-    """`WebLineTwin.published` of a span, from 0, of a line without effects on E."""
+    """Compiled `WebLineTwin.published` of a span, from 0, of a line without effects on E."""
     t = floats(table, _OWN + k * cycle.ROWS + cycle.STATE_ROW, (1,))
     at, values, first = integers(table, _AT, (1,)), floats(table, _VALUES, (1,)), _PUBLISHED + k * _COUNT_PUBLISHED
     tension, factor = 3 * int(floats(table, _LINE, (1,))[lay.W_MOTORS]) + k, t[cycle.SERIES_FACTOR]
@@ -212,14 +212,14 @@ def _publish(table: Places, k: int) -> None:
 
 @compiled
 def _separable(of_span: Places) -> bool:
-    """Whether the bank tells all apart."""
+    """True if the bank separates all nuisance parameters."""
     inputs, mixture = floats(of_span, cycle.BANK_INPUTS_ROW, (1,)), floats(of_span, cycle.BANK_OUT_ROW, (1, 2))
     return changepoint.separable(inputs, integers(of_span, cycle.BANK_PLACES_ROW, (1,)), mixture)
 
 
 @compiled
 def _status(table: Places) -> int:
-    """`TwinApplication._status` of a machine that is released, with the model that it was configured with."""
+    """Compiled `TwinApplication._status` of a released machine with its configured model."""
     spans, synchronized, status = floats(table, _SPANS, (1, 2)), SYNCHRONIZED, RUNNING
     for k in range(len(spans)):
         of_span = table[_OWN + k * cycle.ROWS :]
@@ -238,7 +238,7 @@ def _status(table: Places) -> int:
 
 @compiled
 def _is_published(table: Places) -> bool:
-    """Whether all that was reported of the torques is so still."""
+    """True if the last torque report is still valid."""
     spans, boundary = floats(table, _SPANS, (1, 2)), True
     for k in range(len(spans)):
         of_span = table[_OWN + k * cycle.ROWS :]
@@ -274,25 +274,25 @@ def _run(stage: int, table: Places) -> int:
 
 
 def warm_up() -> None:
-    """Compile, or load, before anybody waits for a cycle."""
+    """Compile, or load, the cycle in advance."""
     _run(-1, np.zeros((1, 1), np.int64))
 
 
 @dataclass(slots=True)
 class EstimatedSpan:
-    """A span at which E is found."""
+    """Span with an estimator of E."""
 
     span: int
     section: WebSection
     tracking: SpanEstimator
-    residual_Nm: float = 0.0  #: torque of the axis behind it, measured less simulated
+    residual_Nm: float = 0.0  #: torque of the axis after it, measured less simulated
 
 
 class LineInVectors:
-    """A `WebLineTwin` that goes on in vectors; see `machine.InVectors`.
+    """Runner of a `WebLineTwin` in vectors; see `machine.InVectors`.
 
-    `estimated` (K,): of all spans; `rad_per_m` (N,): of the motors, at the web; `ripples`: torques are corrected for
-    their ripple; `passage`: None where nobody looks for other web.
+    `estimated` (K,): all spans; `rad_per_m` (N,): of the motors, at the web; `ripples`: torques are corrected for their
+    ripple; `passage`: None without splice tracking.
     """
 
     def __init__(
@@ -332,7 +332,7 @@ class LineInVectors:
         self._take_method()
 
     def _take_method(self) -> None:
-        """The methods, or what they consist of, may be other ones."""
+        """Update the table after a change of methods or their vectors."""
         tables = [each.tracking.table for each in self._estimated]
         if not len(self._table) or any(now is not then for now, then in zip(tables, self._of, strict=True)):
             self._of = tables
@@ -342,17 +342,17 @@ class LineInVectors:
         self._spans[:, _SEPARABLE] = [each.tracking.separable for each in self._estimated]
 
     def has_ended(self, code: int) -> bool:
-        """See `machine.InVectors`."""
+        """True if the cycle was completed; see `machine.InVectors`."""
         return code in _ENDS
 
     def go_on_from(self, code: int) -> int:
-        """See `machine.InVectors`."""
+        """Run the rest of a cycle; see `machine.InVectors`."""
         while code not in _ENDS:
             code = self._go_on_by_objects(code)
         return _ENDS[code]
 
     def _go_on_by_objects(self, stage: int) -> int:
-        """What is Python's of a stage, and what is behind that."""
+        """Run an interpreted stage, then the compiled ones after it."""
         for each in self._estimated:
             each.tracking.has_gone_on()
         if stage == _UNPAIRED:
@@ -372,7 +372,7 @@ class LineInVectors:
         return _run(behind, self._table)
 
     def give(self) -> int:
-        """See `machine.InVectors`."""
+        """Write back to the objects; see `machine.InVectors`."""
         for each, residual_Nm in zip(self._estimated, self._spans[:, _RESIDUAL_NM].tolist(), strict=True):
             each.tracking.has_gone_on()
             each.residual_Nm = residual_Nm

@@ -1,4 +1,4 @@
-"""Errors of a web line's model that its twin has found, as effects of the vocabulary."""
+"""Estimated errors of a web line's model, as effects of the vocabulary."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hilbench.plant.effects import find_effect
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.twin.estimated_errors import EstimatedModelError
 
-#: Effect and parameter of each error that is handed out, by the name that the estimator gives it.
+#: Effect and parameter of each published error, by the estimator's name.
 _EFFECTS: Final = {
     "torque_offset_Nm": ("torque_offset", "offset_Nm"),
     "dry_friction_N": ("coulomb_friction", "force_N"),
@@ -19,14 +19,14 @@ _EFFECTS: Final = {
     "inertia_share": ("inertia_mismatch", "relative_change"),
     "eccentricity_m": ("roller_eccentricity", "amplitude_m"),
 }
-#: What the data do not tell an error from: a motor that pulls less accelerates less, as a heavier roller does.
+#: Effects inseparable from an error: a motor with less torque accelerates less, as a heavier roller does.
 _TIED: Final = {"inertia_share": ("torque_scale",)}
 
 
 def as_effects(errors: Sequence[Nuisance], model: ModelParameters, span: int) -> Iterator[EstimatedModelError]:
-    """What was found at a span; the model's own comes on top.
+    """Estimated errors of a span as effects, including the model's own.
 
-    Of a line with one span the errors are those of axis 2; behind one of several they are of all rollers together.
+    Of a line with one span the errors are those of axis 2; after one of several they are of all rollers together.
     """
     alone = model.span_count == 1
     for error in errors:
@@ -37,10 +37,10 @@ def as_effects(errors: Sequence[Nuisance], model: ModelParameters, span: int) ->
         axis = span + 1 if of_axis else None
         own = next((entry for entry in model.effects if entry.effect == effect and entry.axis == axis), None)
         if own is not None and error.name == "eccentricity_m":
-            continue  # two that are at different angles do not add up
+            continue  # two at different angles do not add up
         of_model = 0.0 if own is None else own.parameters.get(parameter, 0.0)
         value, deviation = of_model + error.value, error.deviation
-        if error.name == "inertia_share":  # of the mass as the model has it
+        if error.name == "inertia_share":  # of the model's mass
             value, deviation = (1.0 + of_model) * (1.0 + error.value) - 1.0, (1.0 + of_model) * deviation
         place = f"axis{axis}" if of_axis else ("web" if alone else f"span{span}")
         tied_with = _TIED.get(error.name, ())

@@ -1,9 +1,8 @@
-"""What a twin of a line with stations finds: carriages, radii of reels, E of the sections where it shows.
+"""Estimation of carriage positions, reel radii and section moduli E of a line with stations, by an augmented filter.
 
-A line follows the measured motion; what its torques, and the sensors of stations, say otherwise is put down to the
-unknowns by how the line itself says that it depends on them (`hilbench.plant.web_line.sensitivity_model`). So the
-radius of a reel is found by v·dt = r·dphi with the strain in it, from the tension that a wrong radius would make, or
-from the carriage that it would move.
+A line follows the measured motion; residuals of its torques and station sensors update the unknowns by the line's own
+sensitivities to them (`hilbench.plant.web_line.sensitivity_model`). So the radius of a reel is found by v·dt = r·dphi
+with the strain in it, from the tension that a wrong radius would make, or from the carriage that it would move.
 """
 
 from __future__ import annotations
@@ -28,73 +27,73 @@ from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Un
 from hilbench.twin.machines.web_line_sensors import StationSensors
 from hilbench.twin.machines.web_line_transients import transient_detector
 
-_WINDOW_S: Final = 0.03  #: of which the means are looked at
-# What is believed at the start, as standard deviations.
+_WINDOW_S: Final = 0.03  #: averaging window
+# Priors, as standard deviations.
 _RADIUS_SHARE: Final = 0.02
 _MODULUS_SHARE: Final = 0.2
-_SECTION_SHARE: Final = 0.03  #: by which E of a section is another than that of the whole web
-_DRIFT_APART: Final = 0.1  #: so much of that in a shift, in which the whole web goes through all of them
-#: By which E changes at once: that of the whole web, and besides that of a section.
+_SECTION_SHARE: Final = 0.03  #: of a section's E from that of the whole web
+_DRIFT_APART: Final = 0.1  #: share of that drifting in a shift, in which the whole web may go through all of it
+#: Sudden change of E: of the whole web, and in addition of a section.
 _JUMP_SHARE, _SECTION_JUMP_SHARE = 0.2, 0.1
-#: Share of a web of which nothing is known that has to have left before E is learned: until then it is the same as the
-#: strain to what is measured. And the deviation of E, relative, that learning both of them from their product adds.
+#: Share of a web of unknown strain that has to have left before E is learned: until then it is not separable from the
+#: strain. And the relative deviation of E that is added by learning both of them from their product.
 _SHOWN_FROM, _OF_PRODUCT = 0.1, 0.01
-#: Of the strain with which the web comes in: at rest, under way, and at rest where nobody knows it.
+#: Strain of the entering web: at rest, running, and at rest with unknown strain.
 _STRAIN_AT_REST, _STRAIN_UNDER_WAY, _STRAIN_UNKNOWN = 0.02, 0.5, 1.0
-#: Of its way. Of one that is under way nothing is believed but its stops, nor of one whose spring will tell.
+#: Of its travel. A running one has its stops as only prior, and so has one whose position its spring will show.
 _CARRIAGE_AT_REST: Final = 0.01
 _USUAL_TRAVEL_M: Final = 1.0  #: of a carriage without stops
-_MODEL_SHARE: Final = 0.01  #: of E, that no model of a line is surer of
-# What changes meanwhile.
-#: Of web: at 1e-4 what goes in and out beside a measured carriage tells no drift of E of 1 % in a minute.
+_MODEL_SHARE: Final = 0.01  #: of E, lower limit by model errors
+# Process noise.
+#: Of web: at 1e-4 the web balance of a measured carriage can't show a drift of E of 1 % in a minute.
 _CARRIAGE_M_PER_SQRT_M: Final = 1e-5
-_SLIPPING_M_PER_SQRT_M: Final = 2e-3  #: while a web slips somewhere
-_THICKNESS_SHARE: Final = 0.1  #: error of the thickness by which a reel's radius changes
-_RADIUS_PER_SQRT_M: Final = 2e-5  #: what else
-_STRAIN_PER_SQRT_S: Final = 1e-3  #: of that with which the web comes in
-#: After which E, and the slow error of a torque, are others within their prior: a shift. So E changes from roll to roll
-#: by 1 % in a minute, 8 % in an hour, and a torque by 1 % of its slow error in 2.5 s: E is likelier to.
+_SLIPPING_M_PER_SQRT_M: Final = 2e-3  #: while a web slips
+_THICKNESS_SHARE: Final = 0.1  #: thickness error, which changes a reel's radius
+_RADIUS_PER_SQRT_M: Final = 2e-5  #: other changes
+_STRAIN_PER_SQRT_S: Final = 1e-3  #: of the entering web
+#: Time constant (a shift) of E, and of a torque's slow error, within their priors (Ornstein-Uhlenbeck). So E changes by
+#: 1 % in a minute, 8 % in an hour, a torque by 1 % of its slow error in 2.5 s: E is likelier to.
 _SHIFT_S: Final = 5e4
-# How wrong measurements are.
+# Measurement noise.
 _OFFSET_SHARE: Final = 0.002  #: slow error of a torque: friction, offset; of the drive's limit
-_LEAST_NOISE_SHARE: Final = 1e-3  #: of a window: idlers swing, by which it is no white noise
-#: Of a limit, or of the tension at a load cell, at first: the line is let go in another state than it is in, and
-#: swings; and for how long.
+_LEAST_NOISE_SHARE: Final = 1e-3  #: of a window: oscillating idlers are no white noise
+#: Of a limit, or of the tension at a load cell, at first: the line is released in another state than the real one, and
+#: oscillates; and for how long.
 _SWING_SHARE, _SWING_S = 0.2, 0.05
-#: After a change of the web: of the torques and tensions that show it, and for how long; of other sensors nothing.
+#: After a change of the web: of torques and tensions that show it, and for how long; other sensors have none.
 _CHANGE_SWING_SHARE, _CHANGE_SWINGS_S = 0.3, 0.13
-#: The same of torques beside a section with a carriage, which swings against its web.
+#: The same of torques next to a section with a carriage, which oscillates against its web.
 _KICK_SWING_SHARE, _KICK_SWINGS_S = 1.0, 0.3
 _KICK_SHARE: Final = 0.03  #: of a limit, of these at first
-_INERTIA_SHARE: Final = 0.05  #: of the torque that accelerates
-#: By which the strain of a section may change while a web slips somewhere, of that with which the web comes in.
+_INERTIA_SHARE: Final = 0.05  #: of the accelerating torque
+#: Change of a section's strain while a web slips, over that of the entering web.
 _SLIPPING_PER_SQRT_S: Final = 0.2
-#: Evidence (`Unknowns.evidence`) on which E is corrected: with a right model its errors are draws of priors, a new one
-#: in minutes. Of two sections that is passed by one draw in 20,000, which are some 100 days.
+#: Evidence (`AugmentedFilter.evidence_of_change`) on which E is corrected: with a right model its errors are draws of
+#: priors, a new one in minutes. Of two sections one draw in 20,000 exceeds it, once in some 100 days.
 _ACCEPTED: Final = 20.0
-_KEPT: Final = 0.5 * _ACCEPTED  #: what is left of that once more is known, with which it is kept
-#: From when on kicks are looked for: the line is let go in another state than it is in, and swings.
+_KEPT: Final = 0.5 * _ACCEPTED  #: evidence remaining once more is known, down to which it is kept
+#: Start of the transient detection: the line is released in another state than the real one, and oscillates.
 _KICKS_FROM_S: Final = 0.5
-_KICK_NOISE_SHARE: Final = 1e-3  #: of a limit: what else is in a torque
-#: For how long a kick that noise may be is kept in mind, for what web of another strain tells in the next section.
+_KICK_NOISE_SHARE: Final = 1e-3  #: of a limit: other torque noise
+#: Time for which an uncertain transient is kept, for the strain of its web to show in the next section.
 _MAY_BE_S: Final = 3.0
-#: Deviations of E by which it is another one in the next section, and the error of that, as a share.
+#: Deviations of E by which the next section's has to differ, and the error of that, as a share.
 _BOOKED, _BOOKED_OFF = 3.0, 0.35
-_EMULATED_SHARE: Final = 0.25  #: error of the size of a kick that load motors emulate
-#: For how long from the start on, and after a change, E is corrected as it is found; and with which time constant after
-#: that, so that what comes faster than a drift is seen as evidence first.
+_EMULATED_SHARE: Final = 0.25  #: error of the size of a transient emulated by load motors
+#: Time after the start and after a change for which E is corrected immediately; time constant of the correction after
+#: that, so that changes faster than a drift are first seen as evidence.
 _LEARNS_S, _FOLLOWS_S = 1.0, 1.0
 _STARTS_S: Final = 0.5
-#: Way of the web, as a share of the shortest section, from which to which what is known is kept; and for how many
-#: lengths of the longest one.
+#: Travel between two checkpoints, as a share of the shortest section; and how many lengths of the longest one they
+#: reach back.
 _KEPT_EVERY, _KEPT_LENGTHS = 0.1, 3.0
-#: Corrections stay within these.
+#: Limits of the corrections.
 _LEAST_MODULUS, _MOST_MODULUS, _MOST_RADIUS = -0.8, 4.0, 0.3
 
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
-    """What was known at a time: by the filter, and what the unknowns (n,) had been corrected by."""
+    """Checkpoint: posterior of the filter, and accumulated corrections of the unknowns (n,)."""
 
     time_s: float
     travel_m: float
@@ -103,16 +102,16 @@ class _Kept:
 
 
 class Found(NamedTuple):
-    """A value and its standard deviation."""
+    """Value and its standard deviation."""
 
     value: float
     deviation: float
 
 
 class LineFilter:
-    """Of a line with stations, whose axes answer once a cycle; `measured`: names of stations with a sensor; `torqued`:
-    axes whose torque is told to them, and so says nothing of the web; `emulated`: whether load motors pull as the web
-    would."""
+    """Estimator of a line with stations, whose axes answer once a cycle; `measured`: names of stations with a sensor;
+    `torqued`: torque-controlled axes, whose torque has no information on the web; `emulated`: load motors emulate the
+    web's tension."""
 
     def __init__(
         self,
@@ -134,7 +133,7 @@ class LineFilter:
         assert loops is not None, "a twin's model has drives"
         self._limits_Nm = [per_item(loops.torque_limit_Nm, axis) for axis in self._axes]
         limits_Nm, of_sensors = np.array(self._limits_Nm), self._sensors.offsets
-        self._least_variances = (_KICK_NOISE_SHARE * limits_Nm) ** 2  # of torques in which kicks are looked for
+        self._least_variances = (_KICK_NOISE_SHARE * limits_Nm) ** 2  # of torques in which transients are searched
         self._offsets = np.concatenate([_OFFSET_SHARE * limits_Nm, of_sensors])
         self._shows = np.array([self._shows_in_torques(each) for each in self.sensitivities.unknowns], float)
         self._gains = [per_item(loops.velocity_kp_Nm_s_per_rad, axis) for axis in axes]
@@ -142,22 +141,22 @@ class LineFilter:
         own_kg = [model.roller_mass_kg(axis) + model.motor_mass_kg(axis) for axis in axes]
         per_m = np.array([model.motor_rad_per_m(axis) for axis in axes])
         wound_kg_m2 = [model.wound_inertia_kg_m2(axis) / model.gear_ratio(axis) ** 2 for axis in axes]
-        #: Of each driven roller (N,), at the motor: its own, and what is wound on it at the start.
+        #: Inertia of each driven roller (N,), at the motor: its own, and of the web wound on it at the start.
         self._own_kg_m2, self._wound_kg_m2 = np.array(own_kg) / per_m**2, np.array(wound_kg_m2)
         self._rad_per_m = per_m
         self._set_cycle(cycle_s)
-        self._loads = self.sensitivities.load_slopes  # as it is brought up to date
+        self._loads = self.sensitivities.load_slopes  # updated in place
         kinds = np.array([each.kind for each in self.sensitivities.unknowns])
         self._is_strain, self._is_modulus = kinds == Kind.STRAIN, kinds == Kind.MODULUS
         sensed = np.array([each in self._sensors.sensed for each in self.sensitivities.unknowns], bool)
-        #: What nothing but torques and tensions tells.
+        #: Unknowns that are observed by torques and tensions alone.
         self._by_torque = ~self._is_strain & ~sensed
-        #: From what each unknown is learned while a web slips: torques tell tensions then, sensors what they sense.
+        #: Which innovation updates which unknown while a web slips: torques the tensions, sensors what they sense.
         self._learns_slipping = np.zeros((len(kinds), len(self._offsets)), bool)
         self._learns_slipping[self._is_strain, : len(self._axes)] = True
         self._learns_slipping[~self._by_torque, len(self._axes) :] = True
-        #: The same of a web at rest of which nothing is known, as one number says nothing of E and strain apart, and
-        #: where a reel has a wrong flywheel as it speeds up: an error that is no noise.
+        #: The same for a web at rest with unknown strain, as one measurement can't separate E and strain, and where a
+        #: reel has a wrong flywheel while accelerating: an error that is no noise.
         self._learns_no_modulus = np.repeat(~self._is_modulus[:, None], len(self._offsets), axis=1)
         lengths_m = [sum(model.span_length_m(k + 1) for k in spans) for spans in _sections(model)]
         self._keep_every_m, self._keep_m = _KEPT_EVERY * min(lengths_m), _KEPT_LENGTHS * max(lengths_m)
@@ -173,22 +172,22 @@ class LineFilter:
         self._response = DriveResponse(self._gains, self._rates, len(self.sensitivities.unknowns) + 1, cycle_s)
 
     def _set_kicks(self) -> None:
-        """Look for kicks, as they are in such cycles."""
+        """Create the transient detectors for this cycle time."""
         model = self._model
         held = {
             Unknown(Kind.MODULUS, axes_before_spans(model)[carriage.first_span - 1]) for carriage in model.carriages
         }
         answer = DriveResponse(self._gains, self._rates, 1, self._cycle_s)
         answer.set_inertia(self._inertia_kg_m2)
-        #: Of each section whose tension a carriage keeps: place of its E, and what looks for kicks of it.
+        #: Of each section with a carriage: index of its E, and its transient detector.
         self._transients = [
             (place, transient_detector(model, unknown.number, self._rows.tolist(), answer, self._cycle_s))
             for place, unknown in enumerate(self.sensitivities.unknowns)
-            if unknown in held and self._axes  # without torques that tell of the web there is nothing to see
+            if unknown in held and self._axes  # without torques of the web nothing is observable
         ]
 
     def set_cycle_time(self, cycle_s: float) -> None:
-        """Each cycle is so long from the next on; what is known stays."""
+        """Set the cycle time; the estimate stays."""
         if cycle_s == self._cycle_s:
             return
         before = self._response
@@ -201,14 +200,14 @@ class LineFilter:
         self._begin_window()
 
     def begin(self, positions_m: Sequence[float], speed_m_s: float, *, known: bool = True) -> None:
-        """The web is let go with the driven rollers (N,) there; it has this speed, 0 at rest. Not `known`: nobody knows
-        how a web at rest is strained."""
+        """Start with the driven rollers (N,) at these positions and this web speed, 0 at rest. Not `known`: the strain
+        of a web at rest is unknown."""
         self.sensitivities.reset(positions_m, speed_m_s)
         under_way = speed_m_s != 0.0 or not known
         strained = _STRAIN_AT_REST if not under_way else _STRAIN_UNDER_WAY if speed_m_s else _STRAIN_UNKNOWN
         believed = np.diag([self._believed(each, under_way, strained) ** 2 for each in self.sensitivities.unknowns])
-        # Which of E and strain makes the tension of a line that is joined under way is known once its web has left and
-        # other has come; but behind a carriage, which keeps the tension, that comes with a strain that E has made.
+        # On a line joined while running, E and strain are separable once its web has been replaced; but after a
+        # carriage, which keeps the tension, web enters with a strain that E has made.
         self._known_from_m = self._web_m if under_way else 0.0
         unknown_at_rest = not known and speed_m_s == 0.0
         self._moduli_from_m = _SHOWN_FROM * self._web_m if unknown_at_rest else 0.0
@@ -219,7 +218,7 @@ class LineFilter:
         common = sqrt(_MODULUS_SHARE**2 - _SECTION_SHARE**2)
         moduli = self._moduli_apart(common, _SECTION_SHARE) if self._identifies_moduli else nothing
         drifts = self._moduli_apart(common, _DRIFT_APART * _SECTION_SHARE) if self._identifies_moduli else nothing
-        #: By which E (p, p) changes suddenly, and in a shift.
+        #: Covariance (p, p) of sudden changes of E, and of drift in a shift.
         at = np.ix_(self._is_modulus, self._is_modulus)
         jumps = self._moduli_apart(_JUMP_SHARE, _SECTION_JUMP_SHARE) if self._identifies_moduli else nothing
         self._jumps, self._drifts = jumps[at], drifts[at]
@@ -237,16 +236,16 @@ class LineFilter:
         self._noise = NoiseLevels(0.01 * limits_Nm, 1e-4 * limits_Nm)
         self._positions_m, self._travel_m, self._window_travel_m = list(positions_m), 0.0, 0.0
         self._time_s = 0.0
-        self._sensed = np.zeros(len(self._sensors.offsets))  # by sensors beside the line that is followed
+        self._sensed = np.zeros(len(self._sensors.offsets))  # sensor residuals to the simulated line
         self._speeds_m_s: Vector | None = None
         self._speeds_rad_s: Vector | None = None  # of the motors (N,)
-        self._followed_s = self._cycle_s  # for how long the motion was followed last
+        self._followed_s = self._cycle_s  # duration of the last motion step
         self._loads[:] = 0.0
         self._response.reset()
         self._set_inertia()
         self._slips = False
-        self._may_be: list[tuple[float, int, Transient]] = []  # kicks that noise may be, and when they began
-        #: Way from which on E beside a carriage is another one, or web comes in with another strain, or slips.
+        self._may_be: list[tuple[float, int, Transient]] = []  # uncertain transients, and their start times
+        #: Travel from which on E next to a carriage has changed, or web enters with another strain, or slips.
         self._undecided_from_m = inf
         self._corrected = np.zeros(len(self.sensitivities.unknowns))
         self._learns_until_s = self._swings_until_s = -inf
@@ -266,37 +265,37 @@ class LineFilter:
         return _RADIUS_SHARE if unknown.kind is Kind.RADIUS else 0.0
 
     def _rate_per_m(self, unknown: Unknown) -> float:
-        """Deviation of what a reel's radius changes by per m of web, of that at the start, besides what it does."""
+        """Deviation of a reel's radius change per m of web, over the initial radius, beyond the model's."""
         reel = unknown.kind is Kind.RADIUS
         return _THICKNESS_SHARE * abs(self.sensitivities.slope_per_m(unknown.number)) if reel else 0.0
 
     def _moduli_apart(self, common: float, apart: float) -> Vector:
-        """Covariance of E of the sections, of one web: deviations of what all have, and each for itself."""
+        """Covariance of E of the sections: deviations common to the web, and of each by itself."""
         moduli = self._is_modulus.astype(float)
         return common**2 * np.outer(moduli, moduli) + apart**2 * np.diag(moduli)
 
     def _shows_in_torques(self, unknown: Unknown) -> bool:
-        """Where a carriage stands no tension tells, but against a spring or on an arm: that a longer web yields more is
-        less than any model is sure of."""
+        """False for a carriage without spring or arm, whose position is not observable by tension: that a longer web is
+        more compliant is below any model's accuracy."""
         if unknown.kind is not Kind.CARRIAGE:
             return True
         station = self._model.carriages[unknown.number - 1].station
         return station.spring_N_per_m > 0.0 or station.arm_length_m > 0.0
 
     def _set_inertia(self) -> None:
-        """Reels by what is on them now."""
+        """Update the inertia of reels by the web on them."""
         self._inertia_kg_m2 = self._own_kg_m2 + self._wound_kg_m2 * self.sensitivities.ratios**4
         self._response.set_inertia(self._inertia_kg_m2)
 
     @property
     def inertia_kg_m2(self) -> Vector:
-        """Of each driven roller (N,) with what is on it now, at the motor."""
+        """Inertia of each driven roller (N,) with the web on it now, at the motor."""
         inertia_kg_m2: Vector = self._inertia_kg_m2
         return inertia_kg_m2
 
     @property
     def swings(self) -> bool:
-        """Whether E has changed suddenly so lately that carriages swing against it."""
+        """True while carriages oscillate after a sudden change of E."""
         return self._time_s <= self._swings_until_s
 
     def _begin_window(self) -> None:
@@ -307,21 +306,21 @@ class LineFilter:
     # -- each cycle --------------------------------------------------------------------------------------
 
     def sense(self, readings: Mapping[str, float]) -> None:
-        """What the sensors of stations said of the motion that was followed last, m and N, by name."""
+        """Take the readings of station sensors for the last motion step, m and N, by name."""
         first, (left, slopes) = len(self._axes), self._sensors.look(readings)
         self._sensed = left
         self._sum[first:] += left
         self._slopes[first:] += slopes
 
     def sensed_length_m(self, axis: int) -> float:
-        """Of the section behind an axis, with its carriages where their sensors say."""
+        """Length of the section after an axis, with its carriages at their sensed positions."""
         sensed = zip(self._sensors.sensed, self._sensed.tolist(), strict=False)
         return self.sensitivities.length_m(axis) + sum(
             left_m * self.sensitivities.longer_by(each, axis) for each, left_m in sensed if each.kind is Kind.CARRIAGE
         )
 
     def follow(self, positions_m: Sequence[float], duration_s: float) -> None:
-        """The driven rollers (N,) are there now."""
+        """Move the driven rollers (N,) to these positions."""
         self.sensitivities.follow(positions_m, duration_s)
         self._followed_s = duration_s
         travel_m = abs(positions_m[-1] - self._positions_m[-1])
@@ -331,13 +330,13 @@ class LineFilter:
 
     @property
     def torques_missing_Nm(self) -> Vector:
-        """What the torques (N,) of the closed line have not answered yet to what was corrected."""
+        """Part of the closed line's torques (N,) that its drives have not yet answered to corrections."""
         return self._response.torques_Nm[:, -1]
 
     def compare(self, time_s: float, residuals_Nm: Vector, *, limited: bool, slips_since_s: float = inf) -> bool:
-        """Torques (N,), measured less those of the closed line; whether something was corrected. `limited`: a torque is
-        at its limit, and says nothing; `slips_since_s`: when no web slipped yet, inf where none does: what was booked
-        since then is taken back, and of the torques nothing but tensions is learned."""
+        """Update by torque residuals (N,), measured less closed line; True if something was corrected. `limited`: a
+        torque is saturated, and has no information; `slips_since_s`: latest time without slip, inf without slip:
+        corrections since then are undone, and torques update tensions alone."""
         began, self._slips = not self._slips and slips_since_s < inf, slips_since_s < inf
         if began:
             self._take_back(slips_since_s)
@@ -365,8 +364,8 @@ class LineFilter:
         return corrected
 
     def _refresh_loads(self) -> None:
-        """Bring loads up to what is followed. A load motor in the place of a reel emulates what its web pulls, but has
-        the flywheel that the reel had at the start."""
+        """Update the load sensitivities. A load motor in place of a reel emulates its web's tension, but with the
+        flywheel that the reel had at the start."""
         self.sensitivities.refresh_load_slopes()
         speeds = self._rad_per_m * self.sensitivities.line.v_m_s
         before, self._speeds_rad_s = self._speeds_rad_s, speeds
@@ -397,9 +396,8 @@ class LineFilter:
         return True
 
     def _parameters(self) -> Vector:
-        """By which E is corrected (n,): by what has changed, at once for a while from a sudden change on, and slowly
-        after that; not at all where something else may be. By what has been wrong from the start on overwhelming
-        evidence, or where nothing was known of it."""
+        """Corrections of E (n,): changes at once for a while after a sudden one, and slowly after that; none while
+        undecided. Initial errors on overwhelming evidence, or while there is no earlier information."""
         filtered, none = self._filter, np.zeros_like(self._corrected)
         if filtered.has_changed:
             if self._time_s > self._learns_until_s:
@@ -417,8 +415,8 @@ class LineFilter:
         return found + filtered.take_changes(self._window * self._cycle_s / _FOLLOWS_S)
 
     def _from_start(self) -> Vector:
-        """By which E is corrected (n,) as it was wrong from the start: as it is found where nothing is known of the web
-        yet, which is given back where that is no evidence."""
+        """Corrections of initial errors of E (n,): immediate while nothing is known of the web, and undone later
+        without evidence."""
         filtered, none = self._filter, np.zeros_like(self._corrected)
         if self._time_s <= _STARTS_S or self._travel_m < self._known_from_m:
             taken = filtered.take_start()
@@ -430,7 +428,7 @@ class LineFilter:
         return none
 
     def _is_another(self, evidence: float) -> bool:
-        """Whether E is another one by this evidence: beside a carriage, once a slip would have been told."""
+        """True if E has changed by this evidence: next to a carriage, only once a slip would have been detected."""
         if evidence < (_ACCEPTED if self._undecided_from_m == inf else _KEPT):
             self._undecided_from_m = inf
             return False
@@ -438,15 +436,14 @@ class LineFilter:
         return not self._transients or self._travel_m - self._undecided_from_m > self._keep_m
 
     def _learn(self, *, anew: bool = False) -> None:
-        """Correct E as it is found for a while; `anew`: it has been another one for a while, and it is learned what
-        by."""
+        """Correct E immediately for a while; `anew`: it changed some time ago, by an amount yet to be estimated."""
         if anew:
             self._filter.jump(self._jumps)
         self._undecided_from_m = inf
         self._learns_until_s = self._time_s + _LEARNS_S
 
     def _look_for_kicks(self, time_s: float, left_Nm: Vector) -> bool:
-        """In torques (m,) beside those of the line that is followed; whether there was one."""
+        """Search transients in torque residuals (m,); True if one was applied."""
         if not self._identifies_moduli or self._slips or self._time_s < _KICKS_FROM_S:
             self._forget_kicks()
             return False
@@ -467,9 +464,8 @@ class LineFilter:
         return False
 
     def _handed_on(self, began_s: float, place: int, transient: Transient) -> Transient | None:
-        """The kick, where torques tell since then of the section behind what web of the strain that it makes does
-        there: it is booked as E. Of one that load motors emulate, some cycles late, not even the sign is known but by
-        that."""
+        """Transient confirmed by E of the next section, which books the strain that its web brings. If load motors
+        emulate it, some cycles late, even its sign is known only from there."""
         changed, deviation = self._booked_behind(place, self._at(began_s))
         would_be, share = -changed / (1.0 + changed), transient.share
         if self._emulated:
@@ -482,26 +478,26 @@ class LineFilter:
         return transient if readings else None
 
     def _booked_behind(self, place: int, kept: _Kept) -> tuple[float, float]:
-        """Share by which E of the section behind another one is told to be larger beside that of this one than it was,
-        and the deviation of that, then or now."""
+        """Relative increase of the next section's E over that of this one since `kept`, and its deviation, then
+        or now."""
         behind = Unknown(Kind.MODULUS, self.sensitivities.unknowns[place].number + 1)
         if behind not in self.sensitivities.places:
             return 0.0, 1.0
         at = self.sensitivities.places[behind]
         then, readings = self._filter.of_unknowns(kept.posterior), self._filter.of_unknowns(self._filter.posterior)
-        # What has just changed suddenly is not told apart yet: then that counts, however well it was known.
+        # After a sudden change they are not separable yet: that counts, however certain they were before.
         apart = (float(known[at, at] + known[place, place] - 2.0 * known[at, place]) for known, _ in (then, readings))
         deviation = sqrt(max(apart))
         before, now = 1.0 + kept.corrected + then[1], 1.0 + self._corrected + readings[1]
         return float(now[at] / now[place] * before[place] / before[at]) - 1.0, deviation
 
     def _at(self, time_s: float) -> _Kept:
-        """What was known then."""
+        """Checkpoint at that time."""
         return next((kept for kept in reversed(self._kept) if kept.time_s <= time_s), self._kept[0])
 
     def _kicked(self, time_s: float, began_s: float, place: int, transient: Transient) -> None:
-        """E of a section whose tension a carriage keeps is another one: torques have told of the others what was that,
-        and tell now how much it is by the strain of the web that comes from there."""
+        """Apply a transient: E of a section with a carriage has changed. Torques had attributed that to other unknowns;
+        now they measure it by the strain of the web leaving the section."""
         self._take_back(began_s)
         unknown = self.sensitivities.unknowns[place]
         factor = self.sensitivities.modulus_factor(unknown.number)
@@ -516,8 +512,8 @@ class LineFilter:
         self._learn()
 
     def _hand_on(self, axis: int, since_s: float, transient: Transient, changes: Vector) -> None:
-        """Web that has left the section since the kick has another strain than the line that is followed has handed
-        on: what that is of the strain in the next section."""
+        """Correct the next section's strain for web that has left since the transient with another strain than the
+        simulated line's."""
         behind = Unknown(Kind.STRAIN, axis + 1)
         if behind in self.sensitivities.places:
             line, spans = self.sensitivities.line, _sections(self._model)
@@ -532,7 +528,7 @@ class LineFilter:
         self._may_be.clear()
 
     def _apply(self, changes: Vector) -> None:
-        """Correct the line by these of its unknowns (n,), and let them be those of now."""
+        """Correct the line's unknowns (n,) and restart from the corrected ones."""
         self._corrected = self._corrected + changes
         self.sensitivities.correct(changes)
         self._response.add(len(changes), changes)
@@ -543,8 +539,8 @@ class LineFilter:
         self._set_inertia()
 
     def put_tensions(self, tensions_N: Mapping[int, float]) -> None:
-        """The sections behind these axes have these tensions, whatever the encoders promise: of those whose strain is
-        an unknown."""
+        """Set the tensions of the sections after these axes, whatever the encoders' strain; only of those whose strain
+        is an unknown."""
         changes = np.zeros(len(self.sensitivities.unknowns))
         for axis, tension_N in tensions_N.items():
             strain = Unknown(Kind.STRAIN, axis)
@@ -554,7 +550,7 @@ class LineFilter:
         self._apply(changes)
 
     def _keep(self, time_s: float) -> None:
-        """Keep what is known, for `_take_back`."""
+        """Take a checkpoint, for `_take_back`."""
         kept = self._kept
         if self._slips or self._travel_m - kept[-1].travel_m < self._keep_every_m:
             return
@@ -563,8 +559,8 @@ class LineFilter:
             kept.popleft()
 
     def _take_back(self, since_s: float) -> None:
-        """What torques have told since then of E, and where carriages without a sensor stand, was the slip; tensions
-        stay, and are the torques' to tell from now on."""
+        """Undo the torques' estimates since then of E, and of positions of carriages without a sensor: it was the slip.
+        Tensions stay, and are estimated by the torques from now on."""
         earlier, self._learns_until_s = self._at(since_s), -inf
         strains = np.where(self._is_strain, (_STRAIN_AT_REST * self._model.upstream_strain) ** 2, 0.0)
         variances = np.maximum(strains, self._filter.deviations**2)
@@ -576,7 +572,7 @@ class LineFilter:
         self._apply(back - moduli)
 
     def _answer_from_now(self, cycles: int) -> None:
-        """What has changed in the web changed so many cycles ago: until then no drive had to answer to it."""
+        """Restart the drives' response from a change of the web so many cycles ago."""
         web = [i for i, each in enumerate(self.sensitivities.unknowns) if each.kind in (Kind.MODULUS, Kind.STRAIN)]
         self._response.answer_from(cycles, web, self._loads)
 
@@ -587,7 +583,7 @@ class LineFilter:
         return min(max(change, -_MOST_RADIUS), _MOST_RADIUS) if unknown.kind is Kind.RADIUS else change
 
     def _set_growth(self) -> None:
-        """What is left in a window of what is known of the states, and by what E and slow errors change."""
+        """Set remaining share and process noise per window of E and slow errors."""
         lasted_s, first = self._window * self._cycle_s, self._filter.first_offset
         prior = np.zeros((first + len(self._offsets),) * 2)
         changes = len(self._is_modulus) + np.arange(len(self._drifts))
@@ -618,34 +614,34 @@ class LineFilter:
         return np.concatenate([noise, sensors])
 
     def _inertial_variances(self, lasted_s: float) -> Vector:
-        """Of torques (m,) in a window that lasted so long, by what accelerates."""
+        """Inertial variances of torques (m,) in a window of this duration."""
         speeds_m_s = self.sensitivities.line.v_m_s[self._rows]
         before, self._speeds_m_s = self._speeds_m_s, speeds_m_s
         rates = self._rad_per_m[self._rows] * (speeds_m_s - (speeds_m_s if before is None else before)) / lasted_s
         variances: Vector = (_INERTIA_SHARE * self._inertia_kg_m2[self._rows] * rates) ** 2
         return variances
 
-    # -- what is found -----------------------------------------------------------------------------------
+    # -- estimates ---------------------------------------------------------------------------------------
 
     def carriage(self, number: int) -> Found:
         """Position of a carriage, m; from 1."""
         return Found(self.sensitivities.carriage_m(number), self._deviation(Unknown(Kind.CARRIAGE, number)))
 
     def radius(self, axis: int) -> Found:
-        """Of a reel, m. Where nothing tells E the strain is another one by what is not known of that."""
+        """Radius of a reel, m. Where E is not observable the deviation includes that of the strain."""
         radius_m = self._model.radius_m(axis)
         by_strain = 0.0 if self._identifies_moduli else _MODULUS_SHARE * abs(self._model.upstream_strain)
         deviation = hypot(self._deviation(Unknown(Kind.RADIUS, axis)), by_strain)
         return Found(radius_m * self.sensitivities.ratio(axis), radius_m * deviation)
 
     def separable(self, axis: int) -> bool:
-        """Whether anything has told E of the section behind an axis."""
+        """True if E of the section after an axis is identified."""
         if not self._identifies_moduli or self._is_undecided(axis):
             return False
         return self._modulus_deviation(axis) < 0.5 * _MODULUS_SHARE * self.sensitivities.modulus_factor(axis)
 
     def modulus(self, axis: int, modulus_Pa: float) -> Found:
-        """E in the section behind an axis, Pa, of which the model says `modulus_Pa`; inf where nothing tells it."""
+        """E in the section after an axis, Pa, with the model's `modulus_Pa`; deviation inf if it is not identified."""
         factor = self.sensitivities.modulus_factor(axis)
         if not self._identifies_moduli:
             return Found(modulus_Pa, inf)
@@ -654,13 +650,13 @@ class LineFilter:
         return Found(modulus_Pa * factor, modulus_Pa * hypot(self._modulus_deviation(axis), self._model_share))
 
     def _modulus_deviation(self, axis: int) -> float:
-        """About what E is corrected by, with what the data say otherwise but not yet for sure."""
+        """Deviation of the corrected E, including the estimated but not yet applied correction."""
         at = self.sensitivities.places[Unknown(Kind.MODULUS, axis)]
         return hypot(self._filter.deviation(at), self._filter.expected(at))
 
     def _is_undecided(self, axis: int) -> bool:
-        """Whether E of the section behind an axis may have changed, or that of one beside it, or web whose strain
-        nobody knows is still there."""
+        """True while a change of E of the section after an axis, or of its neighbour, is undecided, or web of unknown
+        strain is still there."""
         if self._travel_m < self._known_from_m:
             return True
         if self._undecided_from_m == inf:

@@ -1,4 +1,4 @@
-"""What the torques of a line do after a step of E in a section whose tension a carriage keeps, beside its twin's."""
+"""Simulated tension transients: torque residuals to the twin after a step of E in a section with a carriage."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.sensitivity_model import damped_follower
 
-#: Steps of E as shares: a stiffer web swings faster.
+#: Steps of E as shares: a stiffer web oscillates faster.
 _SHARES: Final = (-0.5, -0.3, -0.15, 0.15, 0.3, 0.5)
-#: How long a line comes to rest before, and what is simulated of its kick; the share of that which is looked at.
+#: Settling time of the line before the step, simulated duration of its transient; share of its energy that is used.
 _SETTLE_S, _KICK_S, _MOST = 0.9, 0.24, 0.9
 
 
 def transient_detector(
     model: ModelParameters, axis: int, rows: Sequence[int], response: DriveResponse, cycle_s: float
 ) -> TransientDetector:
-    """For the section behind an axis; `rows`: of the torques that say something, from 0; `response`: of the drives, to
-    one load each."""
+    """Transient detector of the section after an axis; `rows`: indices of usable torques, from 0; `response`: of the
+    drives, to one load each."""
     transients = np.stack([_kick(model, axis, share, cycle_s)[:, rows] / share for share in _SHARES])
     gone = np.cumsum(np.sum(transients**2, axis=(0, 2)))
     cycles = int(np.searchsorted(gone, _MOST * gone[-1])) + 1
@@ -40,7 +40,7 @@ def transient_detector(
 
 
 def _kick(model: ModelParameters, axis: int, share: float, cycle_s: float) -> Vector:
-    """Torques (cycles, N) of a line at rest after a step of E, beside those of one that follows its motion."""
+    """Torques (cycles, N) of a line at rest after a step of E, less those of a twin following its motion."""
     pair = _Pair(model, cycle_s)
     for _ in range(round(_SETTLE_S / cycle_s)):
         pair.step()
@@ -56,7 +56,7 @@ def _kick(model: ModelParameters, axis: int, share: float, cycle_s: float) -> Ve
 
 
 class _Pair:
-    """A line at rest, and its twin that follows it."""
+    """Line at rest, and its twin that follows it."""
 
     def __init__(self, model: ModelParameters, cycle_s: float) -> None:
         axes = range(1, model.axis_count + 1)
@@ -77,11 +77,11 @@ class _Pair:
 
     @property
     def torques_Nm(self) -> Vector:
-        """Of the line, less those of its twin (N,)."""
+        """Torques of the line, less those of its twin (N,)."""
         return np.array([a.torque_Nm - b.torque_Nm for a, b in zip(self._ports, self._twins, strict=True)])
 
     def step(self) -> None:
-        """A cycle."""
+        """Step both by a cycle."""
         self.line.step(self._cycle_s)
         self._closed.step(self._cycle_s)
         self._followed.follow(self._positions_m, self._cycle_s)

@@ -1,11 +1,11 @@
-"""The twin of a line with idlers, dancers, accumulators or reels: it follows them on the driven rollers' motion.
+"""Twin of a line with idlers, dancers, accumulators or reels: it follows them on the driven rollers' motion.
 
-What the axes measure moves the twin's own dancers and accumulators (`hilbench.plant.web_line.line_follower`); what
-their torques, and sensors of stations, say otherwise corrects carriages, radii of reels, and E of the sections where it
-shows (`web_line_unknowns`). Where a carriage keeps the tension E changes no force, but the strain that the web has in
-the next section: it is told as far as all of the line is one web. Beside a reel without a sensor of its radius the
-tension tells the radius, and E is that of the model; so it is on a line with a carriage that is joined under way. Of
-another that is joined E is told once its web, whose strain nobody knows, has left.
+The axes' measured motion moves the twin's own dancers and accumulators (`hilbench.plant.web_line.line_follower`);
+residuals of torques and station sensors correct carriages, radii of reels, and E of the sections where it is observable
+(`web_line_filter`). Where a carriage keeps the tension E changes no force, but the strain of the web in the next
+section: it is stated as far as all of the line is one web. Next to a reel without a radius sensor the tension
+identifies the radius, and E is that of the model; likewise on a line with a carriage that is joined while running. On
+others joined so E is stated once the web of unknown strain has left.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from hilbench.twin.machines.web_line_filter import Found, LineFilter
 
 
 class LineWithStationsTwin:
-    """A `TwinMachine`. The motors' torques are those of the closed line, which goes on from what is measured.
+    """`TwinMachine` of a line with stations. Motor torques are those of the closed line from the measured state on.
 
-    It is synchronized where the web was at rest when it was let go, or once that has been transported away: then the
+    It is synchronized if the web was at rest at its release, or once that web has been transported away: then the
     tensions are those of the measured motion, whatever they were.
     """
 
@@ -58,8 +58,7 @@ class LineWithStationsTwin:
         self._model = model
         self._shape = shape
         self._boundary_inputs = boundary_inputs
-        #: Whether a web that is found at rest may be strained by anything: that shows as it leaves, where carriages and
-        #: reels tell where they are and how much is on them.
+        #: True if an unknown strain of a web at rest is observable as it leaves: all carriages and reels have a sensor.
         self._shows_at_rest = {*shape.carriages, *shape.reels} <= {*shape.measured}
         self._known_at_rest = config.web_at_rest == "as_upstream"
         self._per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in axes]
@@ -67,13 +66,13 @@ class LineWithStationsTwin:
         self._before = axes_before_spans(model)
         self._set_cycle(cycle_s)
         self._limited = self._frozen = False
-        self._unknown_m = 0.0  # so much web that could not be known is still in the line
+        self._unknown_m = 0.0  # length of web with unknown strain in the line
         self._missed = 0
         self._residuals_Nm = [0.0] * model.axis_count
         self._positions_m: list[float] | None = None
         self._carriages = range(1, len(model.carriages) + 1)
         self._reels = [roller.axis for roller in model.line_rollers if isinstance(roller.station, Reel) and roller.axis]
-        #: A reel that is told torques goes as it was measured, all other driven rollers as their drives let them.
+        #: A torque-controlled reel moves as measured, all other driven rollers by their drives.
         self._transfer = StateTransfer(self._unknowns.sensitivities.line, self.plant, shape.torqued)
 
     def _set_cycle(self, cycle_s: float) -> None:
@@ -88,11 +87,11 @@ class LineWithStationsTwin:
         )
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
-        """See `TwinMachine`."""
+        """Freeze parameter adaptation; see `TwinMachine`."""
         self._frozen = frozen
 
     def set_cycle_time(self, cycle_s: float) -> None:
-        """Each cycle is so long from the next on; see `TwinMachine`. What was found meanwhile stays."""
+        """Set the cycle time; see `TwinMachine`. Estimates are kept."""
         self.plant.lock_to(cycle_s)
         self._unknowns.set_cycle_time(cycle_s)
         self._set_cycle(cycle_s)
@@ -100,32 +99,32 @@ class LineWithStationsTwin:
         self._missed = 0
 
     def keep(self) -> None:
-        """Nothing is gone back to: what is found wrongly is soon corrected."""
+        """No-op: no checkpoint is needed, as wrong estimates are soon corrected."""
 
     @property
     def problems(self) -> Mapping[int, Problem | None]:
-        """What is wrong with the web of each section, by the span whose tension is told of it."""
+        """Problem of each section's web, by the span that publishes its tension."""
         return self._watch.problems
 
     @property
     def problem(self) -> Problem | None:
-        """The first of them."""
+        """First problem, if any."""
         return next((problem for problem in self.problems.values() if problem is not None), None)
 
     def reset(self) -> None:
-        """Start anew, at rest."""
+        """Reset, at rest."""
         self.synchronized = False
         self._watch.reset(under_way=False)
         self._positions_m = None
         self._residuals_Nm = [0.0] * len(self.ports)
 
     def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
-        """Let the web go, with the axes' motion and torque."""
+        """Release the web, with the axes' motion and torque."""
         last, positions = self._at_web(before), self._at_web(now)
         self._pairing.reset()
         if not (self._pairing.update(*last) and self._pairing.update(*positions)):
             return False
-        # From where they were a cycle before: the same measurement is compared next.
+        # From the previous cycle's positions: the same measurement is compared next.
         self._pairing.reset()
         self._pairing.update(*last)
         self._positions_m, self._missed = positions, 0
@@ -135,7 +134,7 @@ class LineWithStationsTwin:
         self._unknown_m = 0.0 if known else self._web_m
         self.synchronized = known
         speeds = [(x - then) / self._cycle_s if moves else 0.0 for x, then in zip(positions, last, strict=True)]
-        # Reels turn at what their radius makes of the speed of the web, by which the others turn.
+        # Reels turn by web speed over radius; the others define the web speed.
         of_rollers = [v for axis, v in enumerate(speeds, 1) if axis not in self._reels] or speeds
         self._unknowns.begin(last, sum(of_rollers) / len(of_rollers), known=known)
         states: dict[str, float] = {}
@@ -146,7 +145,7 @@ class LineWithStationsTwin:
         return True
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
-        """Follow what was measured; False where the positions are not of one instant."""
+        """Follow the measurement; False if the positions are not coherent (of one instant)."""
         positions = self._at_web(measured)
         if self._positions_m is None:
             return False
@@ -176,7 +175,7 @@ class LineWithStationsTwin:
         return True
 
     def _look_for_breaks(self, time_s: float, positions_m: Sequence[float], torques_Nm: Sequence[float]) -> None:
-        """What has torn, slips, or is slack."""
+        """Update the detection of web break, slip and slack."""
         self._limited = any(port.torque_limited for port in self.ports)
         if self._limited or self._frozen:
             self._watch.suspend()
@@ -186,12 +185,12 @@ class LineWithStationsTwin:
             self._watch.look(time_s, positions_m, torques_Nm, unknowns.sensitivities, inertia_kg_m2, swings=swings)
 
     def _let_out(self, travel_m: float) -> None:
-        """So much more web has left the line."""
+        """Account for web that has left the line."""
         self._unknown_m = max(self._unknown_m - travel_m, 0.0)
         self.synchronized = self._unknown_m == 0.0
 
     def _take_moduli(self) -> None:
-        """Let the closed line have E as it was found."""
+        """Set E of the closed line to the estimate."""
         for span, axis in enumerate(self._before, 1):
             name = f"span{span}.youngs_modulus_Pa" if len(self._before) > 1 else "youngs_modulus_Pa"
             self.plant.set_parameter(name, self._modulus(span, axis).value)
@@ -201,7 +200,7 @@ class LineWithStationsTwin:
 
     @property
     def separable(self) -> bool:
-        """Whether E is told apart wherever the twin tells it."""
+        """True if E is identified wherever it is stated."""
         return all(self._unknowns.separable(self._before[span - 1]) for span in self._shape.estimated)
 
     def _at_web(self, measured: Sequence[Measured]) -> list[float]:
@@ -209,21 +208,21 @@ class LineWithStationsTwin:
 
     @property
     def _gone(self) -> int:
-        """Cycles from the motion that was followed last to the one that was measured now."""
+        """Cycles from the last followed motion to the present measurement."""
         return self._pairing.gone if isinstance(self._pairing, OwnIncrements) else self._missed + 1
 
     def miss(self) -> None:
-        """A cycle without measurement."""
+        """Skip a cycle without measurement."""
         self._pairing.miss()
         self._go_on_without()
 
     def _go_on_without(self) -> None:
-        """A cycle of which no measurement is believed."""
+        """Skip a cycle without a usable measurement."""
         self._missed += 1
         self._watch.interrupt()
 
     def listen(self) -> None:
-        """Take over what is around the web now."""
+        """Read the boundary inputs of the web."""
         self.plant.set_input("strain_prev", self._boundary_inputs("strain_prev"))
         self.plant.set_input("F_next_N", self._boundary_inputs("F_next_N"))
         for name, force_N in self._forces():
@@ -231,15 +230,15 @@ class LineWithStationsTwin:
             self._unknowns.sensitivities.set_input(name, force_N)
 
     def _forces(self) -> list[tuple[str, float]]:
-        """What pushes the carriages whose force the bench tells, from the last SYNC on."""
+        """Forces on carriages with a stated force, from the last SYNC on."""
         return [(force_input(name), self._boundary_inputs(signal)) for name, signal in self._shape.forces]
 
     def found(self) -> Sequence[EstimatedModelError]:
-        """What is found is told as signals of its own."""
+        """Empty: estimates are published as signals."""
         return ()
 
     def use_method(self, number: int) -> None:
-        """There is none to choose. Raises ValueError."""
+        """Raise ValueError: there is no method to choose."""
         if number:
             raise ValueError(f"method {number}, expected 0: E of a line with stations is found in one way")
 
@@ -247,9 +246,9 @@ class LineWithStationsTwin:
     largest_steps: Sequence[float] = ()
 
     def published(self) -> tuple[float, ...]:
-        """Of each section its tension; where E is told E with its deviation, inf where nothing tells it, the
-        simulated torque of the axis behind it, and the residual; position of each carriage, radius of each reel, with
-        their deviations."""
+        """Tension of each section; where E is stated also E with its deviation (inf if not identified), the simulated
+        torque of the axis after it, and the residual; position of each carriage, radius of each reel, with their
+        deviations."""
         shape, tensions, missing = self._shape, self.plant.tension_N.tolist(), self._unknowns.torques_missing_Nm
         values: list[float] = []
         for span in shape.simulated:

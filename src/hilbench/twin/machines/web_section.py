@@ -1,4 +1,4 @@
-"""What of a line shows E of one of its spans: the roller before it, and all that is behind it as one roller.
+"""Section of a line that shows E of one span: the roller before it, and all after it as one roller.
 
 That one has the mass of all, at their centre of mass, and a motor with the torques of all
 (`hilbench.estimation.web_line.rollers`).
@@ -20,10 +20,10 @@ from hilbench.plant.web_line.simulated import YOUNGS_MODULUS
 
 
 class WebSection:
-    """Rollers `span` and those behind it of a line, as a line of two rollers (see `SpanModel`, `SimulatedMotor`).
+    """Rollers `span` and those after it of a line, as a line of two rollers (see `SpanModel`, `SimulatedMotor`).
 
-    `ports` (N,): of the line's motors; `rollers`: what is measured of the line's rollers; `along`: spans whose E goes
-    with that of the section's, in the ratio of the model. Of a line of two rollers it is the line as it is.
+    `ports` (N,): of the line's motors; `rollers`: measurements of the line's rollers; `along`: spans whose E follows
+    that of the section's, in the ratio of the model. Of a line of two rollers it is the line itself.
     """
 
     def __init__(
@@ -39,39 +39,39 @@ class WebSection:
         self._span = span
         self._rollers = rollers
         per_m = model.motor_rad_per_m(span + 1)
-        #: The motors behind the span: port, torque at the first of them per torque at each.
+        #: Motors after the span: port, torque at the first of them per torque at each.
         self._motors = [
             (port, model.motor_rad_per_m(axis) / per_m) for axis, port in enumerate(ports, 1) if axis > span
         ]
         self._per_m = per_m
         self._several = model.span_count > 1
         own_Pa = model.youngs_modulus_Pa(span)
-        #: E of the spans that go along over that of the section, by the model.
+        #: E of the spans that follow, over that of the section, by the model.
         self._ratios = {k: model.youngs_modulus_Pa(k) / own_Pa for k in (span, *along)}
         self.model = two_rollers(model, span, rollers.masses_behind_kg(span + 1))
 
     def measured_torque_Nm(self, torques_Nm: Sequence[float]) -> float:
-        """The torque of all motors behind the span, as if the first had it; `torques_Nm` (N,) as measured."""
+        """Torque of all motors after the span, referred to the first; `torques_Nm` (N,) as measured."""
         return torques_Nm[self._span] + self._rollers.force_behind_N(self._span + 1) / self._per_m
 
     @property
     def centre_m(self) -> float:
-        """Position at the web of the centre of mass of the rollers behind the span."""
+        """Position at the web of the centre of mass of the rollers after the span."""
         return self._rollers.centre_m(self._span + 1)
 
     @property
     def torque_Nm(self) -> float:
-        """The same of the simulated motors, without the resistance of the rollers behind the first."""
+        """Torque of the simulated motors, referred to the first, without resistance of the rollers after it."""
         return sum(port.torque_Nm * share for port, share in self._motors)
 
     def parameter(self, name: str) -> float:
-        """Of the line; E is that of the section's span."""
+        """Parameter of the line; E is that of the section's span."""
         if name == YOUNGS_MODULUS.name and self._several:
             name = f"span{self._span}.youngs_modulus_Pa"
         return self._line.parameter(name)
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Of the line; E is that of the section's span, and that of the spans along goes with it."""
+        """Set a parameter of the line; E of the section's span, and in proportion that of the spans along."""
         if name == YOUNGS_MODULUS.name and self._several:
             for of_span, ratio in self._ratios.items():
                 self._line.set_parameter(f"span{of_span}.youngs_modulus_Pa", ratio * value)
@@ -80,25 +80,25 @@ class WebSection:
 
     @property
     def vectors(self) -> LineVectors:
-        """Of the line."""
+        """Vectors of the line."""
         return self._line.vectors
 
     @property
     def first_axis(self) -> int:
-        """The roller before the span, from 0."""
+        """Index of the roller before the span, from 0."""
         return self._span - 1
 
     @property
     def moduli(self) -> Vector:
-        """(2, S): where E of the section's span, and of those along, stands in the line's parameters, and its ratio."""
+        """Parameter indices of E of the section's span and of those along, and its ratios; (2, S)."""
         spans = [span - 1 for span in self._ratios]
         return np.array([self._line.moduli[0, spans], list(self._ratios.values())])
 
     def show(self) -> None:
-        """Bring the motors up to a state that was changed in the vectors."""
+        """Update the motors' feedback after a change of state in the vectors."""
         self._line.show()
 
     @property
     def strain(self) -> Vector:
-        """Of the span (1,)."""
+        """Strain of the span (1,)."""
         return self._line.strain[self._span - 1 : self._span]

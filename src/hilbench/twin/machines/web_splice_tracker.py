@@ -1,7 +1,7 @@
-"""Other web on its way through a line: found in the first span at which E is estimated, and expected in the next ones.
+"""Splice tracking through a line: found in the first span with an estimator of E, and predicted in the next ones.
 
-While a joint is inside a span the web there is followed as springs in series, and leaves the span with the strain that
-its piece has. When it reaches the next roller the next span has it, without looking for it: what is found there is E of
+While a joint is inside a span the web there is modelled as springs in series, and leaves the span with the strain of
+its last piece. When it reaches the next roller the next span has it, without searching it: the estimate there is E of
 the web without it, and a change of that is a new one.
 """
 
@@ -22,20 +22,20 @@ from hilbench.estimation.web_line.splices import Entered, Joint, SpliceFinder
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.splices import Piece
 
-#: How often what is known is remembered, and how long, s: a joint is found after it has come in.
+#: Interval and reach of the checkpoints, s: a joint is found after it has come in.
 _REMEMBERED_S, _LONGEST_S = 0.1, 3.0
-#: Length of a piece that has no end, m.
+#: Length of an endless piece, m.
 _ENDLESS_M = 1e9
-#: State of a passage: whether there are joints; cycles, and after how many what is known is remembered; in the first
-#: span, the strain that would be seen without a joint over that which is, and that of the cycle before.
+#: State of a tracker: whether there are joints; cycles, and their number per checkpoint; in the first span, apparent
+#: strain without a joint over the true one, and the strain of the previous cycle.
 _JOINTS, _CYCLE, _EVERY, _SEEMING, _STRAIN = range(5)
 
 
 @compiled
 def goes_by(s: Vector, block: Vector, t: Vector, strain: float, before_m: float) -> bool:
-    """Run `SpliceTracker.update` of a cycle in which nothing is found or remembered; False, and nothing done, where
-    there is more to it. s: state of the splice tracker, block: that of its finder; t: of the first span's tracking,
-    strain: as measured there, before_m: position of the roller before it."""
+    """Run `SpliceTracker.update` of a cycle without result or checkpoint; False, and nothing done, otherwise. s: state
+    of the splice tracker, block: that of its finder; t: of the first span's estimator, strain: as measured there,
+    before_m: position of the roller before it."""
     used = t[cycle.USED] != 0.0
     if s[_JOINTS] != 0.0 or s[_SEEMING] != 1.0 or (s[_CYCLE] + 1.0) % s[_EVERY] == 0.0:
         return False
@@ -53,7 +53,7 @@ def goes_by(s: Vector, block: Vector, t: Vector, strain: float, before_m: float)
 
 @dataclass
 class _Inside:
-    """A joint whose web is in a span; `handed_on`: its front has left."""
+    """Joint whose web is in a span; `handed_on`: its front has left."""
 
     joint: Joint
     handed_on: bool = False
@@ -61,13 +61,13 @@ class _Inside:
 
 @dataclass
 class _Span:
-    """A span with the joints in it, by the way of the roller before it."""
+    """Span with the joints in it, by the travel of the roller before it."""
 
     tracking: SpanEstimator
     joints: list[_Inside] = field(default_factory=list)
 
     def put(self) -> None:
-        """Let these joints be those of the web that is followed."""
+        """Set these joints in the measured web."""
         self.tracking.span.put_pieces(
             [
                 Piece(inside.joint.front_m, min(inside.joint.length_m, _ENDLESS_M), inside.joint.relative_change)
@@ -77,7 +77,7 @@ class _Span:
 
 
 class SpliceTracker:
-    """Joints in spans that follow each other, from the first of them on; `trackings` of these spans."""
+    """Joints in successive spans; `trackings`: estimators of these spans."""
 
     def __init__(self, trackings: Sequence[SpanEstimator], cycle_s: float) -> None:
         self._spans = [_Span(tracking) for tracking in trackings]
@@ -86,17 +86,17 @@ class SpliceTracker:
         self._cycle_s = cycle_s
         self._state = np.zeros(_STRAIN + 1)
         self._state[_EVERY] = max(1, round(_REMEMBERED_S / cycle_s))
-        #: What was known in the first span, by the position of the roller before it, m.
+        #: Checkpoints of the first span, by the position of the roller before it, m.
         self._memories: deque[tuple[float, Known]] = deque(maxlen=round(_LONGEST_S / _REMEMBERED_S))
         self.reset()
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """Its state and that of its finder, for compiled callers of `goes_by`."""
+        """States of the tracker and of its finder, for compiled callers of `goes_by`."""
         return self._state, self._finder.state
 
     def reset(self) -> None:
-        """The web is all of one kind."""
+        """Forget all joints: the web is uniform."""
         self._look_anew()
         self._state[_JOINTS] = 0.0
         for span in self._spans:
@@ -111,7 +111,7 @@ class SpliceTracker:
         self._before: Known | None = None
 
     def update(self, positions_m: Sequence[float]) -> None:
-        """After the spans have been compared; positions (K + 1,) of the rollers around them, at the web, in m."""
+        """Track joints after the spans' comparison; positions (K + 1,) of the rollers around them, at the web, m."""
         first = self._spans[0]
         self._remember(first, positions_m[0])
         self._follow_seeming(first)
@@ -134,7 +134,7 @@ class SpliceTracker:
         return self._state.item(_SEEMING)
 
     def _enter(self, first: _Span, entered: Entered) -> None:
-        """A joint has been found, or is known better, or was none."""
+        """Enter a joint that has been found, is better known, or was none."""
         tracking = first.tracking
         before = self._known_before(entered.joint)
         known = before._replace(youngs_modulus_Pa=before.youngs_modulus_Pa * (1.0 + entered.relative_change))
@@ -144,7 +144,7 @@ class SpliceTracker:
         self._state[_SEEMING] = 1.0 / entered.strain_ratio
 
     def _known_before(self, joint: Joint | None) -> Known:
-        """What was known before a joint came in; what was known at the first one is kept as long as it is inside."""
+        """Checkpoint from before a joint came in; that of the first one is kept as long as it is inside."""
         if joint is not None and not self._spans[0].joints:
             before = [known for at_m, known in self._memories if at_m < joint.front_m]
             self._before = before[-1] if before else self._memories[0][1]
@@ -157,7 +157,7 @@ class SpliceTracker:
             self._memories.append((at_m, first.tracking.known()))
 
     def _follow_seeming(self, first: _Span) -> None:
-        """The strain as it would be seen without a joint: as if all web in the span were alike."""
+        """Update the apparent strain without a joint: as if all web in the span were alike."""
         tracking, before = first.tracking, self._state.item(_STRAIN)
         strain, now = tracking.span.strain, tracking.used
         if not first.joints or now is None or not strain > 0.0:
@@ -167,7 +167,7 @@ class SpliceTracker:
         self._state[_SEEMING] = (seems + strain - before + share * (tracking.span.leaving_strain - seems)) / strain
 
     def _hand_on(self, span: _Span, behind: _Span | None, before_m: float, behind_m: float) -> None:
-        """What has come through a span is in the next one; a span that is full of it consists of it."""
+        """Move joints that have passed a span to the next one; a span filled by the new web takes its E."""
         stretch, unstretched_m = 1.0 + span.tracking.span.strain, span.tracking.span.unstretched_m
         gone = []
         for inside in span.joints:

@@ -1,1 +1,1 @@
-"""Synchronizers: one method a module, one interface (base)."""
+"""Synchronizers (estimation methods of E): one method a module, one interface (base)."""

@@ -1,4 +1,4 @@
-"""E by a bank of Kalman filters (`kalman`), one for each hypothesis of when it last changed (`bank`)."""
+"""Change-point estimator of E: bank of Kalman filters (`kalman`), one per hypothesis of its last change (`bank`)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hilbench.estimation.web_line.synchronizers.plant import (
 
 
 class BankVectors(NamedTuple):
-    """What a `ChangepointSynchronizer` consists of, for compiled callers."""
+    """Vectors of a `ChangepointSynchronizer`, for compiled callers."""
 
     inputs: InputVectors
     z: Array  #: means (SIZE, H) of the hypotheses
@@ -34,10 +34,10 @@ class BankVectors(NamedTuple):
     settings: Array
     places: Places  #: as of `kalman.step`
     work: Array  #: scratch (SIZE + 6, H)
-    #: (3, SIZE): means and standard deviations of the mixture, and, of E, the deviation that comes from noise alone.
+    #: (3, SIZE): means and standard deviations of the mixture, and, of E, the deviation by noise alone.
     out: Array
-    covariance: Array  #: (SIZE, SIZE) of the mixture, if E has something beside it that the data may not tell from it
-    s: Array  #: what is told, over the reference E; reference E, Pa; deviation to be cautious at
+    covariance: Array  #: (SIZE, SIZE) of the mixture, if nuisance parameters are estimated
+    s: Array  #: stated E over the reference; reference E, Pa; deviation that slows it; nuisances flag
 
 
 _STATED, _REFERENCE_PA, _CAUTIOUS, _BESIDE = range(4)
@@ -53,7 +53,7 @@ def follow(
     web_per_Pa: float,
     velocity_m_s: float,
 ) -> bool:
-    """One cycle of all hypotheses, and the births of the next; False for the first of a row of cycles."""
+    """Step all hypotheses by one cycle and add the births of the next; False for the first of a row of cycles."""
     if not fill(b.inputs, cycle_s, torque_Nm, x2_m, force_N, web_per_Pa, velocity_m_s):
         return False
     z, p, records, out, size = b.z, b.p, b.records, b.out, b.z.shape[0]
@@ -77,18 +77,19 @@ def follow(
 
 @compiled
 def set_held_share(b: BankVectors, of_what_is_held: float) -> None:
-    """What E is told as after a cycle; `of_what_is_held`: what it has of parameters that count as 0."""
+    """Update the stated E after a cycle; `of_what_is_held`: contribution of nuisance parameters held at 0,
+    their prior."""
     s, out = b.s, b.out
     found = out[0, kalman.E] - of_what_is_held
-    # A few samples after a jump the mixture still has the noise of a few samples.
+    # A few samples after a jump the mixture still has their noise.
     share = min(1.0, (s[_CAUTIOUS] / out[2, kalman.E]) ** 2)
     s[_STATED] += share * (found - s[_STATED])
 
 
 @compiled
 def stated(b: BankVectors) -> tuple[float, float]:
-    """E and its deviation, Pa: that of the mixture, and what is told is from its mean. Where parameters count as their
-    prior it is so far from it as it has of them."""
+    """Stated E and its deviation, Pa: that of the mixture, and the distance to its mean. Parameters held at their prior
+    add their contribution to that distance."""
     apart, deviation = b.out[0, kalman.E] - b.s[_STATED], b.out[1, kalman.E]
     reference_Pa = b.s[_REFERENCE_PA]
     return b.s[_STATED] * reference_Pa, hypot(deviation, apart) * reference_Pa
@@ -96,7 +97,7 @@ def stated(b: BankVectors) -> tuple[float, float]:
 
 @compiled
 def rebase(b: BankVectors, change_Pa: float) -> None:
-    """Move E of every hypothesis."""
+    """Shift E of every hypothesis."""
     change = change_Pa / b.s[_REFERENCE_PA]
     for i in range(b.z.shape[1]):
         b.z[kalman.E, i] += change
@@ -106,7 +107,7 @@ def rebase(b: BankVectors, change_Pa: float) -> None:
 
 @compiled
 def separable(u: Array, places: Places, out: Array) -> bool:
-    """Whether the data tell all that is estimated beside E from it; by these of a bank's vectors."""
+    """True if the data separate all nuisance parameters from E; arguments: vectors of a bank."""
     for i in range(kalman.OFFSET, len(places)):
         place = places[i]
         if not out[1, place] < SEPARABLE * u[kalman.PRIORS + place - kalman.OFFSET]:
@@ -135,7 +136,7 @@ def _act(
     s: Array,
     values: tuple[float, ...],
 ) -> tuple[bool, float, float]:
-    """Whether a step was taken; E and its deviation then."""
+    """True if a step was taken; stated E and its deviation."""
     done, of_filters = True, InputVectors(u, inputs, torque, position)
     b = BankVectors(of_filters, z, p, records, settings, places, work, out, covariance, s)
     if what == _STEP:
@@ -154,7 +155,7 @@ def _separable(u: Array, places: Places, out: Array) -> bool:
 
 
 class ChangepointSynchronizer:
-    """The bank."""
+    """Estimator of E by a bank of Kalman filters."""
 
     def __init__(self, config: ChangepointConfig, of: Plant) -> None:
         self._config = config
@@ -170,7 +171,7 @@ class ChangepointSynchronizer:
         self._inputs.u[kalman.E_VARIANCE_PER_S] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
         self._work = np.zeros((kalman.SIZE + 6, bank.CAPACITY))
         self._out = np.zeros((3, kalman.SIZE))
-        # Before the first sample E is what is believed at the start.
+        # Before the first sample E is the initial assumption.
         self._out[0, kalman.E], self._out[1, kalman.E] = 1.0, 0.01 * config.initial_deviation_pct
         self._covariance = np.zeros((kalman.SIZE, kalman.SIZE))
         self._beside = bool(self._inputs.priors[:-1].any())
@@ -179,7 +180,7 @@ class ChangepointSynchronizer:
 
     @property
     def vectors(self) -> BankVectors:
-        """What it consists of, for compiled callers."""
+        """Vectors of the bank, for compiled callers."""
         return BankVectors(
             self._inputs.vectors,
             self._z,
@@ -195,11 +196,11 @@ class ChangepointSynchronizer:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether `follow` and `set_held_share` are all of an update: it has started, and nothing is held beside E."""
+        """True if `follow` and `set_held_share` are a complete update: started, and without nuisance parameters."""
         return self._started and not self._beside
 
     def update(self, sample: SyncSample) -> Estimate:
-        """One cycle of every hypothesis, and the births of the next."""
+        """Step every hypothesis by one cycle and add the births of the next."""
         if not self._started:
             self._start(sample)
         balance = sample.balance
@@ -216,7 +217,8 @@ class ChangepointSynchronizer:
         return done
 
     def _of_what_is_held(self) -> float:
-        """What E has of the parameters beside it that the data don't tell from it: those count as 0, their prior."""
+        """Contribution to E of nuisance parameters that the data don't separate from it: they are held at 0, their
+        prior."""
         priors, deviations = self._inputs.priors, self._out[1, kalman.OFFSET :]
         held = kalman.OFFSET + np.flatnonzero((priors > 0.0) & (deviations >= SEPARABLE * priors))
         if not held.size:
@@ -235,11 +237,11 @@ class ChangepointSynchronizer:
         self._started = True
 
     def rebase(self, change_Pa: float) -> None:
-        """Move E of every hypothesis."""
+        """Shift E of every hypothesis."""
         self._act(_REBASE, change_Pa)
 
     def hold(self, duration_s: float) -> Estimate:
-        """Let E walk in every hypothesis, and find position and velocity anew afterwards."""
+        """Widen E in every hypothesis (random walk); reset position and velocity."""
         self._inputs.interrupt()
         walk = 0.01 * self._config.hold_growth_pct_per_s
         self._p[kalman.E, kalman.E] += walk**2 * duration_s
@@ -249,17 +251,17 @@ class ChangepointSynchronizer:
 
     @property
     def estimate(self) -> Estimate:
-        """As of the last cycle."""
+        """Estimate of the last cycle."""
         self._act(_NOTHING)
         return Estimate(self._modulus_Pa, self._deviation_Pa, self.nuisances)
 
     @property
     def nuisances(self) -> tuple[Nuisance, ...]:
-        """What is estimated beside E."""
+        """Nuisance parameters estimated in addition to E."""
         mean, deviation, _ = self._out.tolist()
         return nuisances(self._also, mean[kalman.OFFSET :], deviation[kalman.OFFSET :])
 
     @property
     def separable(self) -> bool:
-        """Whether the data tell all of that from E."""
+        """True if the data separate all nuisance parameters from E."""
         return _separable(self._inputs.u, self._places, self._out)

@@ -1,4 +1,4 @@
-"""The synchronizer that a config asks for."""
+"""Factory of the configured synchronizer."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hilbench.estimation.web_line.synchronizers.rls import RlsSynchronizer
 
 
 def new_synchronizer(config: SynchronizerConfig, plant: Plant) -> Synchronizer:
-    """A fresh synchronizer for this plant, with the plant's E as its first guess."""
+    """New synchronizer for this plant, with the plant's E as its first guess."""
     match config:
         case PidConfig():
             return PidSynchronizer(config, plant.youngs_modulus_Pa)

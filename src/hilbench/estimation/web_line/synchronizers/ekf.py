@@ -1,8 +1,8 @@
-"""Extended Kalman filter of motion, E and what is estimated beside it; the process noise of E adapts itself.
+"""Extended Kalman filter of motion, E and nuisance parameters; the process noise of E adapts itself.
 
-The innovations of a filter that is right are white. A change of E shows as a run of innovations of one sign: the
-square of their short mean, beyond what white noise gives it, opens the random walk of E. Until it has closed
-again the parameters beside E are what they were before the run began.
+The innovations of a correct filter are white. A change of E shows as a run of innovations of one sign: the square of
+their short mean, beyond what white noise gives it, opens the random walk of E. Until it has closed again the nuisance
+parameters keep their values from before the run.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hilbench.estimation.web_line.synchronizers import kalman
 from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
 from hilbench.estimation.web_line.synchronizers.plant import FilterInputs, Plant, nuisances
 
-#: Samples that the short mean of the innovations reaches back; its variance for white ones is 1/(2·8).
+#: Memory of the innovations' short mean, in samples; its variance for white ones is 1/(2·8).
 _MEMORY = 8.0
 #: The mean's square beyond so many variances opens the random walk, fully at twice as many.
 _FROM = 20.0
@@ -27,12 +27,13 @@ _FROM = 20.0
 
 @entry_point(MATRIX, CUBE, VECTOR, INDICES, VECTOR, MATRIX)
 def _step(z: Array, p: Array, u: Array, places: Places, g: Array, work: Array) -> None:
-    """g (SIZE,), work (SIZE + 4, 1): scratch, in which innovation and variance are left (`kalman.step`)."""
+    """Step the filter; g (SIZE,), work (SIZE + 4, 1): scratch, which returns innovation and variance
+    (`kalman.step`)."""
     kalman.step(z, p, u, places, g, work, work[z.shape[0] + 3])
 
 
 class EkfSynchronizer:
-    """One filter; state as in `kalman`."""
+    """Extended Kalman filter; state as in `kalman`."""
 
     def __init__(self, config: EkfConfig, plant: Plant) -> None:
         self._config = config
@@ -48,7 +49,7 @@ class EkfSynchronizer:
         self._nuisances_before: deque[Array] = deque(maxlen=2 * round(_MEMORY))
 
     def update(self, sample: SyncSample) -> Estimate:
-        """One prediction and correction."""
+        """Predict and correct."""
         inputs, c = self._inputs, self._config
         if not self._started:
             deviation = 0.01 * c.initial_deviation_pct
@@ -72,11 +73,11 @@ class EkfSynchronizer:
             before.append(beside.copy())
 
     def rebase(self, change_Pa: float) -> None:
-        """Move E."""
+        """Shift E."""
         self._z[kalman.E, 0] += change_Pa / self._reference_Pa
 
     def hold(self, duration_s: float) -> Estimate:
-        """Let E walk, and find position and velocity anew afterwards."""
+        """Widen E (random walk); reset position and velocity."""
         self._inputs.interrupt()
         p, walk = self._p, 0.01 * self._config.hold_growth_pct_per_s
         p[kalman.E, kalman.E, 0] += walk**2 * duration_s

@@ -1,8 +1,8 @@
 """Differential evolution on a window of the filtered balance: finds E without a first guess.
 
-It takes tens of milliseconds, so it runs beside the cyclic path, in a thread, and its result is taken a fixed number of
-cycles after its window has ended: so a run in lockstep gives the same estimates on every machine. A result that is
-not there by then is waited for in lockstep's own time, or comes a window later.
+It takes tens of milliseconds, so it runs in a thread outside the cyclic path, and its result is used a fixed number of
+cycles after the end of its window: a run in lockstep gives the same estimates on every machine. A later result is
+waited for in lockstep's own time, or comes a window later.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _NUISANCE_RANGE = 4.0
 
 
 class GlobalSynchronizer(FittedToWindow):
-    """A stochastic search over a bounded range, window after window."""
+    """Stochastic search of E over a bounded range, window after window."""
 
     def __init__(self, config: GlobalConfig, plant: Plant) -> None:
         super().__init__(config, plant)
@@ -36,7 +36,7 @@ class GlobalSynchronizer(FittedToWindow):
         self._searches = 0
 
     def update(self, sample: SyncSample) -> Estimate:
-        """Take one row; take a result that is due, and begin the next search."""
+        """Take one row; use a result that is due, and start the next search."""
         ready = self._window.update(sample)
         self._age += 1
         if self._search is not None and self._age >= self._latency_cycles:

@@ -1,9 +1,9 @@
-"""For a model that is a black box: not its parameters but one of its inputs is corrected until its outputs agree.
+"""Unknown-input observer for a black-box model: one of its inputs is corrected until its outputs agree.
 
-The rollers of the model move as the measured ones. The input is the strain of the web that enters the span, and what
-has to agree is the tension: the one that the measured torque of axis 2 shows against the simulated one. A disturbance
-observer (Ohishi, Nakao, Ohnishi, Miyachi 1987) finds the correction w that the model lacks. With a = v/L, the transport
-of the span, and s the strain that is missing in it,
+The model's rollers move as the measured ones. The input is the strain of the web that enters the span; the output is
+the tension, by the measured torque of axis 2 and simulated. A disturbance observer (Ohishi, Nakao, Ohnishi, Miyachi
+1987) finds the correction w that the model lacks. With a = v/L, the transport of the span, and s the strain that is
+missing in it,
 
     s' = a·(w − δ − s)
 
@@ -23,14 +23,14 @@ from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
 from hilbench.estimation.web_line.synchronizers.plant import TORQUE_FLOOR_NM, Plant, held
 from hilbench.estimation.web_line.synchronizers.regression import FILTER_S, RegressionRows
 
-#: Most that the missing strain is amplified: at low speed the model can't follow faster, only the noise would.
+#: Largest gain on the missing strain: at low speed the model can't follow faster, only the noise would.
 _MOST_GAIN = 30.0
-#: E that is told is positive, whatever the torque says.
+#: Least stated E, whatever the torque.
 _LEAST_PA = 1.0
 
 
 class InputSynchronizer:
-    """Estimates the correction of the upstream strain; E is told as the one that would do the same."""
+    """Estimator of an upstream-strain correction; E is stated as the value with the same effect."""
 
     def __init__(self, config: InputConfig, plant: Plant) -> None:
         self._config = config
@@ -39,12 +39,12 @@ class InputSynchronizer:
         self._noise = NoiseLevel(config.torque_noise_Nm, TORQUE_FLOOR_NM)
         self._missing = self._lacking = self._acting = 0.0
         self._innovation = 0.0
-        self._simulated: list[float] | None = None  # tension a cycle ago, and behind each of the two low passes
+        self._simulated: list[float] | None = None  # tension a cycle ago, and after each of the two low passes
         deviation_Pa = 0.01 * config.initial_deviation_pct * plant.youngs_modulus_Pa
         self._estimate = Estimate(plant.youngs_modulus_Pa, deviation_Pa, upstream_strain=0.0)
 
     def update(self, sample: SyncSample) -> Estimate:
-        """One cycle: the model is compared, and its next input found."""
+        """Compare the model, and set its next input."""
         self._noise.update(sample.torque_real_Nm)
         settled = self._rows.update(sample)
         simulated_N = self._simulated_N(sample)
@@ -60,23 +60,23 @@ class InputSynchronizer:
         self._lacking += share * innovation
         self._innovation += share * (innovation - self._innovation)
         self._acting = self._correction(rate_per_s, sample.upstream_strain)
-        # The filter makes the noise smaller and correlated; over many samples it counts as what it was before it.
+        # The filter makes the noise smaller and correlated; over many samples it counts as before the filter.
         noise = self._noise.deviation * plant.force_per_torque_per_m / stiffness_N
         self._publish(sample, sqrt(0.5 * share * noise**2 + self._innovation**2))
         return self._estimate
 
     def rebase(self, change_Pa: float) -> None:
-        """Nothing of the past is kept that would be wrong now."""
+        """No-op: no past value becomes wrong."""
 
     def hold(self, duration_s: float) -> Estimate:
-        """The correction stays; filters start anew."""
+        """Keep the correction; restart the filters."""
         self._rows.interrupt()
         self._simulated = None
         self._estimate = held(self._estimate, self._config.hold_growth_pct_per_s, duration_s)
         return self._estimate
 
     def _simulated_N(self, sample: SyncSample) -> float:
-        """The simulated tension, late and filtered as the measured one is (`RegressionRows`)."""
+        """Simulated tension, delayed and filtered like the measured one (`RegressionRows`)."""
         plant = self._plant
         now_N = sample.torque_sim_sensitivity_Nm_per_Pa * plant.force_per_torque_per_m * plant.youngs_modulus_Pa
         if self._simulated is None:
@@ -95,7 +95,7 @@ class InputSynchronizer:
         return min(max(self._lacking + gain * self._missing, -limit), limit)
 
     def _publish(self, sample: SyncSample, deviation: float) -> None:
-        """E that would pull as much at the strain that the encoders show."""
+        """Publish E with the same tension at the encoders' strain."""
         simulated = sample.torque_sim_sensitivity_Nm_per_Pa * self._plant.force_per_torque_per_m
         per_strain_Pa = self._plant.youngs_modulus_Pa * self._plant.section_m2 / sample.balance.web_per_Pa
         strain = simulated / self._plant.section_m2 + self._missing

@@ -1,10 +1,10 @@
 """Kalman filters on the momentum balance of axis 2, compiled; `ekf` runs one of them, `changepoint` a bank.
 
-State of a filter: position (m) and velocity (m/s) of roller 2; E and its rate over a reference E; torque offset of
-axis 2 (N·m, motor side), viscous (N·s/m) and dry friction (N) at the web, relative error of the moving mass. The
-measured torque is the input, its noise the process noise; the encoder is the measurement. So no velocity is
-differentiated, and a change of E is weighed against the motion that it causes. Joint state and parameters: Boulter,
-IWEB 1999, with E, loss torque and strain.
+State of a filter: position (m) and velocity (m/s) of roller 2; E and its rate over a reference E; torque offset of axis
+2 (N·m, motor side), viscous (N·s/m) and dry friction (N) at the web, relative error of the moving mass. The measured
+torque is the input, its noise the process noise; the encoder is the measurement. So no velocity is differentiated, and
+a change of E is weighed against the motion that it causes. Joint state and parameters: Boulter, IWEB 1999, with E, loss
+torque and strain.
 
 All filters are stepped together, each in a column of its own.
 """
@@ -21,7 +21,7 @@ from hilbench.estimation.correction import correct
 
 X, V, E, RATE, OFFSET, VISCOUS, DRY, MASS = range(8)
 SIZE = 8
-#: Those estimated beside E.
+#: Nuisance parameters, estimated in addition to E.
 NUISANCES = (OFFSET, VISCOUS, DRY, MASS)
 #: Inputs of a step, in this order.
 (
@@ -36,21 +36,21 @@ NUISANCES = (OFFSET, VISCOUS, DRY, MASS)
     E_VARIANCE_PER_S,
     POSITION_M,
     POSITION_VARIANCE,
-    PRIORS,  # deviations of what is estimated beside E, in the order of the state
+    PRIORS,  # prior deviations of the nuisance parameters, in the order of the state
 ) = range(12)
 INPUTS = PRIORS + len(NUISANCES)
-#: Time in which a parameter estimated beside E may wander through its prior: a working day. Were it faster, a slow
-#: change of tension could not tell it from E.
+#: Time in which a nuisance parameter may wander through its prior: a working day. Were it faster, a slow change of
+#: tension could not be separated from E.
 _WANDER_S = 36000.0
 
 
 @compiled
 def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, likelihoods: Array) -> None:
-    """Predict all filters over one cycle and take in the position.
+    """Predict all filters over one cycle and correct them by the position.
 
-    z (SIZE, H), p (SIZE, SIZE, H): means and covariances of H filters; u (INPUTS,); places: of the states that they
-    have, X to RATE and those of NUISANCES that are estimated, the others are 0; g (SIZE,) and rows (SIZE + 3, H):
-    scratch, in whose last two rows innovations and their variances are left; into likelihoods (H,) goes the logarithm.
+    z (SIZE, H), p (SIZE, SIZE, H): means and covariances of H filters; u (INPUTS,); places: indices of their states, X
+    to RATE and the estimated NUISANCES, the others are 0; g (SIZE,) and rows (SIZE + 3, H): scratch, whose last two
+    rows return innovations and their variances; likelihoods (H,) returns the log likelihoods.
     """
     dt, mass, speed, count, size = u[DURATION_S], u[MASS_KG], u[SPEED_M_S], z.shape[1], z.shape[0]
     sign = 1.0 if speed > 0.0 else (-1.0 if speed < 0.0 else 0.0)
@@ -98,8 +98,8 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
         p[V, X, i] += by_x * by_v * u[FORCE_VARIANCE]
         p[V, V, i] += by_v * by_v * u[FORCE_VARIANCE]
         p[E, E, i] += dt * u[E_VARIANCE_PER_S]
-    # What is estimated beside E is believed to wander within its prior: weak evidence is forgotten again, so that
-    # what the data can't tell apart keeps its prior deviation, and E with it.
+    # Nuisance parameters wander within their prior: weak evidence is forgotten again, so that inseparable ones keep
+    # their prior deviation, and E with them.
     keep = 1.0 - dt / _WANDER_S
     for m in range(OFFSET, len(places)):
         j = places[m]
@@ -126,7 +126,7 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
 
 @inlined
 def _accelerated(p: Array, g: Array, places: Places, rows: Array, j: int, down: bool) -> None:
-    """Into rows[j] what g makes of column j of all covariances, or of row j (not `down`)."""
+    """Product of g with column j of all covariances, or with row j (not `down`), into rows[j]."""
     count, size = rows.shape[1], p.shape[0]
     for i in range(count):
         rows[j, i] = g[E] * (p[E, j, i] if down else p[j, E, i])
@@ -144,7 +144,7 @@ def _accelerated(p: Array, g: Array, places: Places, rows: Array, j: int, down: 
 
 @compiled
 def spread_of_e(p: Array, i: int) -> float:
-    """Variance of E in filter `i` that comes from noise: without what the parameters beside it may be wrong by."""
+    """Variance of E in filter `i` by noise alone, without that of nuisance parameters."""
     variance = p[E, E, i]
     for j in range(OFFSET, SIZE):
         if p[j, j, i] > 0.0:
@@ -153,7 +153,7 @@ def spread_of_e(p: Array, i: int) -> float:
 
 
 def places_of(priors: Array) -> Places:
-    """Of the states that a filter has; `priors`: deviations of NUISANCES, 0 of one that is not estimated."""
+    """Indices of a filter's states; `priors`: deviations of NUISANCES, 0 of one that is not estimated."""
     return np.array([X, V, E, RATE, *(np.flatnonzero(priors) + OFFSET)], np.int64)
 
 
@@ -170,7 +170,7 @@ def new_filter(z: Array, p: Array, i: int, position_m: float, modulus_deviation:
 
 
 def lose_motion(p: Array) -> None:
-    """Position and velocity of every filter are unknown from here on."""
+    """Reset position and velocity of every filter to unknown."""
     for place in (X, V):
         p[place, :, :] = 0.0
         p[:, place, :] = 0.0

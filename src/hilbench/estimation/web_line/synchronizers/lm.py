@@ -12,7 +12,7 @@ from hilbench.estimation.web_line.synchronizers.window import FittedToWindow
 
 
 class LmSynchronizer(FittedToWindow):
-    """The window's least-squares solution, begun at the one before."""
+    """Least-squares solution of the window, started at the previous one."""
 
     def __init__(self, config: LmConfig, plant: Plant) -> None:
         super().__init__(config, plant)
@@ -21,14 +21,14 @@ class LmSynchronizer(FittedToWindow):
         self._cycle = 0
 
     def update(self, sample: SyncSample) -> Estimate:
-        """Take one row; solve when it is time."""
+        """Take one row; solve when it is due."""
         self._cycle += 1
         if self._window.update(sample) and self._cycle % self._every_cycles == 0:
             self._solve()
         return self._estimate
 
     def _solve(self) -> None:
-        from scipy.optimize import least_squares  # slow to import: only who uses this method waits for it
+        from scipy.optimize import least_squares  # slow to import: deferred to its use
 
         window, rows = self._window, self._window.rows()
         start = self._theta[window.active]

@@ -1,8 +1,8 @@
-"""The published method: tracking simulation with a PID correction of Young's modulus.
+"""Published method: tracking simulation with a PID correction of Young's modulus.
 
-Source: the validation experiment of "synchronized online simulation" of a web-transport section: the error is
-the real minus the simulated motor torque of axis 2, Young's modulus is moved until it vanishes, and the
-integral of the error is limited so that a slow answer to a fast change does not overshoot.
+Source: the validation experiment of "synchronized online simulation" of a web-transport section: the error is the real
+minus the simulated motor torque of axis 2, Young's modulus is moved until it vanishes, and the integral of the error is
+limited so that a slow answer to a fast change does not overshoot.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
 
 
 class PidSynchronizer:
-    """dE/dt = Kp·e + Ki·∫e dt + Kd·de/dt with limited integral; E is kept within its plausible range."""
+    """PID correction dE/dt = Kp·e + Ki·∫e dt + Kd·de/dt with limited integral; E is kept within its plausible range."""
 
     def __init__(self, config: PidConfig, youngs_modulus_Pa: float) -> None:
         self._config = config
@@ -40,10 +40,10 @@ class PidSynchronizer:
         return self._estimate(sample)
 
     def rebase(self, change_Pa: float) -> None:
-        """Nothing of the past is kept that would be wrong now."""
+        """No-op: no past value becomes wrong."""
 
     def hold(self, duration_s: float) -> Estimate:
-        """The loop stands still; what is lasting of the error is not known to grow."""
+        """Hold the loop; a lasting error is not known to grow."""
         return self._last
 
     def _estimate(self, sample: SyncSample) -> Estimate:
@@ -51,10 +51,10 @@ class PidSynchronizer:
         return self._last
 
     def _deviation_Pa(self, sample: SyncSample) -> float:
-        """Scatter of E that the torque noise causes, and what of the present error is not worked off yet.
+        """Standard deviation of E by torque noise, and by the present error that is not yet corrected.
 
-        The loop is a first-order filter of the torque error with rate k = Kp·∂τ/∂E, so white noise of
-        standard deviation σ per sample leaves Kp·σ·√(Δt/2k) in E; a lasting error e stands for e/(∂τ/∂E).
+        The loop is a first-order filter of the torque error with rate k = Kp·∂τ/∂E, so white noise of standard
+        deviation σ per sample leaves Kp·σ·√(Δt/2k) in E; a lasting error e is e/(∂τ/∂E).
         """
         c = self._config
         torque_per_Pa = abs(sample.torque_sim_sensitivity_Nm_per_Pa)

@@ -1,4 +1,4 @@
-"""What the methods on the momentum balance know of the plant, and what they make of a sample."""
+"""Plant parameters of the methods on the momentum balance, and filter inputs from samples."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from hilbench.estimation.web_line.config import AlsoEstimated, ChangepointConfig
 from hilbench.estimation.web_line.synchronizers import kalman
 from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
 
-#: Encoder noise believed before it is measured, and the least that is believed, m at the web; the least of a torque.
+#: Encoder noise assumed until it is measured, and its least value, m at the web; the least of a torque.
 _POSITION_NOISE_M = 2e-7
 _POSITION_FLOOR_M = 2e-8
 TORQUE_FLOOR_NM = 1e-4
-#: Smoothing of the acceleration by which the error of the mass is weighed.
+#: Smoothing of the acceleration that the mass error is weighed by.
 _ACCELERATION_S = 0.02
-#: Share of the inertial force that counts as noise: while the roller shakes, torque, load and position are less of one
-#: instant than else.
+#: Share of the inertial force that counts as noise: while the roller shakes, torque, load and position are less
+#: simultaneous.
 _SHAKING = 0.1
-#: Time over which the tension changes that counts as noise where something is looked for that the tension tells from E,
-#: s; smoothing of that change. What shakes the roller shakes the strain as well, and tells nothing.
+#: Time over which tension changes count as noise if a nuisance parameter is separated from E by the tension, s;
+#: smoothing of that change. Vibration of the roller shakes the strain as well, and has no information.
 _QUICK_S, _QUICK_SMOOTHING_S = 0.15, 0.02
-#: A nuisance counts as told apart from E when the data have shrunk its prior deviation to this share.
+#: A nuisance counts as separable from E when the data have shrunk its prior deviation to this share.
 SEPARABLE = 0.7
 
 
 @dataclass(frozen=True, slots=True)
 class Plant:
-    """Roller 2 and the web as the twin's model has them; E in Pa where the method starts."""
+    """Model parameters of roller 2 and the web; E in Pa where the method starts."""
 
     youngs_modulus_Pa: float
     mass_kg: float
@@ -46,7 +46,7 @@ class Plant:
 
     @classmethod
     def of(cls, balance: MeasuredBalance, youngs_modulus_Pa: float) -> Plant:
-        """The plant of a balance, with E as assumed at the start."""
+        """Plant of a balance, with E as assumed at the start."""
         return cls(
             youngs_modulus_Pa,
             balance.mass_kg,
@@ -57,10 +57,10 @@ class Plant:
 
 
 class InputVectors(NamedTuple):
-    """What `FilterInputs` consist of, for compiled callers."""
+    """Vectors of `FilterInputs`, for compiled callers."""
 
     u: Array  #: inputs of `kalman.step`
-    s: Array  #: sizes of the plant, and what is kept from cycle to cycle
+    s: Array  #: sizes of the plant, and state kept from cycle to cycle
     torque: Array  #: state of the torque's `NoiseLevel`
     position: Array  #: the same of the position's
 
@@ -76,7 +76,7 @@ class InputVectors(NamedTuple):
     _MASS_KG,
     _PER_TORQUE2,  # variance of the force per variance of the torque
     _PER_POSITION2,  # the same per variance of the position
-    _SLOWLY,  # whether something is looked for that the tension tells from E
+    _SLOWLY,  # a nuisance parameter is separated from E by the tension
 ) = range(10)
 _SIZE = 10
 
@@ -91,7 +91,7 @@ def fill(
     web_per_Pa: float,
     velocity_m_s: float,
 ) -> bool:
-    """Fill `u` by the balance of this cycle; False for the first of a row, which has no cycle before it."""
+    """Fill `u` by the balance of this cycle; False for the first of a row, which has no previous cycle."""
     u, s = inputs.u, inputs.s
     noise_level.take(inputs.torque, torque_Nm)
     noise_level.take(inputs.position, x2_m)
@@ -148,7 +148,7 @@ def _fill(
 
 
 class FilterInputs:
-    """Turns samples into the inputs of `kalman.step`: means over the cycle, and how noisy they are."""
+    """Inputs of `kalman.step` from samples: means over the cycle, and their noise."""
 
     def __init__(self, plant: Plant, config: EkfConfig | ChangepointConfig) -> None:
         self.u = np.zeros(kalman.INPUTS)
@@ -166,15 +166,15 @@ class FilterInputs:
 
     @property
     def vectors(self) -> InputVectors:
-        """What they consist of, for compiled callers."""
+        """Vectors of the inputs, for compiled callers."""
         return InputVectors(self.u, self._s, self._torque.state, self._position.state)
 
     def interrupt(self) -> None:
-        """A cycle is missing: no mean is formed across it."""
+        """Form no mean across a missing cycle."""
         self._s[_HAS_BEFORE] = 0.0
 
     def update(self, sample: SyncSample) -> bool:
-        """Fill `u`; False for the first sample of a row, which has no cycle before it."""
+        """Fill `u`; False for the first sample of a row, which has no previous cycle."""
         balance = sample.balance
         return _fill(
             *self.vectors,
@@ -195,8 +195,8 @@ def prior_deviations(also: AlsoEstimated) -> np.ndarray:
 def nuisances(
     also: Sequence[tuple[str, float]], values: Sequence[float], deviations: Sequence[float]
 ) -> tuple[Nuisance, ...]:
-    """The estimates of what is estimated beside E. `also`: names and priors of `AlsoEstimated`; values and deviations
-    (4,) in the order of the filter's state."""
+    """Estimates of the nuisance parameters. `also`: names and priors of `AlsoEstimated`; values and deviations (4,) in
+    the order of the filter's state."""
     rows = zip(also, values, deviations, strict=True)
     return tuple(
         [
@@ -208,7 +208,7 @@ def nuisances(
 
 
 def held(estimate: Estimate, growth_pct_per_s: float, duration_s: float) -> Estimate:
-    """The same estimate, its deviation grown as by a random walk of that size after 1 s."""
+    """Copy of the estimate, its deviation grown as by a random walk of that size after 1 s."""
     walk_Pa = 0.01 * growth_pct_per_s * estimate.youngs_modulus_Pa
     deviation_Pa = float(np.sqrt(estimate.deviation_Pa**2 + walk_Pa**2 * duration_s))
     return replace(estimate, deviation_Pa=deviation_Pa)

@@ -21,10 +21,10 @@ Array = NDArray[np.float64]
 
 #: Time constant of the filter: above the cycle, below the loops of the drives.
 FILTER_S = 0.004
-#: Columns of a row: what the parameters E/E0, offset, viscous, dry, mass multiply, then the right-hand side; newtons.
+#: Columns of a row: regressors of the parameters E/E0, offset, viscous, dry, mass, then the right-hand side; newtons.
 PARAMETERS = 5
 _INPUTS = 6
-#: Time constants until what the filter started with has faded.
+#: Time constants until the filter's initial value has faded.
 _SETTLED = 12.0
 
 
@@ -48,7 +48,7 @@ def _filter(state: Array, inputs: Array, decay: float, mass: float, cycle_s: flo
 
 
 class RegressionRows:
-    """Makes one row a cycle; `row` (6,) is valid when `update` says so, after the filter has settled."""
+    """Regression rows, one a cycle; `row` (6,) is valid when `update` returns True, after the filter has settled."""
 
     def __init__(self, plant: Plant) -> None:
         self.row = np.zeros(PARAMETERS + 1)
@@ -59,7 +59,7 @@ class RegressionRows:
         self._count = 0
 
     def interrupt(self) -> None:
-        """A cycle is missing: the filter settles anew."""
+        """Settle the filter anew after a missing cycle."""
         self._count = 0
 
     def update(self, sample: SyncSample) -> bool:
@@ -67,7 +67,7 @@ class RegressionRows:
         balance, before = sample.balance, self._before
         self._count += 1
         decay = exp(-sample.cycle_s / FILTER_S)
-        # A second difference of positions is the acceleration one cycle ago: the forces wait a cycle for it.
+        # A second difference of positions is the acceleration one cycle ago: the forces are delayed by a cycle.
         if self._count == 2:
             self._origin_m = balance.x2_m
             self._state[:] = before
@@ -85,6 +85,6 @@ class RegressionRows:
 
 
 def noise_gain(cycle_s: float) -> float:
-    """Variance of white noise behind the filter over that before it: Σ g², g = (j + 1)·(1-d)²·dʲ."""
+    """Variance of white noise after the filter over that before it: Σ g², g = (j + 1)·(1-d)²·dʲ."""
     d = exp(-cycle_s / FILTER_S)
     return (1.0 - d) ** 4 * (1.0 + d * d) / (1.0 - d * d) ** 3

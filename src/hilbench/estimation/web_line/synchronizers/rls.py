@@ -1,7 +1,7 @@
 """Recursive least squares with exponential forgetting on the filtered momentum balance.
 
-Source: Åström and Wittenmark, Adaptive Control, section 2.2. What is believed beforehand of the nuisances does not fade
-with the data: its share that was forgotten is given back each cycle.
+Source: Åström and Wittenmark, Adaptive Control, section 2.2. The nuisances' prior does not fade with the data: its
+forgotten share is added again each cycle.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hilbench.estimation.web_line.synchronizers.regression import PARAMETERS, Re
 
 
 class RlsSynchronizer:
-    """θ = [E/E0, offset, viscous, dry, mass] by its information matrix and vector."""
+    """Recursive least squares of θ = [E/E0, offset, viscous, dry, mass] by its information matrix and vector."""
 
     def __init__(self, config: RlsConfig, plant: Plant) -> None:
         self._config = config
@@ -25,7 +25,7 @@ class RlsSynchronizer:
         self._reference_Pa = plant.youngs_modulus_Pa
         self._rows = RegressionRows(plant)
         priors = prior_deviations(config.also)
-        # A nuisance that is not estimated gets a prior that nothing moves.
+        # A nuisance that is not estimated gets a fixed prior.
         self._prior = np.diag(np.concatenate([[0.0], 1.0 / np.maximum(priors, 1e-9) ** 2]))
         noise_N = config.torque_noise_Nm * plant.force_per_torque_per_m
         self._variance_N2 = noise_N**2
@@ -46,8 +46,8 @@ class RlsSynchronizer:
         error_N = y - row @ self._theta
         share = sample.cycle_s / (10.0 * self._config.memory_s)
         self._variance_N2 += share * (min(error_N**2, 9.0 * self._variance_N2) - self._variance_N2)
-        # The filter makes the noise smaller and correlated; over many rows it counts as what it was before it.
-        # Exponential weights have twice the information that their sum of squares says (Σλ² against (Σλ)²).
+        # The filter makes the noise smaller and correlated; over many rows it counts as before the filter. Exponential
+        # weights have twice the information of their sum of squares (Σλ² against (Σλ)²).
         weight = 2.0 * noise_gain(sample.cycle_s) / self._variance_N2
         self._information = keep * self._information + weight * np.outer(row, row)
         self._vector = keep * self._vector + weight * row * y
@@ -56,13 +56,13 @@ class RlsSynchronizer:
         return self.estimate
 
     def rebase(self, change_Pa: float) -> None:
-        """Move E."""
+        """Shift E."""
         change = change_Pa / self._reference_Pa
         self._vector += change * self._information[:, 0]
         self._theta[0] += change
 
     def hold(self, duration_s: float) -> Estimate:
-        """Keep what is known; the filter starts anew."""
+        """Keep the estimate; restart the filter."""
         self._rows.interrupt()
         self.estimate = held(self.estimate, self._config.hold_growth_pct_per_s, duration_s)
         return self.estimate

@@ -1,5 +1,4 @@
-"""The last rows of the filtered balance, how far a set of parameters is from them, and what methods that fit them do
-alike."""
+"""Moving window of rows of the filtered balance, its residuals, and the base of methods that fit it."""
 
 from __future__ import annotations
 
@@ -12,7 +11,7 @@ from hilbench.estimation.web_line.synchronizers.regression import PARAMETERS, Ar
 
 
 class RowWindow:
-    """A moving window of `window_s`; parameters [E/E0, offset, viscous, dry, mass], residuals in noise deviations."""
+    """Moving window of `window_s`; parameters [E/E0, offset, viscous, dry, mass], residuals in noise deviations."""
 
     def __init__(self, plant: Plant, window_s: float, torque_noise_Nm: float, priors: Array) -> None:
         self._rows = RegressionRows(plant)
@@ -26,16 +25,16 @@ class RowWindow:
 
     @property
     def active(self) -> Array:
-        """Which of the parameters are estimated."""
+        """Mask of the estimated parameters."""
         return self._active
 
     def interrupt(self) -> None:
-        """A cycle is missing: start anew."""
+        """Start anew after a missing cycle."""
         self._rows.interrupt()
         self._count = 0
 
     def update(self, sample: SyncSample) -> bool:
-        """Take one sample; True when the window holds enough rows to be fitted, and a web that pulled in one."""
+        """Take one sample; True if the window has enough rows for a fit, and web tension in one of them."""
         length = max(8, round(self._window_s / sample.cycle_s))
         if len(self._data) != length:
             self._data = np.zeros((length, PARAMETERS + 1))
@@ -47,11 +46,11 @@ class RowWindow:
         return self._count >= length // 4 and bool(np.any(self._data[: self._count, 0]))
 
     def rebase(self, change_Pa: float) -> None:
-        """E of all rows is another one by `change_Pa`."""
+        """Shift E of all rows by `change_Pa`."""
         self._data[:, PARAMETERS] += change_Pa / self._reference_Pa * self._data[:, 0]
 
     def rows(self) -> Array:
-        """A copy of the rows, in no order."""
+        """Copy of the rows, unordered."""
         return self._data[: min(self._count, len(self._data))].copy()
 
     def residuals(self, rows: Array, theta: Array) -> Array:
@@ -62,18 +61,18 @@ class RowWindow:
         return np.concatenate([error, full[1:][held] / self._priors[held]])
 
     def scatter_N(self, rows: Array, theta: Array) -> float:
-        """Deviation of the noise before the filter that the residuals show."""
+        """Standard deviation of the noise before the filter, by the residuals."""
         error = rows[:, PARAMETERS] - rows[:, :PARAMETERS] @ self.full(theta)
         return float(np.sqrt(np.mean(error**2) / self._noise_gain))
 
     def full(self, theta: Array) -> Array:
-        """All parameters (5,) of those that are estimated; 0 for the others."""
+        """All parameters (5,) from the estimated ones; 0 for the others."""
         full = np.zeros(PARAMETERS)
         full[self._active] = theta
         return full
 
     def deviations(self, rows: Array, theta: Array) -> Array:
-        """Standard deviations (5,) by the information of rows and priors; 0 for what is not estimated."""
+        """Standard deviations (5,) by the information of rows and priors; 0 for parameters not estimated."""
         a = rows[:, :PARAMETERS][:, self._active] / max(self.scatter_N(rows, theta), 1e-9)
         information = a.T @ a
         held = self._active[1:]
@@ -84,7 +83,7 @@ class RowWindow:
 
 
 class FittedToWindow:
-    """An estimate that is fitted to the rows of a window now and then."""
+    """Base of estimators that are fitted to the rows of a window at intervals."""
 
     def __init__(self, config: LmConfig | GlobalConfig, plant: Plant) -> None:
         self._also = tuple(config.also)
@@ -95,7 +94,7 @@ class FittedToWindow:
         self._estimate = Estimate(plant.youngs_modulus_Pa, deviation_Pa)
 
     def rebase(self, change_Pa: float) -> None:
-        """Move the rows of the window."""
+        """Shift E of the window's rows."""
         self._window.rebase(change_Pa)
 
     def hold(self, duration_s: float) -> Estimate:
@@ -105,7 +104,7 @@ class FittedToWindow:
         return self._estimate
 
     def _take(self, theta: Array, deviations: Array) -> None:
-        """Parameters (5,) as `RowWindow` has them, and their deviations (5,), are the estimate now."""
+        """Set the estimate from parameters (5,) of a `RowWindow` and their deviations (5,)."""
         self._estimate = Estimate(
             float(theta[0]) * self._reference_Pa,
             float(deviations[0]) * self._reference_Pa,

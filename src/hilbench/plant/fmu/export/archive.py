@@ -1,4 +1,4 @@
-"""The FMU file: model description, shared library, and how they are made."""
+"""FMU file: model description, shared library, and their build."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hilbench.plant.fmu.export.object_code import object_code
 
 Fmi = Literal[2, 3]
 
-#: Folders of binaries of FMI 2 and 3, and how a shared library ends, by system and processor.
+#: Folders of binaries of FMI 2 and 3, and suffix of a shared library, by system and processor.
 _PLATFORMS: Final = {
     ("Linux", "x86_64"): ("linux64", "x86_64-linux", ".so"),
     ("Linux", "aarch64"): ("aarch64-linux", "aarch64-linux", ".so"),
@@ -48,8 +48,8 @@ _UNITS: Final = {
 def write_fmu(machine: ExportedMachine, fmi: Fmi, path: Path) -> None:
     """Compile a machine and write it as an FMU that needs nothing of Python.
 
-    Raises UnusableInputError without a C compiler, on a system that FMUs have no binaries for, or for a file that can't
-    be written.
+    Raises UnusableInputError without a C compiler, on a system without FMU binaries, or for a file that can't be
+    written.
     """
     known = _PLATFORMS.get((platform.system(), platform.machine()))
     if known is None:
@@ -68,14 +68,14 @@ def write_fmu(machine: ExportedMachine, fmi: Fmi, path: Path) -> None:
 
 
 def _entry(name: str, *, executable: bool = False) -> zipfile.ZipInfo:
-    entry = zipfile.ZipInfo(name)  # of a fixed date: the same machine makes the same file
+    entry = zipfile.ZipInfo(name)  # of a fixed date: reproducible files
     entry.compress_type = zipfile.ZIP_DEFLATED
     entry.external_attr = (0o755 if executable else 0o644) << 16
     return entry
 
 
 def compiler() -> str | None:
-    """The C compiler that is found first; None without one."""
+    """First C compiler found; None without one."""
     return next(filter(None, map(shutil.which, _COMPILERS)), None)
 
 
@@ -123,7 +123,7 @@ def _header(machine: ExportedMachine, fmi: int, token: str, symbol: str) -> str:
 
 
 def _number(value: float) -> str:
-    """As C reads it to the same bits."""
+    """C literal of the same bits."""
     if isinf(value):
         return "HUGE_VAL" if value > 0.0 else "-HUGE_VAL"
     return float(value).hex()
@@ -140,7 +140,7 @@ def _unit_definitions(machine: ExportedMachine) -> list[str]:
 
 
 def _attributes(machine: ExportedMachine, variable: ExportedVariable) -> tuple[str, str]:
-    """Of a variable: what FMI 2 and 3 have in common of causality and variability, and its start."""
+    """Attributes of a variable: causality and variability as in FMI 2 and 3, and its start."""
     if variable.causality == "output":
         return 'causality="output" variability="continuous"', ""
     start = f' start="{machine.start(variable)!r}"'
@@ -167,7 +167,7 @@ def _step(machine: ExportedMachine) -> str:
 
 
 def _described(head: str, state: str, machine: ExportedMachine, variables: list[str], structure: list[str]) -> str:
-    """The model description; `state`: how this version of FMI spells that the state can be taken and given back."""
+    """Model description; `state`: spelling of this FMI version for saving and restoring the state."""
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         head,
@@ -189,7 +189,7 @@ def _described(head: str, state: str, machine: ExportedMachine, variables: list[
 
 
 def _outputs(machine: ExportedMachine) -> list[int]:
-    """Value references."""
+    """Value references of the outputs."""
     return [at for at, each in enumerate(machine.variables, 1) if each.causality == "output"]
 
 

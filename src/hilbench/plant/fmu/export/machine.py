@@ -1,4 +1,4 @@
-"""What of a machine goes into an FMU: its vectors at the start, and which variable stands where in them."""
+"""Machine definition for export: its start vectors, and the offsets of variables in them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from hilbench.plant.interface import Quantity
 Vector = NDArray[np.float64]
 
 P, S, U, OUT = "P", "S", "U", "OUT"
-#: A place in the state that is set to 0 before each step: what is noted of a limit there is of the step.
+#: Vector of a state element that is set to 0 before each step: a limit flag is that of the step.
 FORGOTTEN: Final = "NONE"
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A number in a vector; divided by `scale` it is the value of a variable in its SI unit."""
+    """Element of a vector; divided by `scale` it is the value of a variable in its SI unit."""
 
     vector: str
     index: int
@@ -29,7 +29,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class ExportedVariable:
-    """A variable of the FMU: an ``input``, ``output`` or ``parameter``, at one place or several."""
+    """Variable of the FMU: an ``input``, ``output`` or ``parameter``, at one place or several."""
 
     quantity: Quantity
     causality: str
@@ -38,9 +38,9 @@ class ExportedVariable:
 
 @dataclass(frozen=True)
 class Kernel:
-    """What an exported FMU calls for a step, a function to be compiled: ``go(p, s, u, w, out, samples, duration)``.
+    """Step function of an exported FMU, to be compiled: ``go(p, s, u, w, out, samples, duration)``.
 
-    Parameters, state, inputs, scratch space and what is observed then; of a machine with drives `samples` of their
+    Parameters, state, inputs, scratch space and observed values then; of a machine with drives `samples` of their
     sample times, else `duration` in s; 0 only observes. No array is counted or allocated in it (`hilbench.compiled`),
     so that it needs nothing of Python when it runs.
     """
@@ -51,7 +51,7 @@ class Kernel:
 
 @dataclass(frozen=True)
 class ExportedMachine:
-    """A machine as an FMU has it. `sample_s`: communication steps are multiples of it; 0: of any length."""
+    """Machine as exported to an FMU. `sample_s`: communication steps are multiples of it; 0: of any length."""
 
     name: str
     description: str
@@ -64,27 +64,27 @@ class ExportedMachine:
     variables: tuple[ExportedVariable, ...]
     forgotten: tuple[Place, ...]
     sample_s: float
-    time: tuple[int, float]  #: where the time stands in the state, and that per second
+    time: tuple[int, float]  #: offset of the time in the state, and its value per second
 
     def start(self, variable: ExportedVariable) -> float:
-        """Its value at the start, of an input or parameter."""
+        """Start value of an input or parameter."""
         place = variable.places[0]
         vector = {P: self.p, S: self.s, U: self.u}[place.vector]
         return float(vector[place.index] / place.scale)
 
 
 def output(quantity: Quantity, column: int) -> ExportedVariable:
-    """In a column of what is observed."""
+    """Output variable in a column of the observed values."""
     return ExportedVariable(quantity, "output", (Place(OUT, column),))
 
 
 def parameter(quantity: Quantity, *places: Place) -> ExportedVariable:
-    """Tunable, at these places."""
+    """Tunable parameter at these places."""
     return ExportedVariable(quantity, "parameter", places)
 
 
 def asked(axis: int, unit: str, place: Place, *, drives: bool) -> ExportedVariable:
-    """What a motor is asked for: with its drive's loops a speed, else a torque; positions are in `unit`."""
+    """Set-point input of a motor: with its drive's loops a speed, else a torque; positions are in `unit`."""
     if drives:
         quantity = Quantity(f"v{axis}_cmd_{unit}_s", f"{unit}/s", f"velocity command of axis {axis}")
     else:

@@ -1,7 +1,7 @@
 """Machine code of a kernel for a shared library, from numba's own LLVM code: the same operations, in the same order.
 
-What numba has optimized is compiled once more for any processor of this kind (no vector units that an older one lacks):
-IEEE arithmetic gives the same bits, and `exp`, `sin` and `cos` are those of the C library in both.
+Numba's optimized code is compiled once more for any processor of this kind (without newer vector units): IEEE
+arithmetic gives the same bits, and `exp`, `sin` and `cos` are those of the C library in both.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ _VECTORS: Final = 5
 
 @dataclass(frozen=True)
 class ObjectCode:
-    """An object file, and the name of the kernel in it (numba's calling convention)."""
+    """Object file, and the name of the kernel in it (numba's calling convention)."""
 
     code: bytes
     symbol: str
 
 
 def object_code(kernel: Kernel) -> ObjectCode:
-    """Of a kernel; compiled once on a machine (up to a minute), then kept in the user's cache."""
+    """Object code of a kernel; compiled once on a machine (up to a minute), then cached for the user."""
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hilbench"
     kept = folder / f"fmu-{kernel.name}-{made_of(kernel.function)}-{_versions()}.o"
     name = kept.with_suffix(".symbol")
@@ -42,7 +42,7 @@ def object_code(kernel: Kernel) -> ObjectCode:
             part.write_bytes(content)
             part.replace(path)
     except OSError:
-        pass  # nothing is kept, the next export takes as long again
+        pass  # not cached, the next export takes as long again
     return made
 
 
@@ -60,7 +60,7 @@ def _compiled(function: Callable[..., None]) -> ObjectCode:
 
     vector = types.float64[::1]
     signature = types.void(*[vector] * _VECTORS, types.int64, types.float64)
-    njit: Any = numba.njit  # its stubs do not know all of its options
+    njit: Any = numba.njit  # its stubs lack some of its options
     decorate = njit(signature, error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
     dispatcher: Any = decorate(function)
     compiled = dispatcher.overloads[signature.args]

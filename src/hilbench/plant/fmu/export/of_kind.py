@@ -1,4 +1,4 @@
-"""What a machine of any kind is as an FMU."""
+"""Export definition of a machine of any kind."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from hilbench.plant.web_line.parameters import ModelParameters
 
 
 def exported(machine: ModelParameters | ServoAxisParameters, *, drives: bool, load: bool) -> ExportedMachine:
-    """With the loops of its drives, or without; or (`load`) what its load motors emulate, on measured motion.
+    """Export definition with the loops of its drives, or without; or (`load`) of the emulated load, on measured motion.
 
-    Raises ValueError, which says what is expected instead, for what can't be exported.
+    Raises ValueError with the expected kind for a machine that can't be exported.
     """
     if isinstance(machine, ServoAxisParameters):
         if load:

@@ -1,4 +1,4 @@
-"""A servo axis as an FMU, with or without its drive."""
+"""Export of a servo axis as an FMU, with or without its drive."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hilbench.plant.servo_axis.shaft import Shaft
 
 
 def _go(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
-    """A servo axis with its drive; `out` as `servo_axis.layout` has it."""
+    """Step a servo axis with its drive; `out` as of `servo_axis.layout`."""
     if samples > 0:
         kernel.go_on(p, s, u, samples)
     kernel.report(p, s, out, 0)
@@ -36,9 +36,9 @@ _KERNEL = Kernel("axis", _go)
 
 
 def exported_axis(model: ServoAxisParameters, *, drives: bool) -> ExportedMachine:
-    """A servo axis. With its drive's loops a speed is asked for, without the motor's torque acts.
+    """Export definition of a servo axis. With its drive's loops the input is a speed, without it the motor's torque.
 
-    Raises ValueError for one that has no drive.
+    Raises ValueError for an axis without drive.
     """
     if drives and model.drives is None:
         raise ValueError("'drives:' in the machine for an FMU with its drive")

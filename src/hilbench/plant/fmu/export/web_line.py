@@ -1,4 +1,4 @@
-"""A web line as an FMU: the line with or without its drives, and its web as load motors emulate it."""
+"""Export of a web line as an FMU: the line with or without its drives, and its web as emulated by load motors."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from hilbench.plant.web_line.span import SpanFollower
 
 
 def _go_line(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
-    """A web line with its drives; `out` as the columns of `web_line.layout.Layout`."""
+    """Step a web line with its drives; `out` as the columns of `web_line.layout.Layout`."""
     if samples > 0:
         kernel.enter(p, s, u, w)
         kernel.go_on(p, s, u, w, samples)
@@ -42,10 +42,10 @@ def _go_line(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: i
 
 
 def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
-    """The web of driven rollers on their measured motion: state `s` as `web_line.span_kernel.roll_on` has it.
+    """Step the web of driven rollers on their measured motion: state `s` as of `web_line.span_kernel.roll_on`.
 
-    `u`: speeds of the N rollers, strain of the web that enters, tension behind the line. `out`: tension, strain and E
-    of the K spans, then the torque at each motor that emulates web and resistance (see `SpanFollower.web_torque_Nm`).
+    `u`: speeds of the N rollers, strain of the web that enters, tension after the line. `out`: tension, strain and E of
+    the K spans, then the torque at each motor that emulates web and resistance (see `SpanFollower.web_torque_Nm`).
     """
     n, k = int(p[lay.W_AXES]), int(p[lay.W_SPANS])
     strain_prev, f_next = u[n], u[n + 1]
@@ -73,9 +73,9 @@ _LINE, _WEB = Kernel("line", _go_line), Kernel("web", _go_web)
 
 
 def exported_line(model: ModelParameters, *, drives: bool) -> ExportedMachine:
-    """A web line. With its drives' loops speeds are asked for, without torques of the motors act.
+    """Export definition of a web line. With its drives' loops the inputs are speeds, without them the motors' torques.
 
-    Raises ValueError for a line that has no drives, or an FMU can't have (stations).
+    Raises ValueError for a line without drives, or one not supported in an FMU (stations).
     """
     if model.stations is not None:
         raise ValueError("a line of driven rollers alone; one with stations can't be exported yet")
@@ -121,7 +121,7 @@ def exported_line(model: ModelParameters, *, drives: bool) -> ExportedMachine:
 
 
 def exported_load(model: ModelParameters) -> ExportedMachine:
-    """The web of a line on the motion of its rollers: speeds in, tensions and the torques that emulate it out.
+    """Export definition of a line's web on the motion of its rollers: speeds in, tensions and load torques out.
 
     Raises ValueError for a model without a web, or with stations.
     """
@@ -157,8 +157,8 @@ def exported_load(model: ModelParameters) -> ExportedMachine:
 
 
 def _numbered(name: str) -> tuple[str, int]:
-    """``F2_N`` as its symbol and its number from 0."""
-    symbol = name.rstrip("_NmradsPg")  # what a unit is written with
+    """Symbol and number, from 0, of a name like ``F2_N``."""
+    symbol = name.rstrip("_NmradsPg")  # letters of the units
     digits = symbol[len(symbol.rstrip("0123456789")) :]
     return symbol.removesuffix(digits), int(digits) - 1
 
@@ -172,7 +172,7 @@ def _boundary(first: int = lay.U_STRAIN_PREV) -> list[ExportedVariable]:
 
 
 def _moduli(model: ModelParameters, layout: Layout) -> list[ExportedVariable]:
-    """E of the web in each span, by the names that the machine has for it."""
+    """E of the web in each span, by the machine's names."""
     if model.web is None:
         return []
     places = [Place(P, layout.first_span + j * lay.SP_SIZE + lay.SP_MODULUS_PA) for j in range(layout.spans)]
