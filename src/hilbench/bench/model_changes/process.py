@@ -1,4 +1,4 @@
-"""The process that diagnoses beside a running bench, as the bench sees it: questions in, answers out, never waiting."""
+"""The live diagnosis's process as the bench sees it: requests out, answers in, without waiting."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LONGEST_START_S = 600.0
 
 
 class LiveProcess:
-    """One process for one run. What is sent goes out from a thread, in order; a process that is gone answers nothing.
+    """Live diagnosis process of one run. A thread sends in order; a process that has ended answers nothing.
 
     It loads and compiles on the cores that the cycle needs: `wait_until_ready` before there is one. Raises
     BenchFaultError when the system refuses to start it.
@@ -60,11 +60,11 @@ class LiveProcess:
         return self._child.pid
 
     def ask(self, samples: Samples) -> Future[DiagnosisAnswer]:
-        """Hand a chunk over; the future is its answer, or EOFError or OSError of a process that is gone."""
+        """Send a chunk of samples; the future is its answer, or EOFError or OSError if the process has ended."""
         return self._pool.submit(self._ask, samples)
 
     def send_outcome(self, outcome: ProposalOutcome) -> None:
-        """Say what became of a change, before the next samples."""
+        """Report the outcome of a proposed change, before the next samples."""
         self._pool.submit(self._connection.send, outcome)
 
     def _ask(self, samples: Samples) -> DiagnosisAnswer:
@@ -74,7 +74,7 @@ class LiveProcess:
         return answer
 
     def last_words(self) -> str:
-        """What it said last, of a process that has ended."""
+        """Last output of the process, once it has ended."""
         return self._child.last_words()
 
     def end(self) -> None:
