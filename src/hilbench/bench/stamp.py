@@ -44,11 +44,11 @@ class Stamp:
         self._at = self._began.data
         places = type(sample).places(_NUMBERS)
         kept = exchange.counted, self._began, np.array([state.cycle_s]), sample.reals, sample.wholes, places
-        #: The same as a piece of a cycle, which goes by the last `begin`.
+        #: Compiled stage that stamps, by the last `begin`.
         self.piece = CompiledStage(_stamp, 0, table_of(kept), fallback=never, keeps=kept)
 
     def __call__(self) -> None:
-        """Of this cycle."""
+        """Stamp this cycle's sample."""
         self.begin()
         self.piece()
 

@@ -1,4 +1,4 @@
-"""The reference of a machine: the speed at which it runs, moved at a bounded rate where nobody gives a ramp."""
+"""Reference of a machine: the speed at which it runs, moved at a bounded rate where no ramp is given."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Reference:
 
     @property
     def present(self) -> float:
-        """Its value now."""
+        """Present value."""
         return float(self._at[0])
 
     @present.setter
@@ -74,7 +74,7 @@ class Reference:
         return CompiledStage(_show, type(sample).place(signal), table_of(kept), fallback=never, keeps=kept)
 
     def owns(self, path: str) -> bool:
-        """Whether it is this reference."""
+        """True if the path is this reference's."""
         return path == self.path
 
     def value(self, path: str) -> float:
@@ -82,7 +82,7 @@ class Reference:
         return self.present
 
     def set(self, path: str, value: float) -> None:
-        """Another value at once, as far as it is not held back; a goal that it was on the way to is forgotten."""
+        """Set a value at once, up to the ceiling; a goal under way is dropped."""
         if self._ceiling is not None:
             highest = max(self._ceiling, abs(self.present))
             if abs(value) > highest:
@@ -94,12 +94,12 @@ class Reference:
 
     @property
     def goal(self) -> float | None:
-        """Where it goes by itself; None while it stays what it was set to."""
+        """Goal that it moves to by itself; None while it stays at its value."""
         return self._goal
 
     @property
     def is_free(self) -> bool:
-        """Whether it becomes what it is set to, and nothing else moves it."""
+        """True if it takes set values unchanged: without goal or ceiling."""
         return self._goal is None and self._ceiling is None
 
     def load_trajectory(self, values: NDArray[np.float64]) -> int:
@@ -121,12 +121,12 @@ class Reference:
 
     @property
     def ceiling(self) -> float | None:
-        """The size that it is held to, whoever asks for more; None while it is not, and once less was asked for after
-        more."""
+        """Largest size that it is held to, whatever is requested; None while it is not, and once less was requested
+        after more."""
         return self._ceiling
 
     def hold_below(self, ceiling: float) -> None:
-        """No more than this from now on, as a size; what it is beyond that it loses step by step (`keep_below`)."""
+        """Hold its size below `ceiling` from now on; what is above is reduced step by step (`keep_below`)."""
         self._ceiling, self._held_back = ceiling, False
 
     def keep_below(self) -> None:

@@ -1,8 +1,8 @@
-"""What a tension loop makes of a cycle, compiled: whether it may be closed on the twin, the controller's velocity, and
+"""Compiled cycle of a tension loop: decides if it may be closed on the twin, then the controller's velocity, and
 the damping of the swing.
 
-It goes by stages: where something is rare (the loop opens or closes, the damping's gains follow another E) it says so,
-Python does its part, and calls it again from the stage behind.
+It runs in stages: on a rare event (the loop opens or closes, the damping's gains follow another E) it returns,
+the interpreter does its part, and calls it again from the next stage.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ Places = NDArray[np.int64]
 
 #: Where a cycle begins, and behind what is to be decided.
 JUDGE, CONTROL = range(2)
-#: What is Python's: the twin's data are of before it was lost; it is trusted, and was not, or the other way round; E is
-#: another than the damping's gains are for. Below them what `judged` has found.
+#: Events for the interpreter: the twin's data are of before it was lost; its trust has changed; E differs from
+#: that of the damping's gains. Below them the findings of `judged`.
 STALE, CHANGED, OTHER_MODULUS = range(16, 19)
 # Rows of the table.
 (
@@ -75,7 +75,7 @@ _MOST_CYCLES_AT_ONCE = 10
 
 @compiled
 def _since_controlled_s(loop: Vector, words: Places, at: Places) -> float:
-    """The time that the twin's data have gone on since the controller's last step: none while they are repeated."""
+    """Time by which the twin's data have advanced since the controller's last step: 0 while they are repeated."""
     reported = words[at[_CYCLE_AT]] - words[at[_AGE_AT]]
     cycles = 1 if loop[CONTROLLED_CYCLE] == NEVER else reported - int(loop[CONTROLLED_CYCLE])
     loop[CONTROLLED_CYCLE] = reported
