@@ -1,7 +1,7 @@
 """A DBC file of PDOs, for tools that decode a bus without EDS files: names, places, scale to SI, units.
 
-A DBC file does not say how it is encoded: some tools take it for Windows-1252 (cantools, those of its inventor), others
-for UTF-8. What is written here is ASCII, which is the same in both.
+A DBC file does not state its encoding: some tools take it for Windows-1252 (cantools, those of its inventor), others
+for UTF-8. The text written here is ASCII, which is the same in both.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class DbcMessage:
 
 
 def dbc_text(messages: Iterable[DbcMessage], comment: str) -> str:
-    """The file; objects without a unit keep their raw values. Names of more than 32 letters stand there in full beside
-    the short ones (attribute ``SystemSignalLongSymbol``)."""
+    """Text of the file; objects without a unit keep their raw values. Names of more than 32 letters are given in full
+    in addition to the short ones (attribute ``SystemSignalLongSymbol``)."""
     known = list(messages)
     senders = dict.fromkeys(symbol(message.sender) for message in known)
     database = Database(

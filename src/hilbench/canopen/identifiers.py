@@ -32,10 +32,10 @@ LAST_NODE: Final = 127
 #: From a PDO's communication parameters to its mapping parameters: 1600h for 1400h, 1A00h for 1800h.
 MAPPING: Final = 0x200
 
-#: Bits beside the COB-ID in 1014h and in the parameters of PDOs: not in use; a TPDO that no remote frame asks for.
+#: Bits in addition to the COB-ID in 1014h and in PDO parameters: not in use; no RTR allowed on a TPDO.
 INVALID: Final = 0x8000_0000
 NO_REMOTE_REQUEST: Final = 0x4000_0000
-#: The same in 1005h: the device produces SYNC.
+#: Bit of 1005h: the device produces SYNC.
 PRODUCE_SYNC: Final = 0x4000_0000
 
 #: 29-bit identifiers and the frame bit: this runtime speaks 11-bit identifiers only.
@@ -43,7 +43,7 @@ _RESERVED_BITS: Final = 0x3FFF_F800
 
 
 class NmtCommand(IntEnum):
-    """What an NMT master asks for (table 34 ff.): the first byte of its frame."""
+    """NMT commands (table 34 ff.): the first byte of the frame."""
 
     START = 1
     STOP = 2
@@ -66,7 +66,7 @@ class NmtState(IntEnum):
 
     @property
     def heartbeat(self) -> bytes:
-        """The data of the heartbeat that says it."""
+        """Data of the heartbeat with this state."""
         return bytes((self,))
 
 
@@ -76,7 +76,7 @@ def node_of(can_id: int, function: int) -> int:
 
 
 def is_restricted(cob_id: int) -> bool:
-    """Whether an object other than NMT, SDO, heartbeat, SYNC and TIME must not take this COB-ID (table 40)."""
+    """True if an object other than NMT, SDO, heartbeat, SYNC and TIME must not take this COB-ID (table 40)."""
     identifier = cob_id & COB_ID
     return (
         bool(cob_id & _RESERVED_BITS)

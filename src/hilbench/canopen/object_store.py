@@ -1,4 +1,4 @@
-"""The values of a device: one cell an object, the single store for SDO, PDO and application."""
+"""Values of a device: one cell per object, the single store for SDO, PDO and application."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Cell:
         return self._start
 
     def start_with(self, value: Value) -> None:
-        """What the application has in an object for which the EDS file names no default; it is so now."""
+        """Set the application's start value of an object without a default in the EDS file, and its value."""
         self._start = value
         self.value = self.initial()
 
@@ -121,8 +121,8 @@ class ObjectStore:
             raise KeyError(f"no object {index:04X}h sub {sub} in the EDS") from None
 
     def conditional(self, index: int, code: int, default: Value) -> Cell:
-        """The cell of an object that a device may lack (CiA 301): without it the default counts, and nobody on the bus
-        reads or writes it."""
+        """Cell of an object that a device may lack (CiA 301): without it the default counts, and it is not accessible
+        on the bus."""
         if (index, 0) in self:
             return self.cell(index)
         variable = ODVariable(f"{index:04X}h", index)

@@ -1,4 +1,4 @@
-"""Store and restore parameters, 1010h and 1011h (CiA 301); what is stored survives in a file."""
+"""Store and restore parameters, 1010h and 1011h (CiA 301); stored values survive in a file."""
 
 from __future__ import annotations
 
