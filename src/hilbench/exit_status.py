@@ -1,4 +1,4 @@
-"""How a process of hilbench ends: every error becomes one line on standard error and the exit code of its kind."""
+"""Exit of a process of hilbench: every error becomes one line on standard error and the exit code of its kind."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def ended(command: Callable[[], object]) -> int:
     try:
         hold_standard_descriptors()
     except OSError:
-        return EXIT_BENCH_FAULT  # nothing can be opened, and there is nowhere to say it
+        return EXIT_BENCH_FAULT  # nothing can be opened, and there is no place for a message
     with honest_output() as problems, _threads_reported():
         code = _code(command)
     for problem in problems:
@@ -30,7 +30,7 @@ def ended(command: Callable[[], object]) -> int:
 
 @contextmanager
 def _threads_reported() -> Iterator[None]:
-    """What ends a thread that nobody waits for is reported as well, in one line."""
+    """Report an exception that ends a thread as well, in one line."""
 
     def report(ended: threading.ExceptHookArgs) -> None:
         if isinstance(ended.exc_value, Exception):
@@ -58,7 +58,7 @@ def _code(command: Callable[[], object]) -> int:
         return error.exit_code
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
-    except BaseException as error:  # nobody foresaw it
+    except BaseException as error:  # unexpected
         _report(crash_report(error))
         return EXIT_BENCH_FAULT
     return 0

@@ -1,6 +1,6 @@
-"""Fault confinement: how a CAN controller that sees too many errors takes itself off the bus (ISO 11898-1, 12.1.4).
+"""Fault confinement: bus off of a CAN controller with too many errors (ISO 11898-1, 12.1.4).
 
-The emulated wire counts for each of its stations; a station is told of a change of its state as SocketCAN tells it, by
+The emulated wire counts for each of its stations; a station receives a change of its state as in SocketCAN, by
 an error message frame (Linux, include/uapi/linux/can/error.h).
 """
 
@@ -41,7 +41,7 @@ class ErrorCounters:
 
     @property
     def state(self) -> ControllerState:
-        """What the counters mean."""
+        """Controller state by the counters."""
         if self.transmit >= OFF_FROM:
             return ControllerState.BUS_OFF
         passive = self.transmit >= PASSIVE_FROM or self.receive >= PASSIVE_FROM
@@ -49,7 +49,7 @@ class ErrorCounters:
 
     @property
     def clear(self) -> bool:
-        """Whether nothing is counted."""
+        """True if both counters are 0."""
         return not (self.transmit or self.receive)
 
     def transmit_failed(self) -> None:

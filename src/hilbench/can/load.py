@@ -1,4 +1,4 @@
-"""Worst-case bus load of a set of cyclic frames: what the config check refuses a bench for."""
+"""Worst-case bus load of a set of cyclic frames, for which the config check refuses a bench."""
 
 from __future__ import annotations
 
