@@ -12,7 +12,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from hilbench.pydantic_messages import expected
 
-#: Nothing of a bench has more of any SI unit, or less but for zero: what is beyond breaks arithmetic, not a bench.
+#: No SI value of a bench is larger, or, except zero, smaller: values beyond break the arithmetic, not a bench.
 LARGEST: Final = 1e13
 LEAST: Final = 1e-15
 

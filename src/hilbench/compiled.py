@@ -207,7 +207,7 @@ def address_of(function: Callable[[int, NDArray[np.int64]], int]) -> int:
 
 
 def interpreted(function: Function) -> Function:
-    """A compiled function that calls none, as Python runs it: for who calls it by itself, and now and then. Compiling
+    """Python version of a compiled function that calls no other, for rare calls by itself. Compiling
     it, in each process anew, takes a tenth of a second."""
     plain: Function = function.py_func  # type: ignore[attr-defined]
     return plain

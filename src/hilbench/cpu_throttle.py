@@ -19,7 +19,7 @@ from numba import types
 
 from hilbench.c_library import CLOCK_MONOTONIC, clock_nanosleep
 
-#: CPU time of a slice, and the rest behind it, s: two thirds of a core, at most.
+#: CPU time of a slice, and the rest after it, s: two thirds of a core, at most.
 WORK_S: Final = 0.02
 REST_S: Final = 0.01
 

@@ -28,10 +28,10 @@ _CYCLES, _FIRST, _DONE, _STOPPED, _CODE, _STATE = range(6)
 
 
 class CompiledStage:
-    """A piece of a cycle: `function`, with `argument` and a table of the vectors that `keeps` keeps.
+    """A compiled stage of a cycle: `function`, with `argument` and a table of the vectors that `keeps` keeps.
 
-    `fallback`: what Python does where it returns anything but `continues`; whether the next cycle may follow without
-    Python all the same.
+    `fallback`: Python's part where it returns anything but `continues`; true if the next cycle may still follow
+    without Python.
     """
 
     __slots__ = ("argument", "continues", "fallback", "function", "keeps", "table")
@@ -50,13 +50,13 @@ class CompiledStage:
         self.fallback, self.continues, self.keeps = fallback, continues, keeps
 
     def __call__(self) -> bool:
-        """Do it by itself; as `fallback`."""
+        """Run the stage alone; returns as `fallback`."""
         code = self.function(self.argument, self.table)
         return code == self.continues or self.fallback(code)
 
 
 class StageAbortedError(Exception):
-    """A piece can't be done, or not to its end: Python has the cycle from there on."""
+    """A stage could not finish; the interpreter resumes the cycle at this stage."""
 
 
 def never(code: int) -> bool:
@@ -65,7 +65,7 @@ def never(code: int) -> bool:
 
 
 class CycleProgram:
-    """Pieces in their order. Where the table of one becomes another the chain is to be made anew."""
+    """Compiled stages in their order. If the table of one changes the program is to be made anew."""
 
     def __init__(self, pieces: Sequence[CompiledStage]) -> None:
         self._pieces = tuple(pieces)
@@ -76,7 +76,7 @@ class CycleProgram:
         self._rows = np.array(rows, np.int64).reshape(-1, _COLUMNS)
         self._state = np.zeros(_STATE, np.int64)
         self._at = self._state.data
-        self.stopped_at = -1  #: the piece whose part Python does, or has done last
+        self.stopped_at = -1  #: the stage whose part Python does, or has done last
 
     def run(self, cycles: int) -> int:
         """Run so many cycles, or fewer, where Python has the next one. Returns the number run. Fallbacks may raise;
@@ -122,7 +122,7 @@ def _entry_point() -> Callable[[Table, NDArray[np.int64]], bool]:
     return run
 
 
-#: run(the chain's table, its state): whether a piece has something for Python.
+#: run(the program's table, its state): true if a stage has returned to Python.
 _run = _entry_point()
 
 
@@ -140,6 +140,6 @@ _hand_over = _handing_over()
 
 
 def python_stage(act: Callable[[], bool]) -> CompiledStage:
-    """A piece that Python does in each cycle; as `fallback` of `CompiledStage`."""
+    """Stage that Python runs in each cycle; returns as `fallback` of `CompiledStage`."""
     table = np.zeros((0, TABLE_WIDTH), np.int64)
     return CompiledStage(_hand_over, CONTINUE + 1, table, fallback=lambda _: act(), keeps=table)

@@ -148,7 +148,7 @@ def _fork(prepare: Preparation) -> ForkedWorker:
 
 
 def _wait_for_order(receives: int, reports: int, signals: Iterable[int], prepare: Preparation) -> NoReturn:
-    """The life of a copy: nothing of it goes back to who called `_fork`."""
+    """Run the life of a copy; it never returns to the caller of `_fork`."""
     code, has_left = EXIT_BENCH_FAULT, False
     try:
         os.setsid()  # Ctrl-C at the terminal is the bench's to handle
@@ -194,7 +194,7 @@ def _leave_files(receives: int, reports: int) -> None:
 
 
 def _leave_handlers() -> None:
-    """Signals as a new interpreter has them; what is ignored stays ignored."""
+    """Reset signal handlers to those of a new interpreter; ignored signals stay ignored."""
     signal.set_wakeup_fd(-1)
     for number in signal.valid_signals():
         if callable(signal.getsignal(number)):

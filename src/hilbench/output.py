@@ -138,7 +138,7 @@ def _honest(stream: TextIO, problems: list[OutputError] | None) -> TextIO:
 
 
 def hold_standard_descriptors() -> None:
-    """Open what is closed of 0, 1 and 2: or the next file or socket would become standard output."""
+    """Open those of 0, 1 and 2 that are closed: or the next file or socket would become standard output."""
     descriptor = 0
     while descriptor <= 2:
         descriptor = os.open(os.devnull, os.O_RDWR)

@@ -85,7 +85,7 @@ class ChildProcess:
         self._process = self._start()
 
     def wait_until_prepared(self) -> None:
-        """Wait until it has loaded what it runs on, as far as it is a copy."""
+        """Wait until it has loaded its modules, if it is a copy."""
         if isinstance(self._process, ForkedWorker):
             self._process.wait_until_prepared()
 

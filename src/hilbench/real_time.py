@@ -114,7 +114,7 @@ def _first(priority: int | None, report: Callable[[str], None]) -> Iterator[None
 
 @contextmanager
 def _locked(wanted: bool | None, report: Callable[[str], None]) -> Iterator[None]:
-    """A page that has to come back from disk costs more than a cycle (mlockall(2)).
+    """Lock memory (mlockall(2)): a page that has to come back from disk costs more than a cycle.
 
     What is allocated later is not locked, so that nothing fails for lack of lockable memory in the middle of a run.
     """

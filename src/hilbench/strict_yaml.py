@@ -329,7 +329,7 @@ def _text(loc: Location, model: type[BaseModel], found: Sequence[ErrorDetails]) 
     if first["type"] == "missing":
         return f"'{key}' is missing"
     message = ", or ".join(dict.fromkeys(map(expected, found)))
-    if first["type"] == "value_error" and isinstance(first["input"], dict):  # a block: what of it says the message
+    if first["type"] == "value_error" and isinstance(first["input"], dict):  # a block: the message names the part
         message = message if "expected" in message.lower() else f"expected {message}"
         return f"'{key}': {message}" if loc else message
     text = f"'{key}' is {first['input']!r}, expected: {message}"
@@ -363,7 +363,7 @@ def _blocks(model: type[BaseModel], location: Sequence[str | int]) -> list[type[
 
 
 def _kinds(annotation: Any) -> list[Any]:
-    """The alternatives of a type; what is annotated counts without its annotations."""
+    """Alternatives of a type; an annotated type counts without its annotations."""
     if get_origin(annotation) is Annotated:
         return _kinds(get_args(annotation)[0])
     if get_origin(annotation) in (Union, UnionType):

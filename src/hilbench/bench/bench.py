@@ -276,7 +276,7 @@ class Bench:
             self.found_beside = read_text(self.nodes.twin_found())
 
     def _safe_stop(self, reason: BaseException | None) -> None:
-        if isinstance(reason, NoAnswerError):  # of a process that is gone its last words say why
+        if isinstance(reason, NoAnswerError):  # last words of an ended process give the reason
             for child in self.children:
                 if child.ended:
                     reason.add_cause(f"{child.name} ended by itself: {child.last_words()}")
@@ -299,7 +299,7 @@ class Bench:
     def _unexpected(self, error: Exception) -> str:
         return crash_report(error, self._work_folder / TRACEBACK_FILE if self._work_folder else None)
 
-    # -- what it is doing --------------------------------------------------------------------------------
+    # -- state and notices -------------------------------------------------------------------------------
 
     @property
     def last(self) -> CycleSample:
@@ -418,7 +418,7 @@ class Bench:
         self._operator.follow(path, values, self)
 
     def cycles_at_once(self, most: int) -> int:
-        """Run at most so many cycles without Python, from the next one on; how many, 0 where that is not to be run so.
+        """Run up to `cycles` compiled, from the next one on. Returns the number run; 0 if the next one needs Python.
         Raises as `cycle`."""
         self._state.running()
         return self._cycle.run_compiled(most)

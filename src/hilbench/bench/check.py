@@ -32,7 +32,7 @@ class CheckedBench:
     notes: list[str]  #: what can be run, but not well
     options: BusOptions  #: load of the PDO set on the bench's wire, and on other bus layouts
     fmus: list[str]  #: findings in FMUs
-    schedule: list[Slot]  #: who sends when in a cycle, at worst
+    schedule: list[Slot]  #: worst-case schedule of a cycle
 
 
 def check_bench(config: BenchConfig, document: Document) -> CheckedBench:

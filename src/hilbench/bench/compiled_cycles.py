@@ -16,7 +16,7 @@ _LEAST = 2
 
 
 class CompiledCycles:
-    """The cycles of a bench as a chain, whose pieces are those of its tasks, in the order in which they run.
+    """The cycles of a bench as a program, whose stages are those of its tasks, in the order in which they run.
 
     `finish`: run the rest of a cycle in which nothing but set points is there yet.
     """

@@ -104,7 +104,7 @@ class BenchCycle:
         return self._see(self.exchange())
 
     def _finish(self, outputs: Outputs) -> None:
-        """A cycle whose set points are there already, as they are `outputs`."""
+        """Run the rest of a cycle whose set points are computed."""
         self._see(self._exchange_with(outputs))
 
     def _see(self, inputs: Inputs) -> CycleSample:

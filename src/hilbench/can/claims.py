@@ -50,7 +50,7 @@ def player_of(node_id: int) -> str:
 
 
 def bringer_of(node_id: int) -> str:
-    """The role of the program that brings a node to the bus: it plays it, or starts who does, once or again."""
+    """Role of the program that brings a node to the bus: it runs it, or starts the process that does."""
     return f"bring{node_id}"
 
 
@@ -242,7 +242,7 @@ def _ask(name: str, answer_s: float) -> Holder | None:
             connection.connect(_address(name))
         except ConnectionRefusedError:  # free, or just being bound or released
             return None
-        except OSError:  # so many are waiting already
+        except OSError:  # its backlog is full
             return Holder(place, role, pid=0, uid=-1)
         pid, uid = peer(connection)
         try:

@@ -20,7 +20,7 @@ _TRANSMIT_FAILED = 8
 _CONTROLLER, _BUS_OFF, _RESTARTED, _COUNTERS = 0x004, 0x040, 0x100, 0x200
 _RECEIVE_PASSIVE, _TRANSMIT_PASSIVE, _ACTIVE = 0x10, 0x20, 0x40
 
-#: Error classes a socket asks for to know its controller's state.
+#: Error classes that a socket subscribes to for its controller's state.
 STATE_CLASSES = _CONTROLLER | _BUS_OFF | _RESTARTED
 
 

@@ -145,7 +145,7 @@ def take_in(
     octets: Octets,
     words: Words,
 ) -> bool:
-    """`Hub._attend` of so many who have sent something; whether all packets are of known frames."""
+    """`Hub._attend` of so many stations that have sent; true if all packets are of known frames."""
     plain = True
     for at in range(count):
         descriptor = events[at * EVENT_WORDS + _EVENT_DESCRIPTOR]
@@ -246,7 +246,7 @@ def forward(
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, before anybody waits for a frame."""
+    """Compile, or load from the cache, before a frame has to wait for it."""
     row, table, received = (
         np.zeros(OF_STATE, np.int64),
         np.zeros((0, 0), np.int64),

@@ -101,7 +101,7 @@ class Hub:
         self._forwarder: Forwarder | None = None
         self._loads = False
         self._identities = 0
-        self._fd = False  # whether a station that may send FD frames has joined
+        self._fd = False  # true once a station that may send FD frames has joined
         self._epoll = select.epoll()
         self._epoll.register(listener, select.EPOLLIN)
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
@@ -228,7 +228,7 @@ class Hub:
         self.connect(connection)
 
     def connect(self, connection: socket.socket) -> Client:
-        """Serve who is at the other end."""
+        """Serve the client at the other end."""
         connection.setblocking(False)
         self._identities += 1
         client = self._clients[connection.fileno()] = Client(connection, self._identities)
@@ -518,7 +518,7 @@ def _end(path: Path, log: Path, lock: int, listener: socket.socket) -> bool:
 
 
 def _detach() -> None:
-    """Leave the starter's session and parentage: no terminal signals, and no child for anybody to wait for."""
+    """Leave the starter's session and parentage: no terminal signals, and no child that must be waited for."""
     if os.fork():
         os._exit(0)
     os.setsid()

@@ -2,9 +2,9 @@
 
 Both emulations use it: the hub (frames between processes) and `memory.MemoryBus` (inside one process).
 One frame at a time is on the wire. When it is free, the heads of all transmit queues compete; the lowest arbitration
-field wins (two stations with the same one: who joined first). A frame that has begun is never interrupted, but by an
+field wins (two stations with the same one: the first to join). A frame that has begun is only interrupted by an
 error frame: then its transmitter and the others count errors, and a station whose counter is full is off the bus until
-it joins anew (as a SocketCAN interface without restart-ms).
+it joins again (as a SocketCAN interface without restart-ms).
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ class MemoryBus:
         self._links: list[MemoryLink] = []
         self._listeners = Listeners(lambda: self._links)
         self._lock = threading.Lock()
-        self.waiting = False  #: whether frames wait for the wire
+        self.waiting = False  #: true if frames wait for the wire
         #: Called before a link sends, receives, opens or closes, so that the fast path hands its state back.
         self.before_use: Callable[[], None] = _nobody
 

@@ -63,7 +63,7 @@ class BusAddress:
 
     @property
     def place(self) -> str:
-        """The bus as everybody on this machine can find it; `parse` takes it."""
+        """Address by which any program of this machine finds the bus; `parse` takes it."""
         return f"embedded:{socket_path(self.channel)}" if self.interface == "embedded" else str(self)
 
     def in_folder(self, folder: Path) -> BusAddress:

@@ -13,7 +13,7 @@ _MAX_FILTERS = 512  # as CAN_RAW_FILTER_MAX
 
 
 class RefusedError(Exception):
-    """A request that is not carried out; the text goes back to the client."""
+    """A request that is not carried out; its text is sent to the client."""
 
 
 @dataclass(frozen=True)

@@ -46,12 +46,12 @@ class BusCycle:
 
     @property
     def in_step(self) -> bool:
-        """True if SYNC comes by the cycle in use, as far as jitter lets that be seen at once."""
+        """True if the SYNC period is the cycle in use, as far as jitter lets that be seen at once."""
         return abs(self._period_ns - self._cycle_ns) <= _PARTED * self._cycle_ns if self._period_ns else True
 
     def received(self, behind: int) -> int:
-        """A SYNC was read, and `behind` more wait; how many cycles have passed since the one before: more than 1 after
-        lost ones, 0 for one too many. Of the first it is 1."""
+        """Take a SYNC that was read while `behind` more wait; returns cycles since the one before: more than 1 after
+        lost ones, 0 for a surplus one. For the first it is 1."""
         first = self._sync.at_ns is None
         periods = self._sync.received(self._now_ns(), behind)
         passed_ns = periods * self._sync.period_ns

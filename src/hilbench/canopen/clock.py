@@ -90,7 +90,7 @@ class SyncClock:
         self._last_sync_ns = time.monotonic_ns()
 
     def keep(self) -> None:
-        """The master is alive. Once time goes by the wall clock only SYNC ends that."""
+        """Note that the master is alive. Once the wall clock is used only SYNC ends that."""
         if not self.stalled_ns():
             self._last_sync_ns = time.monotonic_ns()
 

@@ -22,7 +22,7 @@ _UNIT_SIGNS = str.maketrans({"·": "", "²": "^2", "³": "^3", "°": "deg", "µ"
 
 @dataclass(frozen=True)
 class DbcMessage:
-    """One PDO: who sends it, its map, and for each mapped object what a unit of it is in SI (factor, unit's name)."""
+    """One PDO: its sender, its map, and for each mapped object one unit of it in SI (factor, unit's name)."""
 
     name: str
     sender: str

@@ -166,7 +166,7 @@ def write_device(
         try:
             master.download(node_id, *key, write.data)
         except canopen.SdoAbortedError as error:
-            if master.read(node_id, *key) != write.data:  # what it has already it need not take
+            if master.read(node_id, *key) != write.data:  # a value already there need not be written
                 failed[key] = f"{write.data.hex(' ')} refused: {Refusal(error.code)}"
         except canopen.SdoCommunicationError as error:
             if not _is_there(master, node_id):

@@ -222,7 +222,7 @@ class Rpdo(_Pdo):
             self._deadline_ns = now_ns + self._timer_ns(5, 1_000_000)
 
     def sync(self) -> None:
-        """SYNC: what was received since the last one acts."""
+        """Let the data received since the last SYNC act."""
         if self._waiting is not None:
             data, self._waiting = self._waiting, None
             self._act(data)

@@ -87,7 +87,7 @@ class EmergencyProducer:
             self._pending[error] = None
 
     def keep(self, code: int, axis: int) -> None:
-        """Errors with this code stay, also when their cause goes, until `acknowledge` of each axis that is in fault."""
+        """Keep errors with this code, also when their cause vanishes, until `acknowledge` of each axis in fault."""
         self._kept.add((code, axis))
 
     def acknowledge(self, code: int, axis: int) -> None:
@@ -99,7 +99,7 @@ class EmergencyProducer:
                 self.clear_error(*error)
 
     def released(self) -> None:
-        """The NMT state lets EMCY frames out again: what is pending goes out, the register as it is now."""
+        """Send the pending messages, with the present register: the NMT state lets EMCY frames out again."""
         pending, self._pending = self._pending, {}
         for (code, _), info in pending.items():
             if info is None:
@@ -108,7 +108,7 @@ class EmergencyProducer:
                 self._report_come(code, info)
 
     def reset(self) -> None:
-        """Forget what is active (reset of the node or of its communication); the history stays."""
+        """Clear the active errors (reset of the node or of its communication); the history stays."""
         self._active.clear()
         self._kept.clear()
         self._over.clear()

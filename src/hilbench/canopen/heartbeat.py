@@ -106,7 +106,7 @@ class HeartbeatConsumer:
         return min((deadline_ns for deadline_ns in running if deadline_ns is not None), default=None)
 
     def poll(self, now_ns: int) -> None:
-        """Report the nodes whose time is over."""
+        """Report the nodes whose heartbeat time-out has expired."""
         for node_id, watch in self._watches.items():
             if watch.deadline_ns is not None and not watch.lost and now_ns > watch.deadline_ns:
                 watch.lost = True

@@ -36,7 +36,7 @@ class Application(Protocol):
     listens_to: frozenset[int]
 
     def before_sync(self, behind: int) -> None:
-        """A SYNC has come and `behind` more wait behind it; the devices have not sampled yet."""
+        """React to a SYNC after which `behind` more wait; the devices have not sampled yet."""
 
     def after_sync(self) -> None:
         """The TPDOs of this SYNC are out and set points have acted: advance to the next one."""

@@ -71,7 +71,7 @@ class NmtState(IntEnum):
 
 
 def node_of(can_id: int, function: int) -> int:
-    """The node whose message with this function code it is; 0: it is none."""
+    """Node id of a message with this function code; 0: it has another one."""
     return can_id - function if function < can_id <= function + LAST_NODE else 0
 
 

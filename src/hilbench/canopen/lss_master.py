@@ -119,7 +119,7 @@ class LssMaster:
         return bool(seen)
 
     def close(self) -> None:
-        """Leave the bus; what was selected waits again."""
+        """Leave the bus; selected devices return to waiting state."""
         with suppress(can.CanError, OSError):
             self._leave_configuration()
             self._network.disconnect()

@@ -205,7 +205,7 @@ class Master(SdoClient):
             self._give(node_id, communication_index + MAPPING, 0, 0)
 
     def _give(self, node_id: int, index: int, value: int, sub: int) -> None:
-        """Write it, unless it is read-only by its EDS: who reads it back afterwards sees what it has."""
+        """Write it, unless it is read-only by its EDS: reading it back afterwards shows its value."""
         if self._variable(node_id, index, sub).writable:
             self.sdo_write(node_id, index, value, sub)
 

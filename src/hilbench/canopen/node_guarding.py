@@ -60,7 +60,7 @@ class NodeGuarding:
         return reply
 
     def poll(self, now_ns: int) -> None:
-        """Report the master whose time is over."""
+        """Report the master when the life time has expired."""
         received_ns = self._received_ns
         if received_ns is not None and self.watches and not self._lost and now_ns - received_ns > self._life_time_ns:
             self._lost = True

@@ -74,7 +74,7 @@ class Cell:
         return self._type.width
 
     def encode(self) -> bytes:
-        """The value as it goes over SDO. Raises ValueError for a value that is none of the object's type."""
+        """Encode the value as SDO data. Raises ValueError for a value that is none of the object's type."""
         return self._type.encode(self.on_read() if self.on_read is not None else self.value)
 
     def decode(self, data: bytes) -> Value:
@@ -83,7 +83,7 @@ class Cell:
         return self._type.decode(data)
 
     def check_length(self, length: int) -> None:
-        """Raises SdoAbort when so many bytes are no value of the object."""
+        """Raise SdoAbort when so many bytes are no value of the object."""
         width = self._type.width
         if width is not None and length != width:
             raise SdoAbort(TOO_LONG if length > width else TOO_SHORT)

@@ -114,5 +114,5 @@ class PdoMap:
 
     @property
     def period(self) -> int:
-        """Sent every so many SYNCs; 0 for a PDO that is not cyclic."""
+        """Period in SYNCs; 0 for a PDO that is not cyclic."""
         return self.transmission_type if 1 <= self.transmission_type <= 240 else 0

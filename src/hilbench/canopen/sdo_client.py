@@ -138,7 +138,7 @@ class SdoClient:
         Raises canopen's SdoAbortedError and SdoCommunicationError (no answer), and BusError when the bus is lost.
         """
         with self._transfer(node_id) as client, client.open(index, sub, buffering=0) as answer:
-            data = bytes(answer.read())  # canopen's own `upload` cuts what is longer than the EDS says
+            data = bytes(answer.read())  # canopen's own `upload` truncates to the EDS's length
         # Expedited without a size (CiA 301, 7.2.4.3.6, s = 0): four bytes, of which the type's are meant.
         return data[:width] if answer.exp_data is not None and answer.size is None else data
 

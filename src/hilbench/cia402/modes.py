@@ -34,7 +34,7 @@ class ProfileVelocity(Mode):
         self._target_rad_s = 0.0
 
     def enter(self) -> None:
-        """Windows start anew."""
+        """Reset the windows."""
         self._reached = DebouncedCondition()
         self._standstill = DebouncedCondition()
 

@@ -87,7 +87,7 @@ class SetUpDrive:
         self.without_units = without_units
         self._time_out_s = time_out_s
 
-    # --- what it has --------------------------------------------------------------------------------------------------
+    # --- units and limits ---------------------------------------------------------------------------------------------
 
     def lacking(self, mode: OperationMode) -> list[str]:
         """Why a mode can't be used, by object; empty when it can."""

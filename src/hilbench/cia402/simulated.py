@@ -221,7 +221,7 @@ class SimulatedDrive:
 
     @property
     def following_bits(self) -> int:
-        """The statusword of a drive that follows, but for its internal limit."""
+        """Statusword of a drive that follows, except its internal limit bit."""
         return self._state_bits | self._mode.status(self._dt_s)
 
     def published_until(self, encoder_count: int, *, limited: bool) -> None:

@@ -135,7 +135,7 @@ def wrap_int32(value: int) -> int:
 
 
 class UnwrappingCounter:
-    """A 32-bit counter that goes round and round, followed to a value without jumps.
+    """A 32-bit counter that wraps, unwrapped to a value without jumps.
 
     Right as long as two readings are less than 2^31 units apart (2048 motor revolutions at 2^20 increments).
     """

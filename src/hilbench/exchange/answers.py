@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 _LOST_CYCLES = 500
 #: Answers that can be owed: a sender that owes more is as good as silent.
 _MOST_OWED = 100
-#: A sender that is back has worked off what it had missed once it has answered so many SYNCs one by one.
+#: Number of SYNCs answered one by one after which a sender that is back has caught up.
 _ONE_BY_ONE = 50
 
 

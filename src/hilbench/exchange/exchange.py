@@ -50,7 +50,7 @@ class Inputs(Protocol):
 
 
 class ExchangeStages(Protocol):
-    """Cycles as pieces that need no Python, from a sample that shows the outputs to one that has the inputs."""
+    """Cycles run entirely in compiled code: reads outputs from the sample, writes inputs to it."""
 
     @property
     def pieces(self) -> Sequence[CompiledStage]:
@@ -94,7 +94,7 @@ class Exchange:
         producer: SyncProducer | None = None,
     ) -> None:
         config = nodes.config
-        self.in_step = in_process or config.pace == "lockstep"  #: everybody waits for SYNC, and SYNC for everybody
+        self.in_step = in_process or config.pace == "lockstep"  #: participants wait for SYNC, and SYNC for them
         self._by_clock = in_process and config.pace == "realtime"
         self._nodes = nodes
         self._own = MasterNode(config.master.node_id, objects)
@@ -166,7 +166,7 @@ class Exchange:
         return self._nodes.measured.counted
 
     def filling(self, sample: CycleSample) -> CompiledStage:
-        """`Inputs.fill` as a piece of a cycle."""
+        """Compiled stage of `Inputs.fill`."""
         return self._nodes.measured.filling(sample)
 
     def use(self, made: Callable[[SyncCycle, MasterNode], FastPathCycles | None]) -> None:

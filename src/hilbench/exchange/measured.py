@@ -140,7 +140,7 @@ class Measured:
         names += [each.signal for each in torques]
         self.of_drives, self.virtual_io = np.zeros(OF_DRIVE * len(drives)), np.zeros(len(names))
         self.came, self.counted = np.zeros(len(sent_by), np.int64), np.zeros(_COUNTED, np.int64)
-        self._counted = self.counted.data  # one value goes faster through this than through the vector
+        self._counted = self.counted.data  # access to one value is faster than through the vector
         self.torques, self.before_Nm = np.array(rows, np.int64).reshape(-1), np.zeros(len(torques))
         places = [kind.place(name) if name else _NOWHERE for drive in drives for name in drive.signals]
         self._kept = (
@@ -177,7 +177,7 @@ class Measured:
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, before anybody waits for a cycle."""
+    """Compile, or load from the cache, before a cycle has to wait for it."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     _take(nothing)
     _fill(0, nothing)

@@ -47,7 +47,7 @@ _HEARTBEAT_LOOK_CYCLES = 16
 _LONG = 1 << 30
 #: Effects of the twin's model, and the step that their change caused: index and sub-index at the virtual I/O.
 _TWIN_EFFECTS, _TWIN_STEP = (0x2102, 1), (0x2102, 2)
-#: What it has found of errors of its model: index and sub-index at the virtual I/O.
+#: Model errors found by the twin: index and sub-index at the virtual I/O.
 _TWIN_FOUND = (0x2103, 1)
 _twin_age_cycles = interpreted(twin_age_cycles)
 #: Controlwords that lead from SWITCH ON DISABLED to OPERATION ENABLED: shutdown, switch on, enable operation.
@@ -71,7 +71,7 @@ class Nodes:
         self, config: BenchConfig, *, io: IoMaps | None = None, settings_of: SettingsOf = drive_settings
     ) -> None:
         self.config = config
-        #: Who the virtual I/O is, in messages and in `expected_pdos`.
+        #: Name of the virtual I/O in messages and in `expected_pdos`.
         self.twin_name = f"virtual io (node {config.twin.node.node_id})"
         parts = config.parts
         self._ods = {part.name: shared_eds(part.node.eds, part.node.node_id) for part in parts}
@@ -106,7 +106,7 @@ class Nodes:
             sample_type(config.signals), self._shown_by, [names for _, names in self._virtual_io_values], torques
         )
         self._status_cob_id = self.io.status.cob_id
-        #: One value goes faster through this than through the vector.
+        #: Access to one value is faster than through the vector.
         self._counted = self.measured.counted.data
         self.twin_reported_cycle = 0  #: cycle, counted by `decode`, in which the twin last reported its status
         self._twin_ids = dict.fromkeys(config.virtual_nodes)  # in the order of the config
@@ -128,7 +128,7 @@ class Nodes:
         self._cycle = 0
         self._elapsed_cycles = 0
         self._heartbeat_cycle: dict[int, int] = {}
-        self.supervised = 0  #: how often it has changed whether the twin is counted on
+        self.supervised = 0  #: number of changes in the supervision of the twin
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
         self._expected_boots: set[int] = set()
 
@@ -231,7 +231,7 @@ class Nodes:
             pass
 
     def _check_units(self, part: Part, drive: Drive) -> None:
-        """The twin and the mirrored set points go by the EDS file: the device must have the same units."""
+        """Check that the device has the units of its EDS file, which the twin and the mirrored set points rely on."""
         declared = declared_units(part, self._ods[part.name])
         for name in ("position_rad", "velocity_rad_s", "torque_Nm"):
             found, expected = getattr(drive.units, name), getattr(declared, name)
@@ -334,7 +334,7 @@ class Nodes:
         return expected
 
     def cyclic_frames(self) -> list[CyclicFrame]:
-        """Everything that goes over the bus each cycle, for the bus load."""
+        """All frames of a cycle, for the bus load."""
         frames = [CyclicFrame("SYNC", SYNC, 0)]
         for drive in (*self.drives, *self.virtual_axes):
             name, pdos = drive.settings.name, drive.pdos

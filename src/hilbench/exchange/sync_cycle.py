@@ -114,7 +114,7 @@ class SyncCycle:
         self._leaves_out_from = 0  # cycles before which none are
         self.expect(expected)
         self.last_bits = 0  #: bits on the bus in the last cycle
-        self.before_sync = 0  #: so many of the frames that the last cycle returned came before its SYNC
+        self.before_sync = 0  #: number of frames returned by the last cycle that came before its SYNC
         self.silent: set[str] = set()  #: senders that don't answer: not waited for any longer
         self._emergency_stop_seen = False
         self._alive_s = 0.0  #: when the last heartbeat was sent, monotonic clock

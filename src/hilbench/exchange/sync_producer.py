@@ -71,7 +71,7 @@ class SyncProducer:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """The first SYNC goes out one period from now. In the thread that it is to come before."""
+        """Send the first SYNC one period from now. Call it in the thread that it is to have priority over."""
         self._shared[DEADLINE_NS] = time.monotonic_ns() + self.period_ns
         self._shared[LAST] = self._alone
         self._thread = threading.Thread(target=self._run, name="sync", daemon=True)

@@ -30,7 +30,7 @@ class Timeliness:
         self.cycles = 0
         self.of = {name: Lateness() for name in names}
         self._weight = min(1.0, cycle_s / _WINDOW_S)
-        self._late_lately = False  # anybody: most runs have nothing to count
+        self._late_lately = False  # of any participant: most runs have nothing to count
 
     def update(self, ages_cycles: tuple[int, ...]) -> None:
         """A cycle in which the answers in use were so old, in the order of the names; 0: in time."""

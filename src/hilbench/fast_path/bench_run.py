@@ -86,7 +86,7 @@ class BenchFastCycle(ABC):
         )
         for row, content in frames.constants.items():
             self._data[row, : len(content)] = np.frombuffer(content, np.uint8)
-        # One value goes faster through these than through the arrays.
+        # Access to one value is faster than through the arrays.
         self._left_at, self._text_at = self._left.data, self._text.data
         # No answer yet: values of the last cycle stay.
         self._sent_by = kernel.Vectors(

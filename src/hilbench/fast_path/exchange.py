@@ -54,7 +54,7 @@ class FastPathExchange:
 
     @staticmethod
     def warm_up() -> None:
-        """Compile, or load from the cache, what it calls: in good time, where one is to be made later."""
+        """Compile, or load from the cache, the functions called: in good time, where one is to be made later."""
         kernel.warm_up()
         packet_kernel.warm_up_bench()
 
@@ -166,8 +166,8 @@ class _Run(BenchFastCycle):
         return _CHAINED_CYCLES
 
     def _ask(self, outputs: Mapping[str, float]) -> bool:
-        """Set points and SYNC onto the bus, and their lines behind those of the last cycle; False, and nothing done,
-        where a value does not fit, or something has come before."""
+        """Send set points and SYNC, and put their lines after those of the last cycle; False, and nothing done,
+        where a value does not fit, or a frame has come before."""
         given = self._given_at
         self._take(outputs)
         given[lay.I_START_NS], given[lay.I_TEXT] = self._sync.next_sync_ns, self._text_end

@@ -410,7 +410,7 @@ def _show(drive: Row, port: Real, whole: Whole) -> None:
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, before anybody waits for a cycle."""
+    """Compile, or load from the cache, before a cycle has to wait for it."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     exchange(1_000_000, nothing)
     publish(0, nothing)

@@ -54,7 +54,7 @@ TARGET = np.dtype([("unit", "f8"), ("most", "i8"), ("slot", "i8"), ("source", "i
 #: device lacks are -1.
 DRIVE = np.dtype(
     [
-        ("velocity", "i8"),  # whether it follows a velocity, else a torque
+        ("velocity", "i8"),  # 1: follows a velocity, 0: a torque
         ("target", "i8"),
         ("offset", "i8"),
         ("set_point_unit", "f8"),
@@ -93,7 +93,7 @@ FEEDBACK = np.dtype(
         ("torque_Nm", "f8"),
         ("before_rad", "f8"),
         ("period_s", "f8"),
-        ("by_difference", "i8"),  # whether its velocity is that of its positions
+        ("by_difference", "i8"),  # 1: its velocity is the difference of its positions
     ]
 )
 #: Source of values from a TPDO of the virtual I/O: its frame, its slots among the real ones, and the first place
@@ -107,5 +107,5 @@ I_START_NS, I_CLOCKS, I_TEXT, I_SIZE = 0, 1, 3, 4
 #: Whole numbers that a cycle leaves: frames, bit times of all, their time on the wire in ns, where its text ends,
 #: frames that go by time; then of each frame its bit times, 0 where it was not sent.
 O_FRAMES, O_BITS, O_DURATION_NS, O_TEXT, O_TIMED, O_SIZE = 0, 1, 2, 3, 4, 5
-#: Longest line of a trace but for the channel: time, identifier, eight bytes.
+#: Longest line of a trace without the channel: time, identifier, eight bytes.
 LINE = 64

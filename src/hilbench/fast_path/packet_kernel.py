@@ -127,7 +127,7 @@ def new_port(
     data: Bytes,
     received: Bytes,
 ) -> Port:
-    """One with room for what it sends. `descriptor`: a socket of the embedded bus; `dropped`: by the bus so far."""
+    """Make a port with its buffers. `descriptor`: a socket of the embedded bus; `dropped`: by the bus so far."""
     numbers = np.zeros(PLACES, np.int64)
     numbers[DESCRIPTOR], numbers[DROPPED] = descriptor, dropped & 0xFFFFFFFF
     sent = np.zeros(_HEADER + _SENT * len(answers), np.uint8)
@@ -183,7 +183,7 @@ def _number(octets: Bytes, at: int, width: int) -> int:
 
 @compiled
 def _heartbeat_in(packet: Bytes, length: int, dropped: int, expected: Pairs) -> int:
-    """0 where a packet has what is expected; the COB-ID of the heartbeat that is in it as well; -1: another one."""
+    """Return 0 if a packet is as expected; the COB-ID of the heartbeat if that is in it as well; else -1."""
     count = len(expected)
     records = (length - _HEADER) // _RECEIVED
     extra = records - count
@@ -233,7 +233,7 @@ def _take(packet: Bytes, length: int, expected: Pairs, data: Bytes) -> None:
 
 @compiled
 def _pack(answers: Pairs, first: int, bits_of: Whole, data: Bytes, out: Bytes) -> int:
-    """Records of the frames behind the `first` that have bits on the wire; how long the packet is."""
+    """Pack records of the frames after the `first` that have bits on the wire; returns the packet's length."""
     at = _HEADER
     for k in range(len(answers)):
         if bits_of[first + k] == 0:
@@ -249,7 +249,7 @@ def _pack(answers: Pairs, first: int, bits_of: Whole, data: Bytes, out: Bytes) -
 
 @compiled
 def _gather(packet: Bytes, length: int, numbers: Whole, cob_ids: Whole, sizes: Whole, data: Bytes) -> bool:
-    """The frames of one more packet behind those that have come; False where it has lost some, or there is no room."""
+    """Add the frames of one more packet; False where frames were lost, or there is no room."""
     records = (length - _HEADER) // _RECEIVED
     if _HEADER + records * _RECEIVED != length or packet[0] != _KIND:
         return False
@@ -368,7 +368,7 @@ def take_apart(table: Table, order: Table, gathered: Table, bitrate: int) -> boo
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, what devices call, before anybody waits for a cycle."""
+    """Compile, or load from the cache, the functions that devices call, before a cycle has to wait for them."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     answer(nothing, nothing, RECEIVE)
     warm_up_gathering()

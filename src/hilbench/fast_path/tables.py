@@ -35,7 +35,7 @@ class Slots:
     whole: list[int] = field(default_factory=list)
     real: list[float] = field(default_factory=list)
     of_cells: dict[int, int] = field(default_factory=dict)  #: by id of the cell
-    #: With its slot, and whether that is a real one: of the hardware, and of the twin.
+    #: Each with its slot, true if that is a real one: of the hardware, and of the twin.
     cells: tuple[list[tuple[Cell, int, bool]], ...] = field(default_factory=lambda: ([], []))
     side: int = 0  #: whose cells are entered now: place among these
 
@@ -64,7 +64,7 @@ class Slots:
 
 @dataclass
 class Frames:
-    """The frames of a cycle, with what goes into them and what is taken out."""
+    """Frames of a cycle, with the slots of their contents."""
 
     rows: list[tuple[Any, ...]] = field(default_factory=list)
     sent: list[tuple[int, ...]] = field(default_factory=list)
@@ -86,7 +86,7 @@ class Frames:
         next_ns: int = 0,
         clock: int = 0,
     ) -> int:
-        """A frame behind the others, and its row. `period_ns`: it goes by time, by that `clock`, not by cycles."""
+        """Add a frame after the others; returns its row. `period_ns`: sent by time of that `clock`, not by cycles."""
         row, first = len(self.rows), len(self.sent)
         if isinstance(content, PdoMap):
             size = content.size
@@ -134,7 +134,7 @@ def cell_slots(slots: Slots, content: PdoMap, cells: Iterable[Cell]) -> list[int
 
 
 def new_slots(slots: Slots, content: PdoMap) -> list[int]:
-    """New ones for what is in a PDO."""
+    """New slots for the contents of a PDO."""
     return [slots.new(kind.is_float) for kind in content.kinds]
 
 

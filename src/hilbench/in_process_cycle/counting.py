@@ -89,7 +89,7 @@ def ask(_: int, table: Table) -> int:
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, before anybody waits for a cycle."""
+    """Compile, or load from the cache, before a cycle has to wait for it."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     count(0, nothing)
     heartbeat_sent(0, nothing)

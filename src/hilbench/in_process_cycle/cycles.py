@@ -168,7 +168,7 @@ class _Run:
         self._machine = TwinInArrays(here.machine, self._wiring.hosts[1], slots)
         self._whole, self._real = np.array(slots.whole, np.int64), np.array(slots.real, np.float64)
         self._real = self._real if len(self._real) else np.zeros(1)
-        # One value goes faster through this than through the array.
+        # Access to one value is faster than through the array.
         self._real_at = reals(self._real)
         self._data = np.zeros((len(frames.rows), 8), np.uint8)
         for row, content in frames.constants.items():
@@ -218,7 +218,7 @@ class _Run:
         self._count_from_here()
 
     def _count_from_here(self) -> None:
-        """The pieces of a cycle that are no drive's and no machine's."""
+        """Stages of a cycle that belong to no drive and no machine."""
         config, (row, of_status) = self._nodes.config, self._wiring.status
         self._totals, self._received = np.zeros(counting.TOTALS, np.int64), np.zeros(len(self._rows), np.int64)
         self._totals_at, self._received_at = self._totals.data, self._received.data

@@ -95,7 +95,7 @@ class InProcess:
 
 
 class ServingLink:
-    """A link that serves the devices when it is asked for frames."""
+    """A link that serves the devices when frames are received from it."""
 
     def __init__(self, participants: InProcess) -> None:
         self._participants = participants

@@ -196,7 +196,7 @@ def sync_producer(config: BenchConfig, link: Link) -> SyncProducer | None:
     """Sender of SYNC by the clock, over a connection of its own; None: the bench itself, in lockstep, on an interface
     that takes frames through Python only, and without a priority.
 
-    A bench that has to wait for the machine itself would find most of its SYNCs gone by, and control with the rest:
+    A bench without a priority would itself be delayed so that most of its SYNCs had gone by, and control with them:
     rather its cycles become longer.
     """
     if config.pace == "lockstep" or not isinstance(link, PacketLink) or not comes_first():
@@ -257,7 +257,7 @@ def _in_process(config: BenchConfig) -> InProcess:
 def copies_beside(config: BenchConfig, participants: Participants) -> Iterator[dict[str, ForkedWorker]]:
     """Copies of this process for what `bring_up` starts, by name: the sooner they are made, the more of what they load
     they have loaded by then. One that is not taken ends on leaving."""
-    with suppress(UnusableInputError):  # the bench says so
+    with suppress(UnusableInputError):  # the bench reports it
         for part in config.parts:  # once, here, and not in each of them
             shared_eds(part.node.eds, part.node.node_id)
     with forked_workers(_processes_beside(config, participants)) as waiting:

@@ -36,7 +36,7 @@ _LEAST_WAY_RAD = 1e-4
 def shaft_load_model(config: BenchConfig, report: Callable[[str], None] = print) -> LoadModel:
     """The load model of a config's servo axis; it does not know hidden effects of the stand.
 
-    `report` gets what an FMU in it logs.
+    `report` gets the log messages of an FMU in it.
     """
     real, cycle_s = config.servo_rig_parameters(effects=()), config.cycle_time_s
     machine: Follower = EmulatedShaft(config.emulated_shaft(), real, cycle_s)
@@ -86,7 +86,7 @@ class SpeedTask(CyclicTask):
 
 
 class ShaftLoadTask(LoadTask):
-    """The load motor acts on the shaft as what is not there would."""
+    """The load motor applies to the shaft the torque of the emulated mechanics."""
 
     def __init__(self, motors: Sequence[str], model: LoadModel) -> None:
         super().__init__(motors, model)

@@ -385,8 +385,8 @@ class LeadingAxis(_AxisWithoutLoop):
 
 
 class FollowingAxis(_AxisWithoutLoop):
-    """An axis before a span without a controller turns as fast as the one behind it: the strain that enters the span is
-    then the strain in it. With the damping of that axis, or the span would be stretched by it."""
+    """Axis before a span without a controller: it turns as fast as the one after it, so that the strain in the span is
+    the one that enters it. With the damping of that axis, or the span would be stretched by it."""
 
     def __init__(self, drive: str, axis: int, leader: Leader, ahead: FeedForwardTask | None) -> None:
         super().__init__(drive, axis, web_axis_cycle.follow)
@@ -461,7 +461,7 @@ class WebLoadTask(LoadTask):
             return True
 
         piece = self.model.piece(sample.reals, self._at, fallback)
-        if piece is None or self._forces:  # these are told anew in each cycle
+        if piece is None or self._forces:  # these are set in each cycle
             return None
         return CompiledStages(
             after=[piece], cycles=lambda: MANY if self.model.continues else 0, shown=dict(self._commands)
@@ -535,7 +535,7 @@ class WebAlarms(CyclicTask):
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Look at the EMCY messages of this cycle. Raises BenchFaultError at a web break."""
-        if self._twin.away:  # works off what it has missed, and knows nothing of now
+        if self._twin.away:  # it works off the SYNCs that it has missed, and does not know the present
             return
         for emergency in inputs.emergencies:
             if emergency.code in (Problem.WEB_BREAK, Problem.SLIP):

@@ -19,7 +19,7 @@ LIVE_DIAGNOSIS = "live diagnosis"
 _MODULE = "hilbench.live"
 #: Its matrices are many and small: threads of one product wait for each other, and take cores from the cycle.
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-#: Until it has compiled what it runs, on first use, s.
+#: Longest time to compile on first use, s.
 _LONGEST_START_S = 600.0
 
 
@@ -45,7 +45,7 @@ class LiveProcess:
         )
 
     def wait_until_ready(self) -> None:
-        """Until it has loaded and compiled what it runs. Raises BenchFaultError when it ends instead, or never is."""
+        """Wait until it has loaded and compiled its code. Raises BenchFaultError when it ends instead, or is late."""
         try:
             update = self._connection.recv() if self._connection.poll(_LONGEST_START_S) else None
         except (EOFError, OSError):
@@ -78,7 +78,7 @@ class LiveProcess:
         return self._child.last_words()
 
     def end(self) -> None:
-        """End it; what it has not answered is given up."""
+        """End it; requests without an answer are given up."""
         self._child.end()
         self._pool.shutdown(wait=False, cancel_futures=True)
         self._connection.close()

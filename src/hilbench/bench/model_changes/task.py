@@ -107,7 +107,7 @@ class ModelChanges(CyclicTask):
         return float(self._applying is not None or bool(self._in_use))
 
     def set(self, path: str, value: float) -> None:
-        """An operator's word on what is proposed; nothing happens where nothing is."""
+        """Accept or refuse a proposed change as the operator says; nothing happens without a proposal."""
         change = self.proposed
         if change is None:
             self._state.reports.note(_SOURCE, "no change of the model is proposed")
@@ -224,7 +224,7 @@ class ModelChanges(CyclicTask):
                 self._end_request(self._request)
 
     def _write_anew(self) -> None:
-        """A twin that was reset has the model that was configured: it gets what it had, or was to get, once more."""
+        """Write the changed model again to a twin that was reset: it has the configured one."""
         if self._applying is not None:
             self._begin(self._applying)
         elif self._in_use:

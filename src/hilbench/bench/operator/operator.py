@@ -37,7 +37,7 @@ class Cycles(Protocol):
         """Run one."""
 
     def cycles_at_once(self, most: int) -> int:
-        """Run at most so many without Python; how many, 0 where the next one is not to be run so."""
+        """Run up to `cycles` compiled. Returns the number run; 0 if the next one needs Python."""
 
 
 class Operator(CyclicTask):

@@ -17,7 +17,7 @@ from hilbench.topology.config import BenchConfig
 def prediction_task(
     config: BenchConfig, state: BenchState, asked: Callable[[], Asked], reference: Reference
 ) -> Prediction | None:
-    """None where the config asks for no prediction."""
+    """Create the prediction task; None where the config asks for no prediction."""
     wanted = config.twin.prediction
     if wanted is None:
         return None

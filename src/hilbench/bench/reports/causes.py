@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-#: A condition that has not held for so long before the fault is no cause of it, and begins anew.
+#: A condition that has not held for this time before the fault is no cause of it; later it counts as a new one.
 _HELD_S = 2.0
 
 

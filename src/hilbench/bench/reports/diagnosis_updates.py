@@ -60,8 +60,8 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class FoundGap:
-    """Rms of what is measured less what is predicted (means over some cycles, on data that neither model has seen),
-    before and after; `noise_floor`: what it is while nothing is lacking."""
+    """Rms residual, measured less predicted (means over some cycles, on data that neither model has seen),
+    before and after; `noise_floor`: its value while no effect is lacking."""
 
     signal: str
     unit: str
@@ -92,7 +92,7 @@ class DiagnosisUpdate:
 
 @dataclass(frozen=True)
 class GapRow:
-    """Size of the gap over some cycles: rms of measured less predicted torque, N·m, without what is noise; NaN at rest.
+    """Size of the residual over some cycles: rms of measured less predicted torque, N·m, without noise; NaN at rest.
 
     `configured`: of the model as it was configured; `in_use`: of the one that the twin has.
     """

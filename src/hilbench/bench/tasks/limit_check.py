@@ -85,7 +85,7 @@ class LimitCheck:
         self._figures, self._off = np.zeros(_COUNT), np.zeros((_OFF_ROWS, max(len(positions) - 1, 0)))
         self._figures[[_CYCLE_S, _APART, _RATIO]] = cycle_s, least_difference, ratio
         self.of = PerSample(self._on)  #: a sample
-        _look(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before anybody waits for a cycle
+        _look(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before a cycle waits for it
 
     def _on(self, sample: CycleSample) -> LimitReading:
         kept = (

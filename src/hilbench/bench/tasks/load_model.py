@@ -1,6 +1,6 @@
 """The load-model task: the machine that the load motors emulate, from the measured motion of the axes.
 
-Torque emulation: a load motor applies what the machine does to the shaft; inertia that is there stays real (the
+Torque emulation: a load motor applies the machine's torque on the shaft; inertia that is there stays real (the
 stand's flywheel), because emulating an inertia by torque over a sampled bus is stable only below the real one
 (`hilbench.plant.sampled_shaft`).
 """
@@ -159,5 +159,5 @@ class LoadModel:
 
 
 def _parameter(path: str) -> str:
-    """The machine's parameter that a path such as ``load.web.youngs_modulus_Pa`` names: what is behind two words."""
+    """Name of the machine's parameter in a path such as ``load.web.youngs_modulus_Pa``: the part after two words."""
     return path.split(".", 2)[2]

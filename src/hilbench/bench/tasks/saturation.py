@@ -71,7 +71,7 @@ class SaturationWatch:
         self._at = PlacesIn([name for _, torque, status in self._signals for name in (torque, status)])
         self._at_limit_Nm = np.array([_AT_LIMIT * self._limits_Nm[drive] for drive, _, _ in self._signals])
         self._known, self._looks = np.zeros(1, np.int64), PerSample(self._on)
-        # Compiled, or loaded, before anybody waits for a cycle.
+        # Compiled, or loaded, before a cycle waits for it.
         _look(0, np.zeros((0, TABLE_WIDTH), np.int64))
 
     def _on(self, sample: CycleSample) -> LimitReading:

@@ -226,7 +226,7 @@ class SwingDamping:
         self._state = np.zeros(_COMMANDS + self._sent)
         self._ways, self._positions_m = coherence_state(2), np.zeros(2)
         self._use(modulus_Pa)
-        self.velocity(0.0, 0.0)  # compiled, or loaded, before anybody waits for a cycle
+        self.velocity(0.0, 0.0)  # compiled, or loaded, before a cycle waits for it
         self.reset()
 
     @property

@@ -78,7 +78,7 @@ class CyclicTask:
         """The drives are off; one that has no set point gets zero."""
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
-        """`before` and `after` as pieces of a cycle, on this sample; None: it is Python's in every cycle."""
+        """Compiled stages for `before` and `after` on this sample; None: every cycle needs Python."""
         return None
 
 

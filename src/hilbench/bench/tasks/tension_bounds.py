@@ -1,6 +1,6 @@
 """Bounds of a span's tension by physics: an interval from torques, encoders and the model's possible errors.
 
-They use nothing of a twin's estimator. The momentum balances of the driven rollers j behind span k add up to
+They use nothing of a twin's estimator. The momentum balances of the driven rollers j after span k add up to
 
     F_k = Σ_j [(i/r)_j·τ_j − R_j(v_j) − m_j·v_j'] + F_next
 
@@ -134,8 +134,8 @@ def _kept_of_a_turn(radius_m: float, travel_m: float) -> float:
 def momentum_balance(
     p: Vector, f: Vector, rollers: Matrix, motion: Matrix, first: int, mean_s: float, block: Vector
 ) -> None:
-    """Tension before the roller of index `first`, and what it may be off, into a block: `rollers` (N, ROLLER) and their
-    `motion` (N, MOTION); block[TENSION_N]: tension behind the line at first; `mean_s`: what turns is averaged over."""
+    """Momentum balance: tension before the roller of index `first`, and its error, into a block: `rollers` (N, ROLLER),
+    their `motion` (N, MOTION); block[TENSION_N]: tension after the line at first; `mean_s`: averaging time."""
     block[VARIANCE_N2], block[STICKS_N], turning_N2 = 0.0, 0.0, 0.0
     for j in range(first, len(rollers)):
         roller, torque_Nm = rollers[j], motion[j, TORQUE_NM]

@@ -34,8 +34,8 @@ _KNOWN_S = 0.5
 
 
 def strains_around(config: BenchConfig, span: int) -> tuple[float, float]:
-    """Strains of the web before and behind a span, by the model: on each side that of the set-point of the nearest span
-    with a controller, as an axis without one hands the strain on; that of the web around the line for none."""
+    """Strains of the web before and after a span, by the model: on each side that of the set-point of the nearest span
+    with a controller, as an axis without one passes the strain on; that of the web around the line for none."""
     model, controls = config.web_line, config.tension_controls
     before = [control for number, control in controls.items() if number < span]
     behind = [control for number, control in controls.items() if number > span]
@@ -95,9 +95,9 @@ def control(
     cycle_s: float,
     around_m_s: float,
 ) -> float:
-    """A cycle on: velocity set point of the axis before the span in m/s, from tension and E where the loop is `closed`,
-    after an open one without a jump; else without a jump from what it was. `line_m_s`: velocity of the axis behind the
-    span, which it corrects, or `around_m_s` in its place: what is known to be right already, NaN where nothing is."""
+    """Run a cycle of the controller: velocity set point of the axis before the span in m/s, from tension and E where
+    the loop is `closed`; bumpless transfer after an open one, and into it. `line_m_s`: velocity of the axis after the
+    span, which it corrects, or `around_m_s` in its place: feed-forward velocity, NaN where there is none."""
     if not closed:
         return _hold(figures, s, line_m_s, set_point_N, cycle_s, around_m_s)
     limit, error_N = figures[_LIMIT_M_S], set_point_N - tension_N
@@ -130,9 +130,9 @@ def _gains_once(figures: Vector, line_m_s: float, modulus_Pa: float) -> tuple[fl
 class TensionController:
     """PI controller with its gains scheduled on line speed and stiffness: the vectors of `control`.
 
-    `roller_stiffness_N_per_m`: what holds the roller behind the span against the web at low frequency; inf for one that
-    does not yield.
-    `strains`: of the web before and behind the span.
+    `roller_stiffness_N_per_m`: stiffness that holds the roller after the span against the web at low frequency; inf for
+    one that does not yield.
+    `strains`: of the web before and after the span.
     """
 
     def __init__(
@@ -169,7 +169,7 @@ class TensionController:
         return _gains_once(self.figures, float(line_speed_m_s), float(modulus_Pa))
 
     def assume_modulus(self, modulus_Pa: float) -> None:
-        """E that an open loop goes by, from now on."""
+        """Set the E that an open loop uses from now on."""
         self.state[_MODULUS_PA] = modulus_Pa
 
     def reset(self) -> None:

@@ -153,7 +153,7 @@ def run(stage: int, table: Table) -> int:
 
 
 def warm_up() -> None:
-    """Compile, or load, before anybody waits for a cycle."""
+    """Compile, or load, before a cycle has to wait for it."""
     run(JUDGE, np.zeros((0, TABLE_WIDTH), np.int64))
 
 
@@ -166,8 +166,8 @@ def in_order(
     trust: Sequence[NDArray[Any]],
     ahead: Sequence[NDArray[Any]] | None,
 ) -> tuple[NDArray[Any], ...]:
-    """The vectors of the table: figures and state of `control`, those of `damp`, the loop, `SPEEDS` of the axis behind
+    """The vectors of the table: figures and state of `control`, those of `damp`, the loop, `SPEEDS` of the axis after
     the span, a sample as `reals` and `wholes` with the places in it, figures, state and places of `judged`; of a loop
-    with a feed-forward `web_strain_trajectory`, what enters the span with the places of that, and the axis' lead."""
+    with a feed-forward `web_strain_trajectory`, the strain that enters with its places, and the axis' lead."""
     nothing = np.zeros(0)
     return (*controller, *damping, loop, leader, *sample, *trust, *(ahead or (nothing, nothing, nothing, nothing)))

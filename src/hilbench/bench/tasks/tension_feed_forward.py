@@ -189,7 +189,7 @@ class FeedForwardTask(CyclicTask):
             way.reset(self._upstream_strain)
         self._rollers = np.array([self._roller(model, axis, cycle_s) for axis in range(model.axis_count, 0, -1)])
         self._piece: CompiledStage | None = None
-        _plan(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before anybody waits for a cycle
+        _plan(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before a cycle waits for it
 
     def _roller(self, model: ModelParameters, axis: int, cycle_s: float) -> Vector:
         place = {span: at for at, span in enumerate(self._ways)}

@@ -31,8 +31,8 @@ Vector = NDArray[np.float64]
 
 
 class Leader(Protocol):
-    """An axis whose speed the axis before it follows. `speeds`: the same for compiled callers, by LEADS_BY and so on of
-    `tension_cycle`."""
+    """An axis whose speed the axis before it follows. `speeds`: those speeds for compiled callers, by LEADS_BY and so
+    on of `tension_cycle`."""
 
     speeds: Vector
 
@@ -120,7 +120,7 @@ class TensionTask(CyclicTask):
         self._reports = reports
         self._ahead = feed_forward
         self.opened_s = -inf  #: when it was closed last, in experiment time
-        #: As of `tension_cycle`; one value goes faster through `_at`.
+        #: As of `tension_cycle`; access to one value is faster through `_at`.
         self.loop = np.zeros(cycle.LOOP)
         self.loop[[cycle.SET_POINT_N, cycle.MODULUS_PA, cycle.CYCLE_S]] = set_point_N, modulus_Pa, cycle_s
         self.loop[[cycle.CONTROLLED_CYCLE, cycle.CLOSED]] = cycle.NEVER
@@ -131,7 +131,7 @@ class TensionTask(CyclicTask):
         cycle.warm_up()
 
     def _on(self, sample: CycleSample) -> CompiledStage:
-        """The piece of a cycle."""
+        """Make the compiled stage."""
         self._sample = sample
         names, kind, ahead = self._names, type(sample), None
         of_web = [cycle.NOWHERE, cycle.NOWHERE] if self._ways else kind.places([names.before, names.behind]).tolist()

@@ -266,7 +266,7 @@ class TensionWatch(CyclicTask):
         self._reported = [bounds.NOTHING] * len(loops)
         twin.refusals = 0
         self._piece = PerSample(self._on)
-        _run(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before anybody waits for a cycle
+        _run(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before a cycle waits for it
 
     def _on(self, sample: CycleSample) -> CompiledStage:
         kind, axes = type(sample), len(self._rollers)
@@ -355,8 +355,8 @@ def watched_loops(
     trusts: Sequence[VirtualSensorSupervision],
     twin: EstimationConfig,
 ) -> list[WatchedLoop]:
-    """Loops of the spans behind which there are driven rollers and idlers alone, up to the end of the line: what they
-    pull is in the torques. With a dancer, an accumulator or a reel there a balance has more than that in it."""
+    """Loops of the spans after which there are driven rollers and idlers alone, up to the end of the line: their
+    tension follows from the torques. A dancer, an accumulator or a reel there would add to the momentum balance."""
     rollers, before = model.line_rollers, axes_before_spans(model)
     methods = twin.by_span(model.span_count)
     found = []

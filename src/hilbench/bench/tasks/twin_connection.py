@@ -28,7 +28,7 @@ _RETRY_CYCLES = 500
 #: A twin that was back for so many cycles is not lost again and again. After so many losses in a row that time doubles
 #: with each further one, so many times.
 _STAYED_CYCLES, _LOSSES_FREE, _MOST_DOUBLINGS = 5000, 3, 6
-#: Cycles between two looks whether the process lives.
+#: Cycles between two checks that the process is alive.
 _LOOK_CYCLES = 64
 #: Lockstep: longest time without a cycle while the twin is reset, far less than the nodes' SYNC time-out.
 _STAND_STILL_S = 1.0

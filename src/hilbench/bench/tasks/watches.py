@@ -14,7 +14,7 @@ from hilbench.exchange.timeliness import Timeliness
 from hilbench.processes import ChildProcess
 from hilbench.topology.sample import CycleSample
 
-#: Cycles between two looks whether the supervisor lives.
+#: Cycles between two checks that the supervisor is alive.
 _LOOK_CYCLES = 64
 
 

@@ -61,5 +61,5 @@ def follow(command: int, table: Table) -> int:
 
 
 def warm_up(function: Function) -> None:
-    """Compile, or load, one of these, before anybody waits for a cycle."""
+    """Compile, or load, one of these, before a cycle has to wait for it."""
     function(0, np.zeros((0, TABLE_WIDTH), np.int64))

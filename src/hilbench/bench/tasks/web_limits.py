@@ -44,7 +44,7 @@ def limited(limits: LimitsConfig, shape: Shape) -> list[Limited]:
 
 
 class LimitWatch:
-    """Watches the samples of one run of a web line. `model`: with whose E the estimate is compared."""
+    """Watches the samples of one run of a web line. `model`: its E is compared with the estimate."""
 
     def __init__(self, limits: LimitsConfig, model: ModelParameters, cycle_s: float, shape: Shape) -> None:
         self._limits = limits

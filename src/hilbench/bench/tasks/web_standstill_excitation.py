@@ -41,7 +41,7 @@ def _goal(half: float) -> float:
 
 
 class LeadingRoller(Protocol):
-    """The last axis, whom the others follow."""
+    """The last axis, which the others follow."""
 
     creep_m_s: float  #: of all
 

@@ -146,13 +146,13 @@ class DancerPosition:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the integral, and what was corrected."""
+        """Reset the integral and the correction."""
         self._integral_m_s = self._corrected_m_s = 0.0
 
     def velocity(
         self, behind_m_s: float, wanted_m: float, wanted_m_s: float, position_m: float, cycle_s: float
     ) -> float:
-        """One cycle: what goes in is what goes out and what the strands take up."""
+        """Velocity of the roller before it, by one cycle of its balance: web in is web out plus the strands' uptake."""
         error_m, gain = wanted_m - position_m, self._strands * self._bandwidth
         integral_m_s = self._integral_m_s + 0.25 * gain * self._bandwidth * error_m * cycle_s
         asked_m_s = gain * error_m + integral_m_s
