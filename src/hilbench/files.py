@@ -27,7 +27,7 @@ def content(path: str | Path, most_bytes: int, *, kept: bool = False) -> bytes:
 
 @contextmanager
 def writing(path: str | Path) -> Iterator[None]:
-    """Meanwhile a file is written. Raises UnusableInputError when it cannot be."""
+    """Write a file inside. Raises UnusableInputError when it cannot be written."""
     try:
         yield
     except OSError as error:

@@ -96,7 +96,7 @@ class ChildProcess:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """Process id."""
         return self._process.pid
 
     def wait(self) -> int:
@@ -250,7 +250,7 @@ class HeldSignals:
 
     @contextmanager
     def doing(self, what: str, at_once: Callable[[], bool]) -> Iterator[HeldSignals]:
-        """Meanwhile this is what a signal waits for."""
+        """Set the work that a signal waits for meanwhile."""
         self._doing.append((what, time.monotonic(), at_once))
         try:
             yield self

@@ -289,7 +289,7 @@ def validate(document: Document, model: type[Model], location: Location = ()) ->
 def _problems(
     document: Document, location: Location, model: type[BaseModel], error: ValidationError
 ) -> list[UnusableInputError]:
-    """One for each value that is wrong; the kinds of value that a key may have (a union) are one expectation."""
+    """Problems, one for each wrong value; the kinds of value that a key may have (a union) are one expectation."""
     by_value: dict[Location, list[ErrorDetails]] = {}
     for details in error.errors():
         if details["type"] == "default_factory_not_called":

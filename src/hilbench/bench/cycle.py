@@ -56,7 +56,7 @@ class BenchCycle:
         self._in_cycle = False
 
     def run(self) -> CycleSample:
-        """One cycle of the experiment. Raises BenchFaultError on faults and limits, InterruptedByOperatorError."""
+        """Run a cycle of the experiment. Raises BenchFaultError on faults and limits, InterruptedByOperatorError."""
         self._in_cycle = True
         try:
             return self._run()

@@ -15,7 +15,7 @@ _FOUND = ("inertia_kg_m2", "coulomb_friction_Nm", "viscous_friction_Nm_s_per_rad
 
 
 def fmu_findings(config: BenchConfig) -> list[str]:
-    """One line for each thing found, none for a bench without FMUs."""
+    """Findings in the FMUs, a line each; empty for a bench without FMUs."""
     machine, load = config.machine, config.load.fmu
     lines = _of_axis(machine) if isinstance(machine, FmuAxisParameters) else []
     return lines if load is None else lines + _of_load(load, config)

@@ -151,7 +151,7 @@ def alike(some: Moduli, others: Moduli) -> bool:
 
 
 def _moduli_text(moduli_Pa: Moduli) -> str:
-    """One number where all spans have the same."""
+    """Text of the moduli; a single number where all spans have the same."""
     return ", ".join(dict.fromkeys(f"{modulus * 1e-6:.4g}" for modulus in moduli_Pa))
 
 

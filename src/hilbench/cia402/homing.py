@@ -110,7 +110,7 @@ class Homing(Mode):
             self._search = self._procedure(method)
 
     def status(self, dt_s: float) -> int:
-        """Not started 10; runs none; attained 12, with 10 once the motor is at rest; error 13, likewise."""
+        """Statusword bits: not started 10; runs none; attained 12, with 10 once the motor rests; error 13, likewise."""
         moving = abs(self._firmware.port.velocity_rad_s) > self._firmware.standstill_rad_s
         if self._search is not None:
             return 0

@@ -162,7 +162,7 @@ class ManualDrive:
 
     @contextmanager
     def watching(self, master_id: int, time_out_ms: int) -> Iterator[None]:
-        """Meanwhile the drive stops by quick stop when the master's heartbeat stays away (1016h, 6007h), if it can."""
+        """Let the drive quick stop meanwhile when the master's heartbeat stays away (1016h, 6007h), if it can."""
         wanted = {
             (objects.ABORT_CONNECTION_OPTION_CODE, 0): _ABORT_BY_QUICK_STOP,
             (CONSUMER_HEARTBEAT, 1): master_id << 16 | time_out_ms,

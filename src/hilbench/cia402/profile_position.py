@@ -113,7 +113,7 @@ class ProfilePosition(Mode):
         return _SetPoint(target, limits, end, bool(controlword & CHANGE_ON_SET_POINT))
 
     def _within_limits(self, position_rad: float) -> float:
-        """Not beyond 607Dh, which bounds the actual position."""
+        """Clip a position to 607Dh, which bounds the actual position."""
         firmware = self._firmware
         self.limited = False
         if firmware.software_limits is None:

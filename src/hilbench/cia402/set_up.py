@@ -90,7 +90,7 @@ class SetUpDrive:
     # --- units and limits ---------------------------------------------------------------------------------------------
 
     def lacking(self, mode: OperationMode) -> list[str]:
-        """Why a mode can't be used, by object; empty when it can."""
+        """Reasons, by object, for which a mode can't be used; empty when it can."""
         needed = (objects.MODES_OF_OPERATION, *_NEEDED[mode])
         own = self.drive.object
         missing = [f"{own(index):04X}h is not in {self._eds}" for index in needed if not self.drive.has(index)]
@@ -170,7 +170,7 @@ class SetUpDrive:
             )
 
     def home(self, method: int | None = None) -> int:
-        """By a method of 6098h (None: the one that it has); the method that was used."""
+        """Home by a method of 6098h (None: the one that it has); returns the method used."""
         self.needs(OperationMode.HOMING)
         if method is not None:
             self.drive.write(objects.HOMING_METHOD, method)

@@ -91,7 +91,7 @@ class EmergencyInbox:
         self._last: dict[int, Emergency] = {}
 
     def clear(self) -> None:
-        """A cycle begins."""
+        """Clear the messages at the begin of a cycle."""
         if self.messages:
             self.messages, self._seen, self._last = {}, {}, {}
 

@@ -252,8 +252,8 @@ class SyncCycle:
         return received
 
     def _heartbeat_is_due(self) -> bool:
-        """By cycles, so that runs are alike; where these take very long in lockstep, before the supervisor wonders.
-        By the clock those count that were missed."""
+        """True if a heartbeat is due: by cycles, so that runs are alike; in lockstep also when these take very long,
+        before the supervisor's time-out. By the clock missed cycles count, too."""
         if not self._heartbeat_cycles:
             return False
         if not self._lockstep:

@@ -104,7 +104,7 @@ class SyncTracker:
         return kept or self._link.receive(timeout_s)
 
     def _wait(self, wanted: int) -> SyncReceived:
-        """Until SYNC number `wanted` of ours has come, or must have been lost."""
+        """Wait until SYNC number `wanted` of ours has come, or must have been lost."""
         producer, others = self._producer, list[Frame]()
         met, split = SyncReceived(), None
         begun_ns, out_ns = time.monotonic_ns(), None

@@ -33,7 +33,7 @@ class Timeliness:
         self._late_lately = False  # of any participant: most runs have nothing to count
 
     def update(self, ages_cycles: tuple[int, ...]) -> None:
-        """A cycle in which the answers in use were so old, in the order of the names; 0: in time."""
+        """Take the ages of the answers in use in a cycle, in the order of the names; 0: in time."""
         self.cycles += 1
         if not self._late_lately and not any(ages_cycles):
             return

@@ -82,7 +82,7 @@ class HostFrames:
             self.heartbeats.append((device, row))
 
     def quiet_until_ns(self) -> int:
-        """Until when no device has to notice that a heartbeat stays away."""
+        """Time until which no heartbeat consumer time-out of the devices can expire."""
         ends = [device.consumer.quiet_until_ns() for device in self._devices]
         return min((end for end in ends if end is not None), default=1 << 62)
 

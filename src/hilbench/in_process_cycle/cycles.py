@@ -276,7 +276,7 @@ class _Run:
         self._waiting = self._waiting_frames = 0  # cycles and frames whose lines are in the text
 
     def _deadlines(self) -> None:
-        """Until when, by each host's clock, no device has to notice that a heartbeat stays away."""
+        """Times, by each host's clock, until which no heartbeat consumer time-out can expire."""
         self._until_ns: list[tuple[SyncClock, int]] = []
         for served, host in zip((self._here.hardware, self._here.twin), self._wiring.hosts, strict=True):
             self._until_ns.append((served.clock, host.quiet_until_ns()))

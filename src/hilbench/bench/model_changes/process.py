@@ -56,7 +56,7 @@ class LiveProcess:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """Process id."""
         return self._child.pid
 
     def ask(self, samples: Samples) -> Future[DiagnosisAnswer]:

@@ -60,7 +60,7 @@ class LimitReading(Protocol):
 
 
 def expected(crossing: Crossing, now_s: float) -> str:
-    """One line for an operator."""
+    """Text of an expected crossing, in one line for an operator."""
     when = f"in {max(crossing.expected_s - now_s, 0.0):.1f} s"
     if crossing.latest_s - crossing.earliest_s >= 0.1:
         earliest, latest = (max(each - now_s, 0.0) for each in (crossing.earliest_s, crossing.latest_s))

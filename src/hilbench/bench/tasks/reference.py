@@ -130,7 +130,7 @@ class Reference:
         self._ceiling, self._held_back = ceiling, False
 
     def keep_below(self) -> None:
-        """One step towards the ceiling, where it is beyond."""
+        """Move one step towards the ceiling, where it is beyond."""
         if self._ceiling is not None and abs(self.present) > self._ceiling:
             self._held_back = True
             self.present = copysign(max(self._ceiling, abs(self.present) - self._step), self.present)
@@ -142,7 +142,7 @@ class Reference:
         return self.present + copysign(step, left), step >= abs(left)
 
     def slow_down(self) -> bool:
-        """One step towards zero; whether it was any."""
+        """Move one step towards zero; true if it moved."""
         left = max(0.0, abs(self.present) - self._step)
         moved = self.present != 0.0
         self.present = copysign(left, self.present) if left else 0.0

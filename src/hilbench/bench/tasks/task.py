@@ -61,7 +61,7 @@ class PerSample(Generic[Made]):
 
 
 class CyclicTask:
-    """One thing that is done in every cycle; a task overrides the moments in which it has something to do.
+    """Task of every cycle; it overrides the hooks in which it has something to do.
 
     A task of the machine runs in each exchange with the nodes: `before` and `after` while the drives are enabled, else
     `rest`. One that watches the run does so in each cycle of the experiment, and never rests. Whatever a task raises

@@ -205,7 +205,7 @@ class FeedForwardTask(CyclicTask):
 
     @property
     def piece(self) -> CompiledStage:
-        """One cycle further."""
+        """Compiled stage: advance the plan by a cycle."""
         if self._piece is None:
             kept = [self._rollers, self._leads_m_s, self._line_speed.vector, self._own]
             for span, way in self._ways.items():
@@ -214,7 +214,7 @@ class FeedForwardTask(CyclicTask):
         return self._piece
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """One cycle further."""
+        """Advance the plan by a cycle."""
         self.piece()
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:

@@ -163,7 +163,7 @@ class TensionLoop:
 
     @cached_property
     def _damping(self) -> dict[int, DampingGains]:
-        """By controlled span."""
+        """Damping gains by controlled span."""
         config, found = self.config, {}
         for span, control in config.tension_controls.items():
             plant = SwingPlant.of_model(config.web_line, config.cycle_time_s, span, strains_around(config, span))

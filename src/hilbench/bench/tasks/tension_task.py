@@ -212,7 +212,7 @@ class TensionTask(CyclicTask):
 
     @property
     def doubt(self) -> str:
-        """Why the loop is open, "" while it may be closed."""
+        """Reason of an open loop, "" while it may be closed."""
         return self._trust.doubt
 
     @property

@@ -113,7 +113,7 @@ class VirtualSensorSupervision:
 
     @property
     def doubt(self) -> str:
-        """Why the loop is open; "" while it may be closed."""
+        """Reason of an open loop; "" while it may be closed."""
         return "" if self.trusted else self._why
 
     def forget(self, reason: str) -> None:

@@ -104,7 +104,7 @@ def _begin(values: Vector, words: Places, at: Places, begun: Matrix, line: Vecto
 
 @compiled
 def _add(values: Vector, words: Places, at: Places, begun: Matrix, line: Vector, sums: Matrix) -> None:
-    """A cycle to a block."""
+    """Add a cycle to a block."""
     axes = begun.shape[1]
     for j in range(axes):
         torque_Nm = values[at[3 * j + 2]]
@@ -283,7 +283,7 @@ class TensionWatch(CyclicTask):
         return CompiledStage(_run, 0, table_of(kept), fallback=self._report, keeps=kept)
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
-        """A cycle."""
+        """Take a cycle."""
         self._look_for_a_new_twin()
         if any(emergency.code in (TORQUE_SHIFT, UNDECIDED) for emergency in inputs.emergencies):
             for state in self._states:

@@ -56,7 +56,7 @@ class ReelTravel:
         self._travel_m = 0.0
 
     def __call__(self, sample: CycleSample) -> float:
-        """Up to the last sample."""
+        """Travel up to the last sample."""
         position_m: float = getattr(sample, self._position)
         if self._at_m is not None:
             self._travel_m += (position_m - self._at_m) * self._reel.ratio(sample)

@@ -75,8 +75,8 @@ def excitation_amplitudes_m(model: ModelParameters, set_points_N: Sequence[float
 
 
 class StandstillExcitation:
-    """One movement after the other; `axes` (N,): of the line, as `positions_m` has their positions at the web in a
-    sample; `pulled_m` (N,): by how much each goes further for the highest tensions (`excitation_amplitudes_m`)."""
+    """Runs one movement after the other; `axes` (N,): of the line, `positions_m` reads their positions at the web of a
+    sample; `pulled_m` (N,): additional displacement of each for the highest tensions (`excitation_amplitudes_m`)."""
 
     def __init__(
         self,

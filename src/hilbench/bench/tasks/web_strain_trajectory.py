@@ -38,7 +38,7 @@ def trajectory_per_s(rise_s: float) -> float:
 
 @compiled
 def trajectory_update(w: Vector, goal_N: float, modulus_Pa: float) -> None:
-    """One cycle towards the goal."""
+    """Advance the trajectory by a cycle towards the goal."""
     per_s, duration_s, left = w[_PER_S], w[_CYCLE_S], w[_LEFT]
     goal = goal_N / (modulus_Pa * w[_SECTION_M2])
     off = w[_STRAIN] - goal

@@ -116,7 +116,7 @@ class ReelTension:
         cycle_s: float,
         wound_m: float | None = None,
     ) -> float:
-        """One cycle; `acceleration_m_s2`: planned, of the web; `radius_m`: of the reel now; `wound_m` as of
+        """Torque of a cycle; `acceleration_m_s2`: planned, of the web; `radius_m`: of the reel now; `wound_m` as of
         `ReelMechanics.torque_Nm`."""
         error_N = set_point_N - tension_N
         integral_N = self._integral_N + self._rate_per_s * error_N * cycle_s
