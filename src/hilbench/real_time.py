@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-#: File that groups processes by session in the kernel, where nice values mean nothing between groups (sched(7)).
+#: Nice value of the session's group (sched(7)): where the kernel groups by session, those of processes mean nothing.
 _AUTOGROUP = Path("/proc/self/autogroup")
 _LOWEST = 19
 #: Longest time for which a thread keeps the interpreter from a cycle, s: a twentieth of the shortest cycles.

@@ -78,7 +78,7 @@ class Bench:
     A bench is the only master of its bus: a bus with another is refused (UnusableInputError), with `force` only where
     a program of this machine claims to be the master. `bus_is_held`: the caller is inside
     `startup.held_bus` already. `forked_workers`: copies of this process, by the names of the processes they become
-    (`startup.processes_beside`).
+    (`startup.copies_beside`).
 
     `notices` collects events of a running run for the operator, counted by source and kind: limit warnings,
     EMCY messages, a tension loop that opens or closes. Losing the twin ends no run: the loop holds, and the

@@ -115,7 +115,7 @@ class Exchange:
         self._foreign_before: list[Unexpected] = []
         self.timing = sync.timing
         self.pacing = sync.pacing
-        self.silent = sync.silent  #: who does not answer, and is not waited for any longer
+        self.silent = sync.silent  #: senders that do not answer, not waited for any longer
         self.stay_alive = sync.stay_alive
         self.stand_still = sync.stand_still
         self.emergency_stop = sync.emergency_stop
@@ -157,7 +157,7 @@ class Exchange:
 
     @property
     def runs_by_clock(self) -> bool:
-        """True if each cycle is paced by the wall clock."""
+        """True if participants in this process wait for SYNC, and each SYNC is due by the wall clock."""
         return self._by_clock
 
     @property

@@ -255,7 +255,7 @@ def _in_process(config: BenchConfig) -> InProcess:
 
 @contextmanager
 def copies_beside(config: BenchConfig, participants: Participants) -> Iterator[dict[str, ForkedWorker]]:
-    """Copies of this process for what `bring_up` starts, by name: the sooner they are made, the more of what they load
+    """Copies of this process for the processes that `bring_up` starts, by name: the earlier they are made, the more
     they have loaded by then. One that is not taken ends on leaving."""
     with suppress(UnusableInputError):  # the bench reports it
         for part in config.parts:  # once, here, and not in each of them
