@@ -1,7 +1,7 @@
 """hilbench: a hardware-in-the-loop test bench over CAN/CANopen with a synchronized twin.
 
-For scripts, tests and notebooks: `Bench`, `Recording`, `Result`, `read_recording`. They are imported when they are
-first asked for, so that ``import hilbench`` costs nothing.
+For scripts, tests and notebooks: `Bench`, `Recording`, `Result`, `read_recording`. They are imported on first
+use, so that ``import hilbench`` costs nothing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What files of ours are made of: their keys are known; in a config or model file, numbers are numbers, too."""
+"""Base models of our files: keys are known; in a config or model file, numbers are checked, too."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from hilbench.pydantic_messages import expected
 
-#: Nothing of a bench has more of any SI unit, or less but for zero: what is beyond breaks arithmetic, not a bench.
+#: No SI value of a bench is larger, or, except zero, smaller: values beyond break the arithmetic, not a bench.
 LARGEST: Final = 1e13
 LEAST: Final = 1e-15
 
@@ -24,8 +24,8 @@ class Strict(BaseModel):
 
 
 class Block(Strict):
-    """Base of what a person writes: texts and truth values where a number stands are refused as well, and numbers
-    beyond `LARGEST` or, but for zero, below `LEAST` in size."""
+    """Base of blocks that a person writes: texts and truth values in place of a number are refused as well, and numbers
+    beyond `LARGEST` or, except zero, below `LEAST` in size."""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -36,7 +36,7 @@ class Block(Strict):
         errors: list[InitErrorDetails] = []
         try:
             handler(data)
-        except ValidationError as error:  # what a field says of itself says more
+        except ValidationError as error:  # a field's own message is more specific
             errors = [_error(each["type"], expected(each), each["loc"], each["input"]) for each in error.errors()]
         except ArithmeticError:  # as such numbers do it
             pass
@@ -46,7 +46,7 @@ class Block(Strict):
 
 
 def problem_at(block: type[BaseModel], location: tuple[str, ...], text: str, found: object) -> ValidationError:
-    """What a validator of a whole block raises about a value in it: `text` says what is expected."""
+    """Error of a validator of a whole block about a value in it: `text` is what is expected."""
     return ValidationError.from_exception_data(block.__name__, [_error("fits", text, location, found)])
 
 
@@ -88,7 +88,7 @@ def _leaves(value: object) -> Iterator[object]:
 
 @cache
 def _kinds(block: type[BaseModel], field: str) -> frozenset[type]:
-    """The plain types that a field takes, also inside lists and unions; of a block in it nothing, it has its own."""
+    """Simple types that a field takes, also inside lists and unions; none for a nested block, which has its own."""
     found: set[type] = set()
     left: list[Any] = [block.model_fields[field].annotation]
     while left:

@@ -1,4 +1,4 @@
-"""What compiled functions call of the C library that is in the process anyway; arrays go by their address."""
+"""C library functions for compiled code, from the library in the process; arrays are passed by address."""
 
 from __future__ import annotations
 

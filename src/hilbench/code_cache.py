@@ -1,6 +1,6 @@
-"""Machine code of compiled functions on disk: numba's cache, with a key that says all that a function is made of.
+"""Machine code of compiled functions on disk: numba's cache, with a key of all that a function is made of.
 
-numba goes by the file of the function alone, and would run old code after a change of what it calls, or of a constant
+numba's key is the file of the function alone: it would run old code after a change of a callee, or of a constant
 that is compiled in. Here the key has the bytecode of the function and of each compiled function that it calls, and the
 values of all that they name.
 
@@ -47,13 +47,13 @@ class _Places(CompileResultCacheImpl):
 
 
 class CodeCache(FunctionCache):
-    """Machine code on disk, and where the package's folder can't be written beside that what is in it: what was
-    compiled when hilbench was installed."""
+    """Machine code on disk; where the package's folder can't be written, code compiled there when hilbench was
+    installed is read in addition."""
 
     _impl_class = _Places
 
     def __init__(self, function: Callable[..., object], options: str) -> None:
-        """`options`: by which it is compiled."""
+        """`options`: options of its compilation."""
         super().__init__(function)
         self._options = options
         folders = _folders(self.cache_path, Path(function.__code__.co_filename))
@@ -119,7 +119,7 @@ def made_of(function: Callable[..., object]) -> str:
 
 
 class _Parts(NamedTuple):
-    """What a function is made of: a number of what is its own, and the functions that it calls."""
+    """Parts of a function: a digest of its own, and the functions that it calls."""
 
     digest: str
     callees: tuple[FunctionType, ...]

@@ -1,4 +1,4 @@
-"""The decorators of compiled functions, typed as what they decorate."""
+"""Decorators of compiled functions, typed as the functions they decorate."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ if TYPE_CHECKING:
         return function
 
     def inlined(function: Function) -> Function:
-        """The same, always put into the machine code of its callers: for short functions called in every step."""
+        """Compile, always inlined into the machine code of its callers: for short functions called in every step."""
         return function
 
     def merged(function: Function) -> Function:
-        """The same for a long function with one caller or two: it is not compiled by itself as well."""
+        """Compile by merging into its callers: for a long function with one or two, not compiled by itself as well."""
         return function
 
     def noinline() -> None:
-        """In the body of a compiled function that is called rarely: it stays a call, and its callers stay short."""
+        """Keep a rarely called compiled function out of line, in its body: its callers stay short."""
 
     def entry_point(*arguments: Any) -> Callable[[Function], Function]:
         """Called from Python: machine code kept on disk, and other threads run meanwhile. It may allocate.
@@ -56,24 +56,24 @@ if TYPE_CHECKING:
         return lambda function: function
 
     def floats(table: NDArray[np.int64], row: int, dimensions: tuple[int, ...]) -> NDArray[np.float64]:
-        """In the body of an entry point: the array of a row of a `table_of`, which has so many `dimensions` (each named
-        by its number: (1,), (1, 2), (1, 2, 3)). It is the caller's who made the table to keep the array alive. Arrays
+        """Array in a row of a `table_of`, in the body of an entry point, with so many `dimensions` (each named
+        by its number: (1,), (1, 2), (1, 2, 3)). The caller who made the table keeps the array alive. Arrays
         of other types are given as those of eight bytes, and taken as `viewed`."""
         raise NotImplementedError
 
     def integers(table: NDArray[np.int64], row: int, dimensions: tuple[int, ...]) -> NDArray[np.int64]:
-        """The same of int64."""
+        """Array of int64 in a row of a `table_of`, like `floats`."""
         raise NotImplementedError
 
     def viewed(array: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
-        """In the body of a compiled function: the memory of an array in one piece as another type, which fits in it a
-        whole number of times; as `array.view(kind)`, for which numba would load half of itself with the machine code
+        """View of a contiguous array as another type that fits in it a whole number of times, in the body of a compiled
+        function; like `array.view(kind)`, for which numba would load half of itself with the machine code
         (25 ms). The array is to be kept."""
         raise NotImplementedError
 
     def call_at(function: int, argument: int, table: int, rows: int) -> int:
-        """In the body of an entry point: call another one by its `address_of`, with an argument and a `table_of` so
-        many rows that stands at this address. Only for functions of (COUNT, TABLE) that return an int64."""
+        """Call another entry point by its `address_of`, in the body of one, with an argument and the address of a
+        `table_of` so many rows. Only for functions of (COUNT, TABLE) that return an int64."""
         raise NotImplementedError
 
 else:
@@ -81,7 +81,7 @@ else:
     # Without NRT, numba's runtime, there are no reference counts: with them a step of the model takes ten times as
     # long, because numba counts an array at every call. What allocates does not compile then.
     # A callee would take over its caller's `forceinline` unless it says otherwise.
-    # Nobody calls them by a C function's address: the wrapper for that would be compiled for nothing.
+    # They are never called by a C function's address: the wrapper for that would be compiled for nothing.
     compiled = numba.njit(error_model="numpy", _nrt=False, forceinline=False, no_cfunc_wrapper=True)
     inlined = numba.njit(error_model="numpy", _nrt=False, forceinline=True, no_cfunc_wrapper=True)
     merged = numba.njit(error_model="numpy", _nrt=False, inline="always", no_cfunc_wrapper=True)
@@ -184,8 +184,8 @@ TABLE_WIDTH = 4
 
 
 def table_of(arrays: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
-    """Where arrays stand and how long they are, a row each: for an entry point with more arrays than a call from Python
-    should hand over one by one (70 ns each). Who calls with it keeps the arrays.
+    """Table of the arrays' addresses and shapes, a row each: for an entry point with more arrays than a call from
+    Python should pass one by one (70 ns each). The caller keeps the arrays.
 
     Raises ValueError for an array that is not of float64 or int64, in one piece, with one to three dimensions.
     """
@@ -198,8 +198,8 @@ def table_of(arrays: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
 
 
 def address_of(function: Callable[[int, NDArray[np.int64]], int]) -> int:
-    """Where the machine code of an entry point of (COUNT, TABLE) stands, for `call_at`; compiled, or loaded, if need
-    be. It stays there as long as the process lives."""
+    """Address of the machine code of an entry point of (COUNT, TABLE), for `call_at`; compiled, or loaded, if need
+    be. It is valid as long as the process lives."""
     dispatcher: Any = function
     dispatcher.compile(dispatcher.arguments)
     found = dispatcher.overloads[dispatcher.arguments]
@@ -207,7 +207,7 @@ def address_of(function: Callable[[int, NDArray[np.int64]], int]) -> int:
 
 
 def interpreted(function: Function) -> Function:
-    """A compiled function that calls none, as Python runs it: for who calls it by itself, and now and then. Compiling
+    """Python version of a compiled function that calls no other, for rare calls by itself. Compiling
     it, in each process anew, takes a tenth of a second."""
     plain: Function = function.py_func  # type: ignore[attr-defined]
     return plain
@@ -218,6 +218,6 @@ def entry_points(module: ModuleType) -> list[Any]:
     return [
         each
         for each in vars(module).values()
-        # To ask for an instance of it would ask its metaclass, that of abstract classes, of each name in each module.
+        # `isinstance` would call its metaclass, that of abstract classes, for each name in each module.
         if type(each) is CPUDispatcher and hasattr(each, "arguments") and each.__module__ == module.__name__
     ]

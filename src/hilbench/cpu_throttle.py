@@ -1,10 +1,10 @@
-"""Work in slices: a process that computes for long leaves its core to nobody for a while behind each of them.
+"""CPU duty cycle for background work: a process that computes for long rests after every slice of CPU time.
 
-Where every core is busy all the time a machine that has only a share of another one (a virtual machine, a container
-with a quota) has used it up before its period of 100 ms is over, and stands still until then: also for those that come
-first. Nothing on this side can come before that but to use less.
+Where every core is busy all the time a machine with a share of another one (a virtual machine, a container
+with a quota) has used it up before its period of 100 ms is over, and is stopped until then: also processes of the
+highest priority. The only remedy inside is to use less.
 
-Machine code does not come back to the interpreter for seconds, so that the rest is taken where a signal finds it.
+Machine code does not return to the interpreter for seconds, so the rest is taken where a signal interrupts it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numba import types
 
 from hilbench.c_library import CLOCK_MONOTONIC, clock_nanosleep
 
-#: CPU time of a slice, and the rest behind it, s: two thirds of a core, at most.
+#: CPU time of a slice, and the rest after it, s: two thirds of a core, at most.
 WORK_S: Final = 0.02
 REST_S: Final = 0.01
 
@@ -28,12 +28,12 @@ _REST = np.array([0, round(REST_S * 1e9)], np.int64)
 
 @numba.cfunc(types.void(types.int32))
 def _rest(_: int) -> None:
-    """What a handler of signals may call: nothing is allocated, and nothing of the interpreter's is touched."""
+    """Rest in a signal handler: nothing is allocated, and no state of the interpreter is touched."""
     clock_nanosleep(CLOCK_MONOTONIC, 0, _REST.ctypes.data, 0)
 
 
 def throttle_cpu() -> None:
-    """From here on the process rests for `REST_S` behind each `WORK_S` of CPU time (SIGPROF, which is taken for it)."""
+    """Make the process rest for `REST_S` after each `WORK_S` of CPU time from here on (uses SIGPROF)."""
     libc = ctypes.CDLL(None)
     libc.signal.restype = ctypes.c_void_p
     libc.signal(int(signal.SIGPROF), ctypes.c_void_p(_rest.address))

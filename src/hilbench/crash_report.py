@@ -1,4 +1,4 @@
-"""An exception that nobody foresaw: one line for a person, and its traceback where it can be found again."""
+"""Report of an unexpected exception: one line for a person, and its traceback in a file."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ TRACEBACK_FILE: Final = "traceback.txt"
 
 
 def crash_report(error: BaseException, file: Path | None = None) -> str:
-    """What to tell of it, in one line; the traceback is added to `file`, or put into a file of its own.
+    """Describe the error in one line; the traceback is added to `file`, or put into a file of its own.
 
-    Where that can't be written the line says so, and the place in the code is all there is. Never raises.
+    Where that can't be written the line states it, with the place in the code only. Never raises.
     """
     message = printable(str(error)) or "without words"
     text = f"unexpected {type(error).__name__} in {_place(error)}: {message}"

@@ -1,8 +1,8 @@
-"""Compiled pieces of a cycle, one behind the other, for many cycles in one call.
+"""Compiled stages of a cycle, run one after the other for many cycles in one call.
 
-Every piece is an entry point `function(argument, table) -> code` that Python can call by itself just as well. As long
-as each returns what it returns as a rule, nothing of a cycle is Python's; where one returns something else Python does
-its part of that piece, and the chain goes on behind it. So who makes a piece describes it once, for both ways.
+Every stage is an entry point `function(argument, table) -> code` that Python can call by itself as well. As long
+as each returns its regular code, a cycle needs no Python; where one returns another code Python does
+its part of that stage, and the program continues after it. So a stage is defined once, for both modes.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from hilbench.compiled import COUNT, INDICES, TABLE, TABLE_WIDTH, address_of, ca
 Table = NDArray[np.int64]
 Function = Callable[[int, Table], int]
 
-#: What a piece's function returns where nothing else is said.
+#: Regular return code of a stage, unless another is given.
 CONTINUE = 0
-#: Columns of the chain's table: where the function is, its argument, where its table stands and how long it is, what it
-#: returns as a rule.
+#: Columns of the program's table: address of the function, its argument, address and length of its table, its
+#: regular return code.
 _FUNCTION, _ARGUMENT, _TABLE, _ROWS, _CONTINUE, _COLUMNS = range(6)
-#: Of its state: cycles to run, and the piece to begin with; cycles that were run whole; the piece that has returned
+#: Its state: cycles to run, and the stage to begin with; cycles that were run whole; the stage that has returned
 #: something else, and what; -1: none.
 _CYCLES, _FIRST, _DONE, _STOPPED, _CODE, _STATE = range(6)
 
 
 class CompiledStage:
-    """A piece of a cycle: `function`, with `argument` and a table of the vectors that `keeps` keeps.
+    """A compiled stage of a cycle: `function`, with `argument` and a table of the vectors that `keeps` keeps.
 
-    `fallback`: what Python does where it returns anything but `continues`; whether the next cycle may follow without
-    Python all the same.
+    `fallback`: Python's part where it returns anything but `continues`; true if the next cycle may still follow
+    without Python.
     """
 
     __slots__ = ("argument", "continues", "fallback", "function", "keeps", "table")
@@ -50,22 +50,22 @@ class CompiledStage:
         self.fallback, self.continues, self.keeps = fallback, continues, keeps
 
     def __call__(self) -> bool:
-        """Do it by itself; as `fallback`."""
+        """Run the stage alone; returns as `fallback`."""
         code = self.function(self.argument, self.table)
         return code == self.continues or self.fallback(code)
 
 
 class StageAbortedError(Exception):
-    """A piece can't be done, or not to its end: Python has the cycle from there on."""
+    """A stage could not finish; the interpreter resumes the cycle at this stage."""
 
 
 def never(code: int) -> bool:
-    """Of a piece of which nothing is Python's."""
+    """Fallback of a stage without a part in Python."""
     raise AssertionError(f"a compiled piece of a cycle has returned {code}")
 
 
 class CycleProgram:
-    """Pieces in their order. Where the table of one becomes another the chain is to be made anew."""
+    """Compiled stages in their order. If the table of one changes the program is to be made anew."""
 
     def __init__(self, pieces: Sequence[CompiledStage]) -> None:
         self._pieces = tuple(pieces)
@@ -76,11 +76,11 @@ class CycleProgram:
         self._rows = np.array(rows, np.int64).reshape(-1, _COLUMNS)
         self._state = np.zeros(_STATE, np.int64)
         self._at = self._state.data
-        self.stopped_at = -1  #: the piece whose part Python does, or has done last
+        self.stopped_at = -1  #: the stage whose part Python does, or has done last
 
     def run(self, cycles: int) -> int:
-        """So many cycles, or fewer, where Python has the next one; how many. What Python does may raise; `done` and
-        `stopped_at` say where."""
+        """Run so many cycles, or fewer, where Python has the next one. Returns the number run. Fallbacks may raise;
+        `done` and `stopped_at` show where."""
         at, pieces = self._at, self._pieces
         at[_CYCLES], at[_FIRST], at[_DONE] = cycles, 0, 0
         while _run(self._rows, self._state):
@@ -102,7 +102,7 @@ class CycleProgram:
 
 
 def _entry_point() -> Callable[[Table, NDArray[np.int64]], bool]:
-    """For Python."""
+    """Make the entry point that Python calls."""
 
     @entry_point(TABLE, INDICES)
     def run(pieces: Table, state: NDArray[np.int64]) -> bool:
@@ -122,12 +122,12 @@ def _entry_point() -> Callable[[Table, NDArray[np.int64]], bool]:
     return run
 
 
-#: run(the chain's table, its state): whether a piece has something for Python.
+#: run(the program's table, its state): true if a stage has returned to Python.
 _run = _entry_point()
 
 
 def _handing_over() -> Function:
-    """For Python."""
+    """Make the stage that returns to Python."""
 
     @entry_point(COUNT, TABLE)
     def hand_over(code: int, _: Table) -> int:
@@ -140,6 +140,6 @@ _hand_over = _handing_over()
 
 
 def python_stage(act: Callable[[], bool]) -> CompiledStage:
-    """A piece that Python does in each cycle; as `fallback` of `CompiledStage`."""
+    """Stage that Python runs in each cycle; returns as `fallback` of `CompiledStage`."""
     table = np.zeros((0, TABLE_WIDTH), np.int64)
     return CompiledStage(_hand_over, CONTINUE + 1, table, fallback=lambda _: act(), keeps=table)

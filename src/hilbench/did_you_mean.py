@@ -1,4 +1,4 @@
-"""What somebody may have meant who misspelt a name."""
+"""Suggestions for a misspelt name."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ def closest(name: str, known: Iterable[str], count: int = 1) -> list[str]:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """To be put behind the text of an error: ``, did you mean 'x'?``; nothing where no known name is like it."""
+    """Suffix of an error text: ``, did you mean 'x'?``; empty where no known name is similar."""
     found = closest(name, known)
     return f", did you mean '{found[0]}'?" if found else ""
 
 
 def expected_one_of(name: str, known: Iterable[str]) -> str:
-    """The same with all that are known behind it: ``, did you mean 'x'? Expected one of x, y``; where none is like it
+    """Suffix of an error text with all known names: ``, did you mean 'x'? Expected one of x, y``; where none is similar
     ``, expected one of x, y``."""
     names = list(known)
     meant = did_you_mean(name, names)

@@ -12,10 +12,10 @@ EXIT_BENCH_FAULT = 3
 EXIT_INTERRUPTED = 130
 
 
-#: Characters of a place, or of a problem, that are shown; what lies between the beginning and the end of a longer one
+#: Most characters shown of a place, or of a problem; the part between the beginning and the end of a longer one
 #: is left out.
 _LONGEST_TEXT = 1500
-#: Errors that are shown beside the first one.
+#: Most errors shown in addition to the first one.
 _MOST_NOTES = 40
 
 
@@ -28,7 +28,7 @@ class HilbenchError(Exception):
 class UnusableInputError(HilbenchError):
     """A file or an argument that cannot be used: where, what was found, what was expected.
 
-    The text is always one printable line of bounded length, whatever stood in the file: ``place: found, expected ...``.
+    The text is always one printable line of bounded length, whatever the file has: ``place: found, expected ...``.
     """
 
     exit_code = EXIT_UNUSABLE_INPUT
@@ -64,20 +64,20 @@ class BenchFaultError(HilbenchError):
     exit_code = EXIT_BENCH_FAULT
 
     def add_cause(self, text: str) -> None:
-        """Say in the same line what came before it."""
+        """Append an earlier event to the same line."""
         self.args = (f"{self}; before that, {text}",)
 
     def add_consequence(self, text: str) -> None:
-        """Say in the same line what comes of it."""
+        """Append a consequence to the same line."""
         self.args = (f"{self}; {text}",)
 
 
 class UnusableValueError(BenchFaultError, ValueError):
-    """A running bench was asked for a value that a quantity can't have; the bench is not changed."""
+    """A running bench was given a value that a quantity can't have; the bench is not changed."""
 
 
 class BenchNotRunningError(BenchFaultError, RuntimeError):
-    """Something was asked of a bench that has not been entered yet, or has been left."""
+    """A bench was used that has not been entered yet, or has been left."""
 
 
 class BusError(BenchFaultError):
@@ -85,7 +85,7 @@ class BusError(BenchFaultError):
 
 
 class EmergencyStopError(BenchFaultError):
-    """Somebody stopped the bench over the bus."""
+    """The bench was stopped over the bus."""
 
 
 class NoAnswerError(BenchFaultError):

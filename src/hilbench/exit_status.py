@@ -1,4 +1,4 @@
-"""How a process of hilbench ends: every error becomes one line on standard error and the exit code of its kind."""
+"""Exit of a process of hilbench: every error becomes one line on standard error and the exit code of its kind."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def ended(command: Callable[[], object]) -> int:
 
 @contextmanager
 def _threads_reported() -> Iterator[None]:
-    """What ends a thread that nobody waits for is reported as well, in one line."""
+    """Report an exception that ends a thread as well, in one line."""
 
     def report(ended: threading.ExceptHookArgs) -> None:
         if isinstance(ended.exc_value, Exception):

@@ -1,4 +1,4 @@
-"""Files that are read up to a size, or written for a person: what goes wrong (no space, no right) is one line."""
+"""Files that are read up to a size, or written for a person: an error (no space, no right) is one line."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from hilbench.errors import UnusableInputError
 
 
 def content(path: str | Path, most_bytes: int, *, kept: bool = False) -> bytes:
-    """Of a whole file. Raises OSError where it can't be read, UnusableInputError where it is larger.
+    """Content of a whole file. Raises OSError where it can't be read, UnusableInputError where it is larger.
 
-    `kept`: in a folder in which nothing but files counts: what would be waited for, such as a pipe, is refused.
+    `kept`: in a folder in which only regular files count: a pipe, say, which would block, is refused.
     """
     if kept:
         require_file(path)

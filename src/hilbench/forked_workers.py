@@ -1,8 +1,8 @@
-"""Copies of this process that become the processes beside a bench: what it has imported they need not import again.
+"""Copies of this process that become the other processes of a bench: imported modules need not be imported again.
 
-They are forked while nothing else runs in this process, have nothing of it but its memory (a session of their own, no
-open file, no handler of a signal), prepare themselves while it goes on, and wait. What becomes one then runs as
-``python -m`` would: the same words in its command line, the same streams, the same exit code. One that is not needed
+They are forked while no other thread runs in this process, share nothing with it but its memory (a session of their
+own, no open file, no signal handler), prepare themselves while it continues, and wait. The program that one becomes
+then runs as by ``python -m``: the same command line, the same streams, the same exit code. One that is not needed
 ends, also when this process is killed.
 """
 
@@ -44,14 +44,14 @@ class ForkedWorker:
         self.pid = pid
         self._reports = reports
         self.returncode: int | None = None
-        #: Its standard input; what it becomes hears by its end that this process is gone.
+        #: Its standard input; its end of file signals to the program that this process has ended.
         self.stdin = order
         self._end = os.pidfd_open(pid)
 
     def become(self, arguments: Sequence[str], log: Path, environment: Mapping[str, str]) -> None:
-        """Run what stands after ``python -m`` in `arguments`; what it says is added to `log`.
+        """Run the module and arguments after ``python -m`` in `arguments`; its output is added to `log`.
 
-        `environment`: variables that it gets beside those of this process. Raises OSError when it is gone.
+        `environment`: variables in addition to those of this process. Raises OSError when it has ended.
         """
         order = json.dumps([list(arguments), str(log.absolute()), dict(environment)])
         self.stdin.write(order.encode() + b"\n")
@@ -62,7 +62,7 @@ class ForkedWorker:
             self._reports.read()
 
     def poll(self) -> int | None:
-        """Its exit code, negative: the signal that ended it; None: it runs."""
+        """Exit code, negative: the signal that ended it; None: it runs."""
         if self.returncode is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             if pid:
@@ -89,7 +89,7 @@ class ForkedWorker:
     def _signal(self, number: int) -> None:
         if self.returncode is None:
             with suppress(ProcessLookupError):
-                os.kill(self.pid, number)  # nobody else has its id before it was waited for
+                os.kill(self.pid, number)  # the id is not reused before it was waited for
 
     def _ended(self, status: int) -> None:
         self.returncode = os.waitstatus_to_exitcode(status)
@@ -105,17 +105,17 @@ def _readable(descriptor: int, timeout_s: float) -> bool:
 
 @contextmanager
 def forked_workers(preparations: Mapping[str, Preparation]) -> Iterator[dict[str, ForkedWorker]]:
-    """Copies of this process as it is now, by name; take them from the dictionary. What is left in it ends on leaving.
+    """Copies of this process as it is now, by name; take them from the dictionary. Those left in it end on leaving.
 
-    Each calls what stands beside its name before it waits: what it will need has to be loaded then. That must change
-    nothing outside of the process; what it raises is left to whatever the copy becomes.
-    None where other threads run (what they have locked would stay locked in a copy), and none where this process has
-    its modules from an importer of its own that nothing can be run by, as under pytest.
+    Each calls its preparation before it waits, to load what it will need. That must change
+    nothing outside of the process; an exception in it is ignored, and left to the program that the copy becomes.
+    None where other threads run (their locks would stay locked in a copy), and none where this process has
+    its modules from an importer by which nothing can be run, as under pytest.
     """
     made: dict[str, ForkedWorker] = {}
     try:
         if threading.active_count() == 1 and hasattr(__spec__.loader, "get_code"):
-            with suppress(OSError):  # the system has no room for one: who starts a new interpreter is told that
+            with suppress(OSError):  # the system has no room for one: starting a new interpreter will report that
                 for name, prepare in preparations.items():
                     made[name] = _fork(prepare)
         yield made
@@ -148,7 +148,7 @@ def _fork(prepare: Preparation) -> ForkedWorker:
 
 
 def _wait_for_order(receives: int, reports: int, signals: Iterable[int], prepare: Preparation) -> NoReturn:
-    """The life of a copy: nothing of it goes back to who called `_fork`."""
+    """Run the life of a copy; it never returns to the caller of `_fork`."""
     code, has_left = EXIT_BENCH_FAULT, False
     try:
         os.setsid()  # Ctrl-C at the terminal is the bench's to handle
@@ -194,7 +194,7 @@ def _leave_files(receives: int, reports: int) -> None:
 
 
 def _leave_handlers() -> None:
-    """Signals as a new interpreter has them; what is ignored stays ignored."""
+    """Reset signal handlers to those of a new interpreter; ignored signals stay ignored."""
     signal.set_wakeup_fd(-1)
     for number in signal.valid_signals():
         if callable(signal.getsignal(number)):
@@ -229,7 +229,7 @@ def _become(arguments: list[str], log: str, environment: dict[str, str]) -> int:
         runpy.run_module(module, run_name="__main__", alter_sys=True)
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 0 if end.code is None else 1
-    except Exception as error:  # nobody foresaw it
+    except Exception as error:  # unexpected
         print(f"hilbench: {crash_report(error)}", file=sys.stderr)
         code = EXIT_BENCH_FAULT
     sys.stdout.flush()

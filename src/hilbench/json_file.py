@@ -28,7 +28,7 @@ class JsonFile(Strict):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read and check. Raises UnusableInputError: file, key, what was found."""
+        """Read and check. Raises UnusableInputError: file, key, value found."""
         try:
             return cls.model_validate_json(content(path, _MOST_BYTES, kept=True))
         except OSError as error:

@@ -1,7 +1,7 @@
-"""Standard output and error as they really are: terminals that know no UTF-8, pipes that close, disks that are full.
+"""Standard output and error in practice: terminals without UTF-8, pipes that close, disks that are full.
 
-What a stream's encoding does not have is written as one would type it (``>=`` for ≥). What can't be written at all is
-told once, as an `OutputError`; from then on nothing more is tried, so that a run can still stop its drives and write
+Characters that a stream's encoding lacks are replaced as one would type them (``>=`` for ≥). A failed write is
+raised once, as an `OutputError`; from then on nothing more is tried, so that a run can still stop its drives and write
 its result.
 """
 
@@ -21,7 +21,7 @@ from hilbench.errors import BenchFaultError
 if TYPE_CHECKING:
     from typing_extensions import Buffer
 
-#: How one types what ASCII does not have, where its decomposition (² → 2) would not say the same.
+#: Replacements of characters that ASCII lacks, where their decomposition (² → 2) would mean something else.
 _TYPED: Final = {
     "·": "*",
     "×": "x",
@@ -62,7 +62,7 @@ _NAME: Final = "hilbench-typed"
 
 
 class OutputError(BenchFaultError):
-    """Standard output can't be written: nobody can be told anything any more."""
+    """Standard output can't be written: no message reaches the user any more."""
 
 
 def _typed(error: UnicodeError) -> tuple[str, int]:
@@ -138,7 +138,7 @@ def _honest(stream: TextIO, problems: list[OutputError] | None) -> TextIO:
 
 
 def hold_standard_descriptors() -> None:
-    """Open what is closed of 0, 1 and 2: or the next file or socket would become standard output."""
+    """Open those of 0, 1 and 2 that are closed: or the next file or socket would become standard output."""
     descriptor = 0
     while descriptor <= 2:
         descriptor = os.open(os.devnull, os.O_RDWR)

@@ -1,6 +1,6 @@
-"""The processes beside the bench: simulated hardware and twin; they start with it and never outlive it.
+"""Child processes of a bench: simulated hardware and twin; they start with it and never outlive it.
 
-A child ends on SIGTERM, and by itself when its standard input closes, which the kernel does for us however the
+A child ends on SIGTERM, and by itself when its standard input closes, which the kernel does in whatever way the
 bench dies.
 """
 
@@ -26,10 +26,10 @@ _END_TIMEOUT_S = 5.0
 
 
 class ChildProcess:
-    """One process beside the bench, by its arguments after ``python -m``; what it says goes to a log file.
+    """A child process of the bench, by its arguments after ``python -m``; its output goes to a log file.
 
-    `pass_fds`: open files that it gets beside its standard ones, by the same numbers; it can't be started again then.
-    `environment`: variables that it gets beside those of this process. `copy`: becomes it, in place of a new
+    `pass_fds`: open files that it inherits in addition to its standard ones, by the same numbers; it can't be started
+    again then. `environment`: variables in addition to those of this process. `copy`: becomes it, in place of a new
     interpreter; one that is started again is a new one.
     Raises BenchFaultError when the system refuses to start it.
     """
@@ -44,7 +44,7 @@ class ChildProcess:
         copy: ForkedWorker | None = None,
     ) -> None:
         self.name = name
-        #: Frames it lost because it did not read in time; None: it has not ended in order, or its bus cannot tell.
+        #: Frames it lost because it did not read in time; None: it has not ended in order, or its bus does not count.
         self.lost_frames: int | None = None
         self._log_path = log_path
         self._arguments = list(arguments)
@@ -60,7 +60,7 @@ class ChildProcess:
         try:
             with self._log_path.open("ab") as log:
                 if copy is not None:
-                    with suppress(BrokenPipeError):  # it is gone
+                    with suppress(BrokenPipeError):  # it has ended
                         copy.become(self._arguments, self._log_path, self._environment)
                         return copy
                     copy.stdin.close()
@@ -85,22 +85,22 @@ class ChildProcess:
         self._process = self._start()
 
     def wait_until_prepared(self) -> None:
-        """Wait until it has loaded what it runs on, as far as it is a copy."""
+        """Wait until it has loaded its modules, if it is a copy."""
         if isinstance(self._process, ForkedWorker):
             self._process.wait_until_prepared()
 
     @property
     def ended(self) -> bool:
-        """Whether it has ended by itself, or was killed."""
+        """True if it has ended by itself, or was killed."""
         return self._process.poll() is not None
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """Process id."""
         return self._process.pid
 
     def wait(self) -> int:
-        """Its exit code, once it has ended by itself."""
+        """Wait until it ends by itself; returns its exit code."""
         return self._process.wait()
 
     def check(self) -> None:
@@ -110,7 +110,7 @@ class ChildProcess:
             raise BenchFaultError(f"{self.name} ended by itself (exit code {code}): {self.last_words()}")
 
     def end(self) -> None:
-        """Ask it to end, insist when it does not; then `lost_frames` is known if it ended in order."""
+        """Terminate it, kill it if it does not end; then `lost_frames` is known if it ended in order."""
         if self._process.poll() is None:
             self._process.terminate()
             try:
@@ -137,32 +137,32 @@ _LOST_FRAMES = "lost frames:"
 
 
 def report_lost_frames(lost: int | None) -> None:
-    """For a child that ends in order: its last words, from which the bench knows what it has lost."""
+    """Print the lost frames as the last words of a child that ends in order, from which the bench knows them."""
     print(_LOST_FRAMES, "not known" if lost is None else lost, flush=True)
 
 
 def log(text: str) -> None:
-    """Into the log of a child."""
+    """Print into the log of a child."""
     print(text, flush=True)
 
 
-#: Set in a child's environment: its standard input is a pipe from the bench and says when the bench is gone.
+#: Set in a child's environment: its standard input is a pipe from the bench that closes when the bench ends.
 FOLLOW_PARENT = "HILBENCH_FOLLOW_PARENT"
 
 
 def started_by_bench() -> bool:
-    """For a child: whether a bench has started it, and it ends with the bench."""
+    """True in a child that a bench has started, and that ends with the bench."""
     return bool(os.environ.get(FOLLOW_PARENT))
 
 
 def end_signals() -> list[signal.Signals]:
-    """Those that ask a process to end: SIGINT, SIGTERM, and SIGHUP unless it is ignored (nohup)."""
+    """Signals that request the end of a process: SIGINT, SIGTERM, and SIGHUP unless it is ignored (nohup)."""
     asked = [signal.SIGINT, signal.SIGTERM]
     return asked if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else [*asked, signal.SIGHUP]
 
 
 def leave_terminal() -> None:
-    """After SIGHUP: what is said from now on goes nowhere, where a terminal has gone; writing to it would fail."""
+    """Discard output from now on, after SIGHUP, where a terminal has closed; writing to it would fail."""
     nowhere = os.open(os.devnull, os.O_RDWR)
     for descriptor in (0, 1, 2):
         if _leads_to_terminal(descriptor) and not os.isatty(descriptor):
@@ -171,7 +171,7 @@ def leave_terminal() -> None:
 
 
 def _leads_to_terminal(descriptor: int) -> bool:
-    """Also to one that has hung up: `isatty` says no of it."""
+    """True for a terminal, also for one that has hung up, for which `isatty` is false."""
     try:
         return os.readlink(f"/proc/self/fd/{descriptor}").startswith(("/dev/pts/", "/dev/tty"))
     except OSError:  # it was closed
@@ -179,7 +179,7 @@ def _leads_to_terminal(descriptor: int) -> bool:
 
 
 def stop_request() -> Callable[[], bool]:
-    """For a child: a function that says whether to end (SIGINT, SIGTERM, SIGHUP, or the parent is gone)."""
+    """Function for a child that returns true if it is to end (SIGINT, SIGTERM, SIGHUP, or the parent has ended)."""
     requested = threading.Event()
 
     def request(number: int, _: object) -> None:
@@ -202,7 +202,7 @@ def stop_request() -> Callable[[], bool]:
 
 @contextmanager
 def _handled_by(handler: Callable[[int, Any], None]) -> Iterator[Mapping[signal.Signals, Any]]:
-    """Meanwhile the signals that ask the process to end are this handler's; yields those they had before."""
+    """Handle the signals that request the end by this handler meanwhile; yields the previous handlers."""
     before = {number: signal.signal(number, handler) for number in end_signals()}
     try:
         yield before
@@ -213,7 +213,7 @@ def _handled_by(handler: Callable[[int, Any], None]) -> Iterator[Mapping[signal.
 
 @contextmanager
 def end_requests() -> Iterator[Callable[[], bool]]:
-    """Meanwhile the signals that ask the process to end only leave word: a function says whether one has come."""
+    """Only note the signals that request the end meanwhile; yields a function that is true once one has come."""
     asked = threading.Event()
 
     def ask(number: int, _frame: object) -> None:
@@ -226,9 +226,9 @@ def end_requests() -> Iterator[Callable[[], bool]]:
 
 
 class HeldSignals:
-    """Handler of the signals that ask the process to end, while something is finished.
+    """Handler of the signals that request the end of the process, while something is finished.
 
-    `asked`: the last that is still to act, set to None by who acts on it.
+    `asked`: the last that is still to act, set to None by the code that acts on it.
     """
 
     def __init__(self) -> None:
@@ -236,7 +236,7 @@ class HeldSignals:
         self._doing: list[tuple[str, float, Callable[[], bool]]] = []
 
     def __call__(self, number: int, _frame: object) -> None:
-        """Say what is finished first; straight to the descriptor, as the stream may be in the middle of a write."""
+        """Print what is finished first; straight to the descriptor, as the stream may be in the middle of a write."""
         if number == signal.SIGHUP:
             leave_terminal()
         what, began_s, at_once = self._doing[-1]
@@ -250,7 +250,7 @@ class HeldSignals:
 
     @contextmanager
     def doing(self, what: str, at_once: Callable[[], bool]) -> Iterator[HeldSignals]:
-        """Meanwhile this is what a signal waits for."""
+        """Set the work that a signal waits for meanwhile."""
         self._doing.append((what, time.monotonic(), at_once))
         try:
             yield self
@@ -260,9 +260,9 @@ class HeldSignals:
 
 @contextmanager
 def finishing(what: str, at_once: Callable[[], bool] = lambda: False) -> Iterator[HeldSignals]:
-    """Hold the signals that ask the process to end: each is told what it waits for, and acts afterwards.
+    """Hold the signals that request the end of the process: each reports what it waits for, and acts afterwards.
 
-    `at_once`: acts on one now, or says that it is to be held. One inside another holds them until the outer is done;
+    `at_once`: acts on one now, or returns false to hold it. One inside another holds them until the outer is done;
     in a thread other than the main one nothing is held.
     """
     outer = signal.getsignal(signal.SIGINT)

@@ -1,4 +1,4 @@
-"""What a value should have been, in a person's words: of pydantic's errors."""
+"""Readable text of the expected value in pydantic's errors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from pydantic_core import ErrorDetails
 
-#: By the type of an error, with what it says of the limit.
+#: Texts by the type of an error, with its limit.
 _WORDS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("float_type", "float_parsing"), "a number"),
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float", "int_parsing_size"), "a whole number"),
@@ -32,11 +32,11 @@ _WORDS: Final[Mapping[str, str]] = {
 
 
 def expected(details: ErrorDetails) -> str:
-    """What was expected, in one line; the message of a validator of ours as it is."""
+    """Expected value, in one line; the message of a validator of ours as it is."""
     limits = {name: _number(value) for name, value in details.get("ctx", {}).items()}
     try:
         return _WORDS[details["type"]].format(**limits)
-    except KeyError:  # of ours, or said by this function before
+    except KeyError:  # of ours, or already a text of this function
         message = details["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
         return " ".join(message.removeprefix("Input should be ").split())
 

@@ -1,4 +1,4 @@
-"""What a process asks of the operating system, and of Python, so that a cycle does not have to wait."""
+"""Real-time settings of a process in the operating system and in Python, so that a cycle does not have to wait."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-#: Beside which nice values of a process mean nothing where the kernel groups them by session (sched(7)).
+#: Nice value of the session's group (sched(7)): where the kernel groups by session, those of processes mean nothing.
 _AUTOGROUP = Path("/proc/self/autogroup")
 _LOWEST = 19
-#: For which a thread keeps the interpreter from a cycle, s: a twentieth of the shortest cycles.
+#: Longest time for which a thread keeps the interpreter from a cycle, s: a twentieth of the shortest cycles.
 _SWITCH_S = 5e-5
 
 # <asm-generic/mman.h>
@@ -26,8 +26,8 @@ _PR_SET_THP_DISABLE, _PR_GET_THP_DISABLE = 41, 42
 
 @contextmanager
 def for_good() -> Iterator[None]:
-    """What is imported and made inside stays as long as the process: the garbage collector neither looks for what of it
-    could go meanwhile, nor looks through it ever again."""
+    """Keep imports and objects made inside for the life of the process: the garbage collector does not run
+    meanwhile, and never scans them again."""
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -40,7 +40,7 @@ def for_good() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class ProcessSettings:
-    """What one process asks for; None: nothing (`lock_memory`: where it is permitted)."""
+    """Settings of one process; None: unchanged (`lock_memory`: where it is permitted)."""
 
     priority: int | None = None  #: of SCHED_FIFO, 1 to 99
     core: int | None = None
@@ -49,11 +49,11 @@ class ProcessSettings:
 
 @contextmanager
 def kept_ready(settings: ProcessSettings | None, report: Callable[[str], None]) -> Iterator[None]:
-    """Run what is inside, in the calling thread, as the settings ask; everything is as before afterwards.
+    """Run the body, in the calling thread, with the settings; all is as before afterwards.
 
-    What is not permitted is reported, in one line each, and left out. `settings` None (lockstep: nobody waits for a
-    clock): the garbage collector alone, which is out of the loop in any case, and comes when that is over. What is
-    allocated in a cycle goes by reference counts; a collection would only look through what was there before.
+    A setting that is not permitted is reported, in one line each, and left out. `settings` None (lockstep: no clock is
+    waited for): the garbage collector alone, which is off in the loop in any case, and on again after it. Memory
+    allocated in a cycle is freed by reference counts; a collection would only scan older objects.
     """
     collects = gc.isenabled()
     gc.disable()
@@ -91,7 +91,7 @@ def _pinned(core: int | None, report: Callable[[str], None]) -> Iterator[None]:
 
 
 def comes_first() -> bool:
-    """Whether this process comes before all that have no priority of real time, as soon as there is anything to do."""
+    """True if this process has a real-time priority, and so runs before all others as soon as it has work."""
     return os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR)
 
 
@@ -114,7 +114,7 @@ def _first(priority: int | None, report: Callable[[str], None]) -> Iterator[None
 
 @contextmanager
 def _locked(wanted: bool | None, report: Callable[[str], None]) -> Iterator[None]:
-    """A page that has to come back from disk costs more than a cycle (mlockall(2)).
+    """Lock memory (mlockall(2)): a page that has to come back from disk costs more than a cycle.
 
     What is allocated later is not locked, so that nothing fails for lack of lockable memory in the middle of a run.
     """
@@ -135,8 +135,8 @@ def _locked(wanted: bool | None, report: Callable[[str], None]) -> Iterator[None
 
 @contextmanager
 def _in_small_pages() -> Iterator[None]:
-    """Nobody puts memory of this process together to huge pages (prctl(2)), which numpy asks for: the kernel's thread
-    that does has a core for milliseconds on end, whoever waits for it."""
+    """Disable huge pages (prctl(2)) for memory of this process, which numpy enables: the kernel's thread
+    that merges them has a core for milliseconds on end, whatever waits for it."""
     libc = ctypes.CDLL(None)
     before = libc.prctl(_PR_GET_THP_DISABLE, 0, 0, 0, 0)
     libc.prctl(_PR_SET_THP_DISABLE, 1, 0, 0, 0)
@@ -147,19 +147,19 @@ def _in_small_pages() -> Iterator[None]:
 
 
 def give_way(taken: Collection[int] = (), *, before: int | None = None) -> None:
-    """For a process that may wait: from here on it gets what nobody else wants of one core, if there is one on none of
+    """Give way, in a process that may wait: use only idle time of one core from here on, if there is one on none of
     those that are `taken`.
 
     before: SCHED_FIFO priority of those that it gives way to. Where they have it they come first in any case, and it
-    has its share of what they leave on all of these cores, as others have: on a machine with other work what nobody
-    wants may be nothing.
+    has its share of the rest on all of these cores, as others have: on a machine with other work there may be no
+    idle time.
     """
     ctypes.CDLL(None).prctl(_PR_SET_THP_DISABLE, 1, 0, 0, 0)  # see `_in_small_pages`
     permitted = os.sched_getaffinity(0)
     cores = permitted - set(taken) or permitted
     if before is None or not _may_have(before):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-        # A process that has a session of its own is in a group of its own, which is as good as any other.
+        # A process with a session of its own is in a group of its own, which has the weight of any other.
         with suppress(OSError):
             _AUTOGROUP.write_text(str(_LOWEST), encoding="ascii")
         cores = {max(cores)}
@@ -167,7 +167,7 @@ def give_way(taken: Collection[int] = (), *, before: int | None = None) -> None:
 
 
 def _may_have(priority: int) -> bool:
-    """Whether SCHED_FIFO with this priority is permitted."""
+    """True if SCHED_FIFO with this priority is permitted."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError:
@@ -177,9 +177,9 @@ def _may_have(priority: int) -> bool:
 
 
 def right_behind(cycle_priority: int | None) -> None:
-    """In a thread that works in the interpreter of a cycle with this SCHED_FIFO priority, which does not wait for it:
-    it comes right behind the cycle, before all programs without a priority. Whoever waits for those and has the
-    interpreter's lock meanwhile would hold up the cycle; here the lock goes over within `_SWITCH_S`."""
+    """Run a thread right after the cycle, with whose interpreter it works; `cycle_priority`: SCHED_FIFO priority of the
+    cycle. It comes before all programs without a priority: waiting for those with the interpreter's lock
+    would hold up the cycle; here the lock is released within `_SWITCH_S`."""
     sys.setswitchinterval(_SWITCH_S)
     if cycle_priority is not None and cycle_priority > 1:
         with suppress(OSError):
@@ -187,15 +187,15 @@ def right_behind(cycle_priority: int | None) -> None:
 
 
 def beside_the_cycle(last: ProcessSettings | None) -> None:
-    """In a thread of a bench that has little to do, on any core; `last`: of the processes of the cycle that which comes
-    last, None in lockstep. Whoever wants the interpreter's lock back for a cycle waits until such a thread has run."""
+    """Run a thread of a bench that has little to do, on any core; `last`: settings of the last process of the cycle,
+    None in lockstep. Taking the interpreter's lock back for a cycle waits until such a thread has run."""
     if last is not None:
         leave_the_cycle()
         right_behind(last.priority)
 
 
 def leave_the_cycle() -> None:
-    """In a thread that is started from the cycle: the cycle's priority and core are not this one's."""
+    """Drop the cycle's priority and core, in a thread that is started from the cycle."""
     with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         os.sched_setaffinity(0, range(os.cpu_count() or 1))

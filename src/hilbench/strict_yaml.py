@@ -1,6 +1,6 @@
-"""YAML as a config file needs it: repeated keys refused, ``1e-3`` a number, every value with its line.
+"""YAML for config files: repeated keys refused, ``1e-3`` a number, every value with its line.
 
-Plain PyYAML keeps the last of two equal keys and reads ``1e-3`` as a string (it follows YAML 1.1,
+PyYAML by default keeps the last of two equal keys and reads ``1e-3`` as a string (it follows YAML 1.1,
 whose floats need a dot and a signed exponent); ``yes``/``no``/``on``/``off`` are strings here, as in YAML 1.2.
 """
 
@@ -76,9 +76,9 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456
 if yaml.__with_libyaml__:
 
     class _QuickLoader(yaml.CSafeLoader, _Loader):
-        """The same with libyaml's scanner and parser, in a fifth of the time: every process of a bench reads a config.
+        """Loader with libyaml's scanner and parser, in a fifth of the time: every process of a bench reads a config.
 
-        Blocks are put together as ever: libyaml does it as deep as they go, and its stack may not go so far.
+        Blocks are composed in Python: libyaml recurses as deep as they are nested, and its stack may not suffice.
         """
 
         get_single_node = yaml.composer.Composer.get_single_node
@@ -96,7 +96,7 @@ _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 def text_of(data: Any, **style: Any) -> str:
-    """Plain data as YAML, keys in their order; `style`: what else `yaml.dump` takes."""
+    """YAML text of data, keys in their order; `style`: further arguments of `yaml.dump`."""
     return str(yaml.dump(data, Dumper=_DUMPER, sort_keys=False, allow_unicode=True, **style))
 
 
@@ -109,8 +109,8 @@ class Document:
     places: Mapping[Location, str]
 
     def place(self, location: Sequence[str | int] = ()) -> str:
-        """Where the value at `location`, or the nearest enclosing value that was given, stands; of a block also the
-        options of the command line that changed something in it."""
+        """File and line of the value at `location`, or of the nearest enclosing value that was given; for a block also
+        the options of the command line that changed something in it."""
         known = tuple(location)
         while known and known not in self.places:
             known = known[:-1]
@@ -123,7 +123,7 @@ class Document:
         return f"{', '.join(inside)} in {place}" if inside and not place.startswith(_OPTION) else place
 
     def given(self, location: Sequence[str | int]) -> Location:
-        """`location` as far as the document has values: a union's alternatives, say, stand in no file."""
+        """`location` as far as the document has values: a union's alternatives, say, are in no file."""
         found: list[str | int] = []
         data = self.data
         for step in location:
@@ -197,7 +197,7 @@ def _merged(top: Any, base: Any) -> Any:
 
 
 def _replaced(top: Any, base: Any, location: Location = ()) -> list[Location]:
-    """Where a merge takes the whole value of `top`."""
+    """Locations at which a merge takes the whole value of `top`."""
     if not (isinstance(top, Mapping) and isinstance(base, Mapping)):
         return [location]
     return [found for key, value in top.items() for found in _replaced(value, base.get(key), (*location, key))]
@@ -213,7 +213,7 @@ def parse_value(text: str, place: str) -> Any:
 
 
 def _composed(text: str) -> tuple[_Loader, yaml.Node | None]:
-    """Who reads a text, and its root; None: nothing stands there. PyYAML's own parser says more of what is wrong."""
+    """Loader of a text, and its root; None: the text is empty. PyYAML's own parser has better error messages."""
     try:
         loader: _Loader = _QuickLoader(text)
         return loader, loader.get_single_node()
@@ -291,7 +291,7 @@ def validate(document: Document, model: type[Model], location: Location = ()) ->
 def _problems(
     document: Document, location: Location, model: type[BaseModel], error: ValidationError
 ) -> list[UnusableInputError]:
-    """One for each value that is wrong; the kinds of value that a key may have (a union) are one expectation."""
+    """Problems, one for each wrong value; the kinds of value that a key may have (a union) are one expectation."""
     by_value: dict[Location, list[ErrorDetails]] = {}
     for details in error.errors():
         if details["type"] == "default_factory_not_called":
@@ -307,7 +307,7 @@ def _problems(
 
 
 def _without_alternatives(model: type[BaseModel], loc: Location) -> Location:
-    """A location without the steps that name an alternative of a union of blocks: those stand in no file."""
+    """Location without the steps that name an alternative of a union of blocks: those are in no file."""
     found: list[str | int] = []
     for at, step in enumerate(loc):
         blocks = _blocks(model, found)
@@ -319,7 +319,7 @@ def _without_alternatives(model: type[BaseModel], loc: Location) -> Location:
 
 
 def _line(problem: UnusableInputError) -> tuple[str, int]:
-    """To sort by: the file of a place and its line; options of the command line come first."""
+    """Sort key: the file of a place and its line; options of the command line come first."""
     file, _, line = problem.place.rpartition(":")
     return (file, int(line)) if line.isdecimal() else ("", 0)
 
@@ -331,7 +331,7 @@ def _text(loc: Location, model: type[BaseModel], found: Sequence[ErrorDetails]) 
     if first["type"] == "missing":
         return f"'{key}' is missing"
     message = ", or ".join(dict.fromkeys(map(expected, found)))
-    if first["type"] == "value_error" and isinstance(first["input"], dict):  # a block: what of it says the message
+    if first["type"] == "value_error" and isinstance(first["input"], dict):  # a block: the message names the part
         message = message if "expected" in message.lower() else f"expected {message}"
         return f"'{key}': {message}" if loc else message
     text = f"'{key}' is {first['input']!r}, expected: {message}"
@@ -339,7 +339,7 @@ def _text(loc: Location, model: type[BaseModel], found: Sequence[ErrorDetails]) 
 
 
 def _instead(loc: Location, model: type[BaseModel]) -> str:
-    """What an unknown key may have been meant to be: one of its block, or one of that name elsewhere."""
+    """Suggestion for an unknown key: a key of its block, or one of that name elsewhere."""
     *block, name = map(str, loc)
     beside = {known for known_block in _blocks(model, loc[:-1]) for known in known_block.model_fields}
     if found := did_you_mean(name, beside):
@@ -365,7 +365,7 @@ def _blocks(model: type[BaseModel], location: Sequence[str | int]) -> list[type[
 
 
 def _kinds(annotation: Any) -> list[Any]:
-    """The alternatives of a type; what is annotated counts without its annotations."""
+    """Alternatives of a type; an annotated type counts without its annotations."""
     if get_origin(annotation) is Annotated:
         return _kinds(get_args(annotation)[0])
     if get_origin(annotation) in (Union, UnionType):

@@ -1,4 +1,4 @@
-"""A running bench: one object that an experiment steers cycle by cycle."""
+"""A running bench: the object that an experiment steers cycle by cycle."""
 
 from __future__ import annotations
 
@@ -70,19 +70,19 @@ class Bench:
     what `set` changes acts from the next cycle on. Leaving brings the drives to a stop (by quick stop when it is
     left through an exception), ends the processes and leaves the bus.
 
-    `tap` sees every frame on the bus; `work_folder` keeps the processes' config and logs (a temporary folder if not
-    given); `participants`: who brings the simulated hardware and the twin, this bench unless given otherwise;
-    `announce` gets what is being done, and the notices unless `warn` does; `journal` what the bench changes and no
+    `tap` receives every frame on the bus; `work_folder` keeps the processes' config and logs (a temporary folder if not
+    given); `participants`: where simulated hardware and twin run, started by this bench unless given otherwise;
+    `announce` gets progress messages, and the notices unless `warn` does; `journal` gets changes by the bench that no
     frame shows; `may_idle`: in lockstep with simulated nodes any time may pass between two cycles
     (`hilbench.bench.lifecycle.idle`).
-    A bench is the only master of its bus: one that has another is refused (UnusableInputError), with `force` only where
-    a program of this machine claims to be the master. `bus_is_held`: whoever made this bench is inside
-    `startup.held_bus` already. `forked_workers`: of this process, by the names of those that it starts
-    (`startup.processes_beside`).
+    A bench is the only master of its bus: a bus with another is refused (UnusableInputError), with `force` only where
+    a program of this machine claims to be the master. `bus_is_held`: the caller is inside
+    `startup.held_bus` already. `forked_workers`: copies of this process, by the names of the processes they become
+    (`startup.copies_beside`).
 
-    What an operator must know of a run that goes on collects in `notices`, counted by source and kind: warnings of the
-    limits, EMCY messages, a tension loop that opens or closes. A twin that is lost ends no run: the loop holds, and the
-    twin is taken back (after a start of its process, where the bench had started it) as soon as it is heard again.
+    `notices` collects events of a running run for the operator, counted by source and kind: limit warnings,
+    EMCY messages, a tension loop that opens or closes. Losing the twin ends no run: the loop holds, and the
+    twin is taken back (after a restart of its process, if the bench had started it) as soon as it answers again.
     """
 
     def __init__(
@@ -102,9 +102,9 @@ class Bench:
         forked_workers: dict[str, ForkedWorker] | None = None,
     ) -> None:
         self.config = config
-        self.timeliness = Timeliness((), config.cycle_time_s)  #: whose answers came late, since the drives were enabled
+        self.timeliness = Timeliness((), config.cycle_time_s)  #: late answers by sender, since the drives were enabled
         self.nodes: Nodes
-        self.model_changes: ModelChanges | None = None  #: what the diagnosis found while the bench ran; None: none did
+        self.model_changes: ModelChanges | None = None  #: findings of the live diagnosis; None: it was not running
         self.children: list[ChildProcess] = []
         self._observers = list(observers)
         self._tap = tap
@@ -219,7 +219,7 @@ class Bench:
         return self._drives
 
     def _start_diagnosis(self) -> None:
-        """The process that diagnoses beside the run, where the config asks for one: it loads while others do."""
+        """Start the process of the live diagnosis, where the config asks for one: it loads while others do."""
         config = self.config
         if config.twin.live_diagnosis is None:
             return
@@ -230,7 +230,7 @@ class Bench:
         self._resources.callback(self._live.end)
 
     def _diagnosis_beside(self, nodes: Nodes, exchange: Exchange) -> ModelChanges | None:
-        """What looks after the diagnosis while the bench runs, where the config asks for it."""
+        """Task that follows the live diagnosis, where the config asks for it."""
         config, live = self.config, self.config.twin.live_diagnosis
         if live is None or self._live is None:
             return None
@@ -269,14 +269,14 @@ class Bench:
                 self._leave()
 
     def _ask_the_twin(self) -> None:
-        """What it has found of errors of its model; a twin that is gone, or does not say, has found nothing."""
+        """Read the model errors that the twin has found; none from a twin that is away or does not answer."""
         if self._state.twin.away:
             return
         with suppress(BenchFaultError, ValueError):
             self.found_beside = read_text(self.nodes.twin_found())
 
     def _safe_stop(self, reason: BaseException | None) -> None:
-        if isinstance(reason, NoAnswerError):  # of a process that is gone its last words say why
+        if isinstance(reason, NoAnswerError):  # last words of an ended process give the reason
             for child in self.children:
                 if child.ended:
                     reason.add_cause(f"{child.name} ended by itself: {child.last_words()}")
@@ -299,7 +299,7 @@ class Bench:
     def _unexpected(self, error: Exception) -> str:
         return crash_report(error, self._work_folder / TRACEBACK_FILE if self._work_folder else None)
 
-    # -- what it is doing --------------------------------------------------------------------------------
+    # -- state and notices -------------------------------------------------------------------------------
 
     @property
     def last(self) -> CycleSample:
@@ -313,7 +313,7 @@ class Bench:
 
     @property
     def twin_refusals(self) -> int | None:
-        """How often torques and encoders have opened a tension loop, as of `TwinState`."""
+        """Number of times that torques and encoders have opened a tension loop, see `TwinState`."""
         return self._state.twin.refusals
 
     def note(self, source: str, text: str) -> None:
@@ -322,7 +322,7 @@ class Bench:
 
     @property
     def notices(self) -> Notices:
-        """What an operator must know of the run."""
+        """Notices to the operator of the run."""
         return self._state.reports.notices
 
     @property
@@ -332,22 +332,22 @@ class Bench:
 
     @property
     def enabled(self) -> bool:
-        """Whether the drives are enabled, and the experiment's time goes on."""
+        """True if the drives are enabled, and the experiment's time advances."""
         return self._state.enabled
 
     @property
     def stopping(self) -> bool:
-        """Whether the drives are being brought to a stop."""
+        """True if the drives are being brought to a stop."""
         return self._state.stopping
 
     @property
     def fault_time_s(self) -> float | None:
-        """When what led to the safe state was seen."""
+        """Time at which the cause of the safe state was detected."""
         return self._state.fault_time_s
 
     @property
     def safe_state_problems(self) -> list[str]:
-        """What kept the bench from confirming the safe state."""
+        """Problems that kept the bench from confirming the safe state."""
         return self._state.safe_state_problems
 
     def request_interrupt(self) -> None:
@@ -355,14 +355,14 @@ class Bench:
         self._state.interrupt_requested = True
 
     def foresee(self, plan: Plan) -> None:
-        """What will be asked of the bench from now on, as far as its experiment knows; a look ahead goes by it."""
+        """Set the planned moves of the experiment; predictions use them."""
         self._plan = plan
 
     def refuse_if_predicted(self, path: str, to: float, duration_s: float, above: float) -> None:
-        """Look ahead as if a quantity went to `to` from now on; cycles run until the outlook is there.
+        """Predict a move of a quantity to `to` from now on; cycles run until the prediction is there.
 
         Raises PredictedLimitError when a trip level would be crossed with a probability above `above`, BenchFaultError
-        when nothing can be said (the twin is not synchronized), UnusableValueError where the config asks for no
+        when there is no prediction (the twin is not synchronized), UnusableValueError where the config asks for no
         prediction.
         """
         prediction = self.prediction
@@ -371,7 +371,7 @@ class Bench:
         prediction.refuse_if_predicted(path, to, duration_s, above, self.cycle)
 
     def _asked(self) -> Asked:
-        """What is asked of the machine, by whomever."""
+        """Present values, planned moves and ceilings of the quantities, for predictions."""
         config, reference, now_s = self.config, self._machine.reference, self.time_s
         plan, goal = self._plan, reference.goal
         if goal is not None:
@@ -422,7 +422,7 @@ class Bench:
         self._operator.follow(path, values, self)
 
     def cycles_at_once(self, most: int) -> int:
-        """Run at most so many cycles without Python, from the next one on; how many, 0 where that is not to be run so.
+        """Run up to `cycles` compiled, from the next one on. Returns the number run; 0 if the next one needs Python.
         Raises as `cycle`."""
         self._state.running()
         return self._cycle.run_compiled(most)
@@ -490,9 +490,9 @@ class Bench:
         self._operator.step(path, to)
 
     def restart_twin(self) -> None:
-        """Reset the twin under way: it finds motion, tension and E anew, and the tension loop stays open until then.
+        """Reset the twin during the run: it finds motion, tension and E anew; the tension loop stays open until then.
 
-        In real time the bench goes on meanwhile; in lockstep the bus stands still.
+        In real time the bench goes on meanwhile; in lockstep no cycle runs.
         """
         self._state.running()
         self._twin.reset()
@@ -500,7 +500,7 @@ class Bench:
             self.cycle()
 
     def use_synchronizer(self, method: str) -> None:
-        """Let the twin go on with another method from its present E.
+        """Switch the twin to another synchronization method, from its present E.
 
         Raises UnusableValueError for an unknown one, and for a machine whose twin has one method.
         """

@@ -1,10 +1,10 @@
-"""Which cycles the PDO set of a bench fits: on its one wire, and what it would be on others.
+"""Cycle times that the PDO set of a bench fits: on its one wire, and on other bus layouts.
 
 Lockstep needs a wire that is not full. In real time the set points go out in the part of the cycle that the exchange
 keeps for them at its end, and the answers come in the rest: each frame, at worst (`hilbench.bench.schedule`). On two
 wires, each with a SYNC, every axis is with its load motor and its virtual axis on one of them: a virtual axis still
-hears what its axis is told. The twin is on both. With the twin on a wire of its own it hears the other one as well;
-what it says and what it is told is not there. As CAN FD frames the same PDOs go out at another bit rate from the data
+receives its axis's RPDOs. The twin is on both. With the twin on a wire of its own it receives the other one as well;
+its own PDOs are not there. As CAN FD frames the same PDOs are sent at another bit rate from the data
 length on.
 """
 
@@ -29,7 +29,7 @@ FD_BITRATE = 5_000_000
 
 @dataclass(frozen=True)
 class BusOption:
-    """One way to lay the wires: bit times (of the nominal bit rate) of a cycle at worst on each, and the least cycle
+    """A bus layout: worst-case bit times (of the nominal bit rate) of a cycle on each wire, and the least cycle
     that it fits, s. `usable`: a bench can be run on it."""
 
     layout: str
@@ -54,7 +54,7 @@ class BusOptions:
 
 
 def bus_options(config: BenchConfig, nodes: Nodes) -> BusOptions:
-    """What the PDO set takes on each."""
+    """Load of the PDO set on each bus layout."""
     frames = nodes.cyclic_frames()
     one = _option(config, f"one wire of {config.bus.bitrate} bit/s", {"one wire": frames})
     return BusOptions(
@@ -70,14 +70,14 @@ def _everywhere(frames: Sequence[CyclicFrame]) -> list[CyclicFrame]:
 
 
 def _twin_apart(config: BenchConfig, frames: Sequence[CyclicFrame]) -> dict[str, Sequence[CyclicFrame]]:
-    """The virtual nodes' frames on a wire of their own; a virtual axis is told nothing but what its axis is."""
+    """Frames by wire with the virtual nodes' on a wire of their own; a virtual axis only receives its axis's RPDOs."""
     everywhere = _everywhere(frames)
     theirs = [f for f in frames if f not in everywhere and f.can_id & ~FUNCTION_CODE in config.virtual_nodes]
     return {"drives": [frame for frame in frames if frame not in theirs], "twin": [*everywhere, *theirs]}
 
 
 def _fd_bits(config: BenchConfig) -> BitsOf:
-    """Of a frame each time that it goes out, if it were one of CAN FD."""
+    """Bit times of a frame if it were sent as CAN FD."""
 
     def bits(frame: CyclicFrame) -> float:
         slow, fast = worst_case_fd_bits(frame.data_bytes, bool(frame.can_id & EXTENDED_FLAG))
@@ -102,7 +102,7 @@ def _shared(config: BenchConfig, frames: Sequence[CyclicFrame]) -> dict[str, Seq
 
 
 def _bits(frames: Sequence[CyclicFrame], bits_of: BitsOf = bits_on_wire) -> float:
-    """In a cycle, on average."""
+    """Bit times in a cycle, on average."""
     return sum(frame.per_cycle * bits_of(frame) for frame in frames)
 
 

@@ -1,4 +1,4 @@
-"""What must hold before anything starts: EDS files, PDO maps, bus capacity, stability; errors name file and line."""
+"""Checks before anything starts: EDS files, PDO maps, bus capacity, stability; errors name file and line."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from hilbench.topology.parts import Role
 
 @dataclass(frozen=True)
 class CheckedBench:
-    """What the check found."""
+    """Result of the check."""
 
     load: BusLoad
     frames_per_cycle: float
-    notes: list[str]  #: what can be run, and will not be good
-    options: BusOptions  #: what the PDO set takes on the bench's wire, and on others
-    fmus: list[str]  #: what was found in FMUs
-    schedule: list[Slot]  #: who sends when in a cycle, at worst
+    notes: list[str]  #: what can be run, but not well
+    options: BusOptions  #: load of the PDO set on the bench's wire, and on other bus layouts
+    fmus: list[str]  #: findings in FMUs
+    schedule: list[Slot]  #: worst-case schedule of a cycle
 
 
 def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
@@ -109,7 +109,7 @@ def _check_axes(config: BenchConfig, document: Document) -> None:
 
 
 def _check_drives(config: BenchConfig, document: Document, nodes: Nodes) -> None:
-    """Every drive has what it is configured by, and a virtual axis understands the frames that it listens to."""
+    """Check that every drive has the objects needed, and that a virtual axis can decode its axis's RPDOs."""
     for part in config.parts:
         od = nodes.dictionary(part.name)
         missing = lacking(drive_settings(config, part, od), od) if part.role is not Role.VIRTUAL_IO else []

@@ -1,4 +1,4 @@
-"""Many cycles of a bench in one call, where nothing of them is Python's."""
+"""Many cycles of a bench in one compiled call."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LEAST = 2
 
 
 class CompiledCycles:
-    """The cycles of a bench as a chain, whose pieces are those of its tasks, in the order in which they run.
+    """The cycles of a bench as a program, whose stages are those of its tasks, in the order in which they run.
 
     `finish`: run the rest of a cycle in which nothing but set points is there yet.
     """
@@ -46,7 +46,7 @@ class CompiledCycles:
         self._shown = {output: signal for each in self._machine for output, signal in each.shown.items()}
 
     def run(self, cycles: int) -> int:
-        """At most so many; how many, 0 where the next one is not to be run so. Raises as `BenchCycle.run`."""
+        """Run up to `cycles` compiled. Returns the number run; 0: the next needs Python. Raises as `BenchCycle.run`."""
         if not self._possible:
             return 0
         with self._exchange.chained(self._state.sample, self._shown) as plain:
@@ -66,7 +66,7 @@ class CompiledCycles:
         return done + left
 
     def _run(self, plain: ExchangeStages, cycles: int) -> tuple[int, bool]:
-        """How many were run whole, and whether a further one has set points."""
+        """Number of cycles completed, and True if a further one has its set points already."""
         chain, left = self._chain_of(plain), False
         stopped: int | None = None
         try:
@@ -81,7 +81,7 @@ class CompiledCycles:
         return chain.done, left
 
     def _pass(self, plain: ExchangeStages, done: int, stopped: int | None) -> None:
-        """Who counts cycles learns of them; of one that something has ended those whose turn was before that, too."""
+        """Report the cycles run to their counters; of an aborted one only to those whose stage was reached."""
         plain.passed()
         for each, turn in zip(self._parts, self._turns, strict=True):
             each.went(done + (stopped is not None and turn <= stopped))

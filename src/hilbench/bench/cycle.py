@@ -1,6 +1,6 @@
-"""One cycle of a running bench: the tasks of its machine around the exchange with the nodes, and what watches the run.
+"""One cycle of a running bench: the tasks of its machine around the exchange with the nodes, and the run's watches.
 
-Nothing here knows what machine it is: set points and measurements pass through by name.
+It is independent of the kind of machine: set points and measurements pass through by name.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class BenchCycle:
     """The cycle of one bench whose nodes are operational.
 
     `machine`: the tasks of the machine, in each exchange; `watches`: those of the run, in each cycle of the experiment;
-    `stop_on_unexpected_frames`: frames that only somebody else can have sent are a fault.
+    `stop_on_unexpected_frames`: frames that only a foreign sender can have sent are a fault.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class BenchCycle:
         self._in_cycle = False
 
     def run(self) -> CycleSample:
-        """One cycle of the experiment. Raises BenchFaultError on faults and limits, InterruptedByOperatorError."""
+        """Run a cycle of the experiment. Raises BenchFaultError on faults and limits, InterruptedByOperatorError."""
         self._in_cycle = True
         try:
             return self._run()
@@ -64,7 +64,7 @@ class BenchCycle:
             self._in_cycle = False
 
     def run_many(self, cycles: int) -> None:
-        """So many, one by one where they must be. Raises as `run`."""
+        """Run so many cycles, compiled where possible. Raises as `run`."""
         while cycles > 0:
             gone = self.run_compiled(cycles)
             if not gone:
@@ -73,7 +73,7 @@ class BenchCycle:
             cycles -= gone
 
     def run_compiled(self, cycles: int) -> int:
-        """At most so many without Python; how many, 0 where the next one is not to be run so. Raises as `run`."""
+        """Run up to `cycles` compiled. Returns the number run; 0 if the next one needs Python. Raises as `run`."""
         if not self._state.enabled or self._state.interrupt_requested:
             return 0
         chained = self._chained or self._chain()
@@ -91,7 +91,7 @@ class BenchCycle:
         return self._chained
 
     def stay_alive(self, silence_s: float) -> None:
-        """From another thread, between two cycles; one that hangs is for the supervisor."""
+        """Send a heartbeat from another thread between two cycles; a cycle that hangs is left to the supervisor."""
         if not self._in_cycle:
             self._exchange.stay_alive(silence_s)
 
@@ -104,7 +104,7 @@ class BenchCycle:
         return self._see(self.exchange())
 
     def _finish(self, outputs: Outputs) -> None:
-        """A cycle whose set points are there already, as they are `outputs`."""
+        """Run the rest of a cycle whose set points are computed."""
         self._see(self._exchange_with(outputs))
 
     def _see(self, inputs: Inputs) -> CycleSample:
@@ -116,9 +116,9 @@ class BenchCycle:
         return sample
 
     def exchange(self, instead: Mapping[str, float] | None = None) -> Inputs:
-        """Set points and SYNC out, measurements in; the machine's tasks rest while the drives are not enabled.
+        """Set points and SYNC out, measurements in; the machine's tasks rest while the drives are disabled.
 
-        `instead`: outputs in the place of what the tasks say.
+        `instead`: outputs that replace those of the tasks.
         """
         state = self._state
         sample, outputs = state.sample, Outputs()
@@ -144,7 +144,7 @@ class BenchCycle:
         return inputs
 
     def _report(self, crash_report: Sequence[Unexpected]) -> None:
-        """Somebody else who sends as the bench or its nodes do, or changes them."""
+        """Report foreign frames: another sender that sends as the bench or its nodes do, or changes them."""
         reports = self._state.reports
         for found in crash_report:
             source = f"foreign frames, {found.about}"

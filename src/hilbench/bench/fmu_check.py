@@ -1,4 +1,4 @@
-"""What a check says of the FMUs in a config: what was found in them, and what that means for the bench."""
+"""Check of the FMUs in a config: findings in them, and their consequences for the bench."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FOUND = ("inertia_kg_m2", "coulomb_friction_Nm", "viscous_friction_Nm_s_per_rad
 
 
 def fmu_findings(config: BenchConfig) -> list[str]:
-    """One line for each thing found, none for a bench without FMUs."""
+    """Findings in the FMUs, a line each; empty for a bench without FMUs."""
     machine, load = config.machine, config.load.fmu
     lines = _of_axis(machine) if isinstance(machine, FmuAxisParameters) else []
     return lines if load is None else lines + _of_load(load, config)
@@ -63,7 +63,7 @@ def _of_load(load: FmuLoadConfig, config: BenchConfig) -> list[str]:
 
 
 def step_findings(block: FmuBlock, natural_s: float) -> list[str]:
-    """How an FMU goes through time, where that is not as its user does."""
+    """Finding on an FMU's communication step, where it differs from its user's step."""
     step_s = block.communication_step_s(natural_s)
     if step_s is None or abs(step_s - natural_s) < 1e-9 * natural_s:
         return []

@@ -1,4 +1,4 @@
-"""Who sees a run as it happens."""
+"""Interface of observers that see a run as it happens."""
 
 from __future__ import annotations
 
@@ -20,4 +20,4 @@ class CompiledObserver(Protocol):
     """An observer that need not see a cycle by itself."""
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """What it does in cycles that go without Python."""
+        """Compiled stages of the observer."""

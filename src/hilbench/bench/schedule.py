@@ -1,10 +1,10 @@
-"""Who sends when in a cycle, at worst: SYNC, then the answers as CAN arbitrates them, set points before the next SYNC.
+"""Worst-case schedule of a cycle: SYNC, the answers as CAN arbitrates them, set points before the next SYNC.
 
 All devices have their answers ready at SYNC; the lowest identifier goes first, and a frame that has begun is not
 interrupted. So an answer is over, at the latest, after SYNC, the longest frame of a lower priority (which had just
 begun), all answers of a higher priority and itself, every possible stuff bit counted: the response time of a frame
 that is sent once a period (Davis, Burns, Bril, Lukkien: Controller Area Network (CAN) schedulability analysis, 2007).
-A frame that is not in every cycle counts whole. Set points go out when the answers are over, or are not waited for any
+A frame that is not in every cycle counts whole. Set points are sent when the answers are over, or not waited for any
 longer; a heartbeat may have begun then. Emergencies and SDO transfers are no part of a cycle.
 """
 
@@ -33,7 +33,7 @@ class Slot:
 
     @property
     def fits(self) -> bool:
-        """Whether it is in time in each cycle."""
+        """True if it is in time in each cycle."""
         return self.ends_s <= self.due_s
 
 
@@ -48,7 +48,7 @@ def schedule(
     bitrate: int,
     bits_of: Callable[[CyclicFrame], float] = bits_on_wire,
 ) -> list[Slot]:
-    """Of all frames of a cycle (`Nodes.cyclic_frames`), in the order of the wire: SYNC and answers, then set points.
+    """Schedule all frames of a cycle (`Nodes.cyclic_frames`) in the order of the wire: SYNC, answers, then set points.
     `bits_of`: bit times of a frame."""
     rpdos = [frame for frame in frames if frame.can_id & FUNCTION_CODE in RPDOS]
     at_any_time = [frame for frame in frames if frame.can_id & FUNCTION_CODE == HEARTBEAT]
@@ -56,7 +56,7 @@ def schedule(
     slots: list[Slot] = []
     before = 0.0
     for place, frame in enumerate(answers):
-        # Nobody sends before SYNC what answers it, but a heartbeat may have begun.
+        # No answer is sent before SYNC, but a heartbeat may have begun.
         lower = [*at_any_time, *(answers[place + 1 :] if frame.can_id != SYNC else [])]
         blocked = max((bits_of(other) for other in lower), default=0.0)
         ends_s = (before + blocked + bits_of(frame)) / bitrate

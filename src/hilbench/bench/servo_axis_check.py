@@ -1,4 +1,4 @@
-"""What must hold of a bench with a servo axis: its load motor can emulate the inertia of the machine."""
+"""Checks of a bench with a servo axis: its load motor can emulate the inertia of the machine."""
 
 from __future__ import annotations
 

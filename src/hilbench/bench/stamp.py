@@ -1,4 +1,4 @@
-"""The numbers of a cycle in its sample: which it is, when it was, its bits on the bus, the age of the twin's answer."""
+"""Cycle numbers in a sample: count, time, bits on the bus, age of the twin's answer."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _stamp(_: int, table: Table) -> int:
 
 
 class Stamp:
-    """Of the samples of one bench, after each exchange."""
+    """Stamps the samples of one bench, after each exchange."""
 
     def __init__(self, state: BenchState, exchange: Exchange) -> None:
         self._state, sample = state, state.sample
@@ -44,11 +44,11 @@ class Stamp:
         self._at = self._began.data
         places = type(sample).places(_NUMBERS)
         kept = exchange.counted, self._began, np.array([state.cycle_s]), sample.reals, sample.wholes, places
-        #: The same as a piece of a cycle, which goes by the last `begin`.
+        #: Compiled stage that stamps, by the last `begin`.
         self.piece = CompiledStage(_stamp, 0, table_of(kept), fallback=never, keeps=kept)
 
     def __call__(self) -> None:
-        """Of this cycle."""
+        """Stamp this cycle's sample."""
         self.begin()
         self.piece()
 

@@ -1,4 +1,4 @@
-"""What the parts of a bench (lifecycle, cycle, operator, tasks) know in common."""
+"""State shared by the parts of a bench (lifecycle, cycle, operator, tasks)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _WHERE = {"made": "has not been entered", "running": "has been entered already",
 
 
 class Reports:
-    """What is reported of a run that goes on: notices for the operator, and what may have led to a fault.
+    """Reports of a running run: notices for the operator, and possible causes of a fault.
 
     The time of both is that of the last sample.
     """
@@ -29,26 +29,26 @@ class Reports:
         self._sample = sample
 
     def note(self, source: str, text: str, *, kind: str = "", count: int = 1) -> None:
-        """Something that an operator must know, as in `Notices.note`."""
+        """Note an event for the operator, see `Notices.note`."""
         self.notices.note(self._sample.t_s, source, text, kind=kind, count=count)
 
     def condition(self, kind: str, text: str) -> None:
-        """Something that holds now and may be why a fault comes, as in `Causes.holds`."""
+        """Report a condition that holds now and may cause a fault, see `Causes.holds`."""
         self.causes.holds(self._sample.t_s, kind, text)
 
 
 @dataclass
 class TwinState:
-    """Whether the bench counts on its twin, as `hilbench.bench.tasks.twin_connection` finds it."""
+    """State of the bench's twin, kept by `hilbench.bench.tasks.twin_connection`."""
 
-    away: bool = False  #: it is gone, or not taken back yet
+    away: bool = False  #: it is lost, or not taken back yet
     why: str = ""  #: why it was lost last
     started_cycle: int = 0  #: the SYNC before that which it counts as its first
     back_cycle: int = 0  #: in which it was taken back
-    refusals: int | None = None  #: how often a second opinion has opened a tension loop; None: nobody has one
+    refusals: int | None = None  #: number of tension loops opened by `TensionWatch`; None: there is no watch
 
     def fresh(self, sample: CycleSample) -> bool:
-        """Whether the twin's data in a sample are of now: one from before it was taken back may still tell the old."""
+        """True if the twin's data in a sample are current: one from before it was taken back may repeat old ones."""
         return not self.away and sample.cycle > self.back_cycle
 
 
@@ -61,9 +61,9 @@ class BenchState:
     announce: Callable[[str], None]
     journal: Callable[[Change], None]
     phase: Literal["made", "running", "ended"] = "made"
-    enabled: bool = False  #: the drives are, and the experiment's time goes on
+    enabled: bool = False  #: the drives are, and the experiment's time advances
     stopping: bool = False
-    #: Of the speeds that the tasks plan so much is left while the axes are brought to rest in the ratio of these.
+    #: Factor on the speeds that the tasks plan, while the axes are brought to rest in the ratio of these.
     speed_share: float = 1.0
     interrupt_requested: bool = False
     first_cycle: int = 0  #: number of the first cycle with all drives enabled

@@ -1,4 +1,4 @@
-"""What must hold of a web line before anything starts: set-points, stability, what the drives' units are in tension."""
+"""Checks of a web line before anything starts: set-points, stability, resolution of the drives' units in tension."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from hilbench.strict_yaml import Document, Location
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
 
-#: Share of the usual tension that one unit of a drive may stand for without a note.
+#: Share of the usual tension that one unit of a drive may represent without a note.
 _COARSE = 0.0125
-#: Relative difference of E that is none.
+#: Relative difference of E that is negligible.
 SAME_MODULUS = 0.01
 
 
@@ -50,7 +50,7 @@ def _check_set_point(config: BenchConfig, document: Document) -> None:
 
 
 def _slow_stop(config: BenchConfig) -> list[str]:
-    """The axis that keeps a line from stopping as fast as is asked for."""
+    """Note on the axis that keeps a line from stopping as fast as configured."""
     asked, found = config.safety.quick_stop_m_s2, config.quick_stop_per_s2
     if not found < asked:
         return []
@@ -64,7 +64,7 @@ def _slow_stop(config: BenchConfig) -> list[str]:
 def _unmatched_loads(config: BenchConfig) -> list[str]:
     """Axes of the simulated hardware at which the twin's machine and the stand differ in whether the web pulls.
 
-    Of two rollers the first alone is what it takes to keep a tension; its load is left out more often than not.
+    Of two rollers the first alone is needed to keep a tension; its load is left out more often than not.
     """
     notes, loaded = [], config.loaded_axes
     for part in config.parts_of(Role.AXIS):
@@ -84,7 +84,7 @@ def _unmatched_loads(config: BenchConfig) -> list[str]:
 
 
 def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
-    """What one unit of an axis' position or velocity is in web tension, where that is coarse beside the usual one."""
+    """Notes on axes whose unit of position or velocity is coarse in web tension, compared to the usual one."""
     model, notes = config.web_line, []
     for part in config.parts_of(Role.AXIS):
         axis = part.axis or 1
@@ -146,17 +146,17 @@ def operating_point_text(point: OperatingPoint) -> str:
 
 
 def alike(some: Moduli, others: Moduli) -> bool:
-    """Whether E of the spans differs by nothing that matters."""
+    """True if E of the spans differs only negligibly."""
     return all(abs(one / other - 1.0) <= SAME_MODULUS for one, other in zip(some, others, strict=True))
 
 
 def _moduli_text(moduli_Pa: Moduli) -> str:
-    """One number where all spans have the same."""
+    """Text of the moduli; a single number where all spans have the same."""
     return ", ".join(dict.fromkeys(f"{modulus * 1e-6:.4g}" for modulus in moduli_Pa))
 
 
 def _check_stiffness(config: BenchConfig, document: Document, point: OperatingPoint, where: Location) -> None:
-    """Each load motor by itself, with what the web runs over beside its roller held: nothing that moves is stiffer."""
+    """Check each load motor by itself, with the rollers next to its own held: the stiffest case."""
     for axis, reserve in stiffness_reserves(config, point).items():
         if reserve < 1.0:
             raise UnusableInputError(
@@ -169,10 +169,10 @@ def _check_stiffness(config: BenchConfig, document: Document, point: OperatingPo
 
 
 def stiffness_reserves(config: BenchConfig, point: OperatingPoint) -> dict[int, float]:
-    """By axis the largest stiffness of a web that its load motor emulates stably by itself, over that of the emulated.
+    """Stiffness reserve by axis: largest web stiffness that its load motor emulates stably, over the emulated one.
 
-    Of driven rollers alone, which swing against each other, each is held by what the stiffest of their modes has; with
-    other rollers between them by the spans beside it. Empty without load motors.
+    Of driven rollers alone, which swing against each other, each is held by the stiffness of their stiffest mode; with
+    other rollers between them by the spans next to it. Empty without load motors.
     """
     model = config.web_line
     loaded = [axis for axis in config.loaded_axes if model.carries_web_load(axis)]

@@ -13,7 +13,7 @@ from hilbench.errors import BusError
 
 
 class PythonCanLink:
-    """Link over `bus`, which it owns. python-can cannot tell what an interface lost: `dropped` is None."""
+    """Link over `bus`, which it owns. python-can does not report losses of an interface: `dropped` is None."""
 
     def __init__(self, bus: can.BusABC, channel: str) -> None:
         self.channel = channel

@@ -1,4 +1,4 @@
-"""Who may send: the arbitration field's order on the wire (ISO 11898-1, 10.4.2), and acceptance filters."""
+"""Arbitration: the arbitration field's order on the wire (ISO 11898-1, 10.4.2), and acceptance filters."""
 
 from __future__ import annotations
 
@@ -22,5 +22,5 @@ def priority(can_id: int) -> int:
 
 
 def accepts(filters: Sequence[tuple[int, int]] | None, can_id: int) -> bool:
-    """Whether one of the (identifier, mask) filters lets `can_id` (with its flag bits) pass; None lets all pass."""
+    """True if one of the (identifier, mask) filters lets `can_id` (with its flag bits) pass; None lets all pass."""
     return filters is None or any((can_id ^ identifier) & mask == 0 for identifier, mask in filters)

@@ -1,9 +1,9 @@
-"""Who has what on a bus of this machine: its one master, and the programs that play its simulated nodes.
+"""Claims on a bus of this machine: its one master, and the programs that provide its simulated nodes.
 
 A claim is a listening socket in the kernel's abstract namespace (unix(7)), named after the bus and the role. Such a
 name can be bound once at a time, is free again as soon as the process has ended, in whatever way, and depends on no
-folder, environment, session or service. It reaches as far as CAN interfaces do: the network namespace. The kernel knows
-whose process it is; what it does there, the process tells everybody who connects.
+folder, environment, session or service. It reaches as far as CAN interfaces do: the network namespace. The kernel
+identifies the process; its purpose is sent by the process to each that connects.
 """
 
 from __future__ import annotations
@@ -50,15 +50,15 @@ def player_of(node_id: int) -> str:
 
 
 def bringer_of(node_id: int) -> str:
-    """The role of the program that brings a node to the bus: it plays it, or starts who does, once or again."""
+    """Role of the program that brings a node to the bus: it runs it, or starts the process that does."""
     return f"bring{node_id}"
 
 
 @dataclass(frozen=True)
 class Holder:
-    """Who holds a role on a bus. `pid` and `uid` are the kernel's word, the rest the process' own."""
+    """Holder of a role on a bus. `pid` and `uid` are from the kernel, the rest from the process itself."""
 
-    place: str  #: the bus, as `hilbench.can.open.BusAddress.place` has it; "" when nobody could be asked for it
+    place: str  #: the bus, as `hilbench.can.open.BusAddress.place` has it; "" when it could not be read
     role: str
     pid: int
     uid: int
@@ -86,7 +86,7 @@ class Holder:
 
 
 class TakenError(UnusableInputError):
-    """Somebody else holds the role."""
+    """The role is held by another process."""
 
     def __init__(self, bus: str, holder: Holder | None, expected: str) -> None:
         self.holder = holder
@@ -104,9 +104,9 @@ def claim(
     bitrate: int | None = None,
     patience_s: float = 0.0,
 ) -> Iterator[None]:
-    """Hold roles on a bus, all or none; beside each stands what was expected, for who finds it taken.
+    """Hold roles on a bus, all or none; the value of each is the text on what was expected, if it is taken.
 
-    Raises TakenError, at `bus` (as a person calls it), when somebody else still holds one of them after `patience_s`.
+    Raises TakenError, at `bus` (its readable name), when another process still holds one of them after `patience_s`.
     """
     with ExitStack() as opened:
         sockets = {
@@ -118,14 +118,14 @@ def claim(
 
 
 def holder(place: str, role: str) -> Holder | None:
-    """Who holds a role now; None: nobody."""
+    """Present holder of a role; None: it is free."""
     return _ask(_name(place, role), _ANSWER_S)
 
 
 def holders(answer_s: float = _ANSWER_S) -> list[Holder]:
-    """Everybody on this machine who holds a role on any bus; one that does not answer in time is known by its process.
+    """All holders of a role on any bus of this machine; one that does not answer in time is known by its process only.
 
-    Raises BusError where the kernel does not tell its sockets: nobody could be found then.
+    Raises BusError where the kernel does not list its sockets: no holder can be found then.
     """
     asked = (_ask(name, answer_s) for name in _listening())
     return [known for known in asked if known is not None]
@@ -171,7 +171,7 @@ def _bind(place: str, role: str, expected: str, bus: str, patience_s: float) -> 
             if error.errno != errno.EADDRINUSE:
                 raise BusError(f"{bus}: its {role} can't be claimed: {error.strerror}") from None
             known = holder(place, role)
-            # Nobody where it is taken: it has just been bound, or is just being released.
+            # No holder though it is taken: it has just been bound, or is just being released.
             if time.monotonic() - began_s >= max(patience_s, 0.0 if known else _ANSWER_S):
                 raise TakenError(bus, known, expected) from None
         time.sleep(_AGAIN_S)
@@ -201,8 +201,8 @@ def _here() -> str:
 
 @contextmanager
 def _answered(answers: Mapping[socket.socket, bytes]) -> Iterator[None]:
-    """Meanwhile everybody who connects is told, by a thread that does nothing else."""
-    if not answers:  # nobody can connect, nor wake the thread at the end
+    """Answer each connection meanwhile, by a thread that does nothing else."""
+    if not answers:  # no connection is possible, nor a wake-up of the thread at the end
         yield
         return
 
@@ -216,7 +216,7 @@ def _answered(answers: Mapping[socket.socket, bytes]) -> Iterator[None]:
                         connection, _address = key.data.accept()
                     except OSError:  # the end: it was shut down
                         return
-                    with connection, suppress(OSError):  # who asked has left
+                    with connection, suppress(OSError):  # the peer has left
                         connection.send(answers[key.data], socket.MSG_DONTWAIT)
 
     thread = threading.Thread(target=serve, name="claim", daemon=True)
@@ -242,7 +242,7 @@ def _ask(name: str, answer_s: float) -> Holder | None:
             connection.connect(_address(name))
         except ConnectionRefusedError:  # free, or just being bound or released
             return None
-        except OSError:  # so many are waiting already
+        except OSError:  # its backlog is full
             return Holder(place, role, pid=0, uid=-1)
         pid, uid = peer(connection)
         try:
@@ -251,7 +251,7 @@ def _ask(name: str, answer_s: float) -> Holder | None:
             answers = {}
     if not isinstance(answers, dict):
         answers = {}
-    if place.startswith(_SHORTENED):  # then the process says it, and it must be the one that is claimed
+    if place.startswith(_SHORTENED):  # then the process states it, and it must be the one that is claimed
         place = stated_place if _name(stated_place := _text(answers, "place"), role) == name else ""
     since_s, bitrate = answers.get("since_s"), answers.get("bitrate")
     return Holder(
@@ -273,7 +273,7 @@ def _text(answers: dict[str, Any], key: str) -> str:
 
 
 def command_line(pid: int) -> str:
-    """Of a process; "" where it is not known."""
+    """Command line of a process; "" where it is not known."""
     try:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
     except OSError:

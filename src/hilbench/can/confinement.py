@@ -1,6 +1,6 @@
-"""Fault confinement: how a CAN controller that sees too many errors takes itself off the bus (ISO 11898-1, 12.1.4).
+"""Fault confinement: bus off of a CAN controller with too many errors (ISO 11898-1, 12.1.4).
 
-The emulated wire counts for each of its stations; a station is told of a change of its state as SocketCAN tells it, by
+The emulated wire counts for each of its stations; a station receives a change of its state as in SocketCAN, by
 an error message frame (Linux, include/uapi/linux/can/error.h).
 """
 
@@ -20,7 +20,7 @@ _TRANSMIT_FAILED = 8
 _CONTROLLER, _BUS_OFF, _RESTARTED, _COUNTERS = 0x004, 0x040, 0x100, 0x200
 _RECEIVE_PASSIVE, _TRANSMIT_PASSIVE, _ACTIVE = 0x10, 0x20, 0x40
 
-#: Error classes a socket asks for to know its controller's state.
+#: Error classes that a socket subscribes to for its controller's state.
 STATE_CLASSES = _CONTROLLER | _BUS_OFF | _RESTARTED
 
 
@@ -41,7 +41,7 @@ class ErrorCounters:
 
     @property
     def state(self) -> ControllerState:
-        """What the counters mean."""
+        """Controller state by the counters."""
         if self.transmit >= OFF_FROM:
             return ControllerState.BUS_OFF
         passive = self.transmit >= PASSIVE_FROM or self.receive >= PASSIVE_FROM
@@ -49,7 +49,7 @@ class ErrorCounters:
 
     @property
     def clear(self) -> bool:
-        """Whether nothing is counted."""
+        """True if both counters are 0."""
         return not (self.transmit or self.receive)
 
     def transmit_failed(self) -> None:

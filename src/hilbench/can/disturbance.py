@@ -1,4 +1,4 @@
-"""Error injection: what the emulated wire does to a frame, drawn from a seed.
+"""Error injection: disturbances of a frame on the emulated wire, drawn from a seed.
 
 The draws for the n-th frame of an identifier depend on seed, identifier and n alone, not on how the senders'
 frames interleave: two lockstep runs with one seed disturb the same frames.
@@ -21,11 +21,11 @@ _MASK_64 = (1 << 64) - 1
 
 @dataclass(frozen=True)
 class ErrorInjection:
-    """Probabilities (0 to 1, per frame; `corrupted` per attempt) of what happens to frames on the wire.
+    """Probabilities (0 to 1, per frame; `corrupted` per attempt) of disturbances of frames on the wire.
 
-    lost: takes its time on the wire and reaches nobody. corrupted: broken off by an error frame at a random bit and
+    lost: takes its time on the wire and is not received. corrupted: broken off by an error frame at a random bit and
     sent again, after a new arbitration; a station with too many of these goes bus off (`confinement`). duplicated: sent
-    twice. delayed: the sender's controller holds it, and what is behind it, for `delay_s` seconds of bus time.
+    twice. delayed: the sender's controller holds it, and those queued after it, for `delay_s` seconds of bus time.
     `filters` restricts it to identifiers, as (identifier, mask) pairs.
     """
 
@@ -46,7 +46,7 @@ class ErrorInjection:
 
 
 class FrameOutcome(NamedTuple):
-    """What is going to happen to one frame."""
+    """Outcome drawn for one frame."""
 
     lost: bool
     duplicated: bool
@@ -66,7 +66,7 @@ def _uniform(key: int) -> Iterator[float]:
 
 
 def _key(seed: int, can_id: int, count: int) -> int:
-    """A 64-bit key of its own for every (seed, identifier, count)."""
+    """64-bit key that is distinct for every (seed, identifier, count)."""
     key = 0
     for part in (seed, can_id, count):
         key = int(next(_uniform(key ^ part)) * 2.0**53)

@@ -1,4 +1,4 @@
-"""A link to the embedded bus: its packets, as the cyclic path wants them."""
+"""Link to the embedded bus, by its packets, for the cyclic path."""
 
 from __future__ import annotations
 
@@ -115,8 +115,8 @@ class EmbeddedLink:
         return frames
 
     def receive_packet(self, timeout_s: float) -> bytes | None:
-        """A packet that waits, or comes within the time: `protocol.HEADER` and `protocol.STAMPED_CAN_RECORD`s; for
-        `frames_from`, or who knows what is in it. Raises BusError when the bus is lost."""
+        """Packet that waits, or comes within the time: `protocol.HEADER` and `protocol.STAMPED_CAN_RECORD`s; for
+        `frames_from`, or a caller that decodes it. Raises BusError when the bus is lost."""
         if self._waits_in_ticks and timeout_s > 0.0:
             self._set_tick_timeout(timeout_s)
             return receive_packet(self._connection, self.channel, flags=0)

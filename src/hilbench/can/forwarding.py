@@ -1,7 +1,7 @@
-"""The hub's way around the interpreter: tables for `forwarding_kernel`, made from the objects that the hub goes by.
+"""Forwarding without the interpreter: tables for `forwarding_kernel`, made from the hub's objects.
 
-Which frames are known, and who hears them, is learnt from what the hub has passed on itself, and forgotten when
-somebody comes or goes or has other filters.
+Known frames and their receivers are learnt from those that the hub has passed on itself, and forgotten when
+a station joins or leaves or changes its filters.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from hilbench.can.medium import Medium
 _STAMPED_WORDS = protocol.STAMPED_CAN_RECORD.size // 8
 
 
-#: A station on the wire, as far as frames come from it and go there: descriptor, records in one packet to it, frames
-#: dropped so far, whether it hears its own.
+#: A station on the wire, as frames are sent and received: descriptor, records in one packet to it, frames
+#: dropped so far, true if it receives its own.
 Place = tuple[int, int, int, bool]
 
 
 class Left(NamedTuple):
-    """What is for the hub."""
+    """Work left for the hub."""
 
-    #: Whose, and the packets: not sent yet; None: none came after all.
+    #: Sender and packet: not sent yet; None: none came after all.
     packets: list[tuple[int, bytes | None]]
-    #: Stations, and the records for each that the one before them, whose socket was full, has kept from it.
+    #: Stations, and the records for each that were held back because the socket of one before it was full.
     undelivered: list[tuple[int, list[bytes]]]
 
 
@@ -110,7 +110,7 @@ class Forwarder:
             since = 0
 
     def learn(self, packet: bytes, received_by: Callable[[int], int]) -> None:
-        """What there is to know of the frames of a packet; `received_by`: stations that hear an identifier, a bit
+        """Learn the frames of a packet; `received_by`: stations that receive an identifier, a bit
         each."""
         body = memoryview(packet)[protocol.HEADER.size :]
         if len(packet) < protocol.HEADER.size or packet[0] != protocol.KIND_CLASSICAL:
@@ -135,5 +135,5 @@ class Forwarder:
         known[kernel.PRIORITY], known[kernel.RECEIVED_BY] = priority(can_id), received_by
 
     def forget(self) -> None:
-        """Somebody has come or gone, or has other filters."""
+        """Forget all frames: a station has joined or left, or changed its filters."""
         self._tables.known[:], self._known_count = 0, 0

@@ -1,8 +1,8 @@
-"""What the hub does with packets of known frames on a quiet wire where time is virtual, compiled.
+"""Compiled part of the hub: packets of known frames on a quiet wire with virtual time.
 
-One loop waits for stations to send, lets the wire carry what they have sent, and gives it to who hears it, until
-anything else happens: that is for `hub`, which is the reference. Each function says whose work it does. What it calls
-are epoll_wait(2), recv(2) and send(2) of the C library that is in the process anyway.
+One loop waits for stations to send, lets the wire carry their frames, and sends them to the receivers, until
+anything else happens: that is for `hub`, which is the reference. Each function names its counterpart. It calls
+epoll_wait(2), recv(2) and send(2) of the C library of the process.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from hilbench.compiled import COUNT, INDICES, TABLE, compiled, entry_point, view
 
 _OCTET, _WORD = np.dtype(np.uint8), np.dtype(np.uint32)
 
-#: Who hears a frame is told by the bits of a number.
+#: Receivers of a frame are the bits of a number.
 MAX_STATIONS: Final = 62
-#: More stations that have sent at once are for the hub.
+#: If more stations have sent at once, it is for the hub.
 MAX_READY: Final = 16
 #: Rows of `known`; a power of two, of which a half is used at most.
 KNOWN_ROWS: Final = 8192
 _LAST_ROW = KNOWN_ROWS - 1
 
-#: Columns of a station: records in one packet to it, the header of the next one, whether it hears its own frames.
+#: Columns of a station: records in one packet to it, the header of the next one, 1 if it receives its own frames.
 LIMIT, HEADER, OWN, OF_STATION = range(4)
-#: Columns of a known frame: its key, one more than `key_of` says (0: nothing is known there); `wire.header`, data bytes
-#: on the wire, `arbitration.priority`, stations that hear it (a bit each).
+#: Columns of a known frame: its key, `key_of` plus 1 (0: empty row); `wire.header`, data bytes
+#: on the wire, `arbitration.priority`, stations that receive it (a bit each).
 KEY, CRC, STUFFING, BITS, DATA_BYTES, PRIORITY, RECEIVED_BY, OF_FRAME = range(8)
-#: Columns of a packet that has come: whose, its size in bytes (-1: none came after all), its frames, the next of them.
+#: Columns of a received packet: its station, size in bytes (-1: none came after all), its frames, the next of them.
 STATION, SIZE, FRAMES, NEXT, OF_PACKET = range(5)
-#: Columns of a frame that was carried: a `protocol.STAMPED_CAN_RECORD`, who hears it.
+#: Columns of a frame that was carried: a `protocol.STAMPED_CAN_RECORD`, its receivers.
 STAMPED, DATA, TIME_NS, TO, OF_CARRIED = range(5)
-#: Places in `state`. Of the hub: bit/s. Of both: bus time. Of the loop: what the wire has carried, packets that are
-#: left for the hub, frames that are (all are carried), the first station that has not got all it hears, and from
+#: Places in `state`. Of the hub: bit/s. Of both: bus time. Of the loop: frames carried, packets
+#: left for the hub, frames left (all are carried), the first station without all of its frames, and from
 #: which of them on.
 (
     BITRATE,
@@ -74,7 +74,7 @@ WORDS = types.Array(types.uint32, 1, "C")
 
 
 class Tables:
-    """Arrays that the loop works on, all 0: what is known of stations and frames, and room for what comes and goes."""
+    """Arrays of the loop, all 0: known stations and frames, and room for packets in and out."""
 
     def __init__(self) -> None:
         self.state = np.zeros(OF_STATE, np.int64)
@@ -87,12 +87,12 @@ class Tables:
 
 
 def key_of(can_id: int, length: int) -> int:
-    """Of the frames that are alike but for their data."""
+    """Key of frames that differ in their data only."""
     return can_id << 4 | length
 
 
 def first_row(key: int) -> int:
-    """Where in `known` a key is looked for first."""
+    """Row of `known` where the search for a key begins."""
     return (key ^ key >> 7 ^ key >> 19) & _LAST_ROW
 
 
@@ -101,7 +101,7 @@ _key_of, _first_row = compiled(key_of), compiled(first_row)
 
 @compiled
 def known_frames(octets: Octets, words: Words, size: int, known: Table, rows: Row) -> int:
-    """How many frames are in a packet, and their `rows` of what is known; 0: it has something else."""
+    """Number of frames in a packet, and their `rows` of the known ones; 0: a frame is not known."""
     count = (size - _HEADER_BYTES) // _RECORD_1
     if octets[0] != _CLASSICAL or (size - _HEADER_BYTES) % _RECORD_1 != 0 or not 0 < count <= _MAX_RECORDS:
         return 0
@@ -145,7 +145,7 @@ def take_in(
     octets: Octets,
     words: Words,
 ) -> bool:
-    """`Hub._attend` of so many who have sent something; whether all packets are of known frames."""
+    """`Hub._attend` of so many stations that have sent; true if all packets are of known frames."""
     plain = True
     for at in range(count):
         descriptor = events[at * EVENT_WORDS + _EVENT_DESCRIPTOR]
@@ -192,7 +192,7 @@ def carry(
 
 @compiled
 def hand_out(state: Row, descriptors: Row, stations: Table, carried: Table, count: int, out: Row) -> bool:
-    """`Hub._hand_out`; False where a station did not take what it hears: it and those behind it have not all of it."""
+    """Send frames to all receivers (`Hub._hand_out`). False if a socket was full; RECEIVER, RECEIVED: resume there."""
     for receiver in range(len(stations)):
         station, mask, size = stations[receiver], 1 << receiver, 0
         out[0] = station[HEADER]
@@ -246,7 +246,7 @@ def forward(
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, before anybody waits for a frame."""
+    """Compile, or load from the cache, before a frame has to wait for it."""
     row, table, received = (
         np.zeros(OF_STATE, np.int64),
         np.zeros((0, 0), np.int64),

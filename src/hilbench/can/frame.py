@@ -24,5 +24,5 @@ class Frame(NamedTuple):
 
 
 def is_classical(can_id: int, length: int) -> bool:
-    """Whether a classical frame with `length` data bytes and this `can_id` could be on a wire."""
+    """True if a classical frame with `length` data bytes and this `can_id` could be on a wire."""
     return length <= 8 and not can_id & ERROR_FLAG and not (can_id & 0x1FFFF800 and not can_id & EXTENDED_FLAG)

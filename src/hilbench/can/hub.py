@@ -5,9 +5,9 @@ connection is left. Only the standard library is imported here, so that it start
 many frames go by, `forwarding` is loaded while it serves.
 
 Flow of a frame: client's packet, its station's transmit queue, arbitration and bus time (`medium`), one packet for
-every other station that wants some of the frames that were over. A station whose transmit queue is full is not read
+every other station that receives some of the frames completed. A station whose transmit queue is full is not read
 until there is room: its socket fills up and its sender blocks. A receiver that does not read loses the newest frames,
-and is told how many.
+and gets their number.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from hilbench.can.wire import FD_LENGTHS, bits_on_wire, fd_bits_on_wire
 if TYPE_CHECKING:
     from hilbench.can.forwarding import Forwarder, Left, Place
 
-#: The hub ends when nobody was connected for so long: time for a program to close one bus and open the next.
+#: The hub ends after this time without a connection: time for a program to close one bus and open the next.
 GRACE_S = 0.1
 #: Frames a station may have waiting for the wire before the hub stops reading from it.
 TRANSMIT_LIMIT = 512
@@ -84,7 +84,7 @@ class Client(Station):
         self.dropped = 0
         self.waiting: deque[bytes] = deque()  # stamped records its socket had no room for
         self.reading = True  # not paused because of its full transmit queue
-        self.blocked = False  # epoll tells when its socket has room again
+        self.blocked = False  # epoll reports when its socket has room again
 
 
 class Hub:
@@ -96,12 +96,12 @@ class Hub:
         self.malformed = 0
         self._listener = listener
         self._clients: dict[int, Client] = {}  # connected, by file descriptor
-        self._departed: list[Client] = []  # gone, with frames still to send
+        self._departed: list[Client] = []  # left, with frames still to send
         self._listeners = Listeners(lambda: [client for client in self._clients.values() if client.joined])
         self._forwarder: Forwarder | None = None
         self._loads = False
         self._identities = 0
-        self._fd = False  # whether a station that may send FD frames has joined
+        self._fd = False  # true once a station that may send FD frames has joined
         self._epoll = select.epoll()
         self._epoll.register(listener, select.EPOLLIN)
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
@@ -110,7 +110,7 @@ class Hub:
     # --- the loop
 
     def serve(self, may_end: Callable[[], bool]) -> None:
-        """Serve until nobody is connected for GRACE_S and `may_end()` agrees."""
+        """Serve until there was no connection for GRACE_S and `may_end()` agrees."""
         idle_since = time.monotonic()
         while True:
             if not self._forward():
@@ -128,7 +128,7 @@ class Hub:
                 idle_since = time.monotonic()
 
     def wake_by(self, descriptor: int) -> None:
-        """Don't wait while this can be read: nobody's connection."""
+        """End the wait when this can be read; it is no client's connection."""
         self._epoll.register(descriptor, select.EPOLLIN)
 
     def _poll(self) -> list[tuple[int, int]]:
@@ -149,9 +149,9 @@ class Hub:
     # --- without the interpreter
 
     def _forward(self) -> bool:
-        """Where time is virtual, have packets of known frames forwarded until something else happens; whether that was
-        done here: it was a packet, or a station that does not read. Nothing is done where that is not all there is to
-        it."""
+        """Forward packets of known frames while time is virtual, until something else happens. True if that was handled
+        here: a packet, or a station that does not read. False, and nothing done, where there is more to
+        do."""
         forwarder = self._forwarder
         if self.settings.timing == "real":
             return False
@@ -176,7 +176,7 @@ class Hub:
         return cast("Sequence[Client]", self._medium.stations)
 
     def _take_left(self, left: Left) -> None:
-        """Go on with what was not forwarded."""
+        """Process packets and records that were not forwarded."""
         stations = list(self._stations)
         for at, packet in left.packets:
             if packet is None:
@@ -187,13 +187,13 @@ class Hub:
             self._deliver(stations[at], records)
 
     def _is_quiet(self) -> bool:
-        """Whether frames, once they have been sent, are heard at once, and nothing happens to them."""
+        """True if frames are received as soon as they are sent, without disturbances."""
         if self._departed or not self._medium.undisturbed:
             return False
         return not any(client.blocked or not client.reading for client in self._clients.values())
 
     def _received_by(self, can_id: int) -> int:
-        """The stations that hear an identifier, a bit each."""
+        """Stations that receive an identifier, a bit each."""
         hearing = self._listeners.of(can_id)
         return sum(1 << at for at, client in enumerate(self._medium.stations) if client in hearing)
 
@@ -206,7 +206,7 @@ class Hub:
         Thread(target=self.load_forwarder).start()
 
     def load_forwarder(self) -> None:
-        """From now on packets of known frames need no interpreter."""
+        """Load the forwarder: from now on packets of known frames need no interpreter."""
         if sys.flags.no_site:  # the hub was started without other packages
             import site
 
@@ -228,7 +228,7 @@ class Hub:
         self.connect(connection)
 
     def connect(self, connection: socket.socket) -> Client:
-        """Serve who is at the other end."""
+        """Serve the client at the other end."""
         connection.setblocking(False)
         self._identities += 1
         client = self._clients[connection.fileno()] = Client(connection, self._identities)
@@ -242,7 +242,7 @@ class Hub:
             return
         try:
             packet = client.connection.recv(protocol.PACKET_BYTES)
-        except (BlockingIOError, ConnectionResetError):  # who has left, and not read all: what it sent comes next
+        except (BlockingIOError, ConnectionResetError):  # it has left without reading all: its own frames come next
             return
         self._take(client, packet)
 
@@ -264,7 +264,7 @@ class Hub:
             self._forget_listeners()
 
     def _watch(self, client: Client) -> None:
-        """Tell epoll what to wait for. A paused socket would report its hang-up again and again: edges only."""
+        """Set the events that epoll waits for. A paused socket would report its hang-up again and again: edges only."""
         events = select.EPOLLIN if client.reading else select.EPOLLET
         if client.blocked:
             events |= select.EPOLLOUT
@@ -273,7 +273,7 @@ class Hub:
     # --- frames in
 
     def _forget_listeners(self) -> None:
-        """Somebody has come or gone, or has other filters."""
+        """Forget receivers: a station has joined or left, or changed its filters."""
         self._listeners.forget()
         if self._forwarder is not None:
             self._forwarder.forget()
@@ -325,7 +325,7 @@ class Hub:
     # --- frames out
 
     def _run(self) -> None:
-        """Let the wire carry what was over by now (virtual: everything), and hand it out."""
+        """Let the wire carry the frames completed by now (virtual: all), and deliver them."""
         delivered = self._medium.run(self._now_ns() if self.settings.timing == "real" else FOREVER)
         if delivered:
             self._hand_out(delivered)
@@ -336,7 +336,7 @@ class Hub:
             self._forget_departed()
 
     def _forget_departed(self) -> None:
-        """Take stations that left off the wire, once their last frames are sent or nobody is there to hear them."""
+        """Take stations that left off the wire, once their last frames are sent or there is no receiver for them."""
         if not any(client.joined for client in self._clients.values()):
             for client in self._departed:
                 client.queue.clear()
@@ -360,7 +360,7 @@ class Hub:
                 self._deliver(client, selected)
 
     def _send_states(self) -> None:
-        """Each station hears of its own controller, whatever its filters are."""
+        """Send each station the changed state of its own controller, whatever its filters are."""
         changed, self._medium.changed = self._medium.changed, []
         for client in self._clients.values():
             if client in changed:
@@ -392,7 +392,7 @@ class Hub:
             except BlockingIOError:
                 blocked = True
                 break
-            except OSError:  # it has gone; the next recv says so
+            except OSError:  # it has left; the next recv reports it
                 waiting.clear()
                 break
             if len(records) == len(waiting):
@@ -451,7 +451,7 @@ class Hub:
 
     def _join(self, client: Client, join: requests.Join) -> dict[str, Any]:
         alone = not self._departed and not any(other.joined for other in self._clients.values())
-        if alone:  # the first one says how the bus runs
+        if alone:  # the first one determines the settings of the bus
             self.settings = join.wanted.completed()
             self._medium = Medium(self.settings.bitrate, self._now_ns() if self.settings.timing == "real" else 0)
             self.malformed = 0
@@ -472,8 +472,8 @@ class Hub:
         return {"version": protocol.VERSION, "station": client.identity, **self.settings.as_json()}
 
     def _programs(self) -> str:
-        """Whose stations there are, as the kernel knows them."""
-        from hilbench.can.claims import command_line  # only where somebody is told
+        """Programs of the stations, as the kernel knows them."""
+        from hilbench.can.claims import command_line  # only where it is needed
 
         pids = {protocol.peer(client.connection)[0] for client in self._clients.values() if client.joined}
         return ", ".join(f"{command_line(pid) or 'a program'} (process {pid})" for pid in sorted(pids))
@@ -504,7 +504,7 @@ def _marked_own(record: bytes) -> bytes:
 
 
 def _end(path: Path, log: Path, lock: int, listener: socket.socket) -> bool:
-    """Take the socket away, unless a client is just coming: whoever connects or starts a hub holds the lock."""
+    """Remove the socket, unless a client is just coming: one that connects or starts a hub holds the lock."""
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -518,7 +518,7 @@ def _end(path: Path, log: Path, lock: int, listener: socket.socket) -> bool:
 
 
 def _detach() -> None:
-    """Leave the starter's session and parentage: no terminal signals, and no child for anybody to wait for."""
+    """Leave the starter's session and parentage: no terminal signals, and no child that must be waited for."""
     if os.fork():
         os._exit(0)
     os.setsid()
@@ -546,7 +546,7 @@ def main(arguments: list[str] | None = None) -> None:
         signal.set_wakeup_fd(wakes)
         hub.wake_by(signalled)
         hub.serve(lambda: _end(path, log, lock, listener))
-    except SystemExit:  # terminated: the listening socket is still ours, so nobody else can have taken the place
+    except SystemExit:  # terminated: the listening socket is still ours, so no other hub can have taken the place
         path.unlink(missing_ok=True)
         log.unlink(missing_ok=True)
         raise

@@ -1,7 +1,7 @@
-"""The way to the hub of the embedded bus: find or start it, join its bus, ask it things.
+"""Client of the embedded bus's hub: find or start it, join its bus, send it requests.
 
 The first client starts the hub: under a lock it binds the socket, connects to it, and hands the listening socket to
-the new process. A hub that ends takes the socket away under the same lock, so that nobody is left between the two.
+the new process. A hub that ends removes the socket under the same lock, so that no client is left between the two.
 """
 
 from __future__ import annotations
@@ -105,18 +105,18 @@ def set_filters(channel: str, station: int, filters: Filters) -> None:
 
 
 def inject_errors(channel: str, injection: ErrorInjection) -> None:
-    """Disturb the frames sent from now on, until the last station leaves. Raises BusError if nobody is on the bus."""
+    """Disturb the frames sent from now on, until the last station leaves. Raises BusError if the bus has no station."""
     _request(channel, {"request": "set_errors", **asdict(injection)})
 
 
 def set_priority(channel: str, priority: int) -> None:
-    """Let the hub of `channel` run with this priority of SCHED_FIFO, 1 to 99, for as long as it is there: whoever has
-    one on the bus waits for it. Raises BusError where that is not permitted, or nobody is on the bus."""
+    """Set the hub's priority (SCHED_FIFO, 1 to 99) for as long as it runs: stations with a priority
+    wait for it. Raises BusError where that is not permitted, or the bus has no station."""
     _request(channel, {"request": "set_priority", "priority": priority})
 
 
 def statistics(channel: str) -> BusStatistics:
-    """The counters of the embedded bus `channel`. Raises BusError if nobody has it open."""
+    """Counters of the embedded bus `channel`. Raises BusError if no program has it open."""
     return BusStatistics(**_request(channel, {"request": "statistics"}))
 
 
@@ -126,7 +126,7 @@ def running_channels() -> list[str]:
 
 
 def runs(channel: str) -> bool:
-    """Whether a hub serves `channel`."""
+    """True if a hub serves `channel`."""
     connection = _connect(protocol.socket_path(channel))
     if connection is None:
         return False
@@ -156,7 +156,7 @@ def _as_json(filters: Filters) -> list[list[int]] | None:
 
 
 def _request(channel: str, content: dict[str, Any]) -> dict[str, Any]:
-    """Ask over a connection of its own. Frames that arrive for a station never stand in an answer's way."""
+    """Send a request over a connection of its own, so that frames for a station never delay its answer."""
     connection = _connect(protocol.socket_path(channel))
     if connection is None:
         raise _nobody(channel)
@@ -233,8 +233,8 @@ def _lock(folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def starting(channel: str) -> Iterator[None]:
-    """Meanwhile the hub of `channel` starts, where none is there: who joins waits for less of it, and is told what has
-    kept it from starting."""
+    """Start the hub of `channel` meanwhile, where there is none: a client that joins waits less, and gets the error
+    of a failed start."""
     path = protocol.socket_path(channel)
     with contextlib.ExitStack() as resources:
         if not protocol.is_path(channel):
@@ -308,7 +308,7 @@ def _check_started(channel: str, folder: Path, starter: subprocess.Popen[bytes])
 
 
 def _ended(process: subprocess.Popen[bytes]) -> bool:
-    """Whether it does within the time for a hub's start; `wait` with a time-out would look only now and then."""
+    """True if it ends within the time for a hub's start; `wait` with a time-out would poll only now and then."""
     end, poll = os.pidfd_open(process.pid), select.poll()
     poll.register(end, select.POLLIN)
     try:

@@ -1,4 +1,4 @@
-"""Frames that a CAN interface lost before any socket got them: the controller was not emptied in time.
+"""Frames that a CAN interface lost before any socket got them: the controller was not read in time.
 
 No socket counts them; the interface does (Linux, Documentation/ABI/testing/sysfs-class-net-statistics).
 """
@@ -25,7 +25,7 @@ class InterfaceLosses:
         self._latest = self._before = sum(self._read(file) for file in self._files)
 
     def count(self) -> int:
-        """Losses so far; the last known ones when the interface is gone."""
+        """Losses so far; the last known ones when the interface no longer exists."""
         with contextlib.suppress(OSError):  # unplugged
             self._latest = sum(self._read(file) for file in self._files)
         return self._latest - self._before

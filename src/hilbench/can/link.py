@@ -1,4 +1,4 @@
-"""What the cyclic path asks of a bus: frames out in order, all waiting frames in, losses counted."""
+"""Interface of the cyclic path to a bus: frames out in order, all waiting frames in, losses counted."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hilbench.can.frame import Frame
 class Link(Protocol):
     """A connection to one bus. Frames sent over it are not received back on it."""
 
-    #: Name of the channel, as it stands in a trace ("vcan0", "hilbench0").
+    #: Name of the channel, as in a trace ("vcan0", "hilbench0").
     channel: str
 
     def send(self, frames: Sequence[Frame]) -> None:
@@ -29,14 +29,14 @@ class Link(Protocol):
 
     @property
     def dropped(self) -> int | None:
-        """Frames lost on this side because they were not read fast enough; None: this interface cannot tell.
+        """Frames lost on this side because they were not read fast enough; None: unknown on this interface.
 
         Complete once the link is closed; while it is open, the latest losses may show with the next frame only.
         """
 
     @property
     def controller(self) -> ControllerState:
-        """State of this side's controller, as far as the interface tells. When it goes bus off `receive` raises."""
+        """State of this side's controller, as far as the interface reports it. On bus off `receive` raises."""
 
     def close(self) -> None:
         """Leave the bus. Calling it twice is no error."""
@@ -47,4 +47,4 @@ class PacketLink(Link, Protocol):
     """A link onto whose bus a frame can be put without the interpreter: by send(2) to its `fileno`."""
 
     def packet(self, frame: Frame) -> bytes:
-        """What is to be sent there, in one piece. Raises ValueError for a frame that cannot be on a wire."""
+        """Packet with the frame, as to be sent to the descriptor. Raises ValueError for an impossible frame."""

@@ -1,4 +1,4 @@
-"""Who on an emulated wire hears an identifier."""
+"""Receivers of an identifier on an emulated wire."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Listener = TypeVar("Listener", bound=_Filtered)
 
 
 class Listeners(Generic[Listener]):
-    """Those of `present` whose filters let an identifier pass; worked out once, until `forget`."""
+    """Cache of the stations of `present` whose filters let an identifier pass, until `forget`."""
 
     def __init__(self, present: Callable[[], Iterable[Listener]]) -> None:
         self._present = present
         self._known: dict[int, list[Listener]] = {}
 
     def of(self, can_id: int) -> list[Listener]:
-        """Who hears `can_id` (with its flag bits)."""
+        """Receivers of `can_id` (with its flag bits)."""
         found = self._known.get(can_id)
         if found is None:
             if len(self._known) >= _KNOWN_IDENTIFIERS:
@@ -35,5 +35,5 @@ class Listeners(Generic[Listener]):
         return found
 
     def forget(self) -> None:
-        """Somebody has come or gone, or has other filters."""
+        """Forget receivers: a station has joined or left, or changed its filters."""
         self._known.clear()

@@ -1,4 +1,4 @@
-"""Worst-case bus load of a set of cyclic frames: what the config check refuses a bench for."""
+"""Worst-case bus load of a set of cyclic frames, for which the config check refuses a bench."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hilbench.can.wire import worst_case_bits
 
 @dataclass(frozen=True)
 class CyclicFrame:
-    """A frame that goes out `per_cycle` times in a cycle on average (0.1: in every tenth)."""
+    """A frame that is sent `per_cycle` times in a cycle on average (0.1: in every tenth)."""
 
     name: str
     can_id: int  #: with the kernel's flag bits

@@ -1,10 +1,10 @@
 """The wire itself, without any input or output: stations with transmit queues, arbitration, bus time, disturbances.
 
-Both emulations stand on it: the hub (frames between processes) and `memory.MemoryBus` (inside one process).
+Both emulations use it: the hub (frames between processes) and `memory.MemoryBus` (inside one process).
 One frame at a time is on the wire. When it is free, the heads of all transmit queues compete; the lowest arbitration
-field wins (two stations with the same one: who joined first). A frame that has begun is never interrupted, but by an
+field wins (two stations with the same one: the first to join). A frame that has begun is only interrupted by an
 error frame: then its transmitter and the others count errors, and a station whose counter is full is off the bus until
-it joins anew (as a SocketCAN interface without restart-ms).
+it joins again (as a SocketCAN interface without restart-ms).
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Station:
 
 @dataclass
 class Counters:
-    """What the wire has carried since the emulation began."""
+    """Counters of the wire since the emulation began."""
 
     frames: int = 0
     bits: int = 0
@@ -80,10 +80,10 @@ class Medium:
         self.free_ns = start_ns
         self.counters = Counters()
         self.disturber: Disturber | None = None
-        self.changed: list[Station] = []  #: stations whose state is another one; whoever tells them empties it
+        self.changed: list[Station] = []  #: stations whose state has changed; emptied by the code that reports it
         self._counting = False  # some station has errors counted: only then is every frame counted, too
         self._stations: list[Station] = []
-        self._sender: Station | None = None  # who is on the wire
+        self._sender: Station | None = None  # the station that is sending
         self._end_ns = 0  # when its frame, or its error frame, is over
 
     def join(self, station: Station) -> None:
@@ -91,7 +91,7 @@ class Medium:
 
     @property
     def stations(self) -> Sequence[Station]:
-        """Those on the wire, in the order in which they joined."""
+        """Stations on the wire, in the order in which they joined."""
         return self._stations
 
     def leave(self, station: Station) -> None:
@@ -116,7 +116,7 @@ class Medium:
         station.queue.append(_queued_frame((priority(can_id), can_id, payload, bits, duration_ns, arrival_ns, outcome)))
 
     def run(self, until_ns: int) -> list[Delivery]:
-        """Let time pass until `until_ns`; the frames that were over by then, in order."""
+        """Let time pass until `until_ns`; returns the frames completed by then, in order."""
         delivered: list[Delivery] = []
         if until_ns == FOREVER and self._sender is None and not self._counting:
             self._send_all_of_lone_station(delivered)
@@ -125,7 +125,7 @@ class Medium:
         return delivered
 
     def _send_all_of_lone_station(self, delivered: list[Delivery]) -> None:
-        """What `run` does frame by frame, in one go: nobody competes, and nothing is going to happen to the frames."""
+        """Do the work of `run` in one go for a single sender without competitors, whose frames are not disturbed."""
         busy = [station for station in self._stations if station.queue]
         if len(busy) != 1:
             return
@@ -145,7 +145,7 @@ class Medium:
 
     @property
     def undisturbed(self) -> bool:
-        """Whether nothing is queued or on the wire, no errors are counted, and nothing happens to frames."""
+        """True if nothing is queued or on the wire, no errors are counted, and frames are not disturbed."""
         return (
             self.disturber is None
             and self._sender is None
@@ -154,13 +154,13 @@ class Medium:
         )
 
     def account(self, frames: int, bits: int, duration_ns: int) -> None:
-        """So many frames went over the wire while it was undisturbed, one after the other."""
+        """Count frames that went over the wire while it was undisturbed, one after the other."""
         self.counters.frames += frames
         self.counters.bits += bits
         self.free_ns += duration_ns
 
     def next_event_ns(self) -> int | None:
-        """When `run` has something to do next, if nothing more is queued; None: never."""
+        """Time at which `run` has something to do next, if nothing more is queued; None: never."""
         if self._sender is not None:
             return self._end_ns
         waiting = [station.queue[0].ready_ns for station in self._stations if station.queue]
@@ -192,7 +192,7 @@ class Medium:
         return True
 
     def _finish(self, delivered: list[Delivery]) -> None:
-        """What was on the wire is over: count it, and deliver it or leave it at the head for its next attempt."""
+        """Complete the frame on the wire: count it, and deliver it or leave it at the head for its next attempt."""
         sender = self._sender
         assert sender is not None
         self._sender = None

@@ -1,7 +1,7 @@
 """A bus inside one process: the same wire as the hub's, without processes, sockets or waiting.
 
-Frames that are sent wait for the wire; they are carried, in arbitration order, when somebody receives. So what several
-links send before anyone looks competes by identifier as on a real bus, and the same calls always give the same order.
+Frames that are sent wait for the wire; they are carried, in arbitration order, when a link receives. So frames that
+several links send before that compete by identifier as on a real bus, and the same calls always give the same order.
 Bus time is the time of the frames themselves, from 0. Links may be used from several threads.
 """
 
@@ -31,7 +31,7 @@ RECEIVE_LIMIT = 16384
 
 
 def _nobody() -> None:
-    """Nobody works on anybody's behalf."""
+    """Do nothing: no fast path runs."""
 
 
 class MemoryBus:
@@ -43,8 +43,8 @@ class MemoryBus:
         self._links: list[MemoryLink] = []
         self._listeners = Listeners(lambda: self._links)
         self._lock = threading.Lock()
-        self.waiting = False  #: whether frames wait for the wire
-        #: Told before anybody sends, receives, comes or goes: by who works on the stations' behalf meanwhile.
+        self.waiting = False  #: true if frames wait for the wire
+        #: Called before a link sends, receives, opens or closes, so that the fast path hands its state back.
         self.before_use: Callable[[], None] = _nobody
 
     def open_link(self) -> MemoryLink:
@@ -77,7 +77,7 @@ class MemoryBus:
 
     @property
     def quiet(self) -> bool:
-        """Whether nothing is under way, and nothing happens to frames but that they come."""
+        """True if no frame is under way, and frames are not disturbed."""
         return not self.waiting and self._medium.undisturbed
 
     def hear(self, can_id: int) -> list[MemoryLink]:
@@ -85,11 +85,11 @@ class MemoryBus:
         return self._listeners.of(can_id)
 
     def account(self, frames: int, bits: int, duration_ns: int) -> None:
-        """So many frames were carried one after the other on a wire that was free, and handed over by somebody else."""
+        """Count frames that the fast path carried one after the other on a free wire, and delivered."""
         self._medium.account(frames, bits, duration_ns)
 
     def _carry(self) -> None:
-        """Let the wire carry all that was sent; hand it to the links. The lock is held."""
+        """Let the wire carry all frames sent, and deliver them to the links. The lock is held."""
         if not self.waiting:
             return
         self.waiting = False
@@ -110,9 +110,9 @@ class MemoryLink:
         self._bus = bus
         self.filters: Sequence[tuple[int, int]] | None = None
         self._received: list[Frame] = []
-        self._sent = threading.Condition(bus._lock)  # somebody has sent what the filters let pass
+        self._sent = threading.Condition(bus._lock)  # a frame that the filters let pass was sent
         self._waiting_threads = 0  # for that
-        self._event: int | None = None  # for who asks for a descriptor: readable while a frame waits
+        self._event: int | None = None  # for `fileno`: readable while a frame waits
         self._closed = False
 
     def send(self, frames: Sequence[Frame]) -> None:
@@ -141,11 +141,11 @@ class MemoryLink:
 
     @property
     def holds_frames(self) -> bool:
-        """Whether something waits to be read, or somebody for it."""
+        """True if a frame waits to be read, or a thread waits for one."""
         return bool(self._received) or self._is_awaited() or self._closed
 
     def receive(self, timeout_s: float) -> list[Frame]:
-        # Who only reads does not use the bus: what was sent by others has said so.
+        # Only reading does not use the bus: the senders of the frames have called `before_use`.
         with self._bus._lock:
             frames = self._waiting()
             if frames or timeout_s <= 0.0:
@@ -159,7 +159,7 @@ class MemoryLink:
             return frames
 
     def _waiting(self) -> list[Frame]:
-        """What has come. The lock is held."""
+        """Frames received. The lock is held."""
         self._check_open()
         self._bus._carry()
         if self.controller is ControllerState.BUS_OFF:

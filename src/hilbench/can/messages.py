@@ -1,4 +1,4 @@
-"""python-can's messages and our frames, into each other."""
+"""Conversion between python-can's messages and our frames."""
 
 from __future__ import annotations
 

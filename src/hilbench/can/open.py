@@ -22,10 +22,10 @@ _READABLE = 32  # letters of a folder's name in that of its bus
 
 @dataclass(frozen=True)
 class BusAddress:
-    """Which bus. `bitrate` in bit/s; `timing` (embedded bus only): "real" or "virtual" (see `plugin.EmbeddedBus`).
+    """Address of a bus. `bitrate` in bit/s; `timing` (embedded bus only): "real" or "virtual" (`plugin.EmbeddedBus`).
 
     The channel of an embedded bus is its name, or the path of a hub's socket. ``embedded`` alone names none (channel
-    ""): `in_folder` and `as_it_runs` say which bus is meant.
+    ""): `in_folder` and `as_it_runs` find the bus meant.
     """
 
     interface: str = "embedded"
@@ -58,16 +58,16 @@ class BusAddress:
 
     @property
     def is_named(self) -> bool:
-        """Whether it says which bus."""
+        """True if it names a bus."""
         return bool(self.channel)
 
     @property
     def place(self) -> str:
-        """The bus as everybody on this machine can find it; `parse` takes it."""
+        """Address by which any program of this machine finds the bus; `parse` takes it."""
         return f"embedded:{socket_path(self.channel)}" if self.interface == "embedded" else str(self)
 
     def in_folder(self, folder: Path) -> BusAddress:
-        """The same, or where it has no name the embedded bus of a folder: that of all configs in it."""
+        """Itself, or where it has no name the embedded bus of a folder: that of all configs in it."""
         if self.is_named:
             return self
         path = os.fsencode(folder.resolve())
@@ -75,7 +75,7 @@ class BusAddress:
         return replace(self, channel=f"{readable}-{hashlib.sha256(path).hexdigest()[:8]}")
 
     def as_it_runs(self) -> BusAddress:
-        """The same bus with bitrate and timing of the embedded bus of that name, where one runs.
+        """Itself with bitrate and timing of the embedded bus of that name, where one runs.
 
         One that this user's program has made from another session (with another runtime directory) is found, too.
         Without a name it is the only one that runs. Raises UnusableInputError when there is none, or more than one.
@@ -90,7 +90,7 @@ class BusAddress:
         if not found:
             return named
         running = hub_client.statistics(found)
-        if not running.stations:  # who joins first says how it runs
+        if not running.stations:  # the first to join determines its settings
             return replace(named, channel=found)
         return BusAddress(self.interface, found, running.bitrate, running.timing)
 
@@ -123,7 +123,7 @@ def _interfaces() -> str:
 
 
 def starting(bus: BusAddress) -> AbstractContextManager[None]:
-    """Meanwhile what a bus needs beside its stations starts, where it is not there: who opens it waits less."""
+    """Start meanwhile the hub that a bus needs, where there is none: opening the bus waits less."""
     return hub_client.starting(bus.channel) if bus.interface == "embedded" else nullcontext()
 
 

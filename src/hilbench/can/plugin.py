@@ -22,7 +22,7 @@ class EmbeddedBus(can.BusABC):
     """One station on an emulated CAN bus that any program of the same user can join.
 
     `channel` names the bus. `bitrate` and `data_bitrate` (bit/s) and `timing` ("real": a frame takes its bit time;
-    "virtual": bus time is counted and nobody waits) are decided by the first station (defaults 1 Mbit/s, 2 Mbit/s,
+    "virtual": bus time is counted without waiting) are decided by the first station (defaults 1 Mbit/s, 2 Mbit/s,
     real); a later one that asks for something else is refused. With `fd` CAN FD frames are sent and received.
     Options that other interfaces know (`single_handle`, ...) have no meaning here and are ignored.
     Filters work in the hub. While a frame waits, `fileno()` is readable.
@@ -116,7 +116,7 @@ class EmbeddedBus(can.BusABC):
 
     @staticmethod
     def _detect_available_configs() -> list[can.typechecking.AutoDetectedConfig]:
-        """The channels that somebody has open now."""
+        """Channels that are open now."""
         return [
             can.typechecking.AutoDetectedConfig(interface="hilbench", channel=name)
             for name in hub_client.running_channels()

@@ -1,4 +1,4 @@
-"""What hub and clients of the embedded bus say to each other, and where they meet.
+"""Protocol between hub and clients of the embedded bus, and its socket paths.
 
 One SOCK_SEQPACKET socket per channel, `<directory>/<channel>.sock`. A connection begins with requests: a packet of
 JSON, answered by a packet of JSON ({"error": text} when refused). The request "join" makes the connection a station;
@@ -67,17 +67,17 @@ def directory() -> Path:
 
 
 def is_channel(text: str) -> bool:
-    """Whether a bus can be called so: a name, or the whole path of a hub's socket."""
+    """True if a bus can have this name: a name, or the whole path of a hub's socket."""
     return bool(_CHANNEL.fullmatch(text)) or is_path(text)
 
 
 def is_path(channel: str) -> bool:
-    """Whether a channel is the path of a socket: of a hub in another runtime directory than this program's."""
+    """True if a channel is the path of a socket: of a hub in another runtime directory than this program's."""
     return channel.startswith("/") and channel.endswith(".sock") and channel.isprintable()
 
 
 def socket_path(channel: str) -> Path:
-    """Where the hub of `channel` listens. Raises BusError for a name that cannot be a channel."""
+    """Socket on which the hub of `channel` listens. Raises BusError for a name that cannot be a channel."""
     if not is_channel(channel):
         raise BusError(f"embedded bus: channel {channel!r}, expected up to 48 letters, digits, '_', '-' or '.'")
     path = Path(channel) if is_path(channel) else directory() / f"{channel}.sock"
@@ -87,12 +87,12 @@ def socket_path(channel: str) -> Path:
 
 
 def lock_path(folder: Path) -> Path:
-    """Who starts or ends a hub holds a lock (flock) on this file."""
+    """File whose lock (flock) is held while a hub is started or ends."""
     return folder / ".lock"
 
 
 def log_path(folder: Path, channel: str) -> Path:
-    """Where a hub that fails leaves its last words."""
+    """File with the error output of a failed hub."""
     return folder / f"{channel}.log"
 
 
@@ -109,10 +109,10 @@ def peer_user(connection: socket.socket) -> int:
 
 
 def may_join(connection: socket.socket) -> bool:
-    """Whether the process that has connected may be on this user's bus: the same user, or root, who stops every bus."""
+    """True if the process that has connected may be on this user's bus: the same user, or root, who stops every bus."""
     return peer_user(connection) in (os.getuid(), 0)
 
 
 def may_trust(connection: socket.socket) -> bool:
-    """Whether we go onto the bus of the process that listens: our own, or as root anybody's."""
+    """True if we may join the bus of the process that listens: our own, or as root any."""
     return os.getuid() in (peer_user(connection), 0)

@@ -13,12 +13,12 @@ _MAX_FILTERS = 512  # as CAN_RAW_FILTER_MAX
 
 
 class RefusedError(Exception):
-    """A request that is not carried out; the text goes back to the client."""
+    """A request that is not carried out; its text is sent to the client."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How the emulated bus runs: bit rates in bit/s; timing "real" or "virtual"."""
+    """Settings of the emulated bus: bit rates in bit/s; timing "real" or "virtual"."""
 
     bitrate: int = DEFAULT_BITRATE
     data_bitrate: int = DEFAULT_DATA_BITRATE
@@ -30,7 +30,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Wanted:
-    """Settings a client asks for; None: as they are."""
+    """Settings that a client requests; None: any."""
 
     bitrate: int | None = None
     data_bitrate: int | None = None
@@ -40,7 +40,7 @@ class Wanted:
         return Settings(**{name: value for name, value in asdict(self).items() if value is not None})
 
     def check_against(self, settings: Settings) -> None:
-        """Raise RefusedError unless a bus with these settings is what the client asked for."""
+        """Raise RefusedError unless a bus with these settings is as the client requested."""
         for name, unit in (("bitrate", " bit/s"), ("data_bitrate", " bit/s"), ("timing", "")):
             running, wanted = getattr(settings, name), getattr(self, name)
             if wanted is not None and wanted != running:
@@ -75,14 +75,14 @@ class SetErrors:
 
 @dataclass(frozen=True)
 class SetPriority:
-    """Run with this priority of SCHED_FIFO from now on: frames wait for nobody who waits for them."""
+    """Request to run with this priority of SCHED_FIFO, 1 to 99, from now on."""
 
     priority: int
 
 
 @dataclass(frozen=True)
 class GetStatistics:
-    """Ask for the counters."""
+    """Request for the counters."""
 
 
 Request: TypeAlias = Join | SetFilters | SetErrors | SetPriority | GetStatistics

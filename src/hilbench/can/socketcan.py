@@ -1,7 +1,7 @@
 """A link to a SocketCAN interface through a raw socket of our own: it counts lost frames, python-can's cannot.
 
 See Linux, Documentation/networking/can.rst (CAN_RAW) and socket(7) (SO_RXQ_OVFL, SO_MEMINFO). With SO_RXQ_OVFL each
-frame brings the number of frames that were lost before it; when no frame comes any more the socket is asked, and so is
+frame brings the number of frames that were lost before it; when no frame comes any more the socket is read, and so is
 the interface, which may have lost frames before the socket got them.
 """
 
@@ -87,7 +87,7 @@ class SocketCanLink:
         self._interface_losses = self._interface.count()
         try:
             counters = self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
-        except OSError:  # Linux before 4.12: the next frame will tell
+        except OSError:  # Linux before 4.12: the next frame shows it
             return
         self._socket_losses = _MEMINFO.unpack(counters)[-1]
 
@@ -108,7 +108,7 @@ class SocketCanLink:
                 frames.append(Frame(can_id, data[:length], time_ns))
 
     def _take_state(self, can_id: int, data: bytes) -> None:
-        """Raises BusError when the controller has just gone bus off; with restart-ms it comes back by itself."""
+        """Take a controller state. Raises BusError when it has gone bus off; with restart-ms it recovers by itself."""
         before, self.controller = self.controller, state_in_message(can_id, data) or self.controller
         if self.controller is ControllerState.BUS_OFF and before is not ControllerState.BUS_OFF:
             raise bus_off(self.channel)

@@ -8,7 +8,7 @@ _SELECT_LIMIT = 1024  # FD_SETSIZE
 
 
 def wait_readable(descriptor: int, timeout_s: float) -> bool:
-    """Whether `descriptor` is readable, or becomes so within `timeout_s`.
+    """True if `descriptor` is readable, or becomes so within `timeout_s`.
 
     select() waits in microseconds, poll() and epoll in whole milliseconds, rounded up: half a cycle.
     """
@@ -20,7 +20,7 @@ def wait_readable(descriptor: int, timeout_s: float) -> bool:
 
 
 def wait_writable(descriptor: int, timeout_s: float) -> bool:
-    """Whether `descriptor` takes data, or does so within `timeout_s`."""
+    """True if `descriptor` takes data, or does so within `timeout_s`."""
     poll = select.poll()
     poll.register(descriptor, select.POLLOUT)
     return bool(poll.poll(timeout_s * 1e3))

@@ -1,4 +1,4 @@
-"""How many bit times a frame occupies on the wire (ISO 11898-1), counted from its actual bits.
+"""Bit times of a frame on the wire (ISO 11898-1), counted from its actual bits.
 
 A classical frame is SOF, arbitration and control field, data, CRC-15, CRC delimiter, ACK slot and delimiter, 7 bit
 EOF; after it the bus is taken for 3 more bits of intermission. From SOF to the end of the CRC sequence a stuff bit
@@ -34,7 +34,7 @@ def _stuff_step(state: int, bit: int) -> tuple[int, int]:
     value, run = divmod(state, 4)
     if bit != value:
         return bit * 4, 0
-    if run == 3:  # the fifth equal bit: a complementary bit follows, which begins a run of its own
+    if run == 3:  # the fifth equal bit: a complementary bit follows, which begins a new run
         return (1 - value) * 4, 1
     return state + 1, 0
 
@@ -197,8 +197,8 @@ def fd_bits_on_wire(can_id: int, data: bytes, bit_rate_switch: bool) -> tuple[in
 def worst_case_fd_bits(data_bytes: int, extended: bool = False) -> tuple[int, int]:
     """Most (bit times at the nominal bit rate, at the data bit rate) of a CAN FD frame with bit rate switch.
 
-    `data_bytes`: one of `FD_LENGTHS`. As `worst_case_bits` up to the end of the data; stuff bits stand where they cost
-    most, in the slow part, as far as there may be any.
+    `data_bytes`: one of `FD_LENGTHS`. As `worst_case_bits` up to the end of the data; stuff bits are counted where they
+    cost most, in the slow part, as far as there may be any.
     """
     if data_bytes not in FD_LENGTHS:
         raise ValueError(f"a CAN FD frame has one of {FD_LENGTHS} data bytes, not {data_bytes}")

@@ -1,8 +1,8 @@
-"""How long a cycle of the bus is, by the clock of a twin that nobody paces.
+"""Length of the bus cycle, measured by the clock of a twin that is not paced by its bench.
 
-The config says how often SYNC comes; who sends it may go by another config, or be another master. What SYNC does for
-long enough is the cycle from then on. Until then, and as long as SYNC flutters, cycles of the length that is gone by
-are counted: as many as there were in that time.
+The config gives the SYNC period; the SYNC producer may use another config, or be another master. A period that
+SYNC keeps for long enough is the cycle from then on. Until then, and as long as SYNC flutters, cycles of the length
+in use are counted: as many as there were in the elapsed time.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from hilbench.canopen.sync_time import SyncTime
 
 #: EMCY error code: SYNC comes by another cycle than the config's (CiA 301: FFxxh, device specific).
 OTHER_CYCLE: Final = 0xFF19
-#: By how much another cycle differs from the one that is gone by: no clock is so wrong; from what difference on it does
-#: so whatever jitters; and how much a period goes to and fro that is the same.
+#: Relative difference of another cycle from the one in use; difference from which it counts despite any jitter; and
+#: tolerance within which a period is unchanged. No clock is as wrong as the first.
 _ANOTHER, _PARTED, _SAME = 5e-3, 2e-2, 1e-2
-#: SYNC must have had the new period for so long, and so often; and twice as long each time when the last change is not
-#: so long ago, up to the longest.
+#: SYNC must have had the new period for this time, and this often; twice as long each time when the last change was
+#: recent, up to the longest.
 _LASTS_NS, _PERIODS, _LONGEST_NS = 250_000_000, 32, 64_000_000_000
 _SELDOM_NS = 60_000_000_000
 #: Shortest and longest cycle, as of a config.
@@ -46,12 +46,12 @@ class BusCycle:
 
     @property
     def in_step(self) -> bool:
-        """Whether SYNC comes by the cycle that is gone by, as far as jitter lets that be seen at once."""
+        """True if the SYNC period is the cycle in use, as far as jitter lets that be seen at once."""
         return abs(self._period_ns - self._cycle_ns) <= _PARTED * self._cycle_ns if self._period_ns else True
 
     def received(self, behind: int) -> int:
-        """A SYNC was read, and `behind` more wait; how many cycles have passed since the one before: more than 1 after
-        lost ones, 0 for one too many. Of the first it is 1."""
+        """Take a SYNC that was read while `behind` more wait; returns cycles since the one before: more than 1 after
+        lost ones, 0 for a surplus one. For the first it is 1."""
         first = self._sync.at_ns is None
         periods = self._sync.received(self._now_ns(), behind)
         passed_ns = periods * self._sync.period_ns
@@ -71,7 +71,7 @@ class BusCycle:
         return cycles
 
     def pop_other(self) -> int | None:
-        """The cycle (ns) that is gone by from here on, where that is another one than before; to be asked after each
+        """New cycle (ns) to use from here on, if it differs from that in use, else None; to be called after each
         SYNC."""
         lasted_ns = (self._sync.at_ns or 0) - self._since_ns
         if not self._period_ns or self._periods < _PERIODS or lasted_ns < self._lasts_ns:
@@ -91,7 +91,7 @@ class BusCycle:
 
 
 def _as_expressed(period_ns: int) -> int:
-    """The period as 60C2h of drives can say it, where it is one of those: as measured it is off by what clocks are."""
+    """Nearest period that 60C2h of drives can express, if close enough: measured ones have clock errors."""
     for largest, near in _EXPRESSED:
         unit_ns = 1
         while period_ns / unit_ns > largest:

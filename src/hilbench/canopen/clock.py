@@ -1,4 +1,4 @@
-"""The time base of a device: the monotonic clock, or SYNC itself where nobody's clock is right."""
+"""Time base of a device: the monotonic clock, or SYNC itself where no clock is real time."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class MonotonicClock:
         self._last_sync_ns = time.monotonic_ns()
 
     def expect_sync(self) -> None:
-        """Wall time goes on whatever comes."""
+        """Do nothing: wall time advances in any case."""
 
     def stalled_ns(self) -> int:
         return max(0, time.monotonic_ns() - self._last_sync_ns - self._stall_ns)
@@ -45,9 +45,9 @@ class MonotonicClock:
 class SyncClock:
     """One cycle per SYNC, so that timers fall into the same cycle on every machine.
 
-    Before nodes are started, and when none has come for `stall_s` of wall time, it goes by the wall clock: a dead
-    master must be noticed. A master that takes its time says that it is alive by its heartbeat (COB-ID `kept_by`):
-    while that comes, time stands still.
+    Before nodes are started, and when none has come for `stall_s` of wall time, it advances by the wall clock: a dead
+    master must be noticed. A slow master sends its heartbeat (COB-ID `kept_by`) meanwhile: while that comes, time is
+    stopped.
     """
 
     def __init__(self, cycle_ns: int, stall_s: float = 5.0, kept_by: int | None = None) -> None:
@@ -66,31 +66,31 @@ class SyncClock:
 
     @property
     def next_ns(self) -> int:
-        """What it shows after the next SYNC, unless that stays away."""
+        """Time after the next SYNC, unless that stays away."""
         return self._time_ns + self._cycle_ns
 
     @property
     def stalls_at_ns(self) -> int:
-        """Until when, by the monotonic clock, SYNC runs though none comes."""
+        """Time of the monotonic clock until which SYNC counts as running though none comes."""
         return self._last_sync_ns + self._stall_ns
 
     def syncs_until(self, monotonic_ns: int, until_ns: int) -> int:
-        """How many SYNCs do not lead beyond a time; 0 where none runs by the monotonic clock."""
+        """Number of SYNCs that do not lead beyond a time; 0 where none runs by the monotonic clock."""
         runs = monotonic_ns - self._last_sync_ns <= self._stall_ns
         return max(0, (until_ns - self._time_ns) // self._cycle_ns) if runs else 0
 
     def tick_at(self, monotonic_ns: int, syncs: int = 1) -> None:
-        """`tick` for so many by one that was asked what the monotonic clock shows already, and is not stalled."""
+        """`tick` for so many SYNCs; the caller has read the monotonic clock already and knows it is not stalled."""
         self._time_ns += syncs * self._cycle_ns
         self._last_sync_ns = monotonic_ns
 
     def expect_sync(self) -> None:
-        """Stand still until the first SYNC: what is due by the wall clock must not fall into its cycle by chance."""
+        """Stop until the first SYNC: timers due by the wall clock must not fall into its cycle by chance."""
         self._time_ns = self.now_ns()
         self._last_sync_ns = time.monotonic_ns()
 
     def keep(self) -> None:
-        """The master is alive. Once time goes by the wall clock only SYNC ends that."""
+        """Note that the master is alive. Once the wall clock is used only SYNC ends that."""
         if not self.stalled_ns():
             self._last_sync_ns = time.monotonic_ns()
 

@@ -8,7 +8,7 @@ from functools import cache
 
 Value = int | float | bytes | str
 
-#: What stands for the node id in the values of an EDS file (CiA 306).
+#: Placeholder of the node id in the values of an EDS file (CiA 306).
 NODE_ID = "$NODEID"
 
 BOOLEAN, INTEGER8, INTEGER16, INTEGER32, UNSIGNED8, UNSIGNED16, UNSIGNED32, REAL32 = range(0x01, 0x09)
@@ -37,7 +37,7 @@ _BYTES_WIDTHS = {TIME_OF_DAY: 6, TIME_DIFFERENCE: 6}
 
 @dataclass(frozen=True, slots=True)
 class DataType:
-    """How one basic data type stands in SDO and PDO data."""
+    """Encoding of one basic data type in SDO and PDO data."""
 
     code: int
     #: Bytes in SDO data; None: as many as there are (strings, DOMAIN).
@@ -68,7 +68,7 @@ class DataType:
 
     @property
     def neutral(self) -> Value:
-        """The value of an object for which nobody gave one."""
+        """Default of an object without a given value: 0 or empty."""
         if self.is_float:
             return 0.0
         if self.is_integer:
@@ -130,14 +130,14 @@ class DataType:
         number = sum(node_id if term == NODE_ID else int(term, 0) for term in terms)
         bits = 8 * (self.width or 1)
         if self.is_signed and terms[0].startswith("0X") and 1 << (bits - 1) <= number < 1 << bits:
-            number -= 1 << bits  # hexadecimal stands for the bit pattern
+            number -= 1 << bits  # hexadecimal is the bit pattern
         self.encode(number)
         return number
 
 
 @cache
 def data_type(code: int) -> DataType:
-    """The basic data type of an EDS type code; unknown (complex, manufacturer) types are DOMAIN: plain bytes."""
+    """Basic data type of an EDS type code; unknown (complex, manufacturer) types are DOMAIN: raw bytes."""
     if code == BOOLEAN:
         return DataType(code, 1)
     if code in STRUCT_CODES:

@@ -1,7 +1,7 @@
 """A DBC file of PDOs, for tools that decode a bus without EDS files: names, places, scale to SI, units.
 
-A DBC file does not say how it is encoded: some tools take it for Windows-1252 (cantools, those of its inventor), others
-for UTF-8. What is written here is ASCII, which is the same in both.
+A DBC file does not state its encoding: some tools take it for Windows-1252 (cantools, those of its inventor), others
+for UTF-8. The text written here is ASCII, which is the same in both.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _UNIT_SIGNS = str.maketrans({"·": "", "²": "^2", "³": "^3", "°": "deg", "µ"
 
 @dataclass(frozen=True)
 class DbcMessage:
-    """One PDO: who sends it, its map, and for each mapped object what a unit of it is in SI (factor, unit's name)."""
+    """One PDO: its sender, its map, and for each mapped object one unit of it in SI (factor, unit's name)."""
 
     name: str
     sender: str
@@ -32,8 +32,8 @@ class DbcMessage:
 
 
 def dbc_text(messages: Iterable[DbcMessage], comment: str) -> str:
-    """The file; objects without a unit keep their raw values. Names of more than 32 letters stand there in full beside
-    the short ones (attribute ``SystemSignalLongSymbol``)."""
+    """Text of the file; objects without a unit keep their raw values. Names of more than 32 letters are given in full
+    in addition to the short ones (attribute ``SystemSignalLongSymbol``)."""
     known = list(messages)
     senders = dict.fromkeys(symbol(message.sender) for message in known)
     database = Database(

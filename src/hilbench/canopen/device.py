@@ -1,7 +1,7 @@
 """The CANopen device runtime, slave side (CiA 301): NMT states gate SDO, PDO, SYNC, EMCY and heartbeat.
 
-A device does nothing by itself: its host hands it frames (`handle`, `sync`) and time (`poll`) and sends what collects
-in `replies` (answers to a request, due at once) and `outbox` (what the device has to say on its own).
+A device does nothing by itself: its host passes frames (`handle`, `sync`) and time (`poll`) and sends the frames in
+`replies` (answers to a request, due at once) and `outbox` (frames by the device itself).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from hilbench.errors import UnusableInputError
 
 __all__ = ["Cell", "Device", "SdoAbort"]
 
-#: What 1029h sub 1 asks for when a heartbeat is lost; any other value: no change.
+#: Actions of 1029h sub 1 when a heartbeat is lost; any other value: no change.
 _TO_PRE_OPERATIONAL, _TO_STOPPED = 0, 2
 
 HEARTBEAT_LOST = 0x8130
@@ -68,7 +68,7 @@ def _pdo_name(index: int) -> str:
 class Device:
     """One CANopen device on the object dictionary of an EDS file.
 
-    `cell(index, sub)` is the one place of an object's value. The application may set `on_nmt(state)` (told of every
+    `cell(index, sub)` is the one place of an object's value. The application may set `on_nmt(state)` (called on every
     change, INITIALISING for a reset), `on_communication_error(code)` (EMCY code: a watched heartbeat or an RPDO
     missed), `on_emergency_stop()` (the global fail-safe command has come) and `on_write` of cells.
     Raises UnusableInputError when the EDS lacks what a device needs.
@@ -79,7 +79,7 @@ class Device:
         self.nmt_state = NmtState.INITIALISING
         self.replies: list[Frame] = []
         self.outbox: list[Frame] = []
-        #: For tests of masters: nothing, or no heartbeat, leaves the device meanwhile.
+        #: For tests of masters: no frame, or no heartbeat, is sent meanwhile.
         self.silent = False
         self.heartbeat_fails = False
         self.on_nmt: Callable[[NmtState], None] | None = None
@@ -126,7 +126,7 @@ class Device:
         return self._store.cell(index, sub)
 
     def has(self, index: int, sub: int = 0) -> bool:
-        """Whether the EDS has the object."""
+        """True if the EDS has the object."""
         return (index, sub) in self._store
 
     def emergency(self, code: int, register_bits: int, info: bytes = b"", source: int = 0) -> None:
@@ -135,7 +135,7 @@ class Device:
         self._emcy.raise_error(code, register_bits, info, source)
 
     def clear_emergency(self, code: int, source: int = 0) -> None:
-        """An error has gone."""
+        """Clear an EMCY error whose cause has vanished."""
         self._emcy.clear_error(code, source)
 
     def keep_emergency(self, code: int, axis: int = 1) -> None:
@@ -144,14 +144,14 @@ class Device:
         self._emcy.keep(code, axis)
 
     def acknowledge_emergency(self, code: int, axis: int = 1) -> None:
-        """The fault was reset: the error ends as soon as its cause is gone."""
+        """Acknowledge a fault reset: the error ends as soon as its cause has vanished."""
         self._emcy.acknowledge(code, axis)
 
     # -- host side ---------------------------------------------------------------------------------------
 
     @property
     def fits_fast_path(self) -> bool:
-        """Whether it is OPERATIONAL and has nothing to say but synchronous PDOs and heartbeats."""
+        """True if it is OPERATIONAL and sends only synchronous PDOs and heartbeats."""
         return (
             self.nmt_state is NmtState.OPERATIONAL
             and not (self.silent or self.heartbeat_fails or self.replies or self.outbox or self._event_driven)
@@ -162,32 +162,32 @@ class Device:
 
     @property
     def producer(self) -> HeartbeatProducer:
-        """Its own heartbeat."""
+        """Heartbeat producer of the device."""
         return self._producer
 
     @property
     def consumer(self) -> HeartbeatConsumer:
-        """Whose heartbeats it watches."""
+        """Heartbeat consumer of the device."""
         return self._consumer
 
     @property
     def receive_pdos(self) -> Mapping[int, Rpdo]:
-        """Those in use, by identifier."""
+        """RPDOs in use, by identifier."""
         return self._receivers
 
     @property
     def synchronous_pdos(self) -> Sequence[Tpdo]:
-        """Those that go out with SYNC, in their order."""
+        """TPDOs sent with SYNC, in their order."""
         return self._synchronous
 
     def boot(self) -> None:
-        """Say boot-up and be pre-operational."""
+        """Send boot-up and enter PRE-OPERATIONAL."""
         self._reply(HEARTBEAT + self.node_id, NmtState.INITIALISING.heartbeat)
         self._enter(NmtState.PRE_OPERATIONAL)
 
     def identifiers(self) -> set[int]:
-        """Identifiers (REMOTE_FLAG in those of remote requests) of the frames, besides SYNC, that mean anything to the
-        device as it is configured now."""
+        """Identifiers (REMOTE_FLAG in those of remote requests) of the frames other than SYNC that the device
+        receives as it is configured now."""
         return {
             *(NMT, SDO_REQUEST + self.node_id, EMERGENCY_STOP_COB_ID),
             *(HEARTBEAT + node_id for node_id in self._consumer.times_ns()),

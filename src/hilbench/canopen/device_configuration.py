@@ -1,6 +1,6 @@
-"""The configuration of a device as a whole: read from it, kept as DCF (CiA 306) or concise DCF, written, compared.
+"""Configuration of a device as a whole: read from it, kept as DCF (CiA 306) or concise DCF, written, compared.
 
-A configuration is bytes by (index, sub-index), as they go over SDO; the object dictionary says what they mean.
+A configuration is bytes by (index, sub-index), as in SDO transfers; the object dictionary gives their types.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ _TRIES: Final = 3
 
 @dataclass
 class Configuration:
-    """What a device, or a file, has. `refused`: objects that could not be read, and why."""
+    """Object values of a device or a file. `refused`: objects that could not be read, and why."""
 
     od: canopen.ObjectDictionary
     values: dict[Key, bytes] = field(default_factory=dict)
     refused: dict[Key, str] = field(default_factory=dict)
 
     def shown(self, key: Key) -> str:
-        """The value of an object for a person."""
+        """Readable value of an object."""
         data = self.values.get(key)
         return "-" if data is None else shown(eds.variable(self.od, *key), data)
 
@@ -86,7 +86,7 @@ def shown(variable: ODVariable, data: bytes) -> str:
 def read_device(
     master: Master, node_id: int, od: canopen.ObjectDictionary, progress: Callable[[int, int], None] = lambda *_: None
 ) -> Configuration:
-    """All that can be read of a device but DOMAIN objects; `progress(done, all)` is told of each.
+    """Read all readable objects of a device except DOMAIN ones; `progress(done, all)` is called for each.
 
     Raises BenchFaultError when the device does not answer.
     """
@@ -131,7 +131,7 @@ def settings(configuration: Configuration) -> list[concise_dcf.Write]:
 def moved(
     writes: Sequence[concise_dcf.Write], from_node: int, to_node: int
 ) -> tuple[list[concise_dcf.Write], list[Key]]:
-    """The same for another node id: COB-IDs that carry the one carry the other then. With them, which those are."""
+    """Convert writes to another node id: COB-IDs with the one get the other. Returns them, and the keys changed."""
     found, changed = [], []
     for write in writes:
         value = int.from_bytes(write.data, "little")
@@ -165,7 +165,7 @@ def write_device(
         try:
             master.download(node_id, *key, write.data)
         except canopen.SdoAbortedError as error:
-            if master.read(node_id, *key) != write.data:  # what it has already it need not take
+            if master.read(node_id, *key) != write.data:  # a value already there need not be written
                 failed[key] = f"{write.data.hex(' ')} refused: {Refusal(error.code)}"
         except canopen.SdoCommunicationError as error:
             if not _is_there(master, node_id):
@@ -183,7 +183,7 @@ def write_device(
 
 
 def _is_there(master: Master, node_id: int) -> bool:
-    """One object may be slow; the device is gone when it does not answer at all. Late answers pass meanwhile."""
+    """True if the device answers at all, as one object may be slow; late answers pass meanwhile."""
     return any(master.read(node_id, 0x1000) for _ in range(_TRIES))
 
 
@@ -226,12 +226,12 @@ def _pdo_writes(values: Mapping[Key, bytes], index: int) -> Iterator[concise_dcf
 
 
 def is_concise(path: Path) -> bool:
-    """Whether a file of this name is a concise DCF."""
+    """True if a file of this name is a concise DCF."""
     return path.suffix.lower() in (".bin", ".cdcf")
 
 
 def writes_of_file(path: Path, od: canopen.ObjectDictionary) -> list[concise_dcf.Write]:
-    """What a file asks to write to a device with this object dictionary: a concise DCF in its own order.
+    """Writes of a file for a device with this object dictionary; those of a concise DCF in its own order.
 
     Raises UnusableInputError for a file that is none, or one without a value.
     """
@@ -266,7 +266,7 @@ def _read_concise(path: Path) -> list[concise_dcf.Write]:
 
 
 def node_of_file(path: Path) -> int | None:
-    """The node id that a DCF was made for (DeviceComissioning, as CiA 306 spells it); None: it does not tell."""
+    """Node id that a DCF was made for (DeviceComissioning, as CiA 306 spells it); None: it is not given."""
     sections = ConfigParser(strict=False, interpolation=None, inline_comment_prefixes=(";",))
     try:
         sections.read_string(path.read_text(encoding="utf-8-sig", errors="replace"))
@@ -297,7 +297,7 @@ def write_concise(configuration: Configuration, path: Path) -> None:
 
 
 def _text(variable: ODVariable, data: bytes) -> str:
-    """As CiA 306 has it: of a floating-point number its bits."""
+    """Text of a value as CiA 306 has it: of a floating-point number its bits."""
     kind = data_type(variable.data_type or 0)
     if kind.is_float:
         return "0x" + data[::-1].hex().upper()

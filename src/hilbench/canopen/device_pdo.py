@@ -1,4 +1,4 @@
-"""The PDOs of a device, as 1400h/1600h/1800h/1A00h say at the moment (CiA 301)."""
+"""PDOs of a device, by the present values of 1400h/1600h/1800h/1A00h (CiA 301)."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ RPDO_TIMED_OUT = 0x8250
 
 
 class _Pdo:
-    """What RPDO and TPDO share: their parameters, the rules for writing them, and the codec that follows."""
+    """Common part of RPDO and TPDO: their parameters, the rules for writing them, and the codec that follows."""
 
-    _dummies = False  #: whether placeholders may be mapped
+    _dummies = False  #: true if placeholders may be mapped
 
     def __init__(self, store: ObjectStore, number: int, communication: int, mapping: int) -> None:
         self.number = number
@@ -74,11 +74,11 @@ class _Pdo:
         return int(self._store.cell(self._index, sub).value * unit_ns) if (self._index, sub) in self._store else 0
 
     def parameters(self) -> tuple[int, ...]:
-        """COB-ID, type and mapping as they stand in the objects."""
+        """COB-ID, type and mapping as in the objects."""
         return (self._cob.value, self._type.value, self._count.value, *(entry.value for entry in self._entries))
 
     def restart(self) -> None:
-        """Its parameters are others now: what was before does not count any more."""
+        """Start anew after a change of its parameters: earlier frames do not count any more."""
         raise NotImplementedError
 
     def compile(self) -> None:
@@ -91,7 +91,7 @@ class _Pdo:
         self.map = PdoMap(self.cob_id, self.transmission_type, [cell.variable for cell in cells]) if cells else None
 
     def _mapped_cells(self, entries: Iterable[int]) -> list[Cell]:
-        """Those that mapping entries name, of eight bytes at most. Raises SdoAbort."""
+        """Cells named by mapping entries, of eight bytes at most. Raises SdoAbort."""
         cells = [self._mapped(entry) for entry in entries]
         if sum(bit_length(cell.variable) for cell in cells) > 64:
             raise SdoAbort(PDO_LENGTH)
@@ -201,11 +201,11 @@ class Rpdo(_Pdo):
 
     @property
     def idle(self) -> bool:
-        """Whether it has received nothing that acts later, or is supervised."""
+        """True if it has received nothing that acts later, or is supervised."""
         return self._waiting is None and self._deadline_ns is None
 
     def fits_fast_path(self, cycle_ns: int) -> bool:
-        """Whether a frame a cycle does no more than to give its objects their values at SYNC."""
+        """True if a frame a cycle only gives its objects their values at SYNC."""
         timer_ns = self._timer_ns(5, 1_000_000) if self._timer_ms is not None else 0
         return (
             self.map is not None
@@ -217,18 +217,18 @@ class Rpdo(_Pdo):
         )
 
     def received_until(self, now_ns: int) -> None:
-        """Somebody else has taken its frames; the last one at `now_ns`."""
+        """Account for frames taken by the fast path; the last one at `now_ns`."""
         if self._timer_ms is not None and self._timer_ms.value:
             self._deadline_ns = now_ns + self._timer_ns(5, 1_000_000)
 
     def sync(self) -> None:
-        """SYNC: what was received since the last one acts."""
+        """Let the data received since the last SYNC act."""
         if self._waiting is not None:
             data, self._waiting = self._waiting, None
             self._act(data)
 
     def poll(self, now_ns: int) -> bool:
-        """Whether its event timer has just run out without a frame."""
+        """True if its event timer has just expired without a frame."""
         if self._deadline_ns is None or now_ns <= self._deadline_ns:
             return False
         self._deadline_ns = None
@@ -285,16 +285,16 @@ class Tpdo(_Pdo):
 
     @property
     def fits_fast_path(self) -> bool:
-        """Whether it goes out with every so many SYNCs, and has begun to."""
+        """True if it is sent with every n-th SYNC, and has been started."""
         return self._started and 1 <= self._type.value <= 240
 
     @property
     def syncs(self) -> int:
-        """SYNCs since it went out."""
+        """SYNCs since it was sent."""
         return self._syncs
 
     def sent_until(self, syncs: int, data: bytes | None) -> None:
-        """Somebody else has sent it: SYNCs since then, and what was in it; None: nothing new."""
+        """Account for frames sent by the fast path: SYNCs since the last, and its data; None: none sent."""
         self._syncs = syncs
         if data is not None:
             self._sent = data

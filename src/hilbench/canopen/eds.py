@@ -1,6 +1,6 @@
 """EDS and DCF files (CiA 306) as canopen's object dictionary, read with their line numbers.
 
-canopen's own reader skips what it can't convert; here that is refused, and what other makers leave empty is tolerated.
+canopen's own reader skips values it can't convert; here they are refused, and fields that makers leave empty tolerated.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from hilbench.files import content
 
 #: Bytes of a file, objects in it with their entries, and the last sub-index there is (CiA 301).
 MOST_BYTES, _MOST_OBJECTS, _LAST_SUB = 4_000_000, 65_536, 254
-#: Below it stand data types; 0001h to 0007h may be mapped as placeholders.
+#: Below it are data types; 0001h to 0007h may be mapped as placeholders.
 _FIRST_OBJECT = 0x1000
 _VAR = 0x7
 _ARRAY = 0x8
@@ -90,8 +90,8 @@ def _shared(path: Path, node_id: int, as_of: tuple[int, int]) -> canopen.ObjectD
 
 
 def shared_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
-    """The same, not to be changed: everybody gets the same one, as long as the file stays as it is. At its start a
-    bench asks for each file many times. Raises UnusableInputError as `load_eds`.
+    """Load an EDS file once and share it, not to be changed, as long as the file stays as it is: at its start
+    a bench needs each file many times. Raises UnusableInputError as `load_eds`.
     """
     path = Path(path)
     return _shared(path, node_id, _as_of(path))
@@ -117,7 +117,7 @@ def _of_any_node(path: Path, as_of: tuple[int, int]) -> tuple[bytes, _Objects]:
 
 
 def _depends_on_node(path: Path, section: _Section) -> bool:
-    """Whether it is a variable whose values do."""
+    """True if it is a variable with a value that depends on the node id."""
     is_variable = _integer(path, section, "ObjectType", _VAR) not in _ARRAY_TYPES
     return is_variable and any(NODE_ID in section.options.get(key, "").upper() for key in _VALUES)
 
@@ -128,7 +128,7 @@ def _sections(path: Path, _as_of: tuple[int, int]) -> dict[str, _Section]:
 
 
 def _as_of(path: Path) -> tuple[int, int]:
-    """What changes when a file does."""
+    """Modification time and size of a file, to detect a change."""
     try:
         status = path.stat()
     except OSError as error:
@@ -286,7 +286,7 @@ def _add_option(path: Path, section: _Section, line: str, number: int) -> None:
         raise UnusableInputError(
             f"{path}:{number}", f"key '{key}' is repeated, first given in line {section.lines[key]}"
         )
-    if value and not value.startswith(";"):  # an empty field says nothing
+    if value and not value.startswith(";"):  # an empty field gives no value
         section.options[key] = value
         section.lines[key] = number
 
@@ -333,7 +333,7 @@ def _defined_types(path: Path, objects: _Objects) -> dict[int, str]:
 
 
 def _expand_compact(path: Path, index: int, section: _Section, sections: dict[str, _Section]) -> _Objects:
-    """The sub-indices that CompactSubObj stands for (CiA 306, 4.6.3.3), named and valued by their own sections."""
+    """Sub-indices given by CompactSubObj (CiA 306, 4.6.3.3), named and valued by their own sections."""
     count = _integer(path, section, "CompactSubObj", 0)
     if not 0 <= count <= _LAST_SUB:
         raise UnusableInputError(
@@ -421,7 +421,7 @@ def _fill_device_information(path: Path, sections: dict[str, _Section], od: cano
 
 
 def _variable_of(path: Path, section: _Section, index: int, sub: int) -> ODVariable:
-    """The variable of a section that `_check_hierarchy` has found in order; unknown data types are plain bytes."""
+    """Variable of a section that `_check_hierarchy` has passed; unknown data types are raw bytes."""
     found = ODVariable(section.options["ParameterName"], index, sub)
     found.data_type = data_type(_integer(path, section, "DataType", 0)).code
     found.access_type = section.options["AccessType"].lower()

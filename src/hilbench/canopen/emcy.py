@@ -15,12 +15,12 @@ _EMCY = struct.Struct("<HB5s")
 
 
 class EmergencyProducer:
-    """Reports errors when they come and when they go; `send(cob_id, data)` puts a frame on the bus.
+    """Reports errors when they arise and when they end; `send(cob_id, data)` puts a frame on the bus.
 
     An error is known by its code and its source (a node that fell silent, the number of an RPDO; 0: the device). It
-    counts in 1001h and 1003h whatever the NMT state is; `may_send()` says whether the state lets EMCY frames out. What
+    counts in 1001h and 1003h in any NMT state; `may_send()` is true if the state lets EMCY frames out. An error that
     arises in STOPPED is pending until `released()` (CiA 301, 7.3.2.2.4): of an error either both messages are sent, or
-    none when it came and went in STOPPED.
+    none when it came and ended in STOPPED.
     """
 
     def __init__(
@@ -35,8 +35,8 @@ class EmergencyProducer:
         self._may_send = may_send
         self._active: dict[tuple[int, int], int] = {}
         self._kept: set[tuple[int, int]] = set()  #: codes that the application acknowledges, and for which axis
-        self._over: set[tuple[int, int]] = set()  #: errors with such a code whose cause is gone
-        #: What arose while nothing may be sent: its info, or None for an error that has gone.
+        self._over: set[tuple[int, int]] = set()  #: errors with such a code whose cause has vanished
+        #: Errors that arose while nothing may be sent: their info, or None for an error that has ended.
         self._pending: dict[tuple[int, int], bytes | None] = {}
         self._register = store.cell(0x1001)
         self._cob_id = store.cell(0x1014) if (0x1014, 0) in store else None
@@ -69,8 +69,8 @@ class EmergencyProducer:
             self._pending[error] = info
 
     def clear_error(self, code: int, source: int = 0) -> None:
-        """The cause of an error has gone: EMCY 0000h with what remains in the register, the code that went in its info;
-        for a code that is kept, once that is acknowledged."""
+        """End an error whose cause has vanished: EMCY 0000h with the remaining register, and its code in the info;
+        an error with a kept code ends once that is acknowledged."""
         error = code, source
         if error not in self._active:
             return
@@ -81,17 +81,17 @@ class EmergencyProducer:
         self._update_register()
         if self._may_send():
             self._report_gone(code)
-        elif error in self._pending:  # nobody knows of it
+        elif error in self._pending:  # it was never reported
             del self._pending[error]
         else:
             self._pending[error] = None
 
     def keep(self, code: int, axis: int) -> None:
-        """Errors with this code stay, also when their cause goes, until `acknowledge` of each axis that is in fault."""
+        """Keep errors with this code, also when their cause vanishes, until `acknowledge` of each axis in fault."""
         self._kept.add((code, axis))
 
     def acknowledge(self, code: int, axis: int) -> None:
-        """An axis' fault was reset: errors with this code end with their cause again, or now if it is gone."""
+        """Acknowledge an axis's fault reset: errors with this code end with their cause again, or now if it is gone."""
         self._kept.discard((code, axis))
         for error in sorted(self._over):
             if error[0] == code:
@@ -99,7 +99,7 @@ class EmergencyProducer:
                 self.clear_error(*error)
 
     def released(self) -> None:
-        """The NMT state lets EMCY frames out again: what is pending goes out, the register as it is now."""
+        """Send the pending messages, with the present register: the NMT state lets EMCY frames out again."""
         pending, self._pending = self._pending, {}
         for (code, _), info in pending.items():
             if info is None:
@@ -108,7 +108,7 @@ class EmergencyProducer:
                 self._report_come(code, info)
 
     def reset(self) -> None:
-        """Forget what is active (reset of the node or of its communication); the history stays."""
+        """Clear the active errors (reset of the node or of its communication); the history stays."""
         self._active.clear()
         self._kept.clear()
         self._over.clear()
@@ -119,11 +119,11 @@ class EmergencyProducer:
 
     @property
     def waits(self) -> bool:
-        """Whether a message is held back."""
+        """True if a message is held back."""
         return bool(self._waiting)
 
     def stands(self, code: int) -> bool:
-        """Whether an error with this code, of whatever source, is active."""
+        """True if an error with this code, of any source, is active."""
         return any(active == code for active, _ in self._active)
 
     def poll(self, now_ns: int) -> None:
@@ -132,7 +132,7 @@ class EmergencyProducer:
             self._transmit(self._waiting.pop(0), now_ns)
 
     def _is_free(self, now_ns: int) -> bool:
-        """Whether the inhibit time since the last EMCY is over."""
+        """True if the inhibit time since the last EMCY is over."""
         return self._free_ns is None or now_ns >= self._free_ns
 
     def _report_come(self, code: int, info: bytes) -> None:

@@ -1,8 +1,8 @@
-"""The emergency stop on the bus: what is sent, by whomever, and how a listener knows it.
+"""Emergency stop on the bus: frames to send, and their detection by a listener.
 
-The first frame is the global fail-safe command of EN 50325-5 (COB-ID 001h, no data): but for NMT it wins every
+The first frame is the global fail-safe command of EN 50325-5 (COB-ID 001h, no data): except for NMT it wins every
 arbitration, and a device that knows it stops at once. The NMT command ENTER PRE-OPERATIONAL to all nodes follows: a
-drive that does not know the first frame leaves OPERATIONAL and does what its 6007h asks for, and its state can still
+drive that does not know the first frame leaves OPERATIONAL and acts by its 6007h, and its state can still
 be read by SDO.
 """
 

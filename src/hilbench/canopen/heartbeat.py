@@ -12,7 +12,7 @@ _MS = 1_000_000
 
 
 class HeartbeatProducer:
-    """Says the NMT state every 1017h ms."""
+    """Sends the NMT state every 1017h ms."""
 
     def __init__(self, store: ObjectStore, now_ns: Callable[[], int]) -> None:
         self._period = store.conditional(0x1017, UNSIGNED16, 0)
@@ -22,16 +22,16 @@ class HeartbeatProducer:
 
     @property
     def period_ns(self) -> int:
-        """0: none is said."""
+        """Period in ns; 0: none is sent."""
         return int(self._period.value * _MS)
 
     @property
     def next_ns(self) -> int:
-        """When the next one is due."""
+        """Time at which the next one is due."""
         return self._next_ns
 
     def sent_until(self, next_ns: int) -> None:
-        """Heartbeats were said by somebody else; the next one is due then."""
+        """Account for heartbeats sent by the fast path; the next one is due at `next_ns`."""
         self._next_ns = next_ns
 
     def rephase(self) -> None:
@@ -39,7 +39,7 @@ class HeartbeatProducer:
         self._next_ns = self._now_ns() + self._period.value * _MS
 
     def due(self, now_ns: int) -> bool:
-        """Whether a heartbeat is to be sent now; the next one is due a period later."""
+        """True if a heartbeat is to be sent now; the next one is due a period later."""
         period_ns = self._period.value * _MS
         if period_ns == 0 or now_ns < self._next_ns:
             return False
@@ -57,7 +57,7 @@ class _Watch:
 
 
 class HeartbeatConsumer:
-    """Watches the nodes in 1016h; `on_lost(node)` and `on_back(node)` are told of changes."""
+    """Watches the nodes in 1016h; `on_lost(node)` and `on_back(node)` are called on changes."""
 
     def __init__(
         self,
@@ -101,19 +101,19 @@ class HeartbeatConsumer:
                 watch.deadline_ns = self._now_ns() + time_ns
 
     def quiet_until_ns(self) -> int | None:
-        """Until when nothing is to be reported unless a heartbeat comes; None: for ever."""
+        """Time until which no time-out can expire, even without a heartbeat; None: for ever."""
         running = [watch.deadline_ns for watch in self._watches.values() if not watch.lost]
         return min((deadline_ns for deadline_ns in running if deadline_ns is not None), default=None)
 
     def poll(self, now_ns: int) -> None:
-        """Report the nodes whose time is over."""
+        """Report the nodes whose heartbeat time-out has expired."""
         for node_id, watch in self._watches.items():
             if watch.deadline_ns is not None and not watch.lost and now_ns > watch.deadline_ns:
                 watch.lost = True
                 self._on_lost(node_id)
 
     def reset(self) -> None:
-        """Watch nobody until heard again."""
+        """Watch no node until its heartbeat is received again."""
         self._watches.clear()
 
     def _checker(self, own: Cell) -> Callable[[int], None]:
@@ -130,7 +130,7 @@ class HeartbeatConsumer:
         return check
 
     def _forget(self, node_id: int) -> None:
-        """Watch it no more until it is heard again; a node that nobody watches is not missed."""
+        """Stop watching a node until its heartbeat is received again; one that is not watched is not missed."""
         watch = self._watches.pop(node_id, None)
         if watch is not None and watch.lost:
             self._on_back(node_id)

@@ -1,8 +1,8 @@
 """The event loop of a process that holds devices: one link, one clock, one application behind them.
 
-Everything that the devices say for a SYNC goes out as one batch: what their timers and errors had pending first, then
-the synchronous TPDOs. With a clock that follows SYNC, what arises after that batch waits for the next one, so that a
-frame belongs to the same cycle on every machine; answers to SDO requests never wait.
+All frames that the devices send for a SYNC are one batch: first those pending by timers and errors, then
+the synchronous TPDOs. With a clock that follows SYNC, a frame that arises after that batch waits for the next one, so
+that it belongs to the same cycle on every machine; answers to SDO requests never wait.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ _LONGEST_TICK_S = 0.05
 
 
 class Application(Protocol):
-    """What stands behind the devices of a host."""
+    """Application of the devices of a host."""
 
-    #: Identifiers of the frames, besides SYNC, that `on_frame` wants to see.
+    #: Identifiers of the frames, other than SYNC, that `on_frame` receives.
     listens_to: frozenset[int]
 
     def before_sync(self, behind: int) -> None:
-        """A SYNC has come and `behind` more wait behind it; the devices have not sampled yet."""
+        """React to a SYNC after which `behind` more wait; the devices have not sampled yet."""
 
     def after_sync(self) -> None:
         """The TPDOs of this SYNC are out and set points have acted: advance to the next one."""
@@ -45,11 +45,11 @@ class Application(Protocol):
         """A frame that it listens to, after the devices have seen it."""
 
     def tick(self, duration_s: float) -> None:
-        """No SYNC is running and `duration_s` of wall time has passed."""
+        """Advance by `duration_s` of wall time in which no SYNC is running."""
 
 
 class HostedDevices(NamedTuple):
-    """What a host runs."""
+    """Devices of a host, with their clock and application."""
 
     devices: Sequence[Device]
     clock: Clock
@@ -57,7 +57,7 @@ class HostedDevices(NamedTuple):
 
 
 class DeviceHost:
-    """Runs devices and their application on a link until told to stop."""
+    """Runs devices and their application on a link until `stop()` is true."""
 
     def __init__(self, link: Link, devices: Sequence[Device], clock: Clock, application: Application) -> None:
         self._link = link
@@ -75,7 +75,7 @@ class DeviceHost:
     def run(self, stop: Callable[[], bool], serve: Callable[[float], None] | None = None) -> None:
         """Boot the devices and serve until `stop()`. Raises BusError when the bus is lost.
 
-        `serve`: does so in the place of this host's, which it may ask.
+        `serve`: used in place of this host's, which it may call.
         """
         serve = self.serve if serve is None else serve
         self.boot()
@@ -83,14 +83,14 @@ class DeviceHost:
             serve(_POLL_S if self._sync_running else _TICK_S)
 
     def boot(self) -> None:
-        """Let the devices say boot-up."""
+        """Let the devices send boot-up."""
         self._listen()
         for device in self._devices:
             device.boot()
         self._flush_all()
 
     def serve(self, timeout_s: float) -> None:
-        """Handle what comes within `timeout_s`, and what time has made due."""
+        """Handle frames received within `timeout_s`, and timers that are due."""
         self.handle(self._link.receive(timeout_s))
 
     def handle(self, frames: Sequence[Frame]) -> None:
@@ -123,7 +123,7 @@ class DeviceHost:
 
     @property
     def fits_fast_path(self) -> bool:
-        """Whether SYNC is running, and no device has more to say than `Device.fits_fast_path`."""
+        """True if SYNC is running, and every device has `Device.fits_fast_path`."""
         return self._sync_running and not self._passive and all(d.fits_fast_path for d in self._devices)
 
     def addressees(self, can_id: int) -> Sequence[Device]:
@@ -131,11 +131,11 @@ class DeviceHost:
         return self._addressees.get(can_id, ())
 
     def served_until(self, monotonic_s: float) -> None:
-        """SYNCs were handled by somebody else until then."""
+        """Account for SYNCs handled by the fast path until then."""
         self._ticked_s = monotonic_s
 
     def _look_at_controller(self) -> None:
-        """Every device says so when too many frames are broken off on its wire (CiA 301, 8120h)."""
+        """Report error passive (EMCY 8120h of CiA 301) of the controller in every device, or clear it."""
         passive = self._link.controller is not ControllerState.ERROR_ACTIVE
         if passive is self._passive:
             return
@@ -161,7 +161,7 @@ class DeviceHost:
             self._link.set_filters([(identifier, _EXACTLY) for identifier in sorted(wanted)])
 
     def _nmt_commanded(self) -> None:
-        """Started nodes wait for SYNC; what they had to say before goes out now, not with its first answers."""
+        """Let started nodes wait for SYNC; frames pending before are sent now, not with their first answers."""
         self._flush_all()
         if any(device.nmt_state is NmtState.OPERATIONAL for device in self._devices):
             self._clock.expect_sync()

@@ -35,10 +35,10 @@ MAPPING: Final = 0x200
 RPDO_INDICES: Final = range(0x1400, 0x1600)
 TPDO_INDICES: Final = range(0x1800, 0x1A00)
 
-#: Bits beside the COB-ID in 1014h and in the parameters of PDOs: not in use; a TPDO that no remote frame asks for.
+#: Bits in addition to the COB-ID in 1014h and in PDO parameters: not in use; no RTR allowed on a TPDO.
 INVALID: Final = 0x8000_0000
 NO_REMOTE_REQUEST: Final = 0x4000_0000
-#: The same in 1005h: the device produces SYNC.
+#: Bit of 1005h: the device produces SYNC.
 PRODUCE_SYNC: Final = 0x4000_0000
 
 #: 29-bit identifiers and the frame bit: this runtime speaks 11-bit identifiers only.
@@ -46,7 +46,7 @@ _RESERVED_BITS: Final = 0x3FFF_F800
 
 
 class NmtCommand(IntEnum):
-    """What an NMT master asks for (table 34 ff.): the first byte of its frame."""
+    """NMT commands (table 34 ff.): the first byte of the frame."""
 
     START = 1
     STOP = 2
@@ -69,17 +69,17 @@ class NmtState(IntEnum):
 
     @property
     def heartbeat(self) -> bytes:
-        """The data of the heartbeat that says it."""
+        """Data of the heartbeat with this state."""
         return bytes((self,))
 
 
 def node_of(can_id: int, function: int) -> int:
-    """The node whose message with this function code it is; 0: it is none."""
+    """Node id of a message with this function code; 0: it has another one."""
     return can_id - function if function < can_id <= function + LAST_NODE else 0
 
 
 def is_restricted(cob_id: int) -> bool:
-    """Whether an object other than NMT, SDO, heartbeat, SYNC and TIME must not take this COB-ID (table 40)."""
+    """True if an object other than NMT, SDO, heartbeat, SYNC and TIME must not take this COB-ID (table 40)."""
     identifier = cob_id & COB_ID
     return (
         bool(cob_id & _RESERVED_BITS)

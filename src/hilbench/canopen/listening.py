@@ -1,4 +1,4 @@
-"""Who is on the bus: heard, by the identifiers of the predefined connection set (CiA 301), or asked for 1000h."""
+"""Nodes on the bus: received, by the identifiers of the predefined connection set (CiA 301), or read (1000h)."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _LOOK_ROUND_S: Final = 0.1
 
 @dataclass(frozen=True)
 class Received:
-    """What others sent while nobody was asked anything."""
+    """Frames that others sent without a request."""
 
     nodes: Mapping[int, frozenset[int]] = field(default_factory=dict)  #: node id → COB-IDs it used
     sync: int = 0  #: frames of SYNC
-    nmt: int = 0  #: NMT commands, but for those of an emergency stop, which anybody may send
+    nmt: int = 0  #: NMT commands, except those of an emergency stop, which any node may send
     set_points: frozenset[int] = frozenset()  #: COB-IDs of RPDOs
 
     def signs_of_master(self, master_id: int) -> list[str]:
-        """What says that another master is at work: who sends it, as identifiers. Empty: nothing does."""
+        """Signs of another master at work, as text with the identifiers; empty if none."""
         signs = []
         if self.sync:
             signs.append(f"SYNC (080h, {_times(self.sync)})")
@@ -43,7 +43,7 @@ class Received:
 
 
 def master_at_work(received: Received, claimed_by: str | None, master_id: int) -> str | None:
-    """What tells of another master: the program that has claimed the bus, or else what was heard. None: nothing."""
+    """Text on another master: the program that has claimed the bus, or else its frames received. None: no sign."""
     signs = ", ".join(received.signs_of_master(master_id))
     if claimed_by is not None:
         return f"{claimed_by}; received: {signs or 'nothing of it'}"
@@ -51,7 +51,7 @@ def master_at_work(received: Received, claimed_by: str | None, master_id: int) -
 
 
 def sort_by_node(frames: Iterable[Frame]) -> Received:
-    """Whom the identifiers belong to."""
+    """Attribute frames to nodes by their identifiers."""
     nodes: dict[int, set[int]] = {}
     set_points: set[int] = set()
     sync, commands, stopped = 0, list[bytes](), False
@@ -73,12 +73,12 @@ def sort_by_node(frames: Iterable[Frame]) -> Received:
 
 
 def listen(link: Link, duration_s: float) -> Received:
-    """Hear what others send. Raises BusError when the bus is lost."""
+    """Receive frames of others for `duration_s`. Raises BusError when the bus is lost."""
     return sort_by_node(receive_for(link, duration_s))
 
 
 def listen_for_master(link: Link, duration_s: float, master_id: int) -> list[str]:
-    """The signs of another master; for as long as said where there is none. Raises BusError when the bus is lost."""
+    """Signs of another master; takes `duration_s` where there is none. Raises BusError when the bus is lost."""
     frames = receive_for(link, duration_s, lambda new: bool(sort_by_node(new).signs_of_master(master_id)))
     if sort_by_node(frames).signs_of_master(master_id):
         frames += receive_for(link, _LOOK_ROUND_S)
@@ -86,7 +86,7 @@ def listen_for_master(link: Link, duration_s: float, master_id: int) -> list[str
 
 
 def present(link: Link, node_ids: Iterable[int], wait_s: float) -> set[int]:
-    """Which of these nodes answer an SDO read of 1000h within `wait_s`; all are asked at once."""
+    """Nodes of `node_ids` that answer an SDO read of 1000h within `wait_s`; all are read at once."""
     asked = set(node_ids)
     link.send([Frame(SDO_REQUEST + node_id, _READ_DEVICE_TYPE) for node_id in sorted(asked)])
     answers: set[int] = set()
@@ -102,9 +102,9 @@ def present(link: Link, node_ids: Iterable[int], wait_s: float) -> set[int]:
 def receive_for(
     link: Link, duration_s: float, enough: Callable[[list[Frame]], bool] = lambda new: False
 ) -> list[Frame]:
-    """All frames of a time, or until `enough` says so of new ones. Raises BusError when the bus is lost.
+    """All frames of a time, or until `enough` returns true for new ones. Raises BusError when the bus is lost.
 
-    What has come by the end of that time is among them, however late this process gets to look.
+    Frames received by the end of that time are among them, however late this process is scheduled.
     """
     frames: list[Frame] = []
     deadline_s = time.monotonic() + duration_s

@@ -1,4 +1,4 @@
-"""A master's side of the layer setting services (CiA 305): canopen's, with what it leaves to who uses it."""
+"""Master side of the layer setting services (CiA 305): canopen's, completed."""
 
 from __future__ import annotations
 
@@ -68,32 +68,32 @@ class LssMaster:
             self._network.lss.send_switch_state_selective(*address)
 
     def select_only_one(self) -> Identity:
-        """Bring the only device on the bus into its configuration state, whatever it is, and ask who it is."""
+        """Bring the only device on the bus, whatever it is, into configuration state, and inquire its identity."""
         with self._talking("the only device of the bus"):
             self._network.lss.send_switch_state_global(self._network.lss.CONFIGURATION_STATE)
             services = range(CS_INQUIRE_VENDOR_ID, CS_INQUIRE_SERIAL_NUMBER + 1)
             return Identity(*(self._network.lss.inquire_lss_address(service) for service in services))
 
     def node_id(self) -> int | None:
-        """Of the device that was selected; None: it has none."""
+        """Node id of the selected device; None: it has none."""
         with self._talking("its node id"):
             node_id = self._network.lss.inquire_node_id()
         return None if node_id in (0, UNCONFIGURED) else int(node_id)
 
     def give_node_id(self, node_id: int) -> None:
-        """To the device that was selected. Raises BenchFaultError when it refuses it."""
+        """Configure the node id of the selected device. Raises BenchFaultError when it refuses it."""
         with self._talking(f"node id {node_id}"):
             self._network.lss.configure_node_id(node_id)
 
     def give_bit_rate(self, index: int) -> None:
-        """Of table 0 (`lss_slave.BIT_RATES`), to the device that was selected; in force when it was stored and the
-        device starts again. Raises BenchFaultError when the device refuses it.
+        """Configure the bit rate of the selected device, by its index in table 0 (`lss_slave.BIT_RATES`); in force once
+        stored and the device starts again. Raises BenchFaultError when the device refuses it.
         """
         with self._talking(f"bit rate {BIT_RATES[index] // 1000} kbit/s"):
             self._network.lss.configure_bit_timing(index)
 
     def store(self) -> None:
-        """Let the device that was selected keep what it was given. Raises BenchFaultError when it does not."""
+        """Store the configuration of the selected device. Raises BenchFaultError when it does not."""
         with self._talking("storing"):
             self._network.lss.store_configuration()
 
@@ -103,7 +103,7 @@ class LssMaster:
             self._leave_configuration()
 
     def boots(self, node_id: int, *, old_id: int | None, timeout_s: float) -> bool:
-        """Let the device take its new node id, and wait for its boot-up message (or a heartbeat).
+        """Activate the device's new node id, and wait for its boot-up message (or a heartbeat).
 
         One that had a node id is reset (NMT reset communication) under its old one.
         """
@@ -119,7 +119,7 @@ class LssMaster:
         return bool(seen)
 
     def close(self) -> None:
-        """Leave the bus; what was selected waits again."""
+        """Leave the bus; selected devices return to waiting state."""
         with suppress(can.CanError, OSError):
             self._leave_configuration()
             self._network.disconnect()
@@ -146,5 +146,5 @@ class LssMaster:
 
 
 def shown(identity: Identity) -> str:
-    """As it is given on the command line: vendor, product code, revision and serial number."""
+    """Identity as given on the command line: vendor, product code, revision and serial number."""
     return ":".join(f"{number:X}h" for number in astuple(identity))

@@ -1,6 +1,6 @@
-"""A device's side of the layer setting services (CiA 305): who it is, and which node id and bit rate it is given.
+"""Slave side of the layer setting services (CiA 305): identity, node id and bit rate of a device.
 
-It speaks whether the device has a node id or not; what the node id that was given means for the device is its host's.
+It answers with or without a node id; the host decides about the effect of a new one.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hilbench.canopen.identifiers import LAST_NODE, LSS_ANSWER
 #: The node id of a device that has none.
 UNCONFIGURED: Final = 255
 
-#: Bit rates of table 0 by index (CiA 305, table 1); 5 is reserved, 9 stands for finding it out by oneself.
+#: Bit rates of table 0 by index (CiA 305, table 1); 5 is reserved, 9 is automatic detection.
 BIT_RATES: Final = {
     0: 1_000_000, 1: 800_000, 2: 500_000, 3: 250_000, 4: 125_000, 6: 50_000, 7: 20_000, 8: 10_000,
 }  # fmt: skip
@@ -35,7 +35,7 @@ _DONE, _REFUSED, _NOT_STORABLE = 0, 1, 1
 
 
 class LssState(Enum):
-    """Whether services that change the device reach it."""
+    """LSS states: services that change the device reach it in CONFIGURATION only."""
 
     WAITING = 0
     CONFIGURATION = 1
@@ -43,7 +43,7 @@ class LssState(Enum):
 
 @dataclass(frozen=True)
 class LssSettings:
-    """What is kept over a loss of power."""
+    """Settings kept over a loss of power."""
 
     node_id: int
     bit_rate: int | None = None  #: bit/s; None: never given

@@ -1,4 +1,4 @@
-"""The master's half of configuration: SDO, NMT and PDO maps through canopen, with errors that name what failed."""
+"""Master side of configuration: SDO, NMT and PDO maps through canopen, with errors that name what failed."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Master(SdoClient):
                 self._boot_seen.notify_all()
 
     def responding_within(self, duration_s: float) -> set[int]:
-        """Who sends a heartbeat (or boots) within a time; blocks for so long. Not after `receive_only_answers`."""
+        """Nodes that send a heartbeat (or boot) within a time; blocks for so long. Not after `receive_only_answers`."""
         with self._boot_seen:
             before, self._booted = self._booted, set()
         time.sleep(duration_s)
@@ -91,10 +91,10 @@ class Master(SdoClient):
         *,
         beside: Iterable[int] = (),
     ) -> None:
-        """Wait until every node was heard (boot-up or heartbeat) or answers an SDO request.
+        """Wait until every node has sent boot-up or heartbeat, or answers an SDO request.
 
         `check` is called meanwhile and may raise. Raises BenchFaultError naming the nodes that stay silent, also those
-        `beside`, which are not waited for, and what was tried.
+        in `beside`, which are not waited for, and what was tried.
         """
         waiting = set(node_ids)
         deadline_s = time.monotonic() + timeout_s
@@ -118,7 +118,7 @@ class Master(SdoClient):
     def wait_for_answer(
         self, node_ids: Iterable[int], timeout_s: float, wake: Callable[[], None] = lambda: None
     ) -> None:
-        """Ask nodes by SDO until each answers; `wake` is called after each question that was not answered.
+        """Read from nodes by SDO until each answers; `wake` is called after each read without an answer.
 
         Raises BenchFaultError naming the first that does not answer.
         """
@@ -179,7 +179,7 @@ class Master(SdoClient):
         return Identity(*(int(self.sdo_read(node_id, 0x1018, sub)) for sub in (1, 2, 3, 4)))
 
     def has(self, node_id: int, index: int, sub: int = 0) -> bool:
-        """Whether the node's EDS has the object."""
+        """True if the node's EDS has the object."""
         try:
             eds.variable(self._network[node_id].object_dictionary, index, sub)
         except KeyError:
@@ -205,7 +205,7 @@ class Master(SdoClient):
             self._give(node_id, communication_index + MAPPING, 0, 0)
 
     def _give(self, node_id: int, index: int, value: int, sub: int) -> None:
-        """Write it, unless it is read-only by its EDS: who reads it back afterwards sees what it has."""
+        """Write it, unless it is read-only by its EDS: reading it back afterwards shows its value."""
         if self._variable(node_id, index, sub).writable:
             self.sdo_write(node_id, index, value, sub)
 
@@ -223,7 +223,7 @@ class Master(SdoClient):
         self._check_pdo(node_id, communication, mapping, pdo)
 
     def _check_pdo(self, node_id: int, communication: int, mapping: int, pdo: PdoMap) -> None:
-        """What the device now says of the PDO, against what it was given."""
+        """Check the PDO parameters read back from the device against those written."""
         count = self.sdo_read(node_id, mapping, 0)
         found = [self.sdo_read(node_id, mapping, sub) for sub in range(1, count + 1)]
         place = f"{self._names[node_id]} (node {node_id})"

@@ -1,7 +1,7 @@
-"""One bus has one master: who would write to it claims it on this machine, and listens first for others' on the wire.
+"""One master per bus: a program that writes to it claims it on this machine, and first listens for other masters.
 
 The claim (`hilbench.can.claims`) is what decides between two programs of this machine, also when they start in the
-same moment. What is heard tells of masters that claim nothing: foreign ones, and those of other machines.
+same moment. Received frames show masters that claim nothing: foreign ones, and those of other machines.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _NO_MASTER: Final = "a bus without a master; it ends with its program (Ctrl-C th
 
 
 def master_of(bus: BusAddress) -> Holder | None:
-    """The program on this machine that is the master of a bus; None: nobody has said so."""
+    """Program on this machine that is the master of a bus; None: none has claimed it."""
     return claims.holder(bus.place, MASTER)
 
 
@@ -42,10 +42,10 @@ def mastery(
     brings: Mapping[int, str] = MappingProxyType({}),
     despite_heard: bool = False,
 ) -> Iterator[None]:
-    """Be the master of `bus` meanwhile; `what` tells others why. `brings`: nodes (id → part) that it will start.
+    """Be the master of `bus` meanwhile; `what` is shown to others. `brings`: nodes (id → part) that it will start.
 
-    Raises UnusableInputError when a program on this machine is its master already, when another one is heard on the
-    wire (unless `despite_heard`), when one of the nodes is there without us, or when the bus cannot be opened.
+    Raises UnusableInputError when a program on this machine is its master already, when frames of another one are
+    received (unless `despite_heard`), when one of the nodes is there without us, or when the bus cannot be opened.
     """
     roles = {MASTER: _NO_MASTER}
     roles |= {
@@ -107,7 +107,7 @@ def _listen(bus: BusAddress, master_id: int) -> list[str]:
 
 
 def _open(bus: BusAddress) -> Link:
-    """Nothing has been started yet: a bus that cannot be opened is one that cannot be used."""
+    """Open the bus. Nothing has been started yet, so a bus that cannot be opened is unusable input."""
     try:
         return open_link(bus)
     except BusError as error:
@@ -115,7 +115,7 @@ def _open(bus: BusAddress) -> Link:
 
 
 def _may_be_others(bus: BusAddress) -> bool:
-    """Whether it is worth listening: on an embedded bus without stations there is nobody."""
+    """True if there may be other stations: an embedded bus without any need not be listened to."""
     if bus.interface != "embedded":
         return True
     try:

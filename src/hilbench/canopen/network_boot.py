@@ -1,5 +1,5 @@
-"""Boot-up of a network by its NMT master (CiA 302-2): who belongs to it, whether they are who they should be, what they
-are configured with (1F22h), and when they start. All of it is in the master's DCF (1F80h ff.), as `dcfgen` writes it.
+"""Boot-up of a network by its NMT master (CiA 302-2): its slaves, the check of their identity, their
+configuration (1F22h), and their start. All of it is in the master's DCF (1F80h ff.), as `dcfgen` writes it.
 """
 
 from __future__ import annotations
@@ -59,36 +59,36 @@ class Slave:
     assignment: int  #: 1F81h
     identity: dict[int, int]  #: what is expected, by index of the master's object; 0 or absent: anything
     configuration: list[concise_dcf.Write]
-    heartbeat_s: float  #: within which one is to be heard; 0: none is expected
+    heartbeat_s: float  #: within which one is to be received; 0: none is expected
 
     @property
     def mandatory(self) -> bool:
-        """Whether nothing starts without it."""
+        """True if nothing starts without it."""
         return bool(self.assignment & _MANDATORY)
 
     @property
     def boots(self) -> bool:
-        """Whether it is configured and started; otherwise it is only looked for."""
+        """True if it is configured and started; otherwise it is only checked for presence."""
         return bool(self.assignment & _BOOT)
 
     @property
     def may_be_reset(self) -> bool:
-        """Whether its communication is reset even if it may be at work."""
+        """True if its communication is reset even if it may be at work."""
         return not self.assignment & _NO_RESET
 
 
 @dataclass(frozen=True)
 class NetworkPlan:
-    """What the master's DCF says."""
+    """Network of the master's DCF."""
 
     startup: int  #: 1F80h
-    boot_time_s: float  #: a mandatory slave may take so long; 0: not told
+    boot_time_s: float  #: longest boot time of a mandatory slave; 0: not given
     slaves: list[Slave]
 
 
 @dataclass(frozen=True)
 class Booted:
-    """What became of a slave; without an error it is there, and as it should be."""
+    """Result of a slave's boot; without an error it is there, and as it should be."""
 
     slave: Slave
     error: BootError | None = None
@@ -102,7 +102,7 @@ class _FailedError(Exception):
 
 
 def read_plan(path: Path) -> NetworkPlan:
-    """The network of a master's DCF; concise DCFs lie beside it, named by UploadFile, or stand in it.
+    """Network of a master's DCF; concise DCFs are in its folder, named by UploadFile, or in it.
 
     Raises UnusableInputError for a file that is none of an NMT master, or one that names no slave.
     """
@@ -131,10 +131,10 @@ def read_plan(path: Path) -> NetworkPlan:
 def boot_network(
     master: Master, plan: NetworkPlan, timeout_s: float, report: Callable[[Booted], None] = lambda _: None
 ) -> list[Booted]:
-    """Reset, look at, configure and start the slaves; `report` is told of each. A mandatory slave with an error keeps
+    """Reset, check, configure and start the slaves; `report` is called for each. A mandatory slave with an error keeps
     all of them from being started, others only themselves.
 
-    `timeout_s`: how long a slave may take to answer where the plan does not tell. Raises BusError when the bus is lost.
+    `timeout_s`: longest time for an answer where the plan gives none. Raises BusError when the bus is lost.
     """
     for slave in plan.slaves:
         master.add(slave.node_id, canopen.ObjectDictionary(), f"node {slave.node_id}")

@@ -13,7 +13,7 @@ _TOGGLE = 0x80
 
 
 class NodeGuarding:
-    """Answers the master's remote frames, and misses them: `on_lost()` and `on_back()` are told of changes.
+    """Answers the master's remote frames, and supervises them: `on_lost()` and `on_back()` are called on changes.
 
     A device without 100Ch is not guarded. The life time, guard time by life time factor, begins with the first remote
     frame.
@@ -35,14 +35,14 @@ class NodeGuarding:
         self.reset()
 
     def reset(self) -> None:
-        """Boot-up: the toggle bit of the first answer is 0, and nobody is missed until the first remote frame."""
+        """Reset at boot-up: the first answer's toggle bit is 0, and supervision starts with the first remote frame."""
         self._toggle = 0
         self._received_ns: int | None = None
         self._lost = False
 
     @property
     def watches(self) -> bool:
-        """Whether a master that falls silent is missed."""
+        """True if a silent master is detected."""
         return self._received_ns is not None and self._life_time_ns > 0
 
     @property
@@ -50,7 +50,7 @@ class NodeGuarding:
         return int(self._guard_time.value * self._factor.value * _MS)
 
     def answer(self, state: NmtState) -> bytes:
-        """What is said to a remote frame of the master."""
+        """Answer to a remote frame of the master."""
         self._received_ns = self._now_ns()
         if self._lost:
             self._lost = False
@@ -60,7 +60,7 @@ class NodeGuarding:
         return reply
 
     def poll(self, now_ns: int) -> None:
-        """Report the master whose time is over."""
+        """Report the master when the life time has expired."""
         received_ns = self._received_ns
         if received_ns is not None and self.watches and not self._lost and now_ns - received_ns > self._life_time_ns:
             self._lost = True

@@ -1,4 +1,4 @@
-"""The values of a device: one cell an object, the single store for SDO, PDO and application."""
+"""Values of a device: one cell per object, the single store for SDO, PDO and application."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Cell:
         return self._start
 
     def start_with(self, value: Value) -> None:
-        """What the application has in an object for which the EDS file names no default; it is so now."""
+        """Set the application's start value of an object without a default in the EDS file, and its value."""
         self._start = value
         self.value = self.initial()
 
@@ -74,7 +74,7 @@ class Cell:
         return self._type.width
 
     def encode(self) -> bytes:
-        """The value as it goes over SDO. Raises ValueError for a value that is none of the object's type."""
+        """Encode the value as SDO data. Raises ValueError for a value that is none of the object's type."""
         return self._type.encode(self.on_read() if self.on_read is not None else self.value)
 
     def decode(self, data: bytes) -> Value:
@@ -83,7 +83,7 @@ class Cell:
         return self._type.decode(data)
 
     def check_length(self, length: int) -> None:
-        """Raises SdoAbort when so many bytes are no value of the object."""
+        """Raise SdoAbort when so many bytes are no value of the object."""
         width = self._type.width
         if width is not None and length != width:
             raise SdoAbort(TOO_LONG if length > width else TOO_SHORT)
@@ -121,8 +121,8 @@ class ObjectStore:
             raise KeyError(f"no object {index:04X}h sub {sub} in the EDS") from None
 
     def conditional(self, index: int, code: int, default: Value) -> Cell:
-        """The cell of an object that a device may lack (CiA 301): without it the default counts, and nobody on the bus
-        reads or writes it."""
+        """Cell of an object that a device may lack (CiA 301): without it the default counts, and it is not accessible
+        on the bus."""
         if (index, 0) in self:
             return self.cell(index)
         variable = ODVariable(f"{index:04X}h", index)

@@ -1,4 +1,4 @@
-"""PDO layouts: which objects a PDO carries, and the codec that follows from their types."""
+"""PDO layouts: the objects in a PDO, and the codec that follows from their types."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def bit_length(variable: ODVariable) -> int:
 
 
 def received_by(variable: ODVariable) -> bool:
-    """Whether its access lets it be mapped into an RPDO."""
+    """True if its access lets it be mapped into an RPDO."""
     return variable.access_type in ("rw", "rww", "wo")
 
 
 def sent_by(variable: ODVariable) -> bool:
-    """Whether its access lets it be mapped into a TPDO: rww is a process output (CiA 306), read back by SDO only."""
+    """True if its access lets it be mapped into a TPDO: rww is a process output (CiA 306), read back by SDO only."""
     return variable.access_type not in ("wo", "rww")
 
 
@@ -114,5 +114,5 @@ class PdoMap:
 
     @property
     def period(self) -> int:
-        """Sent every so many SYNCs; 0 for a PDO that is not cyclic."""
+        """Period in SYNCs; 0 for a PDO that is not cyclic."""
         return self.transmission_type if 1 <= self.transmission_type <= 240 else 0

@@ -1,6 +1,6 @@
 """SDO block transfer, server side (CiA 301, 7.2.4.3.9 to 7.2.4.3.17): up to 127 segments per confirmation.
 
-Both classes take requests and give the data of the answers; who sends them is not their business. They raise SdoAbort
+Both classes take requests and return the data of the answers; the caller sends them. They raise SdoAbort
 when the transfer has to end.
 """
 
@@ -31,7 +31,7 @@ _END_DOWNLOAD, _ACKNOWLEDGE, _START, _END_UPLOAD = 0xC1, 0xA2, 0xA3, 0xA1
 
 
 class BlockDownload:
-    """Data on their way from the client."""
+    """Block download: data from the client."""
 
     def __init__(self, request: bytes) -> None:
         self.receiving = True  #: segments come, until the last one has been confirmed
@@ -46,7 +46,7 @@ class BlockDownload:
         return bytes((_DOWNLOAD_INITIATED | _CRC, *self._multiplexer, _MOST_SEGMENTS, 0, 0, 0))
 
     def segment(self, request: bytes) -> bytes | None:
-        """One segment; at the end of a block its confirmation, which tells the last segment received in order."""
+        """Take a segment; at the end of a block return the confirmation, with the last segment received in order."""
         number, last = request[0] & 0x7F, bool(request[0] & _LAST)
         if number == len(self._block) + 1:
             self._block.append(request[1:])
@@ -82,7 +82,7 @@ class BlockDownload:
 
 
 class BlockUpload:
-    """Data on their way to the client."""
+    """Block upload: data to the client."""
 
     def __init__(self, request: bytes, data: bytes) -> None:
         self._multiplexer = request[1:4]
@@ -100,7 +100,7 @@ class BlockUpload:
         return bytes((_UPLOAD_INITIATED | _CRC | _SIZE, *self._multiplexer)) + struct.pack("<I", self._size)
 
     def handle(self, request: bytes) -> list[bytes]:
-        """What the client asks for next: a block, or the end."""
+        """Answer the client's next request: a block, or the end."""
         if request[0] == _START and not self._sent:
             return self._next_block()
         if request[0] == _ACKNOWLEDGE and self._sent and not self._ended:

@@ -1,4 +1,4 @@
-"""The SDO client: canopen's, in bytes and without object dictionaries, for any node of a bus."""
+"""SDO client: canopen's, in bytes and without object dictionaries, for any node of a bus."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SDO_ANSWERS: Final[can.typechecking.CanFilters] = [{"can_id": SDO_ANSWER, "can_m
 _STORED: Final = (0x1010, 0x1011)
 _STORED_S: Final = 10.0
 
-#: Of so many contents what was sent and not heard yet is kept, and for so long: a bus in lockstep may stand still.
+#: Number of sent frames kept until received, and for how long: in lockstep no cycle may run for a while.
 _SENT_KEPT, _SENT_KNOWN_S = 4096, 60.0
 
 
@@ -39,7 +39,7 @@ class Refusal:
 
 
 def no_answer(error: Exception, timeout_s: float) -> str:
-    """Why a transfer has failed without an abort: nothing came, or something else than the answer."""
+    """Reason of a transfer that has failed without an abort: no answer, or a wrong one."""
     text = str(error).rstrip(".")
     return f"no answer within {timeout_s:g} s" if text.startswith("No SDO response") else f"wrong answer: {text}"
 
@@ -49,23 +49,23 @@ Answer = bytes | Refusal | None
 
 
 class SentFrames:
-    """What was sent lately, so that it is known again when it is heard on another connection to the bus."""
+    """Frames sent lately, to recognize them when received on another connection to the bus."""
 
     def __init__(self) -> None:
         self._times_s: dict[tuple[int, bytes], list[float]] = {}
         self._lock = threading.Lock()
 
     def add(self, can_id: int, data: bytes) -> None:
-        """It is about to be sent."""
+        """Add a frame about to be sent."""
         with self._lock:
             times_s = self._times_s
             key = can_id, data
             times_s[key] = [*times_s.pop(key, ()), time.monotonic()][-_SENT_KEPT:]  # the last sent are the last kept
-            if len(times_s) > _SENT_KEPT:  # those were lost, or nobody listened
+            if len(times_s) > _SENT_KEPT:  # those were lost, or there was no listener
                 del times_s[next(iter(times_s))]
 
     def take(self, can_id: int, data: bytes) -> bool:
-        """Whether a frame that was heard was sent here not long ago; each is known again once."""
+        """True if a received frame was sent here not long ago; each is recognized once."""
         key = can_id, data
         if key not in self._times_s:
             return False
@@ -89,17 +89,17 @@ class _Network(Network):
 
 
 class _LossIsKnown(can.Listener):
-    """Ends canopen's thread without words when the bus is lost; `Network.check` says so where the bus is used next."""
+    """Ends canopen's thread silently when the bus is lost; `Network.check` reports it where the bus is used next."""
 
     def on_message_received(self, msg: can.Message) -> None:
-        """Others listen."""
+        """Ignore the message: other listeners take it."""
 
     def on_error(self, exc: Exception) -> None:
-        """python-can would print what nobody takes, and receive again at once, for ever, what somebody does."""
+        """End the thread: python-can prints an unhandled error, and retries at once, for ever, after a handled one."""
         raise SystemExit
 
     def stop(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no resource is held."""
 
 
 class SdoClient:
@@ -118,7 +118,7 @@ class SdoClient:
 
     @property
     def timeout_s(self) -> float:
-        """For the answer to a request."""
+        """Time-out of an answer to a request."""
         return self._timeout_s
 
     def read(self, node_id: int, index: int, sub: int = 0) -> Answer:
@@ -134,12 +134,12 @@ class SdoClient:
             return None
 
     def upload(self, node_id: int, index: int, sub: int, width: int | None = None) -> bytes:
-        """All bytes of the answer; of one that does not tell its size, the first `width`.
+        """All bytes of the answer; of one without a size indication, the first `width`.
 
         Raises canopen's SdoAbortedError and SdoCommunicationError (no answer), and BusError when the bus is lost.
         """
         with self._transfer(node_id) as client, client.open(index, sub, buffering=0) as answer:
-            data = bytes(answer.read())  # canopen's own `upload` cuts what is longer than the EDS says
+            data = bytes(answer.read())  # canopen's own `upload` truncates to the EDS's length
         # Expedited without a size (CiA 301, 7.2.4.3.6, s = 0): four bytes, of which the type's are meant.
         return data[:width] if answer.exp_data is not None and answer.size is None else data
 
@@ -153,17 +153,17 @@ class SdoClient:
                 client.RESPONSE_TIMEOUT = self._timeout_s
 
     def _time_out_s(self, index: int) -> float:
-        """How long the answer to a write may take: what goes into a device's flash memory takes longer."""
+        """Time-out of the answer to a write: storing in a device's flash memory takes longer."""
         return max(self._timeout_s, _STORED_S) if index in _STORED else self._timeout_s
 
     def receive_only_answers(self) -> None:
-        """From now on only SDO answers are received: the cyclic traffic is somebody else's to read."""
+        """Receive SDO answers only from now on: the cyclic traffic is read elsewhere."""
         bus = self._network.bus
         assert bus is not None, "connected since it was made"
         bus.set_filters(SDO_ANSWERS)
 
     def close(self) -> None:
-        """Leave the bus. One that is lost was reported by whoever used it."""
+        """Leave the bus. A lost one has been reported where it was used."""
         with suppress(can.CanError):
             self._network.disconnect()
 

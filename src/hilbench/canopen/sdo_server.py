@@ -1,8 +1,8 @@
-"""The SDO server of a device: canopen's, on the device's object store, with its answers corrected.
+"""SDO server of a device: canopen's, on the device's object store, with its answers corrected.
 
-What canopen's server (2.4.1) lacks and stands here: refusals that name the object they refuse, an end to every
+Added to canopen's server (2.4.1): refusals that name the object they refuse, an end to every
 transfer (after its last segment, an abort of either side), the announced size checked, block transfer, and errors of
-the application that come through instead of becoming an abort code.
+the application that are raised instead of becoming an abort code.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _SUBCOMMAND = 0x03  #: of a block transfer; 0 initiates one. In a block download
 
 
 class _Outlet:
-    """What canopen's server sends through: a list instead of a bus."""
+    """Outlet of canopen's server: a list instead of a bus."""
 
     def __init__(self, send: Callable[[int, bytes], None]) -> None:
         self.send_message = send
@@ -67,7 +67,7 @@ class _Node(canopen.LocalNode):
 
 
 def may_write(data: bytes) -> bool:
-    """Whether a request can change an object: it does not ask for a value."""
+    """True if a request can change an object: it is no upload."""
     return not data or data[0] >> 5 not in (_UPLOAD, _UPLOAD_SEGMENT, _BLOCK_UPLOAD)
 
 
@@ -94,7 +94,7 @@ class DeviceSdoServer(SdoServer):
             self.abort(refusal.code)
 
     def reset(self) -> None:
-        """Forget the transfer that is under way."""
+        """Drop the transfer that is under way."""
         self._transfer = None
 
     def _dispatch(self, data: bytes) -> None:
@@ -188,7 +188,7 @@ class DeviceSdoServer(SdoServer):
     # -- block -------------------------------------------------------------------------------------------
 
     def block_upload(self, data: bytes) -> None:
-        """Begin a block upload, or go over to the plain one when the data are no longer than the client's threshold."""
+        """Begin a block upload, or a normal one when the data are no longer than the client's threshold."""
         content = self._node.get_data(self._index, self._subindex, check_readable=True)
         if data[5] and len(content) <= data[5]:
             self.init_upload(data)

@@ -1,4 +1,4 @@
-"""Store and restore parameters, 1010h and 1011h (CiA 301); what is stored survives in a file."""
+"""Store and restore parameters, 1010h and 1011h (CiA 301); stored values survive in a file."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Storage:
                 cell.on_write, cell.on_read = self._loader(area), lambda: _ON_COMMAND
 
     def apply(self, first: int, last: int) -> None:
-        """After a reset: stored values of the objects first to last take the place of the defaults."""
+        """Apply stored values to the objects first to last after a reset, in place of the defaults."""
         for key, text in self._stored.items():
             index, sub = (int(part, 16) for part in key.split(":"))
             if first <= index <= last and (index, sub) in self._store:

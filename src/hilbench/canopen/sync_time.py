@@ -1,4 +1,4 @@
-"""When SYNC comes: period and phase out of arrivals that jitter, stay away for a while, or are read in a bunch."""
+"""SYNC time base: period and phase from arrivals that jitter, stay away for a while, or are read in a bunch."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SETTLED = 8
 
 
 class SyncTime:
-    """Follows SYNC as the clock of a servo drive does that locks to it; times in ns of one clock.
+    """Follows SYNC like the clock of a servo drive that locks to it; times in ns of one clock.
 
     An arrival belongs to the period that it is nearest to, so that lost SYNCs are counted, and jitter is not; one that
     is off by more than the expected period is no jitter, and taken as it comes. A period that several intervals in a
@@ -27,7 +27,7 @@ class SyncTime:
     """
 
     def __init__(self, period_ns: int) -> None:
-        """`period_ns`: what is expected until another one is measured."""
+        """`period_ns`: expected period until another one is measured."""
         self.period_ns = period_ns
         self.at_ns: int | None = None  #: of the last SYNC, None before the first
         self._most_jitter_ns = period_ns
@@ -37,19 +37,19 @@ class SyncTime:
 
     @property
     def settled(self) -> bool:
-        """Whether the period is known."""
+        """True if the period is known."""
         return self._regular >= _SETTLED
 
     @property
     def next_ns(self) -> int:
-        """When the next SYNC is due. Only after the first one."""
+        """Time at which the next SYNC is due. Only after the first one."""
         assert self.at_ns is not None, "after the first SYNC"
         return self.at_ns + self.period_ns
 
     def received(self, now_ns: int, behind: int = 0) -> int:
-        """A SYNC was read, and `behind` more that came after it wait: it came by as many periods earlier.
+        """Take a SYNC that was read while `behind` later ones wait: it came by as many periods earlier.
 
-        Returns how many periods have passed since the one before: 1, more after lost ones, 0 for one too many.
+        Returns the number of periods since the one before: 1, more after lost ones, 0 for a surplus one.
         """
         came_ns = now_ns - behind * self.period_ns
         if self.at_ns is None:
@@ -76,7 +76,7 @@ class SyncTime:
         return periods
 
     def pop_new_period(self) -> bool:
-        """Whether SYNC was found to have another period than expected, which is expected from here on."""
+        """True if SYNC was found to have another period than expected, which is expected from here on."""
         measured = sorted(self._intervals)
         if len(measured) < _ALIKE:
             return False

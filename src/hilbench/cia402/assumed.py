@@ -1,8 +1,8 @@
-"""What the firmware of a simulated drive has in objects of CiA 402 that its EDS file lacks, or names no value for.
+"""Values that a simulated drive's firmware assumes for CiA 402 objects that its EDS file lacks, or gives no value.
 
 A drive whose file has no ramp still ramps, and one without an option code still stops somehow: the values are those
-that IEC 61800-7-201 names as defaults, where it names any, and moderate ones otherwise. A value for a person's units
-(rpm) is brought into the drive's own.
+that IEC 61800-7-201 gives as defaults, where it gives any, and moderate ones otherwise. A value in a person's units
+(rpm) is converted to the drive's own.
 """
 
 from __future__ import annotations
@@ -115,14 +115,14 @@ def cell_of(device: AxisDevice, units: DriveUnits, index: int, sub: int = 0) -> 
     return Cell(variable)
 
 
-#: Of a drive that does not tell.
+#: Defaults of a drive that does not give them.
 _INCREMENTS_PER_TURN, _RATED_TORQUE_NM = 4096, 1.0
 
 
 def assumed_units(read: ObjectReader, given: Mapping[str, float], place: str) -> tuple[DriveUnits, list[str]]:
-    """Units of a simulated drive, and what had to be assumed for them, one line each.
+    """Units of a simulated drive, and the assumptions made for them, one line each.
 
-    What neither the objects nor `given` (as in `DriveUnits.from_objects`) tell is 4096 increments a turn, rpm, 1 N·m.
+    One given by neither objects nor `given` (as in `DriveUnits.from_objects`) is 4096 increments a turn, rpm, 1 N·m.
     """
     assumed = {
         "position_rad": (2.0 * pi / _INCREMENTS_PER_TURN, f"{_INCREMENTS_PER_TURN} position units a turn of the motor"),

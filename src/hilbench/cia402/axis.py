@@ -1,9 +1,9 @@
-"""Several axes on one node (CiA 301, 7.5.2.1, and CiA 402): where the objects and the PDOs of each are.
+"""Several axes on one node (CiA 301, 7.5.2.1, and CiA 402): places of the objects and the PDOs of each.
 
-A device of several logical devices has the objects of number n at 6000h + (n-1)·800h, and says by FFFFh in the upper
-half of 1000h that there are some; each tells its own type at the end of its area, 67FFh + (n-1)·800h. The PDOs of axis
-n begin with number 1 + (n-1)·64. All else is the node's: NMT state, heartbeat, SYNC, EMCY, 1001h, 1003h. A maker's own
-objects follow no rule.
+A device of several logical devices has the objects of number n at 6000h + (n-1)·800h, and marks that by FFFFh in the
+upper half of 1000h; each has its own type at the end of its area, 67FFh + (n-1)·800h. The PDOs of axis
+n begin with number 1 + (n-1)·64. All else is the node's: NMT state, heartbeat, SYNC, EMCY, 1001h, 1003h.
+Manufacturer-specific objects follow no rule.
 """
 
 from __future__ import annotations
@@ -29,27 +29,27 @@ _TPDOS_OF_AXIS: Final = 2
 
 
 def objects_behind(axis: int) -> int:
-    """How far behind those of the first axis the objects of an axis (from 1) are."""
+    """Offset of the object indices of an axis (from 1) from those of the first axis."""
     return _OBJECTS * (axis - 1)
 
 
 def object_of(axis: int, index: int) -> int:
-    """Where an axis has an object of the profile, named as that of the first axis; others are where they are."""
+    """Index of a profile object on an axis, given that of the first axis; others are unchanged."""
     return index + objects_behind(axis) if index in _OF_FIRST else index
 
 
 def of_first_axis(index: int) -> int:
-    """The object of the first axis that is the same of its own: 6040h for 6840h."""
+    """Index on the first axis of an axis's object: 6040h for 6840h."""
     return _PROFILE[(index - _PROFILE.start) % _OBJECTS] if index in _PROFILE else index
 
 
 def axis_of(index: int) -> int:
-    """Whose object it is; 1 for one that belongs to no axis."""
+    """Axis of an object; 1 for one that belongs to no axis."""
     return 1 + (index - _PROFILE.start) // _OBJECTS if index in _PROFILE else 1
 
 
 def is_of(axis: int, index: int) -> bool:
-    """Whether an object is one of an axis, or of the whole node."""
+    """True if an object is one of an axis, or of the whole node."""
     return object_of(axis, of_first_axis(index)) == index
 
 
@@ -60,7 +60,7 @@ def axes(has: Callable[[int], bool]) -> list[int]:
 
 
 def pdos_behind(axis: int) -> int:
-    """How far behind those of the first axis the numbers of its PDOs are."""
+    """Offset of the PDO numbers of an axis from those of the first axis."""
     return _PDOS * (axis - 1)
 
 
@@ -76,12 +76,12 @@ def tpdo_identifiers(node_id: int, axis: int) -> list[int]:
 
 
 def rpdo_numbers(axis: int) -> tuple[int, int]:
-    """Of an axis' RPDO: its own, and that which has its identifier by default, for a device without PDOs from 65 on."""
+    """Numbers of an axis's RPDO: its own, and that with its default identifier, for devices without PDOs from 65 on."""
     return 1 + pdos_behind(axis), axis
 
 
 def tpdo_numbers(axis: int) -> list[tuple[int, int]]:
-    """The same of its two TPDOs."""
+    """Numbers of an axis's two TPDOs, in the same two ways each."""
     of_both = range(1, _TPDOS_OF_AXIS + 1)
     return [(k + pdos_behind(axis), k + _TPDOS_OF_AXIS * (axis - 1)) for k in of_both]
 
@@ -99,11 +99,11 @@ class AxisDevice:
         self._device = device
 
     def cell(self, index: int, sub: int = 0) -> Cell:
-        """The cell of an object. Raises KeyError when the EDS lacks it."""
+        """Cell of an object. Raises KeyError when the EDS lacks it."""
         return self._device.cell(object_of(self.axis, index), sub)
 
     def has(self, index: int, sub: int = 0) -> bool:
-        """Whether the EDS has the object for this axis."""
+        """True if the EDS has the object for this axis."""
         return self._device.has(object_of(self.axis, index), sub)
 
     def emergency(self, code: int, register_bits: int) -> None:
@@ -113,24 +113,24 @@ class AxisDevice:
         self._device.emergency(code, register_bits, bytes([0, 0, 0, 0, self.axis if several else 0]), self._source)
 
     def clear_emergency(self, code: int) -> None:
-        """It has gone."""
+        """Clear an error of this axis."""
         self._device.clear_emergency(code, self._source)
 
     def keep_emergency(self, code: int) -> None:
-        """As `Device.keep_emergency`: this axis is in fault because of it."""
+        """Keep an EMCY error (`Device.keep_emergency`): this axis is in fault because of it."""
         self._device.keep_emergency(code, self.axis)
 
     def acknowledge_emergency(self, code: int) -> None:
-        """As `Device.acknowledge_emergency`: it is not any more."""
+        """Acknowledge an EMCY error (`Device.acknowledge_emergency`): this axis has left fault."""
         self._device.acknowledge_emergency(code, self.axis)
 
     @property
     def _source(self) -> int:
-        return 1 - self.axis  # nobody else's: nodes and PDOs count from 1
+        return 1 - self.axis  # unique: nodes and PDOs count from 1
 
 
 def also(before: Callable[..., Any] | None, then: Callable[..., None]) -> Callable[..., None]:
-    """What a device calls of one axis, and then of the next."""
+    """Callback that calls that of one axis, and then that of the next."""
     if before is None:
         return then
 

@@ -1,4 +1,4 @@
-"""How a drive is set up over SDO before it is started: identity, units, mode, parameters, heartbeat, PDOs."""
+"""Set-up of a drive over SDO before it is started: identity, units, mode, parameters, heartbeat, PDOs."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ class RpdoCopy:
 
 @dataclass(frozen=True)
 class DriveSettings:
-    """What the configuration says about one drive."""
+    """Configuration settings of one drive."""
 
     name: str  #: for messages: "axis 1"
     node_id: int
     mode: OperationMode
     cycle_s: float
     has_velocity: bool = True  #: TPDO2 with 606Ch (axes); else velocity is taken from the position
-    #: Overrides of `DriveUnits.from_objects`, for drives whose objects do not tell their units.
+    #: Overrides of `DriveUnits.from_objects`, for drives whose objects do not give their units.
     units: Mapping[str, float] = field(default_factory=dict)
     #: Objects written at configuration, in this order, by (index, sub), each as the node has it: option codes, ramps.
     parameters: Mapping[tuple[int, int], int | float] = field(default_factory=dict)
@@ -68,11 +68,11 @@ class DriveSettings:
     copies: tuple[RpdoCopy, ...] = ()  #: who else gets RPDO1 in the same cycle
     tpdo_type: int | None = 1  #: transmission type of the TPDOs; None: the drive sends none
     time_out_s: float = 2.0  #: longest stay in one state on the way to a goal, s of cycle time
-    ramp_time_out_s: float = 20.0  #: the same for a state that may end by a ramp
+    ramp_time_out_s: float = 20.0  #: longest stay in a state that may end by a ramp
     axis: int = 1  #: of the node's axes (`hilbench.cia402.axis`)
 
     def object(self, index: int) -> int:
-        """Where the node has an object of this axis, named as that of the first one."""
+        """Index at the node of an object of this axis, named as that of the first one."""
         return object_of(self.axis, index)
 
     @property
@@ -151,7 +151,7 @@ def _pdo_map(
 
 
 def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdos: DrivePdos) -> None:
-    """Set a drive in PRE-OPERATIONAL up for its part; blocks.
+    """Configure a drive in PRE-OPERATIONAL for its role; blocks.
 
     Raises BenchFaultError when the device is another one or does not take a value, UnusableInputError when the
     configuration asks for what its EDS does not have.
@@ -182,7 +182,7 @@ def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdo
 def check_identity(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:
     """Raise BenchFaultError unless vendor-ID and product code (1018h) are those of the settings or the EDS.
 
-    An EDS that leaves one of them open (0) says nothing about it.
+    An EDS that leaves one of them open (0) allows any.
     """
     declared = default_reader(od)
     expected = settings.identity or (declared(IDENTITY, 1), declared(IDENTITY, 2))
@@ -220,9 +220,9 @@ def set_mode(master: Master, settings: DriveSettings, od: ObjectDictionary) -> N
 def read_units(
     master: Master, node_id: int, od: ObjectDictionary, overrides: Mapping[str, float], place: str, axis: int = 1
 ) -> DriveUnits:
-    """The units of an axis as its objects tell them now, and `overrides` where they don't (see `DriveUnits`).
+    """Units of an axis as its objects give them now, and `overrides` where they don't (see `DriveUnits`).
 
-    Raises UnusableInputError, at `place`, for a factor that nobody tells.
+    Raises UnusableInputError, at `place`, for a factor that is not given.
     """
 
     def read(index: int, sub: int) -> int | float | None:
@@ -250,7 +250,7 @@ def default_reader(
 
 
 def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
-    """What `configure` will need and the EDS does not have, one line each; empty for a drive that can be used."""
+    """Objects that `configure` will need and the EDS lacks, one line each; empty for a drive that can be used."""
     written: dict[tuple[int, int], tuple[int | float, str]] = {
         (settings.object(objects.MODES_OF_OPERATION), 0): (int(settings.mode), "the mode is written to it"),
     }
@@ -305,7 +305,7 @@ def _other_cob_id(od: ObjectDictionary, communication: int, cob_id: int) -> list
 
 
 def _takes(variable: ODVariable | None, value: int | float, now: int | float | None) -> bool:
-    """Whether a variable can be written with a value, or has it for good; `now`: what it has, None: nobody knows."""
+    """True if a variable can be written with a value, or has it for good; `now`: its value, None: unknown."""
     if variable is None or not variable.writable:
         return now in (None, value)
     return (variable.min is None or value >= variable.min) and (variable.max is None or value <= variable.max)

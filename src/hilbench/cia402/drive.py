@@ -1,6 +1,6 @@
 """The master's side of one CiA-402 drive: axis or load motor, SI units at the motor shaft outside, PDOs inside.
 
-Once per cycle: `Drive.decode` takes the drive's frames, moves on the drive's own state machine by one step and tells
+Once per cycle: `Drive.decode` takes the drive's frames, advances the drive's own state machine by one step and returns
 the feedback; `Drive.encode` gives the frames to send. Nothing here waits: time is counted in cycles.
 """
 
@@ -40,7 +40,7 @@ _RAW_LIMIT: Final = {objects.TARGET_VELOCITY: 2**31 - 1, objects.TARGET_TORQUE: 
 
 
 class DriveGoal(Enum):
-    """Where a drive is wanted; the value is how a message names it."""
+    """Wanted state of a drive; the value is its name in messages."""
 
     ENABLED = "OPERATION ENABLED"
     DISABLED = "SWITCH ON DISABLED"  #: by "disable operation", with the ramp of 605Ch
@@ -51,31 +51,31 @@ class DriveGoal(Enum):
 
 @dataclass(slots=True)
 class DriveFeedback:
-    """What a drive told in a cycle; SI, motor side."""
+    """Feedback of a drive in a cycle; SI, motor side."""
 
     position_rad: float = 0.0  #: unwrapped, from the first reading on
     velocity_rad_s: float = 0.0
     torque_Nm: float = 0.0
     state: State | None = None  #: None before the first statusword
     statusword: int = 0
-    fault_code: int = 0  #: of the last EMCY (as 603Fh), 0 when none stands
+    fault_code: int = 0  #: of the last EMCY (as 603Fh), 0 when none is active
     fresh: bool = False  #: every PDO expected in this cycle was there
 
     @property
     def powered(self) -> bool:
-        """Whether the power stage is, or may be, on."""
+        """True if the power stage is, or may be, on."""
         return self.state is None or self.state in POWERED
 
 
 class Drive:
     """Master-side drive object.
 
-    `setpoint` (rad/s, N·m or rad, as the mode asks) is sent while the drive is enabled; before and after, the target
+    `setpoint` (rad/s, N·m or rad, by the mode) is sent while the drive is enabled; before and after, the target
     is zero (a position mode's target: where the motor is).
     """
 
     def __init__(self, settings: DriveSettings, od: canopen.ObjectDictionary) -> None:
-        """Of a drive whose EDS is `od`. Raises UnusableInputError for settings that its EDS does not allow."""
+        """Drive whose EDS is `od`. Raises UnusableInputError for settings that its EDS does not allow."""
         self.settings = settings
         self.od = od
         self.pdos = drive_pdos(settings, od)
@@ -99,7 +99,7 @@ class Drive:
         self.units = DriveUnits(nan, nan, nan)
 
     def configure(self, master: Master) -> None:
-        """Bring the drive from PRE-OPERATIONAL to where it can be started and enabled: see `configuration`.
+        """Configure the drive in PRE-OPERATIONAL so that it can be started and enabled: see `configuration`.
 
         Blocks (SDO). Raises BenchFaultError when the device is not the one expected or does not take a value.
         """
@@ -141,8 +141,8 @@ class Drive:
 
     @property
     def fits_fast_path(self) -> bool:
-        """Whether it is enabled as wanted and follows a velocity or a torque: a cycle changes no more than that and its
-        feedback, as long as its statusword says so."""
+        """True if it is enabled as wanted and follows a velocity or a torque: a cycle changes only that and its
+        feedback, as long as its statusword shows it."""
         state = self.feedback.state
         return (
             self.goal is DriveGoal.ENABLED
@@ -159,7 +159,7 @@ class Drive:
 
     @property
     def set_point_unit(self) -> float:
-        """Of one unit of the target object, SI."""
+        """One unit of the target object in SI."""
         return self._setpoint_unit
 
     @property
@@ -174,17 +174,17 @@ class Drive:
 
     @property
     def counter(self) -> UnwrappingCounter:
-        """Its position in position units."""
+        """Position counter in position units."""
         return self._counter
 
     def decoded_until(self, raw: Mapping[int, int | float]) -> None:
-        """Somebody else has taken its TPDOs: the last value of each object that they bring."""
+        """Account for TPDOs taken by the fast path: the last value of each mapped object."""
         self._raw.update(raw)
 
     def request(self, goal: DriveGoal) -> None:
-        """Head for `goal` from the next `encode` on; asking again starts its time-outs anew.
+        """Head for `goal` from the next `encode` on; a repeated request restarts its time-outs.
 
-        The controlword goes with the set point: an enabled drive that is told zero for one cycle before its quick
+        The controlword goes with the set point: an enabled drive with a zero set point for one cycle before its quick
         stop would brake as hard as it can.
         """
         self.goal = goal
@@ -208,7 +208,7 @@ class Drive:
         return frames
 
     def _raw_setpoint(self) -> int:
-        """The set point in device units; where the motor is not enabled, the one that asks for no motion."""
+        """Set point in device units; where the motor is not enabled, the one that causes no motion."""
         enabled = self.goal is DriveGoal.ENABLED and self.feedback.state is State.OPERATION_ENABLED
         if not enabled:
             return int(self._raw.get(objects.POSITION_ACTUAL_VALUE, 0)) if self._position_mode else 0
@@ -258,7 +258,7 @@ class Drive:
         if data is not None and len(data) >= 2:
             self.feedback.fault_code = int.from_bytes(data[:2], "little")
 
-    # --- the way to the goal -----------------------------------------------------------------------------------------
+    # --- state transitions to the goal -------------------------------------------------------------------------------
 
     def _advance(self) -> None:
         state = self.feedback.state

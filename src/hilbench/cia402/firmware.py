@@ -1,4 +1,4 @@
-"""What the parts of a simulated drive's firmware share: its objects as bound cells, its motor port, its settings."""
+"""Shared state of a simulated drive's firmware: its objects as bound cells, its motor port, its settings."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class Firmware:
         ):
             parameter.on_write = self._parameter_written
 
-        #: What there is beside the encoder; None: nothing.
+        #: Inputs in addition to the encoder; None: none.
         self.switches: Switches | None = None
         #: Time until the plant has advanced by this cycle's set points (s).
         self.dt_s = 0.0
@@ -111,7 +111,7 @@ class Firmware:
         self.stale = True
 
     def angle_rad(self, position: int) -> float:
-        """Where the encoder shows a position (position units); 32-bit counts wrap, and the short way is meant."""
+        """Angle of an encoder position (position units); 32-bit counts wrap, and the nearest one is meant."""
         distance = wrap_int32(position - self.encoder_count - self.position_origin)
         return (self.encoder_count + distance) * self.units.position_rad
 
@@ -155,12 +155,12 @@ class Firmware:
 
     @property
     def shown_mode(self) -> MotorMode:
-        """Whose demand the objects show."""
+        """Mode whose demand the objects show."""
         return self._shown_mode
 
     @property
     def shows_vl(self) -> bool:
-        """Whether the device has the actual value of the velocity mode."""
+        """True if the device has the actual value of the velocity mode."""
         return self._shows_vl
 
     def show(self) -> None:
@@ -206,7 +206,7 @@ class Firmware:
         self.position_demand.value = position
 
     def set_home(self, position: int, at_count: int | None = None) -> None:
-        """Let the place where the encoder shows `at_count` (None: the present one) be `position` (position units)."""
+        """Set `position` (position units) as that at the encoder count `at_count` (None: the present one)."""
         self.position_origin = position - (self.encoder_count if at_count is None else at_count)
         self.position_actual.value = wrap_int32(self.encoder_count + self.position_origin)
 

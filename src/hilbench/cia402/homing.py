@@ -54,7 +54,7 @@ WITH_SWITCHES: Final = frozenset(
 
 
 class _NotFoundError(Exception):
-    """No switch where the method looks for it."""
+    """The method finds no switch."""
 
 
 class Homing(Mode):
@@ -74,7 +74,7 @@ class Homing(Mode):
         self._search = None
 
     def command(self) -> None:
-        """Where the method goes now; hold still without one."""
+        """Command the method's motion; hold still without one."""
         self._set(self._wanted_rad_s(), self._firmware.homing_acceleration_rad_s2)
 
     def _wanted_rad_s(self) -> float:
@@ -110,7 +110,7 @@ class Homing(Mode):
             self._search = self._procedure(method)
 
     def status(self, dt_s: float) -> int:
-        """Not started 10; runs none; attained 12, with 10 once the motor is at rest; error 13, likewise."""
+        """Statusword bits: not started 10; runs none; attained 12, with 10 once the motor rests; error 13, likewise."""
         moving = abs(self._firmware.port.velocity_rad_s) > self._firmware.standstill_rad_s
         if self._search is not None:
             return 0
@@ -150,7 +150,7 @@ class Homing(Mode):
         yield from self._while(lambda: zone.holds(self._position_rad), -side * firmware.homing_zero_speed_rad_s)
 
     def _to_home_switch(self, first: int) -> Iterator[float]:
-        """Onto the home switch; a limit switch on the way turns round, the second is one too many."""
+        """Move onto the home switch; a limit switch on the way reverses, a second one is an error."""
         home, fast = self._home_zone, self._firmware.homing_switch_speed_rad_s
         for side in (first, -first):
             limit = self._limit_zone(side)
@@ -163,14 +163,14 @@ class Homing(Mode):
         raise _NotFoundError
 
     def _over_edge(self, edge: _Edge, direction: int) -> Iterator[float]:
-        """From the home switch over one of its edges in that direction."""
+        """Move from the home switch over one of its edges in that direction."""
         home, slow = self._home_zone, self._firmware.homing_zero_speed_rad_s
         yield from self._while(lambda: home.holds(self._position_rad), edge.value * slow)
         if direction != edge.value:
             yield from self._while(lambda: not home.holds(self._position_rad), direction * slow)
 
     def _while(self, continues: Callable[[], bool], velocity_rad_s: float, to_limit: bool = False) -> Iterator[float]:
-        """That speed as long as it goes on; `to_limit`: a limit switch is looked for, else it is the end."""
+        """Move at that speed while `continues`; a limit switch is an error, unless `to_limit` looks for it."""
         while continues():
             side = 1 if velocity_rad_s > 0.0 else -1
             if not to_limit and self._limit_zone(side).holds(self._position_rad):

@@ -51,7 +51,7 @@ _ABORT_BY_QUICK_STOP: Final = 3
 
 @dataclass(frozen=True)
 class DriveStatus:
-    """What a drive shows of itself; SI, motor side. None: its EDS lacks the object, or nobody tells its units."""
+    """Status of a drive; SI, motor side. None: its EDS lacks the object, or its units are not given."""
 
     statusword: int
     state: str
@@ -61,7 +61,7 @@ class DriveStatus:
     position_rad: float | None
     velocity_rad_s: float | None
     torque_Nm: float | None
-    #: The same as the drive says it: 6064h, 606Ch, 6077h.
+    #: Raw values of the drive: 6064h, 606Ch, 6077h.
     position_units: int | None
     velocity_units: int | None
     torque_units: int | None
@@ -110,11 +110,11 @@ class ManualDrive:
         )
 
     def has(self, index: int, sub: int = 0) -> bool:
-        """Whether its EDS file has an object."""
+        """True if its EDS file has an object."""
         return self._master.has(self._node_id, self.object(index), sub)
 
     def object(self, index: int) -> int:
-        """Where the node has an object of this axis, named as that of the first one."""
+        """Index at the node of an object of this axis, named as that of the first one."""
         return object_of(self._axis, index)
 
     def read(self, index: int, sub: int = 0) -> int:
@@ -126,7 +126,7 @@ class ManualDrive:
         self._master.sdo_write(self._node_id, self.object(index), value, sub)
 
     def enable(self, mode: OperationMode = OperationMode.PROFILE_VELOCITY) -> None:
-        """To OPERATION ENABLED in a profile mode, where it stands still. A fault is not reset on the way."""
+        """Bring it to OPERATION ENABLED in a profile mode, at standstill. A fault is not reset on the way."""
         if self._state() is State.FAULT:
             raise self._fault("is in FAULT, expected a drive without one: reset it first")
         if mode in _RESTING_TARGETS:
@@ -137,7 +137,7 @@ class ManualDrive:
         self._go(controlword_towards_enabled, State.OPERATION_ENABLED)
 
     def quick_stop(self) -> None:
-        """Bring it to rest as 605Ah and 6085h say, whatever it does; then it is without power (unless in FAULT)."""
+        """Bring it to rest by 605Ah and 6085h from any motion; then it is without power (unless in FAULT)."""
         if self._state() in POWERED:
             self.write(objects.CONTROLWORD, Command.QUICK_STOP.value)
             deadline_s = time.monotonic() + self._time_out_s
@@ -148,7 +148,7 @@ class ManualDrive:
         self.write(objects.CONTROLWORD, Command.DISABLE_VOLTAGE.value)
 
     def disable(self) -> None:
-        """To SWITCH ON DISABLED, with the drive's ramp (605Ch). A drive in FAULT stays there, without power."""
+        """Bring it to SWITCH ON DISABLED, with the drive's ramp (605Ch). In FAULT it stays there, without power."""
         if self._state() is not State.FAULT:
             self._go(controlword_towards_disabled, State.SWITCH_ON_DISABLED)
 
@@ -162,7 +162,7 @@ class ManualDrive:
 
     @contextmanager
     def watching(self, master_id: int, time_out_ms: int) -> Iterator[None]:
-        """Meanwhile the drive stops by quick stop when the master's heartbeat stays away (1016h, 6007h), if it can."""
+        """Let the drive quick stop meanwhile when the master's heartbeat stays away (1016h, 6007h), if it can."""
         wanted = {
             (objects.ABORT_CONNECTION_OPTION_CODE, 0): _ABORT_BY_QUICK_STOP,
             (CONSUMER_HEARTBEAT, 1): master_id << 16 | time_out_ms,
@@ -194,7 +194,7 @@ class ManualDrive:
         return statusword
 
     def stop(self) -> None:
-        """Velocity 0, and wait until it stands still or the time is out."""
+        """Command velocity 0, and wait until standstill or the time-out."""
         self.turn(0.0)
         deadline_s = time.monotonic() + self._time_out_s
         while abs(self.status().velocity_rad_s or 0.0) > _STOPPED_RAD_S and time.monotonic() < deadline_s:
@@ -241,9 +241,9 @@ def _scaled(value: int | None, factor: float | None) -> float | None:
 
 @dataclass
 class DeadManKey:
-    """A key that must be held: a terminal repeats a held key, and says nothing when it is let go.
+    """A key that must be held: a terminal repeats a held key, and does not report its release.
 
-    The first repeat comes after `first_s` at the latest, the others every `repeat_s`: whoever is later has let go.
+    The first repeat comes after `first_s` at the latest, the others every `repeat_s`: a later one means a release.
     """
 
     first_s: float = 0.7
@@ -252,13 +252,13 @@ class DeadManKey:
     _until_s: float = 0.0
 
     def pressed(self, direction: int, now_s: float) -> None:
-        """A key came: +1 forward, -1 backward, 0 stop."""
+        """Take a key: +1 forward, -1 backward, 0 stop."""
         held = direction == self.direction and now_s < self._until_s
         self.direction = direction
         self._until_s = now_s + (self.repeat_s if held else self.first_s)
 
     def held(self, now_s: float) -> int:
-        """The direction that is held; 0 once the key was let go."""
+        """Direction that is held; 0 once the key was released."""
         if now_s >= self._until_s:
             self.direction = 0
         return self.direction

@@ -1,4 +1,4 @@
-"""What the modes of operation of the simulated drive (6060h) have in common."""
+"""Base of the modes of operation of the simulated drive (6060h)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Mode:
         """The mode begins to act: operation was enabled, or another mode left."""
 
     def resume(self) -> None:
-        """The mode goes on after a halt."""
+        """Resume the mode after a halt."""
         self.enter()
 
     def command(self) -> None:
@@ -59,6 +59,6 @@ class DebouncedCondition:
         self._held_s = 0.0
 
     def update(self, holds: bool, dt_s: float, time_s: float) -> bool:
-        """Whether the condition has now held for `time_s` (times are compared to a microsecond)."""
+        """True if the condition has now held for `time_s` (times are compared to a microsecond)."""
         self._held_s = self._held_s + dt_s if holds else 0.0
         return holds and self._held_s + 1e-6 >= time_s

@@ -34,7 +34,7 @@ class ProfileVelocity(Mode):
         self._target_rad_s = 0.0
 
     def enter(self) -> None:
-        """Windows start anew."""
+        """Reset the windows."""
         self._reached = DebouncedCondition()
         self._standstill = DebouncedCondition()
 
@@ -80,7 +80,7 @@ class ProfileTorque(Mode):
 class CyclicSynchronousPosition(Mode):
     """Mode 8: follows 607Ah, interpolated over 60C2h; bit 13 following error.
 
-    Targets are 32-bit counts that wrap: the motor goes the short way from where it is.
+    Targets are 32-bit counts that wrap: the motor takes the shorter direction.
     """
 
     motor_mode = MotorMode.POSITION
@@ -129,7 +129,7 @@ class InterpolatedPosition(CyclicSynchronousPosition):
         self._stays_at: int | None = None
 
     def enter(self) -> None:
-        """Stay, until the controlword says otherwise."""
+        """Hold the position until the controlword starts a motion."""
         super().enter()
         self._active, self._stays_at = False, None
 

@@ -1,4 +1,4 @@
-"""SI units of single objects: what one device unit of an object is, where its standard says so."""
+"""SI units of single objects: one device unit of an object, where its standard defines it."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ _FIXED: Final = {
 
 
 def has_drive_unit(index: int) -> bool:
-    """Whether an object's unit is one of the drive's own."""
+    """True if an object's unit is one of the drive's own."""
     return of_first_axis(index) in _POSITIONS | _VELOCITIES | _ACCELERATIONS | _TORQUES
 
 
 def si_unit(index: int, units: DriveUnits | None) -> tuple[float, str] | None:
-    """What one unit of the object is in SI (motor side), and that unit's name; None where nobody says.
+    """One unit of the object in SI (motor side), and that unit's name; None where it is not defined.
 
     `units` are the drive's; without them only objects with a unit of their own have one.
     """

@@ -26,9 +26,9 @@ _NO_SPEED_RAD_S: Final = 1e-12
 class _SetPoint(NamedTuple):
     target_rad: float
     limits: ProfileLimits
-    #: Speed with which it is arrived at, and gone on from.
+    #: Speed at the target, kept after it.
     end_velocity_rad_s: float
-    #: It is gone through with the speed of its motion, not stopped at, when another one follows.
+    #: It is passed with the speed of its motion, not stopped at, when another one follows.
     passes_on: bool
 
 
@@ -37,8 +37,8 @@ class ProfilePosition(Mode):
 
     With bit 5 it is taken at once; else it waits until the one before it is reached (one can wait). Bit 12 of the
     statusword acknowledges it, and falls when bit 4 has fallen and there is room for another. With bit 9 the one before
-    is gone through without a stop. Profiles are trapezoidal (6086h = 0). A target is arrived at with the end velocity
-    (6082h) where the way is long enough, else at rest; the motor goes on with it, to the limits of 607Dh at most.
+    is passed without a stop. Profiles are trapezoidal (6086h = 0). A target is reached with the end velocity
+    (6082h) where the distance suffices, else at rest; the motor keeps that velocity, to the limits of 607Dh at most.
     """
 
     motor_mode = MotorMode.POSITION
@@ -63,7 +63,7 @@ class ProfilePosition(Mode):
         self._in_window = DebouncedCondition()
 
     def resume(self) -> None:
-        """On to the set-point that the halt has interrupted."""
+        """Continue to the set-point that the halt has interrupted."""
         if self._current is None:
             self.enter()
         else:
@@ -113,7 +113,7 @@ class ProfilePosition(Mode):
         return _SetPoint(target, limits, end, bool(controlword & CHANGE_ON_SET_POINT))
 
     def _within_limits(self, position_rad: float) -> float:
-        """Not beyond 607Dh, which bounds the actual position."""
+        """Clip a position to 607Dh, which bounds the actual position."""
         firmware = self._firmware
         self.limited = False
         if firmware.software_limits is None:
@@ -132,7 +132,7 @@ class ProfilePosition(Mode):
 
     @property
     def _here_rad(self) -> float:
-        """Where the motion has come to, or gone on to with its end velocity."""
+        """Present reference position, also after the target with its end velocity."""
         if self._profile is not None:
             position_rad, velocity_rad_s = self._profile.at(self._time_s)
             return position_rad + velocity_rad_s * max(self._time_s - self._profile.duration_s, 0.0)

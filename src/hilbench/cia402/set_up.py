@@ -1,7 +1,7 @@
 """Set-up work with one drive by SDO: positions, homing, velocity and torque, within limits.
 
-No SYNC, no PDO, no bench: the drive is enabled in a profile mode of CiA 402 and moves. What it needs of a drive is
-looked up in its EDS file and in 6502h, and what is missing is said by object.
+No SYNC, no PDO, no bench: the drive is enabled in a profile mode of CiA 402 and moves. The objects needed are
+looked up in its EDS file and in 6502h, and missing ones are named in errors.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ _NEW_SET_POINT: Final = _ENABLED | 1 << 4 | 1 << 5
 #: Reached, and no set-point waits to be acknowledged any more.
 _REACHED: Final = STATUS_TARGET_REACHED | STATUS_MODE_12
 _HOMING: Final = _ENABLED | 1 << 4
-#: It stands when it has moved less than so many position units in one look.
+#: It is at standstill when it has moved less than this many position units between two reads.
 _STANDS_UNITS: Final = 2
 
-#: What each mode takes of a drive besides 6040h, 6041h and 6060h.
+#: Objects that each mode needs in addition to 6040h, 6041h and 6060h.
 _NEEDED: Final = {
     OperationMode.PROFILE_POSITION: (objects.TARGET_POSITION, objects.POSITION_ACTUAL_VALUE),
     OperationMode.PROFILE_VELOCITY: (objects.TARGET_VELOCITY,),
@@ -47,13 +47,13 @@ _NEEDED: Final = {
 
 
 def mode_name(mode: OperationMode) -> str:
-    """As a person says it."""
+    """Readable name of a mode."""
     return "profile torque" if mode is OperationMode.TORQUE else mode.name.replace("_", " ").lower()
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a motion must stay within, SI, motor side; infinite where nobody says. `told_by`: object or key."""
+    """Limits of a motion, SI, motor side; infinite where none is given. `speed_by`, `torque_by`: object or key."""
 
     position_rad: tuple[float, float] = (-inf, inf)
     speed_rad_s: float = inf
@@ -66,7 +66,7 @@ class SetUpDrive:
     """A drive that is moved by hand or by a script; it is enabled by each motion, and stays so.
 
     `eds` is the name of its file, for messages; `without_units` why `units` are not known; `allowed` the limits of a
-    config. Raises UnusableInputError for what the drive lacks or a limit forbids, before anything moves;
+    config. Raises UnusableInputError for missing objects and for motions beyond a limit, before anything moves;
     BenchFaultError when it fails or hangs on its way.
     """
 
@@ -87,10 +87,10 @@ class SetUpDrive:
         self.without_units = without_units
         self._time_out_s = time_out_s
 
-    # --- what it has --------------------------------------------------------------------------------------------------
+    # --- units and limits ---------------------------------------------------------------------------------------------
 
     def lacking(self, mode: OperationMode) -> list[str]:
-        """Why a mode can't be used, by object; empty when it can."""
+        """Reasons, by object, for which a mode can't be used; empty when it can."""
         needed = (objects.MODES_OF_OPERATION, *_NEEDED[mode])
         own = self.drive.object
         missing = [f"{own(index):04X}h is not in {self._eds}" for index in needed if not self.drive.has(index)]
@@ -102,7 +102,7 @@ class SetUpDrive:
         return missing
 
     def needs(self, mode: OperationMode) -> DriveUnits:
-        """Its units, if the mode can be used. Raises UnusableInputError."""
+        """Check that the mode can be used, and return the units. Raises UnusableInputError."""
         missing = self.lacking(mode)
         if missing:
             raise UnusableInputError(self.drive.name, f"{', '.join(missing)}: {mode_name(mode)} can't be used")
@@ -111,7 +111,7 @@ class SetUpDrive:
         return self._units
 
     def limits(self) -> Limits:
-        """Those of the drive's own objects and of the config, whichever is narrower."""
+        """Limits by the drive's own objects and the config, whichever is narrower."""
         units, allowed = self._units, self._allowed
         if units is None:
             return allowed
@@ -144,7 +144,7 @@ class SetUpDrive:
     # --- motions ------------------------------------------------------------------------------------------------------
 
     def move(self, position_rad: float, speed_rad_s: float, *, relative: bool = False) -> None:
-        """To a position, in profile position mode with the drive's ramps; returns when it is reached."""
+        """Move to a position, in profile position mode with the drive's ramps; returns when it is reached."""
         units = self.needs(OperationMode.PROFILE_POSITION)
         self._check_speed(speed_rad_s)
         here = self.drive.read(objects.POSITION_ACTUAL_VALUE)
@@ -170,7 +170,7 @@ class SetUpDrive:
             )
 
     def home(self, method: int | None = None) -> int:
-        """By a method of 6098h (None: the one that it has); the method that was used."""
+        """Home by a method of 6098h (None: the one that it has); returns the method used."""
         self.needs(OperationMode.HOMING)
         if method is not None:
             self.drive.write(objects.HOMING_METHOD, method)
@@ -189,7 +189,7 @@ class SetUpDrive:
         return used
 
     def turn(self, velocity_rad_s: float, duration_s: float) -> None:
-        """At a velocity in profile velocity mode; after that time (inf: never) it is brought to rest."""
+        """Turn at a velocity in profile velocity mode; after that time (inf: never) bring it to rest."""
         self.needs(OperationMode.PROFILE_VELOCITY)
         self._check_speed(velocity_rad_s)
         self.drive.enable(OperationMode.PROFILE_VELOCITY)
@@ -198,7 +198,7 @@ class SetUpDrive:
         self.drive.stop()
 
     def push(self, torque_Nm: float, duration_s: float, speed_limit_rad_s: float) -> None:
-        """With a torque in profile torque mode; BenchFaultError when the motor gets faster than the limit."""
+        """Apply a torque in profile torque mode; BenchFaultError when the motor gets faster than the limit."""
         units = self.needs(OperationMode.TORQUE)
         if isnan(units.torque_Nm):
             raise UnusableInputError(self.drive.name, "6076h is absent or 0, expected it or the unit 'rated_torque_Nm'")

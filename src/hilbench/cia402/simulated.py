@@ -1,10 +1,10 @@
 """The simulated CiA-402 servo drive: power state machine, modes of operation, limits and faults.
 
-It is the firmware only: it reads and writes the objects of a CANopen device on one side and a `MotorPort` on the
-other. Controlwords act when they are written (by SDO, or by an RPDO when its SYNC comes), so that two of them in one
+It is the firmware only: it reads and writes the objects of a CANopen device and a `MotorPort`.
+Controlwords act when they are written (by SDO, or by an RPDO when its SYNC comes), so that two of them in one
 cycle are both obeyed; set points act at `sync`.
 
-A state whose option code asks for a ramp is left when the ramp has ended: a drive that is told to disable operation
+A state whose option code selects a ramp is left when the ramp has ended: a drive commanded to disable operation
 (605Ch = 1) stays in OPERATION ENABLED until the motor is at rest, and so its power stage is on in the states of
 `state_machine.POWERED` only.
 """
@@ -116,9 +116,9 @@ class SimulatedDrive:
         switches: Switches | None = None,
         state_change_s: float = 0.0,
     ) -> None:
-        """Take over the CiA-402 objects of `device`; `units` default to those its objects tell.
+        """Take over the CiA-402 objects of `device`; `units` default to those its objects give.
 
-        `switches`: along the motor's way; `state_change_s`: how long a commanded transition takes. Raises
+        `switches`: along the motor's travel; `state_change_s`: duration of a commanded transition. Raises
         UnusableInputError for a device without controlword and statusword.
         """
         for index in (objects.CONTROLWORD, objects.STATUSWORD):
@@ -161,7 +161,7 @@ class SimulatedDrive:
         device.on_communication_error = also(device.on_communication_error, self._communication_error)
         device.on_emergency_stop = also(device.on_emergency_stop, self._emergency_stop)
         self._operational = False
-        #: Error codes of EMCY messages that stand.
+        #: Error codes of active EMCY messages.
         self._reported: list[int] = []
         self._power_on()
 
@@ -190,7 +190,7 @@ class SimulatedDrive:
 
     @property
     def firmware(self) -> Firmware:
-        """Its objects, port, units and settings."""
+        """Objects, port, units and settings of the firmware."""
         return self._firmware
 
     @property
@@ -204,8 +204,8 @@ class SimulatedDrive:
         return self._mode
 
     def follows(self, controlword: int) -> bool:
-        """Whether it is in OPERATION ENABLED by this controlword and follows a cyclic velocity or torque: then nothing
-        but its target and its feedback changes until something is written, or a fault comes."""
+        """True if it is in OPERATION ENABLED by this controlword and follows a cyclic velocity or torque: then only
+        its target and its feedback change until something is written, or a fault comes."""
         return (
             self._state is State.OPERATION_ENABLED
             and self._controlword == controlword
@@ -221,12 +221,12 @@ class SimulatedDrive:
 
     @property
     def following_bits(self) -> int:
-        """The statusword of a drive that follows, but for its internal limit."""
+        """Statusword of a drive that follows, except its internal limit bit."""
         return self._state_bits | self._mode.status(self._dt_s)
 
     def published_until(self, encoder_count: int, *, limited: bool) -> None:
-        """Somebody else has shown the feedback until now: the encoder in position units, and whether the set point was
-        cut by a limit."""
+        """Account for feedback published by the fast path: the encoder in position units, and whether a limit cut
+        the set point."""
         self._firmware.encoder_count = encoder_count
         self._mode.limited = limited
         if self._probes is not None:
@@ -348,7 +348,7 @@ class SimulatedDrive:
         port.slope = inf
 
     def _follow(self, controlword: int, previous: int) -> None:
-        """In OPERATION ENABLED: a ramp towards disabling taken back, halt, and the mode's own bits."""
+        """Act in OPERATION ENABLED: cancel a ramp towards disabling, halt, and the mode's own bits."""
         stop = self._stop
         disabling = stop.then is not None
         if disabling and decode_controlword(controlword) is not Command.ENABLE_OPERATION:
@@ -395,7 +395,7 @@ class SimulatedDrive:
         self._mode_code = self._requested_mode
         self._mode = self._modes[self._mode_code]
         self._mode_display.value = int(self._mode_code)
-        if self._stop.active:  # halted: go on with the stop of the new mode
+        if self._stop.active:  # halted: continue with the stop of the new mode
             self._begin_halt()
         self._mode.enter()
 
@@ -408,7 +408,7 @@ class SimulatedDrive:
     # --- faults ------------------------------------------------------------------------------------------------------
 
     def fault(self, code: int, register: int = REGISTER_PROFILE, coast: bool = False) -> None:
-        """Fail with error code `code` (603Fh, EMCY): transition 13, then the reaction that 605Eh asks for.
+        """Fail with error code `code` (603Fh, EMCY): transition 13, then the reaction selected by 605Eh.
 
         `register`: bits of 1001h. `coast`: the drive cannot brake any more (lost encoder, power stage). A fault
         during a fault is not noted.
@@ -441,14 +441,14 @@ class SimulatedDrive:
         self._show_status(0.0)
 
     def _clear_fault(self) -> bool:
-        """End the fault if its cause is gone; whether it was."""
+        """End the fault if its cause has vanished; true if it ended."""
         code = int(self._error_code.value)
         firmware = self._firmware
         if code == ERROR_OVERSPEED and abs(firmware.port.velocity_rad_s) > firmware.motor_speed_limit_rad_s:
             return False
         self._error_code.value = 0
         self._outside_window = DebouncedCondition()
-        # What the device's runtime has reported (a lost heartbeat) is its to take back: at once if the cause is gone.
+        # The device's runtime clears the errors that it reported (a lost heartbeat): at once if the cause has vanished.
         self._device.acknowledge_emergency(code)
         for reported in list(self._reported):
             self._take_back(reported)
@@ -465,7 +465,7 @@ class SimulatedDrive:
         self._connection_lost(code)
 
     def _emergency_stop(self) -> None:
-        """Quick stop at once, whatever 6007h says: the command does not come from a connection that was lost."""
+        """Quick stop at once, independent of 6007h: the command does not come from a connection that was lost."""
         if self._state is State.OPERATION_ENABLED:
             self._quick_stop()
             self._show_status(0.0)
@@ -488,7 +488,7 @@ class SimulatedDrive:
             self._connection_lost(ERROR_COMMUNICATION)
 
     def _connection_lost(self, code: int) -> None:
-        """Do what 6007h asks for: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
+        """React to a lost connection by 6007h: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
         option = self._options[objects.ABORT_CONNECTION_OPTION_CODE].value
         if self._state not in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
             return

@@ -1,8 +1,8 @@
 """The CiA-402 power state machine (IEC 61800-7-201, "PDS FSA") as tables and pure functions, for both sides.
 
-A drive asks `commanded` which transition a controlword asks of it; a master asks `decode_statusword` where a
-drive is, and `controlword_towards_enabled` or `controlword_towards_disabled` what to send so that it comes nearer to
-where it is wanted.
+A drive finds the transition that a controlword commands by `commanded`; a master finds a drive's state by
+`decode_statusword`, and the next controlword towards a wanted state by `controlword_towards_enabled` or
+`controlword_towards_disabled`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ POWERED: Final = frozenset({State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, St
 
 
 class Command(Enum):
-    """What a controlword's bits 3..0 ask for; the value is the controlword a master sends for it."""
+    """Commands in a controlword's bits 3..0; the value is the controlword a master sends for it."""
 
     DISABLE_VOLTAGE = 0x0000
     QUICK_STOP = 0x0002
@@ -141,7 +141,7 @@ def decode_controlword(controlword: int) -> Command:
 
 
 def commanded(state: State, controlword: int, previous: int) -> Transition | None:
-    """The transition that `controlword` asks of a drive in `state`, or None.
+    """Transition that `controlword` commands of a drive in `state`, or None.
 
     `previous` is the controlword before it: a fault is reset by the rising edge of bit 7 only.
     """
@@ -154,7 +154,7 @@ def commanded(state: State, controlword: int, previous: int) -> Transition | Non
     return transition
 
 
-#: The statusword bits that tell a state; bit 5 counts only where the quick stop has a meaning.
+#: The statusword bits that determine a state; bit 5 counts only where the quick stop has a meaning.
 STATUS_MASK: Final = {
     State.NOT_READY_TO_SWITCH_ON: 0x4F,
     State.SWITCH_ON_DISABLED: 0x4F,
@@ -183,7 +183,7 @@ _TOWARDS_ENABLED: Final = {
     State.OPERATION_ENABLED: Command.ENABLE_OPERATION.value,
 }
 _TOWARDS_DISABLED: Final = {
-    State.OPERATION_ENABLED: Command.SWITCH_ON.value,  # "disable operation": ramps down as 605Ch says
+    State.OPERATION_ENABLED: Command.SWITCH_ON.value,  # "disable operation": ramps down by 605Ch
     State.SWITCHED_ON: Command.SHUTDOWN.value,
 }
 

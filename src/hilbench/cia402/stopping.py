@@ -1,4 +1,4 @@
-"""How a drive brings its motor to rest: what the option codes 605Ah to 605Eh choose between."""
+"""Stops of a drive: the choices of the option codes 605Ah to 605Eh."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hilbench.plant.motor_port import MotorMode
 
 
 class StopKind(Enum):
-    """Ways to stop; the numbers are those that the option codes share."""
+    """Kinds of stop; the numbers are those that the option codes share."""
 
     COAST = 0  #: power stage off, the shaft is free
     SLOW_DOWN_RAMP = 1  #: 6084h
@@ -51,7 +51,7 @@ class Stop:
         self.then = then
 
     def end(self) -> None:
-        """No stop any more: power is off, or the mode of operation acts again."""
+        """End the stop: power is off, or the mode of operation acts again."""
         self.active = self.at_rest = False
         self.then = None
 
@@ -73,7 +73,7 @@ class Stop:
         return firmware.deceleration_rad_s2
 
     def check_rest(self) -> bool:
-        """Note and tell whether the motor is at rest, after the plant has advanced with this stop's set points."""
+        """Update and return `at_rest`, after the plant has advanced with this stop's set points."""
         port = self._firmware.port
         commanded = port.mode is self._motor_mode and port.setpoint == 0.0
         still = self._motor_mode is MotorMode.TORQUE or abs(port.velocity_rad_s) <= self._firmware.standstill_rad_s

@@ -1,4 +1,4 @@
-"""What a simulated drive sees beside its encoder: limit switches, the home switch, probe inputs, the index pulse."""
+"""Inputs of a simulated drive in addition to its encoder: limit and home switches, probe inputs, the index pulse."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ _TURN_RAD: Final = 2.0 * pi
 
 @dataclass(frozen=True)
 class Zone:
-    """Where a switch is active: motor angles in rad, both ends included."""
+    """Zone in which a switch is active: motor angles in rad, both ends included."""
 
     from_rad: float
     to_rad: float
 
     def holds(self, position_rad: float) -> bool:
-        """Whether the switch is active there."""
+        """True if the switch is active at this angle."""
         return self.from_rad <= position_rad <= self.to_rad
 
 
 @dataclass(frozen=True)
 class Switches:
-    """The switches along the way of a motor; the encoder's index is at every full turn."""
+    """Switches along a motor's travel; the encoder's index is at every full turn."""
 
     negative_limit: Zone = Zone(-inf, -inf)
     positive_limit: Zone = Zone(inf, inf)
@@ -38,7 +38,7 @@ class Switches:
     probes: tuple[Zone, Zone] = (Zone(inf, inf), Zone(inf, inf))
 
     def inputs(self, position_rad: float) -> int:
-        """60FDh with the motor there."""
+        """Digital inputs 60FDh with the motor at this angle."""
         bits = 0
         for zone, bit in (
             (self.negative_limit, INPUT_NEGATIVE_LIMIT),
@@ -51,13 +51,13 @@ class Switches:
 
 
 def next_index_rad(position_rad: float, direction: int) -> float:
-    """The index pulse that comes next from there, forward (1) or backward (-1); not the one where the motor is."""
+    """Next index pulse from an angle, forward (1) or backward (-1); not the one at the angle itself."""
     turns = position_rad / _TURN_RAD
     return _TURN_RAD * (floor(turns) + 1 if direction > 0 else ceil(turns) - 1)
 
 
 def index_between_rad(before_rad: float, after_rad: float) -> float | None:
-    """The last index pulse that was passed on the way from one angle to the other; None: none was."""
+    """Last index pulse passed from one angle to the other; None: none was."""
     if after_rad > before_rad:
         found = _TURN_RAD * floor(after_rad / _TURN_RAD)
         return found if found > before_rad else None

@@ -41,7 +41,7 @@ class TouchProbes:
 
     @property
     def idle(self) -> bool:
-        """Whether neither is in use."""
+        """True if neither is in use."""
         return not self._function.value and not self._status.value
 
     def update(self) -> None:

@@ -1,4 +1,4 @@
-"""The motion of a profile: from where and how fast an axis is, to rest at a target, within speed and accelerations."""
+"""Motion profile from a position and speed to rest at a target, within speed and accelerations."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from math import copysign, sqrt
 
 @dataclass(frozen=True)
 class ProfileLimits:
-    """What a motion may ask for; all above 0, in one unit of length (rad) and seconds."""
+    """Limits of a motion; all above 0, in one unit of length (rad) and seconds."""
 
     velocity: float
     acceleration: float
@@ -92,7 +92,7 @@ class Trapezoid:
 
 
 def _passes(ahead: float, velocity: float, end: float, limits: ProfileLimits) -> bool:
-    """Whether the target can be passed with the speed `end`, the way one goes already."""
+    """True if the target can be passed with the speed `end` without reversing."""
     speed = velocity if ahead > 0.0 else -velocity
     reach = abs(ahead)
     fast_enough = max(speed, 0.0) ** 2 + 2.0 * limits.acceleration * reach >= end**2

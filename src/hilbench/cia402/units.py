@@ -3,8 +3,8 @@
 The factors come from the drive's own objects, or from the configuration for drives that lack them:
 
 - position: 608Fh encoder increments per motor revolution; with a feed constant (6092h) instead in its units per
-  revolution of the shaft behind the gear 6091h, unless 60A8h says increments;
-- velocity: 60A9h (CiA 303-2 notation), at the shaft behind the gear 6091h;
+  revolution of the shaft after the gear 6091h, unless 60A8h selects increments;
+- velocity: 60A9h (CiA 303-2 notation), at the shaft after the gear 6091h;
 - acceleration: velocity units per second;
 - torque: per mille of the rated torque 6076h (mN·m).
 """
@@ -39,7 +39,7 @@ _HALF: Final = 1 << 31
 
 @dataclass(frozen=True)
 class DriveUnits:
-    """What one device unit is in SI units, motor side."""
+    """One device unit in SI units, motor side."""
 
     position_rad: float  #: rad per position unit (6064h)
     velocity_rad_s: float  #: rad/s per velocity unit (606Ch, 60FFh)
@@ -57,7 +57,7 @@ class DriveUnits:
         """Read the factors through `read`, except those that `overrides` gives.
 
         Keys of `overrides`: position_rad, velocity_rad_s, rated_torque_Nm. Raises UnusableInputError, at `place`,
-        when neither the device nor the configuration tells a factor.
+        when neither the device nor the configuration gives a factor.
         """
         given = dict(overrides or {})
         unknown = sorted(given.keys() - {"position_rad", "velocity_rad_s", "rated_torque_Nm"})
@@ -80,9 +80,9 @@ class DriveUnits:
 def factors_read(
     read: ObjectReader, given: Mapping[str, float], place: str = ""
 ) -> dict[str, tuple[float | None, str]]:
-    """position_rad, velocity_rad_s and rated_torque_Nm as `given` or the objects tell them.
+    """Find position_rad, velocity_rad_s and rated_torque_Nm from `given` or the objects.
 
-    None for one that nobody tells, and then what is wrong with its object. Raises UnusableInputError, at `place`, for a
+    None for one that is not given, with the problem of its object. Raises UnusableInputError, at `place`, for a
     velocity unit that is not known.
     """
     gear = _ratio(read, objects.GEAR_RATIO) or 1.0
@@ -135,7 +135,7 @@ def wrap_int32(value: int) -> int:
 
 
 class UnwrappingCounter:
-    """A 32-bit counter that goes round and round, followed to a value without jumps.
+    """A 32-bit counter that wraps, unwrapped to a value without jumps.
 
     Right as long as two readings are less than 2^31 units apart (2048 motor revolutions at 2^20 increments).
     """
@@ -151,7 +151,7 @@ class UnwrappingCounter:
         return self._last
 
     def counted_until(self, value: int, last: int) -> None:
-        """Somebody else has followed it: the unwrapped value, and the last reading."""
+        """Account for readings followed by the fast path: the unwrapped value, and the last reading."""
         self.value, self._last = value, last
 
     def update(self, reading: int) -> int:

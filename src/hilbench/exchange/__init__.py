@@ -1,1 +1,1 @@
-"""The cyclic path: set points out, measurements in; frames stay below."""
+"""The cyclic path: set points out, measurements in; CAN frames are hidden below it."""

@@ -1,4 +1,4 @@
-"""How the participants of a bench are addressed and configured: PDOs of the virtual I/O, settings of the drives."""
+"""Addressing and configuration of a bench's participants: PDOs of the virtual I/O, settings of the drives."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _QUICK_STOP_RAMP = 2
 
 @dataclass(frozen=True)
 class IoMaps:
-    """PDOs of the virtual I/O; which signals are in them says `hilbench.topology.process_data`."""
+    """PDOs of the virtual I/O; `hilbench.topology.process_data` defines the signals in them."""
 
     data: ProcessData
-    sent: tuple[PdoMap, ...]  #: what is simulated and estimated, and how sure that is, in the order of `data.sent`
-    status: PdoMap  #: TPDO3: SYNC that the data are of, age, status bits
+    sent: tuple[PdoMap, ...]  #: simulated and estimated signals with their uncertainties, in the order of `data.sent`
+    status: PdoMap  #: TPDO3: SYNC counter of the data, age, status bits
     boundary: tuple[
         PdoMap, ...
     ]  #: RPDO1 and following: boundary inputs of the twin, in the order of `data.boundary_inputs`
@@ -68,7 +68,7 @@ class IoMaps:
 
     @property
     def all(self) -> list[PdoMap]:
-        """Every one that there is."""
+        """All PDOs of the virtual I/O: TPDOs, then RPDOs."""
         return [*(pdo for _, pdo in self.tpdos), *self.boundary]
 
 
@@ -86,7 +86,7 @@ def _tpdo_id(config: BenchConfig, number: int) -> int:
 
 
 def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary) -> DriveSettings:
-    """How a drive, real or virtual, of a bench is configured."""
+    """Settings with which the bench configures a drive, real or virtual."""
     assert part.axis is not None, "the virtual I/O is no drive"
     node, virtual, load = part.node, part.role is Role.VIRTUAL_AXIS, part.role is Role.LOAD_MOTOR
     torqued = load or part.axis in config.shape.torqued
@@ -131,12 +131,12 @@ def _copy_for(virtual: Part, units: DriveUnits, *, torqued: bool) -> RpdoCopy:
 
 
 def declared_units(part: Part, od: canopen.ObjectDictionary) -> DriveUnits:
-    """A drive's units as its EDS file and the config have them; the device itself is asked when it is configured."""
+    """Units of a drive by its EDS file and the config; the device itself is read when it is configured."""
     read = default_reader(od, part.node.writes, part.node_axis)
     return DriveUnits.from_objects(read, part.node.unit_overrides, part.name)
 
 
 def _master_heartbeat(config: BenchConfig, virtual: bool) -> tuple[int, int] | None:
-    """What a real drive expects of the bench: its heartbeat, three periods late at most."""
+    """Heartbeat consumer entry of a real drive for the bench: (node id, time in ms = three periods)."""
     period_ms = config.master.heartbeat_ms
     return (config.master.node_id, 3 * period_ms) if period_ms and not virtual else None

@@ -1,8 +1,8 @@
-"""The TPDOs that answer SYNC, told apart: the answer to this SYNC, late ones to those before it, and what is no answer.
+"""Classification of the TPDOs that answer SYNC: the answer to this SYNC, late ones to earlier SYNCs, and surplus.
 
-A synchronous TPDO comes once a SYNC. So of each sender it is known how many answers are still owed: a frame beyond
-that is not the sender's own, or was on the wire twice. What is used as the answer is the first frame behind SYNC, once
-the late ones that are still owed are taken off; one that came before SYNC only where none has come behind it.
+A synchronous TPDO is sent once a SYNC. So it is known how many answers each sender still owes: a frame beyond
+that is not the sender's own, or was on the wire twice. The answer used is the first frame after SYNC, once
+the late ones still owed are taken off; one that came before SYNC is used only where none came after it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 _LOST_CYCLES = 500
 #: Answers that can be owed: a sender that owes more is as good as silent.
 _MOST_OWED = 100
-#: A sender that is back has worked off what it had missed once it has answered so many SYNCs one by one.
+#: Number of SYNCs answered one by one after which a sender that is back has caught up.
 _ONE_BY_ONE = 50
 
 
@@ -32,7 +32,7 @@ class Tpdo:
     supervised: bool = True
     data: bytes | None = None  #: what is used in this cycle
     age_cycles: int = 0  #: of the data last used: 0 where this SYNC was answered in time
-    surplus: int = 0  #: frames of this cycle that nobody was owed, but for one that says what is used again
+    surplus: int = 0  #: frames of this cycle that were not owed, except one that repeats the data used
     wrong_size: int = 0  #: frames of this cycle
     _owed: int = 0  # answers; cycles where they come every few SYNCs
     _steady: int = 0
@@ -60,18 +60,18 @@ class Tpdo:
 
     @property
     def fits_fast_path(self) -> bool:
-        """Whether one answer to each SYNC that asks for it is all that is to be expected."""
+        """True if exactly one answer is to be expected to each SYNC that asks for it."""
         return self.is_regular and not self._owed
 
     @property
     def is_regular(self) -> bool:
-        """The same, but for answers to each SYNC that were owed, and have not come behind the last one: they come no
-        more, as a rule."""
+        """True if answers arrive as usual: as `fits_fast_path`, but answers to each SYNC that are still owed after
+        the last one are allowed: as a rule they are lost."""
         return self.supervised and not self.age_cycles and (self.every == 1 or not self._owed)
 
     def answered_until(self, cycles: int, data: bytes | None, since: int) -> None:
-        """Somebody else has taken the answers of some cycles: what was used last (None: nothing since), and how many
-        cycles ago."""
+        """Account for `cycles` run by the fast path. `data`: the answer used last (None: none since), `since` cycles
+        ago."""
         self.begin()
         self._pass_steadily(cycles)
         if data is not None:
@@ -82,7 +82,7 @@ class Tpdo:
             self._since = since if data is not None else self._since + cycles
 
     def _pass_steadily(self, cycles: int) -> None:
-        """So many cycles of one answer each."""
+        """Count `cycles` cycles of one answer each."""
         while self._owed and self._steady + cycles >= _LOST_CYCLES:
             cycles -= _LOST_CYCLES - self._steady
             self._owed, self._steady = self._owed - 1, 0
@@ -94,12 +94,12 @@ class Tpdo:
         return self._since
 
     def supervise(self, supervised: bool) -> None:
-        """Its sender goes away, or is back, and works off what it has missed: nothing is owed from before."""
+        """Stop or resume supervision of the sender: nothing is owed from before; it may catch up on missed SYNCs."""
         self.supervised, self._is_back = False, supervised
         self._owed = self._steady = 0
 
     def end(self, other_syncs: int) -> None:
-        """All frames of the cycle are in; `other_syncs` were on the bus beside that of the cycle."""
+        """Evaluate the complete frames of the cycle; `other_syncs` were on the bus in addition to the cycle's own."""
         self._since += 1 + other_syncs
         if not self.supervised:
             taken = self._before + self._behind
@@ -137,8 +137,8 @@ class Tpdo:
         self._owed = min(owed, _MOST_OWED)
 
     def _end_of_some(self) -> None:
-        """Its phase may move when a SYNC is heard twice, or not at all; it does not come twice as often. Behind one
-        that is late the next comes as much sooner (`_owed`, here in cycles)."""
+        """Evaluate a PDO of every n-th SYNC. Its phase may move when a SYNC is received twice or missed; its rate does
+        not double. After a late one the next comes as much sooner (`_owed`, here in cycles)."""
         taken = self._before + self._behind
         while taken and self._since + self._owed > self.every // 2:
             self._use(taken.pop(0), in_time=True)
@@ -161,5 +161,5 @@ class Tpdo:
 
 
 def _others(frames: Sequence[bytes], used: bytes) -> int:
-    """How many there are; one that says the same again is none: CAN itself may repeat a frame."""
+    """Number of surplus frames; a single repetition of the data used is none: CAN itself may repeat a frame."""
     return 0 if len(frames) == 1 and frames[0] == used else len(frames)

@@ -1,4 +1,4 @@
-"""The clock that simulated devices and virtual axes go by."""
+"""The clock of simulated devices and virtual axes."""
 
 from __future__ import annotations
 

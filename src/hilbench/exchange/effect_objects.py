@@ -1,8 +1,8 @@
 """Effects of the simulated hardware as CANopen objects.
 
-The object index of an effect stands in its row of the vocabulary, its parameters are the sub-indices in order; a second
-axis of a node has its own 800h further on, as it has all its objects. From
-2000h on a maker has objects of its own: one is an effect's only where the EDS file names its entries as we do.
+The object index of an effect is in its row of the vocabulary, its parameters are the sub-indices in order; a second
+axis of a node has its own at an offset of 800h, as for all its objects. From
+2000h on objects are manufacturer-specific: one is an effect's only if the EDS file names its entries as here.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def effect_place(config: BenchConfig, path: str) -> tuple[int, int, int]:
 
 
 def _is_effect(entries: ODRecord | ODArray | ODVariable | None, effect: Effect) -> bool:
-    """Whether the object at the index of an effect is that effect."""
+    """True if the object at the index of an effect has the names of that effect's parameters."""
     if not isinstance(entries, ODRecord | ODArray):
         return False
     names = [entries[sub].name.partition(" [")[0] for sub in entries if sub > 0]

@@ -1,4 +1,4 @@
-"""EMCY messages of the nodes as a person reads them."""
+"""EMCY messages of the nodes as readable text."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _OF_TWIN = {int(problem): problem.name.lower().replace("_", " ") for problem in 
 }
 #: Codes that the bench acts on: these are never too many.
 ACTED_ON = frozenset({int(Problem.WEB_BREAK), int(Problem.SLIP)})
-#: Other messages that are told apart in one cycle; what comes beyond is counted as the last of its node.
+#: Distinct messages kept in one cycle; any beyond count as the last of their node.
 MOST_IN_A_CYCLE = 32
 _LENGTH = 8
 
@@ -53,7 +53,7 @@ class Emergency:
 
     @classmethod
     def of(cls, node_id: int, node: str, data: bytes) -> Emergency | None:
-        """From the data of the frame; None for what is no EMCY message."""
+        """Decode the data of an EMCY frame; None if they are no EMCY message."""
         if len(data) != _LENGTH:
             return None
         code = int.from_bytes(data[:2], "little")
@@ -63,7 +63,7 @@ class Emergency:
 
     @property
     def kind(self) -> str:
-        """What counts as the same message: the code, or the code that is taken back; of each span by itself."""
+        """Key by which messages count as the same: the error code, or the code that is cleared; for each span apart."""
         return f"{self.code:04X}{self.cleared:04X}" + (f" {self.part}" if self.part else "")
 
     @property
@@ -91,7 +91,7 @@ class EmergencyInbox:
         self._last: dict[int, Emergency] = {}
 
     def clear(self) -> None:
-        """A cycle begins."""
+        """Clear the messages at the begin of a cycle."""
         if self.messages:
             self.messages, self._seen, self._last = {}, {}, {}
 

@@ -1,6 +1,6 @@
 """Process data with the nodes of a bench, cycle by cycle: outputs by name go out, inputs come in.
 
-What is above knows set points and measurements; frames, COB-IDs and the objects that they carry stay here.
+The layers above know set points and measurements; frames, COB-IDs and objects stay here.
 """
 
 from __future__ import annotations
@@ -29,36 +29,36 @@ from hilbench.topology.sample import CycleSample
 
 
 class Inputs(Protocol):
-    """What the nodes have answered to one SYNC; good until the next cycle."""
+    """Answers of the nodes to one SYNC; valid until the next cycle."""
 
     @property
     def emergencies(self) -> Mapping[Emergency, int]:
-        """EMCY messages of this cycle in their order, and how many of each came."""
+        """EMCY messages of this cycle in order, with the count of each."""
 
     @property
     def axes_late(self) -> bool:
-        """Whether the positions of the axes are not those of this SYNC."""
+        """True if the positions of the axes are not those of this SYNC."""
 
     def ages_cycles(self) -> tuple[int, ...]:
-        """How many cycles old the measurements in use are, of each drive; 0 where it has answered this SYNC in time."""
+        """Age in cycles of each drive's measurements in use; 0 where it has answered this SYNC in time."""
 
     def twin_age(self, syncs: int) -> int:
-        """How many cycles old the twin's last answer is, `syncs` after the twin was started."""
+        """Age in cycles of the twin's last answer, `syncs` after the twin was started."""
 
     def fill(self, sample: CycleSample) -> None:
         """Put the measurements into a sample; SI, positions and velocities in the machine's unit."""
 
 
 class ExchangeStages(Protocol):
-    """Cycles as pieces that need no Python, from a sample that shows the outputs to one that has the inputs."""
+    """Cycles run entirely in compiled code: reads outputs from the sample, writes inputs to it."""
 
     @property
     def pieces(self) -> Sequence[CompiledStage]:
-        """Those of a cycle. The one that sends the outputs raises `hilbench.cycle_program.StageAbortedError` where the
-        cycle is none of these: `Exchange.cycle` runs it, or goes on with it, then."""
+        """Compiled stages of a cycle. The one that sends the outputs raises `hilbench.cycle_program.StageAbortedError`
+        where the cycle leaves the fast path: `Exchange.cycle` runs or finishes it then."""
 
     def cycles(self) -> int:
-        """How many from the next one on may be run by these; called right before they are."""
+        """Number of cycles from the next one on that may run in these stages; called right before they run."""
 
     def passed(self) -> None:
         """All that count cycles learn of those that were run. Raises as `SyncCycle` and `Nodes.decode`."""
@@ -71,8 +71,8 @@ class FastPathCycles(Protocol):
         """Run one, as `Exchange.cycle`; False where it was none, and nothing was done."""
 
     def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[ExchangeStages | None]:
-        """While nobody else uses the bus: cycles that need no Python, as the last one was; None: they do. `shown`: the
-        signals of the sample that show the outputs, by the names of these."""
+        """Compiled stages of cycles while the bus is used exclusively; None: the next cycle needs the interpreter.
+        `shown`: signals of the sample that hold the outputs, by output name."""
 
 
 class Exchange:
@@ -94,7 +94,7 @@ class Exchange:
         producer: SyncProducer | None = None,
     ) -> None:
         config = nodes.config
-        self.in_step = in_process or config.pace == "lockstep"  #: everybody waits for SYNC, and SYNC for everybody
+        self.in_step = in_process or config.pace == "lockstep"  #: participants wait for SYNC, and SYNC for them
         self._by_clock = in_process and config.pace == "realtime"
         self._nodes = nodes
         self._own = MasterNode(config.master.node_id, objects)
@@ -115,7 +115,7 @@ class Exchange:
         self._foreign_before: list[Unexpected] = []
         self.timing = sync.timing
         self.pacing = sync.pacing
-        self.silent = sync.silent  #: who does not answer, and is not waited for any longer
+        self.silent = sync.silent  #: senders that do not answer, not waited for any longer
         self.stay_alive = sync.stay_alive
         self.stand_still = sync.stand_still
         self.emergency_stop = sync.emergency_stop
@@ -147,54 +147,54 @@ class Exchange:
 
     @property
     def crash_report(self) -> Sequence[Unexpected]:
-        """What came in the last cycle, and is not of the bench or its nodes; also where a fault of a drive has ended
-        it, which may be a stranger's doing."""
+        """Frames of the last cycle that are neither the bench's nor its nodes'; also after a fault of a drive, which
+        such a frame may have caused."""
         return [*self._foreign_before, *self._nodes.crash_report]
 
     def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[ExchangeStages | None]:
-        """See `FastPathCycles.chained`."""
+        """Compiled stages of cycles (`FastPathCycles.chained`); None without a fast path."""
         return self._plain.chained(sample, shown) if self._plain is not None else nullcontext()
 
     @property
     def runs_by_clock(self) -> bool:
-        """Whether each cycle waits for its turn."""
+        """True if participants in this process wait for SYNC, and each SYNC is due by the wall clock."""
         return self._by_clock
 
     @property
     def counted(self) -> NDArray[np.int64]:
-        """As of `exchange.measured`, after each cycle."""
+        """Counters by the indices of `exchange.measured`, updated after each cycle."""
         return self._nodes.measured.counted
 
     def filling(self, sample: CycleSample) -> CompiledStage:
-        """`Inputs.fill` as a piece of a cycle."""
+        """Compiled stage of `Inputs.fill`."""
         return self._nodes.measured.filling(sample)
 
     def use(self, made: Callable[[SyncCycle, MasterNode], FastPathCycles | None]) -> None:
-        """Let cycles that are plain be run by what `made` makes."""
+        """Set the fast path: `made` creates it from the SYNC cycle and the bench's node."""
         self._plain = made(self._sync, self._own)
 
     def discard_waiting(self, timeout_s: float = 0.0) -> None:
-        """What waits to be read, or comes within `timeout_s`, is no answer to the last SYNC; a stranger's frames among
-        it are `crash_report` with the next cycle."""
+        """Discard frames that wait, or come within `timeout_s`, as answers to the last SYNC; foreign frames among
+        them appear in `crash_report` of the next cycle."""
         self._foreign_between += self._nodes.foreign_among(self._sync.discard_waiting(timeout_s))
 
     def sync_only(self) -> None:
-        """A SYNC that tells nobody anything: simulated time goes on. What comes is in the trace, and nowhere else."""
+        """Send a SYNC without expecting answers: simulated time advances. Frames that come are only traced."""
         self._sync.exchange([])
         self._sync.discard_waiting()
 
     def expect_all(self, twin_since: int = 0) -> None:
-        """From the next cycle on drives and twin must answer; `twin_since`: the SYNC before the twin was started."""
+        """Expect TPDOs of drives and twin from the next cycle on; `twin_since`: SYNC before the twin's start."""
         self.silent.discard(self._nodes.twin_name)
         self._sync.expect(self._nodes.expected_pdos(twin_since))
 
     def expect_drives(self, *, vital: bool = True) -> None:
-        """From the next cycle on only the drives must answer, those that are not `vital` as long as they do."""
+        """Expect TPDOs of the drives only, from the next cycle on; a drive that is not `vital` may fall silent."""
         drives = [pdo for pdo in self._nodes.expected_pdos() if pdo.vital]
         self._sync.expect([replace(pdo, vital=vital) for pdo in drives])
 
     def expect_nobody(self) -> None:
-        """From the next cycle on nobody is waited for."""
+        """Expect no TPDO from the next cycle on."""
         self._sync.expect([])
 
     @property

@@ -1,4 +1,4 @@
-"""Who sees every frame of a bench's bus."""
+"""Interface of receivers of every frame on a bench's bus."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class FrameTap(Protocol):
     """Sees every frame of the bus in the order of the wire; each has its time (ns since the epoch)."""
 
     def write(self, frames: Sequence[Frame]) -> None:
-        """Frames that went over the bus."""
+        """Take frames that went over the bus."""
 
     def end_cycle(self) -> None:
         """The frames of a cycle are complete."""
@@ -20,10 +20,10 @@ class FrameTap(Protocol):
 
 @runtime_checkable
 class LineTap(FrameTap, Protocol):
-    """One that takes text, too, in candump's log format."""
+    """Frame tap that also takes text in candump's log format."""
 
     def head(self, can_id: int) -> str:
-        """What stands between time and data in the lines of an identifier."""
+        """Text between time and data in the log lines of an identifier."""
 
     def write_lines(self, text: str, frames: int) -> None:
-        """Whole lines of so many frames that went over the bus."""
+        """Take whole log lines of `frames` frames that went over the bus."""

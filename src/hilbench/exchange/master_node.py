@@ -21,18 +21,18 @@ class MasterNode:
         )
 
     def handle(self, frames: Iterable[Frame]) -> None:
-        """Look for requests in what came in a cycle."""
+        """Serve SDO requests among the frames received in a cycle."""
         for cob_id, data, _ in frames:
             if cob_id == self._request_id:
                 self._server.handle(data)
 
     @property
     def has_answers(self) -> bool:
-        """Whether the next cycle brings any."""
+        """True if SDO answers wait for the next cycle."""
         return bool(self._answers)
 
     def answers(self) -> list[Frame]:
-        """What is to be sent with the next cycle."""
+        """Take the SDO answers to send with the next cycle."""
         answers, self._answers = self._answers, []
         return answers
 

@@ -1,4 +1,4 @@
-"""What drives and twin have answered, from cycle to cycle, and how it goes into a sample: compiled, on vectors."""
+"""Measurements of drives and twin from cycle to cycle, written into a sample by compiled code on vectors."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ Whole = NDArray[np.int64]
 
 #: Of a drive in what is measured: position, velocity, torque (SI), statusword.
 POSITION, VELOCITY, TORQUE, STATUSWORD, OF_DRIVE = range(5)
-#: Of a torque that is simulated: where the measured one is, its own place and that of its residual in what is said, and
-#: the TPDO that brings it.
+#: Columns of a simulated torque: place of the measured one, its own place and that of its residual in the twin's
+#: signals, and the TPDO that carries it.
 _MEASURED, _SIMULATED, _RESIDUAL, _BROUGHT_BY, _OF_TORQUE = range(5)
 _NOWHERE = -1
 #: What is counted: cycles, and bits on the bus in the last one; the SYNC that the twin has answered last, by its count,
@@ -37,7 +37,7 @@ CYCLES, BITS, TWIN_SYNC, TWIN_STATUS, _COUNTED = range(5)
 
 @compiled
 def take_twin(came: Whole, torques: Whole, before_Nm: Vector, of_drives: Vector, virtual_io: Vector) -> None:
-    """A cycle on, in which these TPDOs of the twin `came` (P,): simulated torques from their residuals.
+    """Update simulated torques from their residuals after a cycle in which these TPDOs of the twin `came` (P,).
 
     The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
     """
@@ -50,8 +50,8 @@ def take_twin(came: Whole, torques: Whole, before_Nm: Vector, of_drives: Vector,
 
 @compiled
 def twin_age_cycles(syncs: int, twin_sync: int) -> int:
-    """See `exchange.nodes.Nodes.twin_age`."""
-    # Started beside running SYNCs it may have counted one or two more than the bench.
+    """Age in cycles of the twin's last answer, from the 16-bit SYNC counters of bench and twin."""
+    # Started while SYNCs were running it may have counted one or two more than the bench.
     age = ((syncs - twin_sync + 0x8000) & 0xFFFF) - 0x8000
     return age if age > 0 else 0
 
@@ -95,13 +95,13 @@ class ShownBy:
 
     @property
     def signals(self) -> tuple[str, str, str, str]:
-        """In the order of what is measured."""
+        """Signal names in the order of the measured columns."""
         return self.position, self.velocity, self.torque, self.statusword
 
 
 @dataclass(frozen=True)
 class SimulatedTorque:
-    """A torque of an axis (from 1) that the twin tells by its residual, as a signal too."""
+    """A torque of an axis (from 1) that the twin reports by its residual, as a signal in addition."""
 
     axis: int
     signal: str
@@ -109,8 +109,8 @@ class SimulatedTorque:
 
 
 class Measured:
-    """Vectors of what has been answered. `of_drives` (4 D,); `virtual_io` (S,): the twin's signals, TPDO by TPDO, then
-    the torques that follow from residuals; `came` (P,): which of these TPDOs brought something in this cycle;
+    """Vectors of the measurements. `of_drives` (4 D,); `virtual_io` (S,): the twin's signals, TPDO by TPDO, then
+    the torques that follow from residuals; `came` (P,): 1 where a TPDO of the twin arrived in this cycle;
     `counted`: by CYCLES and so on.
 
     `sent_by`: the signals of each TPDO of the twin.
@@ -125,7 +125,7 @@ class Measured:
     ) -> None:
         names = [name for content in sent_by for name in content]
         ends = np.cumsum([len(content) for content in sent_by]).tolist()
-        #: Where the signals of each TPDO are in `said`.
+        #: Slice of each TPDO's signals in `virtual_io`.
         self.parts = [slice(end - len(content), end) for end, content in zip(ends, sent_by, strict=True)]
         brought_by = {name: at for at, content in enumerate(sent_by) for name in content}
         rows = [
@@ -140,7 +140,7 @@ class Measured:
         names += [each.signal for each in torques]
         self.of_drives, self.virtual_io = np.zeros(OF_DRIVE * len(drives)), np.zeros(len(names))
         self.came, self.counted = np.zeros(len(sent_by), np.int64), np.zeros(_COUNTED, np.int64)
-        self._counted = self.counted.data  # one value goes faster through this than through the vector
+        self._counted = self.counted.data  # access to one value is faster than through the vector
         self.torques, self.before_Nm = np.array(rows, np.int64).reshape(-1), np.zeros(len(torques))
         places = [kind.place(name) if name else _NOWHERE for drive in drives for name in drive.signals]
         self._kept = (
@@ -153,7 +153,7 @@ class Measured:
         self._filling: CompiledStage
 
     def count(self, cycles: int, bits: int) -> None:
-        """So many cycles by now, and so many bits in the last one."""
+        """Set the number of cycles run and the bits of the last one."""
         self._counted[CYCLES], self._counted[BITS] = cycles, bits
 
     def take_twin(self) -> None:
@@ -161,11 +161,11 @@ class Measured:
         _take(self._table)
 
     def fill(self, sample: CycleSample) -> None:
-        """Into a sample; SI, positions and velocities in the machine's unit; and the twin's status."""
+        """Write into a sample: SI, positions and velocities in the machine's unit; and the twin's status."""
         self.filling(sample)()
 
     def filling(self, sample: CycleSample) -> CompiledStage:
-        """The same as a piece of a cycle."""
+        """Compiled stage that writes into a sample as `fill` does."""
         if sample is not self._filled:
             kept = *self._kept, sample.reals, sample.wholes
             place = type(sample).place("twin_status")
@@ -177,7 +177,7 @@ class Measured:
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, before anybody waits for a cycle."""
+    """Compile, or load from the cache, before a cycle has to wait for it."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     _take(nothing)
     _fill(0, nothing)

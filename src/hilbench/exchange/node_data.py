@@ -1,8 +1,8 @@
-"""What the drives of a bench say of themselves, and what the bench has written into them: `nodes.json` of a run folder.
+"""Objects read from a bench's drives and values written into them: `nodes.json` of a run folder.
 
 Read before the bench configures them: device type, names, versions and identity (1000h, 1008h to 100Ah, 1018h), what
 their units follow from (CiA 402-2: 6076h, 6089h to 6097h with 608Fh to 6092h, 60A8h to 60ABh), the objects that the
-bench or the config writes, and the PDOs that the bench maps. Beside it stand the defaults of their EDS files.
+writes, and the PDOs that the bench maps; with the defaults of their EDS files.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ _OF_PDOS: Final = range(0x1400, 0x1C00)
 
 
 def name_of(key: Key) -> str:
-    """As a config and messages have it: ``60A9h``, ``60C2h:1``."""
+    """Object name as in a config and in messages: ``60A9h``, ``60C2h:1``."""
     return f"{key[0]:04X}h" + (f":{key[1]}" if key[1] else "")
 
 
 class NodeData(Strict):
-    """One drive: what its objects held before the bench configured it, and what was written; bytes as hexadecimal text
-    by object, None where the device refused to say."""
+    """Objects of one drive before the bench configured it, and what was written; bytes as hexadecimal text
+    by object, None where the device aborted the read."""
 
     node_id: int
     eds: str
@@ -82,7 +82,7 @@ class EdsObject(Strict):
 
 
 class StandData(JsonFile):
-    """What a run knew of its stand's nodes when it started. `eds`: by file, the objects in it."""
+    """Objects of a stand's nodes at the start of a run. `eds`: by file, the objects in it."""
 
     described: ClassVar[str] = "a run's nodes"
     indent: ClassVar[int] = 1
@@ -94,14 +94,14 @@ class StandData(JsonFile):
 
 
 def drives_of(config: BenchConfig) -> tuple[Part, ...]:
-    """The parts of which something is known: the devices of the stand, not what the twin plays."""
+    """The parts whose objects are read: axes and load motors of the stand, not the twin's nodes."""
     return (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))
 
 
 def ask_all(
     reader: SdoClient, config: BenchConfig, for_each_node: ForEachNode = map
 ) -> dict[str, dict[Key, bytes | None]]:
-    """What each drive of a bench says, by part: bytes by object, None where it refuses; nothing of one that is silent.
+    """Read each drive's objects, by part: bytes by object, None where the read is aborted; empty for a silent drive.
 
     Raises BusError when the bus is lost.
     """
@@ -111,7 +111,7 @@ def ask_all(
 
 
 def ask(reader: SdoClient, config: BenchConfig, part: Part) -> dict[Key, bytes | None]:
-    """What one drive says; empty when it does not answer."""
+    """Read the objects of one drive; empty when it does not answer."""
     od = shared_eds(part.node.eds, part.node.node_id)
     found: dict[Key, bytes | None] = {}
     wanted = [*DEVICE, *_parameters(config, part, od)]
@@ -173,7 +173,7 @@ def stand_data(
     *,
     started: Iterable[int],
 ) -> StandData:
-    """What a run keeps. `written`: bytes by node id, index and sub-index; `started`: the node ids that the run brings.
+    """Data of a run's nodes. `written`: bytes by node id, index and sub-index; `started`: ids of simulated nodes.
 
     Raises UnusableInputError for an EDS file that can't be used.
     """
@@ -206,7 +206,7 @@ def eds_objects(path: Path) -> dict[str, EdsObject]:
 
 
 def text_of(od: ObjectDictionary, key: Key, data: bytes | None) -> str:
-    """What an object holds, for a person, by its type in an EDS file."""
+    """Readable text of an object's value, by its type in an EDS file."""
     if data is None:
         return "not told"
     try:

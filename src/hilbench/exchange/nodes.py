@@ -1,4 +1,4 @@
-"""The participants of a bench as the bench sees them: set points in, measurements out, each cycle."""
+"""The participants of a bench as process data: set points out, measurements in, each cycle."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ from hilbench.topology.sample import CycleSample, sample_type
 #: Heartbeats that may stay away before a node counts as lost (lost frames are no lost node).
 _HEARTBEATS_MISSED = 4
 _HEARTBEAT_LOOK_CYCLES = 16
-#: More cycles than anybody asks for at once.
+#: More cycles than are ever requested at once.
 _LONG = 1 << 30
-#: Effects of the twin's model, and what their change did: index and sub-index at the virtual I/O.
+#: Effects of the twin's model, and the step that their change caused: index and sub-index at the virtual I/O.
 _TWIN_EFFECTS, _TWIN_STEP = (0x2102, 1), (0x2102, 2)
-#: What it has found of errors of its model: index and sub-index at the virtual I/O.
+#: Model errors found by the twin: index and sub-index at the virtual I/O.
 _TWIN_FOUND = (0x2103, 1)
 _twin_age_cycles = interpreted(twin_age_cycles)
 #: Controlwords that lead from SWITCH ON DISABLED to OPERATION ENABLED: shutdown, switch on, enable operation.
@@ -72,7 +72,7 @@ class Nodes:
         self, config: BenchConfig, *, io: IoMaps | None = None, settings_of: SettingsOf = drive_settings
     ) -> None:
         self.config = config
-        #: Who the virtual I/O is, in messages and in `expected_pdos`.
+        #: Name of the virtual I/O in messages and in `expected_pdos`.
         self.twin_name = f"virtual io (node {config.twin.node.node_id})"
         parts = config.parts
         self._ods = {part.name: shared_eds(part.node.eds, part.node.node_id) for part in parts}
@@ -113,7 +113,7 @@ class Nodes:
             sample_type(config.signals), self._shown_by, [names for _, names in self._virtual_io_values], torques
         )
         self._status_cob_id = self.io.status.cob_id
-        #: One value goes faster through this than through the vector.
+        #: Access to one value is faster than through the vector.
         self._counted = self.measured.counted.data
         self.twin_reported_cycle = 0  #: cycle, counted by `decode`, in which the twin last reported its status
         self._twin_ids = dict.fromkeys(config.virtual_nodes)  # in the order of the config
@@ -131,21 +131,21 @@ class Nodes:
         self._twin_tpdos = [Tpdo(pdo.cob_id, pdo.size, pdo.period, self.twin_name) for _, pdo in self.io.tpdos]
         self._tpdos |= {pdo.cob_id: pdo for pdo in self._twin_tpdos}
         self._watch: UnexpectedSenders | None = None  # from when the master is known
-        self.crash_report: list[Unexpected] = []  #: what came in this cycle and is not of the bench or its nodes
+        self.crash_report: list[Unexpected] = []  #: frames of this cycle that are neither the bench's nor its nodes'
         self._cycle = 0
         self._elapsed_cycles = 0
         self._heartbeat_cycle: dict[int, int] = {}
-        self.supervised = 0  #: how often it has changed whether the twin is counted on
+        self.supervised = 0  #: number of changes in the supervision of the twin
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
         self._expected_boots: set[int] = set()
 
     def _per_output(self) -> list[float]:
-        """What the output of each axis is multiplied with: its speed becomes the motor's, its torque stays."""
+        """Factor of each axis's output: machine unit to motor rad for a velocity, 1 for a torque."""
         torqued = self.config.shape.torqued
         return [1.0 if axis in torqued else ratio for axis, ratio in enumerate(self._rad_per_unit, 1)]
 
     def _drive_signals(self) -> list[ShownBy]:
-        """What each drive fills, in the order of `drives`."""
+        """Signals that each drive fills, in the order of `drives`."""
         unit, ratios = self.config.machine.position_unit, self._rad_per_unit
         axes = [
             ShownBy(ratio, f"x{k}_{unit}", f"v{k}_{unit}_s", f"tau{k}_Nm", f"statusword{k}")
@@ -165,7 +165,7 @@ class Nodes:
 
     @property
     def twin_status(self) -> int:
-        """Bits of `TwinStatus`, as it has said last; 0 while it is not counted on."""
+        """Bits of `TwinStatus` as last reported; 0 while the twin is not supervised."""
         return int(self._counted[TWIN_STATUS])
 
     @property
@@ -180,11 +180,11 @@ class Nodes:
 
     @property
     def emergencies(self) -> Mapping[Emergency, int]:
-        """EMCY messages of this cycle in their order, and how many of each came."""
+        """EMCY messages of this cycle in order, with the count of each."""
         return self._inbox.messages
 
     def dictionary(self, part: str) -> canopen.ObjectDictionary:
-        """What the EDS file of a part says, by its name."""
+        """Object dictionary of a part from its EDS file, by the part's name."""
         return self._ods[part]
 
     def pdo_maps(self, part: str) -> list[PdoMap]:
@@ -195,7 +195,7 @@ class Nodes:
         return [pdos.rpdo, *(pdo for _, pdo, _ in pdos.tpdos)]
 
     def pdo_names(self, part: str) -> dict[int, str]:
-        """What the PDOs of a part that have numbers of their own are called, by COB-ID."""
+        """Names of a part's PDOs that have numbers of their own, by COB-ID."""
         if part == "virtual_io":
             return {pdo.cob_id: f"TPDO{number}" for number, pdo in self.io.tpdos}
         pdos = self._drive_of(part).pdos
@@ -219,7 +219,7 @@ class Nodes:
             master.add(node_id, self._ods_of_nodes[node_id], names)
 
     def _owned(self) -> Owned:
-        """Whose frames belong on the bus."""
+        """Frames that belong on the bus, with their senders."""
         rpdos = {cob_id: self.sender(drive) for drive in self.drives for cob_id in drive.rpdo_cob_ids}
         rpdos |= {pdo.cob_id: self.twin_name for pdo in self.io.boundary}
         return Owned(self.config.master.node_id, self._known, self._ods_of_nodes, rpdos)
@@ -232,13 +232,13 @@ class Nodes:
             self._check_units(part, drive)
 
     def configure_twin(self, master: Master, for_each_node: ForEachNode = map) -> None:
-        """The same for the virtual axes and the virtual I/O."""
+        """Configure the virtual axes and the virtual I/O."""
         of_axes = (drive.configure for drive in self.virtual_axes)
         for _ in for_each_node(lambda configure: configure(master), (*of_axes, self._configure_io)):
             pass
 
     def _check_units(self, part: Part, drive: Drive) -> None:
-        """The twin and the mirrored set points go by the EDS file: the device must have the same units."""
+        """Check that the device has the units of its EDS file, which the twin and the mirrored set points rely on."""
         declared = declared_units(part, self._ods[part.name])
         for name in ("position_rad", "velocity_rad_s", "torque_Nm"):
             found, expected = getattr(drive.units, name), getattr(declared, name)
@@ -259,13 +259,13 @@ class Nodes:
     def restart_twin(self) -> None:
         """Reset the twin's nodes while the axes run, bring the virtual axes to where the axes are, start them (NMT).
 
-        The virtual axes are enabled by SDO before they hear the axes' RPDOs: these ask for OPERATION ENABLED already.
+        The virtual axes are enabled by SDO before they receive the axes' RPDOs, which ask for OPERATION ENABLED.
         Raises BenchFaultError naming the node that does not answer.
         """
         master, twin_nodes = self._sdo(), list(self._twin_ids)
         self._expected_boots = set(twin_nodes)
-        # A twin that was held up first works off what it has missed; the reset would be lost among that. One that
-        # somebody has stopped (NMT) answers no SDO request.
+        # A twin that was held up first works off the SYNCs it has missed; the reset would be lost among them. A node
+        # in NMT STOPPED answers no SDO request.
         for node_id in twin_nodes:
             wake = partial(master.nmt, NmtCommand.ENTER_PRE_OPERATIONAL, node_id)
             master.wait_for_answer([node_id], self.config.master.boot_timeout_s, wake)
@@ -278,18 +278,18 @@ class Nodes:
                 master.sdo_write(drive.settings.node_id, objects.CONTROLWORD, command)
         for node_id in twin_nodes:
             master.nmt(NmtCommand.START, node_id)
-        # Set points and SYNC come by another socket: an answer says that the command was there before them.
+        # Set points and SYNC use another socket: an answer proves that the command arrived before them.
         master.wait_for_answer(twin_nodes, self.config.master.boot_timeout_s)
 
     def twin_is_away(self) -> None:
-        """The twin is not counted on until `twin_is_back`: what it last said is not its state any more."""
+        """Stop relying on the twin until `twin_is_back`: its last status is not its state any more."""
         self._counted[TWIN_STATUS] = 0
         self._supervise_twin(False)
         self._expected_boots = set(self._twin_ids)
         self.twin_problem, self.twin_alive = "", False
 
     def twin_is_not_waited_for(self) -> None:
-        """While the drives are stopped nobody waits for the twin: it may answer several SYNCs at once."""
+        """Stop supervising the twin while the drives are stopped: it may answer several SYNCs at once."""
         self._supervise_twin(False)
 
     def twin_is_back(self) -> None:
@@ -310,7 +310,7 @@ class Nodes:
         return int(self._sdo().sdo_read(settings.node_id, settings.object(objects.STATUSWORD)))
 
     def use_synchronizer(self, method: int) -> None:
-        """Let the twin go on with another method, by its number (2101h); 0: the configured one."""
+        """Switch the twin's synchronization method by its number (2101h); 0: the configured one."""
         self._sdo().sdo_write(self.config.twin.node.node_id, 0x2101, method, 1)
 
     def check_virtual_axes_enabled(self) -> None:
@@ -327,7 +327,7 @@ class Nodes:
 
     @staticmethod
     def sender(drive: Drive) -> str:
-        """Who a drive is, in messages and in `expected_pdos`."""
+        """Name and place of a drive, as in messages and `expected_pdos`."""
         return f"{drive.settings.name} ({drive.settings.place})"
 
     def expected_pdos(self, twin_since: int = 0) -> list[ExpectedPdo]:
@@ -341,7 +341,7 @@ class Nodes:
         return expected
 
     def cyclic_frames(self) -> list[CyclicFrame]:
-        """Everything that goes over the bus each cycle, for the bus load."""
+        """All frames of a cycle, for the bus load."""
         frames = [CyclicFrame("SYNC", SYNC, 0)]
         for drive in (*self.drives, *self.virtual_axes):
             name, pdos = drive.settings.name, drive.pdos
@@ -359,10 +359,10 @@ class Nodes:
     # -- each cycle --------------------------------------------------------------------------------------
 
     def encode(self, outputs: Mapping[str, float]) -> list[Frame]:
-        """RPDOs of this cycle, the twin's among them.
+        """Encode the RPDOs of this cycle, the twin's among them.
 
         `outputs`: by drive the velocity of the axis (the machine's unit per s) or the torque at the load motor's shaft
-        (N·m), zero where there is none; by signal what the twin is told of the machine's boundary.
+        (N·m), zero where there is none; by signal the boundary inputs of the twin.
         """
         frames: list[Frame] = []
         for drive, name, per_unit in self._set_points:
@@ -373,8 +373,8 @@ class Nodes:
         return frames
 
     def decode(self, frames: Sequence[Frame], before_sync: int = 0, elapsed_cycles: int = 0) -> None:
-        """Take what came in this cycle, the first `before_sync` frames of it before its SYNC. `elapsed_cycles`: so many
-        SYNCs of ours were on the bus for which there was no cycle, in all. Raises BenchFaultError when a drive has a
+        """Decode the frames of a cycle, of which the first `before_sync` came before its SYNC. `elapsed_cycles`: number
+        of our SYNCs on the bus without a cycle, in all. Raises BenchFaultError when a drive has a
         fault, has left OPERATIONAL, or is silent; the twin's nodes only get a `twin_problem`."""
         self._cycle += 1
         self._inbox.clear()
@@ -398,7 +398,7 @@ class Nodes:
         self._take_twin({pdo.cob_id: pdo.unpack(data[pdo.cob_id]) for _, pdo in self.io.tpdos if pdo.cob_id in data})
 
     def _take_twin(self, data: Mapping[int, Sequence[Any]]) -> None:
-        """What the twin says, simulates and estimates, by the values of its answers to this SYNC."""
+        """Take status, simulated and estimated signals of the twin from its answers to this SYNC."""
         measured = self.measured
         self._take_status(data.get(self._status_cob_id))
         for at, ((pdo, _), part) in enumerate(zip(self._virtual_io_values, measured.parts, strict=True)):
@@ -415,7 +415,7 @@ class Nodes:
             self.twin_reported_cycle = self._cycle
 
     def _answers(self, frames: Sequence[Frame], before_sync: int, elapsed_cycles: int) -> dict[int, bytes]:
-        """The answers to this SYNC by COB-ID; what is beside them is counted, and in `crash_report`."""
+        """Answers to this SYNC by COB-ID; surplus frames are counted, and are in `crash_report`."""
         tpdos = self._tpdos
         for tpdo in tpdos.values():
             tpdo.begin()
@@ -436,38 +436,38 @@ class Nodes:
         return data
 
     def foreign_among(self, frames: Sequence[Frame]) -> list[Unexpected]:
-        """What is not of the bench or its nodes among frames that are not decoded."""
+        """Foreign frames (neither the bench's nor its nodes') among frames that are not decoded."""
         return self._watch.look(frames, ()) if self._watch else []
 
     def ages_cycles(self) -> tuple[int, ...]:
-        """How many cycles old the samples in use are, of each drive; 0 where it has answered this SYNC in time."""
+        """Age in cycles of each drive's sample in use; 0 where it has answered this SYNC in time."""
         return self._ages_cycles
 
     @property
     def axes_late(self) -> bool:
-        """Whether the positions of the axes are not those of this SYNC."""
+        """True if the positions of the axes are not those of this SYNC."""
         return self._ages_cycles is not self._in_time and any(self._ages_cycles[: len(self.axes)])
 
     def twin_age(self, syncs: int) -> int:
-        """How many cycles old the twin's last answer is, `syncs` after the twin was started."""
+        """Age in cycles of the twin's last answer, `syncs` after the twin was started."""
         return _twin_age_cycles(syncs, self._counted[TWIN_SYNC])
 
     def twin_started(self, syncs: int) -> int:
         """The SYNC before that which the twin counts as its first, where its last answer was one to SYNC `syncs`."""
         return syncs - self._counted[TWIN_SYNC]
 
-    # -- cycles that somebody else runs (`hilbench.in_process_cycle`) -----------------------------------------------
+    # -- cycles run by the fast path (`hilbench.in_process_cycle`) --------------------------------------------------
 
     @property
     def fits_fast_path(self) -> bool:
-        """Whether all drives are enabled and follow their set points, and all answers come as they are asked for."""
+        """True if all drives are enabled and follow their set points, and all answers come regularly."""
         return all(drive.fits_fast_path for drive in self.drives) and all(
             tpdo.is_regular for tpdo in self._tpdos.values()
         )
 
     @property
     def follow(self) -> bool:
-        """Whether all drives are enabled, and told nothing but set points."""
+        """True if all drives are enabled, with a controlword that only makes them follow set points."""
         for drive in self.drives:  # as `all` it would take three times as long, in each cycle
             follows = drive.reached and drive.controlword == _FOLLOWS
             if not follows:
@@ -476,12 +476,12 @@ class Nodes:
 
     @property
     def set_points(self) -> Sequence[tuple[Drive, str, float]]:
-        """Each drive in the order of its RPDO, by whose name its set point comes, and what it is multiplied with."""
+        """Each drive in the order of its RPDO, with the name of its set point and the factor into motor units."""
         return self._set_points
 
     @property
     def boundary_names(self) -> Sequence[str]:
-        """What the twin is told, in the order of its RPDOs."""
+        """Signal names of the twin's boundary inputs, in the order of its RPDOs."""
         return self._boundary_names
 
     @property
@@ -490,20 +490,20 @@ class Nodes:
         return self._tpdos
 
     def begin_fast_path(self) -> None:
-        """From the next cycle on there is nothing but answers."""
+        """Prepare cycles with answers to SYNC only: clear messages and ages."""
         self._inbox.clear()
         self.crash_report = []
         self._ages_cycles = self._in_time
 
     def take_fast_path(self, status: Sequence[int] | None, heartbeats: Iterable[int]) -> None:
-        """A cycle with nothing but answers, which are in `measured` already: values of the twin's status, if that came,
-        and node ids of heartbeats. The drives get theirs with `end_fast_path`. Raises as `decode`."""
+        """Take a fast-path cycle whose answers are in `measured` already: values of the twin's status, if it came,
+        and node ids of heartbeats. The drives are updated by `end_fast_path`. Raises as `decode`."""
         self.pass_fast_path(1, [(node_id, 1) for node_id in heartbeats])
         self._take_status(status)
 
     def pass_fast_path(self, cycles: int, heartbeats: Iterable[tuple[int, int]], reported: int = 0) -> None:
-        """So many such cycles, with the twin's status in `measured`, too: node ids with the cycle, from 1 on, of their
-        last heartbeat, and that in which the twin has `reported` last (0: in none). Raises as `decode`."""
+        """Take `cycles` fast-path cycles, with the twin's status in `measured`: node ids with the cycle, from 1 on,
+        of their last heartbeat, and that in which the twin has `reported` last (0: in none). Raises as `decode`."""
         before = self._cycle
         if reported:
             self.twin_reported_cycle = before + reported
@@ -516,12 +516,12 @@ class Nodes:
 
     @property
     def not_silent_cycles(self) -> int:
-        """For so many cycles from now on no node counts as silent, whether it is heard or not."""
+        """Cycles from now on in which no heartbeat time-out can expire, even without further heartbeats."""
         received = min(self._heartbeat_cycle.values(), default=self._cycle)
         return received + self._silence_cycles - self._cycle if self._silence_cycles else _LONG
 
     def end_fast_path(self, cycles: int) -> None:
-        """So many cycles were plain."""
+        """Update the drives' feedback from `measured` after `cycles` fast-path cycles."""
         measured = self.measured.of_drives.reshape(-1, OF_DRIVE).tolist()
         for drive, of_drive in zip(self._drives, measured, strict=True):
             shown = drive.feedback
@@ -579,7 +579,7 @@ class Nodes:
         self._sdo().sdo_write(node_id, index, value, sub)
 
     def set_twin_effects(self, effects: str) -> None:
-        """Let the twin go on with other effects in its model (JSON; "": as configured). Raises BenchFaultError."""
+        """Change the effects in the twin's model (JSON; "": as configured). Raises BenchFaultError."""
         self._sdo().sdo_write(self.config.twin.node.node_id, _TWIN_EFFECTS[0], effects, _TWIN_EFFECTS[1])
 
     def twin_step_N(self) -> float:

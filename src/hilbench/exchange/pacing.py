@@ -1,8 +1,8 @@
 """Pacing of SYNC by the wall clock: absolute deadlines, missed cycles counted, jitter kept.
 
 Functions on a small state, so that each can be tested without a bus. `lockstep` needs none of it: there the next
-SYNC goes out as soon as every participant has answered. Where participants go by SYNC and SYNC by the clock
-(`advance_in_step`), nobody runs ahead of a SYNC that is late.
+SYNC goes out as soon as every participant has answered. Where participants run by SYNC and SYNC by the clock
+(`advance_in_step`), no participant runs ahead of a SYNC that is late.
 """
 
 from __future__ import annotations
@@ -72,10 +72,10 @@ def advance(pacing: Pacing, sent_ns: int) -> None:
 
 
 def advance_in_step(pacing: Pacing, sent_ns: int) -> None:
-    """The same beside participants that wait for SYNC: the deadlines move on by what is late by whole periods and more.
+    """Note a SYNC to participants that wait for it: deadlines move on by a delay of one period or more.
 
-    None of their cycles is left out; missed are those that the clock would have had. What is made up for is less than a
-    period.
+    None of their cycles is left out; `missed` counts those that the clock would have had. A delay below one period is
+    made up for.
     """
     late_ns = sent_ns - pacing.deadline_ns
     pacing.lateness_ns.append(late_ns)

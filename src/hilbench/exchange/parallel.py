@@ -1,4 +1,4 @@
-"""How the same is done to each node: one after the other, or beside each other."""
+"""Interface for doing the same to each node: one after the other, or in parallel."""
 
 from __future__ import annotations
 
@@ -10,6 +10,6 @@ Answer = TypeVar("Answer")
 
 
 class ForEachNode(Protocol):
-    """As `map`, and as `Executor.map`: results in the order of the nodes; the first failure in this order is raised."""
+    """Callable like `map` or `Executor.map`: results in node order; the first failure in this order is raised."""
 
     def __call__(self, do: Callable[[Node], Answer], nodes: Iterable[Node], /) -> Iterator[Answer]: ...

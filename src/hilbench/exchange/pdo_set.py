@@ -39,7 +39,7 @@ def pdo_set_dbc(config: BenchConfig) -> str:
 
 
 def _process_data(config: BenchConfig) -> dict[tuple[int, int], Signal]:
-    """What the objects of the virtual I/O are on a machine of this kind, by index and sub-index."""
+    """Signals of the virtual I/O's objects on a machine of this kind, by index and sub-index."""
     known = {signal.name: signal for signal in config.signals}
     data = process_data(config.machine_kind, config.shape)
     return {

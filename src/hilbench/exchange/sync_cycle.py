@@ -1,6 +1,6 @@
-"""The cyclic path in frames: what is to be sent and SYNC out, the answers of this SYNC in.
+"""The cyclic path in frames: RPDOs and SYNC out, the TPDOs that answer this SYNC in.
 
-What the frames mean is known above (`hilbench.exchange.nodes`); the two together are `hilbench.exchange.exchange`.
+`hilbench.exchange.nodes` interprets the frames; `hilbench.exchange.exchange` joins the two.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.sync_producer import SyncProducer
 from hilbench.exchange.sync_tracker import SyncReceived, SyncTracker
 
-#: Lockstep: part of the time-out after which a bench that waits for an answer says that it is alive.
+#: Lockstep: part of the time-out after which a bench that waits for an answer sends its heartbeat.
 _ALIVE = 0.3
-#: The longest time between two of them while the bus stands still, far less than the nodes wait for SYNC.
+#: The longest time between two of them while no cycle runs, far less than the nodes' SYNC time-out.
 _LONGEST_SILENCE_S = 0.5
-#: The same for cycles that answer, but slowly.
+#: Part of the time-out for cycles that are answered, but slowly.
 _SLOW = 0.6
 #: Between cycles: wall time in which devices of this process may take what was sent to them.
 _A_MOMENT_S = 0.001
@@ -71,19 +71,19 @@ class CycleTiming:
 
 
 def _nobody() -> None:
-    """Nobody runs cycles in the place of this one."""
+    """Do nothing: no other code runs cycles."""
 
 
 class SyncCycle:
-    """One SYNC after the other, paced in lockstep or by the wall clock: SYNC goes out by the `producer`, without
-    us, or where there is none (on other interfaces of python-can) from this thread.
+    """One SYNC after the other, paced in lockstep or by the wall clock: SYNC is sent by the `producer` on its own,
+    or where there is none (on other interfaces of python-can) from this thread.
 
     `exchange` sends frames and SYNC and returns the frames that answered. In lockstep it waits until every
     expected TPDO is there and raises NoAnswerError, naming who is missing, after `timeout_s` of wall time (2 s at most
-    where nobody vital is missing). In real time it waits for them until shortly before the next deadline, and raises
-    when one sender's PDO was missing `missing_limit` cycles in a row; not for a sender that is not vital. Who does not
-    answer is put into `silent`, and not waited for any longer. An emergency stop on the bus raises EmergencyStopError,
-    once.
+    where no vital one is missing). In real time it waits for them until shortly before the next deadline, and raises
+    when one sender's PDO was missing `missing_limit` cycles in a row; not for a sender that is not vital. A sender
+    that does not answer is put into `silent`, and not waited for any longer. An emergency stop on the bus raises
+    EmergencyStopError, once.
     """
 
     def __init__(
@@ -114,16 +114,16 @@ class SyncCycle:
         self._leaves_out_from = 0  # cycles before which none are
         self.expect(expected)
         self.last_bits = 0  #: bits on the bus in the last cycle
-        self.before_sync = 0  #: so many of the frames that the last cycle returned came before its SYNC
+        self.before_sync = 0  #: number of frames returned by the last cycle that came before its SYNC
         self.silent: set[str] = set()  #: senders that don't answer: not waited for any longer
         self._emergency_stop_seen = False
         self._alive_s = 0.0  #: when the last heartbeat was sent, monotonic clock
         self._tap = tap
-        self.lock = threading.Lock()  #: who has it uses the link: a cycle, or between two of them `stay_alive`
-        #: Told before the link is used for anything that is no cycle of somebody else's: by who has run the last ones.
+        self.lock = threading.Lock()  #: its holder uses the link: a cycle, or between two of them `stay_alive`
+        #: Called before the link is used other than by the fast path, so that it hands its state back.
         self.before_use: Callable[[], None] = _nobody
         self._came_between: list[Frame] = []
-        self.received: list[Frame] = []  #: what came in a cycle that a fault has ended
+        self.received: list[Frame] = []  #: frames received in a cycle that a fault has ended
         self._fault_between: Exception | None = None
         self._epoch_ns = 0
         self._sync = Frame(SYNC, b"")
@@ -136,13 +136,13 @@ class SyncCycle:
         self._heartbeat_cycles = max(1, period_ms * 1_000_000 // cycle_ns) if period_ms else 0
 
     def wait_for_turn(self) -> None:
-        """In step and by the clock: the next SYNC is not sent before it is due."""
+        """Wait until the next SYNC is due by the clock, for participants that run by SYNC."""
         if self.pacing.deadline_ns == 0:
             pacing.start(self.pacing, time.monotonic_ns())
         pacing.advance_in_step(self.pacing, pacing.sleep_until(self.pacing.deadline_ns))
 
     def exchange(self, outgoing: Sequence[Frame], *, may_be_left_out: bool = False) -> list[Frame]:
-        """Run one cycle: `outgoing` and SYNC onto the bus, then the frames that came until all have answered.
+        """Run one cycle: send `outgoing` and SYNC, return the frames received until all have answered.
 
         `outgoing` is sent before the SYNC that makes it act; it `may_be_left_out` where it is nothing but the next set
         points of drives that follow them (`_leaves_out`).
@@ -154,7 +154,7 @@ class SyncCycle:
             return self._exchange(outgoing)
 
     def _leaves_out(self, bits: int) -> bool:
-        """Whether set points of so many bits are not to be sent in this cycle, and count as late.
+        """True if set points of so many bits are not to be sent in this cycle, and count as late.
 
         Where an answer has stayed away the bench has waited for it to the end. What it sends then is on the wire when
         SYNC is due, acts with the next one, and keeps the wire from the answers to this one, of which the last comes
@@ -178,8 +178,8 @@ class SyncCycle:
         came: list[Frame],
         fault: BenchFaultError | None,
     ) -> list[Frame]:
-        """The rest of a cycle that somebody else has begun, who has the lock: `outgoing` and SYNC are sent, `late` came
-        before it and `came` behind it so far, `fault` is what the trace has to say."""
+        """Finish a cycle that the fast path has begun, which holds the lock: `outgoing` and SYNC are sent, `late` came
+        before SYNC and `came` after it so far; `fault`: the error of the trace, if any."""
         return self._finish(outgoing, late, came, fault)
 
     def _exchange(self, outgoing: Sequence[Frame]) -> list[Frame]:
@@ -223,7 +223,7 @@ class SyncCycle:
         trace_fault: BenchFaultError | None,
         met: SyncReceived | None = None,
     ) -> list[Frame]:
-        """The rest of a cycle: `late` came before its SYNC, `came` behind it so far; `met`: the producer's SYNC."""
+        """Finish a cycle: `late` came before its SYNC, `came` after it so far; `met`: the producer's SYNC."""
         timing = self.timing
         timing.cycles += 1
         before_ns = time.monotonic_ns()
@@ -252,8 +252,8 @@ class SyncCycle:
         return received
 
     def _heartbeat_is_due(self) -> bool:
-        """By cycles, so that runs are alike; where these take very long in lockstep, before the supervisor wonders.
-        By the clock those count that were missed."""
+        """True if a heartbeat is due: by cycles, so that runs are alike; in lockstep also when these take very long,
+        before the supervisor's time-out. By the clock missed cycles count, too."""
         if not self._heartbeat_cycles:
             return False
         if not self._lockstep:
@@ -266,7 +266,7 @@ class SyncCycle:
         return slow or self.timing.cycles % self._heartbeat_cycles == 0
 
     def expect(self, pdos: Sequence[ExpectedPdo]) -> None:
-        """From the next cycle on these TPDOs are waited for."""
+        """Set the TPDOs that are waited for from the next cycle on."""
         self._due_always = {pdo.cob_id: pdo for pdo in pdos if pdo.every == 1}
         self._due_at_times = [pdo for pdo in pdos if pdo.every != 1]
         self._size = {pdo.cob_id: pdo.size for pdo in pdos if pdo.size is not None}
@@ -278,7 +278,7 @@ class SyncCycle:
         return came + self._link.receive(0.0) if came else self._link.receive(0.0)
 
     def discard_waiting(self, timeout_s: float = 0.0) -> list[Frame]:
-        """Put what waits to be read, or comes within `timeout_s`, into the trace only: no answer to the last SYNC."""
+        """Write frames that wait, or come within `timeout_s`, into the trace only: no answer to the last SYNC."""
         with self.lock:
             self.before_use()
             return self._discard_waiting(timeout_s)
@@ -317,11 +317,11 @@ class SyncCycle:
                 self._came_between += self._link.receive(_A_MOMENT_S)
 
     def stay_alive(self, silence_s: float) -> None:
-        """Lockstep, from another thread, while nobody wants a cycle: say that the bench is alive, where nothing has
-        said so for `silence_s` of wall time, and take what comes.
+        """Send a heartbeat in lockstep, from another thread, between cycles, where the last one is more than
+        `silence_s` of wall time ago, and receive frames.
 
-        Does nothing while a cycle runs. After an emergency stop the bench says that it is not OPERATIONAL any more.
-        What goes wrong is raised by the next cycle.
+        Does nothing while a cycle runs. After an emergency stop the heartbeat state is PRE-OPERATIONAL.
+        An exception is raised by the next cycle.
         """
         if time.monotonic() - self._alive_s < silence_s or not self.lock.acquire(blocking=False):
             return
@@ -341,7 +341,7 @@ class SyncCycle:
             self.lock.release()
 
     def _send_heartbeat(self) -> None:
-        """In lockstep heartbeats come with the cycles; one that lasts is no stalled bench."""
+        """Send the heartbeat between cycles in lockstep, where it is due by cycles; a long one is no stalled bench."""
         if self._heartbeat_cycles:
             self._alive_s = time.monotonic()
             self._link.send([self._heartbeat])
@@ -350,12 +350,12 @@ class SyncCycle:
 
     @property
     def elapsed_cycles(self) -> int:
-        """So many SYNCs were on the bus that no cycle was run for."""
+        """Number of SYNCs on the bus for which no cycle was run."""
         return self._marks.elapsed_cycles if self._marks is not None else 0
 
     @property
     def next_sync_ns(self) -> int:
-        """When the next SYNC begins, as the trace has it."""
+        """Start of the next SYNC in ns, on the time base of the trace."""
         return self._epoch_ns + self.timing.cycles * self._cycle_ns
 
     @property
@@ -368,11 +368,11 @@ class SyncCycle:
         """State of the bench's own CAN controller."""
         return self._link.controller
 
-    # -- cycles that somebody else runs (`hilbench.in_process_cycle`) --------------------------------------------------
+    # -- cycles run by the fast path (`hilbench.in_process_cycle`) ----------------------------------------------------
 
     @property
     def fits_fast_path(self) -> bool:
-        """Whether nothing stands from the last cycle: with all that was expected there, in its phase."""
+        """True if nothing is left over from the last cycle: all expected TPDOs came in phase, no fault or stop."""
         return (
             self.timing.cycles > 0
             and self._fault_between is None
@@ -382,37 +382,37 @@ class SyncCycle:
         )
 
     def came_between(self, frames: Sequence[Frame]) -> None:
-        """What somebody else has received before SYNC."""
+        """Take frames that the fast path has received before SYNC."""
         self._came_between += frames
 
     @property
     def due_always(self) -> Mapping[int, ExpectedPdo]:
-        """What answers each SYNC; another object after `expect`."""
+        """TPDOs due with each SYNC, by COB-ID; another object after `expect`."""
         return self._due_always
 
     @property
     def due_at_times(self) -> Sequence[ExpectedPdo]:
-        """What answers only some."""
+        """TPDOs due with every n-th SYNC only."""
         return self._due_at_times
 
     @property
     def heartbeat(self) -> tuple[Frame, int]:
-        """The bench's own, and with every how many SYNCs it is said (0: never)."""
+        """The bench's heartbeat frame, and its period in SYNCs (0: never)."""
         return self._heartbeat, self._heartbeat_cycles
 
     def is_slow(self, now_s: float) -> bool:
-        """Whether a heartbeat is due because cycles take so long."""
+        """True if a heartbeat is due because cycles take so long."""
         return self._heartbeat_cycles > 0 and now_s - self._alive_s > _SLOW * self._timeout_s
 
     def write_last_answers(self) -> BenchFaultError | None:
-        """What the last cycle has left for the trace; what the trace has to say against it."""
+        """Write the answers that the last cycle has left for the trace; returns the trace's error, if any."""
         return self._write_last_answers()
 
     def count(
         self, cycles: int, bits: int, last_bits: int, begun_ns: int, ended_ns: int, *, heartbeat_sent: bool
     ) -> None:
-        """Cycles of so many bits, and the last of them, were run by somebody else, between these times of the monotonic
-        clock."""
+        """Count cycles run by the fast path: their bits, the bits of the last of them, begin and end in ns of the
+        monotonic clock."""
         timing = self.timing
         timing.cycles += cycles
         timing.bits += bits
@@ -432,7 +432,7 @@ class SyncCycle:
         return {cob_id: pdo for cob_id, pdo in due.items() if pdo.sender not in silent} if silent else due
 
     def _collect(self, due: dict[int, ExpectedPdo], came: list[Frame]) -> tuple[list[Frame], NoAnswerError | None]:
-        """What came until nothing more is due, `came` first, and what to raise once that is in the trace."""
+        """Receive until no TPDO is due (`came` first). Returns the frames, and an error to raise after tracing."""
         received: list[Frame] = []
         failure = None
         receive = self._link.receive if self._marks is None else self._marks.answers
@@ -463,7 +463,7 @@ class SyncCycle:
         return received, failure
 
     def _write_last_answers(self) -> BenchFaultError | None:
-        """Lockstep: what waited for the next SYNC, while the others compute; what the trace has to say against it."""
+        """Write answers deferred in lockstep, while the others compute; returns the trace's error, if any."""
         if self._unwritten is None or self._tap is None:
             return None
         answers, self._unwritten = self._unwritten, None
@@ -475,8 +475,8 @@ class SyncCycle:
         return None
 
     def _look_at_phase(self, cob_id: int) -> None:
-        """A PDO of every n-th SYNC that comes between: its sender has heard a SYNC twice, or missed one, or it is none
-        of the sender's. It is not waited for until one comes when it was due, or n SYNCs after the one between."""
+        """Check the phase of a PDO of every n-th SYNC. One in between: its sender has received a SYNC twice or missed
+        one, or it is foreign. It is not waited for until one comes when due, or n SYNCs after the one in between."""
         cycle, doubt = self.timing.cycles + self.elapsed_cycles, self._out_of_phase
         for at, pdo in enumerate(self._due_at_times):
             if pdo.cob_id != cob_id:
@@ -516,15 +516,15 @@ class SyncCycle:
         return NoAnswerError(f"cycle {self.timing.cycles}: no answer to SYNC from {names} {how_long}{self._losses()}")
 
     def _losses(self) -> str:
-        """For a missing answer: it may have come, and have been lost on this side."""
+        """Text for a missing answer about frames lost on the bench's side."""
         lost = self._link.dropped
         return f"; the bench itself has lost {lost} frames in this run" if lost else ""
 
     def _account_before_sync(self, outgoing: Sequence[Frame], late: Sequence[Frame]) -> None:
-        """Count the bits of what was sent, and came, before SYNC, and hand it to the tap, while the others compute.
+        """Count the bits sent and received before SYNC, and hand the frames to the tap, while the others compute.
 
-        In lockstep nobody's clock is right, so a frame's time is when it would be on a wire that starts each cycle
-        with its SYNC at k·cycle; what is before it ends the cycle before.
+        In lockstep no clock is real time, so a frame's time is when it would be on a wire that starts each cycle
+        with its SYNC at k·cycle; frames before it end the cycle before.
         """
         frames = [*outgoing, *late]
         bits = [frame_bits(frame) for frame in frames]
@@ -539,7 +539,7 @@ class SyncCycle:
             self._tap.write(timed)
 
     def _account_met(self, outgoing: Sequence[Frame], met: SyncReceived) -> None:
-        """The same where each SYNC has come in its place. What we have sent behind it stands behind it in the trace."""
+        """Count and trace frames where each SYNC was received in its place; ours sent after it are traced after it."""
         sent_bits = [frame_bits(frame) for frame in outgoing]
         self._since_sync_bits = self._sync_bits
         self.last_bits = sum(sent_bits) + sum(frame_bits(frame) for frame in met.on_wire) + self._sync_bits
@@ -550,13 +550,13 @@ class SyncCycle:
                 self._tap.write([*met.on_wire, met.sync, *ours])
             else:
                 ours = self._timed(outgoing, sent_bits, start_ns - int(sum(sent_bits) * self._bit_ns))
-                # Behind the last SYNC that went by; what came late stands behind ours, as ever.
+                # After the last SYNC that went by; late frames come after ours, as always.
                 at = max((at for at, frame in enumerate(met.on_wire, 1) if frame.can_id == SYNC), default=0)
                 self._tap.write([*met.on_wire[:at], *ours, *met.on_wire[at:], met.sync])
 
     def _account_received(self, frames: Sequence[Frame], *, last: bool = False) -> None:
-        """The same for answers, as they come; in real time each has its own time. The last ones of a cycle are what
-        everybody waits for: in lockstep they go into the trace once the next SYNC is out."""
+        """Count and trace answers as they come; in real time each has its own time. The last ones of a cycle are what
+        all wait for: in lockstep they go into the trace once the next SYNC is out."""
         bits = [frame_bits(frame) for frame in frames]
         if self._tap is not None:
             start_ns = self._cycle_start_ns() + int(self._since_sync_bits * self._bit_ns)

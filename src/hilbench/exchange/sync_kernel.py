@@ -1,7 +1,7 @@
-"""SYNC at absolute deadlines without the interpreter: one loop of machine code, for a thread of its own.
+"""SYNC at absolute deadlines without the interpreter: one compiled loop, for a thread of its own.
 
-What it calls are clock_gettime(2), clock_nanosleep(2), prctl(2) and send(2) of the C library that is in the process
-anyway. What the bench and the loop tell each other stands in one vector, each place of which one of the two writes.
+It calls clock_gettime(2), clock_nanosleep(2), prctl(2) and send(2) of the C library of the process.
+Bench and loop exchange state in one vector, each place of which one of the two writes.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from hilbench.c_library import (
 )
 from hilbench.compiled import COUNT, INDICES, entry_point
 
-#: Places in the vector. Of the loop: how many SYNCs are out, when the next is due (ns of the monotonic clock), how many
-#: periods went by without one: the machine did not wake the loop, the bus did not take it, or it was not to go out.
+#: Places in the vector. Written by the loop: SYNCs sent, when the next is due (ns of the monotonic clock), periods
+#: without one: the loop woke late, the bus did not take it, or it was not to go out.
 SENT, DEADLINE_NS, WITHOUT = range(3)
-#: Of the bench: whether the loop is to end, and the last SYNC, by number, that may go out.
+#: Written by the bench: end flag, and the last SYNC, by number, that may go out.
 END, LAST = 3, 4
 PLACES: Final = 5
 #: So many SYNCs back it is known how late each was.
@@ -49,10 +49,10 @@ def produce(
     packet: Places,
     length: int,
 ) -> None:
-    """Send `packet` (its first `length` bytes) to `descriptor` at each deadline until told to end.
+    """Send `packet` (its first `length` bytes) to `descriptor` at each deadline until END is set.
 
-    `timespec`: room for one of the kernel. A period for which the machine did not wake the loop is gone, and
-    counted; no deadline is ever moved. Behind the last SYNC that may go out it waits for the bench to say more.
+    `timespec`: room for one of the kernel. A period for which the loop was not woken is skipped and
+    counted; no deadline is ever moved. After the last SYNC allowed it waits until the bench allows more.
     """
     time = timespec.ctypes.data
     if shared[END] == 0:
@@ -73,7 +73,7 @@ def produce(
             shared[WITHOUT] += 1
             continue
         lateness_ns[shared[SENT] % REMEMBERED] = late_ns
-        shared[SENT] += 1  # before it is out: nobody receives one that is not counted
+        shared[SENT] += 1  # before it is out: no receiver gets one that is not counted
         if send(descriptor, packet.ctypes.data, length, MSG_DONTWAIT | MSG_NOSIGNAL) != length:
             shared[SENT] -= 1
             shared[WITHOUT] += 1

@@ -1,8 +1,8 @@
-"""SYNC by the wall clock from a thread that needs no interpreter: a bench that is held up delays no SYNC.
+"""SYNC by the wall clock from a thread without the interpreter: a bench that is held up delays no SYNC.
 
-It has a connection to the bus of its own, so that the bench receives each SYNC in its place between the others' frames:
-what is before it and what is behind. Where the bench does not come for `LONGEST_ALONE_S` no SYNC goes out any more,
-until it comes again: nodes without set points go into their safe state by the time-outs that they have, as they do when
+It has its own connection to the bus, so that the bench receives each SYNC in its place between the others' frames:
+what is before it and what is after. Where the bench does not run for `LONGEST_ALONE_S` no SYNC goes out any more,
+until it runs again: nodes without set points enter their safe state by their own time-outs, as they do when
 the bench's process has ended.
 """
 
@@ -32,9 +32,9 @@ from hilbench.exchange.sync_kernel import (
     produce,
 )
 
-#: So long SYNC goes on without the bench: some of its garbage collections, but less than nodes wait for a heartbeat.
+#: Longest time SYNC continues without the bench: some of its garbage collections, but less than heartbeat time-outs.
 LONGEST_ALONE_S = 0.1
-#: A bus that takes no SYNC for so long is lost.
+#: A bus that takes no SYNC for this time is lost.
 _LOST_S = 1.0
 
 
@@ -54,7 +54,7 @@ class SyncProducer:
         self._lateness_ns = np.zeros(REMEMBERED, np.int64)
         #: SYNCs that go out behind a `go_on`: the one that the bench then waits for, and those without it.
         self._alone = 1 + max(1, min(REMEMBERED // 2, round(LONGEST_ALONE_S * 1e9 / period_ns)))
-        self._lateness_read = 0  # so many of them `tell_lateness` has told
+        self._lateness_read = 0  # number of them already read
         self._loop = partial(
             produce,
             self._shared,
@@ -71,7 +71,7 @@ class SyncProducer:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """The first SYNC goes out one period from now. In the thread that it is to come before."""
+        """Send the first SYNC one period from now. Call it in the thread that it is to have priority over."""
         self._shared[DEADLINE_NS] = time.monotonic_ns() + self.period_ns
         self._shared[LAST] = self._alone
         self._thread = threading.Thread(target=self._run, name="sync", daemon=True)
@@ -87,17 +87,17 @@ class SyncProducer:
 
     @property
     def is_running(self) -> bool:
-        """Whether it was started."""
+        """True if it was started."""
         return self._thread is not None
 
     @property
     def sent(self) -> int:
-        """How many SYNCs are out."""
+        """Number of SYNCs sent."""
         return int(self._shared[SENT])
 
     @property
     def next_ns(self) -> int:
-        """When the next is due, monotonic clock."""
+        """Time at which the next SYNC is due, in ns of the monotonic clock."""
         return int(self._shared[DEADLINE_NS])
 
     @property
@@ -106,7 +106,7 @@ class SyncProducer:
         return int(self._shared[WITHOUT])
 
     def go_on(self) -> None:
-        """The bench is there: SYNC goes on for `LONGEST_ALONE_S` from now."""
+        """Allow SYNCs for another `LONGEST_ALONE_S` from now: the bench is alive."""
         self._shared[LAST] = self._shared[SENT] + self._alone
 
     def read_lateness(self, to: array[int]) -> None:
@@ -117,13 +117,13 @@ class SyncProducer:
         self._lateness_read = sent
 
     def check(self, waited_s: float) -> None:
-        """Raise BusError when a SYNC that is due for so long has not gone out, or its controller is off the bus."""
+        """Raise BusError when a SYNC due for `waited_s` has not gone out, or the controller is bus-off."""
         self._link.receive(0.0)
         if waited_s > _LOST_S:
             raise BusError(f"{self._link.channel}: took no SYNC for {_LOST_S:g} s")
 
     def close(self) -> None:
-        """No SYNC goes out any more. Calling it twice is no error."""
+        """Stop sending SYNC. Calling it twice is no error."""
         self._shared[END] = 1
         if self._thread is not None:
             self._thread.join()

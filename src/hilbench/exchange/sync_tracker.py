@@ -1,4 +1,4 @@
-"""The SYNCs that a `SyncProducer` sends, as the bench receives them: each in its place between the frames of others."""
+"""The SYNCs of a `SyncProducer` as the bench receives them: each in its place between the frames of others."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hilbench.canopen.identifiers import SYNC
 from hilbench.exchange.pacing import GUARD_FRACTION, Pacing
 from hilbench.exchange.sync_producer import SyncProducer
 
-#: Part of the cycle, from SYNC on, in which a bench that comes too late for it still takes its answers: as long as it
+#: Part of the cycle, from SYNC on, in which a bench that is late for it still takes its answers: as long as it
 #: would wait for them.
 _JOIN_FRACTION = 1.0 - GUARD_FRACTION
 
@@ -26,9 +26,9 @@ class _Whose(Enum):
 
 @dataclass
 class SyncReceived:
-    """A SYNC that the bench has waited for, and what has come before and behind it.
+    """A SYNC that the bench has waited for, with the frames before and after it.
 
-    `on_wire`: what came before it with the SYNCs that went by; `joined`: it was out before the set points were.
+    `on_wire`: frames before it with the SYNCs that went by; `joined`: it was out before the set points were.
     """
 
     sync: Frame = field(default_factory=lambda: Frame(SYNC, b""))
@@ -41,7 +41,7 @@ class SyncReceived:
 class SyncTracker:
     """Finds the SYNCs of a producer among what comes over the bench's own `link`.
 
-    `elapsed_cycles`: so many of them no cycle was run for. `pacing` is what is counted of them.
+    `elapsed_cycles`: number of them for which no cycle was run. `pacing` counts lateness and missed ones.
     """
 
     def __init__(self, link: Link, producer: SyncProducer, pacing: Pacing) -> None:
@@ -49,21 +49,21 @@ class SyncTracker:
         self._link = link
         self._producer = producer
         self._pacing = pacing
-        self._come = 0  #: SYNCs of ours that have come
-        self._run = 0  #: and those of them that were met, or are known to have gone by
-        self._lost = 0  #: that have not come in time, and still may
+        self._come = 0  #: own SYNCs received
+        self._run = 0  #: of these, those met or known to have gone by
+        self._lost = 0  #: not received in time; they still may be
         self._without = 0
         self._kept: list[Frame] = []  #: from a SYNC on that has come before it was waited for
 
     @property
     def next_ns(self) -> int:
-        """When the next SYNC is due, monotonic clock."""
+        """Time at which the next SYNC is due, in ns of the monotonic clock."""
         return self._producer.next_ns
 
     def meet(self) -> SyncReceived:
-        """Wait for the next SYNC; it goes out whether we come or not. Set points have been sent already.
+        """Wait for the next SYNC; it goes out in any case. Set points have been sent already.
 
-        One that has gone out a short time before is taken as well: its answers are still to come, and only the set
+        One sent a short time before is taken as well: its answers are still to come, and only the set
         points are late. Of more than one the last counts, the others have gone by. Raises BusError.
         """
         producer = self._producer
@@ -80,7 +80,7 @@ class SyncTracker:
         return met
 
     def answers(self, timeout_s: float) -> list[Frame]:
-        """As `Link.receive`, behind the SYNC that was met and before the next."""
+        """Receive as `Link.receive`, after the SYNC that was met and before the next."""
         others: list[Frame] = []
         frames = [] if self._kept else self._link.receive(timeout_s)
         for at, frame in enumerate(frames):
@@ -92,7 +92,7 @@ class SyncTracker:
         return others
 
     def discard(self, timeout_s: float) -> list[Frame]:
-        """All that waits, or comes within a time, beside the cycles: nobody looks for SYNC in it any more."""
+        """Discard frames that wait, or come within a time, between cycles; SYNCs among them are only counted."""
         frames = self._take(timeout_s)
         for frame in frames:
             if frame.can_id == SYNC:
@@ -104,7 +104,7 @@ class SyncTracker:
         return kept or self._link.receive(timeout_s)
 
     def _wait(self, wanted: int) -> SyncReceived:
-        """Until SYNC number `wanted` of ours has come, or must have been lost."""
+        """Wait until SYNC number `wanted` of ours has come, or must have been lost."""
         producer, others = self._producer, list[Frame]()
         met, split = SyncReceived(), None
         begun_ns, out_ns = time.monotonic_ns(), None
@@ -133,7 +133,7 @@ class SyncTracker:
         return met
 
     def _whose(self) -> _Whose:
-        """Of a SYNC that has come."""
+        """Attribute a received SYNC to its sender."""
         if self._come < self._producer.sent:
             self._come += 1
             return _Whose.OURS

@@ -1,8 +1,8 @@
-"""How often each participant's answer to SYNC came late, so that its last one stood for longer than a cycle.
+"""Rate of late answers to SYNC of each participant, whose last sample was held for longer than a cycle.
 
-In real time an answer that is not there shortly before the next SYNC is not waited for. Some of that is ridden out (the
-load model and the controllers know that a sample is old), more of it is a disturbance of its own: the emulated web is a
-stiff spring, and a cycle more of delay in it is negative damping.
+In real time an answer missing shortly before the next SYNC is not waited for. A little of that is ridden out (the
+load model and the controllers know the age of a sample), more is a disturbance of its own: the emulated web is a
+stiff spring, and an additional cycle of dead time in it is negative damping.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ TROUBLE = 0.05
 
 @dataclass(slots=True)
 class Lateness:
-    """Of one participant: cycles with a late answer, the oldest answer in cycles, the share of late ones lately."""
+    """Lateness of one participant: cycles with a late answer, oldest answer in cycles, recent share of late ones."""
 
     late: int = 0
     oldest_cycles: int = 0
@@ -30,10 +30,10 @@ class Timeliness:
         self.cycles = 0
         self.of = {name: Lateness() for name in names}
         self._weight = min(1.0, cycle_s / _WINDOW_S)
-        self._late_lately = False  # anybody: most runs have nothing to count
+        self._late_lately = False  # of any participant: most runs have nothing to count
 
     def update(self, ages_cycles: tuple[int, ...]) -> None:
-        """A cycle in which the answers in use were so old, in the order of the names; 0: in time."""
+        """Take the ages of the answers in use in a cycle, in the order of the names; 0: in time."""
         self.cycles += 1
         if not self._late_lately and not any(ages_cycles):
             return
@@ -46,7 +46,7 @@ class Timeliness:
                 lateness.lately += self._weight * ((age > 0) - lateness.lately)
 
     def pass_on_time(self, cycles: int) -> None:
-        """So many cycles in which nobody was late."""
+        """Count `cycles` cycles in which no participant was late."""
         self.cycles += cycles
         if not self._late_lately:
             return
@@ -55,7 +55,7 @@ class Timeliness:
                 lateness.lately += self._weight * (0 - lateness.lately)
 
     def trouble(self) -> str:
-        """Who is late so often that it may be why something else goes wrong; "" for nobody."""
+        """Text naming participants late so often that it may cause other trouble; "" if none."""
         if not self._late_lately:
             return ""
         late = [(name, each.lately) for name, each in self.of.items() if each.lately > TROUBLE]

@@ -1,8 +1,8 @@
-"""Frames on the bench's bus that are not of the bench or its nodes: a second sender, a second master, a stranger's SDO.
+"""Foreign frames on the bench's bus, not of the bench or its nodes: a second sender or master, foreign SDO writes.
 
 The bench does not receive what it sends itself on the cyclic path, and knows what it has sent for configuration. So
 RPDOs, SYNC, its own heartbeat, NMT commands to its nodes, and SDO writes to them that it receives otherwise are not its
-own. What comes beside the nodes' own answers to SYNC is distinguished in `hilbench.exchange.answers`.
+own. Surplus answers to SYNC are distinguished in `hilbench.exchange.answers`.
 
 Reading by SDO does no harm, and writing to the bench's own node is how an operator asks for changes: neither is
 reported.
@@ -30,9 +30,9 @@ _COMMANDS: Mapping[int, str] = {
 }
 #: What was foreign: the node that it is of, or to, and the text.
 _Finding = tuple[str, str]
-#: Kinds of frames that are distinguished in a cycle on one identifier; what comes beyond is counted as the last.
+#: Kinds of frames distinguished in a cycle on one identifier; any beyond count as the last.
 _MOST_KINDS = 16
-#: So many TPDOs too many, of one sender, within so many cycles may be a SYNC that was on the wire twice.
+#: Up to so many surplus TPDOs of one sender within so many cycles may be a SYNC that was on the wire twice.
 _BY_CHANCE, _CHANCE_CYCLES = 2, 500
 
 
@@ -48,16 +48,16 @@ class Unexpected:
 
 @dataclass(frozen=True)
 class Owned:
-    """Who may be on the bus: `nodes` by id, with the dictionaries of their objects, and what only the bench sends."""
+    """Legitimate senders: `nodes` by id, with their object dictionaries, and the frames that only the bench sends."""
 
     master_id: int
     nodes: Mapping[int, str]
     dictionaries: Mapping[int, canopen.ObjectDictionary]
-    rpdos: Mapping[int, str]  #: COB-IDs of the set points, and whom they are to
+    rpdos: Mapping[int, str]  #: COB-IDs of the set points, and their receivers
 
 
 class UnexpectedSenders:
-    """Looks at what came in each cycle. `sent`: whether the bench's own configuration has sent such a frame, once."""
+    """Detects foreign frames in each cycle. `sent`: true once for each frame that the bench's configuration sent."""
 
     def __init__(self, owned: Owned, sent: Callable[[int, bytes], bool]) -> None:
         self._owned = owned
@@ -81,7 +81,7 @@ class UnexpectedSenders:
         self._surplus: dict[int, list[int]] = {}  # by COB-ID: the cycles of the last ones
 
     def look(self, frames: Iterable[Frame], tpdos: Iterable[Tpdo]) -> list[Unexpected]:
-        """What was foreign among the frames of a cycle; `tpdos` have sorted their answers out."""
+        """Foreign frames among those of a cycle; `tpdos` have classified their answers."""
         self._cycle += 1
         read = self._read
         for can_id, data, _ in frames:
@@ -96,7 +96,7 @@ class UnexpectedSenders:
         return found
 
     def pass_over(self, cycles: int) -> None:
-        """So many cycles were run in which there was nobody else."""
+        """Count `cycles` cycles run without foreign frames."""
         self._cycle += cycles
 
     def _look_at(self, can_id: int, data: bytes) -> None:

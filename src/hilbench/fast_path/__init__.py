@@ -1,1 +1,1 @@
-"""What a plain cycle is made of: arrays instead of objects, the compiled functions on them, and the part of a host."""
+"""The fast path: arrays instead of objects, compiled functions on them, and a device host's part of a cycle."""

@@ -1,4 +1,4 @@
-"""The answers to a SYNC, as they have come in packets: the tables for an order of frames, made once."""
+"""Answers to a SYNC as they arrive in packets: tables for each order of frames, made once."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class ArrivalOrder:
 
 
 class ArrivalOrders:
-    """Those that were met. `make`: the table of `kernel.Vectors` with these frames, fields, rows of
+    """Cache of the arrival orders met. `make`: the table of `kernel.Vectors` with these frames, fields, rows of
     `layout.VIRTUAL_IO`, data and `left`, the rest shared by all."""
 
     def __init__(
@@ -59,7 +59,7 @@ class ArrivalOrders:
         slots: Slots,
         make: Callable[[Frames, lay.Rows, lay.Bytes, lay.Whole], Table],
     ) -> None:
-        """Raises NotPlainError where answers are of a kind that only the interpreted cycle knows."""
+        """Raises FastPathRefusedError where answers are of a kind that only the interpreted cycle knows."""
         self._make = make
         self._known: dict[tuple[int, ...], ArrivalOrder | None] = {}
         self._taken: dict[int, tuple[PdoMap, list[int]]] = {pdo.cob_id: (pdo, slots) for pdo, slots in seen.taken}
@@ -99,8 +99,8 @@ class ArrivalOrders:
         return [*self._taken, *self._heartbeats]
 
     def find(self, cob_ids: tuple[int, ...]) -> ArrivalOrder | None:
-        """That of these frames; None: more has to come. Raises NotPlainError where one of them is no answer to SYNC, or
-        came twice."""
+        """Find the order of these frames; None: more has to come. Raises FastPathRefusedError where one is no answer
+        to SYNC, or came twice."""
         if cob_ids in self._known:
             return self._known[cob_ids]
         came = set(cob_ids)

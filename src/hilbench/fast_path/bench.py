@@ -1,4 +1,4 @@
-"""The bench in the tables of a plain cycle: what it sends, and what it sees of the drives."""
+"""The bench in the tables of the fast path: its frames, and the feedback it takes from the drives."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from hilbench.fast_path.tables import FastPathRefusedError, Frames, Slots, feedb
 
 
 class BenchFrames:
-    """Set points, the bench's heartbeat and SYNC, in their order; behind them nothing is the bench's.
+    """Set points, the bench's heartbeat and SYNC, in their order; no frame after them is the bench's.
 
-    `targets`: rows of `layout.TARGET`; `controlwords`: the slot of each drive's; `boundary_slots`: slots of what the
-    twin is told; `own_heartbeat`: its row, -1: there is none.
+    `targets`: rows of `layout.TARGET`; `controlwords`: the slot of each drive's; `boundary_slots`: slots of the
+    twin's boundary inputs; `own_heartbeat`: its row, -1: there is none.
     """
 
     def __init__(self, nodes: Nodes, sync: SyncCycle, frames: Frames, slots: Slots) -> None:
-        """Raises NotPlainError where cycles are not plain."""
+        """Raises FastPathRefusedError where cycles do not fit the fast path."""
         self.targets: list[tuple[float, int, int, int, float]] = []
         self.controlwords: list[tuple[int, Drive]] = []
         self.boundary_slots: list[int] = []
@@ -52,11 +52,11 @@ class BenchFrames:
 
 
 class DriveFeedback:
-    """What the bench takes from the answers of the drives: the slots of what comes by the index of the object, and each
+    """Feedback that the bench takes from the drives' TPDOs: slots by object index, and each
     PDO with its slots."""
 
     def __init__(self, nodes: Nodes, slots: Slots) -> None:
-        """Raises NotPlainError where one does not answer each SYNC in whole numbers."""
+        """Raises FastPathRefusedError where one does not answer each SYNC in whole numbers."""
         self.raw: list[tuple[Drive, dict[int, int]]] = []
         self.taken: list[tuple[PdoMap, list[int]]] = []
         for drive in nodes.drives:
@@ -70,7 +70,7 @@ class DriveFeedback:
             self.raw.append((drive, raw))
 
     def rows(self) -> list[tuple[Any, ...]]:
-        """Those of `layout.FEEDBACK`, as the drives are now. Raises NotPlainError where one is not known enough."""
+        """Rows of `layout.FEEDBACK` for the drives now. Raises FastPathRefusedError if a drive's state is unknown."""
         return [feedback_row(drive, raw) for drive, raw in self.raw]
 
     def give(self, seen: lay.Rows, whole: lay.Whole) -> None:
@@ -82,7 +82,7 @@ class DriveFeedback:
 
 
 def new_slots_of_kind(pdo: PdoMap, slots: Slots, *, is_float: bool) -> list[int]:
-    """Of what a TPDO of the virtual I/O brings. Raises NotPlainError where that is of another kind."""
+    """New slots for the values of a TPDO of the virtual I/O. Raises FastPathRefusedError if their type differs."""
     if any(kind.is_float is not is_float for kind in pdo.kinds):
         raise FastPathRefusedError
     return new_slots(slots, pdo)

@@ -1,4 +1,4 @@
-"""What a bench works on in plain cycles, put together from its objects; and how they get it back."""
+"""The bench's working state of the fast path, assembled from its objects, and handed back to them."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from hilbench.topology.sample import CycleSample
 
 
 class BenchFastCycle(ABC):
-    """Plain cycles one after the other, from objects into arrays and back. `begin` is to be called before the first."""
+    """Fast-path cycles one after the other, from objects into arrays and back. Call `begin` before the first."""
 
     def __init__(self, nodes: Nodes, sync: SyncCycle, tap: LineTap | None) -> None:
-        """Raises NotPlainError where cycles are not plain."""
+        """Raises FastPathRefusedError where cycles do not fit the fast path."""
         self._nodes, self._sync, self._tap = nodes, sync, tap
-        self.done = 0  #: plain cycles since it began
-        self.pieces: Sequence[CompiledStage] = ()  #: see `exchange.exchange.ChainedCycles`
+        self.done = 0  #: fast-path cycles since it began
+        self.pieces: Sequence[CompiledStage] = ()  #: see `exchange.exchange.ExchangeStages`
         self._of_pieces: tuple[object, ...] = ()
-        self.left = False  #: whether a chained cycle was no plain one: it goes on otherwise
-        self.sent = False  #: whether the cycle that is no plain one has begun
-        self.fault: BenchFaultError | None = None  #: what the trace has to say against itself
+        self.left = False  #: True if a compiled cycle left the fast path: the interpreter resumes it
+        self.sent = False  #: True if the cycle that left the fast path has been sent
+        self.fault: BenchFaultError | None = None  #: error of the trace
         self._bitrate = nodes.config.bus.bitrate
         self._slots, self._frames = Slots(), Frames()
         self._bench = BenchFrames(nodes, sync, self._frames, self._slots)
@@ -46,7 +46,7 @@ class BenchFastCycle(ABC):
         self._arrays()
 
     def begin(self) -> None:
-        """From the next cycle on they are plain. Raises NotPlainError where they are not."""
+        """Begin with the next cycle. Raises FastPathRefusedError where it does not fit the fast path."""
         nodes, sync = self._nodes, self._sync
         if not all(self._is_in_phase(pdo) for pdo in sync.due_at_times):
             raise FastPathRefusedError
@@ -59,7 +59,7 @@ class BenchFastCycle(ABC):
         self._due, self._supervised = sync.due_always, nodes.supervised
 
     def _is_in_phase(self, pdo: ExpectedPdo) -> bool:
-        """Whether what answers only at times is due as long after the last one as ever."""
+        """True if a PDO of every n-th SYNC is due n SYNCs after its last one."""
         left = (pdo.since - self._sync.timing.cycles) % pdo.every or pdo.every
         return self._nodes.answers[pdo.cob_id].since + left == pdo.every
 
@@ -86,9 +86,9 @@ class BenchFastCycle(ABC):
         )
         for row, content in frames.constants.items():
             self._data[row, : len(content)] = np.frombuffer(content, np.uint8)
-        # One value goes faster through these than through the arrays.
+        # Access to one value is faster than through the arrays.
         self._left_at, self._text_at = self._left.data, self._text.data
-        # Nobody has answered yet: what stands there from the last cycle stays.
+        # No answer yet: values of the last cycle stay.
         self._sent_by = kernel.Vectors(
             targets=self._targets,
             set_points=self._set_points,
@@ -97,7 +97,7 @@ class BenchFastCycle(ABC):
         self._table = self._sent_by.table()
 
     def _find_heads(self, cob_ids: list[int]) -> None:
-        """Of the trace's lines, by COB-ID, and room for its text."""
+        """Find the heads of the trace's lines, by COB-ID, and make room for its text."""
         self._heads_of: dict[int, tuple[int, int]] = {}
         heads = b""
         if self._tap is not None:
@@ -115,7 +115,7 @@ class BenchFastCycle(ABC):
         return vectors.table()
 
     def _vectors(self, frames: Frames, virtual_io: lay.Rows, data: lay.Bytes, left: lay.Whole) -> kernel.Vectors:
-        """Of what answers in these frames."""
+        """Vectors for answers in these frames."""
         measured = self._nodes.measured
         return kernel.Vectors(
             **self._on_wire(frames, data, left),
@@ -145,7 +145,7 @@ class BenchFastCycle(ABC):
         }
 
     def _rows_of(self, frames: Frames) -> lay.Rows:
-        """With the heads of their lines."""
+        """Rows of frames with the heads of their trace lines."""
         rows = table(frames.rows, lay.FRAME)
         for row, cob_id in zip(rows, frames.cob_ids, strict=True):
             row["head"], row["head_end"] = self._heads_of.get(cob_id, (0, 0))
@@ -155,7 +155,7 @@ class BenchFastCycle(ABC):
 
     @abstractmethod
     def cycle(self, outputs: Mapping[str, float]) -> bool:
-        """Run one; False where it is not plain: nothing was done, or `sent`. Raises as `SyncCycle` and
+        """Run one; False where it does not fit the fast path: nothing was done, or `sent`. Raises as `SyncCycle` and
         `Nodes.decode`."""
 
     @abstractmethod
@@ -164,11 +164,11 @@ class BenchFastCycle(ABC):
 
     @abstractmethod
     def cycles(self) -> int:
-        """See `exchange.exchange.ExchangeStages`; other users of the bus wait so long."""
+        """Number of cycles that may run compiled (`exchange.exchange.ExchangeStages`); other bus users wait so long."""
 
     @property
     def _is_steady(self) -> bool:
-        """Whether the drives go on following, and the same answers are due."""
+        """True if the drives still follow, and the same answers are due."""
         nodes, sync = self._nodes, self._sync
         return nodes.follow and sync.due_always is self._due and nodes.supervised == self._supervised
 
@@ -189,13 +189,13 @@ class BenchFastCycle(ABC):
         return {pdo.cob_id for pdo in sync.due_at_times if (cycle - pdo.since) % pdo.every == 0}
 
     def _keep_rare(self, order: ArrivalOrder) -> None:
-        """What only answers at times stays known until the end."""
+        """Keep the last PDOs of every n-th SYNC until the end."""
         for cob_id, row in order.rare.items():
             self._rare[cob_id] = self.done, order.data[row, : order.sizes[row]].tobytes()
         self._last = order
 
     def _end_cycle(self, order: ArrivalOrder, heartbeats: Sequence[int]) -> None:
-        """It was plain; node ids of `heartbeats`."""
+        """End a cycle run by the fast path; `heartbeats`: node ids received."""
         self.done += 1
         self.sent = False
         fault, self.fault = self.fault, None
@@ -224,13 +224,13 @@ class BenchFastCycle(ABC):
         return self
 
     def passed(self) -> None:
-        """See `exchange.exchange.ExchangeStages`."""
+        """Account for the cycles run compiled (`exchange.exchange.ExchangeStages`): nothing is left to do."""
         return  # each cycle was counted
 
     # -- back to the objects ---------------------------------------------------------------------------------
 
     def _outgoing(self) -> list[Frame]:
-        """What was sent before SYNC in a cycle that is no plain one."""
+        """Frames sent before SYNC in a cycle that left the fast path."""
         frames = zip(self._frames.cob_ids, self._frames.sizes, self._data, strict=True)
         sent = [Frame(cob_id, data[:size].tobytes(), 0) for cob_id, size, data in frames]
         return [frame for frame, bits in zip(sent, self._left[lay.O_SIZE :], strict=True) if bits][:-1]

@@ -1,4 +1,4 @@
-"""The devices of a host in the tables of a plain cycle: what they take, answer, and say of themselves."""
+"""The devices of a host in the tables of the fast path: RPDOs, answers, heartbeats."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class HostFrames:
         self._controlwords = [drive.firmware.controlword for drive in drives]
 
     def receive(self) -> None:
-        """What the devices take of the frames so far. Each value of a drive but its controlword has to be one that
-        just stands there. Raises NotPlainError."""
+        """Enter the RPDOs that the devices take from the frames so far. Each value of a drive except its controlword
+        must be one without side effect. Raises FastPathRefusedError."""
         self._slots.side = self._side
         for device in self._devices:
             for cob_id, rpdo in device.receive_pdos.items():
@@ -57,7 +57,7 @@ class HostFrames:
         self.taken.append((device, rpdo, row))
 
     def answer(self) -> None:
-        """What they answer, behind the frames so far; that they are alive before it. Raises NotPlainError."""
+        """Enter the devices' heartbeats and TPDOs after the frames so far. Raises FastPathRefusedError."""
         self._slots.side = self._side
         for device in self._devices:
             self._send_heartbeat(device)
@@ -82,15 +82,15 @@ class HostFrames:
             self.heartbeats.append((device, row))
 
     def quiet_until_ns(self) -> int:
-        """Until when no device has to notice that a heartbeat stays away."""
+        """Time until which no heartbeat consumer time-out of the devices can expire."""
         ends = [device.consumer.quiet_until_ns() for device in self._devices]
         return min((end for end in ends if end is not None), default=1 << 62)
 
     def give(
         self, rows: lay.Rows, data: lay.Bytes, cycles: int, received_ns: int
     ) -> dict[int, tuple[int, bytes | None]]:
-        """The devices know what so many cycles have left: the last RPDOs came at `received_ns`, and `data` (F, 8) is
-        what was last in the frames. By COB-ID what was answered: SYNCs since then, and the data; None: nothing."""
+        """Update the devices after so many cycles: the last RPDOs came at `received_ns`, and `data` (F, 8) holds the
+        last data of the frames. By COB-ID of the TPDOs: SYNCs since the last one, and its data; None: none sent."""
         for _, rpdo, _ in self.taken:
             rpdo.received_until(received_ns)
         for device, row in self.heartbeats:

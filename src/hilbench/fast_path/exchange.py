@@ -1,8 +1,8 @@
-"""Plain cycles of a bench whose nodes are on the embedded bus and wait for SYNC: packets out and in, on arrays.
+"""Fast path of a bench whose nodes are on the embedded bus and wait for SYNC: packets out and in, on arrays.
 
-What the bench sends is one packet; what answers it comes in packets, in an order that the bus decides. Where all that
-came is what was due, and leaves all as it was, `kernel` does what `exchange` and `cia402.drive` do with it. Anything
-else is for the interpreted cycle, which is the reference; it goes on in the middle of a cycle, too.
+The bench sends one packet; its answers come in packets, in an order that the bus decides. Where exactly the frames
+due came, and none changes a state, `kernel` does what `exchange` and `cia402.drive` do with them. Anything
+else is for the interpreted cycle, which is the reference; it can resume in the middle of a cycle, too.
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ from hilbench.fast_path.packet_kernel import Gathered
 from hilbench.fast_path.tables import FastPathRefusedError
 from hilbench.topology.sample import CycleSample
 
-#: Cycles after which it is looked anew whether cycles are plain, when they were not; twice as many each time that so
-#: few were plain in a row that it did not pay, up to the longest.
+#: Cycles after which the fast path is tried again after a refusal; doubled each time that too few cycles in a row
+#: fitted for it to pay, up to the longest.
 _LOOK_AGAIN, _LONGEST_PAUSE, _PAYS = 8, 512, 64
-#: Of a bench whose cycles are in pieces, at most so many with the bus for itself.
+#: Most cycles run compiled in one call, with the bus for itself.
 _CHAINED_CYCLES = 32
-#: So long it is waited for a packet before the interpreted cycle goes on waiting.
+#: Longest wait for a packet before the interpreted cycle takes over the wait.
 _PATIENCE_S = 0.1
 
 
 class FastPathExchange:
-    """Runs the cycles of a bench that are plain; see `exchange.exchange.FastPathCycles`."""
+    """Runs the cycles of a bench that fit the fast path; see `exchange.exchange.FastPathCycles`."""
 
     def __init__(self, link: EmbeddedLink, nodes: Nodes, sync: SyncCycle, own: MasterNode, tap: LineTap | None) -> None:
         self._link, self._nodes, self._sync, self._own, self._tap = link, nodes, sync, own, tap
         self._run: BenchFastCycle | None = None
-        self._wait = 0  # cycles until it is looked again
-        self._pause = _LOOK_AGAIN  # cycles to wait when they are plain no more
+        self._wait = 0  # cycles until it is tried again
+        self._pause = _LOOK_AGAIN  # cycles to wait when they leave the fast path
         self.warm_up()
         sync.before_use = self.settle
 
     @staticmethod
     def warm_up() -> None:
-        """Compile, or load from the cache, what it calls: in good time, where one is to be made later."""
+        """Compile, or load from the cache, the functions called: in good time, where one is to be made later."""
         kernel.warm_up()
         packet_kernel.warm_up_bench()
 
@@ -76,7 +76,7 @@ class FastPathExchange:
 
     @contextmanager
     def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> Iterator[ExchangeStages | None]:
-        """See `exchange.exchange.FastPathCycles`: others are waited for by Python, in each cycle."""
+        """Compiled stages (`exchange.exchange.FastPathCycles`); the wait for answers is interpreted, in each cycle."""
         with self._sync.lock:
             yield None if self._run is None else self._run.chained(sample, shown)
 
@@ -105,10 +105,10 @@ class FastPathExchange:
 
 
 class _Run(BenchFastCycle):
-    """The same in lockstep."""
+    """Fast-path cycles in lockstep, over the embedded bus."""
 
     def __init__(self, link: EmbeddedLink, nodes: Nodes, sync: SyncCycle, tap: LineTap | None) -> None:
-        """Raises NotPlainError where cycles are not plain."""
+        """Raises FastPathRefusedError where cycles do not fit the fast path."""
         super().__init__(nodes, sync, tap)
         self._link = link
         frames = self._frames
@@ -130,14 +130,14 @@ class _Run(BenchFastCycle):
         self._traced = 0  # frames whose lines are in the text
 
     def begin(self) -> None:
-        """See `BenchFastCycle`."""
+        """Begin with the next cycle (`BenchFastCycle.begin`)."""
         super().begin()
         self.fault = self._sync.write_last_answers()
 
     # -- cycle by cycle --------------------------------------------------------------------------------------
 
     def cycle(self, outputs: Mapping[str, float]) -> bool:
-        """See `BenchFastCycle`."""
+        """Run one cycle (`BenchFastCycle.cycle`)."""
         sync = self._sync
         if not self._is_steady or sync.is_slow(time.monotonic()):
             return False
@@ -157,17 +157,17 @@ class _Run(BenchFastCycle):
         return True
 
     def finish(self) -> list[Frame]:
-        """See `BenchFastCycle`. Raises BusError as well."""
+        """Finish a cycle that left the fast path, from the packets received. Raises BusError as well."""
         came = self._link.frames_from(*self._gathered.packets)
         return self._sync.finish(self._outgoing(), [], came, self.fault)
 
     def cycles(self) -> int:
-        """See `BenchFastCycle`."""
+        """Number of cycles that may run compiled."""
         return _CHAINED_CYCLES
 
     def _ask(self, outputs: Mapping[str, float]) -> bool:
-        """Set points and SYNC onto the bus, and their lines behind those of the last cycle; False, and nothing done,
-        where a value does not fit, or something has come before."""
+        """Send set points and SYNC, and put their lines after those of the last cycle; False, and nothing done,
+        where a value does not fit, or a frame has come before."""
         given = self._given_at
         self._take(outputs)
         given[lay.I_START_NS], given[lay.I_TEXT] = self._sync.next_sync_ns, self._text_end
@@ -184,7 +184,7 @@ class _Run(BenchFastCycle):
         return True
 
     def _collect(self) -> ArrivalOrder | None:
-        """What has answered, once all is there that is due; None where something else has come, or nothing."""
+        """Gather packets until all answers due are there; None where another frame has come, or none in time."""
         gathered, stage = self._gathered, packet_kernel.RECEIVE
         due = self._due_at_times()
         answers = len(self._due) + len(due)
@@ -203,8 +203,8 @@ class _Run(BenchFastCycle):
         return order if order is not None and set(due) == order.rare.keys() else None
 
     def _decode(self, order: ArrivalOrder) -> int | None:
-        """What came into the bench's view of the nodes, and its lines; the bits of the cycle. None, and nothing done,
-        where something is not as it was."""
+        """Decode the answers into the bench's measurements and trace lines; returns the bits of the cycle. None, and
+        nothing done, where an answer changes a state."""
         given, left, answered = self._given_at, self._left_at, order.left
         given[lay.I_START_NS] = self._sync.next_sync_ns + self._sync_bits_ns
         given[lay.I_TEXT] = left[lay.O_TEXT]
@@ -217,11 +217,11 @@ class _Run(BenchFastCycle):
         return left[lay.O_BITS] + answered[lay.O_BITS]
 
     def _write_text(self) -> BenchFaultError | None:
-        """The lines of the last cycle, while the others compute; what the trace has to say against them."""
+        """Write the lines of the last cycle, while the others compute; returns the trace's error, if any."""
         tap, end = self._tap, self._text_end
         if tap is None or not end:
             return None
-        # What was sent just now stands behind them.
+        # Lines of the frames sent just now follow them.
         now_end = self._left_at[lay.O_TEXT]
         self._give_lines(tap, end)
         self._text_at[: now_end - end] = self._text_at[end:now_end]

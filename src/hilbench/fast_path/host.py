@@ -1,8 +1,8 @@
-"""Plain cycles of a process that holds simulated drives on the embedded bus: packets in, packets out, on arrays.
+"""Fast path of a process that holds simulated drives on the embedded bus: packets in, packets out, on arrays.
 
-What came with the last SYNC is what is expected with the next one: the same frames in the same order, controlwords that
-leave the drives enabled, now and then the bench's heartbeat. Then `kernel` does the work of the devices. Whatever else
-comes, or is due, is for the host, which is the reference: before it the objects get back what the arrays have.
+The frames of the last SYNC are expected with the next one: the same in the same order, controlwords that
+leave the drives enabled, now and then the bench's heartbeat. Then `kernel` does the work of the devices. Anything else
+that comes, or is due, is for the host, which is the reference: before it the objects are updated from the arrays.
 """
 
 from __future__ import annotations
@@ -21,40 +21,40 @@ from hilbench.fast_path import kernel, packet_kernel
 from hilbench.fast_path.tables import FastPathRefusedError
 from hilbench.real_time import ProcessSettings, kept_ready
 
-#: Times that it is served after which it is looked anew whether cycles are plain, when they were not.
+#: Serve calls after which the fast path is tried again after a refusal.
 _LOOK_AGAIN = 8
 
 
 class PacketRun(Protocol):
-    """Plain cycles one after the other, from objects into arrays and back."""
+    """Fast-path cycles one after the other, from objects into arrays and back."""
 
     @property
     def came(self) -> Sequence[bytes]:
-        """The packets that are for the host, once `serve` says so."""
+        """Packets left for the host once `serve` returns False."""
 
     def serve(self, timeout_s: float) -> bool:
-        """Do what the next packet asks for, where one comes within the time; False where that, or what is due, is not
-        plain: it is for the host, and nothing was done with it."""
+        """Serve the next packet, if one comes within the time; False where it, or what is due, does not fit the
+        fast path: it is left to the host, and nothing was done with it."""
 
     def end(self) -> None:
         """The objects get what the arrays have."""
 
 
 class Application(Protocol):
-    """What stands behind the devices."""
+    """Application of the simulated devices."""
 
-    #: Identifiers of the answers to a SYNC that it wants to see.
+    #: Identifiers of the answers to a SYNC that it receives.
     listens_to: frozenset[int]
 
     @property
     def fits_fast_path(self) -> bool:
-        """Whether it goes on by SYNC alone, and is between two cycles."""
+        """True if it is advanced by SYNC alone, and is between two cycles."""
 
 
 class FastPathHost:
-    """Serves the devices of a host, by packets where its cycles are plain.
+    """Serves the devices of a host, by packets where its cycles fit the fast path.
 
-    `begin` makes a run, which expects such frames with each SYNC, itself the last; raises NotPlainError.
+    `begin` makes a run that expects these frames with each SYNC, SYNC the last; raises FastPathRefusedError.
     """
 
     def __init__(
@@ -69,10 +69,10 @@ class FastPathHost:
         self._application, self._new_run = application, begin
         self._run: PacketRun | None = None
         self._expected: Sequence[Frame] = ()  # what came with the last SYNC
-        self._wait = 0  # times served until it is looked again
+        self._wait = 0  # serve calls until it is tried again
 
     def serve(self, timeout_s: float) -> None:
-        """As `DeviceHost.serve`."""
+        """Serve the devices for up to `timeout_s`, like `DeviceHost.serve`."""
         run = self._run
         if run is not None:
             if run.serve(timeout_s):
@@ -97,7 +97,7 @@ class FastPathHost:
             self._host.served_until(time.monotonic())
 
     def _note(self, frames: Sequence[Frame]) -> None:
-        """What comes with a SYNC; nothing where there are two."""
+        """Remember the frames that come with a SYNC; none where there are two."""
         cob_ids = [frame.can_id for frame in frames]
         syncs = cob_ids.count(SYNC)
         if syncs:
@@ -126,9 +126,9 @@ def run_devices(
     stop: Callable[[], bool],
     say: Callable[[str], None],
 ) -> int | None:
-    """Run devices on a bus until `stop` says so; `fast_path_host`: who serves them where cycles can be plain.
+    """Run devices on a bus until `stop` returns True; `fast_path_host` makes the server of fast-path cycles.
 
-    Returns how many frames were lost because they were not read in time (None: the bus cannot tell). Raises BusError
+    Returns how many frames were lost because they were not read in time (None: unknown on this bus). Raises BusError
     when the bus is lost.
     """
     link = open_link(bus)
@@ -143,5 +143,5 @@ def run_devices(
 
 
 def is_heartbeat(can_id: int) -> bool:
-    """Whether an identifier is that of a node's heartbeat."""
+    """True if an identifier is that of a node's heartbeat."""
     return HEARTBEAT < can_id <= HEARTBEAT + LAST_NODE

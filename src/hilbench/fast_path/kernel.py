@@ -1,5 +1,5 @@
-"""A plain cycle, compiled: what `exchange`, `can`, `canopen.device` and `cia402.simulated` do in it, on the arrays of
-`layout`. Each function says whose work it does; what these do in any other cycle is theirs alone."""
+"""A fast-path cycle, compiled: the work of `exchange`, `can`, `canopen.device` and `cia402.simulated`, on the arrays
+of `layout`. Each function names its counterpart; any other cycle is run by those alone."""
 
 from __future__ import annotations
 
@@ -80,8 +80,8 @@ _NOTHING = np.zeros(0, np.int64)
 
 @dataclass(frozen=True, kw_only=True)
 class Vectors:
-    """All that a plain cycle works on, in the order of the table: rows of `layout`, values, bytes. What is not given
-    is empty: nobody's work."""
+    """Arrays of a fast-path cycle, in the order of the table: rows of `layout`, values, bytes. One not given
+    is empty: no work."""
 
     targets: Rows | None = None
     set_points: Real | None = None  #: by target
@@ -109,7 +109,7 @@ class Vectors:
     virtual_io: Real | None = None
 
     def table(self) -> Table:
-        """Where they stand; they are to be kept. Lengths in bytes are whole eights."""
+        """Table of the arrays' addresses; they are to be kept. Lengths in bytes are multiples of eight."""
         given = [_NOTHING if vector is None else vector for vector in (getattr(self, f.name) for f in fields(self))]
         return table_of([each if each.dtype == np.float64 else each.view(np.int64) for each in given])
 
@@ -122,7 +122,7 @@ def _wrap(value: int) -> int:
 
 @compiled
 def _fits(field: Row, whole: Whole, real: Real, single: Single) -> bool:
-    """Whether `canopen.pdo.PdoMap.pack` takes a value."""
+    """True if `canopen.pdo.PdoMap.pack` takes the value of a field."""
     if field.kind == _FLOAT:
         if field.width == 8:
             return True
@@ -136,7 +136,7 @@ def _fits(field: Row, whole: Whole, real: Real, single: Single) -> bool:
 
 @compiled
 def _all_fit(fields: Rows, whole: Whole, real: Real, single: Single) -> bool:
-    """The same of all that is sent."""
+    """True if the values of all fields sent fit."""
     misfits = 0
     for k in range(len(fields)):
         misfits += not _fits(fields[k], whole, real, single)
@@ -410,7 +410,7 @@ def _show(drive: Row, port: Real, whole: Whole) -> None:
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, before anybody waits for a cycle."""
+    """Compile, or load from the cache, before a cycle has to wait for it."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     exchange(1_000_000, nothing)
     publish(0, nothing)

@@ -1,4 +1,4 @@
-"""The arrays that a plain cycle works on; their rows are made from the objects of bench and devices (`tables`).
+"""Arrays of a fast-path cycle; `tables` makes their rows from the objects of bench and devices.
 
 A value of an object is in a *slot*: whole numbers in one vector, REAL32 and REAL64 in another. Units are SI where a
 field has one in its name, else those of the device.
@@ -20,7 +20,7 @@ Single = NDArray[np.float32]
 
 #: What a value is in a PDO.
 UNSIGNED, SIGNED, FLOAT = 0, 1, 2
-#: Where a frame stands in a cycle: sent by the bench before SYNC, SYNC, or an answer.
+#: Place of a frame in a cycle: sent by the bench before SYNC, SYNC, or an answer.
 BEFORE_SYNC, SYNC, ANSWER = 0, 1, 2
 #: When it is sent: with every `every`-th cycle, or when the device's clock has come to `next_ns`.
 BY_CYCLES, BY_TIME = 0, 1
@@ -36,7 +36,7 @@ FRAME = np.dtype(
         ("count", "i8"),  # cycles since it was sent
         ("period_ns", "i8"),
         ("next_ns", "i8"),
-        ("time_ns", "i8"),  # as it stands in the trace
+        ("time_ns", "i8"),  # as in the trace
         ("first", "i8"),  # of its fields
         ("last", "i8"),
         ("crc", "i8"),  # as `can.wire.header` has them
@@ -54,7 +54,7 @@ TARGET = np.dtype([("unit", "f8"), ("most", "i8"), ("slot", "i8"), ("source", "i
 #: device lacks are -1.
 DRIVE = np.dtype(
     [
-        ("velocity", "i8"),  # whether it follows a velocity, else a torque
+        ("velocity", "i8"),  # 1: follows a velocity, 0: a torque
         ("target", "i8"),
         ("offset", "i8"),
         ("set_point_unit", "f8"),
@@ -93,13 +93,13 @@ FEEDBACK = np.dtype(
         ("torque_Nm", "f8"),
         ("before_rad", "f8"),
         ("period_s", "f8"),
-        ("by_difference", "i8"),  # whether its velocity is that of its positions
+        ("by_difference", "i8"),  # 1: its velocity is the difference of its positions
     ]
 )
-#: What the bench takes from a TPDO of the virtual I/O: its frame, its slots among the real ones, and where they begin
-#: in what the twin says (`exchange.measured`).
+#: Source of values from a TPDO of the virtual I/O: its frame, its slots among the real ones, and the first place
+#: in the twin's signals (`exchange.measured`).
 VIRTUAL_IO = np.dtype([("frame", "i8"), ("first", "i8"), ("last", "i8"), ("place", "i8")])
-#: What a port has beside its mode: position, velocity, torque, reference, whether the torque was limited.
+#: Values of a port in addition to its mode: position, velocity, torque, reference, torque-limited flag.
 PORT_SIZE = 5
 #: Whole numbers that a cycle takes: start in ns, then the time after SYNC by the clock of each host, in ns; where its
 #: text begins in that of the trace.
@@ -107,5 +107,5 @@ I_START_NS, I_CLOCKS, I_TEXT, I_SIZE = 0, 1, 3, 4
 #: Whole numbers that a cycle leaves: frames, bit times of all, their time on the wire in ns, where its text ends,
 #: frames that go by time; then of each frame its bit times, 0 where it was not sent.
 O_FRAMES, O_BITS, O_DURATION_NS, O_TEXT, O_TIMED, O_SIZE = 0, 1, 2, 3, 4, 5
-#: Longest line of a trace but for the channel: time, identifier, eight bytes.
+#: Longest line of a trace without the channel: time, identifier, eight bytes.
 LINE = 64

@@ -1,4 +1,4 @@
-"""Drives of a host that follow, with their motors and what these turn: the part of a plain cycle that is no frame."""
+"""Following drives of a host, with their motors and the rig: the part of a fast-path cycle that is no frame."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from hilbench.plant.interface import Steps, StepsInModes
 class Motors:
     """Drives by their rows (D,) of `layout.DRIVE`, whose objects are in the slots of `whole` and `real`.
 
-    `asked` (D,): the set points that they follow; `shown`, (D · PORT_SIZE,): what their ports show; `turned`: what
-    their motors turn, so far with each cycle (`step_s`); None where somebody else lets it go on by these; `alone`: it
+    `asked` (D,): the set points that they follow; `shown`, (D · PORT_SIZE,): the values of their ports; `turned`: the
+    rig that they turn, by `step_s` each cycle; None where the rig is stepped elsewhere; `alone`: it
     has no other motors; `cells`: the drives' objects, each with its slot and whether that is a real one; `shows_ports`:
-    somebody looks at the ports in every cycle.
+    the ports are read in every cycle.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Motors:
         self._shown[:] = self._of_ports()
         self._turned, self._alone, self._shows_ports = turned, alone, shows_ports
         self._keeps_ports = turned is not None
-        #: Take the set points, and go on; a piece of a cycle where nobody looks at the ports meanwhile.
+        #: Take the set points and step; a compiled stage where the ports are not read meanwhile.
         self.step: Callable[[], object] = self._step_of(step_s)
 
     def _step_of(self, step_s: float) -> Callable[[], object]:
@@ -82,7 +82,7 @@ class Motors:
             port.torque_limited = limited != 0.0
 
     def publish_by_objects(self) -> None:
-        """A drive can't go on as it did: from here on it is for the objects."""
+        """Hand the drives back to their objects: one can't continue as it was."""
         self.give()
         self.over = True
         for drive in self._drives:

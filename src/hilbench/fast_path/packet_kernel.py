@@ -1,8 +1,8 @@
-"""Packets of the embedded bus without the interpreter: received, taken apart, answered by `kernel.exchange`, sent; and
-from the bench's side sent, their answers gathered, and taken apart.
+"""Packets of the embedded bus without the interpreter: received, decoded, answered by `kernel.exchange`, sent; and
+on the bench's side sent, their answers gathered and decoded.
 
-What is called of the C library are recv(2), send(2) and clock_gettime(2). A packet that is not what is
-expected stays in the buffer, for Python.
+Functions called of the C library are recv(2), send(2) and clock_gettime(2). An unexpected packet
+stays in the buffer, for the interpreter.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from hilbench.fast_path import layout as lay
 from hilbench.fast_path.kernel import Table
 from hilbench.fast_path.layout import Bytes, Whole
 
-#: What has become of a packet: none has come; another than expected; it is that of a bench that says that it is alive,
-#: which is to be heard before it is answered; answered; the same, but the bus did not take the answers.
+#: Outcome for a packet: none has come; an unexpected one; it has the bench's heartbeat,
+#: which is to be consumed before it is answered; answered; answered, but the bus did not take the answers.
 NOTHING, OTHER, ALIVE, ANSWERED, UNSENT = range(5)
-#: Where to begin: with the next packet; with that in the buffer; behind its heartbeat, which was heard.
+#: Where to begin: with the next packet; with that in the buffer; after its heartbeat, which was consumed.
 RECEIVE, TAKEN, RECEIVED = range(3)
 #: Places among the numbers. Of Python: the socket, addresses of both buffers and of room for a timespec, frames that
 #: the bus has dropped, until when a packet is taken (ns of the monotonic clock), how long that in the buffer is. Of the
@@ -58,9 +58,9 @@ RECEIVE, TAKEN, RECEIVED = range(3)
     IN_END,
     PLACES,
 ) = range(15)
-#: Bus time is the hub's: what the kernel makes of it here nobody asks for.
+#: Bus time is the hub's: the kernel's value here is not used.
 BITRATE = 1_000_000
-#: Columns of what is expected, and of what is looked at in it: a value of these octets of a record, under a mask.
+#: Columns of the expected frames, and of the checks in them: a value of these octets of a record, under a mask.
 COB_ID, SIZE = range(2)
 RECORD_OF, OFFSET, WIDTH, MASK, VALUE = range(5)
 
@@ -92,10 +92,10 @@ def buffer() -> Bytes:
 
 @dataclass(frozen=True)
 class Port:
-    """What a packet is taken apart and made by, in the order of the table. Arrays are to be kept.
+    """Arrays for decoding and making packets, in the order of the table. They are to be kept.
 
-    `expected` (N, 2): COB-ID and size of each frame; before the last one the bench's heartbeat may stand. `checks`
-    (M, 5): what has to be as it was. `answers` (A, 2): COB-ID and size of the frames behind them. `left` and `data`,
+    `expected` (N, 2): COB-ID and size of each frame; the bench's heartbeat may come before the last one. `checks`
+    (M, 5): values that must be unchanged. `answers` (A, 2): COB-ID and size of those after them. `left` and `data`,
     (8 F,): as of `kernel.Vectors`, of both.
     """
 
@@ -110,7 +110,7 @@ class Port:
     timespec: Whole
 
     def table(self) -> Table:
-        """Where they stand; numbers that are addresses are set, too."""
+        """Table of the arrays' addresses; numbers that are addresses are set, too."""
         self.numbers[IN_AT], self.numbers[OUT_AT] = self.received.ctypes.data, self.sent.ctypes.data
         self.numbers[TIME_AT] = self.timespec.ctypes.data
         self.sent[:_HEADER] = np.frombuffer(protocol.HEADER.pack(_KIND, 0), np.uint8)
@@ -127,7 +127,7 @@ def new_port(
     data: Bytes,
     received: Bytes,
 ) -> Port:
-    """One with room for what it sends. `descriptor`: a socket of the embedded bus; `dropped`: by the bus so far."""
+    """Make a port with its buffers. `descriptor`: a socket of the embedded bus; `dropped`: by the bus so far."""
     numbers = np.zeros(PLACES, np.int64)
     numbers[DESCRIPTOR], numbers[DROPPED] = descriptor, dropped & 0xFFFFFFFF
     sent = np.zeros(_HEADER + _SENT * len(answers), np.uint8)
@@ -135,7 +135,7 @@ def new_port(
 
 
 class Gathered:
-    """What has come since SYNC: frame by frame, and the packets as they were. `dropped`: by the bus so far."""
+    """Frames and packets received since SYNC. `dropped`: frames lost by the bus so far."""
 
     def __init__(self, descriptor: int, dropped: int) -> None:
         self.numbers, self._lengths = np.zeros(PLACES, np.int64), np.zeros(_MOST_PACKETS, np.int64)
@@ -149,24 +149,24 @@ class Gathered:
         self._numbers_at, self._cob_ids_at = self.numbers.data, self._cob_ids.data
 
     def begin(self) -> None:
-        """Nothing has come."""
+        """Clear all frames and packets."""
         numbers = self._numbers_at
         numbers[CAME] = numbers[ANSWERS_CAME] = numbers[PACKETS_CAME] = numbers[IN_END] = 0
 
     def put(self, packet: bytes) -> None:
-        """One that Python has received after `gather` had none: to be TAKEN."""
+        """Add a packet received by the interpreter after `gather` had none: to be TAKEN."""
         at = self._numbers_at[IN_END]
         self._packets[at : at + len(packet)] = np.frombuffer(packet, np.uint8)
         self._numbers_at[LENGTH] = len(packet)
 
     @property
     def cob_ids(self) -> tuple[int, ...]:
-        """Of the frames."""
+        """COB-IDs of the frames."""
         return tuple(self._cob_ids_at[: self._numbers_at[CAME]].tolist())
 
     @property
     def packets(self) -> list[bytes]:
-        """As they have come."""
+        """Packets as received."""
         lengths = self._lengths[: self._numbers_at[PACKETS_CAME]].tolist()
         ends = np.cumsum(lengths).tolist()
         return [self._packets[end - length : end].tobytes() for length, end in zip(lengths, ends, strict=True)]
@@ -183,7 +183,7 @@ def _number(octets: Bytes, at: int, width: int) -> int:
 
 @compiled
 def _heartbeat_in(packet: Bytes, length: int, dropped: int, expected: Pairs) -> int:
-    """0 where a packet has what is expected; the COB-ID of the heartbeat that is in it as well; -1: another one."""
+    """Return 0 if a packet is as expected; the COB-ID of the heartbeat if that is in it as well; else -1."""
     count = len(expected)
     records = (length - _HEADER) // _RECEIVED
     extra = records - count
@@ -208,7 +208,7 @@ def _heartbeat_in(packet: Bytes, length: int, dropped: int, expected: Pairs) -> 
 
 @compiled
 def _passes(octets: Bytes, first: int, each: int, checks: Pairs) -> bool:
-    """Whether what has to be as it was is so, in data that begin at `first`, and `each` further for the next frame."""
+    """True if all checked values are unchanged, in data from `first` on with `each` octets per frame."""
     misfits = 0
     for k in range(len(checks)):
         at = first + each * checks[k, RECORD_OF] + checks[k, OFFSET]
@@ -233,7 +233,7 @@ def _take(packet: Bytes, length: int, expected: Pairs, data: Bytes) -> None:
 
 @compiled
 def _pack(answers: Pairs, first: int, bits_of: Whole, data: Bytes, out: Bytes) -> int:
-    """Records of the frames behind the `first` that have bits on the wire; how long the packet is."""
+    """Pack records of the frames after the `first` that have bits on the wire; returns the packet's length."""
     at = _HEADER
     for k in range(len(answers)):
         if bits_of[first + k] == 0:
@@ -249,7 +249,7 @@ def _pack(answers: Pairs, first: int, bits_of: Whole, data: Bytes, out: Bytes) -
 
 @compiled
 def _gather(packet: Bytes, length: int, numbers: Whole, cob_ids: Whole, sizes: Whole, data: Bytes) -> bool:
-    """The frames of one more packet behind those that have come; False where it has lost some, or there is no room."""
+    """Add the frames of one more packet; False where frames were lost, or there is no room."""
     records = (length - _HEADER) // _RECEIVED
     if _HEADER + records * _RECEIVED != length or packet[0] != _KIND:
         return False
@@ -264,14 +264,14 @@ def _gather(packet: Bytes, length: int, numbers: Whole, cob_ids: Whole, sizes: W
     return True
 
 
-#: answer(table of `kernel.Vectors`, table of `Port`, where to begin): receive a packet, do with it what `exchange`
-#: does, and send what is to be answered; what has become of it.
-#: ask(table of `kernel.Vectors`, table of `Port`, bitrate): send what is in the frames; OTHER, and nothing done, where
+#: answer(table of `kernel.Vectors`, table of `Port`, where to begin): receive a packet, process it as `exchange`
+#: does, and send the answers; returns the outcome.
+#: ask(table of `kernel.Vectors`, table of `Port`, bitrate): send the frames; OTHER, and nothing done, where
 #: a value does not fit, or a packet has come before, which is in the buffer then.
 #: gather(table of `Gathered`, answers, where to begin): receive packets until so many frames that are no heartbeats
-#: have come: ANSWERED; OTHER: a packet is of another kind, or says that frames were lost.
-#: take_apart(table of `kernel.Vectors`, table of `Port`, table of `Gathered`, bitrate): what `exchange` does with what
-#: was gathered; False, and nothing done, where that is not what is expected.
+#: have come: ANSWERED; OTHER: a packet is of another kind, or reports lost frames.
+#: take_apart(table of `kernel.Vectors`, table of `Port`, table of `Gathered`, bitrate): decode the frames gathered as
+#: `exchange` does; False, and nothing done, where they are not as expected.
 @entry_point(TABLE, TABLE, COUNT)
 def answer(table: Table, port: Table, stage: int) -> int:
     if len(port) == 0:
@@ -368,21 +368,21 @@ def take_apart(table: Table, order: Table, gathered: Table, bitrate: int) -> boo
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, what devices call, before anybody waits for a cycle."""
+    """Compile, or load from the cache, the functions that devices call, before a cycle has to wait for them."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     answer(nothing, nothing, RECEIVE)
     warm_up_gathering()
 
 
 def warm_up_bench() -> None:
-    """The same of what a bench calls."""
+    """Load the compiled functions that a bench calls."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     ask(nothing, nothing, BITRATE)
     warm_up_gathering()
 
 
 def warm_up_gathering() -> None:
-    """The same of what is gathered."""
+    """Load the compiled functions that gather and decode answers."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     gather(nothing, 0, RECEIVE)
     take_apart(nothing, nothing, nothing, BITRATE)

@@ -1,4 +1,4 @@
-"""Plain cycles of simulated hardware: the devices' answers to a SYNC, then a step of the rig."""
+"""Fast-path cycles of simulated hardware: the devices' answers to a SYNC, then a step of the rig."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hilbench.plant.interface import Steps
 
 
 class Rig(Protocol):
-    """What stands behind the drives."""
+    """Rig application of the drives."""
 
     @property
     def drives(self) -> Sequence[SimulatedDrive]:
@@ -24,21 +24,21 @@ class Rig(Protocol):
 
     @property
     def ports(self) -> Sequence[Any]:
-        """Those of all motors, simulated drive or not."""
+        """Ports of all motors, simulated drive or not."""
 
     @property
     def rig(self) -> Steps:
-        """What the motors turn."""
+        """Mechanics that the motors turn."""
 
     def plain_step_s(self) -> float | None:
-        """How far the rig goes with each SYNC, in one step; None where that is not known before."""
+        """Step of the rig per SYNC in s; None where it is not fixed in advance."""
 
 
 class RigFastCycle:
-    """See `host.PacketRun`."""
+    """Fast-path run of a host with a rig (`host.PacketRun`)."""
 
     def __init__(self, answers: SyncAnswers, rig: Rig) -> None:
-        """Raises NotPlainError where cycles are not plain."""
+        """Raises FastPathRefusedError where cycles do not fit the fast path."""
         step_s = rig.plain_step_s()
         if step_s is None:
             raise FastPathRefusedError
@@ -60,11 +60,11 @@ class RigFastCycle:
 
     @property
     def came(self) -> Sequence[bytes]:
-        """See `host.PacketRun`."""
+        """Packets left for the host."""
         return self._answers.came
 
     def serve(self, timeout_s: float) -> bool:
-        """See `host.PacketRun`."""
+        """Serve the next packet (`host.PacketRun.serve`), then step the rig."""
         if self._motors.over:
             return False
         outcome = self._answers.serve(timeout_s)
@@ -76,7 +76,7 @@ class RigFastCycle:
         return True
 
     def end(self) -> None:
-        """See `host.PacketRun`."""
+        """Hand the state back to the objects."""
         if self._answers.cycles:
             self._motors.give()
             self._answers.give()

@@ -1,4 +1,4 @@
-"""The answers of a host's devices to a SYNC, on arrays: from what the bench has sent to their packet."""
+"""Answers of a host's devices to a SYNC, on arrays: from the bench's packet to theirs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ENABLED = Command.ENABLE_OPERATION.value
 
 
 class SyncAnswers:
-    """Takes what comes with a SYNC in one packet, and answers it.
+    """Takes the frames of a SYNC in one packet, and answers it.
 
     `clock`: that of the devices; `expected`: like the frames of each cycle, SYNC the last; `cycle_ns`: from one SYNC to
     the next. `fill` is to be called before the first cycle.
@@ -39,10 +39,10 @@ class SyncAnswers:
         expected: Sequence[Frame],
         cycle_ns: int,
     ) -> None:
-        """Raises NotPlainError where cycles are not plain."""
+        """Raises FastPathRefusedError where cycles do not fit the fast path."""
         self._link, self._devices, self._clock, self._cycle_ns = link, devices, clock, cycle_ns
         self._cycles = 0
-        self.came: Sequence[bytes] = ()  #: what is for the host
+        self.came: Sequence[bytes] = ()  #: packets for the host
         self.received = packet_kernel.buffer()
         if not all(drive.follows(_ENABLED) for drive in drives):
             raise FastPathRefusedError
@@ -54,7 +54,7 @@ class SyncAnswers:
         if len(set(self._frames.cob_ids)) != len(expected):
             raise FastPathRefusedError
         self._count = len(expected)
-        #: What the devices take, answer, and say of themselves.
+        #: RPDOs, TPDOs and heartbeats of the devices.
         self.host = HostFrames(0, devices, drives, self._frames, self.slots, cycle_ns)
         self.host.receive()
         self._checks = self._controlwords(drives)
@@ -63,7 +63,7 @@ class SyncAnswers:
         self._until_ns = self.host.quiet_until_ns()
 
     def _controlwords(self, drives: Sequence[SimulatedDrive]) -> list[tuple[int, ...]]:
-        """What they have to be in each cycle, as `packet_kernel.Port` has it."""
+        """Checks (see `packet_kernel.Port`) that the controlwords stay ENABLE OPERATION."""
         cells = [drive.firmware.controlword for drive in drives]
         slots = {self.slots.of_cells[id(cell)] for cell in cells if id(cell) in self.slots.of_cells}
         fields = [field for field in self._frames.received if field[1] in slots and field[4] != lay.FLOAT]
@@ -110,12 +110,12 @@ class SyncAnswers:
         self._port_table, self._numbers = self._port.table(), self._port.numbers.data
 
     def _send_again(self) -> None:
-        """What the bus did not take."""
+        """Send again the answers that the bus did not take."""
         at, end = protocol.HEADER.size, self._numbers[packet_kernel.OUT_LENGTH]
         self._link.send_records(self._port.sent[at:end].tobytes())
 
     def _hear(self, heartbeat: int) -> None:
-        """What the host does with a heartbeat of the bench, which may come again."""
+        """Consume a heartbeat of the bench as the host does; it may come again."""
         if heartbeat == self._clock.kept_by:
             self._clock.keep()
             self._numbers[packet_kernel.UNTIL_NS] = self._clock.stalls_at_ns
@@ -125,7 +125,7 @@ class SyncAnswers:
 
     @property
     def _is_due(self) -> bool:
-        """Whether a device has to say, or notice, something of its own with the next SYNC."""
+        """True if a device has to send, or notice, something by itself with the next SYNC."""
         return self._clock.next_ns > self._until_ns or any(device.outbox for device in self._devices)
 
     @property
@@ -134,8 +134,8 @@ class SyncAnswers:
         return self._cycles
 
     def serve(self, timeout_s: float) -> int:
-        """Answer the next packet: ANSWERED; NOTHING: none came within the time; OTHER: it, or what is due, is not
-        plain, and nothing was done: `came` has it."""
+        """Answer the next packet: ANSWERED; NOTHING: none came within the time; OTHER: it, or what is due, does not
+        fit the fast path, and nothing was done: it is in `came`."""
         clock, numbers = self._clock, self._numbers
         if self._is_due:
             return self._leave(timeout_s)
@@ -156,7 +156,7 @@ class SyncAnswers:
         return NOTHING if packet is None else OTHER
 
     def _see_to(self, outcome: int, timeout_s: float) -> int:
-        """What happens rarely."""
+        """Handle the rare outcomes: wait for a packet, a heartbeat, answers that were not taken."""
         numbers, tables = self._numbers, (self.table, self._port_table)
         if outcome == NOTHING:
             packet = self._link.receive_packet(timeout_s)
@@ -177,7 +177,7 @@ class SyncAnswers:
 
     @property
     def stands(self) -> bool:
-        """Whether SYNC has stopped."""
+        """True if SYNC has stopped."""
         return self._clock.stalled_ns() > 0
 
     def give(self) -> None:

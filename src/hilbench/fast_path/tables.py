@@ -1,4 +1,4 @@
-"""The rows of `layout`, made from the objects that a bench and its devices go by in any other cycle."""
+"""Rows of `layout`, made from the objects of a bench and its devices."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ class FastPathRefusedError(Exception):
 
 @dataclass
 class Slots:
-    """Where the values are: those of the devices' objects, a slot a cell, and others."""
+    """Slots of values: one for each cell of the devices' objects, and others."""
 
     whole: list[int] = field(default_factory=list)
     real: list[float] = field(default_factory=list)
     of_cells: dict[int, int] = field(default_factory=dict)  #: by id of the cell
-    #: With its slot, and whether that is a real one: of the hardware, and of the twin.
+    #: Each with its slot, true if that is a real one: of the hardware, and of the twin.
     cells: tuple[list[tuple[Cell, int, bool]], ...] = field(default_factory=lambda: ([], []))
-    side: int = 0  #: whose cells are told now: place among these
+    side: int = 0  #: whose cells are entered now: place among these
 
     def new(self, is_float: bool) -> int:
-        """One that is no object's."""
+        """Make a slot that belongs to no object."""
         values: list[Any] = self.real if is_float else self.whole
         values.append(0)
         return len(values) - 1
 
     def of(self, cell: Cell, is_float: bool = False) -> int:
-        """That of an object, with its value. Raises NotPlainError for what is no number."""
+        """Slot of an object's cell, with its value. Raises FastPathRefusedError if that is no number."""
         known = self.of_cells.get(id(cell))
         if known is not None:
             return known
@@ -64,7 +64,7 @@ class Slots:
 
 @dataclass
 class Frames:
-    """The frames of a cycle, with what goes into them and what is taken out."""
+    """Frames of a cycle, with the slots of their contents."""
 
     rows: list[tuple[Any, ...]] = field(default_factory=list)
     sent: list[tuple[int, ...]] = field(default_factory=list)
@@ -86,7 +86,7 @@ class Frames:
         next_ns: int = 0,
         clock: int = 0,
     ) -> int:
-        """A frame behind the others, and its row. `period_ns`: it goes by time, by that `clock`, not by cycles."""
+        """Add a frame after the others; returns its row. `period_ns`: sent by time of that `clock`, not by cycles."""
         row, first = len(self.rows), len(self.sent)
         if isinstance(content, PdoMap):
             size = content.size
@@ -103,13 +103,13 @@ class Frames:
         return row
 
     def take(self, row: int, content: PdoMap, slots: Sequence[int]) -> None:
-        """What is in a frame goes into these slots. Raises NotPlainError where it has another length."""
+        """Take a frame's content into these slots. Raises FastPathRefusedError where its length differs."""
         if content.size != self.sizes[row]:
             raise FastPathRefusedError
         self.received += _fields(row, content, slots)
 
     def row_of(self, cob_id: int) -> int:
-        """The row of an identifier. Raises NotPlainError for one that is not sent."""
+        """The row of an identifier. Raises FastPathRefusedError for one that is not sent."""
         if cob_id not in self.cob_ids:
             raise FastPathRefusedError
         return self.cob_ids.index(cob_id)
@@ -129,12 +129,12 @@ def _fields(row: int, content: PdoMap, slots: Sequence[int]) -> list[tuple[int, 
 
 
 def cell_slots(slots: Slots, content: PdoMap, cells: Iterable[Cell]) -> list[int]:
-    """Those of mapped objects."""
+    """Slots of mapped objects."""
     return [slots.of(cell, kind.is_float) for cell, kind in zip(cells, content.kinds, strict=True)]
 
 
 def new_slots(slots: Slots, content: PdoMap) -> list[int]:
-    """New ones for what is in a PDO."""
+    """New slots for the contents of a PDO."""
     return [slots.new(kind.is_float) for kind in content.kinds]
 
 
@@ -172,7 +172,7 @@ def drive_row(drive: SimulatedDrive, slots: Slots) -> tuple[Any, ...]:
 
 
 def feedback_row(drive: Drive, raw: dict[int, int]) -> tuple[Any, ...]:
-    """A drive as the bench sees it; `raw`: slots by the index of the object. Raises NotPlainError."""
+    """A drive as the bench sees it; `raw`: slots by the index of the object. Raises FastPathRefusedError."""
     missing = {objects.STATUSWORD, objects.TORQUE_ACTUAL_VALUE, objects.POSITION_ACTUAL_VALUE} - set(raw)
     if missing or drive.counter.value is None:
         raise FastPathRefusedError
@@ -199,10 +199,10 @@ def table(rows: Sequence[tuple[Any, ...]], kind: np.dtype[Any]) -> lay.Rows:
 
 
 def reals(vector: lay.Real) -> memoryview[float]:
-    """The same numbers: one at a time goes faster through these than through the array."""
+    """View of the vector as a memoryview: access to single numbers is faster than through the array."""
     return vector.data.cast("B").cast("d")
 
 
 def octets(least: int) -> lay.Bytes:
-    """At least so many, whole eights."""
+    """Zeros, at least so many octets, rounded up to a multiple of eight."""
     return np.zeros(-(-least // 8) * 8, np.uint8)

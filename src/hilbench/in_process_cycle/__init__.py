@@ -1,1 +1,1 @@
-"""Cycles of a bench in one process in which nothing but set points and feedback changes, run compiled."""
+"""Fast path of a bench in one process: compiled cycles in which only set points and feedback change."""

@@ -1,5 +1,5 @@
-"""What is counted of plain cycles, compiled, so that many may go one behind the other: time, frames, bits, the text of
-the trace, who was heard, what the twin says of itself."""
+"""Counters of fast-path cycles, compiled, so that many can run in one call: time, frames, bits, the text of
+the trace, heartbeats received, the twin's status."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from hilbench.fast_path import layout as lay
 
 Table = NDArray[np.int64]
 
-# Rows of the table of `count`: `given`, `left`, `frames` and `whole` of `plain.kernel.Vectors`, what `measured` counts,
-# then its own: `totals`, by frame the cycle in which it was there last, where the twin's status is.
+# Rows of the table of `count`: `given`, `left`, `frames` and `whole` of `fast_path.kernel.Vectors`, counters of
+# `measured`, then its own: `totals`, by frame the cycle in which it was there last, place of the twin's status.
 _GIVEN, _LEFT, _FRAMES, _WHOLE, _COUNTED, _TOTALS, _HEARD, _STATUS = range(8)
-#: Totals: plain cycles, their frames, bits, and time on the wire in ns; the cycle in which the twin's status came last.
+#: Totals: fast-path cycles, their frames, bits, and time on the wire in ns; the cycle of the twin's last status.
 RUN, FRAMES, BITS_OF_ALL, DURATION_NS, REPORTED, TOTALS = range(6)
 #: Of the status: its frame, and where it begins among the whole numbers.
 _ROW, _FIRST = range(2)
@@ -28,10 +28,10 @@ _O_FRAMES, _O_BITS, _O_DURATION_NS, _O_TEXT = lay.O_FRAMES, lay.O_BITS, lay.O_DU
 _O_TIMED, _O_SIZE, _BY_TIME = lay.O_TIMED, lay.O_SIZE, lay.BY_TIME
 
 
-#: count(length of a cycle in ns, table): a plain cycle was run.
+#: count(length of a cycle in ns, table): count a fast-path cycle.
 #: said_alive(row of the bench's heartbeat, table): SAID where that was on the wire.
-#: ask(0, table of a sample, set points and what they are multiplied with, pairs of a place in these and in the sample,
-#: slots of real numbers, such pairs of them): what a sample shows of the outputs goes out with the next SYNC.
+#: ask(0, table of a sample, set points and their factors, pairs of a place in these and in the sample,
+#: slots of real numbers, such pairs of them): send the outputs in a sample with the next SYNC.
 @entry_point(COUNT, TABLE)
 def count(cycle_ns: int, table: Table) -> int:
     if len(table) == 0:
@@ -89,7 +89,7 @@ def ask(_: int, table: Table) -> int:
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, before anybody waits for a cycle."""
+    """Compile, or load from the cache, before a cycle has to wait for it."""
     nothing = np.zeros((0, TABLE_WIDTH), np.int64)
     count(0, nothing)
     heartbeat_sent(0, nothing)

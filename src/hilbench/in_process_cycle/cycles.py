@@ -1,9 +1,9 @@
-"""Plain cycles of a bench with simulated hardware and twin in its own process.
+"""Fast path of a bench with simulated hardware and twin in its own process.
 
-A cycle is *plain* when all drives follow their set points and the wire carries what it carries every time: SYNC, PDOs,
-heartbeats. Then nothing of its course is decided in Python: `kernel` does it on arrays. Whatever else there is (SDO,
-NMT, EMCY, another state, a fault, a timer that runs out, a frame of somebody else) is for the interpreted cycle, which
-is the reference: before it, and before anybody uses the bus, objects get back what the arrays have.
+A cycle fits the *fast path* when all drives follow their set points and the wire carries only SYNC, PDOs and
+heartbeats. Then no decision in it needs Python: `kernel` does it on arrays. Anything else (SDO,
+NMT, EMCY, another state, a fault, a timer that runs out, a foreign frame) is for the interpreted cycle, which
+is the reference: before it, and before any other use of the bus, the objects are updated from the arrays.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ from hilbench.in_process_cycle.wiring import InOneProcess, Wiring
 from hilbench.topology.sample import CycleSample
 from hilbench.twin.in_arrays import TwinInArrays, give_counters
 
-#: Cycles after which it is looked anew whether cycles are plain, when they were not.
+#: Cycles after which the fast path is tried again after a refusal.
 _LOOK_AGAIN = 8
-#: Cycles whose lines of the trace are handed over together: some milliseconds of a run's own time.
+#: Cycles whose lines of the trace are written together: some milliseconds of a run's own time.
 _TRACED_TOGETHER = 32
 _ENABLED = Command.ENABLE_OPERATION.value
 
@@ -58,7 +58,7 @@ _SUMS = counting.DURATION_NS + 1
 
 
 class FastPathCycles:
-    """Runs the cycles of a bench that are plain; see `exchange.exchange.FastPathCycles`."""
+    """Runs the cycles of a bench that fit the fast path; see `exchange.exchange.FastPathCycles`."""
 
     def __init__(
         self, here: InOneProcess, nodes: Nodes, sync: SyncCycle, own: MasterNode, tap: FrameTap | None
@@ -91,7 +91,7 @@ class FastPathCycles:
 
     @contextmanager
     def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> Iterator[ExchangeStages | None]:
-        """See `exchange.exchange.FastPathCycles`."""
+        """Compiled stages (`exchange.exchange.FastPathCycles`)."""
         with self._sync.lock, self._here.lock:
             yield None if self._run is None else self._run.chained(sample, shown)
 
@@ -121,13 +121,13 @@ class FastPathCycles:
 
 
 class _Run:
-    """Plain cycles one after the other, from objects into arrays and back."""
+    """Fast-path cycles one after the other, from objects into arrays and back."""
 
     def __init__(self, here: InOneProcess, nodes: Nodes, sync: SyncCycle, tap: FrameTap | None) -> None:
-        """Raises NotPlainError where cycles are not plain."""
+        """Raises FastPathRefusedError where cycles do not fit the fast path."""
         self._here, self._nodes, self._sync, self._tap = here, nodes, sync, tap
         self._cycles = self._compiled_ns = 0
-        self.pieces: Sequence[CompiledStage] = ()  #: see `exchange.exchange.ChainedCycles`
+        self.pieces: Sequence[CompiledStage] = ()  #: see `exchange.exchange.ExchangeStages`
         self._of_pieces: tuple[object, ...] = ()
         self._bench_drives = nodes.drives
         self._devices = (*here.hardware.devices, *here.twin.devices)
@@ -168,7 +168,7 @@ class _Run:
         self._machine = TwinInArrays(here.machine, self._wiring.hosts[1], slots)
         self._whole, self._real = np.array(slots.whole, np.int64), np.array(slots.real, np.float64)
         self._real = self._real if len(self._real) else np.zeros(1)
-        # One value goes faster through this than through the array.
+        # Access to one value is faster than through the array.
         self._real_at = reals(self._real)
         self._data = np.zeros((len(frames.rows), 8), np.uint8)
         for row, content in frames.constants.items():
@@ -218,7 +218,7 @@ class _Run:
         self._count_from_here()
 
     def _count_from_here(self) -> None:
-        """The pieces of a cycle that are no drive's and no machine's."""
+        """Stages of a cycle that belong to no drive and no machine."""
         config, (row, of_status) = self._nodes.config, self._wiring.status
         self._totals, self._received = np.zeros(counting.TOTALS, np.int64), np.zeros(len(self._rows), np.int64)
         self._totals_at, self._received_at = self._totals.data, self._received.data
@@ -276,7 +276,7 @@ class _Run:
         self._waiting = self._waiting_frames = 0  # cycles and frames whose lines are in the text
 
     def _deadlines(self) -> None:
-        """Until when, by each host's clock, no device has to notice that a heartbeat stays away."""
+        """Times, by each host's clock, until which no heartbeat consumer time-out can expire."""
         self._until_ns: list[tuple[SyncClock, int]] = []
         for served, host in zip((self._here.hardware, self._here.twin), self._wiring.hosts, strict=True):
             self._until_ns.append((served.clock, host.quiet_until_ns()))
@@ -284,7 +284,7 @@ class _Run:
     # -- cycle by cycle --------------------------------------------------------------------------------------
 
     def cycle(self, outputs: Mapping[str, float]) -> bool:
-        """Run one; False where it is not plain, and nothing was done. Raises as `SyncCycle` and `Nodes.decode`."""
+        """Run one; False, and nothing done, where it does not fit. Raises as `SyncCycle` and `Nodes.decode`."""
         begun_ns = time.monotonic_ns()
         if not self._fast_path_cycles(begun_ns):
             return False
@@ -303,7 +303,7 @@ class _Run:
         return True
 
     def _fast_path_cycles(self, now_ns: int) -> int:
-        """How many cycles from now on are plain, as far as this shows."""
+        """Number of cycles from now on that fit the fast path, as far as is known now."""
         here, nodes, sync = self._here, self._nodes, self._sync
         if self._hardware.over or here.bus.waiting or not self._machine.stays():
             return 0
@@ -320,7 +320,7 @@ class _Run:
         return min(clock.syncs_until(now_ns, until_ns) for clock, until_ns in self._until_ns)
 
     def _put(self, outputs: Mapping[str, float]) -> None:
-        """What goes out with the next SYNC."""
+        """Set outputs, boundary inputs and times for the next SYNC."""
         set_points, real = self._set_points_at, self._real_at
         for at, name, per_unit in self._names:
             set_points[at] = outputs.get(name, 0.0) * per_unit
@@ -346,7 +346,7 @@ class _Run:
         return True
 
     def _tick(self, now_ns: int, syncs: int) -> None:
-        """So many SYNCs were on the wire by now since this run began."""
+        """Advance the clocks of hardware and twin to `syncs` SYNCs since this run began."""
         for served in (self._here.hardware, self._here.twin):
             served.clock.tick_at(now_ns, syncs - self._ticked)
         self._ticked = syncs
@@ -404,14 +404,14 @@ class _Run:
         return CompiledStage(counting.ask, 0, table_of(kept), fallback=never, keeps=kept)
 
     def cycles(self) -> int:
-        """See `exchange.exchange.ExchangeStages`."""
+        """Number of cycles that may run compiled (`exchange.exchange.ExchangeStages`)."""
         self._compiled_ns = now_ns = time.monotonic_ns()
         self._set_times()
         room = _TRACED_TOGETHER - self._waiting
         return min(self._fast_path_cycles(now_ns), self._nodes.not_silent_cycles, room)
 
     def passed(self) -> None:
-        """See `exchange.exchange.ExchangeStages`."""
+        """Account for the cycles run compiled (`exchange.exchange.ExchangeStages`)."""
         self._pass(self._compiled_ns)
 
     def _pass(self, begun_ns: int) -> None:
@@ -440,7 +440,7 @@ class _Run:
         self._nodes.pass_fast_path(cycles, received, max(0, totals[counting.REPORTED] - before))
 
     def _tap_frames(self) -> None:
-        """For a tap that wants frames."""
+        """Write frames to a tap that takes no text."""
         if self._lines is None and self._tap is not None:
             self._tap.write(self._sent_frames())
             self._tap.end_cycle()
@@ -455,7 +455,7 @@ class _Run:
         ]
 
     def _write_waiting(self) -> BenchFaultError | None:
-        """The lines of the last cycles; what the trace has to say against them."""
+        """Write the lines of the last cycles; returns the trace's error, if any."""
         if self._lines is None or self._waiting < _TRACED_TOGETHER:
             return None
         try:
@@ -486,7 +486,7 @@ class _Run:
             served.host.served_until(now_s)
 
     def _give_bench(self) -> None:
-        """What the last PDOs and heartbeats leave behind on both sides."""
+        """Update both sides from the last PDOs and heartbeats."""
         here, rows, cycles = self._here, self._rows, self._cycles
         last: dict[int, tuple[int, bytes | None]] = {}
         for served, host in zip((here.hardware, here.twin), self._wiring.hosts, strict=True):

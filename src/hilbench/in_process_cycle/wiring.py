@@ -1,5 +1,5 @@
-"""The frames of a plain cycle, made from the objects that bench and devices go by: who sends them, what is in them, who
-takes what out of them."""
+"""The frames of a fast-path cycle, made from the objects of bench and devices: senders, contents,
+receivers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Served:
 
 @dataclass(frozen=True)
 class InOneProcess:
-    """What is on the bus, and who has it: `link` is the bench's."""
+    """Participants in one process and the bus in memory: `link` is the bench's."""
 
     bus: MemoryBus
     link: MemoryLink
@@ -48,27 +48,27 @@ class InOneProcess:
 
 
 class Wiring:
-    """What goes over the wire in each plain cycle, and where its values are."""
+    """Frames of each fast-path cycle, and the slots of their values."""
 
     def __init__(self, here: InOneProcess, nodes: Nodes, sync: SyncCycle) -> None:
-        """Raises NotPlainError where cycles are not plain."""
+        """Raises FastPathRefusedError where cycles do not fit the fast path."""
         self._here, self._nodes, self._sync = here, nodes, sync
         self.slots, self.frames = Slots(), Frames()
-        #: What the bench sends.
+        #: Frames sent by the bench.
         self.bench = BenchFrames(nodes, sync, self.frames, self.slots)
         self._behind_sync = len(self.frames.rows)
-        #: What the twin hears of each axis: rows of `layout.SEEN`, and where the feedback of it is behind that of the
+        #: Axis feedback that the twin receives: rows of `layout.FEEDBACK`, and where it is after that of the
         #: drives that the bench sees.
         self.received: list[tuple[Any, ...]] = []
         self.received_axes: list[int] = []
-        #: What the bench takes from the TPDOs of the virtual I/O: rows of `layout.SAID`; the row of its status, and
-        #: where that is among the whole numbers.
+        #: Values that the bench takes from the virtual I/O's TPDOs: rows of `layout.VIRTUAL_IO`; the row of its status,
+        #: and where that is among the whole numbers.
         self.virtual_io_rows: list[tuple[int, int, int, int]] = []
         self.status: tuple[int, slice] = (-1, slice(0))
         self._check_listeners()
         drives = (*here.rig.drives, *here.machine.drives)
         cycle_ns = nodes.config.cycle_ns
-        #: Of the hardware and of the twin: what their devices take, answer, and say of themselves.
+        #: Hardware and twin: RPDOs, TPDOs and heartbeats of their devices.
         self.hosts = [
             HostFrames(side, served.devices, drives, self.frames, self.slots, cycle_ns)
             for side, served in enumerate((here.hardware, here.twin))
@@ -82,7 +82,7 @@ class Wiring:
         self._check_phases()
 
     def _check_listeners(self) -> None:
-        """What the bench sends is heard by the hosts alone."""
+        """Check that only the hosts receive the bench's frames."""
         hosts = (self._here.hardware, self._here.twin)
         for cob_id in self.frames.cob_ids:
             links = self._here.bus.hear(cob_id)
@@ -92,7 +92,7 @@ class Wiring:
             raise FastPathRefusedError
 
     def _check_answers(self) -> None:
-        """Nobody but the bench, and the twin's application, hears what is answered."""
+        """Check that only the bench and the twin's application receive the answers."""
         frames, here = self.frames, self._here
         for row in range(self._behind_sync, len(frames.rows)):
             cob_id = frames.cob_ids[row]
@@ -104,9 +104,9 @@ class Wiring:
                 raise FastPathRefusedError
 
     def _see(self) -> None:
-        """What the bench takes from the answers of the drives, and the twin from those of the axes."""
+        """Enter the feedback that the bench takes from the drives, and the twin from the axes."""
         frames, slots = self.frames, self.slots
-        #: What the bench sees of each drive.
+        #: Feedback of each drive to the bench.
         self.seen = DriveFeedback(self._nodes, slots)
         for pdo, taken in self.seen.taken:
             frames.take(frames.row_of(pdo.cob_id), pdo, taken)
@@ -123,13 +123,13 @@ class Wiring:
             self.received.append(received_row(listener, taken[listener.position], taken[listener.torque]))
 
     def _receive_pdo(self, pdo: PdoMap, *, is_float: bool) -> tuple[int, int, int]:
-        """What the bench takes from a TPDO of the virtual I/O: row, and slots."""
+        """Enter a TPDO of the virtual I/O that the bench takes: row, first slot, end of the slots."""
         row, taken = self.frames.row_of(pdo.cob_id), new_slots_of_kind(pdo, self.slots, is_float=is_float)
         self.frames.take(row, pdo, taken)
         return row, taken[0], taken[-1] + 1
 
     def _check_phases(self) -> None:
-        """What the bench expects of the nodes is what they send."""
+        """Check that the TPDOs that the bench expects are those that the nodes send, in phase."""
         cycles, frames = self._sync.timing.cycles, self.frames
         sent = {frames.cob_ids[row]: (row, tpdo) for host in self.hosts for _, tpdo, row in host.answering}
         expected: list[ExpectedPdo] = [*self._sync.due_always.values(), *self._sync.due_at_times]

@@ -1,1 +1,1 @@
-"""From nothing to a running bench, and back to the safe state."""
+"""Start-up to a running bench, and return to the safe state."""

@@ -1,4 +1,4 @@
-"""The drives of a bench: enabled and let go in order, or brought to the safe state."""
+"""The drives of a bench: enabled and disabled in order, or brought to the safe state."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from hilbench.errors import BenchFaultError, BusError, EmergencyStopError, Hilbe
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.nodes import Nodes
 
-#: Time for the axes to stand still again after the load motor has let go.
+#: Time for the axes to stand still again after the load motor was disabled.
 _SETTLE_S = 0.3
 
 
 class Drives:
-    """Brings the drives up and down. `crash_report`: one line of an exception that nobody foresaw.
+    """Enables and stops the drives. `crash_report`: one line of an unexpected exception.
 
-    In `lockstep` SYNC stands still while something is asked by SDO, in real time it goes on.
+    In `lockstep` no SYNC is sent during an SDO request, in real time it continues.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Drives:
             self._cycle.exchange()
 
     def _check_virtual_axes(self) -> None:
-        """Ask the virtual axes by SDO whether they followed."""
+        """Check by SDO that the virtual axes are enabled."""
         if self._lockstep:
             self._nodes.check_virtual_axes_enabled()
             return
@@ -73,14 +73,14 @@ class Drives:
             check.result()
 
     def disable(self, operator: Operator) -> None:
-        """Let go of all, from standstill: an experiment may end at speed, and must not stop within a cycle."""
+        """Disable all drives, from standstill: an experiment may end at speed, and must not stop within a cycle."""
         state = self._state
         state.stopping = True
         state.journal(Change(self._exchange.timing.cycles, "stopping"))
         for _ in operator.slow_down():
             self._cycle.exchange()
         state.enabled = False
-        # The pull of the load has just gone: the axes take that up before they are let go.
+        # The load's torque has just vanished: the axes take that up before they are disabled.
         for _ in range(round(_SETTLE_S / state.cycle_s)):
             self._cycle.exchange()
         self._bring_to(DriveGoal.DISABLED)
@@ -104,7 +104,7 @@ class Drives:
             self._confirm_stopped(self._nodes.drives)
         except HilbenchError as error:
             problems.append(f"quick stop not confirmed: {error}")
-        except Exception as error:  # nobody foresaw it: what is left is the way that needs least
+        except Exception as error:  # unexpected: what is left is the stop that needs least
             problems.append(f"quick stop not confirmed: {self._unexpected(error)}")
             self._emergency_stop()
         finally:
@@ -113,8 +113,8 @@ class Drives:
     def _stop_together(self) -> None:
         """Bring the rollers of a line to rest in the ratio of their speeds, which keeps the strain of every span.
 
-        The load motors go on emulating the web meanwhile. What goes wrong here leaves the rest to the quick stop: a
-        fault of one drive must not keep the others from going on in ratio.
+        The load motors continue to emulate the web meanwhile. What fails here is left to the quick stop: a
+        fault of one drive must not keep the others from stopping in ratio.
         """
         state, config = self._state, self._nodes.config
         names = list(config.drives)
@@ -138,12 +138,12 @@ class Drives:
                     self._cycle.exchange(speeds)
                 except (BusError, EmergencyStopError):
                     raise
-                except BenchFaultError:  # of the drive that it is about the quick stop will tell
+                except BenchFaultError:  # the quick stop reports the drive that it is about
                     if timing.cycles == before:  # nothing was sent: the drives would go on as they are
                         return
         except HilbenchError:
             raise
-        except Exception as error:  # nobody foresaw it: the drives' own ramps need nothing of the machine's tasks
+        except Exception as error:  # unexpected: the drives' own ramps need nothing of the machine's tasks
             state.safe_state_problems.append(self._unexpected(error))
         finally:
             state.enabled = False
@@ -156,7 +156,7 @@ class Drives:
                 self.coasting[name] = f"{drive.settings.name} coasts, as its drive is off"
 
     def _expect_whoever_answers(self) -> None:
-        """No drive is vital any more: who does not answer must not keep the others from being stopped."""
+        """Make no drive vital: a silent one must not keep the others from being stopped."""
         self._exchange.expect_drives(vital=False)
         self._nodes.twin_is_not_waited_for()
 
@@ -191,6 +191,6 @@ class Drives:
             self._state.safe_state_problems.append(self._unexpected(error))
 
     def _confirm_stopped(self, drives: Sequence[Drive]) -> None:
-        """Ask drives that send no PDOs any more; SYNC goes on, because simulated time does with it."""
+        """Confirm by SDO the stop of drives that send no PDOs any more; SYNC continues: simulated time needs it."""
         self._exchange.expect_nobody()
         confirm_stopped(drives, self._nodes.read_statusword, self._exchange.sync_only, self._state.cycle_s)

@@ -1,8 +1,8 @@
-"""A bench whose script does something else for a while: plots, waits for somebody, computes.
+"""Idle times of a bench whose script does something else for a while: plots, waits for a person, computes.
 
-In lockstep time stands still meanwhile, for the simulated devices as well, as long as the bench sends its heartbeat
+In lockstep no time passes meanwhile, for the simulated devices as well, as long as the bench sends its heartbeat
 (`hilbench.canopen.clock.SyncClock`). A small thread sends it between two cycles. When the process is stopped or gone,
-or a cycle hangs, nothing is sent, and devices and supervisor stop the drives as ever.
+or a cycle hangs, no heartbeat is sent, and devices and supervisor stop the drives as usual.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from hilbench.topology.config import BenchConfig
 
 
 def may_idle(config: BenchConfig) -> bool:
-    """Whether time can stand still: not for real drives, and not for anybody who goes by the wall clock."""
+    """True if time can be stopped: with simulated drives only, in lockstep."""
     simulated = all(part.is_simulated or part.is_virtual for part in config.parts)
     return config.pace == "lockstep" and simulated and config.master.heartbeat_ms > 0
 

@@ -1,9 +1,9 @@
 """Simulated hardware and twin inside the bench's own process: the same devices and frames, on a bus in memory.
 
-Nothing runs beside the bench: the devices are served whenever it looks for frames or has sent a request. In lockstep
-that changes no value: each participant acts on SYNC and on the frames it receives, whoever calls it. In real time SYNC
-goes by the clock and the devices by SYNC: no answer is late, and a cycle that is missed is one of the clock, not of the
-devices.
+Nothing runs in parallel: the devices are served whenever the bench looks for frames or has sent a request. In lockstep
+that changes no value: each participant acts on SYNC and on the frames it receives, whichever code calls it. In real
+time SYNC is paced by the clock and the devices by SYNC: no answer is late, and a missed cycle is one of the clock, not
+of the devices.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from hilbench.twin.process import TwinApplication, twin
 from hilbench.twin.setup import twin_setup
 
 MakeFastPathCycles = Callable[[SyncCycle, MasterNode], FastPathCycles | None]
-#: While nobody sends anything the devices are served so often: their timers go by the wall clock then.
+#: Period of serving the devices while nothing is sent: their timers run by the wall clock then.
 _IDLE_S = 0.001
 
 
@@ -67,7 +67,7 @@ class InProcess:
                 host.serve(0.0)
 
     def fast_path_cycles(self, link: ServingLink, nodes: Nodes, tap: FrameTap | None) -> MakeFastPathCycles:
-        """For `Exchange.use`: cycles of the bench that has this link, compiled where they are plain."""
+        """Factory for `Exchange.use`: fast-path cycles of the bench that has this link."""
         rig, machine = (hosted.application for hosted in self._hosted)
 
         def make(sync: SyncCycle, own: MasterNode) -> FastPathCycles | None:
@@ -95,7 +95,7 @@ class InProcess:
 
 
 class ServingLink:
-    """A link that serves the devices when it is asked for frames."""
+    """A link that serves the devices when frames are received from it."""
 
     def __init__(self, participants: InProcess) -> None:
         self._participants = participants

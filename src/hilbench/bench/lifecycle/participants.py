@@ -1,4 +1,4 @@
-"""Where the simulated hardware and the twin of a bench are."""
+"""Places of the simulated hardware and the twin of a bench."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from hilbench.topology.config import BenchConfig
 
 
 class Participants(Enum):
-    """Who brings the simulated hardware and the twin; the value is how a message names it."""
+    """Place of the simulated hardware and the twin; the value is its name in messages."""
 
     STARTED = "started"  #: by the bench, as processes of their own
-    PRESENT = "present"  #: by somebody else, on the bus already
+    PRESENT = "present"  #: by another program, on the bus already
     IN_PROCESS = "in process"  #: inside the bench's process (lockstep on the embedded bus; `bench.in_process`)
 
 
 def can_be_in_process(config: BenchConfig) -> bool:
-    """Whether `check_in_process` finds nothing."""
+    """True if `check_in_process` finds nothing."""
     try:
         check_in_process(config)
     except UnusableInputError:

@@ -1,4 +1,4 @@
-"""The way to the safe state."""
+"""Quick stop and confirmation of the safe state."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From nothing to nodes that answer SYNC: processes, boot-up, configuration, NMT start."""
+"""Start-up to nodes that answer SYNC: processes, boot-up, configuration, NMT start."""
 
 from __future__ import annotations
 
@@ -49,37 +49,37 @@ if TYPE_CHECKING:
     from hilbench.exchange.sync_cycle import SyncCycle
     from hilbench.fast_path.exchange import FastPathExchange
 
-#: Of a node that does not wait for SYNC one comes for certain.
+#: Heartbeat periods within which a node that does not wait for SYNC surely sends one.
 _HEARTBEATS_TO_WAIT = 1.5
-#: While the nodes are configured who reads the bus beside that looks so often: woken by each frame it would take from
+#: Poll period of the bus reader while the nodes are configured: woken by each frame it would take from
 #: the transfers as much time of the interpreter as they need.
 _LOOKS_S = 0.001
-#: For a reset to be taken: a heartbeat of before that is still on its way is no boot-up.
+#: Time for a reset to be taken: a heartbeat from before it that is still under way is no boot-up.
 _RESET_S = 0.05
-#: For the last command to come back from the bus: it belongs in the trace.
+#: Time for the last command to come back from the bus: it belongs in the trace.
 _LAST_FRAME_S = 0.1
 _EXPECTED = "expected simulate-hardware and twin that were started with --pace "
-#: Names of the processes beside a bench.
+#: Names of the processes started with a bench.
 TWIN, _HARDWARE, _SUPERVISOR = "twin", "simulated hardware", "supervisor"
 
 
 @dataclass
 class StartedBench:
-    """What runs once the nodes are operational."""
+    """Parts of a bench whose nodes are operational."""
 
     nodes: Nodes
     exchange: Exchange
     children: list[ChildProcess]
     supervisor: ChildProcess | None  #: None when there is no heartbeat to watch
-    warnings: list[str]  #: what the config asks of the operating system and is not permitted
+    warnings: list[str]  #: requests of the config to the operating system that are not permitted
 
 
 @contextmanager
 def held_bus(config: BenchConfig, participants: Participants, *, force: bool = False) -> Iterator[None]:
-    """The bus of a bench, for it alone as master; one inside the process is nobody else's anyway.
+    """Hold the bus of a bench as its only master; a bus inside the process is not shared anyway.
 
-    Raises UnusableInputError when somebody else is its master (`force`: for what is received only, not for a program of
-    this machine that claims it), or plays a node that is to be started.
+    Raises UnusableInputError when it has another master (`force`: ignores one that is only received, not a program of
+    this machine that claims it), or when a node to be started is already provided.
     """
     if participants is Participants.IN_PROCESS:
         yield
@@ -135,7 +135,7 @@ def bring_up(
                 announce("look for simulated hardware and twin")
             for child in children:
                 resources.callback(child.end)
-            if not here:  # whoever ends this process ends the devices with it
+            if not here:  # what ends this process ends the devices with it
                 supervisor = _start_supervisor(config, folder, forked_workers)
             if supervisor is not None:
                 resources.callback(supervisor.end)
@@ -168,7 +168,7 @@ def bring_up(
 def _fast_path_cycles(
     config: BenchConfig, link: Link, nodes: Nodes, tap: FrameTap | None
 ) -> Callable[[SyncCycle, MasterNode], FastPathExchange] | None:
-    """How who runs the plain cycles on the embedded bus is made; what it calls is loaded. None: nobody does, in real
+    """Factory of the fast path on the embedded bus, with its functions loaded. None in real
     time, on other buses or for a tap that takes no text."""
     lockstep = config.pace == "lockstep"
     if not lockstep or not isinstance(link, EmbeddedLink) or not (tap is None or isinstance(tap, LineTap)):
@@ -180,8 +180,8 @@ def _fast_path_cycles(
 
 
 def wire_first(config: BenchConfig) -> list[str]:
-    """Let the hub of an embedded bus come before those who wait for its frames, where these have a priority; what there
-    is to say against it."""
+    """Give the hub of an embedded bus a higher priority than the bench's where that has one; returns the errors
+    of doing so."""
     settings, bus = config.process_settings("bench"), config.bus_address
     if settings is None or settings.priority is None or bus.interface != "embedded":
         return []
@@ -193,10 +193,10 @@ def wire_first(config: BenchConfig) -> list[str]:
 
 
 def sync_producer(config: BenchConfig, link: Link) -> SyncProducer | None:
-    """Who sends SYNC by the clock, over a connection of its own; None: the bench itself, in lockstep, on an interface
+    """Sender of SYNC by the clock, over a connection of its own; None: the bench itself, in lockstep, on an interface
     that takes frames through Python only, and without a priority.
 
-    A bench that has to wait for the machine itself would find most of its SYNCs gone by, and control with the rest:
+    A bench without a priority would itself be delayed so that most of its SYNCs had gone by, and control with them:
     rather its cycles become longer.
     """
     if config.pace == "lockstep" or not isinstance(link, PacketLink) or not comes_first():
@@ -218,10 +218,10 @@ def _check_timing(config: BenchConfig) -> None:
 
 
 def check_that_they_wait(config: BenchConfig, master: Master) -> None:
-    """Lockstep with simulated hardware and twin that somebody else has started: do they wait for SYNC?
+    """Check in lockstep that simulated hardware and twin started by another program wait for SYNC.
 
-    Those that do have no time of their own between NMT start and the first SYNC. Raises UnusableInputError naming who
-    sends a heartbeat then; nobody is left OPERATIONAL.
+    Those that do send nothing by time between NMT start and the first SYNC. Raises UnusableInputError naming the
+    senders of a heartbeat in it; no node is left OPERATIONAL then.
     """
     if config.pace != "lockstep":
         return
@@ -255,9 +255,9 @@ def _in_process(config: BenchConfig) -> InProcess:
 
 @contextmanager
 def copies_beside(config: BenchConfig, participants: Participants) -> Iterator[dict[str, ForkedWorker]]:
-    """Copies of this process for what `bring_up` starts, by name: the sooner they are made, the more of what they load
+    """Copies of this process for the processes that `bring_up` starts, by name: the earlier they are made, the more
     they have loaded by then. One that is not taken ends on leaving."""
-    with suppress(UnusableInputError):  # the bench says so
+    with suppress(UnusableInputError):  # the bench reports it
         for part in config.parts:  # once, here, and not in each of them
             shared_eds(part.node.eds, part.node.node_id)
     with forked_workers(_processes_beside(config, participants)) as waiting:
@@ -265,7 +265,7 @@ def copies_beside(config: BenchConfig, participants: Participants) -> Iterator[d
 
 
 def _processes_beside(config: BenchConfig, participants: Participants) -> dict[str, Preparation]:
-    """What `bring_up` starts, by name, and what a copy of this process does meanwhile to become it sooner."""
+    """Processes that `bring_up` starts, by name, with the preparation that a copy of this process runs for each."""
     beside: dict[str, Preparation] = {}
     if participants is Participants.STARTED:
         if config.simulated_drives:
@@ -327,8 +327,8 @@ def _start_supervisor(
 def _configure(
     config: BenchConfig, nodes: Nodes, master: Master, children: list[ChildProcess], participants: Participants
 ) -> dict[str, dict[tuple[int, int], bytes | None]]:
-    """Configure each node once it is there: the drives first, while the twin still loads; what these said before."""
-    # From its own reset on everything is known of one that is there already.
+    """Configure each node once it has booted: drives first, while the twin loads; returns their objects before it."""
+    # From its reset on the state of a node that is there already is known.
     present = participants is Participants.PRESENT
     there = {part.node.node_id for part in config.parts if present or not _is_started(part)}
     for node_id in sorted(there):
@@ -341,7 +341,7 @@ def _configure(
             child.check()
 
     def wait_until_prepared(name: str) -> None:
-        """It may have to compile first, for longer than a node has to boot."""
+        """Wait for a process that may have to compile first, for longer than a node has to boot."""
         for child in children:
             if child.name == name:
                 child.wait_until_prepared()
@@ -361,7 +361,7 @@ def _configure(
 
 @contextmanager
 def _beside_each_other(most: int, participants: Participants) -> Iterator[ForEachNode]:
-    """Who asks one node need not wait for the answers of the others; in one process an answer is there at once."""
+    """Map for SDO transfers to several nodes in parallel; serial in one process, where an answer is immediate."""
     if participants is Participants.IN_PROCESS:
         yield map
         return
@@ -370,13 +370,13 @@ def _beside_each_other(most: int, participants: Participants) -> Iterator[ForEac
 
 
 def _is_started(part: Part) -> bool:
-    """Whether it is brought by a bench, and not on the bus without one."""
+    """True if a bench starts it: simulated or virtual."""
     return part.is_simulated or part.is_virtual
 
 
 def _wait_until_started(config: BenchConfig, master: Master) -> None:
-    """Until each node has taken the start command, and all that it had sent before has come: its clock then stands
-    still until SYNC, and none of that becomes part of the first cycle.
+    """Wait until each node has taken the start command, and all frames sent before have come: its clock then is
+    stopped until SYNC, and none of them becomes part of the first cycle.
 
     One that does not answer is found out by the cycles.
     """
@@ -386,7 +386,7 @@ def _wait_until_started(config: BenchConfig, master: Master) -> None:
 
 @contextmanager
 def _watched(link: Link, tap: FrameTap | None, sent: SentFrames) -> Iterator[None]:
-    """Hand the frames of the configuration to the tap while somebody else is sending; `sent` gets what it waits for."""
+    """Hand the frames of the configuration to the tap while the master is sending; `sent` records them."""
     done = threading.Event()
     failures: list[BaseException] = []
 

@@ -1,4 +1,4 @@
-"""The supervisor: a process of its own that stops the drives when the bench's cyclic loop does not go on.
+"""The supervisor: a process of its own that stops the drives when the bench's cyclic loop stalls.
 
 The bench's heartbeat comes from its cyclic loop, so its silence shows that the loop has stalled, whatever the reason
 (the process was stopped or killed, it waits for something, the machine is overloaded). Drives that watch 1016h stop by
@@ -28,7 +28,7 @@ _LOOK_S = 0.05
 
 @dataclass(frozen=True)
 class Watch:
-    """What a supervisor watches: the heartbeat of `node_id`, which may stay away for `limit_s` of wall time."""
+    """Heartbeat that a supervisor watches: that of `node_id`, with a time-out of `limit_s` of wall time."""
 
     bus: BusAddress
     node_id: int

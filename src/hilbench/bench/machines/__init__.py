@@ -1,1 +1,1 @@
-"""The kinds of machine, each as the list of tasks that it is to the bench."""
+"""The kinds of machine, each as its list of tasks."""

@@ -1,4 +1,4 @@
-"""Which kind of machine a config is of. What only another kind needs is not loaded."""
+"""Choice of the kind of machine of a config. Modules of other kinds are not loaded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a machine is to the bench: its tasks, its quantities, its reference."""
+"""Interface of a machine to the bench: its tasks, its quantities, its reference."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from hilbench.bench.tasks.task import CyclicTask, SettableQuantity
 
 @dataclass(frozen=True)
 class MachineTasks:
-    """What a kind of machine brings to a bench (`hilbench.bench.machines.kinds` chooses the kind)."""
+    """Tasks and quantities of a kind of machine (`hilbench.bench.machines.kinds` chooses the kind)."""
 
-    reference: Reference  #: what is brought to zero before the drives are let go, and at which rate it may be moved
-    quantities: Sequence[SettableQuantity]  #: that can be set by path, beside effects in the simulated hardware
+    reference: Reference  #: brought to zero before the drives are disabled; has the rate at which it may be moved
+    quantities: Sequence[SettableQuantity]  #: settable by path, in addition to effects in the simulated hardware
     control: Sequence[CyclicTask]  #: in each exchange: set points of every drive, in the order in which they are made
-    watches: Sequence[CyclicTask]  #: in each cycle of the experiment: what must not be, and what is to be reported
-    twin_age_limit_cycles: int  #: up to which the controllers ride out that the twin's data are old
+    watches: Sequence[CyclicTask]  #: in each cycle of the experiment: limits and notices
+    twin_age_limit_cycles: int  #: age of the twin's data up to which the controllers ride it out
     warm_up: Callable[[], None]  #: compiles what a cycle runs, before one has to wait for it
     #: What an axis holds that no other holds in its place, by its drive: it is lost when the axis coasts.
     holds: Mapping[str, str] = field(default_factory=dict)

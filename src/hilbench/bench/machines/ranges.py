@@ -1,4 +1,4 @@
-"""What an operator may change of a running machine, and how far: the objects 2200h of the bench's own node."""
+"""Ranges within which an operator may change a running machine: the objects 2200h of the bench's own node."""
 
 from __future__ import annotations
 

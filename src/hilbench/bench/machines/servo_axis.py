@@ -1,4 +1,4 @@
-"""A servo axis: its drive follows a speed, the load motor emulates the inertia and friction that are not there."""
+"""Servo axis: its drive follows a speed, the load motor emulates inertia and friction that the stand lacks."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import SPEED
 from hilbench.topology.sample import CycleSample, PlacesIn
 
-#: The signal that shows what the axis is told.
+#: Signal of the axis's speed command.
 _COMMAND = "v1_cmd_rad_s"
-#: No controller rides on the twin's data: how old they may be before it counts as lost.
+#: Age of the twin's data at which it counts as lost; no controller depends on them.
 _TWIN_AGE_LIMIT_CYCLES = 10
-#: Ways of a cycle that are longer are measured well enough to count cycles by them: some counts of a 16-bit encoder.
+#: Travel per cycle above which cycles can be counted by it: some counts of a 16-bit encoder.
 _LEAST_WAY_RAD = 1e-4
 
 
 def shaft_load_model(config: BenchConfig, report: Callable[[str], None] = print) -> LoadModel:
-    """The load model of a config's servo axis; what is hidden in the stand is not known to it.
+    """The load model of a config's servo axis; it does not know hidden effects of the stand.
 
-    `report` gets what an FMU in it logs.
+    `report` gets the log messages of an FMU in it.
     """
     real, cycle_s = config.servo_rig_parameters(effects=()), config.cycle_time_s
     machine: Follower = EmulatedShaft(config.emulated_shaft(), real, cycle_s)
@@ -81,12 +81,12 @@ class SpeedTask(CyclicTask):
         outputs[self._drive] = getattr(sample, _COMMAND)
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """The same."""
+        """Compiled stage that makes the speed command."""
         return CompiledStages(before=[self._piece(sample)], shown={self._drive: _COMMAND})
 
 
 class ShaftLoadTask(LoadTask):
-    """The load motor acts on the shaft as what is not there would."""
+    """The load motor applies to the shaft the torque of the emulated mechanics."""
 
     def __init__(self, motors: Sequence[str], model: LoadModel) -> None:
         super().__init__(motors, model)
@@ -95,7 +95,7 @@ class ShaftLoadTask(LoadTask):
         self._at = PlacesIn(["x1_rad", "v1_rad_s", *(command for _, command in self._commands)])
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
-        """Let the emulated shaft follow the measured motion; the truth of the run is recorded."""
+        """Let the emulated shaft follow the measured motion; record its true parameters."""
         late = inputs.axes_late
         if self.model.follow_in(sample.reals, self._at.of(sample), late=late) is None:
             self.follow(sample, (sample.x1_rad,), (sample.v1_rad_s,), late=late)
@@ -104,7 +104,7 @@ class ShaftLoadTask(LoadTask):
         sample.coulomb_true_Nm = machine.parameter("coulomb_friction_Nm") if self._has_friction else nan
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
-        """The same; the truth stays what it is."""
+        """Compiled stage that follows the measured motion; the true parameters stay as they are."""
         piece = self.model.piece(sample.reals, self._at.of(sample), lambda _: True)
         if piece is None:
             return None

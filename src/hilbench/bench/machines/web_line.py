@@ -1,5 +1,5 @@
-"""A web line of N driven rollers: the last axis leads at line speed, the others follow the one behind them, with the
-tension of the span between kept where there is a controller; load motors emulate the web."""
+"""Web line of N driven rollers: the last axis leads at line speed, the others follow the one after them, with a
+tension controller where the span between has one; load motors emulate the web."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ from hilbench.topology.web_line_config import ProbingConfig, TensionControlConfi
 from hilbench.topology.web_line_shape import sensors_at_start
 from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
-#: Age of the twin's data, in cycles, up to which a line rides out that they are old where no controller says it.
+#: Age of the twin's data, in cycles, up to which a line without tension control rides it out.
 _TWIN_AGE = TensionControlConfig().twin_age_limit_cycles
-#: Cycles between two looks whether a tension loop is open.
+#: Cycles between two checks for an open tension loop.
 _LOOK_CYCLES = 50
 
 
@@ -179,7 +179,7 @@ def _probing(
 def _rest_movement(
     config: BenchConfig, leading: LeadingAxis, axes: Sequence[LeadingAxis | FollowingAxis | TensionTask]
 ) -> StandstillExcitation | None:
-    """Of a line of driven rollers `axes`, in its direction; None where none is permitted."""
+    """Standstill excitation of a line of driven rollers, in the direction of its `axes`; None if not permitted."""
     controls, model = config.tension_controls, config.web_line
     travel_mm = max((control.probes.at_rest_mm for control in controls.values()), default=0.0)
     if travel_mm == 0.0:
@@ -223,7 +223,7 @@ def _tension_task(
 
 
 def _ways(config: BenchConfig, section: int) -> Callable[[CycleSample], tuple[float, float]] | None:
-    """Of the web at the ends of a section with a reel there whose radius is measured; None without."""
+    """Web travel at the ends of a section with a reel of measured radius there; None without."""
     reels = {reel.axis: reel for reel in _measured_reels(config)}
     if not reels.keys() & {section, section + 1}:
         return None
@@ -253,15 +253,15 @@ def _measured_reels(config: BenchConfig) -> list[MeasuredReel]:
 
 
 def _reel_speeds(config: BenchConfig, leader: Leader) -> list[ReelSpeeds]:
-    """What makes the reels of a line turn as their radius asks; nothing for a line without any."""
+    """Task that sets the reels' speeds by their radius; none for a line without reels."""
     reels = [reel for reel in _measured_reels(config) if reel.axis not in config.shape.torqued]
     line_speed = LINE_SPEED_SIGNAL if config.shape.winds else ""
     return [ReelSpeeds(reels, leader, line_speed)] if reels or line_speed else []
 
 
 def neighbour_strains(config: BenchConfig, axis: int) -> tuple[EnteringStrain, EnteringStrain]:
-    """Of the web before the section behind a driven axis, and of that behind it: around the line that of the model,
-    else what the twin has of the span there; while it has nothing, what that is to be."""
+    """Strains of the web before and after the section that follows a driven axis: around the line those of the model,
+    else those of the twin for the span there; while it has none, the wanted ones."""
     shape = config.shape
     first = next(span for span in range(1, shape.spans + 1) if shape.axis_before(span) == axis)
     wanted = strains_around(config, first)
@@ -283,8 +283,8 @@ def _simulated_strain(config: BenchConfig, span: int | None, wanted: float) -> E
 
 
 class BoundaryTask(CyclicTask):
-    """What the twin gets to know beside the axes, whether the drives are enabled or not: of the web outside the line,
-    and what sensors of stations say; until they have said something where these stand at the start."""
+    """Boundary inputs of the twin in addition to the axes, drives enabled or not: the web outside the line,
+    and the stations' sensors; until these report, their values at the start."""
 
     def __init__(self, strain_prev: float, tension_next_N: float, sensors: Mapping[str, float]) -> None:
         self._strain_prev = strain_prev
@@ -300,7 +300,7 @@ class BoundaryTask(CyclicTask):
             outputs[signal] = getattr(sample, signal) if self._moved else value
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
-        """Sensors have said something."""
+        """Note that the sensors report now."""
         self._moved = True
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
@@ -309,13 +309,13 @@ class BoundaryTask(CyclicTask):
         return CompiledStages(cycles=lambda: MANY if self._moved else 0, shown=shown)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
-        """The same; stations are as at the start when the drives are enabled again."""
+        """Boundary inputs with the drives disabled; stations are as at the start when they are enabled again."""
         self._moved = False
         self.before(sample, outputs)
 
 
 class _AxisWithoutLoop(CyclicTask):
-    """An axis whose velocity one compiled piece makes, of what others say and of what a movement at rest adds."""
+    """Axis whose velocity one compiled stage makes, from other axes and the standstill excitation."""
 
     def __init__(self, drive: str, axis: int, function: Function) -> None:
         self._drive = drive
@@ -327,7 +327,7 @@ class _AxisWithoutLoop(CyclicTask):
 
     @abstractmethod
     def _vectors(self, sample: CycleSample) -> tuple[NDArray[np.float64], ...]:
-        """Of the table of `function`."""
+        """Vectors of the table of `function`."""
 
     def _on(self, sample: CycleSample) -> CompiledStage:
         kept = self._vectors(sample)
@@ -337,7 +337,7 @@ class _AxisWithoutLoop(CyclicTask):
 
     @property
     def pull_m_s(self) -> float:
-        """Of this axis alone, see `StandstillExcitation`; nan: there is no movement."""
+        """Standstill excitation of this axis alone, see `StandstillExcitation`; nan: there is none."""
         return float(self._moved[web_axis_cycle.PULL_M_S])
 
     @pull_m_s.setter
@@ -350,7 +350,7 @@ class _AxisWithoutLoop(CyclicTask):
         outputs[self._drive] = getattr(sample, self._command)
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """The same."""
+        """Compiled stage that makes the velocity command."""
         return CompiledStages(before=[self._piece(sample)], shown={self._drive: self._command})
 
 
@@ -366,7 +366,7 @@ class LeadingAxis(_AxisWithoutLoop):
 
     @property
     def creep_m_s(self) -> float:
-        """Of all axes, see `StandstillExcitation`."""
+        """Standstill excitation common to all axes, see `StandstillExcitation`."""
         return float(self._moved[web_axis_cycle.CREEP_M_S])
 
     @creep_m_s.setter
@@ -375,18 +375,18 @@ class LeadingAxis(_AxisWithoutLoop):
 
     @property
     def speed_m_s(self) -> float:
-        """What it is to turn at, at the web, for those who follow it."""
+        """Commanded web speed of this axis, for the axes that follow it."""
         return self._line_speed.present + self.creep_m_s
 
     @property
     def damped_m_s(self) -> float:
-        """The same: nothing is damped by it."""
+        """Commanded web speed with damping: nothing is damped by this axis."""
         return self.speed_m_s
 
 
 class FollowingAxis(_AxisWithoutLoop):
-    """An axis before a span without a controller turns as fast as the one behind it: the strain that enters the span is
-    then the strain in it. With the damping of that axis, or the span would be stretched by it."""
+    """Axis before a span without a controller: it turns as fast as the one after it, so that the strain in the span is
+    the one that enters it. With the damping of that axis, or the span would be stretched by it."""
 
     def __init__(self, drive: str, axis: int, leader: Leader, ahead: FeedForwardTask | None) -> None:
         super().__init__(drive, axis, web_axis_cycle.follow)
@@ -398,12 +398,12 @@ class FollowingAxis(_AxisWithoutLoop):
 
     @property
     def speed_m_s(self) -> float:
-        """What it is to turn at, at the web, without what is damped further behind."""
+        """Commanded web speed of the leader, without the damping of axes further downstream."""
         return self._leader.speed_m_s
 
     @property
     def damped_m_s(self) -> float:
-        """With that."""
+        """Commanded web speed of the leader, with that damping."""
         return self._leader.damped_m_s
 
 
@@ -438,7 +438,7 @@ class WebLoadTask(LoadTask):
         self._at = np.array([*followed, *shown], np.int64)  # as of `InStep.follow`
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
-        """Let the web follow the measured motion; the truth of the run is recorded."""
+        """Let the web follow the measured motion; record its true state."""
         late = inputs.axes_late
         followed = self.model.follow_in(sample.reals, self._at, late=late)
         if followed is None:
@@ -454,14 +454,14 @@ class WebLoadTask(LoadTask):
             setattr(sample, signal, true[place])
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
-        """The same."""
+        """Compiled stage that follows the measured motion; None where forces are set in each cycle."""
 
         def fallback(_: HasFollowed) -> bool:
             self._show(sample)
             return True
 
         piece = self.model.piece(sample.reals, self._at, fallback)
-        if piece is None or self._forces:  # these are told anew in each cycle
+        if piece is None or self._forces:  # these are set in each cycle
             return None
         return CompiledStages(
             after=[piece], cycles=lambda: MANY if self.model.continues else 0, shown=dict(self._commands)
@@ -469,14 +469,14 @@ class WebLoadTask(LoadTask):
 
 
 def _of_stations(shape: Shape) -> list[tuple[str, str, str]]:
-    """What carriages and reels have: symbol, unit, and the name of the station."""
+    """Signals of carriages and reels: symbol, unit, and the name of the station."""
     of_carriages = [(symbol, unit, name) for name in shape.carriages for symbol, unit in (("x", "m"), ("v", "m_s"))]
     return of_carriages + [("r", "m", name) for name in shape.reels]
 
 
 class OpenLoops(CyclicTask):
-    """Tension loops that are open for `limit_s` while tension is asked for (the line moves, or the set-point is another
-    than at the start): a notice with the cause, and marks in the journal. Looked at now and then."""
+    """Reports tension loops open for `limit_s` while tension is wanted (the line moves, or the set-point differs from
+    that at the start): a notice with the cause, and marks in the journal. Checked every `_LOOK_CYCLES` cycles."""
 
     def __init__(self, loops: Sequence[TensionTask], line_speed: Reference, limit_s: float, state: BenchState) -> None:
         self._loops, self._line_speed, self._limit_s, self._state = loops, line_speed, limit_s, state
@@ -516,7 +516,7 @@ class OpenLoops(CyclicTask):
             self._state.journal(Change(int(sample.cycle), "loop_closed", loop.names.of_loop))
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """Nothing is to be done until the next look; a loop that is closed needs none."""
+        """Stages without work until the next check; a loop that is closed needs none."""
 
         def cycles() -> int:
             busy = self._reported or not all(loop.closed for loop in self._loops)
@@ -535,7 +535,7 @@ class WebAlarms(CyclicTask):
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Look at the EMCY messages of this cycle. Raises BenchFaultError at a web break."""
-        if self._twin.away:  # works off what it has missed, and knows nothing of now
+        if self._twin.away:  # it works off the SYNCs that it has missed, and does not know the present
             return
         for emergency in inputs.emergencies:
             if emergency.code in (Problem.WEB_BREAK, Problem.SLIP):
@@ -545,5 +545,5 @@ class WebAlarms(CyclicTask):
                 raise BenchFaultError(f"t = {sample.t_s:.3f} s: {emergency.node} reports a web break{emergency.where}")
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """Nobody sends any there."""
+        """No stage: there it sends nothing."""
         return CompiledStages()

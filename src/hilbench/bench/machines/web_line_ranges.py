@@ -1,4 +1,4 @@
-"""What an operator may change of each span of a web line, and where it stands on the bus."""
+"""Ranges and object places of the settable quantities of each span of a web line."""
 
 from __future__ import annotations
 

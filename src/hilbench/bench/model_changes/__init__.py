@@ -1,1 +1,1 @@
-"""What the diagnosis beside a running bench finds, on its way into the twin: its process, and the task that asks it."""
+"""Model changes found by the live diagnosis: its process, and the task that applies them to the twin."""

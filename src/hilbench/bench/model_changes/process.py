@@ -1,4 +1,4 @@
-"""The process that diagnoses beside a running bench, as the bench sees it: questions in, answers out, never waiting."""
+"""The live diagnosis's process as the bench sees it: requests out, answers in, without waiting."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ LIVE_DIAGNOSIS = "live diagnosis"
 _MODULE = "hilbench.live"
 #: Its matrices are many and small: threads of one product wait for each other, and take cores from the cycle.
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-#: Until it has compiled what it runs, on first use, s.
+#: Longest time to compile on first use, s.
 _LONGEST_START_S = 600.0
 
 
 class LiveProcess:
-    """One process for one run. What is sent goes out from a thread, in order; a process that is gone answers nothing.
+    """Live diagnosis process of one run. A thread sends in order; a process that has ended answers nothing.
 
     It loads and compiles on the cores that the cycle needs: `wait_until_ready` before there is one. Raises
     BenchFaultError when the system refuses to start it.
@@ -45,7 +45,7 @@ class LiveProcess:
         )
 
     def wait_until_ready(self) -> None:
-        """Until it has loaded and compiled what it runs. Raises BenchFaultError when it ends instead, or never is."""
+        """Wait until it has loaded and compiled its code. Raises BenchFaultError when it ends instead, or is late."""
         try:
             update = self._connection.recv() if self._connection.poll(_LONGEST_START_S) else None
         except (EOFError, OSError):
@@ -56,15 +56,15 @@ class LiveProcess:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """Process id."""
         return self._child.pid
 
     def ask(self, samples: Samples) -> Future[DiagnosisAnswer]:
-        """Hand a chunk over; the future is its answer, or EOFError or OSError of a process that is gone."""
+        """Send a chunk of samples; the future is its answer, or EOFError or OSError if the process has ended."""
         return self._pool.submit(self._ask, samples)
 
     def send_outcome(self, outcome: ProposalOutcome) -> None:
-        """Say what became of a change, before the next samples."""
+        """Report the outcome of a proposed change, before the next samples."""
         self._pool.submit(self._connection.send, outcome)
 
     def _ask(self, samples: Samples) -> DiagnosisAnswer:
@@ -74,11 +74,11 @@ class LiveProcess:
         return answer
 
     def last_words(self) -> str:
-        """What it said last, of a process that has ended."""
+        """Last output of the process, once it has ended."""
         return self._child.last_words()
 
     def end(self) -> None:
-        """End it; what it has not answered is given up."""
+        """End it; requests without an answer are given up."""
         self._child.end()
         self._pool.shutdown(wait=False, cancel_futures=True)
         self._connection.close()

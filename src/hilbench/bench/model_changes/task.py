@@ -1,7 +1,7 @@
-"""Diagnosis beside the running bench: samples go there in chunks, and what is found goes into the twin's model.
+"""Live diagnosis of a running bench: sends samples in chunks, and applies the findings to the twin's model.
 
-In lockstep the answer to a chunk acts in the cycle in which the next one is complete, however long it took: the bus
-stands still for it. In real time the bench never waits for one.
+In lockstep the answer to a chunk acts in the cycle in which the next one is complete, however long it took: no
+cycle runs until then. In real time the bench never waits for one.
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ from hilbench.topology.signal_kinds import Signal
 from hilbench.twin.virtual_io import MODEL_CHANGED, MODEL_CHANGING
 
 _SOURCE: Final = "model"
-#: Wall time for which the bus stands still at most, lockstep: for an answer, for an SDO request of the twin, s.
+#: Longest wall time without a cycle in lockstep: for an answer, for an SDO request of the twin, s.
 _LONGEST_ANSWER_S, _LONGEST_REQUEST_S = 600.0, 5.0
 #: Answers that may be outstanding in real time before chunks are left out, which the diagnosis sees as a gap.
 _MOST_OUTSTANDING = 240
 
 
 class ModelChanges(CyclicTask):
-    """Looks after the diagnosis beside one run. `apply`: models that it has decided for are taken at once.
+    """Follows the live diagnosis of one run. `apply`: models that it decides for are applied at once.
 
-    `signals`: of a sample, in the order of a row; `model`: as it is configured; `last`: of the cycle's processes that
-    which comes last, None in lockstep.
+    `signals`: of a sample, in the order of a row; `model`: as configured; `last`: settings of the cycle's last
+    process, None in lockstep.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class ModelChanges(CyclicTask):
         self._entries = self._configured  # what the machine is believed to have
         self._announced: ModelChange | None = None  # waits until the twin is free
         self._applying: ModelChange | None = None
-        self._written = False  # the twin has the changed model beside the one in use
+        self._written = False  # the twin runs the changed model in addition to the one in use
         self._step: Future[float] | None = None  # of the change that the twin has made
         self._back_cycle = state.twin.back_cycle  # when the twin was taken back last
 
@@ -99,7 +99,7 @@ class ModelChanges(CyclicTask):
         return last if waits and last is not self._applying else None
 
     def owns(self, path: str) -> bool:
-        """Whether it is the operator's word on a change."""
+        """True if it is the quantity by which the operator announces a change."""
         return path == MODEL_CHANGE
 
     def value(self, path: str) -> float:
@@ -107,7 +107,7 @@ class ModelChanges(CyclicTask):
         return float(self._applying is not None or bool(self._in_use))
 
     def set(self, path: str, value: float) -> None:
-        """An operator's word on what is proposed; nothing happens where nothing is."""
+        """Accept or refuse a proposed change as the operator says; nothing happens without a proposal."""
         change = self.proposed
         if change is None:
             self._state.reports.note(_SOURCE, "no change of the model is proposed")
@@ -138,7 +138,7 @@ class ModelChanges(CyclicTask):
         self._send_outcome("refused")
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Take an answer that is due, and go on with a change of the model."""
+        """Take an answer that is due, and continue a change of the model."""
         if self._request is not None and self._request.done():
             self._end_request(self._request)
         if self._state.twin.back_cycle != self._back_cycle:
@@ -214,7 +214,7 @@ class ModelChanges(CyclicTask):
     # -- the twin --------------------------------------------------------------------------------------------
 
     def _begin(self, change: ModelChange) -> None:
-        """Let the twin take the model beside its own."""
+        """Write the new model to the twin, to run in addition to its own."""
         assert change.model is not None, "as it was decided for"
         self._applying, self._written = change, False
         self._request = self._pool.submit(self._nodes.set_twin_effects, change.model)
@@ -224,7 +224,7 @@ class ModelChanges(CyclicTask):
                 self._end_request(self._request)
 
     def _write_anew(self) -> None:
-        """A twin that was reset has the model that was configured: it gets what it had, or was to get, once more."""
+        """Write the changed model again to a twin that was reset: it has the configured one."""
         if self._applying is not None:
             self._begin(self._applying)
         elif self._in_use:
@@ -245,7 +245,7 @@ class ModelChanges(CyclicTask):
         self._written_cycle = self._cycle
 
     def _follow(self, change: ModelChange, sample: CycleSample) -> None:
-        """Until the twin has gone over; its answers may be some cycles old."""
+        """Wait until the twin has switched over; its answers may be some cycles old."""
         if self._step is not None:
             if self._step.done():
                 self._end_change(change, self._step)

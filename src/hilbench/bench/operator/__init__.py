@@ -1,1 +1,1 @@
-"""What an operator may ask of a running bench, and an experiment too: quantities by path."""
+"""Requests to a running bench, by an operator or an experiment: quantities by path."""

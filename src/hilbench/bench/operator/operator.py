@@ -1,4 +1,4 @@
-"""What is asked of a running bench: values of its quantities by path, steps under test, requests over the bus."""
+"""Requests to a running bench: values of its quantities by path, steps under test, requests over the bus."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ class Cycles(Protocol):
         """Run one."""
 
     def cycles_at_once(self, most: int) -> int:
-        """Run at most so many without Python; how many, 0 where the next one is not to be run so."""
+        """Run up to `cycles` compiled. Returns the number run; 0 if the next one needs Python."""
 
 
 class Operator(CyclicTask):
-    """The quantities of one bench, whoever changes them: an experiment, or an operator over the bus.
+    """The settable quantities of one bench, for an experiment or an operator over the bus.
 
-    `owners`: who has the quantities; every path of `hilbench.topology.quantities` is one's. As a task it applies what
-    was asked for over the bus between two cycles; the reference goes there at the rate at which the bench itself slows
+    `owners`: owners of the quantities; every path of `hilbench.topology.quantities` has one. As a task it applies
+    requests received over the bus between two cycles; the reference moves at the rate at which the bench itself slows
     down.
     """
 
@@ -107,7 +107,7 @@ class Operator(CyclicTask):
             self._ramped = ""
 
     def _follow_compiled(self, path: str, values: NDArray[np.float64], cycles: Cycles) -> int:
-        """The same in cycles that go without Python; in how many, 0: the next one does not."""
+        """`follow` in compiled cycles. Returns how many values were consumed; 0 if the next cycle needs Python."""
         reference, before = self._reference, self._reference.present
         if not (reference.owns(path) and reference.is_free):
             return 0
@@ -120,7 +120,7 @@ class Operator(CyclicTask):
                 before = value
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Apply what was asked for over the bus since the last cycle."""
+        """Apply requests received over the bus since the last cycle."""
         for path, value in self.objects.changes():
             self._state.reports.note("operator", f"{path} from {self.get(path):.6g} to {value:.6g}")
             if self._reference.owns(path):
@@ -137,7 +137,7 @@ class Operator(CyclicTask):
                 self._reference.move_to(goal)
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """The course of the reference, while nothing else is asked for."""
+        """Compiled trajectory of the reference, while there is no other request."""
         return CompiledStages(
             before=[self._reference.piece],
             cycles=lambda: 0 if self.objects.asked or self._reference.goal is not None else MANY,

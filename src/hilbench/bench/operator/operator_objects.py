@@ -1,4 +1,4 @@
-"""What an operator may change while the bench runs: objects of the bench's own node, written by SDO.
+"""Settable quantities while the bench runs: objects of the bench's own node, written by SDO.
 
 2200h of node `master: node_id` holds the present values as REAL32, SI, each quantity at the sub-index that
 `hilbench.bench.machines.ranges` gives it: of a web line sub 1 the line speed (m/s), sub 2 the tension set-point (N),
@@ -45,7 +45,7 @@ class OperatorObjects:
             self._serve(cell, path, get, may_change)
 
     def changes(self) -> list[tuple[str, float]]:
-        """What was asked for since the last call."""
+        """Take the requests since the last call."""
         asked, self.asked = self.asked, []
         return asked
 
@@ -62,7 +62,7 @@ class OperatorObjects:
 
 
 def dictionary(paths: Iterable[str] = OPERATOR_OBJECTS) -> canopen.ObjectDictionary:
-    """What the bench's own node has, as its EDS file says it (``eds/hilbench_bench.eds``); `paths`: of what machine."""
+    """Object dictionary of the bench's own node (``eds/hilbench_bench.eds``); `paths`: the machine's quantities."""
     od = canopen.ObjectDictionary()
     od.add_object(_variable("Device type", 0x1000, 0, UNSIGNED32, "const", 0))
     od.add_object(_variable("Error register", 0x1001, 0, UNSIGNED8, "ro", 0))

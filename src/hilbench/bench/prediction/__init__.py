@@ -1,1 +1,1 @@
-"""The bench looks ahead: futures from what it has measured, limits announced before they are crossed."""
+"""Prediction of limit crossings: simulated futures from measurements, limits announced before they are crossed."""

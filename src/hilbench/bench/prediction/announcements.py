@@ -1,4 +1,4 @@
-"""What was predicted in a run, and what came of it: crossings of limits that were announced, or should have been."""
+"""Predicted and actual limit crossings of a run: those that were announced, or should have been."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from hilbench.prediction.outlook import LEVELS, Crossing, DiagnosisAnswer, Level
 
 #: An announcement is over when its probability has fallen below this share of that from which it is made.
 _RELEASE: Final = 0.5
-#: What was done about a crossing: no more than that it was told.
+#: Action on a crossing that was announced only.
 ANNOUNCED: Final = "announced"
 
 
 @dataclass(slots=True)
 class Announcement:
-    """A crossing that was announced at `t_s` (experiment time), with what was known then; `crossed_s`: when it came."""
+    """A crossing announced at `t_s` (experiment time), with its data then; `crossed_s`: when it came."""
 
     t_s: float
     crossing: Crossing
-    action: str  #: what the bench did
+    action: str  #: action of the bench
     withdrawn_s: float | None = None  #: when it was not expected any more
     crossed_s: float | None = None
 
 
 @dataclass(slots=True)
 class Unannounced:
-    """A crossing that came without an announcement."""
+    """A crossing without an announcement."""
 
     t_s: float
     watched: DiagnosisAnswer
@@ -35,7 +35,7 @@ class Unannounced:
 
 
 class Announcements:
-    """Of one run."""
+    """Announcements and missed crossings of one run."""
 
     def __init__(self, watched: Sequence[DiagnosisAnswer], above: float) -> None:
         self.made: list[Announcement] = []
@@ -72,7 +72,7 @@ class Announcements:
                 announcement.action = action
 
     def metrics(self) -> dict[str, float | None]:
-        """Of the run until now, by their names in criteria."""
+        """Metrics of the run until now, by their names in criteria."""
         came = [each.crossed_s - each.t_s for each in self.made if each.crossed_s is not None]
         in_vain = [each for each in self.made if each.crossed_s is None and each.action == ANNOUNCED]
         return {
@@ -83,7 +83,7 @@ class Announcements:
         }
 
     def see(self, now_s: float, values: Sequence[float]) -> None:
-        """What is measured in a cycle, by quantity."""
+        """Compare the measured values of a cycle, by quantity, with their limits."""
         for place, watched, level, limit in self._levels:
             key = watched.signal, level
             size = abs(values[place])

@@ -1,4 +1,4 @@
-"""The look ahead of a config, where it asks for one; most need not load what one is made of."""
+"""Creation of a config's prediction, where it asks for one; most configs need not load its modules."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hilbench.topology.config import BenchConfig
 def prediction_task(
     config: BenchConfig, state: BenchState, asked: Callable[[], Asked], reference: Reference
 ) -> Prediction | None:
-    """None where the config asks for no prediction."""
+    """Create the prediction task; None where the config asks for no prediction."""
     wanted = config.twin.prediction
     if wanted is None:
         return None
@@ -34,7 +34,7 @@ def prediction_task(
 
 
 def look_of(config: BenchConfig, prediction: PredictionConfig) -> LimitReading:
-    """How the machine of a config looks ahead. Its futures can be run (`foreseeable`)."""
+    """Prediction model of a config's machine, which must be `foreseeable`."""
     if isinstance(config.machine, ServoAxisParameters):
         from hilbench.bench.prediction.servo_axis import ShaftLook
 
@@ -45,8 +45,8 @@ def look_of(config: BenchConfig, prediction: PredictionConfig) -> LimitReading:
 
 
 def foreseeable(config: BenchConfig) -> Mapping[str, str]:
-    """The quantities whose courses futures follow, by path, each with the signal that shows it; none of a machine whose
-    futures nobody can run."""
+    """Quantities whose trajectories predictions follow, by path, each with its signal; empty for a machine
+    that can't be predicted."""
     if isinstance(config.machine, FmuAxisParameters):
         return {}
     if isinstance(config.machine, ServoAxisParameters):

@@ -1,4 +1,4 @@
-"""How far what was predicted is from what came: the lasting part goes into what is predicted next."""
+"""Residual of predictions against measurements: its lasting part corrects the next predictions."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from hilbench.prediction.outlook import Outlook
 
 Array = NDArray[np.float64]
 
-#: How far ahead a prediction is compared with what came, s.
+#: Lead at which a prediction is compared with the measurement, s.
 _LEAD_S: Final = 0.5
-#: By how much a prediction may be early or late: what it is off by then at the end of a ramp is nothing lasting, s.
+#: Timing tolerance of a prediction: the error that it explains at the end of a ramp is not lasting, s.
 _EARLY_OR_LATE_S: Final = 0.1
 #: Weight of the latest comparison in the lasting difference, and in its mean square.
 _NEW: Final = 0.1
 
 
 class Hindsight:
-    """Of Q quantities; those that are not compared have no difference."""
+    """Lasting residuals of Q quantities; those that are not compared have none."""
 
     def __init__(self, quantities: int) -> None:
         self.lasting = np.zeros(quantities)
@@ -31,15 +31,15 @@ class Hindsight:
 
     @property
     def deviation(self) -> Array:
-        """Of what is lasting: how far single comparisons are from it."""
+        """Deviation of single comparisons from the lasting residual."""
         return np.sqrt(self._square)
 
     def expect(self, outlook: Outlook) -> None:
-        """What was predicted, with what is lasting now."""
+        """Keep a prediction for comparison, with the lasting residual of now."""
         self._due.append((outlook.now_s + _LEAD_S, outlook, self.lasting.copy()))
 
     def compare(self, now_s: float, measured: Array, places: Array) -> None:
-        """What has come, of the quantities at `places`: with the predictions for now, as soon as it is their time."""
+        """Compare measurements of the quantities at `places` with predictions for now, once these are due."""
         while self._due and self._due[0][0] <= now_s:
             _, outlook, lasting = self._due.popleft()
             near = np.abs(outlook.times_s - now_s) <= _EARLY_OR_LATE_S
@@ -54,5 +54,5 @@ class Hindsight:
             self._square[places] += new * ((difference - self.lasting[places]) ** 2 - self._square[places])
 
     def clear(self) -> None:
-        """What is due is not compared any more: something else has come between."""
+        """Drop the predictions that are due: an event has made them incomparable."""
         self._due.clear()

@@ -1,4 +1,4 @@
-"""A servo axis of a config, as it looks ahead: its model behind the set points to come, from the bench's signals."""
+"""Prediction of a servo axis: its model with the set points to come, from the bench's signals."""
 
 from __future__ import annotations
 
@@ -69,23 +69,23 @@ class ShaftLook:
         self.futures.warm_up()
 
     def ready(self, sample: CycleSample) -> bool:
-        """Whether the present is known: the twin is synchronized."""
+        """True if the present state is known: the twin is synchronized."""
         return is_synchronized(sample) and sample.J_sim_kg_m2 > 0.0
 
     def moves_of(self, move: Move) -> tuple[Move, ...]:
-        """Each quantity is one of its own."""
+        """Moves of single quantities that a move consists of: itself."""
         return (move,)
 
     def prepare(
         self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int
     ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
-        """As `ShaftFutures.prepare`, from the last samples and what is going to be asked for."""
+        """Prepare `ShaftFutures` from the last samples and the planned moves."""
         reading = window.read()
         measured = np.zeros(len(self.watched))
         measured[self._compared] = reading.fitted(*(self._quantities[k] for k in self._compared))
         present = self._present(now_s, reading, window.fit_noise)
         if abs(present.inertia_kg_m2 - self._believed[0]) > _ANOTHER * self._believed[1]:
-            # What was predicted with an inertia that has turned out otherwise is off by nothing lasting.
+            # Predictions with an inertia that has proved wrong have no lasting residual.
             hindsight.clear()
             self._believed = present.inertia_kg_m2, present.inertia_sd_kg_m2
         to_find = self._found.share_to_find(present.inertia_kg_m2, asked.present.get(SHAFT_INERTIA))
@@ -97,7 +97,7 @@ class ShaftLook:
     def _present(self, now_s: float, reading: Reading, fit_noise: float) -> ShaftPresent:
         inertia, deviation, dry, dry_sd, viscous, viscous_sd = reading.last(*_FOUND).tolist()
         position, speed, torque = reading.fitted("x1_rad", "v1_rad_s", "tau1_Nm").tolist()
-        # A set point acts a cycle after it was asked for; the drive has last looked a sample time ago.
+        # A set point acts a cycle after the request; the drive has sampled a sample time ago.
         (command,), (followed,) = reading.ago(1, _COMMAND).tolist(), reading.ago(2, _COMMAND).tolist()
         since_then = (speed - float(reading.before("v1_rad_s")[0])) * self._looks
         return ShaftPresent(
@@ -118,13 +118,13 @@ class ShaftLook:
 
 
 class _FoundInertia:
-    """Of which emulated inertia the estimate is: at an even speed the twin can't find one that was changed."""
+    """Emulated inertia that the estimate belongs to: at constant speed the twin can't identify a change of it."""
 
     def __init__(self) -> None:
         self._estimate_kg_m2 = self._of_kg_m2 = 0.0
 
     def share_to_find(self, estimate_kg_m2: float, emulated_kg_m2: float | None) -> float:
-        """How many times the estimate the inertia is that the bench has the load motor emulate now; None: not known."""
+        """Ratio of the inertia that the load motor emulates now to the estimate; 1 where it is not known (None)."""
         if emulated_kg_m2 is None:
             return 1.0
         share = emulated_kg_m2 / self._of_kg_m2 if self._of_kg_m2 else 1.0
@@ -136,7 +136,7 @@ class _FoundInertia:
 
 
 def _courses(speed_rad_s: float, to_find: float, present: ShaftPresent, asked: Asked, times_s: Array) -> ShaftCourses:
-    """At times; `speed_rad_s`: as it is asked for now; `to_find`: see `_FoundInertia`."""
+    """Trajectories at times; `speed_rad_s`: the present command; `to_find`: see `_FoundInertia`."""
     course = partial(asked.course, now_s=present.now_s, times_s=times_s)
     inertia = course(SHAFT_INERTIA, present.inertia_kg_m2)
     dry = course(SHAFT_COULOMB_FRICTION, present.dry_friction_Nm)

@@ -1,4 +1,4 @@
-"""The task that looks ahead: at fixed cycles, from what is known then, and never in the way of a cycle."""
+"""Prediction task: looks ahead at fixed cycles, from the present state, without delaying a cycle."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from hilbench.topology.sample import CycleSample
 
 #: What the highest speed to come is brought to, as a share of itself, with each look that still sees a limit crossed.
 _LOWER = 0.9
-#: What the draws of a look besides the regular ones of a cycle are told from those by.
+#: Key that separates the random draws of an extra look from those of the regular one of a cycle.
 _BESIDES = 1
 #: Of the horizon, to find that speed.
 _POINTS = 200
@@ -38,29 +38,29 @@ class PredictedLimitError(BenchFaultError):
 
 
 class LimitReading(Protocol):
-    """How a kind of machine looks ahead."""
+    """Prediction of a kind of machine."""
 
     watched: tuple[DiagnosisAnswer, ...]
-    signals: tuple[str, ...]  #: that a look goes by
-    unready: str  #: what is the matter where the present is not known
+    signals: tuple[str, ...]  #: needed for a look
+    unready: str  #: message where the present state is not known
 
     def warm_up(self) -> None:
         """Compile, or load, what a look runs."""
 
     def ready(self, sample: CycleSample) -> bool:
-        """Whether the present is known well enough."""
+        """True if the present state is known well enough."""
 
     def moves_of(self, move: Move) -> tuple[Move, ...]:
-        """The same of each quantity that it is a move of."""
+        """Moves of single quantities that a move consists of."""
 
     def prepare(
         self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int
     ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
-        """Two parts of a look ahead: what takes its time and lets other threads run, and what says what came out."""
+        """Two parts of a look ahead: a long one that lets other threads run, and one that returns its outlook."""
 
 
 def expected(crossing: Crossing, now_s: float) -> str:
-    """One line for an operator."""
+    """Text of an expected crossing, in one line for an operator."""
     when = f"in {max(crossing.expected_s - now_s, 0.0):.1f} s"
     if crossing.latest_s - crossing.earliest_s >= 0.1:
         earliest, latest = (max(each - now_s, 0.0) for each in (crossing.earliest_s, crossing.latest_s))
@@ -69,9 +69,9 @@ def expected(crossing: Crossing, now_s: float) -> str:
 
 
 class Prediction(CyclicTask):
-    """Looks ahead in one run; `asked`: what is asked of the machine, now and as far as is known.
+    """Looks ahead in one run; `asked` returns present values and planned moves.
 
-    In lockstep a look is over in its own cycle. In real time it runs in a thread of its own beside the cycles, with no
+    In lockstep a look is over in its own cycle. In real time it runs in a thread of its own in parallel, with no
     more than a normal process' share of the machine, and its outlook counts from the cycle in which it is ready; a look
     that takes longer than the time to the next leaves that one out.
     """
@@ -99,7 +99,7 @@ class Prediction(CyclicTask):
         self._values = attrgetter(*(watched.signal for watched in look.watched))
         self._pool = None if lockstep else ThreadPoolExecutor(1, "prediction", initializer=leave_the_cycle)
         self._running: tuple[Future[None], Callable[[], Outlook]] | None = None
-        self._is_asked = False  # a look besides the regular ones is under way
+        self._is_asked = False  # an extra look is under way
 
     def warm_up(self) -> None:
         """Compile what a look runs, before one has to wait for it."""
@@ -132,7 +132,7 @@ class Prediction(CyclicTask):
     def refuse_if_predicted(
         self, path: str, to: float, duration_s: float, above: float, cycle: Callable[[], object]
     ) -> None:
-        """As `Bench.refuse_if_predicted`."""
+        """Refuse a move that is predicted to trip a limit (`Bench.refuse_if_predicted`)."""
         sample = self._state.sample
         step = f"{path} to {to:.6g}"
         while self._running is not None:
@@ -151,7 +151,7 @@ class Prediction(CyclicTask):
             )
 
     def _looked(self, asked: Asked, sample: CycleSample, cycle: Callable[[], object]) -> Outlook:
-        """The outlook of one look besides the regular ones; where it must not hold up a cycle, cycles run meanwhile."""
+        """Outlook of an extra look; where it must not hold up a cycle, cycles run meanwhile."""
         run, outlook = self._look.prepare(
             sample.t_s, self._window, self._hindsight, asked, self._seed, sample.cycle, _BESIDES
         )
@@ -191,7 +191,7 @@ class Prediction(CyclicTask):
         self._act(sample, [each for each in crossings if each.level == "trip"])
 
     def _act(self, sample: CycleSample, trips: Sequence[Crossing]) -> None:
-        """What the bench does about what would end the run."""
+        """Stop or slow down if a trip is predicted."""
         config, now_s = self._config, sample.t_s
         slowed, self._slows_down = self._slows_down, False
         likely = [each for each in trips if each.probability >= config.act_above]
@@ -210,7 +210,7 @@ class Prediction(CyclicTask):
                 self._state.reports.note("prediction", text, kind="held")
 
     def _highest(self, now_s: float) -> float:
-        """What the reference will be at most within the horizon, as a size."""
+        """Largest size of the reference within the horizon."""
         path, asked = self._reference.path, self._asked()
         times_s = now_s + np.linspace(0.0, self._config.horizon_s, _POINTS)
         return float(np.max(np.abs(asked.course(path, self._reference.present, now_s, times_s))))

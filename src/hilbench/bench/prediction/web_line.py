@@ -1,4 +1,4 @@
-"""A web line of a config, as it looks ahead: its model with the bench's controllers, from the bench's signals."""
+"""Prediction of a web line: its model with the bench's controllers, from the bench's signals."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def foreseen(config: BenchConfig) -> dict[str, str]:
 
 
 def moves_of(config: BenchConfig, move: Move) -> tuple[Move, ...]:
-    """The same of each quantity that it is a move of: E of all spans is E of each."""
+    """Moves of single quantities that a move consists of: E of all spans is E of each."""
     if move.path != YOUNGS_MODULUS or config.shape.spans == 1:
         return (move,)
     return tuple(replace(move, path=modulus_of_span(span)) for span in range(1, config.shape.spans + 1))
@@ -116,18 +116,18 @@ class LineLook:
         self.futures.warm_up()
 
     def ready(self, sample: CycleSample) -> bool:
-        """Whether the present is known: the twin is synchronized, and every loop closed on it."""
+        """True if the present state is known: the twin is synchronized, and every loop closed on it."""
         closed = self._closed(sample)
         return is_synchronized(sample) and bool(np.all(closed)) and getattr(sample, self._modulus) > 0.0
 
     def moves_of(self, move: Move) -> tuple[Move, ...]:
-        """The same of each quantity that it is a move of."""
+        """Moves of single quantities that a move consists of."""
         return moves_of(self._config, move)
 
     def prepare(
         self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int
     ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
-        """As `LineFutures.prepare`, from the last samples and what is going to be asked for."""
+        """Prepare `LineFutures` from the last samples and the planned moves."""
         reading = window.read()
         present, noise = self._present(now_s, reading, window.fit_noise), np.zeros(len(self.watched))
         noise[self._noisy] = reading.noise(*(self.watched[k].signal for k in self._noisy))
@@ -209,7 +209,7 @@ class LineLook:
 
 
 def _leads(config: BenchConfig, step_s: float) -> Array:
-    """What leads the rollers (N, `kernel.LEAD_SIZE`), as `FeedForwardTask` has it; 0 where nothing does."""
+    """Feed-forward of the rollers (N, `kernel.LEAD_SIZE`), as `FeedForwardTask` has it; 0 where there is none."""
     model = config.web_line
     leads = np.zeros((model.axis_count, kernel.LEAD_SIZE))
     if any(control.feed_forward == "twin" for control in config.tension_controls.values()):

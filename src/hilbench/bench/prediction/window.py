@@ -1,4 +1,4 @@
-"""The last cycles of some signals: what they are now without most of their noise, and how noisy they are."""
+"""Window of the last cycles of some signals: their present values with less noise, and the noise variance."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ class Window:
         self._count += 1
 
     def clear(self) -> None:
-        """What was before does not go on into what comes."""
+        """Clear the window: earlier cycles are not used any more."""
         self._count = 0
 
     @property
     def full(self) -> bool:
-        """Whether there are as many cycles as it takes."""
+        """True if the window is full."""
         return self._count >= len(self._rows)
 
     def read(self) -> Reading:
-        """What the signals are now."""
+        """Reading of the signals now."""
         rows = np.roll(self._rows, -(self._count % len(self._rows)), axis=0)
         # Of second differences of white noise the mean square is six times its variance; what moves smoothly has none.
         found = np.mean(np.diff(rows, 2, axis=0) ** 2, axis=0) / 6.0
@@ -74,19 +74,19 @@ class Reading:
         self._rows, self._fitted, self._before, self._noise = rows, fitted, before, noise
 
     def last(self, *signals: str) -> Array:
-        """As sampled in the last cycle."""
+        """Values sampled in the last cycle."""
         return self.ago(0, *signals)
 
     def ago(self, cycles: int, *signals: str) -> Array:
-        """As sampled so many cycles (up to `CYCLES`) before the last."""
+        """Values sampled so many cycles (up to `CYCLES`) before the last."""
         return self._rows[-1 - cycles, [self._places[signal] for signal in signals]]
 
     def fitted(self, *signals: str) -> Array:
-        """In the last cycle by a straight line through the last `CYCLES`."""
+        """Values in the last cycle by a straight line through the last `CYCLES`."""
         return self._fitted[[self._places[signal] for signal in signals]]
 
     def before(self, *signals: str) -> Array:
-        """The same a cycle before."""
+        """Fitted values a cycle before."""
         return self._before[[self._places[signal] for signal in signals]]
 
     def noise(self, *signals: str) -> Array:

@@ -1,1 +1,1 @@
-"""What is reported of a run: notices to the operator, what may have led to a fault, what the bench changed."""
+"""Reports of a run: notices to the operator, possible causes of a fault, changes by the bench."""

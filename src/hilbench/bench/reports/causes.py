@@ -1,14 +1,14 @@
-"""What may have led to a fault: conditions that last, in the order in which they began.
+"""Possible causes of a fault: lasting conditions, in the order in which they began.
 
-A fault names what broke in the end. What was wrong before it is often the better place to look: so whoever sees such a
-condition reports it in each cycle in which it holds, and the fault that ends the run names the one that began first.
+A fault names what broke in the end. What was wrong before it is often the better place to look: so such a
+condition is reported in each cycle in which it holds, and the fault that ends the run names the first of them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-#: A condition that has not held for so long before the fault is no cause of it, and begins anew.
+#: A condition that has not held for this time before the fault is no cause of it; later it counts as a new one.
 _HELD_S = 2.0
 
 
@@ -34,7 +34,7 @@ class Causes:
             known.until_s, known.text = time_s, text
 
     def first(self, time_s: float, fault: str) -> str:
-        """Of those that held until just before `time_s` the one that began first, with its time; "" for none, and
+        """Condition that began first of those that held until just before `time_s`, with its time; "" for none, and
         where the text of the `fault` has it already."""
         lasting = [condition for condition in self._conditions.values() if time_s - condition.until_s <= _HELD_S]
         if not lasting:

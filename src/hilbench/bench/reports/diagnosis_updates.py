@@ -1,6 +1,6 @@
-"""What the diagnosis beside a running bench finds, and what the two say to each other.
+"""Messages between a running bench and its live diagnosis, with the findings of the latter.
 
-The bench hands over samples, a chunk at a time, and gets one answer to each. Times are SYNCs as `CycleSample` counts
+The bench sends samples, a chunk at a time, and gets one answer to each. Times are SYNCs as `CycleSample` counts
 them: in lockstep an answer belongs to a cycle, not to a moment.
 """
 
@@ -45,23 +45,23 @@ class FoundEffect:
     axis: int | None
     span: int | None
     parameters: Mapping[str, FoundValue]
-    tied_with: tuple[str, ...] = ()  #: what these data can't tell it from
+    tied_with: tuple[str, ...] = ()  #: effects that these data can't distinguish it from
 
     @property
     def part(self) -> str:
-        """Its part of the machine: "axis 2"; "" of what has none."""
+        """Part of the machine that it is of: "axis 2"; "" if none."""
         return part_words(self.axis, self.span)
 
     @property
     def place(self) -> str:
-        """As paths of quantities and metrics have it: ``coulomb_friction.axis2``."""
+        """Place as in paths of quantities and metrics: ``coulomb_friction.axis2``."""
         return ".".join(filter(None, (self.effect, self.part.replace(" ", ""))))
 
 
 @dataclass(frozen=True)
 class FoundGap:
-    """Rms of what is measured less what is predicted (means over some cycles, on data that neither model has seen),
-    before and after; `noise_floor`: what it is while nothing is lacking."""
+    """Rms residual, measured less predicted (means over some cycles, on data that neither model has seen),
+    before and after; `noise_floor`: its value while no effect is lacking."""
 
     signal: str
     unit: str
@@ -72,12 +72,12 @@ class FoundGap:
 
 @dataclass(frozen=True)
 class DiagnosisUpdate:
-    """One thing that the diagnosis has to say; `begun_cycle`: since when there has been what it is about.
+    """One finding of the diagnosis; `begun_cycle`: since when its subject exists.
 
-    ``seen``: model and measurement part; ``named``: by `effects`, or `gone` ones; ``dismissed``: that was not confirmed
+    ``seen``: model and measurement differ; ``named``: by `effects`, or `gone` ones; ``dismissed``: was not confirmed
     by data that neither model has seen; ``decided``: with `model` (effects as `hilbench.twin.model_switch.with_effects`
-    reads them, "" for the configured model) the gap is smaller on data that neither has seen; ``ended``: the gap is not
-    there any more, or is none that the model's structure has to do with; ``unknown``: no effect of the vocabulary
+    reads them, "" for the configured model) the residual is smaller on data that neither has seen; ``ended``: the
+    residual has vanished, or is not due to the model's structure; ``unknown``: no effect of the vocabulary
     explains it.
     """
 
@@ -92,7 +92,7 @@ class DiagnosisUpdate:
 
 @dataclass(frozen=True)
 class GapRow:
-    """Size of the gap over some cycles: rms of measured less predicted torque, N·m, without what is noise; NaN at rest.
+    """Size of the residual over some cycles: rms of measured less predicted torque, N·m, without noise; NaN at rest.
 
     `configured`: of the model as it was configured; `in_use`: of the one that the twin has.
     """
@@ -131,7 +131,7 @@ OutcomeKind = Literal["applied", "refused", "announced"]
 
 @dataclass(frozen=True)
 class ProposalOutcome:
-    """Bench to diagnosis: what became of a proposal, or a change that somebody has announced.
+    """Message from bench to diagnosis: outcome of a proposal, or a change that a person has announced.
 
     ``applied``, ``refused``: the last `decided` model; ``announced``: the machine has `model` from this cycle on.
     """
@@ -152,7 +152,7 @@ class DiagnosisAnswer:
 
 @dataclass
 class ModelChange:
-    """One model change of a run, as it goes on; times in s of experiment time, None for what has not happened."""
+    """State of one model change of a run; times in s of experiment time, None for what has not happened."""
 
     begun_s: float
     effects: tuple[FoundEffect, ...]
@@ -167,10 +167,10 @@ class ModelChange:
 
     @property
     def named_after_s(self) -> float:
-        """From when model and measurement parted."""
+        """Time from the divergence of model and measurement until the effect was named."""
         return self.named_s - self.begun_s
 
     @property
     def applied_after_s(self) -> float | None:
-        """The same until the twin had gone over."""
+        """Time from the divergence of model and measurement until the twin had switched over."""
         return None if self.applied_s is None else self.applied_s - self.begun_s

@@ -1,4 +1,4 @@
-"""What an operator must know of a run that goes on: counted and bounded, however often it comes.
+"""Notices to the operator of a running run: counted and bounded, however often they occur.
 
 Per source and kind the first and the last occurrence are kept, and how many there were. It is
 published at once the first time, and then ever more seldom: a flood of alarms hides no other alarm, and takes no time
@@ -11,12 +11,12 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-#: Kinds that are told apart of one source; what comes beyond them is counted as one kind more.
+#: Kinds distinguished per source; any beyond them are counted as one kind more.
 MOST_KINDS = 16
 _BEYOND = f"more than {MOST_KINDS} kinds"
-#: Occurrences of one kind are published again after this time, and after twice the time before each time.
+#: Occurrences of one kind are published again after this time, and then after twice the previous time.
 _AGAIN_S = 1.0
-#: Lines that are published in one cycle at most; what comes beyond is published when it comes again, or in the result.
+#: Most lines published in one cycle; others are published when they occur again, or in the result.
 _MOST_LINES = 4
 _NUMBERS = re.compile(r"[-+]?\d[\d.,]*(e[-+]?\d+)?")
 
@@ -35,7 +35,7 @@ class Notice:
 
 @dataclass(slots=True)
 class _Schedule:
-    """When the next occurrence of a kind is published."""
+    """Time at which the next occurrence of a kind is published."""
 
     next_s: float
     pause_s: float

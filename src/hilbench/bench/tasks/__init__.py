@@ -1,1 +1,1 @@
-"""What runs in every cycle: load model, controllers, limit watch."""
+"""Tasks of every cycle: load model, controllers, limit watch."""

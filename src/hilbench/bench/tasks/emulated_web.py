@@ -1,4 +1,4 @@
-"""The web that load motors emulate: what of a config makes it, and the load model of it."""
+"""The web that load motors emulate: its parameters from a config, and its load model."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ class HardwareEffects:
         self._nodes = nodes
 
     def owns(self, path: str) -> bool:
-        """Whether it is an effect in the hardware."""
+        """True if it is an effect in the hardware."""
         return path.startswith("hardware.")
 
     def value(self, path: str) -> float:

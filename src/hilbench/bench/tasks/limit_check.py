@@ -1,4 +1,4 @@
-"""A compiled look at a sample: whether any of its quantities is so large that limits have something to say."""
+"""Compiled check of a sample: does any of its quantities exceed its report threshold?"""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from hilbench.twin.virtual_io import SYNCHRONIZED
 Vector = NDArray[np.float64]
 Table = NDArray[np.int64]
 
-# Rows of the table: a sample, and where in it sizes are, estimates, then positions and set points of the axes; from
-# which sizes on there is something to say; figures; the model's values of what is estimated; how far the axes are off.
+# Rows of the table: a sample, and places of sizes, estimates, then positions and set points of the axes in it; report
+# thresholds of the sizes; figures; the model's values of the estimates; position differences of the axes.
 _VALUES, _WORDS, _AT, _THRESHOLDS, _FIGURES, _MODELS, _OFF = range(7)
-#: Figures: a cycle, s; the least difference of positions and ratio of estimates that are told; whether there has been a
-#: sample since the drives were enabled; whether a warning is on.
+#: Figures: a cycle, s; the least difference of positions and ratio of estimates that are reported; 1 if there has been
+#: a sample since the drives were enabled; 1 if a warning is on.
 _CYCLE_S, _APART, _RATIO, _STARTED, _WARNED, _COUNT = range(6)
-#: Of each axis with the one behind it: difference of their positions at the start, what their set points have added up
+#: For each axis with the one after it: difference of their positions at the start, what their set points have added up
 #: to since, and how far they are off that.
 _AT_START, _COMMANDED, _SIZE, _OFF_ROWS = range(4)
 
 
-#: look(place of the twin's status, table): QUIET where everything is so small that there is nothing to say, and no
+#: look(place of the twin's status, table): QUIET where every quantity is below its threshold, and no
 #: warning is on, as in nearly every cycle.
 @entry_point(COUNT, TABLE)
 def _look(status: int, table: Table) -> int:
@@ -65,9 +65,9 @@ def _look(status: int, table: Table) -> int:
 
 
 class LimitCheck:
-    """Of the signals `sizes`, from `thresholds` of each on; of `estimates`, by the model's value of each, from `ratio`
-    on; of how far the axes whose positions and set points are `positions` and `commands` are apart, from
-    `least_difference` on."""
+    """Check of the signals `sizes` against `thresholds`; of `estimates` against the model's value of each by `ratio`;
+    of the position differences of the axes with `positions` and `commands` against
+    `least_difference`."""
 
     def __init__(
         self,
@@ -85,7 +85,7 @@ class LimitCheck:
         self._figures, self._off = np.zeros(_COUNT), np.zeros((_OFF_ROWS, max(len(positions) - 1, 0)))
         self._figures[[_CYCLE_S, _APART, _RATIO]] = cycle_s, least_difference, ratio
         self.of = PerSample(self._on)  #: a sample
-        _look(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before anybody waits for a cycle
+        _look(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before a cycle waits for it
 
     def _on(self, sample: CycleSample) -> LimitReading:
         kept = (
@@ -96,10 +96,10 @@ class LimitCheck:
 
     @property
     def apart(self) -> list[float]:
-        """How far each axis is from where it should be beside the one behind it, as looked at last."""
+        """Position error of each axis relative to the one after it, at the last check."""
         apart: list[float] = self._off[_SIZE].tolist()
         return apart
 
     def warned(self, levels: Levels) -> None:
-        """Whether there is nothing to say while all is small."""
+        """Set if a warning is on, so that the check reports small values, too."""
         self._figures[_WARNED] = not levels.quiet

@@ -1,4 +1,4 @@
-"""Limits of a run: each quantity's warning and trip level, looked at in every cycle."""
+"""Limits of a run: each quantity's warning and trip level, checked in every cycle."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ BELOW_LIMITS, LIMIT_REACHED = 0, 1
 
 @dataclass(frozen=True)
 class LimitReading:
-    """A compiled look at a sample: whether it is QUIET, so that there is nothing to say."""
+    """Compiled check of a sample: BELOW_LIMITS if there is nothing to report."""
 
     function: Function
     argument: int
@@ -43,21 +43,21 @@ class LimitReading:
 
     @property
     def is_below_limits(self) -> bool:
-        """What it finds now."""
+        """True if the check finds nothing now."""
         return self.function(self.argument, self.table) == BELOW_LIMITS
 
 
 class LimitMonitor(Protocol):
-    """Looks at each sample whether something is to be said of it."""
+    """Checks each sample for events to report."""
 
     def look(self, sample: CycleSample) -> LimitReading:
-        """The look at this sample, which is mostly the same object."""
+        """Compiled check of this sample, which is mostly the same object."""
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """What is to be said of it: texts, each after its kind. It may raise a fault."""
+        """Events of a sample: texts, each after its kind. May raise a fault."""
 
     def found(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """The same of one that is LOUD already."""
+        """Events of a sample that is known not to be below its limits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,14 +71,14 @@ class Limited:
 
 
 class Levels:
-    """Which warnings of one run are on."""
+    """Warnings that are on in a run."""
 
     def __init__(self) -> None:
         self._warned: set[str] = set()
 
     @property
     def quiet(self) -> bool:
-        """Whether none is on."""
+        """True if no warning is on."""
         return not self._warned
 
     def check(self, t_s: float, quantities: Iterable[DiagnosisAnswer]) -> list[tuple[str, str]]:
@@ -108,16 +108,16 @@ def lowest_threshold(limit: Limit) -> float:
 
 
 def apart(estimate: float, model: float) -> float:
-    """How many times an estimate is the model's value, or its inverse; what is not above 0 can't be."""
+    """Ratio of an estimate to the model's value, or its inverse (>= 1); inf for an estimate not above 0."""
     ratio = estimate / model
     return max(ratio, 1.0 / ratio) if ratio > 0.0 else inf
 
 
 def is_synchronized(sample: CycleSample) -> bool:
-    """Whether the twin says so."""
+    """True if the twin reports that it is synchronized."""
     return bool(sample.twin_status & SYNCHRONIZED)
 
 
 def load_motor_labels(motors: Sequence[str]) -> dict[str, str]:
-    """What messages call each load motor, by its name."""
+    """Names of the load motors in messages, by name."""
     return {name: "the load motor" if len(motors) == 1 else f"load motor {name}" for name in motors}

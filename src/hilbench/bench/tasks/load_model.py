@@ -1,6 +1,6 @@
 """The load-model task: the machine that the load motors emulate, from the measured motion of the axes.
 
-Torque emulation: a load motor applies what the machine does to the shaft; inertia that is there stays real (the
+Torque emulation: a load motor applies the machine's torque on the shaft; inertia that is there stays real (the
 stand's flywheel), because emulating an inertia by torque over a sampled bus is stable only below the real one
 (`hilbench.plant.sampled_shaft`).
 """
@@ -30,13 +30,13 @@ class LoadModel:
     The torque acts later than the motion was measured (by `lead_s`), so the machine is predicted over that delay:
     without it the loop of web and sampled shaft is unstable on the demonstrator (`hilbench.plant.web_line.stability`).
     While samples are late, or their positions not of one instant, the torques stay; the machine then follows over the
-    time that has really gone by, and what the new sample is still late by is predicted as well. (To predict over a
-    sample that is not there, from the noise of the last one, does more harm than to hold.) How much time has gone by
-    is told by way and speed, where the axes turn: of a drive that has missed a SYNC, or of a SYNC that the bench has
-    sent late, no frame says so.
+    time actually elapsed, and the age of the new sample is predicted over as well. (To predict over a missing
+    sample, from the noise of the last one, does more harm than to hold.) The elapsed time
+    is found from travel and speed, where the axes turn: no frame reports that a drive has missed a SYNC, or that the
+    bench has sent one late.
 
-    `load_axes`: on which axis' shaft each load motor is, counted from 1; `least_travel`, in the machine's unit of
-    position: what is measured well enough to count cycles by it; `effects`: those the machine has at the start;
+    `load_axes`: axis, from 1, of each load motor's shaft; `least_travel`, in the machine's unit of
+    position: least travel by which cycles can be counted; `effects`: those of the machine at the start;
     `own_play`: as `MeasuredMotion`, of a machine whose axes turn at speeds of their own.
     """
 
@@ -97,12 +97,12 @@ class LoadModel:
         return self._torques_Nm
 
     def set_value(self, name: str, value: float) -> None:
-        """What acts on the machine from where it has followed to. Raises ValueError for what it does not know."""
+        """Set an input of the machine, from the present state on. Raises ValueError for an unknown one."""
         self.machine.set_input(name, value)
 
     def follow_in(self, values: Vector, places: Places, *, late: bool) -> HasFollowed | None:
-        """The same in a vector, in one call, with what else is asked for: `hilbench.plant.measured_motion.InStep`. None
-        where this machine does not follow so as it is now: nothing was done."""
+        """Follow in one call on a sample's vector, with its outputs (`hilbench.plant.measured_motion.InStep`). None,
+        and nothing done, where this machine can't follow so in its present state."""
         if not self._running or self._in_step is None or not self._in_step.usable:
             return None
         followed = self._in_step.follow(values, places, late=late)
@@ -110,7 +110,7 @@ class LoadModel:
         return followed
 
     def piece(self, values: Vector, places: Places, fallback: Callable[[HasFollowed], bool]) -> CompiledStage | None:
-        """`follow_in` as a piece of a cycle, while `continues` says so; None of a machine that does not follow so."""
+        """`follow_in` as a compiled stage, while `continues` is true; None for a machine that can't follow so."""
         in_step = self._in_step
         if in_step is None:
             return None
@@ -118,7 +118,7 @@ class LoadModel:
 
     @property
     def continues(self) -> bool:
-        """Whether the machine follows in one call, and nothing was changed since it did so last."""
+        """True if the machine follows in one call, and nothing was changed since it did so last."""
         in_step = self._in_step
         return self._running and self._is_ahead and in_step is not None and in_step.usable and in_step.is_shown
 
@@ -159,5 +159,5 @@ class LoadModel:
 
 
 def _parameter(path: str) -> str:
-    """The machine's parameter that a path such as ``load.web.youngs_modulus_Pa`` names: what is behind two words."""
+    """Name of the machine's parameter in a path such as ``load.web.youngs_modulus_Pa``: the part after two words."""
     return path.split(".", 2)[2]

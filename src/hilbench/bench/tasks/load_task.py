@@ -1,4 +1,4 @@
-"""Load motors act on their shafts as the machine that is not there would."""
+"""Task of the load motors: they apply to their shafts the torque of the emulated machine."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from hilbench.topology.sample import CycleSample
 
 
 class LoadTask(CyclicTask):
-    """The task of load motors, by their names; a kind of machine says in `after` what motion its model follows."""
+    """Task of load motors, by their names; a kind of machine defines in `after` the motion that its model follows."""
 
     def __init__(self, motors: Sequence[str], model: LoadModel) -> None:
         self.model = model
         self._commands = [(motor, f"tau_{motor}_cmd_Nm") for motor in motors]
 
     def owns(self, path: str) -> bool:
-        """Whether a quantity is one of the emulated mechanics."""
+        """True if a quantity is one of the emulated mechanics."""
         return is_of_load(path)
 
     def value(self, path: str) -> float:
-        """Its present value."""
+        """Present value of a quantity."""
         return self.model.value(path)
 
     def set(self, path: str, value: float) -> None:
@@ -35,11 +35,11 @@ class LoadTask(CyclicTask):
             outputs[motor] = getattr(sample, command)
 
     def follow(self, sample: CycleSample, positions: Sequence[float], speeds: Sequence[float], *, late: bool) -> None:
-        """Let the model follow the measured motion (N,) of the axes, in the machine's unit; torques are recorded."""
+        """Let the model follow the measured motion (N,) of the axes, in the machine's unit; record its torques."""
         torques_Nm = self.model.update(positions, speeds, late=late)
         for (_, command), torque_Nm in zip(self._commands, torques_Nm, strict=True):
             setattr(sample, command, torque_Nm)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
-        """No torque."""
+        """Command zero torque."""
         self.model.stop()

@@ -1,4 +1,4 @@
-"""The reference of a machine: the speed at which it runs, moved at a bounded rate where nobody gives a ramp."""
+"""Reference of a machine: the speed at which it runs, moved at a bounded rate where no ramp is given."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NEXT, _END = range(2)
 
 
 #: follow(0, table of the present value (1,), a course, where it is (2,)): the value of the next cycle.
-#: show(place of a signal, table of the present value (1,), `reals` of a sample): what it is.
+#: show(place of a signal, table of the present value (1,), `reals` of a sample): write the value.
 @entry_point(COUNT, TABLE)
 def _follow(_: int, table: NDArray[np.int64]) -> int:
     if len(table) == 0:
@@ -44,10 +44,10 @@ class Reference:
     def __init__(self, path: str, step: float) -> None:
         self.path = path
         self.vector = np.zeros(1)  #: of the present value
-        self._at = self.vector.data.cast("B").cast("d")  # one value goes faster through this
+        self._at = self.vector.data.cast("B").cast("d")  # faster access to one value
         self._course, self._follow_compiled = np.zeros(_LONGEST_COURSE), np.zeros(2, np.int64)
         kept = self.vector, self._course, self._follow_compiled
-        #: A piece of a cycle: follow the course.
+        #: Compiled stage: follow the trajectory.
         self.piece = CompiledStage(_follow, 0, table_of(kept), fallback=never, keeps=kept)
         self._step = step
         self._goal: float | None = None
@@ -56,7 +56,7 @@ class Reference:
 
     @property
     def present(self) -> float:
-        """Its value now."""
+        """Present value."""
         return float(self._at[0])
 
     @present.setter
@@ -65,16 +65,16 @@ class Reference:
 
     @staticmethod
     def warm_up_shown() -> None:
-        """Compile, or load, what `shown_in` makes, before anybody waits for a cycle."""
+        """Compile, or load, the stage of `shown_in`, before a cycle has to wait for it."""
         _show(0, np.zeros((0, TABLE_WIDTH), np.int64))
 
     def shown_in(self, sample: CycleSample, signal: str) -> CompiledStage:
-        """A piece of a cycle: a signal shows what it is."""
+        """Compiled stage that writes the reference into a signal."""
         kept = self.vector, sample.reals
         return CompiledStage(_show, type(sample).place(signal), table_of(kept), fallback=never, keeps=kept)
 
     def owns(self, path: str) -> bool:
-        """Whether it is this reference."""
+        """True if the path is this reference's."""
         return path == self.path
 
     def value(self, path: str) -> float:
@@ -82,7 +82,7 @@ class Reference:
         return self.present
 
     def set(self, path: str, value: float) -> None:
-        """Another value at once, as far as it is not held back; a goal that it was on the way to is forgotten."""
+        """Set a value at once, up to the ceiling; a goal under way is dropped."""
         if self._ceiling is not None:
             highest = max(self._ceiling, abs(self.present))
             if abs(value) > highest:
@@ -94,23 +94,23 @@ class Reference:
 
     @property
     def goal(self) -> float | None:
-        """Where it goes by itself; None while it stays what it was set to."""
+        """Goal that it moves to by itself; None while it stays at its value."""
         return self._goal
 
     @property
     def is_free(self) -> bool:
-        """Whether it becomes what it is set to, and nothing else moves it."""
+        """True if it takes set values unchanged: without goal or ceiling."""
         return self._goal is None and self._ceiling is None
 
     def load_trajectory(self, values: NDArray[np.float64]) -> int:
-        """Take these in the next cycles, one in each that begins with `piece`; for how many of them there is room."""
+        """Load values for the next cycles, one per cycle that begins with `piece`; returns how many fit."""
         count = min(len(values), _LONGEST_COURSE)
         self._course[:count] = values[:count]
         self._follow_compiled[:] = 0, count
         return count
 
     def end_trajectory(self) -> int:
-        """Stay what it is now; how many values of the course it has had."""
+        """Keep the present value; returns the number of values of the trajectory that were used."""
         had = int(self._follow_compiled[_NEXT])
         self._follow_compiled[:] = 0
         return had
@@ -121,16 +121,16 @@ class Reference:
 
     @property
     def ceiling(self) -> float | None:
-        """The size that it is held to, whoever asks for more; None while it is not, and once less was asked for after
-        more."""
+        """Largest size that it is held to, whatever is requested; None while it is not, and once less was requested
+        after more."""
         return self._ceiling
 
     def hold_below(self, ceiling: float) -> None:
-        """No more than this from now on, as a size; what it is beyond that it loses step by step (`keep_below`)."""
+        """Hold its size below `ceiling` from now on; what is above is reduced step by step (`keep_below`)."""
         self._ceiling, self._held_back = ceiling, False
 
     def keep_below(self) -> None:
-        """One step towards what it is held to, where it is beyond."""
+        """Move one step towards the ceiling, where it is beyond."""
         if self._ceiling is not None and abs(self.present) > self._ceiling:
             self._held_back = True
             self.present = copysign(max(self._ceiling, abs(self.present) - self._step), self.present)
@@ -142,7 +142,7 @@ class Reference:
         return self.present + copysign(step, left), step >= abs(left)
 
     def slow_down(self) -> bool:
-        """One step towards zero; whether it was any."""
+        """Move one step towards zero; true if it moved."""
         left = max(0.0, abs(self.present) - self._step)
         moved = self.present != 0.0
         self.present = copysign(left, self.present) if left else 0.0

@@ -1,4 +1,4 @@
-"""Drives at their torque limit: what a run shows then is the limit, not the control or the web.
+"""Saturation watch: drives at their torque limit, where a run shows the limit and not the control or the web.
 
 The drive reports it (statusword 6041h bit 11, internal limit active), or its torque shows it (6077h at the limit).
 """
@@ -71,7 +71,7 @@ class SaturationWatch:
         self._at = PlacesIn([name for _, torque, status in self._signals for name in (torque, status)])
         self._at_limit_Nm = np.array([_AT_LIMIT * self._limits_Nm[drive] for drive, _, _ in self._signals])
         self._known, self._looks = np.zeros(1, np.int64), PerSample(self._on)
-        # Compiled, or loaded, before anybody waits for a cycle.
+        # Compiled, or loaded, before a cycle waits for it.
         _look(0, np.zeros((0, TABLE_WIDTH), np.int64))
 
     def _on(self, sample: CycleSample) -> LimitReading:
@@ -79,15 +79,15 @@ class SaturationWatch:
         return LimitReading(_look, 0, table_of(kept), kept)
 
     def look(self, sample: CycleSample) -> LimitReading:
-        """See `limits.LimitMonitor`."""
+        """Compiled check of a sample (`limits.LimitMonitor`)."""
         return self._looks(sample)
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """What begins or ends in this cycle, as text for the operator, with the kind of notice that it is."""
+        """Begin or end of saturation in this cycle, as text for the operator, with the kind of notice."""
         return [] if self.look(sample).is_below_limits else self.found(sample)
 
     def found(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """See `limits.LimitMonitor`."""
+        """Begin or end of saturation in a sample not below its limits (`limits.LimitMonitor`)."""
         found = []
         for drive, torque, status in self._signals:
             torque_Nm, statusword = getattr(sample, torque), getattr(sample, status)

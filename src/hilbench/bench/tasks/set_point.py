@@ -4,13 +4,13 @@ from __future__ import annotations
 
 
 class OneSetPoint:
-    """What can be set of a task: the quantity of this path; see `task.SettableQuantity`."""
+    """Settable quantity of a task with one set-point, at this path; see `task.SettableQuantity`."""
 
     def __init__(self, path: str, value: float) -> None:
         self._path, self._set_point = path, value
 
     def owns(self, path: str) -> bool:
-        """Whether it is the set-point."""
+        """True if the path is the set-point's."""
         return path == self._path
 
     def value(self, path: str) -> float:

@@ -1,4 +1,4 @@
-"""Limits of a run of a servo axis: its torques, its speed, how far off the inertia is."""
+"""Limits of a run of a servo axis: its torques, its speed, the deviation of its inertia."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hilbench.topology.sample import CycleSample
 
 
 def limited(limits: LimitsConfig, motor: str) -> list[Limited]:
-    """What has limits and is a signal of a servo axis with this load motor."""
+    """Signals of a servo axis with this load motor that have limits."""
     return [
         Limited("torque of axis 1", "tau1_Nm", "N·m", limits.torque_Nm),
         Limited("torque of the load motor", f"tau_{motor}_Nm", "N·m", limits.torque_Nm),
@@ -44,7 +44,7 @@ class ShaftLimitWatch:
         )
 
     def look(self, sample: CycleSample) -> LimitReading:
-        """See `limits.LimitMonitor`."""
+        """Compiled check of a sample (`limits.LimitMonitor`)."""
         return self._look.of(sample)
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
@@ -52,7 +52,7 @@ class ShaftLimitWatch:
         return [] if self.look(sample).is_below_limits else self.found(sample)
 
     def found(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """See `limits.LimitMonitor`."""
+        """Events of a sample not below its limits (`limits.LimitMonitor`)."""
         found = self._levels.check(sample.t_s, self._quantities(sample))
         self._look.warned(self._levels)
         return found

@@ -1,5 +1,5 @@
-"""Active damping: the axis before a span takes the swing of the roller behind it against the web out, from the
-measured strain rate. Here the span is the first, between axes 1 and 2.
+"""Active damping: the axis before a span damps the swing of the roller after it against the web, by
+the measured strain rate. Here the span is the first, between axes 1 and 2.
 
 Roller 2 and the span are a mass m on a spring k = E·S/L. The drive of axis 2 damps them by its proportional gain kp
 only, and the tension loop, whose proportional part acts through the lag of axis 1, takes most of that away again. A
@@ -12,10 +12,10 @@ Axis 1 follows its command through its velocity loop, v1 = u/(1 + s·m1/kp1) abo
 
     u = (d/m)·(y + (m1/kp1)·r)
 
-The command acts later than its positions were measured, by h = (n + 1/2)·T for the bus and its hold, T/2 because a
-rate of positions is the mean of a cycle, half a sample of the drive and its current loop. So r and y are turned ahead
-by the angle ω·h of the swing, and the part of the commands that is under way and shows in no measurement yet is taken
-off. Below a fourth of ω the elongation is let go: there the tension loop is at work.
+The command acts later than its positions were measured, by the dead time h = (n + 1/2)·T for the bus and its hold, T/2
+because a rate of positions is the mean of a cycle, half a sample of the drive and its current loop. So r and y are
+turned ahead by the angle ω·h of the swing, and the part of the commands that is under way and not measured yet is
+subtracted. Below a fourth of ω the elongation is washed out: there the tension loop is at work.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ Vector = NDArray[np.float64]
 
 #: Corner of the elongation's high-pass, as a share of the swing's angular frequency.
 _WASHOUT = 0.25
-#: Share of axis 1's torque limit that the damping may ask for.
+#: Share of axis 1's torque limit that the damping may use.
 _TORQUE_SHARE = 0.5
-#: Relative change of E from which the gains are made anew.
+#: Relative change of E from which the gains are recomputed.
 _WORTH_CHANGING = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class SwingPlant:
-    """What swings and what damps it; masses and gains at the web, SI. 1 is the axis before the span, 2 that behind."""
+    """Swinging masses and the damping drive; masses and gains at the web, SI. 1: axis before the span, 2: after it."""
 
     span_length_m: float
     section_m2: float
@@ -95,13 +95,13 @@ class SwingPlant:
 
     @property
     def limit_m_s(self) -> float:
-        """Largest velocity that the damping may ask axis 1 for; 0 where its drive has no proportional gain."""
+        """Largest velocity that the damping may command axis 1; 0 where its drive has no proportional gain."""
         kp1 = self.velocity_kp1_N_s_per_m
         return _TORQUE_SHARE * self.torque_limit_N / kp1 if kp1 > 0.0 else 0.0
 
     @property
     def delay_s(self) -> float:
-        """Mean time from a measured rate to the torque of axis 1 that it asks for."""
+        """Mean dead time from a measured rate to the torque of axis 1 that it causes."""
         held_s = (self.delay_cycles + 1.0) * self.cycle_s
         return held_s + 0.5 * self.sample_time_s + self.current_loop_time_constant_s
 
@@ -135,7 +135,7 @@ def damping_gains(plant: SwingPlant, damping_ratio: float, modulus_Pa: float) ->
 
 
 def _under_way(plant: SwingPlant) -> list[float]:
-    """Of the commands of 1, 2, … cycles before: the share that acts after the measurement, and before the new one."""
+    """Shares of the commands of 1, 2, … cycles before that act after the measurement and before the new command."""
     left, shares = plant.delay_s / plant.cycle_s - 0.5, []
     while left > 0.0:
         shares.append(min(left, 1.0))
@@ -143,8 +143,8 @@ def _under_way(plant: SwingPlant) -> list[float]:
     return shares
 
 
-#: Of the vectors of `damp`. Plant: span, strains upstream and downstream, limit of the command, cycle, by how much ways
-#: may differ, E that the gains are for.
+#: Places in the vectors of `damp`. Plant: span, strains upstream and downstream, limit of the command, cycle,
+#: tolerance of travel differences, E that the gains are for.
 _LENGTH_M, _UPSTREAM, _DOWNSTREAM, _LIMIT_M_S, _CYCLE_S, _LEAST_TRAVEL_M, _MODULUS_PA = range(7)
 #: Gains: those of `DampingGains`, then how many are pending, and these.
 _RATE, _ELONGATION, _FADES, _PENDING, _GAINS = range(5)
@@ -155,14 +155,14 @@ _CYCLES, _STARTED, _X1_M, _X2_M, _UNSTRETCHED_M, _STRAIN, _ELONGATION_M, _COMMAN
 
 @compiled
 def has_changed(plant: Vector, modulus_Pa: float) -> bool:
-    """Whether E is so much another that `SwingDamping.use_modulus` makes other gains."""
+    """True if E has changed so much that `SwingDamping.use_modulus` recomputes the gains."""
     return bool(abs(modulus_Pa / plant[_MODULUS_PA] - 1.0) > _WORTH_CHANGING)
 
 
 @compiled
 def _elongated_m(plant: Vector, s: Vector, travel1_m: float, travel2_m: float) -> float:
-    """How much longer the span's web has become, ΔL = L·Δε, by what came in and went out unstretched: forward at
-    roller 1 and 2, in reverse at 2 and 1. The balance forgets an error of the strain within L/v.
+    """Elongation of the span's web, ΔL = L·Δε, by mass conservation of unstretched length: in at roller 1 and out at 2,
+    reversed in reverse. The balance forgets an error of the strain within L/v.
     """
     strain = s[_STRAIN]
     came_in_m = travel1_m / (1.0 + (plant[_UPSTREAM] if travel1_m >= 0.0 else strain))
@@ -174,7 +174,7 @@ def _elongated_m(plant: Vector, s: Vector, travel1_m: float, travel2_m: float) -
 
 @compiled
 def damp(plant: Vector, gains: Vector, ways: Vector, s: Vector, positions_m: Vector, planned_m_s: float) -> float:
-    """`SwingDamping.velocity` on its vectors (`ways`: of `coherent`); positions (2,)."""
+    """`SwingDamping.velocity` on its vectors (`ways`: for `coherent`); positions (2,)."""
     s[_CYCLES] += 1.0
     if not coherent(ways, positions_m, plant[_LEAST_TRAVEL_M]):
         return float(s[_COMMANDS])
@@ -210,7 +210,7 @@ _has_changed = interpreted(has_changed)
 
 
 class SwingDamping:
-    """What axis 1's velocity command gets added, cycle by cycle; m/s at the web.
+    """Correction of axis 1's velocity command, cycle by cycle; m/s at the web.
 
     It needs no twin: strain and its rate come from the encoders, by mass conservation. `modulus_Pa`: E at the start.
     """
@@ -226,12 +226,12 @@ class SwingDamping:
         self._state = np.zeros(_COMMANDS + self._sent)
         self._ways, self._positions_m = coherence_state(2), np.zeros(2)
         self._use(modulus_Pa)
-        self.velocity(0.0, 0.0)  # compiled, or loaded, before anybody waits for a cycle
+        self.velocity(0.0, 0.0)  # compiled, or loaded, before a cycle waits for it
         self.reset()
 
     @property
     def vectors(self) -> tuple[Vector, Vector, Vector, Vector, Vector]:
-        """Those of `damp`, for compiled callers."""
+        """Vectors of `damp`, for compiled callers."""
         return self._figures, self._gains, self._ways, self._state, self._positions_m
 
     def reset(self) -> None:
@@ -253,10 +253,10 @@ class SwingDamping:
         self._gains[_GAINS : _GAINS + len(gains.pending)] = gains.pending
 
     def velocity(self, x1_m: float, x2_m: float, planned_m_s: float = 0.0) -> float:
-        """To be added to the velocity of axis 1, from the encoder positions at the web; `planned_m_s`: what they are
-        to show of the span's lengthening, which is no swing.
+        """Correction to add to the velocity of axis 1, from the encoder positions at the web; `planned_m_s`: planned
+        lengthening of the span in them, which is no swing.
 
-        While they are not of one instant it stays what it was.
+        While the positions are not of one instant it keeps its last value.
         """
         _POSITIONS.pack_into(self._positions_m.data, 0, x1_m, x2_m)
         return _damp(self._figures, self._gains, self._ways, self._state, self._positions_m, planned_m_s)

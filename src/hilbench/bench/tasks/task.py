@@ -1,4 +1,4 @@
-"""What runs in every cycle, behind one small interface: so a machine is to the bench no more than a list of tasks."""
+"""Interface of a task: a machine is to the bench a list of tasks that run in every cycle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hilbench.topology.sample import CycleSample
 Outputs = dict[str, float]
 
 
-#: More cycles than anybody asks for.
+#: More cycles than are ever requested.
 MANY = 1 << 30
 
 
@@ -24,15 +24,15 @@ def _many() -> int:
 
 
 def _nothing(cycles: int) -> None:
-    """Nobody counts them."""
+    """Ignore the count of cycles run."""
 
 
 @dataclass(frozen=True)
 class CompiledStages:
-    """What a task does in cycles that go without Python; none of it: it has nothing to do in such.
+    """Compiled stages of a task; all empty if it has nothing to do in compiled cycles.
 
-    `cycles`: how many from the next one on may go so (0: the next one is Python's); asked right before they do. `went`:
-    so many have. `shown`: the signals that show what it puts into the outputs, by the names of these.
+    `cycles`: number of cycles from the next on that may run compiled (0: the next needs Python); called right before
+    they run. `went`: called with the number run. `shown`: signals that hold the task's outputs, by output name.
     """
 
     before: Sequence[CompiledStage] = ()
@@ -46,7 +46,7 @@ Made = TypeVar("Made")
 
 
 class PerSample(Generic[Made]):
-    """What is made on the vectors of a sample, for who gets samples one by one: mostly the same object."""
+    """Cache of an object made on the vectors of a sample, which is mostly the same one."""
 
     def __init__(self, make: Callable[[CycleSample], Made]) -> None:
         self._make = make
@@ -54,14 +54,14 @@ class PerSample(Generic[Made]):
         self._made: Made
 
     def __call__(self, sample: CycleSample) -> Made:
-        """On this one."""
+        """Object for this sample."""
         if sample is not self._sample:
             self._made, self._sample = self._make(sample), sample
         return self._made
 
 
 class CyclicTask:
-    """One thing that is done in every cycle; a task overrides the moments in which it has something to do.
+    """Task of every cycle; it overrides the hooks in which it has something to do.
 
     A task of the machine runs in each exchange with the nodes: `before` and `after` while the drives are enabled, else
     `rest`. One that watches the run does so in each cycle of the experiment, and never rests. Whatever a task raises
@@ -78,20 +78,20 @@ class CyclicTask:
         """The drives are off; one that has no set point gets zero."""
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
-        """`before` and `after` as pieces of a cycle, on this sample; None: it is Python's in every cycle."""
+        """Compiled stages for `before` and `after` on this sample; None: every cycle needs Python."""
         return None
 
 
 def overrides(task: CyclicTask, moment: Literal["before", "after", "rest"]) -> bool:
-    """Whether a task has something to do in this moment: the others need no call in every cycle."""
+    """True if a task overrides this hook: the others need no call in every cycle."""
     return getattr(type(task), moment) is not getattr(CyclicTask, moment)
 
 
 class SettableQuantity(Protocol):
-    """Something of a task that an experiment may change under way, by the paths of `hilbench.topology.quantities`."""
+    """Quantities of a task that an experiment may change in a run, by the paths of `hilbench.topology.quantities`."""
 
     def owns(self, path: str) -> bool:
-        """Whether it is this one's."""
+        """True if this object owns the path."""
 
     def value(self, path: str) -> float:
         """Present value, SI."""

@@ -1,6 +1,6 @@
-"""What physics allows the tension of a span to be: an interval from torques, encoders and what a model may lack.
+"""Bounds of a span's tension by physics: an interval from torques, encoders and the model's possible errors.
 
-Nothing of a twin's estimator is in it. The momentum balances of the driven rollers j behind span k add up to
+They use nothing of a twin's estimator. The momentum balances of the driven rollers j after span k add up to
 
     F_k = Σ_j [(i/r)_j·τ_j − R_j(v_j) − m_j·v_j'] + F_next
 
@@ -10,11 +10,11 @@ taken over blocks of 0.1 s. A twin's tension has to be in three intervals, each 
   standard deviations of `ModelErrorsConfig`, and dry friction of the model where a roller may stick. Any two errors of
   two deviations each and one sign are inside: 2·(a + b) ≤ 2·√2·√(a² + b²) < 3·√(a² + b²).
 - Modulus: F_k ± 3·σ over S·ε, with ε by mass conservation from the encoders, and what strain may lack.
-- Change: at constant speed and set-point nothing but E·ε changes quickly, so F_twin − F_k stays what it was, within
-  2.5 % of the set-point (E is to be right within 1 %), twice what turns with the rollers, as much as it has swung
-  before (tension upstream that no encoder sees), and friction that warms up.
+- Change: at constant speed and set-point only E·ε changes quickly, so F_twin − F_k stays as it was, within
+  2.5 % of the set-point (E is to be right within 1 %), twice the ripple that turns with the rollers, its own swings
+  before (tension upstream that no encoder shows), and friction that warms up.
 
-What is beyond for less than `PERSISTS_S` is not said: so long a twin may look for an E that has stepped.
+A violation shorter than `PERSISTS_S` is not reported: so long a twin may search for an E that has stepped.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ Matrix = NDArray[np.float64]
 
 #: Blocks in a mean; the newer and the older half of them have to agree that something is beyond.
 BLOCKS, _HALF = 10, 5
-#: Standard deviations of the intervals of tension and modulus: see above. A stand in 370 is outside with all of its
-#: errors as large as its priors say and nobody who has commissioned it.
+#: Standard deviations of the intervals of tension and modulus: see above. A stand in 370 is outside although all of
+#: its errors are within their priors, if it was never commissioned.
 DEVIATIONS = 3.0
-#: Share of the set-point, and deviations of what turns, by which the twin's tension may leave that of the torques.
+#: Share of the set-point, and deviations of the turning ripple, by which the twin may differ from the torques.
 _CHANGE_SHARE, _TURNING_DEVIATIONS = 0.025, 2.0
 #: Time in which friction that warms up changes by a standard deviation at the fastest, as bearings and seals take
 #: minutes; a difference that goes with twice that is followed.
@@ -46,15 +46,15 @@ _SETTLED_S, _AFTER_STEP_S = 2.0, 5.0
 #: A difference is a mean over two of these intervals, and swings by what it has in both of them: a period of 8 s and
 #: shorter. Until then it may be twice as far off.
 _INTERVAL_S, _LEARNING_BLOCKS = 8.0, 160.0
-#: Relative change of E that an open loop is told.
+#: Relative change of E that is passed to an open loop.
 _WORTH_TELLING = 0.01
 #: Change of E by torques, and share of it that the twin has to have followed, that is a step of E.
 _STEP_SHARE, _FOLLOWED = 0.05, 0.5
-#: How long something is beyond before it is said, longer than the slowest method needs for a step of E (0.75 s).
+#: Duration of a violation before it is reported, longer than the slowest method needs for a step of E (0.75 s).
 PERSISTS_S = 0.8
-#: A twin is believed again when it has been within this share of the interval for so long.
+#: The twin is trusted again when it has been within this share of the interval for this time.
 _RETURN_SHARE, _RETURN_S = 0.8, 5.0
-#: Share of the usual strain below which a web tells no E.
+#: Share of the usual strain below which E is not identifiable.
 _LEAST_STRAIN = 0.25
 #: Below this speed at the web a roller may stick.
 STICKS_M_S = 2e-3
@@ -64,9 +64,9 @@ STICKS_M_S = 2e-3
 (RAD_PER_M, MASS_KG, RADIUS_M, DRY_N, VISCOUS, OFFSET_N, SCALE, INERTIA_KG, UNBALANCE_N, ROLLER) = range(10)
 #: Means of a roller over a block: torque, speed, acceleration.
 TORQUE_NM, SPEED_M_S, RATE_M_S2, MOTION = range(4)
-#: A block of a span: tension by torques, variance of it, dry friction that may hold a roller, what turns (deviation);
-#: tension and E by the twin; section times strain (0: nobody knows); speed; duration; whether the loop was closed on
-#: the twin, and nothing was changed by anybody.
+#: A block of a span: tension by torques, its variance, dry friction that may hold a roller, turning ripple (deviation);
+#: tension and E by the twin; section times strain (0: unknown); speed; duration; 1 if the loop was closed on
+#: the twin; 1 if nothing was changed.
 (TENSION_N, VARIANCE_N2, STICKS_N, TURNING_N, TWIN_N, TWIN_PA, STRETCH_M2) = range(7)
 (LINE_M_S, BLOCK_S, CLOSED, UNCHANGED, BLOCK) = range(7, 12)
 #: Of a span: usual tension and usual section times strain; deviations of the strain, relative, and of what creep takes
@@ -75,15 +75,15 @@ TORQUE_NM, SPEED_M_S, RATE_M_S2, MOTION = range(4)
 #: viscous friction of the idlers behind it; section.
 USUAL_N, USUAL_M2, STRAIN_SHARE, CREEP_SHARE, NEXT_N, WARMS_N, OF_SPEED, CHANGES, ECCENTRIC_N = range(9)
 IDLERS_KG, IDLERS_DRY_N, IDLERS_VISCOUS, SECTION_M2, SPAN = range(9, 14)
-#: What is kept of a span: blocks in the ring and where the next one goes; how long all has been constant; whether the
-#: difference then is known, what it is, and at which speed; how long the twin has been beyond, and back; what is said
-#: of it; then the mean tension of the twin, its interval, E of the twin and its interval, E by torques and encoders,
-#: and what of that an open loop goes by; of the difference: blocks that are in it, its least and most in this interval,
-#: how long that is, and half of what it went to and fro in the two before (below 0: nobody knows).
+#: State of a span: blocks in the ring and the place of the next; time since all is constant; 1 if the
+#: difference then is known, its value, and at which speed; how long the twin has been beyond, and back; the verdict
+#: reported; then the mean tension of the twin, its interval, E of the twin and its interval, E by torques and encoders,
+#: and the E passed to an open loop; of the difference: blocks in it, its least and most in this interval,
+#: the interval's length, and half of its range in the two before (below 0: unknown).
 FILLED, NEXT, CONSTANT_S, KNOWN, DIFFERENCE_N, KNOWN_AT_M_S, BEYOND_S, BACK_S, REPORTED = range(9)
 (MEAN_N, LOW_N, HIGH_N, MEAN_PA, LOW_PA, HIGH_PA, BY_TORQUES_PA, ASSUMED_PA) = range(9, 17)
 (LEARNED, LEAST_N, MOST_N, INTERVAL_S, SWINGS_N, SWUNG_N, STATE) = range(17, 24)
-#: What is said of a twin.
+#: Verdicts on a twin.
 NOTHING, TENSION, MODULUS, CHANGE = 0.0, 1.0, 2.0, 3.0
 
 
@@ -91,9 +91,9 @@ NOTHING, TENSION, MODULUS, CHANGE = 0.0, 1.0, 2.0, 3.0
 def stretch(
     unstretched_m: Vector, strains: Vector, lengths_m: Vector, travels_m: Vector, before: float, behind: float
 ) -> None:
-    """Mass conservation: web in the spans (K,), unstretched, and its strains, after the rollers have gone `travels_m`
-    (K + 1,); `before`, `behind`: strains of the web around the line. Web passes a roller with the strain of where it
-    comes from."""
+    """Mass conservation: update web in the spans (K,), unstretched, and its strains after a displacement of the rollers
+    by `travels_m` (K + 1,); `before`, `behind`: strains of the web around the line. Web passes a roller with the
+    strain of the side it comes from."""
     count = len(lengths_m)
     came_m = travels_m[0] / (1.0 + (before if travels_m[0] >= 0.0 else strains[0]))
     for k in range(count):
@@ -120,13 +120,13 @@ def driving_N(p: Vector, axis: int, torque_Nm: float, v_m_s: float) -> float:
 
 @compiled
 def sticking_N(p: Vector, axis: int) -> float:
-    """Dry friction of the model by which a roller that stands may hold either way, N."""
+    """Dry friction of the model by which a roller at rest may hold either way, N."""
     return float(laws.breakaway_N(p, lay.W_SIZE + axis * lay.A_SIZE))
 
 
 @compiled
 def _kept_of_a_turn(radius_m: float, travel_m: float) -> float:
-    """What a mean over so much way keeps, at most, of the amplitude of a swing that comes once a turn."""
+    """Largest share of the amplitude of a once-per-turn ripple that a mean over this travel keeps."""
     return min(1.0, 2.0 * radius_m / travel_m) if travel_m > 0.0 else 1.0
 
 
@@ -134,8 +134,8 @@ def _kept_of_a_turn(radius_m: float, travel_m: float) -> float:
 def momentum_balance(
     p: Vector, f: Vector, rollers: Matrix, motion: Matrix, first: int, mean_s: float, block: Vector
 ) -> None:
-    """Tension before the roller of index `first`, and what it may be off, into a block: `rollers` (N, ROLLER) and their
-    `motion` (N, MOTION); block[TENSION_N]: tension behind the line at first; `mean_s`: what turns is averaged over."""
+    """Momentum balance: tension before the roller of index `first`, and its error, into a block: `rollers` (N, ROLLER),
+    their `motion` (N, MOTION); block[TENSION_N]: tension after the line at first; `mean_s`: averaging time."""
     block[VARIANCE_N2], block[STICKS_N], turning_N2 = 0.0, 0.0, 0.0
     for j in range(first, len(rollers)):
         roller, torque_Nm = rollers[j], motion[j, TORQUE_NM]
@@ -161,7 +161,7 @@ def momentum_balance(
 
 @compiled
 def _mean(ring: Matrix, row: int, newest: int, first: int, count: int) -> float:
-    """Of a row of the ring over `count` blocks, of which the newest is `first` blocks old."""
+    """Mean of a row of the ring over `count` blocks, of which the newest is `first` blocks old."""
     total = 0.0
     for k in range(count):
         total += ring[row, (newest - first - k) % BLOCKS]
@@ -170,7 +170,7 @@ def _mean(ring: Matrix, row: int, newest: int, first: int, count: int) -> float:
 
 @compiled
 def _lasts_beyond(ring: Matrix, newest: int, around_N: float, bound_N: float) -> bool:
-    """Whether the twin is beyond, in the mean, and both halves of it say so; no number is."""
+    """True if the twin is beyond the bound in the mean, and both halves agree; also for a value that is no number."""
     newer_N = _mean(ring, TWIN_N, newest, 0, _HALF) - _mean(ring, TENSION_N, newest, 0, _HALF) - around_N
     older_N = _mean(ring, TWIN_N, newest, _HALF, _HALF) - _mean(ring, TENSION_N, newest, _HALF, _HALF) - around_N
     if abs(newer_N) < 0.5 * bound_N or abs(older_N) < 0.5 * bound_N or newer_N * older_N < 0.0:
@@ -180,7 +180,7 @@ def _lasts_beyond(ring: Matrix, newest: int, around_N: float, bound_N: float) ->
 
 @compiled
 def _has_stepped(ring: Matrix, newest: int) -> bool:
-    """Whether E by torques and encoders has changed within the ring, and the twin's has followed."""
+    """True if E by torques and encoders has changed within the ring, and the twin's has followed."""
     stretch_m2 = _mean(ring, STRETCH_M2, newest, 0, _HALF), _mean(ring, STRETCH_M2, newest, _HALF, _HALF)
     if not (stretch_m2[0] > 0.0 and stretch_m2[1] > 0.0):
         return False
@@ -195,7 +195,7 @@ def _has_stepped(ring: Matrix, newest: int) -> bool:
 
 @compiled
 def _learn(f: Vector, s: Vector, ring: Matrix, block: Vector, newest: int) -> None:
-    """How the twin's tension differs from that of the torques while nothing changes."""
+    """Learn the difference of the twin's tension from that of the torques while nothing changes."""
     if block[UNCHANGED] == 0.0 or block[CLOSED] == 0.0 or f[CHANGES] == 0.0:
         s[CONSTANT_S], s[KNOWN] = 0.0, 0.0
         return
@@ -231,11 +231,11 @@ def _refine(f: Vector, s: Vector, block: Vector, difference_N: float) -> None:
 
 @compiled
 def judge(f: Vector, s: Vector, ring: Matrix, block: Vector) -> bool:
-    """A block on: whether something else is said of the twin than before (SAID), or E is another one while it is said
-    (ASSUMED_PA). `f` (SPAN,), `s` (STATE,), `ring`
+    """Take a block. True if the verdict on the twin changes, or the E of an open loop (ASSUMED_PA).
+    `f` (SPAN,), `s` (STATE,), `ring`
     (BLOCK, BLOCKS)."""
     newest = int(s[NEXT])
-    if block[CLOSED] == 0.0 and s[REPORTED] == NOTHING:  # another reason holds the loop open: nobody goes by the twin
+    if block[CLOSED] == 0.0 and s[REPORTED] == NOTHING:  # another reason holds the loop open: the twin is not used
         s[FILLED], s[CONSTANT_S], s[KNOWN], s[BEYOND_S] = 0.0, 0.0, 0.0, 0.0
         return False
     for row in range(BLOCK):
@@ -267,7 +267,7 @@ def judge(f: Vector, s: Vector, ring: Matrix, block: Vector) -> bool:
 
 @compiled
 def _is_comparable(s: Vector, block: Vector) -> bool:
-    """Whether the difference that was known may be asked for at this speed: not where a roller may stick, or has turned
+    """True if the known difference applies at this speed: not where a roller may stick, or has turned
     back."""
     known_m_s, now_m_s = s[KNOWN_AT_M_S], block[LINE_M_S]
     if abs(known_m_s) < STICKS_M_S or abs(now_m_s) < STICKS_M_S:
@@ -277,7 +277,7 @@ def _is_comparable(s: Vector, block: Vector) -> bool:
 
 @compiled
 def _find(f: Vector, s: Vector, ring: Matrix, newest: int) -> float:
-    """What of the twin is beyond its interval; both are left in the state."""
+    """Verdict: which quantity of the twin is beyond its interval; both are left in the state."""
     share = 1.0 if s[REPORTED] == NOTHING else _RETURN_SHARE
     tension_N = _mean(ring, TENSION_N, newest, 0, BLOCKS)
     turning_N = _mean(ring, TURNING_N, newest, 0, BLOCKS)
@@ -313,13 +313,13 @@ def _find(f: Vector, s: Vector, ring: Matrix, newest: int) -> float:
 
 @compiled
 def forget(s: Vector) -> None:
-    """The twin begins anew: nothing is said of it, or known."""
+    """Reset for a new twin: no verdict, nothing known."""
     s[:] = 0.0
 
 
 @compiled
 def change_conditions(s: Vector) -> None:
-    """Somebody, or the twin, has said that the machine is another one now: a difference is to be found anew."""
+    """Note a change of the machine, announced or found by the twin: a difference is to be learned anew."""
     s[CONSTANT_S] = 0.0
     if s[REPORTED] == NOTHING:
         s[KNOWN] = 0.0

@@ -1,14 +1,14 @@
-"""Upstream tension control: the velocity of the axis before a span is set from its simulated tension; the axis behind
+"""Upstream tension control: the velocity of the axis before a span is set from its simulated tension; the axis after
 it leads. Here the span is the first, between axes 1 and 2.
 
 The loop is closed once the twin reports that it is synchronized, and open while the twin can't be trusted. An open loop
-goes from the last ratio of speeds to the one that gives the set-point by mass conservation, with E as it was known:
-(v1/v2)·(1 + ε_ref) = 1 + ε_prev, ε_ref = F_ref/ES. Kept as it was, the ratio of a moment in which the controller was
-busy would take the web to another strain altogether.
+moves from the last ratio of speeds to the one that gives the set-point by mass conservation, with E as it was known:
+(v1/v2)·(1 + ε_ref) = 1 + ε_prev, ε_ref = F_ref/ES. Kept as it was, the ratio of a moment in which the controller
+was active would take the web to another strain altogether.
 
 Linearized about F = ES·ε the span answers a velocity difference c = v2 − v1 with F' = (ES/L)·c − (v/L)·F. But roller
 2 gives way to the web: below its velocity loop's bandwidth the integral part of the loop holds it like a spring of
-k = ki·(i/r)², which is soft beside the web's ES/L. So v2 falls by F'/k, and the span answers as one that is slower by
+k = ki·(i/r)², which is soft compared to the web's ES/L. So v2 falls by F'/k, and the span answers like one slower by
 1 + κ, κ = ES/(L·k): (1 + κ)·F' = (ES/L)·c − (v/L)·F. The gain Kp = ω·(1 + κ)·L/ES gives the wanted bandwidth ω at every
 line speed and stiffness. The integral time is that of the span, (1 + κ)·L/v, which cancels its pole, but 4/ω at most:
 a slower pole would be cancelled for the set point only, and a disturbance would stay for its time (Skogestad 2003).
@@ -28,14 +28,14 @@ Vector = NDArray[np.float64]
 
 #: Longest integral time, times the bandwidth.
 _LONGEST_INTEGRAL = 4.0
-#: Time constants of an open loop's way to its ratio, and of the E that it takes with it.
+#: Time constants of an open loop's ratio on its way to the goal, and of the E that it uses.
 _HOLD_S = 0.5
 _KNOWN_S = 0.5
 
 
 def strains_around(config: BenchConfig, span: int) -> tuple[float, float]:
-    """Strains of the web before and behind a span, by the model: on each side that of the set-point of the nearest span
-    with a controller, as an axis without one hands the strain on; that of the web around the line for none."""
+    """Strains of the web before and after a span, by the model: on each side that of the set-point of the nearest span
+    with a controller, as an axis without one passes the strain on; that of the web around the line for none."""
     model, controls = config.web_line, config.tension_controls
     before = [control for number, control in controls.items() if number < span]
     behind = [control for number, control in controls.items() if number > span]
@@ -54,7 +54,7 @@ _INTEGRAL_M_S, _RATIO, _MODULUS_PA, _OPEN, _STATE = range(5)
 
 @compiled
 def _schedule(figures: Vector, modulus_Pa: float) -> tuple[float, float, float]:
-    """See `TensionController.schedule`."""
+    """Gain schedule (`TensionController.schedule`)."""
     stiffness_N = modulus_Pa * figures[_AREA_M2]
     gives_way = stiffness_N / (figures[_LENGTH_M] * figures[_ROLLER_N_PER_M])
     kp = figures[_BANDWIDTH] * (1.0 + gives_way) * figures[_LENGTH_M] / stiffness_N
@@ -63,7 +63,7 @@ def _schedule(figures: Vector, modulus_Pa: float) -> tuple[float, float, float]:
 
 @compiled
 def _gains(figures: Vector, line_m_s: float, modulus_Pa: float) -> tuple[float, float]:
-    """See `TensionController.gains`."""
+    """Gains Kp and Ki at a line speed (`TensionController.gains`)."""
     kp, length_m, least_per_s = _schedule(figures, modulus_Pa)
     return kp, kp * max(abs(line_m_s) / length_m, least_per_s)
 
@@ -95,9 +95,9 @@ def control(
     cycle_s: float,
     around_m_s: float,
 ) -> float:
-    """A cycle on: velocity set point of the axis before the span in m/s, from tension and E where the loop is `closed`,
-    after an open one without a jump; else without a jump from what it was. `line_m_s`: velocity of the axis behind the
-    span, which it corrects, or `around_m_s` in its place: what is known to be right already, NaN where nothing is."""
+    """Run a cycle of the controller: velocity set point of the axis before the span in m/s, from tension and E where
+    the loop is `closed`; bumpless transfer after an open one, and into it. `line_m_s`: velocity of the axis after the
+    span, which it corrects, or `around_m_s` in its place: feed-forward velocity, NaN where there is none."""
     if not closed:
         return _hold(figures, s, line_m_s, set_point_N, cycle_s, around_m_s)
     limit, error_N = figures[_LIMIT_M_S], set_point_N - tension_N
@@ -130,9 +130,9 @@ def _gains_once(figures: Vector, line_m_s: float, modulus_Pa: float) -> tuple[fl
 class TensionController:
     """PI controller with its gains scheduled on line speed and stiffness: the vectors of `control`.
 
-    `roller_stiffness_N_per_m`: what holds the roller behind the span against the web at low frequency; inf for one that
-    does not yield.
-    `strains`: of the web before and behind the span.
+    `roller_stiffness_N_per_m`: stiffness that holds the roller after the span against the web at low frequency; inf for
+    one that does not yield.
+    `strains`: of the web before and after the span.
     """
 
     def __init__(
@@ -155,13 +155,13 @@ class TensionController:
     def of_model(
         cls, config: TensionControlConfig, model: ModelParameters, strains: tuple[float, float]
     ) -> TensionController:
-        """For its span of a model, and the strains of the web around that. Raises ValueError without a web."""
+        """Controller for its span of a model, given the strains around it. Raises ValueError without a web."""
         section_m2, stiffness_N_per_m = model.section_m2(config.span), model.drive_stiffness_N_per_m(config.span + 1)
         return cls(config, model.span_length_m(config.span), section_m2, stiffness_N_per_m, strains)
 
     def schedule(self, modulus_Pa: float) -> tuple[float, float, float]:
-        """At this E: Kp in m/s per N; a length in m, and a rate in 1/s. Ki is Kp times the line speed over that length,
-        at least times that rate."""
+        """Gain schedule at this E: Kp in m/s per N; a length in m, and a rate in 1/s. Ki is Kp times the line speed
+        over that length, at least times that rate."""
         return _schedule_once(self.figures, float(modulus_Pa))
 
     def gains(self, line_speed_m_s: float, modulus_Pa: float) -> tuple[float, float]:
@@ -169,7 +169,7 @@ class TensionController:
         return _gains_once(self.figures, float(line_speed_m_s), float(modulus_Pa))
 
     def assume_modulus(self, modulus_Pa: float) -> None:
-        """E that an open loop goes by, from now on."""
+        """Set the E that an open loop uses from now on."""
         self.state[_MODULUS_PA] = modulus_Pa
 
     def reset(self) -> None:

@@ -1,8 +1,8 @@
-"""What a tension loop makes of a cycle, compiled: whether it may be closed on the twin, the controller's velocity, and
+"""Compiled cycle of a tension loop: decides if it may be closed on the twin, then the controller's velocity, and
 the damping of the swing.
 
-It goes by stages: where something is rare (the loop opens or closes, the damping's gains follow another E) it says so,
-Python does its part, and calls it again from the stage behind.
+It runs in stages: on a rare event (the loop opens or closes, the damping's gains follow another E) it returns,
+the interpreter does its part, and calls it again from the next stage.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ Places = NDArray[np.int64]
 
 #: Where a cycle begins, and behind what is to be decided.
 JUDGE, CONTROL = range(2)
-#: What is Python's: the twin's data are of before it was lost; it is trusted, and was not, or the other way round; E is
-#: another than the damping's gains are for. Below them what `judged` has found.
+#: Events for the interpreter: the twin's data are of before it was lost; its trust has changed; E differs from
+#: that of the damping's gains. Below them the findings of `judged`.
 STALE, CHANGED, OTHER_MODULUS = range(16, 19)
 # Rows of the table.
 (
@@ -75,7 +75,7 @@ _MOST_CYCLES_AT_ONCE = 10
 
 @compiled
 def _since_controlled_s(loop: Vector, words: Places, at: Places) -> float:
-    """The time that the twin's data have gone on since the controller's last step: none while they are repeated."""
+    """Time by which the twin's data have advanced since the controller's last step: 0 while they are repeated."""
     reported = words[at[_CYCLE_AT]] - words[at[_AGE_AT]]
     cycles = 1 if loop[CONTROLLED_CYCLE] == NEVER else reported - int(loop[CONTROLLED_CYCLE])
     loop[CONTROLLED_CYCLE] = reported
@@ -153,7 +153,7 @@ def run(stage: int, table: Table) -> int:
 
 
 def warm_up() -> None:
-    """Compile, or load, before anybody waits for a cycle."""
+    """Compile, or load, before a cycle has to wait for it."""
     run(JUDGE, np.zeros((0, TABLE_WIDTH), np.int64))
 
 
@@ -166,8 +166,8 @@ def in_order(
     trust: Sequence[NDArray[Any]],
     ahead: Sequence[NDArray[Any]] | None,
 ) -> tuple[NDArray[Any], ...]:
-    """The vectors of the table: figures and state of `control`, those of `damp`, the loop, `SPEEDS` of the axis behind
+    """The vectors of the table: figures and state of `control`, those of `damp`, the loop, `SPEEDS` of the axis after
     the span, a sample as `reals` and `wholes` with the places in it, figures, state and places of `judged`; of a loop
-    with a feed-forward `web_strain_trajectory`, what enters the span with the places of that, and the axis' lead."""
+    with a feed-forward `web_strain_trajectory`, the strain that enters with its places, and the axis' lead."""
     nothing = np.zeros(0)
     return (*controller, *damping, loop, leader, *sample, *trust, *(ahead or (nothing, nothing, nothing, nothing)))

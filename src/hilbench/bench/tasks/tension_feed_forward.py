@@ -1,5 +1,5 @@
-"""What a tension loop does ahead of its controller, from what the twin knows: so that a span's set-point, the strain
-that comes into it and the line's speed do not have to become an error first, and neighbours notice nothing.
+"""Feed-forward of a tension loop from the twin's estimates: a span's set-point, the strain
+that comes into it and the line's speed need not become an error first, and neighbours are not disturbed.
 
 Mass conservation in span j, solved for the speed of the roller before it at the wanted strain ε and its rate:
 
@@ -7,14 +7,14 @@ Mass conservation in span j, solved for the speed of the roller before it at the
     v_j = v_{j+1} · (1 + ε) / (1 + ε_{j+1}) - L·ε'/(1 + ε)      in reverse
 
 with E and the strain of the span that the web comes from as the twin has them; ε is on its way to that of the
-set-point. That roller is also the one behind span j - 1: the rollers before it take their speeds from its command by
-the ratios of their own spans, so what is corrected in one span is passed on to all rollers on the side away from the
+set-point. That roller is also the one after span j - 1: the rollers before it take their speeds from its command by
+the ratios of their own spans, so a correction in one span is passed on to all rollers on the side away from the
 master speed, and only there.
 
 A roller held by a velocity loop u → kp·(u - v) + ki·∫(u - v) gives way to a force until the integral has taken it up.
 For a force f that is known (m·a at a ramp, the difference of the wanted tensions, with what a change of E that the twin
 has found makes of them) the command that keeps v as planned leads it by (f - f')/kp, f' being f behind a lag of kp/ki.
-The last roller is told the line's speed and no more: by what it gives way the others are told to go with it.
+The last roller gets the line's speed only: the others are commanded to follow its compliance.
 """
 
 from __future__ import annotations
@@ -53,22 +53,22 @@ from hilbench.topology.sample import CycleSample
 Vector = NDArray[np.float64]
 Table = NDArray[np.int64]
 
-#: Share of a motor's greatest torque that is asked of it ahead.
+#: Share of a motor's greatest torque that feed-forward may use.
 _TORQUE_SHARE = 0.5
-#: Of a roller: mass, kg, and kp, N·s/m, at the web; share of what the drive does not have yet that it takes up in a
-#: cycle; the most that is asked ahead, N; what its drive has, N (NaN: what is there); place of its axis among the
-#: leads, of its way (NOWHERE: none), and of the ways of the spans that pull it back and forward.
+#: A roller: mass, kg, and kp, N·s/m, at the web; share of the missing torque that the drive takes up in a
+#: cycle; feed-forward limit, N; force that its drive has, N (NaN: unknown); place of its axis among the
+#: leads, of its own trajectory (NOWHERE: none), and of those of the spans that pull it back and forward.
 _MASS_KG, _KP_N_S_PER_M, _SHARE, _LIMIT_N, _HELD_N, _AXIS, _OWN_WAY, _PULLED_BACK, _PULLED_ON, _ROLLER = range(10)
 NOWHERE = -1
-# Rows of the table; behind them, of each way, its vector and that of its loop.
+# Rows of the table; after them, for each trajectory, its vector and that of its loop.
 _ROLLERS, _LEADS_M_S, _LINE_SPEED, _OWN, _WAYS = range(5)
-#: Of the task: a cycle, s, and the line's speed in the last one.
+#: Vector of the task: a cycle, s, and the line's speed in the last one.
 _CYCLE_S, _SPEED_M_S = range(2)
 
 
 @compiled
 def _lead_m_s(r: Vector, acceleration_m_s2: float, force_N: float) -> float:
-    """See `RollerForces.lead_m_s`."""
+    """Velocity lead of a roller (`RollerForces.lead_m_s`)."""
     if r[_KP_N_S_PER_M] <= 0.0:
         return 0.0
     wanted_N = r[_MASS_KG] * acceleration_m_s2 + force_N
@@ -80,7 +80,7 @@ def _lead_m_s(r: Vector, acceleration_m_s2: float, force_N: float) -> float:
 
 @compiled
 def _pull_N(table: Table, way: float, sign: float) -> float:
-    """What a span that has a way pulls by."""
+    """Pull of a span's wanted tension; 0 without a trajectory."""
     if way < 0.0:
         return 0.0
     row = _WAYS + 2 * int(way)
@@ -120,13 +120,13 @@ _lead_once = interpreted(_lead_m_s)
 
 
 class RollerForces:
-    """By how much a roller's velocity command leads its planned speed, so that its drive has the torque in time.
+    """Lead of a roller's velocity command over its planned speed, so that its drive has the torque in time.
 
-    `kp_N_s_per_m`, `ki_N_per_m`: of its velocity loop, at the web; `limit_N`: the most that it is asked for ahead.
+    `kp_N_s_per_m`, `ki_N_per_m`: of its velocity loop, at the web; `limit_N`: feed-forward limit.
     """
 
     def __init__(self, mass_kg: float, kp_N_s_per_m: float, ki_N_per_m: float, limit_N: float, cycle_s: float) -> None:
-        # By this share the leads of a step sum up to what the integral of the drive is to be.
+        # With this share the leads of a step sum up to the final integral of the drive.
         share = min(cycle_s * ki_N_per_m / kp_N_s_per_m, 1.0) if kp_N_s_per_m > 0.0 else 0.0
         self.vector = np.full(_ROLLER, float(NOWHERE))  #: as above
         self.vector[: _LIMIT_N + 1] = mass_kg, kp_N_s_per_m, share, limit_N
@@ -134,7 +134,7 @@ class RollerForces:
 
     @classmethod
     def of_model(cls, model: ModelParameters, axis: int, cycle_s: float) -> RollerForces:
-        """Of an axis of a model with drives."""
+        """Lead of an axis of a model with drives."""
         assert model.drives is not None, "a bench's model has drives"
         ratio = model.motor_rad_per_m(axis)
         kp = per_item(model.drives.velocity_kp_Nm_s_per_rad, axis) * ratio**2
@@ -144,8 +144,8 @@ class RollerForces:
 
     @property
     def figures(self) -> tuple[float, float, float, float]:
-        """Mass, kg, and kp, N·s/m, at the web; share of what the drive does not have yet that it takes up in a cycle;
-        the most that is asked ahead, N."""
+        """Mass, kg, and kp, N·s/m, at the web; share of the missing torque that the drive takes up in a cycle;
+        feed-forward limit, N."""
         mass_kg, kp_N_s_per_m, share, limit_N = self.vector[: _LIMIT_N + 1].tolist()
         return mass_kg, kp_N_s_per_m, share, limit_N
 
@@ -154,7 +154,7 @@ class RollerForces:
         self.vector[_HELD_N] = nan
 
     def lead_m_s(self, acceleration_m_s2: float, force_N: float) -> float:
-        """What to add to the command, from the planned acceleration and what pulls the roller back, N at the web."""
+        """Lead to add to the command, from the planned acceleration and the force that pulls it back, N at the web."""
         return _lead_once(self.vector, acceleration_m_s2, force_N)
 
 
@@ -163,14 +163,14 @@ class Goal(Protocol):
 
     @property
     def loop(self) -> Vector:
-        """As of `tension_cycle`: what it is to be, and E of the web there."""
+        """Vector of the loop as in `tension_cycle`: wanted tension, and E of the web there."""
 
 
 class FeedForwardTask(CyclicTask):
-    """The plan of a cycle, before any axis is told its speed: ways of the set-points, and what leads each roller needs.
+    """Feed-forward plan of a cycle, before any speed command: set-point trajectories, and leads of the rollers.
 
-    `loops`: what keeps the tensions, by the number of the span, also those that are added later; `ways`: of those spans
-    that have one. The others count as of a tension that does not change.
+    `loops`: tension loops by the number of the span, also those added later; `ways`: trajectories of those spans
+    that have one. The others count as having a constant tension.
     """
 
     def __init__(
@@ -189,7 +189,7 @@ class FeedForwardTask(CyclicTask):
             way.reset(self._upstream_strain)
         self._rollers = np.array([self._roller(model, axis, cycle_s) for axis in range(model.axis_count, 0, -1)])
         self._piece: CompiledStage | None = None
-        _plan(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before anybody waits for a cycle
+        _plan(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before a cycle waits for it
 
     def _roller(self, model: ModelParameters, axis: int, cycle_s: float) -> Vector:
         place = {span: at for at, span in enumerate(self._ways)}
@@ -200,12 +200,12 @@ class FeedForwardTask(CyclicTask):
         return roller
 
     def lead(self, axis: int) -> Vector:
-        """What the command of an axis has more than its planned speed, in this cycle, m/s (1,)."""
+        """Lead of an axis's command over its planned speed in this cycle, m/s (1,)."""
         return self._leads_m_s[axis - 1 : axis]
 
     @property
     def piece(self) -> CompiledStage:
-        """One cycle further."""
+        """Compiled stage: advance the plan by a cycle."""
         if self._piece is None:
             kept = [self._rollers, self._leads_m_s, self._line_speed.vector, self._own]
             for span, way in self._ways.items():
@@ -214,15 +214,15 @@ class FeedForwardTask(CyclicTask):
         return self._piece
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """One cycle further."""
+        """Advance the plan by a cycle."""
         self.piece()
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """The same."""
+        """Compiled stage that makes the plan of a cycle."""
         return CompiledStages(before=[self.piece])
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Nothing turns: the web is strained as upstream, and the ways begin there."""
+        """Reset at rest: the web is strained as upstream, and the trajectories begin there."""
         self._own[_SPEED_M_S] = self._line_speed.present
         for way in self._ways.values():
             way.reset(self._upstream_strain)

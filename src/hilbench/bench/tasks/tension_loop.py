@@ -1,10 +1,10 @@
-"""The tension loops as one linear sampled system: how stable it is, and with what margins.
+"""The tension loops as one linear sampled system: stability and margins.
 
 Deviations from the steady state, at the web: all axes with their velocity PI (sampled) and current loop, the load
 motors that emulate the web with their delay and prediction, the twin's simulation of the axes and of the web, and the
 bench's tension controllers with their active damping, each at the instants at which it acts. One bus cycle is one
-matrix, built exactly (matrix exponentials between the drives' samples). Not in it: limits, friction, what the
-synchronizer does to E meanwhile (the estimate is a given number), noise.
+matrix, built exactly (matrix exponentials between the drives' samples). Not included: limits, friction, changes of E
+by the synchronizer meanwhile (the estimate is a given number), noise.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ Moduli = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class OperatingPoint:
-    """Where the loop is looked at: the true web, the line speed, and the E that the twin believes; a value per span."""
+    """Operating point of the loop: the true web, the line speed, and the twin's estimate of E; a value per span."""
 
     moduli_Pa: Moduli
     line_speed_m_s: float
-    length_factors: tuple[float, ...]  #: of the emulated spans, by what the load model's are
+    length_factors: tuple[float, ...]  #: of the emulated spans, relative to the load model's
     estimates_Pa: Moduli
 
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """Of one operating point. `gain`: factor by which the loop's gain may grow or fall before it is unstable; inf
-    where it never is. `phase_deg`: 180 where the gain never is 1. `growth_per_s`: of the slowest mode, below zero
-    where all decay."""
+    """Stability margins at an operating point. `gain`: factor by which the loop gain may grow or fall until it is
+    unstable; inf where it never is. `phase_deg`: 180 where the gain never is 1. `growth_per_s`: of the slowest mode,
+    below zero where all decay."""
 
     gain: float
     phase_deg: float
@@ -80,11 +80,11 @@ class _Axis:
 
 
 def state_names(config: BenchConfig, under_way: Mapping[int, int]) -> list[str]:
-    """What is in the system: axes and spans by their numbers, load motors by that of their axis.
+    """Names of the states: axes and spans by their numbers, load motors by that of their axis.
 
-    `under_way`: by controlled span, commands of the damping that are kept. Speeds, forces and integrals of the drives,
-    forces of load motors, ways since the last SYNC, tensions of the emulated web at it; the same in the twin; commands
-    that act, and those on their way; what controllers and damping keep.
+    `under_way`: by controlled span, number of damping commands kept. Speeds, forces, integrals of the drives,
+    forces of load motors, travel since the last SYNC, tensions of the emulated web at it; the same in the twin;
+    commands that act, and those under way; states of controllers and damping.
     """
     axes, spans = range(1, config.shape.axes + 1), range(1, config.shape.spans + 1)
     names = [f"{quantity}{k}{of}" for of in ("", "_sim") for k in axes for quantity in "vfi"]
@@ -131,13 +131,13 @@ class TensionLoop:
 
     @cached_property
     def growth_per_s(self) -> float:
-        """Of the slowest mode; below zero where all decay."""
+        """Growth rate of the slowest mode; below zero where all decay."""
         sizes = np.abs(np.linalg.eigvals(self._cycle @ self._sync()))
         return log(max(float(np.max(sizes)), 1e-12)) / self.config.cycle_time_s
 
     @property
     def stable(self) -> bool:
-        """Whether nothing grows."""
+        """True if no mode grows."""
         return self.growth_per_s < _STAYS_PER_S
 
     def course(self, tension_N: float, duration_s: float, span: int = 1) -> NDArray[np.float64]:
@@ -154,7 +154,7 @@ class TensionLoop:
 
     @cached_property
     def _lengths_m(self) -> dict[int, float]:
-        """Of the emulated spans."""
+        """Lengths of the emulated spans."""
         web = emulated_web(self.config.web_line, self.config.load)
         return {j: web.span_length_m(j) * self.point.length_factors[j - 1] for j in range(1, web.span_count + 1)}
 
@@ -163,7 +163,7 @@ class TensionLoop:
 
     @cached_property
     def _damping(self) -> dict[int, DampingGains]:
-        """By controlled span."""
+        """Damping gains by controlled span."""
         config, found = self.config, {}
         for span, control in config.tension_controls.items():
             plant = SwingPlant.of_model(config.web_line, config.cycle_time_s, span, strains_around(config, span))
@@ -177,7 +177,7 @@ class TensionLoop:
 
     @cached_property
     def _cycle(self) -> Matrix:
-        """From just after a SYNC to just before the next one."""
+        """Transition matrix from just after a SYNC to just before the next one."""
         drives = self.config.web_line.drives
         assert drives is not None, "a bench's model has drives"
         samples = max(1, round(self.config.cycle_time_s / drives.sample_time_s))
@@ -207,7 +207,7 @@ class TensionLoop:
         return np.asarray((matrix_exponential(rates * sample_s) @ held)[:size])
 
     def _add_simulated_web(self, rates: Matrix, axes: Mapping[int, _Axis]) -> None:
-        """The twin's spans: what they pull by, and what stretches them; strain comes with the web."""
+        """Add the twin's spans: pull on the axes, stretch by their speeds; strain is carried with the web."""
         at, model = self._places, self.config.web_line
         for j in range(1, model.span_count + 1):
             web, length_m = f"web{j}_sim", model.span_length_m(j)
@@ -221,7 +221,7 @@ class TensionLoop:
                 rates[at[web], at[f"web{j - 1}_sim"]] = self.point.line_speed_m_s / length_m
 
     def _sync(self, *, opened: str = "") -> Matrix:
-        """At SYNC: new commands take effect, what was measured becomes the next ones; but for the command `opened`."""
+        """Transition at SYNC: new commands act, the next ones follow from measurements, except the command `opened`."""
         config, cycle_s = self.config, self.config.cycle_time_s
         model, tick, at = config.web_line, np.eye(len(self._places)), self._places
         count = model.axis_count
@@ -248,8 +248,8 @@ class TensionLoop:
         return tick
 
     def _webs(self, duration_s: float, before: Mapping[int, Matrix]) -> dict[int, Matrix]:
-        """Tensions of the emulated web `duration_s` after those `before`, by the ways since the last SYNC: rollers go
-        on as in that cycle."""
+        """Tensions of the emulated web `duration_s` after those `before`, by the travel since the last SYNC: rollers
+        continue as in that cycle."""
         share, found = duration_s / self.config.cycle_time_s, {}
         for j, web in before.items():
             moved = self.point.line_speed_m_s * duration_s / self._lengths_m[j]
@@ -262,10 +262,10 @@ class TensionLoop:
         return found
 
     def _commands(self, webs: Mapping[int, Matrix]) -> dict[str, Matrix]:
-        """What the bench computes from the answers to this SYNC, from the leading axis on."""
+        """Commands that the bench computes from the answers to this SYNC, from the leading axis on."""
         config, cycle_s = self.config, self.config.cycle_time_s
         controls, rows = config.tension_controls, {}
-        # Of the axis behind the span: its speed without what it damps, and what it is told.
+        # Of the axis after the span: its speed without what it damps, and its command.
         speed = command = np.zeros(len(self._places))
         for j in range(config.shape.spans, 0, -1):
             if j in controls:
@@ -294,7 +294,7 @@ class TensionLoop:
         return rows
 
     def _by_entering_strain(self, span: int) -> Matrix:
-        """What the feed-forward of a span makes of the strain in the span before it."""
+        """Feed-forward of a span from the strain in the span before it."""
         if span == 1 or not self.closed:
             return np.zeros(len(self._places))
         stiffness_N = self.point.estimates_Pa[span - 2] * self.config.web_line.section_m2(span - 1)

@@ -1,14 +1,14 @@
-"""Asks the machine: a small known change of the tension, where production data can't tell E from friction.
+"""Probing of the machine: a small known change of the tension, where production data can't tell E from friction.
 
-While the line runs steadily, dry friction, an offset of the torque and a wrong E look the same. What the torque does
-when the tension moves by a little tells them apart (`hilbench.estimation.web_line.probing_step`, in the twin): the
+While the line runs steadily, dry friction, an offset of the torque and a wrong E look the same. The torque's response
+to a small change of the tension separates them (`hilbench.estimation.web_line.probing_step`, in the twin): the
 set-point goes up and down by a small share for some seconds. It is done when the twin states a wide deviation of E, or
-when somebody asks for it (path `tension_control.probe`, object 2200h sub 7); it is told when it begins and ends, it
-stands in the journal, and the recorded set-point shows it.
+on request (path `tension_control.probe`, object 2200h sub 7); its begin and end are notices, it
+is in the journal, and in the recorded set-point.
 
-At rest it is the whole of E and of the web's strain that nothing tells, to a twin that is started beside a web that is
-there already. Where that is permitted, the rollers make a movement of a millimetre at most (`StandstillExcitation`)
-until the twin knows both, or for some seconds; begun, told and refused in the same way, and shown by the recorded
+At rest E and the web's strain are not identifiable at all, for a twin that is started with a web already
+in the line. Where that is permitted, the rollers make a movement of a millimetre at most (`StandstillExcitation`)
+until the twin knows both, or for some seconds; begun, reported and refused in the same way, and shown by the recorded
 commands.
 """
 
@@ -33,10 +33,10 @@ from hilbench.twin.virtual_io import RUNNING
 
 #: Slower than this a roller may turn back within a probe, and dry friction with it.
 _LEAST_SPEED_M_S = 0.05
-#: Share of E from which its deviation says that nothing is known of the web (of a known one at rest it is 10 to 17 %,
-#: by friction that nobody measured), and the longest movement at rest, s.
+#: Relative deviation of E from which the web counts as unknown (a known one at rest has 10 to 17 %,
+#: by unmeasured friction), and the longest movement at rest, s.
 _UNKNOWN, _LONGEST_AT_REST_S = 0.25, 20.0
-#: How to allow what is asked for.
+#: How to allow the probe requested.
 _ALLOW = "hilbench sdo write bench 2200:7 1 (0 refuses)"
 
 
@@ -51,13 +51,13 @@ class ProbedLoop(Protocol):
 
     @property
     def closed(self) -> bool:
-        """Whether it is closed on the twin."""
+        """True if it is closed on the twin."""
 
 
 class Probing(CyclicTask):
-    """The probes of one tension loop; a `SettableQuantity`: 1 asks for one or allows it, 0 ends or refuses it.
+    """Probes of one tension loop; a `SettableQuantity`: 1 requests or allows one, 0 ends or refuses it.
 
-    `signals`: of the loop's span; `at_rest`: the movement that is permitted at rest, `of_all`: all spans that it tells.
+    `signals`: of the loop's span; `at_rest`: the movement permitted at rest, `of_all`: all spans that it identifies.
     """
 
     def __init__(
@@ -85,11 +85,11 @@ class Probing(CyclicTask):
         self._wanted = self._asked = False
 
     def owns(self, path: str) -> bool:
-        """Whether it is the switch of the probes."""
+        """True if it is the switch of the probes."""
         return path == TENSION_PROBE
 
     def value(self, path: str) -> float:
-        """1 while a probe is under way or waits for a steady line."""
+        """Return 1 while a probe is under way or waits for a steady line."""
         return float(self._since_s is not None or self._wanted)
 
     def set(self, path: str, value: float) -> None:
@@ -127,7 +127,7 @@ class Probing(CyclicTask):
             self._loop.set_point_shift_N = self._size_N if half % 2 == 0 else -self._size_N
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """Nothing, where there are no probes."""
+        """Compiled stages: none, where there are no probes."""
         return CompiledStages(cycles=lambda: MANY if self._config.mode == "off" else 0)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
@@ -137,7 +137,7 @@ class Probing(CyclicTask):
         self._steady_for_s = 0.0
 
     def _is_over(self, sample: CycleSample) -> bool:
-        """After its time, or when a whole period has told enough."""
+        """True after its time, or when a whole period has sufficed."""
         is_due = self._since_s is not None and self._since_s >= self._config.period_s and not self._is_wide(sample)
         return is_due or (self._since_s or 0.0) >= self._config.duration_s
 
@@ -160,7 +160,7 @@ class Probing(CyclicTask):
             movement.go_on()
 
     def _rests_unknown(self, sample: CycleSample) -> bool:
-        """Whether the line rests, the twin runs, and knows nothing of a web."""
+        """True if the line rests, and the twin runs without knowing a web."""
         if self._at_rest is None or self._line_speed.present != 0.0 or is_synchronized(sample):
             return False
         known = (of_span(sample) for of_span in self._of_all)

@@ -1,5 +1,5 @@
-"""The tension loop as a task: the axis before a span by the controller while the twin can be trusted, by the ratio of
-speeds else."""
+"""The tension loop as a task: the axis before a span is set by the controller while the twin can be trusted, else by
+the ratio of speeds."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ Vector = NDArray[np.float64]
 
 
 class Leader(Protocol):
-    """An axis whose speed the axis before it follows. `speeds`: the same for compiled callers, by LEADS_BY and so on of
-    `tension_cycle`."""
+    """An axis whose speed the axis before it follows. `speeds`: those speeds for compiled callers, by LEADS_BY and so
+    on of `tension_cycle`."""
 
     speeds: Vector
 
     @property
     def speed_m_s(self) -> float:
-        """What it is to turn at, at the web, without what damps the span behind it."""
+        """Commanded web speed, without the damping of the span after it."""
 
     @property
     def damped_m_s(self) -> float:
-        """The same with that."""
+        """Commanded web speed, with that damping."""
 
 
 @dataclass(frozen=True)
 class FeedForward:
-    """What a loop has ahead of its controller; strains: of the web around the span; `leads`: of the rollers."""
+    """Feed-forward of a loop; strains: of the web around the span; `leads`: of the rollers."""
 
     way: StrainTrajectory
     strain_before: EnteringStrain
@@ -57,7 +57,7 @@ class FeedForward:
 
 @dataclass(frozen=True, slots=True)
 class LoopNames:
-    """What is called what in a tension loop: the drive, the axis that it is, the set-point's path, signals."""
+    """Names in a tension loop: the drive, its axis, the set-point's path, signals."""
 
     drive: str
     axis: int
@@ -73,7 +73,7 @@ class LoopNames:
 
     @classmethod
     def of(cls, drive: str, span: int, shape: Shape) -> LoopNames:
-        """Those of a span's loop; E is that of the nearest span at which it is estimated."""
+        """Names in a span's loop; E is that of the nearest span at which it is estimated."""
         k, known, axis = shape.numbered(span), shape.numbered(shape.shows(span)), shape.axis_before(span)
         return cls(
             drive=drive,
@@ -93,9 +93,9 @@ class LoopNames:
 class TensionTask(CyclicTask):
     """Velocity of the axis before a span from the simulated tension, with the damping of the swing added.
 
-    `set_point_N` is settable under way; `leader`: the axis behind the span; `modulus_Pa`: E until the loop was closed
-    (for `feed_forward`); `ways`: of the web at the axes before and behind the span, m, where that is not what the
-    encoders tell.
+    `set_point_N` can be set during the run; `leader`: the axis after the span; `modulus_Pa`: E until the loop was
+    closed (for `feed_forward`); `ways`: web travel at the axes before and after the span, m, where that differs from
+    the encoders'.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class TensionTask(CyclicTask):
         self._reports = reports
         self._ahead = feed_forward
         self.opened_s = -inf  #: when it was closed last, in experiment time
-        #: As of `tension_cycle`; one value goes faster through `_at`.
+        #: As of `tension_cycle`; access to one value is faster through `_at`.
         self.loop = np.zeros(cycle.LOOP)
         self.loop[[cycle.SET_POINT_N, cycle.MODULUS_PA, cycle.CYCLE_S]] = set_point_N, modulus_Pa, cycle_s
         self.loop[[cycle.CONTROLLED_CYCLE, cycle.CLOSED]] = cycle.NEVER
@@ -131,7 +131,7 @@ class TensionTask(CyclicTask):
         cycle.warm_up()
 
     def _on(self, sample: CycleSample) -> CompiledStage:
-        """The piece of a cycle."""
+        """Make the compiled stage."""
         self._sample = sample
         names, kind, ahead = self._names, type(sample), None
         of_web = [cycle.NOWHERE, cycle.NOWHERE] if self._ways else kind.places([names.before, names.behind]).tolist()
@@ -154,17 +154,17 @@ class TensionTask(CyclicTask):
 
     @property
     def speed_m_s(self) -> float:
-        """What the axis is to turn at, without the damping."""
+        """Commanded web speed of the axis, without the damping."""
         return float(self._at[cycle.SPEED_M_S])
 
     @property
     def damped_m_s(self) -> float:
-        """With the damping."""
+        """Commanded web speed of the axis, with the damping."""
         return float(self._at[cycle.DAMPED_M_S])
 
     @property
     def names(self) -> LoopNames:
-        """What is called what."""
+        """Names of drive, path and signals."""
         return self._names
 
     @property
@@ -179,7 +179,7 @@ class TensionTask(CyclicTask):
 
     @property
     def pull_m_s(self) -> float:
-        """See `StandstillExcitation`."""
+        """Standstill excitation of this axis, see `StandstillExcitation`."""
         return float(self.loop[cycle.PULL_M_S])
 
     @pull_m_s.setter
@@ -188,7 +188,7 @@ class TensionTask(CyclicTask):
 
     @property
     def set_point_shift_N(self) -> float:
-        """Of a probe."""
+        """Set-point shift by a probe."""
         return float(self._at[cycle.SHIFT_N])
 
     @set_point_shift_N.setter
@@ -197,7 +197,7 @@ class TensionTask(CyclicTask):
 
     @property
     def goal_N(self) -> float:
-        """What the tension is to be: with a probe's shift."""
+        """Wanted tension, with a probe's shift."""
         return self.set_point_N + self.set_point_shift_N
 
     @property
@@ -206,22 +206,22 @@ class TensionTask(CyclicTask):
         return float(self._at[cycle.MODULUS_PA])
 
     def assume_modulus(self, modulus_Pa: float) -> None:
-        """E for the ratio of speeds of an open loop, in the place of what the twin has told."""
+        """Set E for the ratio of speeds of an open loop, in place of the twin's."""
         self._at[cycle.MODULUS_PA] = modulus_Pa
         self._controller.assume_modulus(modulus_Pa)
 
     @property
     def doubt(self) -> str:
-        """Why the loop is open, "" while it may be closed."""
+        """Reason of an open loop, "" while it may be closed."""
         return self._trust.doubt
 
     @property
     def closed(self) -> bool:
-        """Whether the loop was closed in the last cycle."""
+        """True if the loop was closed in the last cycle."""
         return bool(self._at[cycle.CLOSED] == 1.0)
 
     def owns(self, path: str) -> bool:
-        """Whether it is the set-point."""
+        """True if it is the set-point."""
         return path == self._names.path
 
     def value(self, path: str) -> float:
@@ -245,7 +245,7 @@ class TensionTask(CyclicTask):
         setattr(sample, self._names.set_point, self.goal_N)
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
-        """The same; the set-point stays what it is."""
+        """Compiled stage of the loop; the set-point stays as it is."""
         if self._ways is not None:
             return None
 
@@ -264,7 +264,7 @@ class TensionTask(CyclicTask):
         setattr(sample, self._names.set_point, self.set_point_N)
 
     def _decide(self, code: int) -> bool:
-        """What is Python's of a cycle, and what is behind that."""
+        """Handle an event of the compiled cycle, then run its next stage."""
         sample = self._sample
         if code == cycle.STALE:
             self._trust.forget(self._twin.why)
@@ -278,7 +278,7 @@ class TensionTask(CyclicTask):
         return True
 
     def _look_whether_closed(self) -> None:
-        """By what is to be said of the twin; that the loop opens or closes again is reported."""
+        """Open or close the loop by the trust in the twin, and report it."""
         closed, was_closed = self._trust.trusted, self._at[cycle.CLOSED]
         loop, axis = self._names.of_loop, self._names.axis
         if was_closed == 1.0 and not closed:

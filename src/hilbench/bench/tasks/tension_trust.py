@@ -1,8 +1,8 @@
-"""Whether the tension loop may close on the twin, and if not, why.
+"""Trust in the twin: decides if the tension loop may close on it, and if not, why.
 
-What counts is what the twin reports of itself (2100h), how old it is, and whether its numbers can be those of a web at
-all. Once in doubt, the loop stays open until the twin calls itself synchronized again, and E is known well enough to
-stay so: a twin is synchronized when the noise is small, however much of E may be something else.
+It depends on the twin's own status (2100h), its age, and on whether its numbers can be those of a web at
+all. Once in doubt, the loop stays open until the twin is synchronized again, and E is known well enough to
+stay so: a twin is synchronized when the noise is small, however much of E may be due to something else.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _CLOSES_AT = 0.8
 
 @dataclass(frozen=True, slots=True)
 class TwinSignals:
-    """What of the twin a tension loop closes on, by the names of the signals; as they are where there is one span."""
+    """Signals of the twin that a tension loop closes on; the defaults are those of a single span."""
 
     tension: str = "F_sim_N"
     modulus: str = "E_sim_Pa"
@@ -47,13 +47,13 @@ _AGE_LIMIT, _REFUSES_CYCLES, _LOWEST_N, _HIGHEST_N, _DEVIATION_PCT, _FIGURES = r
 #: Places in a sample: age in cycles, status, tension in N, E and its deviation in Pa.
 _AGE, _STATUS, _TENSION_N, _MODULUS_PA, _DEVIATION_PA, _PLACES = range(6)
 REPORTED, _DIVERGED_CYCLES, _UNSURE_CYCLES, _REFUSED_BY_WATCH, _STATE = range(5)
-#: What `judged` says.
+#: Verdicts of `judged`.
 TRUSTED, _OLD, _DIVERGED, _NO_WEB, _OUTSIDE, _UNSURE = range(6)
 
 
 @compiled
 def judged(figures: Vector, state: Vector, values: Vector, words: Places, at: Places) -> int:
-    """What is to be said of the twin's data at these places of a sample."""
+    """Verdict on the twin's data at these places of a sample."""
     tension_N, modulus_Pa = values[at[_TENSION_N]], values[at[_MODULUS_PA]]
     deviation_Pa = values[at[_DEVIATION_PA]]
     if words[at[_AGE]] > figures[_AGE_LIMIT]:
@@ -108,12 +108,12 @@ class VirtualSensorSupervision:
 
     @property
     def trusted(self) -> bool:
-        """Whether the loop may be closed."""
+        """True if the loop may be closed."""
         return self._synchronized[REPORTED] != 0.0
 
     @property
     def doubt(self) -> str:
-        """Why the loop is open; "" while it may be closed."""
+        """Reason of an open loop; "" while it may be closed."""
         return "" if self.trusted else self._why
 
     def forget(self, reason: str) -> None:
@@ -122,7 +122,7 @@ class VirtualSensorSupervision:
         self._why = reason
 
     def refuse(self, reason: str) -> None:
-        """Open the loop, whatever the twin says of itself, until `allow`."""
+        """Open the loop, whatever the twin reports, until `allow`."""
         self._state[_REFUSED_BY_WATCH] = 1.0
         self.forget(reason)
 
@@ -131,7 +131,7 @@ class VirtualSensorSupervision:
         self._state[_REFUSED_BY_WATCH] = 0.0
 
     def doubts(self, found: int, sample: CycleSample) -> None:
-        """What `judged` has found, if it is not TRUSTED."""
+        """Take the verdict of `judged`, if it is not TRUSTED."""
         self.forget(self._doubt(found, sample))
 
     def vectors(self, sample: CycleSample) -> tuple[Vector, Vector, Places]:

@@ -1,8 +1,8 @@
-"""A second opinion on the twin's tension: block means of torques and encoders in the intervals of `tension_bounds`.
+"""Independent check of the twin's tension: block means of torques and encoders in the intervals of `tension_bounds`.
 
 Where the twin is beyond one of them its tension loop opens, with E by torques and encoders for the ratio of speeds, and
-closes again when the twin has been within it for a while. What is done in each cycle are sums; every tenth of a second
-they are judged, in the same compiled piece.
+closes again when the twin has been within it for a while. Each cycle only adds to sums; every tenth of a second
+they are judged, in the same compiled stage.
 """
 
 from __future__ import annotations
@@ -55,17 +55,17 @@ _AT_LIMIT = 0.98
 #: What turns with a roller is in no block mean: a deviation of those, not a known force.
 _TURNING = ("unbalance", "torque_ripple", "torque_ripple_load")
 
-#: The twin goes over to another model.
-#: What `run` says: something else is said of a twin than before.
+#: The twin switches to another model.
+#: Outcome of `run`: the verdict on a twin has changed.
 _LOOK = CONTINUE + 1
 # Rows of the table.
 (_VALUES, _WORDS, _AT, _PARAMETERS, _ROLLERS, _MOTION, _BEGUN, _LINE, _WAYS, _POSITIONS, _WEB) = range(11)
 (_FIGURES, _STATES, _RINGS, _SUMS, _PLACED, _BLOCK) = range(11, 17)
 #: Of a line: cycles of a block and how many it has; the cycle in which it began; samples whose positions are of one
-#: instant; the leading axis' command; whether somebody changed that, or the twin's model, or a torque is at its limit;
+#: instant; the leading axis' command; 1 if that, or the twin's model, has changed, or a torque is at its limit;
 #: sum of the tension
-#: behind the line; a cycle in s; a way by which positions may differ; strain behind the line; whether a block has
-#: begun, and the web is where the rollers are.
+#: after the line; a cycle in s; tolerance of position differences, m; strain after the line; 1 if a block has
+#: begun, and 1 if the web's state matches the rollers.
 _CYCLES, _COUNTED, _BEGAN, _PAIRED, _COMMAND_M_S, _CHANGED, _NEXT_SUM_N = range(7)
 _CYCLE_S, _TRAVEL_M, _DOWNSTREAM, _HAS, _HAS_WEB, _LINE_SIZE = range(7, 13)
 #: Of an axis, when a block began and since: position, speed, sum of torques; its limit.
@@ -104,7 +104,7 @@ def _begin(values: Vector, words: Places, at: Places, begun: Matrix, line: Vecto
 
 @compiled
 def _add(values: Vector, words: Places, at: Places, begun: Matrix, line: Vector, sums: Matrix) -> None:
-    """A cycle to a block."""
+    """Add a cycle to a block."""
     axes = begun.shape[1]
     for j in range(axes):
         torque_Nm = values[at[3 * j + 2]]
@@ -165,7 +165,7 @@ def _move(values: Vector, at: Places, begun: Matrix, counted: float, lasted_s: f
 
 @compiled
 def _fill(line: Vector, web: Matrix, sums: Vector, placed: Places, f: Vector, lasted_s: float, block: Vector) -> None:
-    """What a block has beside the momentum balance."""
+    """Fill a block's values other than the momentum balance."""
     counted, section = line[_COUNTED], placed[_SECTION]
     block[bounds.TWIN_N], block[bounds.TWIN_PA] = sums[_TWIN_SUM_N] / counted, sums[_TWIN_SUM_PA] / counted
     block[bounds.STRETCH_M2] = 0.0
@@ -176,7 +176,7 @@ def _fill(line: Vector, web: Matrix, sums: Vector, placed: Places, f: Vector, la
     block[bounds.UNCHANGED] = 1.0 if line[_CHANGED] == 0.0 and sums[_GOAL_CHANGED] == 0.0 else 0.0
 
 
-#: run(0, table of what `TensionWatch` has): GOES_ON, or that something else is said of a twin than before.
+#: run(0, table of `TensionWatch`): CONTINUE, or that the verdict on a twin has changed.
 @entry_point(COUNT, TABLE)
 def _run(_: int, table: Places) -> int:
     if len(table) == 0:
@@ -224,7 +224,7 @@ class WatchedLoop:
 
 
 class TensionWatch(CyclicTask):
-    """Opens tension loops whose twin tells what can't be, until it tells what can be."""
+    """Opens tension loops whose twin is physically implausible, until it is plausible again."""
 
     def __init__(
         self,
@@ -267,7 +267,7 @@ class TensionWatch(CyclicTask):
         self._reported = [bounds.NOTHING] * len(loops)
         twin.refusals = 0
         self._piece = PerSample(self._on)
-        _run(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before anybody waits for a cycle
+        _run(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before a cycle waits for it
 
     def _on(self, sample: CycleSample) -> CompiledStage:
         kind, axes = type(sample), len(self._rollers)
@@ -284,7 +284,7 @@ class TensionWatch(CyclicTask):
         return CompiledStage(_run, 0, table_of(kept), fallback=self._report, keeps=kept)
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
-        """A cycle."""
+        """Take a cycle."""
         self._look_for_a_new_twin()
         if any(emergency.code in (TORQUE_SHIFT, UNDECIDED) for emergency in inputs.emergencies):
             for state in self._states:
@@ -292,7 +292,7 @@ class TensionWatch(CyclicTask):
         self._piece(sample)()
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """The same; nobody sends EMCY messages there."""
+        """Compiled stage of the watch; there are no EMCY messages in such cycles."""
 
         def cycles() -> int:
             self._look_for_a_new_twin()
@@ -307,7 +307,7 @@ class TensionWatch(CyclicTask):
         self._begin_anew()
 
     def _look_for_a_new_twin(self) -> None:
-        """One that was taken back is another one."""
+        """Begin anew with a twin that was taken back: it is another one."""
         if self._twin.back_cycle != self._back_cycle:
             self._back_cycle = self._twin.back_cycle
             self._begin_anew()
@@ -317,7 +317,7 @@ class TensionWatch(CyclicTask):
         self._report(_LOOK)
 
     def _report(self, _: int) -> bool:
-        """Open loops, or let them close, by what is said of their twin."""
+        """Open loops, or let them close, by the verdicts on their twin."""
         for k, (loop, state) in enumerate(zip(self._loops, self._states, strict=True)):
             verdict, before = state.item(bounds.REPORTED), self._reported[k]
             if verdict != bounds.NOTHING and state.item(bounds.ASSUMED_PA) > 0.0:
@@ -334,7 +334,7 @@ class TensionWatch(CyclicTask):
 
 
 def _reason(span: int, state: Vector) -> str:
-    """What is beyond which interval, and why."""
+    """Text: which value is beyond which interval, and why."""
     where, verdict = f" of span {span}" if span else "", state.item(bounds.REPORTED)
     if verdict == bounds.MODULUS:
         found_Pa, low_Pa, high_Pa = state[[bounds.MEAN_PA, bounds.LOW_PA, bounds.HIGH_PA]].tolist()
@@ -356,8 +356,8 @@ def watched_loops(
     trusts: Sequence[VirtualSensorSupervision],
     twin: EstimationConfig,
 ) -> list[WatchedLoop]:
-    """Loops of the spans behind which there are driven rollers and idlers alone, up to the end of the line: what they
-    pull is in the torques. With a dancer, an accumulator or a reel there a balance has more than that in it."""
+    """Loops of the spans after which there are driven rollers and idlers alone, up to the end of the line: their
+    tension follows from the torques. A dancer, an accumulator or a reel there would add to the momentum balance."""
     rollers, before = model.line_rollers, axes_before_spans(model)
     methods = twin.by_span(model.span_count)
     found = []
@@ -371,7 +371,7 @@ def watched_loops(
 
 
 def _roller(model: ModelParameters, axis: int, errors: ModelErrorsConfig, usual_N: float) -> Vector:
-    """Of a driven roller."""
+    """Figures of a driven roller."""
     r, ratio, mass_kg = np.zeros(bounds.ROLLER), model.motor_rad_per_m(axis), model.mass_kg(axis)
     friction_N = 0.01 * errors.friction_pct * usual_N
     limit_Nm = per_item(model.drives.torque_limit_Nm, axis) if model.drives else 0.0
@@ -384,7 +384,7 @@ def _roller(model: ModelParameters, axis: int, errors: ModelErrorsConfig, usual_
 
 
 def _figures(model: ModelParameters, sections: ModelParameters, loop: WatchedLoop, errors: ModelErrorsConfig) -> Vector:
-    """Of a watched span."""
+    """Figures of a watched span."""
     f, axis, usual_N = np.zeros(bounds.SPAN), loop.task.names.axis, loop.task.set_point_N
     stiffness_N, behind = sections.stiffness_N(axis), sections.axis_count - axis
     friction_N = 0.01 * errors.friction_pct * usual_N * sqrt(behind)

@@ -1,11 +1,11 @@
-"""The bench's connection to its twin: lost when it does not answer, taken back when it is heard again.
+"""The bench's connection to its twin: lost when it does not answer, taken back when it answers again.
 
-The bench can do without its twin: what its controllers do meanwhile is theirs (`TwinState.fresh`). A twin
+The bench can do without its twin: the controllers decide what to do meanwhile (`TwinState.fresh`). A twin
 that comes back, whether it was held up or its process had to be started again, is reset and configured anew, because
-nobody knows what it has missed; the loop closes when it calls itself synchronized.
+it is unknown what it has missed; the loop closes when it reports that it is synchronized.
 
-That takes SDO transfers, which nothing waits for: the cycles go on meanwhile. Only in lockstep the bus stands still for
-the short time that a twin takes which answers, so that a reset on purpose is in the same cycles on every machine.
+That takes SDO transfers, which nothing waits for: cycles continue meanwhile. Only in lockstep no cycle runs for
+the short time in which a twin answers, so that a reset on purpose is in the same cycles on every machine.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ _RETRY_CYCLES = 500
 #: A twin that was back for so many cycles is not lost again and again. After so many losses in a row that time doubles
 #: with each further one, so many times.
 _STAYED_CYCLES, _LOSSES_FREE, _MOST_DOUBLINGS = 5000, 3, 6
-#: Cycles between two looks whether the process lives.
+#: Cycles between two checks that the process is alive.
 _LOOK_CYCLES = 64
-#: Lockstep: the bus stands still for so long at most while the twin is reset, far less than the nodes wait for SYNC.
+#: Lockstep: longest time without a cycle while the twin is reset, far less than the nodes' SYNC time-out.
 _STAND_STILL_S = 1.0
-#: Cycles within which a twin that was started beside running SYNCs reports which of them it has counted, and for
+#: Cycles within which a twin that was started while SYNCs were running reports which of them it has counted, and for
 #: which an answer may report another count.
 _REPORT_CYCLES = 100
 
 
 class TwinConnection(CyclicTask):
-    """Looks after the connection in one run, and keeps `state.twin`. `process` is None when somebody else started the
+    """Supervises the connection in one run, and keeps `state.twin`. `process` is None when another program started the
     twin; `age_limit_cycles`: age of its data from which they may be those of a twin that counts SYNC anew."""
 
     def __init__(
@@ -63,7 +63,7 @@ class TwinConnection(CyclicTask):
         self._age_before = self._jumped_for = 0
         self._lost_cycle = self._losses = 0
         self._return: Future[None] | None = None
-        self._returned_cycle: int | None = None  # when it was started beside running SYNCs, and reports no count
+        self._returned_cycle: int | None = None  # when it was started with SYNCs running, and reports no count
         self._planned = False
 
     def reset(self) -> None:
@@ -74,7 +74,7 @@ class TwinConnection(CyclicTask):
 
     @property
     def returning(self) -> bool:
-        """Whether a reset on purpose is under way."""
+        """True if a reset on purpose is under way."""
         return self._planned
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
@@ -98,11 +98,11 @@ class TwinConnection(CyclicTask):
             self._lose("the twin counts SYNC anew, as after an NMT command of somebody else")
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """Nothing is to be done while the twin answers."""
+        """Compiled stages: nothing is to be done while the twin answers."""
         return CompiledStages(cycles=self._goes_well)
 
     def _goes_well(self) -> int:
-        """For so many cycles nothing is, if answers come as they did."""
+        """Number of cycles without work, if answers come as they did."""
         nodes, cycles = self._nodes, self._exchange.timing.cycles
         busy = self._return is not None or self._returned_cycle is not None or self._twin.away or self._jumped_for
         if busy or nodes.twin_problem or (self._exchange.silent and nodes.twin_name in self._exchange.silent):
@@ -113,7 +113,7 @@ class TwinConnection(CyclicTask):
         return -cycles % _LOOK_CYCLES if self._process is not None else MANY
 
     def _counts_anew(self) -> bool:
-        """Whether the age of the twin's answers has jumped, which late answers can't do, and stays what it is."""
+        """True if the age of the twin's answers has jumped, which late answers can't cause, and stays so."""
         age = self._nodes.twin_age(self._exchange.timing.cycles - self._twin.started_cycle)
         if age <= self._age_limit:
             self._jumped_for = 0
@@ -123,8 +123,8 @@ class TwinConnection(CyclicTask):
         return self._jumped_for > _REPORT_CYCLES
 
     def _is_due(self) -> bool:
-        """Whether to ask the twin: at once when it has sent something, later else (one that was not configured
-        sends no heartbeat), and ever more seldom while it is lost again and again."""
+        """True if the twin is to be reset: at once when it has sent something, else later (one that was not configured
+        sends no heartbeat), and ever more rarely while it is lost again and again."""
         waited = self._exchange.timing.cycles - self._lost_cycle
         again = max(0, self._losses - _LOSSES_FREE)
         if self._nodes.twin_alive and not again:
@@ -167,7 +167,7 @@ class TwinConnection(CyclicTask):
                 self._take_back(self._exchange.timing.cycles)
 
     def _end_return(self, done: Future[None]) -> bool:
-        """Whether the twin was started; it is taken back when it has reported which SYNCs it counts."""
+        """True if the twin was started; it is taken back when it has reported which SYNCs it counts."""
         self._return = None
         try:
             done.result()
@@ -187,7 +187,7 @@ class TwinConnection(CyclicTask):
         self._lost_cycle = self._exchange.timing.cycles
 
     def _look_for_count(self, returned_cycle: int) -> None:
-        """What it reported before the bench knew that it was started may be from before its reset."""
+        """Take the twin back once it reports its count; one reported earlier may be from before its reset."""
         cycle, nodes = self._exchange.timing.cycles, self._nodes
         if nodes.twin_reported_cycle > returned_cycle:
             self._take_back(nodes.twin_started(nodes.twin_reported_cycle))

@@ -1,4 +1,4 @@
-"""What is looked at in every cycle of an experiment, whatever the machine is."""
+"""Watches of every cycle of an experiment, for any machine."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hilbench.exchange.timeliness import Timeliness
 from hilbench.processes import ChildProcess
 from hilbench.topology.sample import CycleSample
 
-#: Cycles between two looks whether the supervisor lives.
+#: Cycles between two checks that the supervisor is alive.
 _LOOK_CYCLES = 64
 
 
@@ -36,14 +36,14 @@ class Watch(CyclicTask):
 
 
 class QuietWatch(Watch):
-    """The same of what is quiet in nearly every cycle."""
+    """Watch of quantities that are below their limits in nearly every cycle, with a compiled check."""
 
     def __init__(self, source: str, watching: LimitMonitor, reports: Reports) -> None:
         super().__init__(source, watching.update, reports)
         self._watching = watching
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """The same."""
+        """Compiled stage that checks the sample, and reports events."""
         look = self._watching.look(sample)
 
         def fallback(_: int) -> bool:
@@ -57,24 +57,24 @@ class QuietWatch(Watch):
 
 
 class SupervisorWatch(CyclicTask):
-    """Whether the supervisor's process lives, now and then. Raises BenchFaultError when it does not."""
+    """Checks every `_LOOK_CYCLES` cycles that the supervisor's process is alive. Raises BenchFaultError if not."""
 
     def __init__(self, supervisor: ChildProcess, exchange: Exchange) -> None:
         self._supervisor = supervisor
         self._exchange = exchange
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Look, when it is time to."""
+        """Check, when it is time to."""
         if self._exchange.timing.cycles % _LOOK_CYCLES == 0:
             self._supervisor.check()
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """Nothing is to be done until then."""
+        """Compiled stages: nothing is to be done until the next check."""
         return CompiledStages(cycles=lambda: -self._exchange.timing.cycles % _LOOK_CYCLES)
 
 
 class LatenessWatch(CyclicTask):
-    """Whose answers came late, and whether that may be why something else goes wrong."""
+    """Counts late answers by sender, and reports them as a possible cause of other trouble."""
 
     def __init__(self, timeliness: Timeliness, twin: TwinState, reports: Reports) -> None:
         self._timeliness = timeliness
@@ -90,7 +90,7 @@ class LatenessWatch(CyclicTask):
             self._reports.condition("late samples", trouble)
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """Nobody is late there."""
+        """Compiled stages: count cycles without late answers."""
 
         def cycles() -> int:
             on_time = self._twin.away or sample.twin_age_cycles == 0
@@ -115,7 +115,7 @@ class ControllerWatch(CyclicTask):
             self._reports.note("bus", f"the bench's CAN controller is {state.value}")
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """Nothing happens to a frame there."""
+        """Compiled stages: no frame can be disturbed in such cycles."""
         return CompiledStages(cycles=lambda: MANY if self._exchange.controller is self._state else 0)
 
 
@@ -132,5 +132,5 @@ class EmergencyWatch(CyclicTask):
             self._reports.note(source, str(emergency), kind=emergency.kind, count=count)
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """Nobody sends any there."""
+        """Compiled stages: no foreign frame comes in such cycles."""
         return CompiledStages()

@@ -11,12 +11,12 @@ from hilbench.cycle_program import CONTINUE, Function
 
 Table = NDArray[np.int64]
 
-#: What an axis does beside its speed, m/s: the leading one together with those who follow it; alone, nan: nothing.
+#: Standstill excitation added to a speed, m/s: of the leading axis and its followers; of one axis, nan: none.
 CREEP_M_S, PULL_M_S = range(2)
 
 
 def not_moved() -> NDArray[np.float64]:
-    """Of an axis that does nothing beside its speed."""
+    """Vector of an axis without standstill excitation."""
     return np.array([0.0, np.nan])
 
 
@@ -25,10 +25,10 @@ def _with_pull(speed_m_s: float, pull_m_s: float) -> float:
     return speed_m_s if np.isnan(pull_m_s) else speed_m_s + pull_m_s
 
 
-#: lead(place of the command in a sample, table of the line speed (1,), what it does beside that, its `SPEEDS`, `reals`
+#: lead(place of the command in a sample, table of the line speed (1,), standstill excitation, `SPEEDS`, `reals`
 #: of the sample): the leading axis.
-#: follow(as above, table of the `SPEEDS` of the axis behind, lead of this one (1,), its own `SPEEDS`, `reals`, what it
-#: does beside that).
+#: follow(as above, table of the `SPEEDS` of the axis after it, lead of this one (1,), its own `SPEEDS`, `reals`,
+#: its standstill excitation).
 @entry_point(COUNT, TABLE)
 def lead(command: int, table: Table) -> int:
     if len(table) == 0:
@@ -61,5 +61,5 @@ def follow(command: int, table: Table) -> int:
 
 
 def warm_up(function: Function) -> None:
-    """Compile, or load, one of these, before anybody waits for a cycle."""
+    """Compile, or load, one of these, before a cycle has to wait for it."""
     function(0, np.zeros((0, TABLE_WIDTH), np.int64))

@@ -1,4 +1,4 @@
-"""The force on the carriage of a dancer or accumulator, told ahead to the valve that sets its pressure."""
+"""Feed-forward force on the carriage of a dancer or accumulator, for the valve that sets its pressure."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from hilbench.topology.web_line_positions import FORCE_SET_POINT, position_path
 
 
 class CarriageForceTask(OneSetPoint, CyclicTask):
-    """Force on a carriage that keeps the tension behind it, and has what carriage and rollers need as the driven
-    rollers before and behind change their speeds, by the model; a cylinder pushes, and never pulls.
+    """Force on a carriage that keeps the tension after it, plus the force that carriage and rollers need as the driven
+    rollers around them change their speeds, by the model; a cylinder pushes, and never pulls.
 
     The set-point, N of tension, is settable. `before`, `behind`: the driven axes on both sides of the carriage, as
-    their drives follow what they are told; `axis`: number of the one before.
+    their drives follow their commands; `axis`: number of the one before.
     """
 
     def __init__(
@@ -45,10 +45,10 @@ class CarriageForceTask(OneSetPoint, CyclicTask):
         super().__init__(position_path(station.name, FORCE_SET_POINT), control.tension_N(station))
         self._signal, self._measured = f"f_{station.name}_cmd_N", f"x_{station.name}_meas_m"
         self._starts_m = station.position_m
-        self._moved = False  # until then the sensor has told nothing
+        self._moved = False  # until then the sensor has reported nothing
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Force, N, from this SYNC on."""
+        """Command the force, N, from this SYNC on."""
         share, motions = self._state.speed_share, self._motions
         before_m_s2, behind_m_s2 = (
             motion.acceleration_m_s2(share * end.speed_m_s) for motion, end in zip(motions, self._ends, strict=True)
@@ -59,11 +59,11 @@ class CarriageForceTask(OneSetPoint, CyclicTask):
         self._command(sample, outputs, self._force.force_N(self._set_point, *moving))
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
-        """The sensor has said something."""
+        """Note that the sensor reports now."""
         self._moved = True
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
-        """What holds the carriage where it stands, as at the start when the drives are enabled again."""
+        """Command the force that holds the carriage at its start position, for the drives being enabled again."""
         self._moved = False
         for motion in self._motions:
             motion.reset()

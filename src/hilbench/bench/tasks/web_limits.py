@@ -1,4 +1,4 @@
-"""Limits of a run of a web line: tensions, torques, speeds, how far apart the axes are, how far off E is."""
+"""Limits of a run of a web line: tensions, torques, speeds, position differences of the axes, deviation of E."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hilbench.topology.signals import Shape
 
 
 def limited(limits: LimitsConfig, shape: Shape) -> list[Limited]:
-    """What has limits and is a signal of a line: tensions of the spans, torques of the axes and of the load motors,
+    """Signals of a line that have limits: tensions of the spans, torques of the axes and of the load motors,
     speeds of the axes."""
     axes, spans = range(1, shape.axes + 1), range(1, shape.spans + 1)
     labels = load_motor_labels(shape.load_motors)
@@ -44,7 +44,7 @@ def limited(limits: LimitsConfig, shape: Shape) -> list[Limited]:
 
 
 class LimitWatch:
-    """Watches the samples of one run of a web line. `model`: with whose E the estimate is compared."""
+    """Watches the samples of one run of a web line. `model`: its E is compared with the estimate."""
 
     def __init__(self, limits: LimitsConfig, model: ModelParameters, cycle_s: float, shape: Shape) -> None:
         self._limits = limits
@@ -70,7 +70,7 @@ class LimitWatch:
         )
 
     def look(self, sample: CycleSample) -> LimitReading:
-        """See `limits.LimitMonitor`."""
+        """Compiled check of a sample (`limits.LimitMonitor`)."""
         return self._look.of(sample)
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
@@ -78,7 +78,7 @@ class LimitWatch:
         return [] if self.look(sample).is_below_limits else self.found(sample)
 
     def found(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """See `limits.LimitMonitor`."""
+        """Events of a sample not below its limits (`limits.LimitMonitor`)."""
         found = self._levels.check(sample.t_s, self._quantities(sample, self._look.apart))
         self._look.warned(self._levels)
         return found

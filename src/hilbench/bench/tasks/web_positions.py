@@ -1,4 +1,4 @@
-"""Positions of dancers and accumulators: the driven roller or reel before one keeps its carriage."""
+"""Position control of dancers and accumulators: the driven roller or reel before one keeps its carriage."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _AT_STOP_M = 5e-4
 
 
 class PositionTask(CyclicTask):
-    """Velocity of the axis before a carriage from the position that its sensor tells, around the speed of the axis
-    behind it.
+    """Velocity of the axis before a carriage from the position that its sensor reports, around the speed of the axis
+    after it.
 
-    Settable are the set-point, m, and whether the axis feeds: told not to, it comes to a stand within the control's
-    `feed_ramp_s`, and the carriage goes by what is missing; told to, it comes to speed again, and the carriage comes
-    back by no more than the loop's correction. `set_point_m`: the first.
+    Settable are the set-point, m, and whether the axis feeds: with 0 it stops within the control's
+    `feed_ramp_s`, and the carriage moves by what is missing; with 1 it runs again, and the carriage returns
+    by no more than the loop's correction. `set_point_m`: the first.
     """
 
     def __init__(
@@ -49,22 +49,22 @@ class PositionTask(CyclicTask):
         self._set_point = position_path(station, SET_POINT)
         self._feed = position_path(station, FEED)
         self._values = {self._set_point: set_point_m, self._feed: 1.0}
-        self._ramped = 1.0  # of the way from standing to feeding
+        self._ramped = 1.0  # share of the ramp from standstill to feeding
         self.speeds = np.zeros(SPEEDS)
-        self._moved = False  # until then the sensor has told nothing
+        self._moved = False  # until then the sensor has reported nothing
 
     @property
     def speed_m_s(self) -> float:
-        """What the axis is to turn at, at the web."""
+        """Commanded web speed of the axis."""
         return float(self.speeds[LEADS_BY])
 
     @property
     def damped_m_s(self) -> float:
-        """The same: nothing is damped through a carriage."""
+        """Commanded web speed with damping: nothing is damped through a carriage."""
         return self.speed_m_s
 
     def owns(self, path: str) -> bool:
-        """Whether it is the set-point, or whether the axis feeds."""
+        """True if it is the set-point, or the feed switch."""
         return path in self._values
 
     def value(self, path: str) -> float:
@@ -87,7 +87,7 @@ class PositionTask(CyclicTask):
         setattr(sample, self._command, speed_m_s)
 
     def _share(self) -> float:
-        """Of its speed, at which the axis feeds now: from one end to the other with a bounded jerk."""
+        """Share of its speed at which the axis feeds now: from one end to the other with a bounded jerk."""
         step = self._cycle_s / self._ramp_s
         self._ramped += min(max(self._values[self._feed] - self._ramped, -step), step)
         return eased(self._ramped)[0]
@@ -105,8 +105,8 @@ class PositionTask(CyclicTask):
 
 
 class CarriageStops(CyclicTask):
-    """A carriage that comes to its stop keeps no tension any more: that is a fault, as at the limit switches of a
-    dancer. Where it is pushed the way that lengthens the web, at the upper stop no web holds it."""
+    """Fault on a carriage that reaches its stop, where it keeps no tension, as by the limit switches of a
+    dancer. Where it is pushed in the direction that lengthens the web, at the upper stop no web holds it."""
 
     def __init__(self, carriage: LineCarriage) -> None:
         station = carriage.station

@@ -1,4 +1,4 @@
-"""A reel in torque mode: its torque from the load cell beside it, around what is known of its pull and acceleration."""
+"""Reel in torque mode: its torque from the load cell next to it, plus feed-forward of pull and acceleration."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from hilbench.topology.web_line_config import ReelControlConfig, span_beside_ree
 
 
 class ReelTorqueTask(OneSetPoint, CyclicTask):
-    """Torque of the drive of a reel from what the load cell beside it tells.
+    """Torque of a reel's drive from the tension that the load cell next to it reports.
 
-    The set-point, N, is settable. With the twin's feed-forward the pull acts at the radius that the twin has, and the
-    torque for the acceleration of the leading axis, as its drive follows the line's speed, is told with it. What a
-    bench's reel turns is a flywheel of the web that is on it at the start. `leading`: number of the axis that leads.
+    The set-point, N, is settable. With the twin's feed-forward the pull acts at the twin's radius, and the
+    torque for the acceleration of the leading axis, as its drive follows the line's speed, is added. A
+    bench's reel turns a flywheel of the web that is on it at the start. `leading`: number of the axis that leads.
     """
 
     def __init__(
@@ -50,11 +50,11 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
         self._radius, self._torque = f"r_{control.reel}_sim_m", f"tau{axis}_cmd_Nm"
         self._position, self._speed = f"x{axis}_m", f"v{axis}_cmd_m_s"
         self._at_m: float | None = None
-        self._reported = False  # what the load cell says
+        self._reported = False  # the load cell has reported
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Torque, N·m at the motor, from the last sample. Nobody commands its speed: what is recorded in the place of
-        that is how fast it went, so that it is nowhere else than where it was told to be."""
+        """Command the torque, N·m at the motor, from the last sample. No speed is commanded: recorded in the place of
+        that is the measured one, so that the axis has no position error."""
         speed_m_s = self._leader.damped_m_s * self._state.speed_share
         radius_m, acceleration_m_s2 = self._counted_m, 0.0
         if self._ahead is not None:
@@ -71,7 +71,7 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
         setattr(sample, self._closed, int(self._reported))
 
     def _radius_m(self, sample: CycleSample) -> float:
-        """That which the twin has told last; before that the one at the start."""
+        """Last radius by the twin; before that the one at the start."""
         radius_m: float = getattr(sample, self._radius)
         return radius_m if radius_m > 0.0 else self._counted_m
 
@@ -81,7 +81,7 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
         setattr(sample, self._shown, self._set_point)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
-        """No torque, and nothing is known of the line."""
+        """Command zero torque, and reset: nothing is known of the line."""
         self._reported = False
         self._at_m = None
         self._loop.reset()
@@ -91,7 +91,7 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
 
 
 class LoadCells(CyclicTask):
-    """What the load cells of the emulated line tell: the mean of the tensions on both sides of their idlers."""
+    """Readings of the load cells of the emulated line: the mean of the tensions on both sides of their idlers."""
 
     def __init__(self, model: ModelParameters, shape: Shape) -> None:
         rows = {roller.name: row for row, roller in enumerate(model.line_rollers)}
@@ -99,6 +99,6 @@ class LoadCells(CyclicTask):
         self._cells = [(f"F_{cell}_meas_N", f"F{a}_true_N", f"F{b}_true_N") for cell, (a, b) in beside.items()]
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
-        """Tell it."""
+        """Write the readings into the sample."""
         for cell, before, behind in self._cells:
             setattr(sample, cell, 0.5 * (getattr(sample, before) + getattr(sample, behind)))

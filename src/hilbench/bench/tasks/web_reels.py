@@ -1,4 +1,4 @@
-"""Reels whose radius is measured: they turn as the web on them asks, from turn to turn another way."""
+"""Reels of measured radius: their speeds follow the radius of the web on them."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ class MeasuredReel:
     counted_m: float
 
     def ratio(self, sample: CycleSample) -> float:
-        """Radius over that by which it is counted; 1 while the sensor has told nothing."""
+        """Radius over that by which it is counted; 1 while the sensor has reported nothing."""
         radius_m: float = getattr(sample, self.signal)
         return radius_m / self.counted_m if radius_m > 0.0 else 1.0
 
 
 class ReelSpeeds(CyclicTask):
-    """Reels turn so fast that the web on them has the speed that was put into the outputs.
+    """Scales the reels' speeds so that the web on them has the speed that was put into the outputs.
 
-    `line_speed`: signal of the speed of the leading axis at the web, "" where none is needed beside its command.
+    `line_speed`: signal of the speed of the leading axis at the web, "" where only its command is needed.
     """
 
     def __init__(self, reels: Sequence[MeasuredReel], leader: Leader, line_speed: str) -> None:
@@ -38,7 +38,7 @@ class ReelSpeeds(CyclicTask):
         self._line_speed = line_speed
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """What the reels are told, m/s at the radius that they had at the start."""
+        """Command the reels, m/s at the radius that they had at the start."""
         if self._line_speed:
             setattr(sample, self._line_speed, self._leader.speed_m_s)
         for reel, command in self._reels:
@@ -47,7 +47,7 @@ class ReelSpeeds(CyclicTask):
 
 
 class ReelTravel:
-    """Way of the web at a reel, m, from cycle to cycle by its radius."""
+    """Travel of the web at a reel, m, from cycle to cycle by its radius."""
 
     def __init__(self, reel: MeasuredReel) -> None:
         self._reel = reel
@@ -56,7 +56,7 @@ class ReelTravel:
         self._travel_m = 0.0
 
     def __call__(self, sample: CycleSample) -> float:
-        """Up to the last sample."""
+        """Travel up to the last sample."""
         position_m: float = getattr(sample, self._position)
         if self._at_m is not None:
             self._travel_m += (position_m - self._at_m) * self._reel.ratio(sample)

@@ -1,4 +1,4 @@
-"""How a driven roller follows what it is told, known ahead of what is measured of it."""
+"""Model of a driven roller's response to its command, ahead of its measurement."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from hilbench.plant.web_line.parameters import ModelParameters
 
 
 class RollerMotion:
-    """How a driven roller follows its velocity command: m·v' = kp·(u - v) + ki·∫(u - v), sampled as its drive does; the
-    web pulls at both sides alike."""
+    """Response of a driven roller to its velocity command: m·v' = kp·(u - v) + ki·∫(u - v), sampled as its drive does;
+    the web pulls at both sides alike."""
 
     def __init__(self, model: ModelParameters, axis: int, cycle_s: float) -> None:
         loops, ratio = model.drives, model.motor_rad_per_m(axis)
@@ -22,12 +22,12 @@ class RollerMotion:
         self.reset()
 
     def reset(self) -> None:
-        """At rest."""
+        """Reset to rest."""
         self._speed_m_s = self._integral_N = 0.0
 
     @property
     def speed_m_s(self) -> float:
-        """At the end of the cycle that was asked for last."""
+        """Speed at the end of the last cycle computed."""
         return self._speed_m_s
 
     def acceleration_m_s2(self, command_m_s: float) -> float:

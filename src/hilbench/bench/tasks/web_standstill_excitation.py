@@ -1,9 +1,9 @@
-"""A small movement of a line at rest, which shows E and strain of webs that nothing is known of.
+"""Standstill excitation: a small movement of a line at rest that makes E and strain of unknown webs identifiable.
 
-All rollers go forth and back together, so that dry friction goes with a direction that is known, and beside that pull
-apart and let go: where a drive holds its roller softly, it hardly moves by that, and the tensions of all spans go up
-and down. `JointInitialization` of the twin tells, for each span, the two apart. Nobody is further from where it stood
-than the way that is permitted, even where no web holds anybody.
+All rollers go forth and back together, so that dry friction acts in a known direction, and in addition pull
+apart and release: where a drive holds its roller softly, it hardly moves by that, and the tensions of all spans go up
+and down. `JointInitialization` of the twin separates the two for each span. No roller is further from its start
+than the permitted travel, even where no web holds any.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 _HALF_S, _EDGE_S = 0.4, 0.04
 #: In which the pull goes from one size to the other, as the rollers turn back: evenly, or the webs would swing.
 _PULL_S = 0.16
-#: Shares of the permitted way that are asked for: of going forth, in the mean to either side of where the rollers
-#: stood, and of the pull to either side, at most. The rest is for swings.
+#: Shares of the permitted travel: amplitude of the joint movement to either side of the rollers'
+#: start, and of the pull to either side, at most. The rest is for swings.
 _FORTH, _PULL = 0.48, 0.62
 #: Change of the tension either way, as a share of its set-point, with E as in the model.
 _TENSION = 0.15
@@ -34,14 +34,14 @@ Positions = Callable[[CycleSample], Sequence[float]]
 
 
 def _goal(half: float) -> float:
-    """Of the pull: another one as the rollers turn back for every other time."""
+    """Pull in a half period: its sign changes as the rollers turn back for every other time."""
     if half < 0:
         return 0.0
     return -1.0 if half % 4 in (0, 3) else 1.0
 
 
 class LeadingRoller(Protocol):
-    """The last axis, whom the others follow."""
+    """The last axis, which the others follow."""
 
     creep_m_s: float  #: of all
 
@@ -53,11 +53,11 @@ class PulledRoller(Protocol):
 
 
 def excitation_amplitudes_m(model: ModelParameters, set_points_N: Sequence[float], travel_m: float) -> Array:
-    """By how much each roller (N,) is told to go further for the change of the tensions, or as much of it as the
-    permitted way allows; `set_points_N`: of the spans (N - 1,).
+    """Amplitude of each roller (N,) for the change of the tensions, or as much of it as the
+    permitted travel allows; `set_points_N`: of the spans (N - 1,).
 
-    The web of each span gets longer by what it is to be pulled more, and a roller gives way by what its drive's loop
-    allows where the webs on its two sides pull otherwise. Where there is room the rollers then hardly move.
+    The web of each span gets longer by its additional pull, and a roller gives way by what its drive's loop
+    allows where the webs on its two sides pull differently. Where there is room the rollers then hardly move.
     """
     changes_N = _TENSION * np.asarray(set_points_N, np.float64)
     longer_m = [model.span_length_m(k) / model.stiffness_N(k) * dF for k, dF in enumerate(changes_N.tolist(), 1)]
@@ -75,8 +75,8 @@ def excitation_amplitudes_m(model: ModelParameters, set_points_N: Sequence[float
 
 
 class StandstillExcitation:
-    """One movement after the other; `axes` (N,): of the line, as `positions_m` has their positions at the web in a
-    sample; `pulled_m` (N,): by how much each goes further for the highest tensions (`excitation_amplitudes_m`)."""
+    """Runs one movement after the other; `axes` (N,): of the line, `positions_m` reads their positions at the web of a
+    sample; `pulled_m` (N,): additional displacement of each for the highest tensions (`excitation_amplitudes_m`)."""
 
     def __init__(
         self,
@@ -98,12 +98,12 @@ class StandstillExcitation:
         self._pull = 0.0  # present share of it
 
     def begin(self, sample: CycleSample) -> None:
-        """From where the rollers stand."""
+        """Begin at the rollers' present positions."""
         self._stood_m = self._positions_m(sample)
         self._cycles, self._pull = 0, 0.0
 
     def is_beyond(self, sample: CycleSample) -> bool:
-        """Whether a roller is further from where it stood than is permitted."""
+        """True if a roller is further from its start than permitted."""
         now_m = self._positions_m(sample)
         return max(abs(now - then) for now, then in zip(now_m, self._stood_m, strict=True)) > self.travel_m
 
@@ -123,7 +123,7 @@ class StandstillExcitation:
             axis.pull_m_s = step * pulled_m / self._cycle_s
 
     def end(self) -> None:
-        """Stand."""
+        """Stop the movement."""
         self._leader.creep_m_s = 0.0
         for axis in self._axes:
             axis.pull_m_s = nan

@@ -1,5 +1,5 @@
-"""The strain wanted in a span on its way to what the set-point asks for, and the speed that mass conservation makes of
-it: functions on a vector; `tension_feed_forward` says where they come from."""
+"""Strain trajectory of a span to its set-point, and the speed that follows from it by mass conservation:
+functions on a vector; `tension_feed_forward` derives them."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from hilbench.topology.sample import CycleSample
 Vector = NDArray[np.float64]
 Places = NDArray[np.int64]
 
-#: Way of a set-point: rate of the three equal poles, times the rise time; 2 % are left then.
+#: Trajectory of a set-point: rate of the three equal poles, times the rise time; 2 % are left then.
 _POLES = 7.5
-#: Of a way: rate of the poles, 1/s, what is left of it in a cycle, cycle, span and section; strain, its rate and its
-#: bend; what the samples of the next cycles are to show of the lengthening, the next one first (from a command to the
-#: sample that shows what the axes have made of it two go by).
+#: A trajectory: rate of the poles, 1/s, share left of it in a cycle, cycle, span and section; strain, its first and
+#: second derivative; lengthening that the samples of the next cycles will show, the next one first (from a command to
+#: the sample that shows its effect there are two).
 _PER_S, _LEFT, _CYCLE_S, _LENGTH_M, _SECTION_M2, _STRAIN, _RATE_PER_S, _BEND_PER_S2, _SHOWN, _SHOWN_NEXT, _SIZE = range(
     11
 )
@@ -32,13 +32,13 @@ NOWHERE = -1
 
 
 def trajectory_per_s(rise_s: float) -> float:
-    """Rate of the three equal poles of a way, of which 98 % are made in `rise_s`."""
+    """Rate of the three equal poles of a trajectory, of which 98 % are made in `rise_s`."""
     return _POLES / rise_s
 
 
 @compiled
 def trajectory_update(w: Vector, goal_N: float, modulus_Pa: float) -> None:
-    """One cycle towards the goal."""
+    """Advance the trajectory by a cycle towards the goal."""
     per_s, duration_s, left = w[_PER_S], w[_CYCLE_S], w[_LEFT]
     goal = goal_N / (modulus_Pa * w[_SECTION_M2])
     off = w[_STRAIN] - goal
@@ -60,20 +60,20 @@ def lengthening_m_s2(w: Vector) -> float:
 
 @compiled
 def shown_m_s(w: Vector) -> float:
-    """That which the last sample is to show."""
+    """Lengthening that the last sample is to show."""
     return float(w[_SHOWN])
 
 
 @compiled
 def trajectory_tension_N(w: Vector, modulus_Pa: float) -> float:
-    """What is wanted at this moment."""
+    """Wanted tension at this moment."""
     return float(w[_STRAIN] * modulus_Pa * w[_SECTION_M2])
 
 
 @compiled
 def trajectory_velocity(w: Vector, behind_m_s: float, entering_strain: float) -> float:
-    """Of the axis before the span by mass conservation, from that of the axis behind it and the strain that enters, in
-    reverse that of the web behind the span."""
+    """Velocity of the axis before the span by mass conservation, from that of the axis after it and the strain that
+    enters, in reverse that of the web after the span."""
     wanted, lengthening_m_s = 1.0 + w[_STRAIN], w[_LENGTH_M] * w[_RATE_PER_S]
     if behind_m_s < 0.0:
         return float(behind_m_s * wanted / (1.0 + entering_strain) - lengthening_m_s / wanted)
@@ -101,10 +101,10 @@ _update, _velocity, _tension_N = (
 
 
 class StrainTrajectory:
-    """The strain wanted in a span, on its smooth way to what the set-point asks for at the present E.
+    """Strain trajectory of a span: smooth change to the strain of the set-point at the present E.
 
-    Three equal poles; `rise_s`: until 98 % of a step are made. A change of E moves the goal, and leaves the strain of
-    the moment, as it leaves that of the web: what the controller sees is how far the web is from its way back.
+    Three equal poles; `rise_s`: until 98 % of a step are made. A change of E moves the goal, and keeps the present
+    strain, as it keeps that of the web: the controller sees only the web's deviation from its trajectory back.
     """
 
     def __init__(self, rise_s: float, cycle_s: float, length_m: float, section_m2: float) -> None:
@@ -113,7 +113,7 @@ class StrainTrajectory:
         self.vector[: _SECTION_M2 + 1] = per_s, exp(-per_s * cycle_s), cycle_s, length_m, section_m2
 
     def reset(self, strain: float) -> None:
-        """At rest there."""
+        """Reset to rest at this strain."""
         self.vector[_STRAIN:] = 0.0
         self.vector[_STRAIN] = strain
 
@@ -152,7 +152,7 @@ class EnteringStrain:
 
 
 def entering_vectors(kind: type[CycleSample], sides: Sequence[EnteringStrain]) -> tuple[Vector, Places]:
-    """Those of `entering_strain`: of the web before the span, then of that behind it."""
+    """Vectors of `entering_strain`: of the web before the span, then of that after it."""
     figures = [value for side in sides for value in (side.wanted, side.section_m2)]
     places = [kind.place(name) if name else NOWHERE for side in sides for name in (side.tension, side.modulus)]
     return np.array(figures), np.array(places, np.int64)

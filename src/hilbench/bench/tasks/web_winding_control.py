@@ -1,10 +1,10 @@
-"""Controllers of reels, dancers and accumulators: what sets a torque, a speed or a force, and what is known ahead.
+"""Controllers of reels, dancers and accumulators: setting a torque, a speed or a force, with feed-forward.
 
 A reel in torque mode pulls the web by its motor's torque: without more it takes the torque of its own acceleration out
-of the web. Told beforehand, J(r)·a/r and the tension times the radius leave to the controller what nobody knows. A
+of the web. Fed forward, J(r)·a/r and the tension times the radius leave only the unknown rest to the controller. A
 dancer's position loop sets the speed before it; the tension is what pushes the carriage. An accumulator's carriage
-moves as the speeds at its ends say: what its rollers and itself need for that, and what guide and jack hold back by
-friction, is added to the force.
+moves by the speeds at its ends: the force for its rollers' and its own acceleration, and for the friction of guide and
+jack, is added to its force.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import Accumulator, Dancer, LineCarriage, Reel
 
-#: Share of a ramp over which its acceleration comes, and goes: the peak is 9/7 of the least by which it can be done.
+#: Share of a ramp over which its acceleration rises, and falls: the peak is 9/7 of the least possible.
 #: With less an unwinder that stops turns back by more than 1 mm/s.
 ROUNDED: Final = 2.0 / 9.0
-#: Speed below which dry friction is made up for in proportion to it, m/s: what stands may stick either way.
+#: Speed below which dry friction is compensated in proportion to it, m/s: a part at rest may stick either way.
 _STANDS_M_S = 2e-4
 _DRY_N = lay.place("coulomb_friction", "force_N")
 _VISCOUS_N_S_PER_M = lay.place("viscous_friction", "coefficient_N_s_per_m")
 
 
 def eased(time: float, rounded: float = ROUNDED) -> tuple[float, float]:
-    """Of a ramp from 0 to 1 over the time 1, with a jerk that is bounded and does not jump: how far it is, and how
-    fast. `rounded`: over which the acceleration comes, and goes, up to 1/2."""
+    """Position and speed of a ramp from 0 to 1 over the time 1, with a bounded and continuous jerk.
+    `rounded`: share over which the acceleration rises, and falls, up to 1/2."""
     time = min(max(time, 0.0), 1.0)
     left, fastest = min(time, 1.0 - time), 1.0 / (1.0 - rounded)
     if left < rounded:
@@ -42,7 +42,7 @@ def eased(time: float, rounded: float = ROUNDED) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class ReelMechanics:
-    """Of a reel with what is on it, at its own shaft. `side`: 1 for a rewinder, -1 for an unwinder."""
+    """Mechanics of a reel with its web, at its own shaft. `side`: 1 for a rewinder, -1 for an unwinder."""
 
     side: float
     gear_ratio: float
@@ -52,7 +52,7 @@ class ReelMechanics:
 
     @classmethod
     def of_model(cls, model: ModelParameters, axis: int) -> ReelMechanics:
-        """Of an axis that is a reel. Raises ValueError for another."""
+        """Mechanics of an axis that is a reel. Raises ValueError for another."""
         reel = next((roller.station for roller in model.line_rollers if roller.axis == axis), None)
         if not isinstance(reel, Reel):
             raise ValueError(f"axis {axis} is no reel, expected an unwinder or rewinder")
@@ -68,14 +68,14 @@ class ReelMechanics:
         )
 
     def inertia_kg_m2(self, radius_m: float) -> float:
-        """With the web on it."""
+        """Inertia with the web on it."""
         return self.empty_kg_m2 + 0.5 * pi * self.web_kg_per_m3_m * (radius_m**4 - self.core_radius_m**4)
 
     def torque_Nm(
         self, tension_N: float, acceleration_m_s2: float, radius_m: float, wound_m: float | None = None
     ) -> float:
-        """Of the motor, at its shaft, that keeps a tension at an acceleration of the web; `wound_m`: radius of what
-        turns with it, where that is another."""
+        """Torque of the motor, at its shaft, that keeps a tension at an acceleration of the web; `wound_m`: radius of
+        the turning roll, where that differs."""
         inertia_kg_m2 = self.inertia_kg_m2(radius_m if wound_m is None else wound_m)
         accelerating_Nm = inertia_kg_m2 * acceleration_m_s2 / radius_m
         return (self.side * tension_N * radius_m + accelerating_Nm) / self.gear_ratio
@@ -86,7 +86,7 @@ def _thickness_m(model: ModelParameters, span: int) -> float:
 
 
 class ReelTension:
-    """A reel's torque from the tension beside it, N·m at the motor: PID on the tension, around what is known ahead.
+    """A reel's torque from the tension next to it, N·m at the motor: PID on the tension, with feed-forward.
 
     `gain`: N per N; `rate_per_s`: of the integral; `derivative_s`: N per N/s of the tension, which damps the swing of
     the reel against its web; `limit_Nm`: of the motor.
@@ -116,7 +116,7 @@ class ReelTension:
         cycle_s: float,
         wound_m: float | None = None,
     ) -> float:
-        """One cycle; `acceleration_m_s2`: planned, of the web; `radius_m`: of the reel now; `wound_m` as of
+        """Torque of a cycle; `acceleration_m_s2`: planned, of the web; `radius_m`: of the reel now; `wound_m` as of
         `ReelMechanics.torque_Nm`."""
         error_N = set_point_N - tension_N
         integral_N = self._integral_N + self._rate_per_s * error_N * cycle_s
@@ -133,10 +133,10 @@ class ReelTension:
 class DancerPosition:
     """Speed of the roller before a dancer or accumulator that keeps its carriage at a position.
 
-    The carriage goes by half the difference of the speeds for a dancer, the n-th part for n strands; PI on the position
-    with two equal poles at `bandwidth_rad_per_s`, around the speed behind and what the wanted motion asks for. The
-    correction is at most `limit_m_s`, and comes to that within half of 1/`bandwidth_rad_per_s`: what turns without a
-    motor takes the torque for its acceleration out of the web.
+    The carriage moves by half the difference of the speeds for a dancer, the n-th part for n strands; PI on the
+    position with two equal poles at `bandwidth_rad_per_s`, around the speed after it and that of the wanted motion. The
+    correction is at most `limit_m_s`, reached within half of 1/`bandwidth_rad_per_s`: rollers without a
+    motor take the torque for their acceleration out of the web.
     """
 
     def __init__(self, station: Dancer | Accumulator, bandwidth_rad_per_s: float, limit_m_s: float) -> None:
@@ -146,13 +146,13 @@ class DancerPosition:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the integral, and what was corrected."""
+        """Reset the integral and the correction."""
         self._integral_m_s = self._corrected_m_s = 0.0
 
     def velocity(
         self, behind_m_s: float, wanted_m: float, wanted_m_s: float, position_m: float, cycle_s: float
     ) -> float:
-        """One cycle: what goes in is what goes out and what the strands take up."""
+        """Velocity of the roller before it, by one cycle of its balance: web in is web out plus the strands' uptake."""
         error_m, gain = wanted_m - position_m, self._strands * self._bandwidth
         integral_m_s = self._integral_m_s + 0.25 * gain * self._bandwidth * error_m * cycle_s
         asked_m_s = gain * error_m + integral_m_s
@@ -161,7 +161,7 @@ class DancerPosition:
         return behind_m_s + self._strands * wanted_m_s + self._corrected_m_s
 
     def let_go(self, behind_m_s: float, cycle_s: float) -> float:
-        """One cycle while the position is nobody's: the correction goes back to none."""
+        """One cycle without position control: the correction returns to zero."""
         return behind_m_s + self._correct(0.0, cycle_s)
 
     def _correct(self, asked_m_s: float, cycle_s: float) -> float:
@@ -173,17 +173,17 @@ class DancerPosition:
 
 
 class CarriageForce:
-    """Force on the carriage of an accumulator or dancer that keeps the tension beside it, with what its parts need.
+    """Force on the carriage of an accumulator or dancer that keeps the tension next to it, by its momentum balance.
 
-    The rollers between the strands turn at speeds that go evenly from that before to that behind; roller j of n - 1 has
-    the inertia m and friction R, so that strand j pulls by the sum of m·a + R of the rollers behind it less than the
-    web behind the carriage; the carriage has the sum of the strands, its mass and its friction. All of that is as the
+    The rollers between the strands turn at speeds interpolated between that before and that after; roller j of n - 1
+    has the inertia m and friction R, so that strand j pulls by the sum of m·a + R of the rollers after it less the
+    web after the carriage; the carriage has the sum of the strands, its mass and its friction. All of that is as the
     model has it, with its effects.
 
-    What the tensions at its ends come to differ by no force on it can change, but which of them that is: `behind_takes`
-    is the share of the change, against an even speed, that the tension behind has, 0 where it is to stay, 1 where that
-    before is. `mass_error`, `friction_error`: shares by which what it goes by is off, of masses, and of friction other
-    than the carriage's viscous one.
+    No force on it can change the difference of the tensions at its ends, only which of them changes: `behind_takes`
+    is the share of the change, against an even speed, that the tension after it has, 0 where it is to stay, 1 where
+    that before is. `mass_error`, `friction_error`: relative errors of the masses used, and of friction other than the
+    carriage's viscous one.
     """
 
     def __init__(
@@ -215,8 +215,8 @@ class CarriageForce:
         behind_m_s2: float,
         position_m: float = 0.0,
     ) -> float:
-        """From the speeds of the web at the ends and their planned accelerations; `tension_N` is wanted behind at an
-        even speed."""
+        """Force from the speeds of the web at the ends and their planned accelerations; `tension_N` is wanted after it
+        at an even speed."""
         strands, gain = self._strands, self._station.strand_gain(position_m)
         needs_N, more_N = [], 0.0
         for number in range(strands - 1, 0, -1):
@@ -241,7 +241,7 @@ class CarriageForce:
 
 @dataclass(frozen=True, slots=True)
 class Resisting:
-    """A roller, or carriage, with its friction at the web, or along its way."""
+    """A roller with its friction at the web, or a carriage with that along its travel."""
 
     mass_kg: float
     dry_N: float
@@ -249,7 +249,7 @@ class Resisting:
 
     @classmethod
     def of_row(cls, row: lay.Vector, moved: float, dry: float, viscous: float) -> Resisting:
-        """By the row of an axis (`hilbench.plant.web_line.layout`), times these."""
+        """Make from the row of an axis (`hilbench.plant.web_line.layout`), times these."""
         mass_kg, dry_N, viscous_N_s_per_m = row[[lay.A_ROLLER_MASS_KG, _DRY_N, _VISCOUS_N_S_PER_M]].tolist()
         return cls(moved * mass_kg, dry * dry_N, viscous * viscous_N_s_per_m)
 
