@@ -26,7 +26,7 @@ from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.config_text import json_schema
 from hilbench.runs.metrics import OF_RUNS, OF_STEPS
 from hilbench.runs.segment import Metric
-from hilbench.topology.quantities import PLAIN_PATHS, permitted
+from hilbench.topology.quantities import SINGLE_PATHS, permitted
 from hilbench.topology.signal_kinds import Signal
 from hilbench.topology.signals import SMALLEST, signals_of
 
@@ -384,7 +384,7 @@ def signals_page() -> str:
         "The channels of `recording.mf4`, one value a cycle, in SI units. The group says who knows the value; *truth* "
         "only a simulated bench has, and diagnosis never reads it. Conditions (`wait_until:`) and expectations of a "
         "scenario table use the same names. What steps and tables can set: "
-        + ", ".join(f"`{path}` ({permitted(path)})" for path in PLAIN_PATHS)
+        + ", ".join(f"`{path}` ({permitted(path)})" for path in SINGLE_PATHS)
         + ", and every parameter of every [effect](effects.md) within its bounds.",
         "",
         *_signals_table(

@@ -76,8 +76,8 @@ def _typed_character(char: str) -> str:
         return _TYPED[char]
     if "\u2500" <= char <= "\u257f":  # lines of tables
         return "-" if char in "─━═┄┈" else "|" if char in "│┃║" else "+"
-    plain = "".join(part for part in unicodedata.normalize("NFKD", char) if part.isascii())
-    return plain or char.encode("ascii", "backslashreplace").decode("ascii")
+    ascii_text = "".join(part for part in unicodedata.normalize("NFKD", char) if part.isascii())
+    return ascii_text or char.encode("ascii", "backslashreplace").decode("ascii")
 
 
 class _Descriptor(io.FileIO):

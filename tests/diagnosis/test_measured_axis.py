@@ -67,9 +67,9 @@ def test_of_a_short_run_there_and_back_fits_see_a_good_part_of_each_direction() 
     predictor = OnMeasuredMotion(model, data)
     split = Space(model, predictor, data.period_s).split
     for forward in (True, False):
-        way = ((v > 0.0) == forward)[:: predictor.every] & predictor.rows
-        assert np.count_nonzero(split.train & way) > 0.4 * np.count_nonzero(way)
-        assert np.count_nonzero(split.test & way) > 0.1 * np.count_nonzero(way)
+        presliding_travel = ((v > 0.0) == forward)[:: predictor.every] & predictor.rows
+        assert np.count_nonzero(split.train & presliding_travel) > 0.4 * np.count_nonzero(presliding_travel)
+        assert np.count_nonzero(split.test & presliding_travel) > 0.1 * np.count_nonzero(presliding_travel)
 
 
 @pytest.mark.slow

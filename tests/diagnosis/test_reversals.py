@@ -35,34 +35,37 @@ def value(found: Diagnosis, name: str) -> float:
     return next(iter(item.parameters.values())).value
 
 
-def damper(way: float, play: float, *, seconds: float = 16.0) -> tuple[Array, Array]:
+def damper(presliding_travel: float, play: float, *, seconds: float = 16.0) -> tuple[Array, Array]:
     """Position and force of a band with friction, driven to and fro ever further, then by the same stroke.
 
     The band is two springs with a play between their ends, and slides when either pulls with 4000 N.
     """
     t = np.arange(round(seconds / PERIOD_S)) * PERIOD_S
     x = 0.025 * np.minimum(t / 5.0, 1.0) * np.sin(2.0 * np.pi * 0.5 * t)
-    stiffness, band, force = 4000.0 / way, 0.0, np.empty(len(t))
+    stiffness, band, force = 4000.0 / presliding_travel, 0.0, np.empty(len(t))
     for k, at in enumerate(x):
-        band = min(max(band, at - 0.5 * play - way), at + 0.5 * play + way)
+        band = min(max(band, at - 0.5 * play - presliding_travel), at + 0.5 * play + presliding_travel)
         apart = at - band
         force[k] = stiffness * (max(apart - 0.5 * play, 0.0) + min(apart + 0.5 * play, 0.0))
     return x, force + 300.0
 
 
 @pytest.mark.parametrize(
-    ("way", "play", "every"), [(0.001, 0.003, 4), *slow((0.001, 0.003, 1), (0.0015, 0.005, 1), (0.0015, 0.005, 4))]
+    ("presliding_travel", "play", "every"),
+    [(0.001, 0.003, 4), *slow((0.001, 0.003, 1), (0.0015, 0.005, 1), (0.0015, 0.005, 4))],
 )
-def test_a_play_behind_which_friction_holds_is_named_with_its_size(way: float, play: float, every: int) -> None:
-    x, force = damper(way, play)
+def test_a_play_behind_which_friction_holds_is_named_with_its_size(
+    presliding_travel: float, play: float, every: int
+) -> None:
+    x, force = damper(presliding_travel, play)
     found = diagnose(recording(x, force, noise=20.0, every=every), axis_model(1e-3), "damper")
     assert names(found) == {"coulomb_friction", "backlash", "torque_offset"}
     assert value(found, "coulomb_friction") == pytest.approx(4000.0, rel=0.02)
     assert value(found, "backlash") == pytest.approx(play, rel=0.02)
     (presliding,) = (item for item in found.nuisance if item.effect == "presliding")
     low, high = presliding.parameters["way_m"].ci95
-    assert low <= way
-    assert high >= way
+    assert low <= presliding_travel
+    assert high >= presliding_travel
     assert found.gap.after < 0.05 * float(np.std(force))
 
 

@@ -41,8 +41,8 @@ def test_two_laws_at_once_are_both_proposed() -> None:
 
 
 def test_friction_that_builds_up_over_a_way_is_proposed_as_presliding() -> None:
-    way = float(np.ptp(X))
-    found = proposed(0.5 * (presliding(X, 0.03 * way) - np.sign(V)))
+    presliding_travel = float(np.ptp(X))
+    found = proposed(0.5 * (presliding(X, 0.03 * presliding_travel) - np.sign(V)))
     assert any(term.of.startswith("presliding over") for term in found.terms)
 
 

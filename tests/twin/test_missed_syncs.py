@@ -263,9 +263,9 @@ def test_a_twin_joins_by_measurements_of_two_cycles_in_a_row(monkeypatch: pytest
     bus, released = OnTheBus(monkeypatch), list[float]()
     release = bus.machine.release
 
-    def note(before: list[tuple[float, float]], now: list[tuple[float, float]], *, under_way: bool) -> bool:
+    def note(before: list[tuple[float, float]], now: list[tuple[float, float]], *, in_motion: bool) -> bool:
         released.extend(after[0] - earlier[0] for earlier, after in zip(before, now, strict=True))
-        return release(before, now, under_way=under_way)
+        return release(before, now, in_motion=in_motion)
 
     monkeypatch.setattr(bus.machine, "release", note)
     for k, answers in enumerate((2, 1, 2, 2), 500):

@@ -49,25 +49,25 @@ class CompiledCycles:
         """Run up to `cycles` compiled. Returns the number run; 0: the next needs Python. Raises as `BenchCycle.run`."""
         if not self._possible:
             return 0
-        with self._exchange.chained(self._state.sample, self._shown) as plain:
-            if plain is None:
+        with self._exchange.chained(self._state.sample, self._shown) as stages:
+            if stages is None:
                 return 0
             for each in self._parts:
                 cycles = min(cycles, each.cycles())
                 if cycles < _LEAST:
                     return 0
-            cycles = min(cycles, plain.cycles())
+            cycles = min(cycles, stages.cycles())
             if cycles < _LEAST:
                 return 0
-            done, left = self._run(plain, cycles)
+            done, left = self._run(stages, cycles)
         if left:
             sample = self._state.sample
             self._finish({output: getattr(sample, signal) for output, signal in self._shown.items()})
         return done + left
 
-    def _run(self, plain: ExchangeStages, cycles: int) -> tuple[int, bool]:
+    def _run(self, stages: ExchangeStages, cycles: int) -> tuple[int, bool]:
         """Number of cycles completed, and True if a further one has its set points already."""
-        chain, left = self._chain_of(plain), False
+        chain, left = self._chain_of(stages), False
         stopped: int | None = None
         try:
             chain.run(cycles)
@@ -77,20 +77,20 @@ class CompiledCycles:
             stopped = chain.stopped_at
             raise
         finally:
-            self._pass(plain, chain.done, stopped)
+            self._pass(stages, chain.done, stopped)
         return chain.done, left
 
-    def _pass(self, plain: ExchangeStages, done: int, stopped: int | None) -> None:
+    def _pass(self, stages: ExchangeStages, done: int, stopped: int | None) -> None:
         """Report the cycles run to their counters; of an aborted one only to those whose stage was reached."""
-        plain.passed()
+        stages.passed()
         for each, turn in zip(self._parts, self._turns, strict=True):
             each.went(done + (stopped is not None and turn <= stopped))
 
-    def _chain_of(self, plain: ExchangeStages) -> CycleProgram:
+    def _chain_of(self, stages: ExchangeStages) -> CycleProgram:
         self._stamp.begin()
-        if self._chain is None or self._of is not plain.pieces:
-            self._of = plain.pieces
-            self._chain = CycleProgram(self._put_together(plain.pieces))
+        if self._chain is None or self._of is not stages.pieces:
+            self._of = stages.pieces
+            self._chain = CycleProgram(self._put_together(stages.pieces))
         return self._chain
 
     def _put_together(self, exchange: Sequence[CompiledStage]) -> list[CompiledStage]:

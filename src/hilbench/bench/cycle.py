@@ -66,11 +66,11 @@ class BenchCycle:
     def run_many(self, cycles: int) -> None:
         """Run so many cycles, compiled where possible. Raises as `run`."""
         while cycles > 0:
-            gone = self.run_compiled(cycles)
-            if not gone:
+            done = self.run_compiled(cycles)
+            if not done:
                 self.run()
-                gone = 1
-            cycles -= gone
+                done = 1
+            cycles -= done
 
     def run_compiled(self, cycles: int) -> int:
         """Run up to `cycles` compiled. Returns the number run; 0 if the next one needs Python. Raises as `run`."""

@@ -24,12 +24,12 @@ def fmu_findings(config: BenchConfig) -> list[str]:
 def _of_axis(machine: FmuAxisParameters) -> list[str]:
     found, drives = machine.variables(), machine.drives
     motion = [found.torque, found.position, found.speed]
-    plain = [variable for name, variable in found.parameters.items() if isinstance(machine.parameters[name], str)]
+    texts = [variable for name, variable in found.parameters.items() if isinstance(machine.parameters[name], str)]
     lines = [
         machine.description().summary,
         f"machine: torque is {_names(motion[:1])}, position {_names(motion[1:2])}, speed {_names(motion[2:])}"
         + "".join(f"; {ours} is {theirs.name}" for ours, theirs in found.parameters.items()),
-        *_unit_findings([*motion, *plain]),
+        *_unit_findings([*motion, *texts]),
         *(step_findings(machine, drives.sample_time_s) if drives else []),
     ]
     kept = [name for name in _FOUND if name not in found.parameters]

@@ -146,7 +146,7 @@ def take_in(
     words: Words,
 ) -> bool:
     """`Hub._attend` of so many stations that have sent; true if all packets are of known frames."""
-    plain = True
+    is_regular = True
     for at in range(count):
         descriptor = events[at * EVENT_WORDS + _EVENT_DESCRIPTOR]
         packet = packets[at]
@@ -155,8 +155,8 @@ def take_in(
         packet[FRAMES] = 0
         if packet[SIZE] > _HEADER_BYTES and stations[packet[STATION], OWN] == 0:
             packet[FRAMES] = known_frames(octets[at], words[at], packet[SIZE], known, rows[at])
-        plain = plain and packet[FRAMES] > 0
-    return plain
+        is_regular = is_regular and packet[FRAMES] > 0
+    return is_regular
 
 
 @compiled

@@ -69,8 +69,8 @@ def ascii_unit(unit: str) -> str:
 def _ascii(text: str) -> str:
     """Letters without their marks; a question mark for what is none."""
     marked = unicodedata.normalize("NFKD", text.replace('"', "'"))
-    plain = "".join(sign for sign in marked if not unicodedata.combining(sign))
-    return " ".join(plain.encode("ascii", "replace").decode().split())
+    ascii_text = "".join(sign for sign in marked if not unicodedata.combining(sign))
+    return " ".join(ascii_text.encode("ascii", "replace").decode().split())
 
 
 def _signals(message: DbcMessage) -> Iterator[Signal]:

@@ -156,7 +156,7 @@ class Device:
             self.nmt_state is NmtState.OPERATIONAL
             and not (self.silent or self.heartbeat_fails or self.replies or self.outbox or self._event_driven)
             and not (self._sync_counter is not None and self._sync_counter.value)
-            and not (self._emcy.waits or self._emcy.stands(SYNC_LENGTH) or self._guarding.watches)
+            and not (self._emcy.waits or self._emcy.is_active(SYNC_LENGTH) or self._guarding.watches)
             and all(tpdo.fits_fast_path for tpdo in self._synchronous)
         )
 

@@ -212,7 +212,7 @@ class Rpdo(_Pdo):
             and self._type.value <= 240
             and self._waiting is None
             and self._length_error is None
-            and not self._emcy.stands(RPDO_TIMED_OUT)
+            and not self._emcy.is_active(RPDO_TIMED_OUT)
             and (timer_ns == 0 or timer_ns >= cycle_ns)
         )
 

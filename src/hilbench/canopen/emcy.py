@@ -80,7 +80,7 @@ class EmergencyProducer:
         del self._active[error]
         self._update_register()
         if self._may_send():
-            self._report_gone(code)
+            self._report_reset(code)
         elif error in self._pending:  # it was never reported
             del self._pending[error]
         else:
@@ -103,7 +103,7 @@ class EmergencyProducer:
         pending, self._pending = self._pending, {}
         for (code, _), info in pending.items():
             if info is None:
-                self._report_gone(code)
+                self._report_reset(code)
             else:
                 self._report_come(code, info)
 
@@ -122,7 +122,7 @@ class EmergencyProducer:
         """True if a message is held back."""
         return bool(self._waiting)
 
-    def stands(self, code: int) -> bool:
+    def is_active(self, code: int) -> bool:
         """True if an error with this code, of any source, is active."""
         return any(active == code for active, _ in self._active)
 
@@ -138,7 +138,7 @@ class EmergencyProducer:
     def _report_come(self, code: int, info: bytes) -> None:
         self._report(_EMCY.pack(code, self._register.value, info[:5].ljust(5, b"\0")))
 
-    def _report_gone(self, code: int) -> None:
+    def _report_reset(self, code: int) -> None:
         self._report(_EMCY.pack(0, self._register.value, struct.pack("<H", code).ljust(5, b"\0")))
 
     def _report(self, data: bytes) -> None:

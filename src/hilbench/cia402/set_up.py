@@ -35,7 +35,7 @@ _NEW_SET_POINT: Final = _ENABLED | 1 << 4 | 1 << 5
 _REACHED: Final = STATUS_TARGET_REACHED | STATUS_MODE_12
 _HOMING: Final = _ENABLED | 1 << 4
 #: It is at standstill when it has moved less than this many position units between two reads.
-_STANDS_UNITS: Final = 2
+_STANDSTILL_UNITS: Final = 2
 
 #: Objects that each mode needs in addition to 6040h, 6041h and 6060h.
 _NEEDED: Final = {
@@ -248,7 +248,7 @@ class SetUpDrive:
         """The statusword with which it is so. A time-out is only for a drive that does not move."""
         deadline_s, place = time.monotonic() + self._time_out_s, self._place()
         while not reached(word := self._look()):
-            if moving and abs((now := self._place()) - place) > _STANDS_UNITS:
+            if moving and abs((now := self._place()) - place) > _STANDSTILL_UNITS:
                 deadline_s, place = time.monotonic() + self._time_out_s, now
             if time.monotonic() > deadline_s:
                 raise self._fault(f"stood still for {self._time_out_s:g} s, expected {what}; statusword {word:04X}h")

@@ -34,7 +34,7 @@ from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
 
 _REFRESH_S = 0.2
-_PLAIN_LINE_EVERY_S = 5.0
+_TEXT_LINE_EVERY_S = 5.0
 #: What a signal waits for once a run has ended.
 _WRITING = "report and history are written"
 _COLOURS = {"passed": "green", "marginal": "yellow", "failed": "red", "error": "red"}
@@ -196,7 +196,7 @@ class Progress:
                 self._next_s = now_s + _REFRESH_S
                 self._live.update(self._table(sample), refresh=True)
         elif sample.t_s >= self._next_s:
-            self._next_s = sample.t_s + _PLAIN_LINE_EVERY_S
+            self._next_s = sample.t_s + _TEXT_LINE_EVERY_S
             self._console.print("  ".join(f"{name} {value}" for name, value in self._rows(sample)), soft_wrap=True)
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:

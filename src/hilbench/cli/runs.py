@@ -474,31 +474,32 @@ def gc(
         keep_labelled,
     )
     known = _library(runs).runs()
-    goes = to_clear(known, keep, time.time())
+    deletions = to_clear(known, keep, time.time())
     if json:
-        if not dry_run and not yes and goes:
+        if not dry_run and not yes and deletions:
             raise UnusableInputError("--yes", "missing, expected with --json, or --dry-run")
-        left = {} if dry_run else delete_all([runs / each.run.path for each in goes])
-        goes = [each for each in goes if runs / each.run.path not in left]
-    freed = sum(each.run.size_bytes for each in goes)
+        left = {} if dry_run else delete_all([runs / each.run.path for each in deletions])
+        deletions = [each for each in deletions if runs / each.run.path not in left]
+    freed = sum(each.run.size_bytes for each in deletions)
     if json:
-        data = [{"run": each.run.path, "why": each.why, "size_bytes": each.run.size_bytes} for each in goes]
+        data = [{"run": each.run.path, "why": each.why, "size_bytes": each.run.size_bytes} for each in deletions]
         print(
             dumps(
-                {"deleted": not dry_run, "freed_bytes": freed, "kept": len(known) - len(goes), "runs": data}, indent=2
+                {"deleted": not dry_run, "freed_bytes": freed, "kept": len(known) - len(deletions), "runs": data},
+                indent=2,
             )
         )
         if left:
             raise UnusableInputError.of([*left.values()])
         return
-    size = f"{_count(len(goes))}, {freed / 1e6:.1f} MB; {len(known) - len(goes)} stay"
+    size = f"{_count(len(deletions))}, {freed / 1e6:.1f} MB; {len(known) - len(deletions)} stay"
     if dry_run:
-        for each in goes:
+        for each in deletions:
             typer.echo(f"{runs / each.run.path}  {each.why}")
         print(f"would go: {size}")
         return
     typer.echo(f"to go: {size}", err=True)
-    _delete([(runs / each.run.path, each.why) for each in goes], yes=yes)
+    _delete([(runs / each.run.path, each.why) for each in deletions], yes=yes)
 
 
 _UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12, "KIB": 2**10, "MIB": 2**20, "GIB": 2**30}

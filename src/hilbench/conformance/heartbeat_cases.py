@@ -85,7 +85,7 @@ def watched_once(dut: DeviceUnderTest) -> None:
     dut.refuses("the same node in another entry", 0x1016, others[0], value, INCOMPATIBLE)
 
 
-def heard_in_time(dut: DeviceUnderTest) -> None:
+def received_in_time(dut: DeviceUnderTest) -> None:
     """No EMCY while heartbeats come."""
     for entry, node in zip(_entries(dut), _strangers(dut), strict=False):
         _watch(dut, entry, node)
@@ -263,7 +263,7 @@ CASES: Final[Mapping[str, Callable[[DeviceUnderTest], None]]] = {
     "Heartbeat 2": count,
     "Heartbeat 3": disabled,
     "Heartbeat 4": watched_once,
-    "Heartbeat 5": heard_in_time,
+    "Heartbeat 5": received_in_time,
     "Heartbeat 6": missed,
     "Heartbeat 7": reset_ends_watch,
     "Heartbeat and guarding 1": both,

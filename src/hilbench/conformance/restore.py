@@ -53,14 +53,14 @@ def restore(dut: DeviceUnderTest, values: Values) -> list[Lost]:
     differing = {key for key in keys if dut.peek(*key) != values[key]}
     for pdo in sorted({index for key in differing if (index := _pdo_of(key[0])) is not None}):
         _restore_pdo(dut, pdo, values)
-    plain = [key for key in differing if _pdo_of(key[0]) is None]
-    if _SYNC_COUNTER in plain and _SYNC_PERIOD in values:
+    parameters = [key for key in differing if _pdo_of(key[0]) is None]
+    if _SYNC_COUNTER in parameters and _SYNC_PERIOD in values:
         dut.try_to_write(*_SYNC_PERIOD, bytes(4))  # while it is not 0 the counter stays as it is
-        plain.append(_SYNC_PERIOD)
-    if any(index == 0x1016 for index, _ in plain):
-        for key in [key for key in plain if key[0] == 0x1016]:
+        parameters.append(_SYNC_PERIOD)
+    if any(index == 0x1016 for index, _ in parameters):
+        for key in [key for key in parameters if key[0] == 0x1016]:
             dut.try_to_write(*key, bytes(4))  # two entries never watch one node
-    for key in sorted(set(plain), key=lambda key: (key == _SYNC_PERIOD, key)):
+    for key in sorted(set(parameters), key=lambda key: (key == _SYNC_PERIOD, key)):
         answer = dut.try_to_write(*key, values[key])
         if isinstance(answer, Refusal) and answer.code == PRESENT_STATE and key == (0x1014, 0):
             answer = _through_invalid(dut, key, values[key])

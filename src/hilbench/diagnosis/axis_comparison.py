@@ -60,7 +60,7 @@ _TURN: Final = 2.0 * np.pi
 #: least width, Hz, and how far the filter reaches, in periods of its corner.
 _BAND, _WIDER, _LOWEST_CORNER_HZ, _REACH = 0.95, 3.0, 5.0, 0.4
 #: Corner in which an inertia is first estimated, Hz; speed, as a share of the highest, below which an axis stands.
-_CORNER_HZ, _STANDS = 10.0, 0.02
+_CORNER_HZ, _STANDSTILL = 10.0, 0.02
 _ROWS_OF_WHERE: Final = 8
 _RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS)}
 
@@ -75,7 +75,7 @@ def inertia(data: Measured) -> float:
     columns = sosfiltfilt(sos, columns, axis=1)
     torque = sosfiltfilt(sos, sosfiltfilt(sos, data.tau_Nm[1]))
     columns[0] = sosfiltfilt(sos, np.gradient(v, data.period_s))
-    rows = (np.abs(v) > _STANDS * float(np.max(np.abs(v)))) & data.usable(0.1)
+    rows = (np.abs(v) > _STANDSTILL * float(np.max(np.abs(v)))) & data.usable(0.1)
     found, *_ = np.linalg.lstsq(columns[:, rows].T, torque[rows], rcond=None)
     least = 1e-3 * float(np.std(torque[rows])) / max(float(np.std(columns[0][rows])), 1e-300)
     return max(float(found[0]), least)
@@ -286,7 +286,7 @@ def _moving(predictor: Predictor, data: Measured) -> Rows:
     nyquist = 0.5 / data.period_s
     sos = butter(2, min(_CORNER_HZ, 0.5 * nyquist) / nyquist, output="sos")
     speed = np.abs(np.gradient(sosfiltfilt(sos, data.x_m[1])))[:: predictor.every]
-    return np.asarray(predictor.rows & (speed > _STANDS * float(np.max(speed))))
+    return np.asarray(predictor.rows & (speed > _STANDSTILL * float(np.max(speed))))
 
 
 def _is_linear(term: Term) -> bool:

@@ -33,7 +33,7 @@ _PERIOD_S: Final = 0.002
 #: How long a drive takes to follow a corner of its command, s.
 _FOLLOWS_S: Final = 0.01
 #: Share of the top speed below which the axis stands, where dry friction is not one law but many.
-_STANDS: Final = 0.01
+_STANDSTILL: Final = 0.01
 #: What is left on measured motion is not white: so far apart are samples that count as one each, s.
 _APART_S: Final = 0.05
 
@@ -85,7 +85,7 @@ def propose(found: Diagnosis, reach: AxisReach) -> NextExperiment | None:
 
     def is_identified(steps: list[Step]) -> Array:
         x, v, a = _motion(steps)
-        rows = np.flatnonzero(np.abs(v) > _STANDS * reach.top)[::every]
+        rows = np.flatnonzero(np.abs(v) > _STANDSTILL * reach.top)[::every]
 
         def predicted(question: Question) -> Array:
             torques = np.empty((len(question.models), len(v)))

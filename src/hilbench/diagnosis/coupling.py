@@ -58,14 +58,17 @@ def columns(arm: Arm, own: Motion, other: Motion) -> dict[str, Array]:
     """Torque (n,) per unit of each coupling, by name."""
     elbow = other.angle if arm is Arm.CARRIES else own.angle
     if arm is Arm.CARRIES:
-        swinging, turning = other.acceleration + 2.0 * own.acceleration, other.speed * (other.speed + 2.0 * own.speed)
+        oscillating, turning = (
+            other.acceleration + 2.0 * own.acceleration,
+            other.speed * (other.speed + 2.0 * own.speed),
+        )
     else:
-        swinging, turning = other.acceleration, -(other.speed**2)
+        oscillating, turning = other.acceleration, -(other.speed**2)
     found = {
         "own_inertia_change_kg_m2": own.acceleration,
         "inertia_kg_m2": other.acceleration,
-        "arm_kg_m2": np.cos(elbow) * swinging - np.sin(elbow) * turning,
-        "arm_turned_kg_m2": np.sin(elbow) * swinging + np.cos(elbow) * turning,
+        "arm_kg_m2": np.cos(elbow) * oscillating - np.sin(elbow) * turning,
+        "arm_turned_kg_m2": np.sin(elbow) * oscillating + np.cos(elbow) * turning,
     }
     if arm is Arm.CARRIES:
         both = own.angle + other.angle

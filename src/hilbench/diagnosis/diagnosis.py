@@ -36,7 +36,7 @@ from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
 from hilbench.diagnosis.terms import Place, Term, extended, pack_with
-from hilbench.diagnosis.torsional_mode import beside_swinging, untold
+from hilbench.diagnosis.torsional_mode import untold, with_torsional_mode
 from hilbench.diagnosis.unseen_resonance import first_unseen
 from hilbench.diagnosis.web_line.loop_check import nuisance_of
 from hilbench.plant.effect import Effect, Section
@@ -231,7 +231,7 @@ def _predicted_by(chosen: Choice, model: Machine, data: Measured, announce: Anno
     else:
         as_simple = simple_beside(predictor)
         selection = MeasuredSearch(space, proposer, announce, as_simple).run()
-        if (settled := beside_swinging(space, selection.fit.terms)) is not None:
+        if (settled := with_torsional_mode(space, selection.fit.terms)) is not None:
             chosen, space = replace(chosen, predictor=settled), Space(model, settled, data.period_s)
             selection = MeasuredSearch(space, proposer, announce, as_simple).run()
         if few := untold(space, selection.fit):  # what was found beside them is as little told: once more without
@@ -371,8 +371,8 @@ def _presliding(model: Machine, chosen: Choice) -> list[NamedEffect]:
         return []
     found = chosen.predictor.presliding
     low, high = found.ci95
-    way = Value(rounded(found.way), (rounded(low), rounded(high)), model.position_unit)
-    return [NamedEffect("presliding", 1, {f"way_{model.position_unit}": way}, {}, [], None)]
+    presliding_travel = Value(rounded(found.presliding_travel), (rounded(low), rounded(high)), model.position_unit)
+    return [NamedEffect("presliding", 1, {f"way_{model.position_unit}": presliding_travel}, {}, [], None)]
 
 
 def _coupling(space: Space, final: Fit) -> list[NamedEffect]:

@@ -63,7 +63,7 @@ _UNITS: Final = (
 )
 _TURN: Final = 2.0 * np.pi
 #: Time over which the ways of the web at two rollers are compared, s.
-_SAME_WAY_S: Final = 0.5
+_SAME_TRAVEL_S: Final = 0.5
 #: Share by which such a ratio may be missed.
 _RATIO: Final = 0.03
 _BOUNDARY = ("strain_prev", "F_next_N")
@@ -305,7 +305,7 @@ def _check_plausible(measured: Measured, model: Machine, place: str | Path) -> N
             raise UnusableInputError(place, f"channel {name} reaches {largest:g}, expected {unit} up to {fastest:g}")
     _check_positions(measured, model, place)
     if isinstance(model, ModelParameters) and model.span_count and not machines.has_stations(model):
-        _check_one_way(measured, place)
+        _check_directions(measured, place)
     strain = float(np.max(np.abs(measured.boundary[:, 0])))
     if strain > _LARGEST_STRAIN:
         raise UnusableInputError(place, f"channel strain_prev reaches {strain:g}, expected a strain (1) below 0.1")
@@ -314,14 +314,14 @@ def _check_plausible(measured: Measured, model: Machine, place: str | Path) -> N
     _check_torques(measured, model, place)
     if not measured.emulated:
         _check_driven(measured, model, place)
-    moves = [_way(x, measured.period_s) for x in measured.x_m.values()]
+    moves = [_travel(x, measured.period_s) for x in measured.x_m.values()]
     moves += [float(np.max(np.abs(v))) * measured.duration_s for v in speeds.values()]
     if max(moves, default=0.0) < _NOTHING_MOVES_M_S * measured.duration_s:
         what = "speed and tension" if not machines.is_lone(model) else "speed"
         raise UnusableInputError(place, f"nothing moves, expected an experiment with changes of {what}")
 
 
-def _way(x: Array, period_s: float) -> float:
+def _travel(x: Array, period_s: float) -> float:
     """How far an axis has gone, to and fro; its range where that may be noise."""
     reach = float(np.ptp(x))
     if reach < _OVER_NOISE * floor(x):
@@ -375,11 +375,11 @@ def _of_the_machine(model: Machine, axis: int) -> Iterator[tuple[float, str, str
         yield 1.0 / rad_per_m, "x", f"rad of the {what}", 1.0 / rad_per_m
 
 
-def _check_one_way(measured: Measured, place: str | Path) -> None:
+def _check_directions(measured: Measured, place: str | Path) -> None:
     """A web goes at all rollers the same way, but for what it is stretched by."""
-    way = measured.x_m if len(measured.x_m) > 1 else {}
-    rows = max(1, round(_SAME_WAY_S / measured.period_s))
-    steps = {axis: np.diff(x[::rows]) for axis, x in sorted(way.items())}
+    travel = measured.x_m if len(measured.x_m) > 1 else {}
+    rows = max(1, round(_SAME_TRAVEL_S / measured.period_s))
+    steps = {axis: np.diff(x[::rows]) for axis, x in sorted(travel.items())}
     for (axis, one), (other, two) in pairwise(steps.items()):
         apart = float(np.sum(np.abs(one - two))) / max(float(np.sum(np.maximum(np.abs(one), np.abs(two)))), 1e-300)
         if apart > _LARGEST_STRAIN:

@@ -41,7 +41,7 @@ _REACH, _PASSES, _TURNS_OVER = 1.5, 0.5, 4.0
 _WIDER: Final = (1.5, 2.5)
 #: Ways over which friction may turn as well on one steady sine, as shares of the one that is known; and as shares of
 #: the least one that is looked for, where none was found.
-_OTHER_WAYS, _UNSEEN_WAYS = (0.25, 0.5, 2.0, 4.0), (0.1, 0.25, 0.5, 1.0)
+_OTHER_LENGTHS, _UNSEEN_LENGTHS = (0.25, 0.5, 2.0, 4.0), (0.1, 0.25, 0.5, 1.0)
 #: Share of the inertia to which a right model may have it, one standard deviation.
 _INERTIA_KNOWN: Final = 0.02
 #: Corner as a share of the Nyquist frequency, and rows per period of it.
@@ -186,7 +186,7 @@ class OnMeasuredMotion:
             return None
         return OnMeasuredMotion(self._model, self._data, self, self.arm)
 
-    def beside_swinging(self, swinging: Array, memory_s: float) -> OnMeasuredMotion:
+    def with_torsional_mode(self, torsional: Array, memory_s: float) -> OnMeasuredMotion:
         """The same, with rows that count once the swing of before the recording is forgotten, and the way over which
         friction turns over looked for again beside what swings.
 
@@ -194,7 +194,7 @@ class OnMeasuredMotion:
         """
         result = copy(self)
         result._memory_s = memory_s
-        without, *torques = self._required(swinging)
+        without, *torques = self._required(torsional)
         result.presliding = result._presliding(np.array(torques) - without)
         result.rows = result._rows()
         return result
@@ -286,14 +286,14 @@ class OnMeasuredMotion:
 
         passes: periods of the corner within which a reversal is no standstill.
         """
-        stands = np.abs(self._v) < self._slow
-        stands &= ~_passing(self._v, stands, round(passes / self.corner_hz / self._period_s))
+        at_standstill = np.abs(self._v) < self._slow
+        at_standstill &= ~_passing(self._v, at_standstill, round(passes / self.corner_hz / self._period_s))
         unknown = ~self._data.usable()
-        stands |= _with_surroundings(unknown)
-        stands[[0, -1]] = unknown[0] = True
+        at_standstill |= _with_surroundings(unknown)
+        at_standstill[[0, -1]] = unknown[0] = True
         for _, end in _runs(unknown):
-            stands[end : end + round(self._memory_s / self._period_s)] = True
-        return ~binary_dilation(stands, iterations=round(_REACH / self.corner_hz / self._period_s))
+            at_standstill[end : end + round(self._memory_s / self._period_s)] = True
+        return ~binary_dilation(at_standstill, iterations=round(_REACH / self.corner_hz / self._period_s))
 
     @property
     def starts(self) -> int:
@@ -360,9 +360,13 @@ class OnMeasuredMotion:
     def alike_on_one_sine(self, parameters: Array) -> Array:
         """(shapes, 1, n): what on one steady sine a torque may be in the place of a law beside friction and inertia:
         what goes with the position, and friction that turns over another way, with these parameters (P,)."""
-        known, shortest = self.presliding, unseen(float(np.ptp(self._x))).way
-        ways = [share * known.way for share in _OTHER_WAYS] if known else [share * shortest for share in _UNSEEN_WAYS]
-        turning_Nm = [self._turning_over(way, parameters) for way in ways]
+        known, shortest = self.presliding, unseen(float(np.ptp(self._x))).presliding_travel
+        lengths = (
+            [share * known.presliding_travel for share in _OTHER_LENGTHS]
+            if known
+            else [share * shortest for share in _UNSEEN_LENGTHS]
+        )
+        turning_Nm = [self._turning_over(presliding_travel, parameters) for presliding_travel in lengths]
         return np.concatenate([self._filter.smooth(evenly_with(self._x)), turning_Nm])[:, None, :: self.every]
 
     @property
@@ -392,15 +396,18 @@ class OnMeasuredMotion:
     def doubt_of_turning(self, parameters: Array) -> Array:
         """(1, 1, n): of these, friction that turns over a way too short to be seen, or as sure as that is known."""
         if self.presliding is None:
-            way = unseen(float(np.ptp(self._x))).way
+            presliding_travel = unseen(float(np.ptp(self._x))).presliding_travel
         else:
-            way = self.presliding.way + (self.presliding.ci95[1] - self.presliding.way) / NORMAL_95
-        return self._beside(self._turning_over(way, parameters)[None, None, :: self.every])
+            presliding_travel = (
+                self.presliding.presliding_travel
+                + (self.presliding.ci95[1] - self.presliding.presliding_travel) / NORMAL_95
+            )
+        return self._beside(self._turning_over(presliding_travel, parameters)[None, None, :: self.every])
 
-    def _turning_over(self, way: float, parameters: Array) -> Array:
+    def _turning_over(self, presliding_travel: float, parameters: Array) -> Array:
         """(n,): by how much the torque with these parameters (P,) is another where friction turns over this way."""
         other = copy(self)
-        other.presliding = Presliding(way, (way, way))
+        other.presliding = Presliding(presliding_travel, (presliding_travel, presliding_travel))
         return np.asarray(other._required(parameters)[0] - self._required(parameters)[0])
 
     def _required(self, parameters: Array) -> Array:
@@ -414,9 +421,11 @@ class OnMeasuredMotion:
         return self._filter.smooth(torque)
 
     def _write_required(self, vector: Array, x: Array, out: Array) -> None:
-        way = self.presliding.way if self.presliding is not None else 0.0
+        presliding_travel = self.presliding.presliding_travel if self.presliding is not None else 0.0
         driving = self._driving
-        machines.required_Nm(self._model, vector, x, driving.speed, driving.acceleration, self._period_s, out, way)
+        machines.required_Nm(
+            self._model, vector, x, driving.speed, driving.acceleration, self._period_s, out, presliding_travel
+        )
 
     def _gravity_moved(self, vector: Array) -> Array:
         """(n,): by how much the torque of what is unbalanced is another because it goes with the angle of both axes."""

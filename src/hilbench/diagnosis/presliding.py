@@ -41,14 +41,14 @@ _RISE: Final = 3.84
 class Presliding:
     """The way, in the unit of the position, with its 95 % interval."""
 
-    way: float
+    presliding_travel: float
     ci95: tuple[float, float]
 
 
 def unseen(stroke: float) -> Presliding:
     """The least way that is looked for on an axis that covers so much: one that is found in none may be there."""
-    way = float(_SHARES[0]) * stroke
-    return Presliding(way, (0.0, way))
+    presliding_travel = float(_SHARES[0]) * stroke
+    return Presliding(presliding_travel, (0.0, presliding_travel))
 
 
 def presliding(
@@ -82,8 +82,8 @@ def presliding(
         turning = turning - fixed @ (fixed.T @ turning)
         return np.asarray(beside - turning * float(turning @ beside) / max(float(turning @ turning), 1e-300))
 
-    def square(way: float, play: float) -> float:
-        return float(np.sum(left(_direction(x, way, play)) ** 2))
+    def square(presliding_travel: float, play: float) -> float:
+        return float(np.sum(left(_direction(x, presliding_travel, play)) ** 2))
 
     stroke = float(np.ptp(x[rows]))
     squares = np.array([[square(share * stroke, play * share * stroke) for play in _PLAYS] for share in _SHARES])
@@ -116,28 +116,30 @@ def presliding(
 
     simplex = np.array([[-0.2, -0.2], [0.2, -0.2], [0.0, 0.2]])
     closest = minimize(near, np.zeros(2), method="Nelder-Mead", options={"initial_simplex": simplex, "maxfev": 60})
-    way, gap = first * float(np.exp(closest.x[0])), gap_near(closest.x)
+    presliding_travel, gap = first * float(np.exp(closest.x[0])), gap_near(closest.x)
     variance = float(np.mean(here**2)) * repeats(here)
 
     def fits(other: float) -> bool:
-        plays = gap + (way - other) * np.linspace(0.0, 2.0, 5) if may_play else np.zeros(1)
+        plays = gap + (presliding_travel - other) * np.linspace(0.0, 2.0, 5) if may_play else np.zeros(1)
         return min(square(other, max(float(p), 0.0)) for p in plays) <= float(closest.fun) + _RISE * variance
 
-    return Presliding(way, (_furthest(way, 1.0 / _STEP, fits), _furthest(way, _STEP, fits)))
+    return Presliding(
+        presliding_travel, (_furthest(presliding_travel, 1.0 / _STEP, fits), _furthest(presliding_travel, _STEP, fits))
+    )
 
 
-def _furthest(way: float, factor: float, fits: Callable[[float], bool]) -> float:
+def _furthest(presliding_travel: float, factor: float, fits: Callable[[float], bool]) -> float:
     """The first way, ever further from the best one, that does not fit any more."""
     for _ in range(_STEPS):
-        way *= factor
-        if not fits(way):
+        presliding_travel *= factor
+        if not fits(presliding_travel):
             break
-    return way
+    return presliding_travel
 
 
-def _direction(x: Array, way: float, play: float) -> Array:
+def _direction(x: Array, presliding_travel: float, play: float) -> Array:
     out = np.empty(len(x))
-    friction_directions(np.ascontiguousarray(x), 0.5 * play, way, out)
+    friction_directions(np.ascontiguousarray(x), 0.5 * play, presliding_travel, out)
     return out
 
 

@@ -28,21 +28,21 @@ _FADED: Final = 4.0
 _MOST_FORGOTTEN: Final = 0.5
 
 
-def beside_swinging(space: Space, terms: list[Term]) -> OnMeasuredMotion | None:
+def with_torsional_mode(space: Space, terms: list[Term]) -> OnMeasuredMotion | None:
     """The prediction that is right beside those of the terms that swing; None without any, or of a free run."""
-    swinging = [term for term in terms if term.swings]
-    if not swinging or not isinstance(space.predictor, OnMeasuredMotion):
+    torsional = [term for term in terms if term.swings]
+    if not torsional or not isinstance(space.predictor, OnMeasuredMotion):
         return None
     others = [term for term in terms if not term.swings]
     variants = [others]
-    for term in swinging:
+    for term in torsional:
         here, steps = term.coordinates(), term.steps()
         shapes = range(term.linear, len(here))
         variants += [[*others, term], *([*others, term.at(here + steps * (np.arange(len(here)) == k))] for k in shapes)]
     parameters = np.array([pack_with(space.model, variant) for variant in variants])
     most_s = _MOST_FORGOTTEN * space.duration_s / space.predictor.starts
-    memory_s = min(max(map(_memory_s, swinging)), most_s)
-    return space.predictor.beside_swinging(parameters, memory_s)
+    memory_s = min(max(map(_memory_s, torsional)), most_s)
+    return space.predictor.with_torsional_mode(parameters, memory_s)
 
 
 def untold(space: Space, found: Fit) -> list[Term]:

@@ -23,7 +23,7 @@ STANDSTILL_M_S = 1e-3
 
 # State. Torque limit, in N·m; cycles until it counts as free; speed below which the roller is at rest; pull_per_Pa up
 # to which the web is slack.
-_LIMIT_NM, _FREE_CYCLES, _LIMITED, _STANDS_M_S, _SLACK_PER_PA, _LAST_NM, _SAME, _HAS_CHANGED = range(8)
+_LIMIT_NM, _FREE_CYCLES, _LIMITED, _STANDSTILL_M_S, _SLACK_PER_PA, _LAST_NM, _SAME, _HAS_CHANGED = range(8)
 _SIZE = 8
 _INVALID, _FROZEN, _SATURATED_NOW = int(Problem.INVALID), int(Problem.FROZEN), int(Problem.SATURATED)
 _SLACK_NOW, _STANDING = int(Problem.SLACK), int(Problem.STANDSTILL)
@@ -49,7 +49,7 @@ def find_problem(s: Array, torque_Nm: float, pull_per_Pa: float, velocity_m_s: f
         return _FROZEN
     if pull_per_Pa <= s[_SLACK_PER_PA]:
         return _SLACK_NOW
-    if abs(velocity_m_s) < s[_STANDS_M_S]:
+    if abs(velocity_m_s) < s[_STANDSTILL_M_S]:
         return _STANDING
     return 0
 
@@ -75,13 +75,13 @@ class Plausibility:
     def __init__(self, torque_limit_Nm: float, dry_friction_N: float, slack_per_Pa: float, cycle_s: float) -> None:
         self.state = np.zeros(_SIZE)
         self.state[_LIMIT_NM], self.state[_FREE_CYCLES] = torque_limit_Nm, round(_FREE_S / cycle_s)
-        self.state[_STANDS_M_S] = STANDSTILL_M_S if dry_friction_N > 0.0 else 0.0
+        self.state[_STANDSTILL_M_S] = STANDSTILL_M_S if dry_friction_N > 0.0 else 0.0
         self.state[_SLACK_PER_PA] = SLACK * slack_per_Pa
         self.state[_LAST_NM] = np.nan
 
     def sticks(self, below_m_s: float) -> None:
         """Set a speed below which dry friction takes up the tension, whatever the model's friction."""
-        self.state[_STANDS_M_S] = below_m_s
+        self.state[_STANDSTILL_M_S] = below_m_s
 
     def problem(self, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> Problem | None:
         """Problem of this cycle's torque, if there is one."""

@@ -52,18 +52,18 @@ def row_times(stamps_s: Array, positions_m: Array) -> RowTimes:
     if nominal_s <= 0.0:
         return RowTimes(nominal_s, stamps_s - stamps_s[:1], np.arange(len(stamps_s)), even=True)
     travel_m = np.diff(positions_m.mean(axis=1))
-    periods = np.concatenate([[0], np.cumsum(_periods_gone(stamps_s / nominal_s, travel_m))])
+    periods = np.concatenate([[0], np.cumsum(_periods_elapsed(stamps_s / nominal_s, travel_m))])
     if _smoother_in_stamps(stamps_s, positions_m.mean(axis=1), np.diff(periods), nominal_s):
         return RowTimes(nominal_s, stamps_s - stamps_s[0], periods, even=False)
     period_s = _period_s(stamps_s, periods)
     return RowTimes(period_s, periods * period_s, periods, even=True)
 
 
-def _periods_gone(stamps: Array, travel_m: Array) -> Counts:
+def _periods_elapsed(stamps: Array, travel_m: Array) -> Counts:
     """Periods between neighbouring rows (n - 1,): one, except at odd stamps (in periods); there by the travel, and at
     rest by the shift of the surrounding stamps: a stamp that was read late has moved alone."""
     steps = np.diff(stamps)
-    gone = np.ones(len(steps), np.int64)
+    elapsed = np.ones(len(steps), np.int64)
     for row in np.flatnonzero(np.abs(steps - 1.0) > _ODD):
         beside = (travel_m[max(row - _BESIDE, 0) : row], travel_m[row + 1 : row + 1 + _BESIDE])
         usual_m = float(np.mean([np.median(side) for side in beside if len(side)]))
@@ -71,22 +71,22 @@ def _periods_gone(stamps: Array, travel_m: Array) -> Counts:
         whole = round(by_travel)
         # A ramp that bends in the gap has no whole number of travels.
         if whole >= 1 and abs(by_travel - whole) <= _WHOLE * np.sqrt(whole):
-            gone[row] = whole
+            elapsed[row] = whole
         else:
             before, after = stamps[max(row + 1 - _AROUND, 0) : row + 1], stamps[row + 1 : row + 1 + _AROUND]
             moved = np.median(after - np.arange(len(after))) - np.median(before + np.arange(len(before))[::-1])
-            gone[row] = max(round(float(moved)), 1)
-    return np.minimum(gone, _LONGEST_GAP)
+            elapsed[row] = max(round(float(moved)), 1)
+    return np.minimum(elapsed, _LONGEST_GAP)
 
 
-def _smoother_in_stamps(stamps_s: Array, position_m: Array, gone: Counts, nominal_s: float) -> bool:
+def _smoother_in_stamps(stamps_s: Array, position_m: Array, elapsed: Counts, nominal_s: float) -> bool:
     """True if the moving axes have a steadier speed by the stamps than by even periods."""
     travel_m, steps = np.diff(position_m), np.diff(stamps_s) / nominal_s
     used = np.abs(travel_m) > _LEAST_TRAVEL_M
-    pairs = used[1:] & used[:-1] & (gone[1:] == 1) & (gone[:-1] == 1)
+    pairs = used[1:] & used[:-1] & (elapsed[1:] == 1) & (elapsed[:-1] == 1)
     if pairs.sum() < _AROUND:
         return False
-    rough_m = [float(np.median(np.abs(np.diff(travel_m / parts))[pairs])) for parts in (gone, steps)]
+    rough_m = [float(np.median(np.abs(np.diff(travel_m / parts))[pairs])) for parts in (elapsed, steps)]
     return rough_m[1] < _SMOOTHER * rough_m[0]
 
 

@@ -110,7 +110,7 @@ class Exchange:
             tap=tap,
             producer=producer,
         )
-        self._plain: FastPathCycles | None = None
+        self._fast_path: FastPathCycles | None = None
         self._foreign_between: list[Unexpected] = []  # among what was discarded since the last cycle, and before it
         self._foreign_before: list[Unexpected] = []
         self.timing = sync.timing
@@ -128,7 +128,7 @@ class Exchange:
         if self._by_clock:
             sync.wait_for_turn()
         try:
-            if self._plain is not None and self._plain.cycle(outputs):
+            if self._fast_path is not None and self._fast_path.cycle(outputs):
                 self._count()
                 return nodes
             set_points, answers = nodes.encode(outputs), own.answers()
@@ -153,7 +153,7 @@ class Exchange:
 
     def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[ExchangeStages | None]:
         """Compiled stages of cycles (`FastPathCycles.chained`); None without a fast path."""
-        return self._plain.chained(sample, shown) if self._plain is not None else nullcontext()
+        return self._fast_path.chained(sample, shown) if self._fast_path is not None else nullcontext()
 
     @property
     def runs_by_clock(self) -> bool:
@@ -171,7 +171,7 @@ class Exchange:
 
     def use(self, made: Callable[[SyncCycle, MasterNode], FastPathCycles | None]) -> None:
         """Set the fast path: `made` creates it from the SYNC cycle and the bench's node."""
-        self._plain = made(self._sync, self._own)
+        self._fast_path = made(self._sync, self._own)
 
     def discard_waiting(self, timeout_s: float = 0.0) -> None:
         """Discard frames that wait, or come within `timeout_s`, as answers to the last SYNC; foreign frames among

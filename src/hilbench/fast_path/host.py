@@ -134,9 +134,9 @@ def run_devices(
     link = open_link(bus)
     try:
         host = DeviceHost(link, *hosted)
-        plain = fast_path_host(host, link)
+        fast_path = fast_path_host(host, link)
         with kept_ready(process, say):
-            host.run(stop, None if plain is None else plain.serve)
+            host.run(stop, None if fast_path is None else fast_path.serve)
     finally:
         link.close()
     return link.dropped

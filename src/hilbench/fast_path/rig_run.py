@@ -30,7 +30,7 @@ class Rig(Protocol):
     def rig(self) -> Steps:
         """Mechanics that the motors turn."""
 
-    def plain_step_s(self) -> float | None:
+    def fast_path_step_s(self) -> float | None:
         """Step of the rig per SYNC in s; None where it is not fixed in advance."""
 
 
@@ -39,7 +39,7 @@ class RigFastCycle:
 
     def __init__(self, answers: SyncAnswers, rig: Rig) -> None:
         """Raises FastPathRefusedError where cycles do not fit the fast path."""
-        step_s = rig.plain_step_s()
+        step_s = rig.fast_path_step_s()
         if step_s is None:
             raise FastPathRefusedError
         answers.fill()
@@ -69,7 +69,7 @@ class RigFastCycle:
             return False
         outcome = self._answers.serve(timeout_s)
         if outcome != ANSWERED:
-            return outcome == NOTHING and not self._answers.stands
+            return outcome == NOTHING and not self._answers.is_active
         self._motors.step()
         if kernel.publish(0, self._answers.table) != CONTINUE:
             self._motors.publish_by_objects()

@@ -176,7 +176,7 @@ class SyncAnswers:
         return outcome
 
     @property
-    def stands(self) -> bool:
+    def is_active(self) -> bool:
         """True if SYNC has stopped."""
         return self._clock.stalled_ns() > 0
 

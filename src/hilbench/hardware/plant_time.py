@@ -95,7 +95,7 @@ class ByClock:
         self._report = report
         self._sync = SyncTime(self._cycle_ns)
         self._reported = False
-        self._gone = 0  #: sample times that the plant has gone
+        self._elapsed = 0  #: sample times that the plant has gone
         #: A time, and how many sample times are due then; None: the plant has not begun.
         self._anchor_ns: int | None = None
         self._anchor = 0
@@ -149,10 +149,10 @@ class ByClock:
         self._since_ns, self._periods = self._at_ns, 0
 
     def _lock_any(self, per_period: int) -> None:
-        gap_ns = self._due(self._at_ns) - self._gone * self._sample_ns
+        gap_ns = self._due(self._at_ns) - self._elapsed * self._sample_ns
         self._per_period = per_period
         self._fit_sample_time()
-        self._anchor_ns, self._anchor = self._at_ns, self._gone + round(gap_ns / self._sample_ns)
+        self._anchor_ns, self._anchor = self._at_ns, self._elapsed + round(gap_ns / self._sample_ns)
 
     def _fit_sample_time(self) -> None:
         period_ns, whole_ns = self._sync.period_ns, self._per_period * self._given_ns
@@ -217,13 +217,13 @@ class ByClock:
 
     def _go_to(self, time_ns: int, nearest: bool) -> int:
         """Sample times to a time: the nearest to it, or the last before it."""
-        gap_ns = self._due(time_ns) - self._gone * self._sample_ns
+        gap_ns = self._due(time_ns) - self._elapsed * self._sample_ns
         if gap_ns > _LONGEST_GAP_NS:
             self._report(f"held up for {gap_ns * 1e-9:.1f} s: the simulated hardware stood still meanwhile")
-            self._anchor_ns, self._anchor, self._shift_ns = time_ns, self._gone, 0
+            self._anchor_ns, self._anchor, self._shift_ns = time_ns, self._elapsed, 0
             return 0
         samples = max(0, (gap_ns + (self._sample_ns // 2 if nearest else 0)) // self._sample_ns)
-        self._gone += samples
+        self._elapsed += samples
         return samples
 
     def _report_period(self) -> None:

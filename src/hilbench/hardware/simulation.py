@@ -79,9 +79,9 @@ class RigApplication:
     @property
     def fits_fast_path(self) -> bool:
         """Whether the rig goes on with each SYNC, and has begun to."""
-        return self.plain_step_s() is not None
+        return self.fast_path_step_s() is not None
 
-    def plain_step_s(self) -> float | None:
+    def fast_path_step_s(self) -> float | None:
         """How far the rig goes with each SYNC, in one step; None where that is not known before."""
         if not self._in_use or not isinstance(self._time, BySync):
             return None
@@ -137,8 +137,8 @@ def simulate(config: BenchConfig) -> int | None:
     stop, bus, by_bench = stop_request(), config.bus_address, started_by_bench()
     with nodes_of_ours(bus, config.simulated_drives, "simulated hardware", by_bench=by_bench):
         hosted = hardware(config)
-        plain = partial(fast_path_host, hosted=hosted, config=config)
-        return run_devices(bus, hosted, plain, config.process_settings("hardware"), stop, log)
+        fast_path = partial(fast_path_host, hosted=hosted, config=config)
+        return run_devices(bus, hosted, fast_path, config.process_settings("hardware"), stop, log)
 
 
 def fast_path_host(host: DeviceHost, link: Link, hosted: HostedDevices, config: BenchConfig) -> FastPathHost | None:

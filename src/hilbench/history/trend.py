@@ -382,14 +382,14 @@ class _Average:
 
     def _reached(self, mixture: _Mixture, limit: float, direction: Direction | None) -> Reached | None:
         """When a limit is reached at the rate of now; None where nothing is said to move towards it."""
-        way = (limit - self._points.middle) / self._points.scatter
+        distance = (limit - self._points.middle) / self._points.scatter
         level = mixture.moments(0)[0]
-        if direction is None or (way > level) != (direction == "rising"):
+        if direction is None or (distance > level) != (direction == "rising"):
             return None
         levels, rates = mixture.draws()
         with np.errstate(divide="ignore", invalid="ignore"):
-            days = (way - levels) / rates
-        days = np.where(rates * (way - level) > 0.0, np.maximum(days, 0.0), np.inf)
+            days = (distance - levels) / rates
+        days = np.where(rates * (distance - level) > 0.0, np.maximum(days, 0.0), np.inf)
         early, middle, late = (float(each) for each in np.quantile(days, [0.05, 0.5, 0.95], method="nearest"))
         return Reached(limit, middle, early, late)
 

@@ -15,7 +15,7 @@ Table = NDArray[np.int64]
 
 # Rows of the table of `count`: `given`, `left`, `frames` and `whole` of `fast_path.kernel.Vectors`, counters of
 # `measured`, then its own: `totals`, by frame the cycle in which it was there last, place of the twin's status.
-_GIVEN, _LEFT, _FRAMES, _WHOLE, _COUNTED, _TOTALS, _HEARD, _STATUS = range(8)
+_GIVEN, _LEFT, _FRAMES, _WHOLE, _COUNTED, _TOTALS, _RECEIVED, _STATUS = range(8)
 #: Totals: fast-path cycles, their frames, bits, and time on the wire in ns; the cycle of the twin's last status.
 RUN, FRAMES, BITS_OF_ALL, DURATION_NS, REPORTED, TOTALS = range(6)
 #: Of the status: its frame, and where it begins among the whole numbers.
@@ -43,7 +43,7 @@ def count(cycle_ns: int, table: Table) -> int:
     )
     totals, received, status = (
         integers(table, _TOTALS, (1,)),
-        integers(table, _HEARD, (1,)),
+        integers(table, _RECEIVED, (1,)),
         integers(table, _STATUS, (1,)),
     )
     given[_START_NS] += cycle_ns

@@ -131,13 +131,13 @@ class _Run:
         self._of_pieces: tuple[object, ...] = ()
         self._bench_drives = nodes.drives
         self._devices = (*here.hardware.devices, *here.twin.devices)
-        step_s = here.rig.plain_step_s()
+        step_s = here.rig.fast_path_step_s()
         if step_s is None:
             raise FastPathRefusedError
         self._step_s = step_s
         drives = (*here.rig.drives, *here.machine.drives)
-        goes_by_sync = here.machine.fits_fast_path and not here.machine.goes_by_clock
-        if not all(drive.follows(_ENABLED) for drive in drives) or not goes_by_sync:
+        advances_by_sync = here.machine.fits_fast_path and not here.machine.advances_by_clock
+        if not all(drive.follows(_ENABLED) for drive in drives) or not advances_by_sync:
             raise FastPathRefusedError
         self._wiring = wiring = Wiring(here, nodes, sync)
         self._frames, self._slots = wiring.frames, wiring.slots

@@ -83,17 +83,17 @@ class Index:
         known = dict(connection.execute("SELECT path, stamp FROM run"))
         found = dict(_run_folders(self.base, known))
         changed = [path for path, stamp in found.items() if known.get(path) != stamp]
-        gone = known.keys() - found.keys()
-        if not changed and not gone:
+        removed = known.keys() - found.keys()
+        if not changed and not removed:
             return
         if len(changed) >= _MANY:
             announce(f"{self.base}: reading {len(changed)} runs into the index")
         entries = [read_entry(self.base, path) for path in changed]
         self.opened += len(changed)
         with connection:
-            connection.executemany("DELETE FROM run WHERE path = ?", [(path,) for path in [*gone, *changed]])
+            connection.executemany("DELETE FROM run WHERE path = ?", [(path,) for path in [*removed, *changed]])
             if known:
-                connection.executemany("DELETE FROM metric WHERE path = ?", [(path,) for path in [*gone, *changed]])
+                connection.executemany("DELETE FROM metric WHERE path = ?", [(path,) for path in [*removed, *changed]])
             connection.executemany(
                 "INSERT OR REPLACE INTO run VALUES (?, ?, ?, ?)",
                 [(each.path, found[each.path], each.began_s, each.as_text()) for each in entries],

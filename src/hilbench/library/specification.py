@@ -61,7 +61,7 @@ def _requirements(bundle: Any) -> Iterator[Requirement]:
 
 def _requirement(found: Any, names: Mapping[str, str]) -> Iterator[Requirement]:
     """None of a heading."""
-    values = {names.get(each.definition_ref, each.definition_ref): _plain(each.value) for each in found.attributes}
+    values = {names.get(each.definition_ref, each.definition_ref): _as_text(each.value) for each in found.attributes}
     title = next((values[name] for name in _TITLES if values.get(name)), found.long_name or "")
     if values.get(_HEADING) and not any(values.get(name) for name in _TITLES):
         return
@@ -69,6 +69,6 @@ def _requirement(found: Any, names: Mapping[str, str]) -> Iterator[Requirement]:
     yield Requirement(known, title if len(title) <= _LONGEST_TITLE else f"{title[: _LONGEST_TITLE - 1]}…")
 
 
-def _plain(value: object) -> str:
+def _as_text(value: object) -> str:
     """Text without the markup of XHTML attributes."""
     return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", str(value))).split())

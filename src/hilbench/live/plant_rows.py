@@ -83,7 +83,7 @@ class OnPlantTime:
         self._kept_cycles = np.empty(0, np.int64)
         self._last_row: Array | None = None  # last row, whenever it was measured
         self._more = 0  # cycles that the plant has gone, less those that the bench has counted
-        self._way: Array | None = None  # of a cycle
+        self._travel: Array | None = None  # of a cycle
         self._odd = 0
 
     def put(self, rows: Array, cycles: Array, late: Rows, last_sync: int) -> PlantRows | None:
@@ -114,15 +114,15 @@ class OnPlantTime:
         neither."""
         if last is None:
             return outcome
-        way, expected, gone = (row - last[1])[self._positions], self._way, outcome - last[0]
+        travel, expected, elapsed = (row - last[1])[self._positions], self._travel, outcome - last[0]
         if expected is None:
-            self._way = way / max(gone, 1)
+            self._travel = travel / max(elapsed, 1)
             return outcome
-        found = cycles_elapsed(way.tolist(), expected.tolist(), self._plays, gone)
+        found = cycles_elapsed(travel.tolist(), expected.tolist(), self._plays, elapsed)
         if found is None or found < 0:
             return None
         if found:
-            self._way = (1.0 - _NEWEST) * expected + _NEWEST * way / found
+            self._travel = (1.0 - _NEWEST) * expected + _NEWEST * travel / found
         return last[0] + found
 
     def _filled(self, rows: Array, placed: Sequence[tuple[int, int, bool]], first_sync: int) -> PlantRows:

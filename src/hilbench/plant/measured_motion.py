@@ -30,13 +30,13 @@ _LEAST_TRAVEL, _CYCLE_S, _AXIS, _BEHIND, _POSITION, _SPEED, _LEAD_S, _OWN, _SIZE
 
 @compiled
 def _own_elapsed_s(m: Vector, travels: Vector, positions: Vector, late: bool) -> float:
-    gone = 0.0
+    elapsed = 0.0
     if late:
         sample_coherence.miss_own(travels)
     elif own_travels(travels, positions):
-        gone = travels[sample_coherence.OWN_GONE]
+        elapsed = travels[sample_coherence.OWN_ELAPSED]
     m[_BEHIND] = travels[sample_coherence.OWN_BEHIND]
-    return float(gone * m[_CYCLE_S])
+    return float(elapsed * m[_CYCLE_S])
 
 
 @compiled
@@ -94,7 +94,7 @@ def publish(values: Vector, at: NDArray[np.int64], torques: Vector, shown: Vecto
 
 
 @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, FLAG)
-def _gone(m: Vector, travels: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
+def _elapsed(m: Vector, travels: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
     return elapsed_s(m, travels, positions, speeds, late)
 
 
@@ -139,7 +139,7 @@ class MeasuredMotion:
         """`elapsed_s` for these new measurements."""
         pack_into(self._format, self.positions.data, 0, *positions)
         pack_into(self._format, self.speeds.data, 0, *speeds)
-        return _gone(self.state, self.travels, self.positions, self.speeds, late)
+        return _elapsed(self.state, self.travels, self.positions, self.speeds, late)
 
     @property
     def ahead_s(self) -> float:

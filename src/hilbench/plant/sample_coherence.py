@@ -33,13 +33,13 @@ _MOST_REFUSED = 5
 
 #: State of `coherent` (4 + N,): cycles since the positions were last coherent, the travel of a cycle (below 0:
 #: unknown), incoherent cycles, whether there are positions; then the positions.
-_CYCLES, _WAY, _UNPAIRED, _STARTED, _LAST = range(5)
+_CYCLES, _TRAVEL, _UNPAIRED, _STARTED, _LAST = range(5)
 
 
 def coherence_state(rollers: int) -> Vector:
     """Initial state of `coherent` for so many rollers."""
     state: Vector = np.zeros(_LAST + rollers)
-    state[_WAY] = -1.0
+    state[_TRAVEL] = -1.0
     return state
 
 
@@ -58,12 +58,12 @@ def coherent(state: Vector, positions: Vector, least_travel: float) -> bool:
             if travel < shortest:
                 shortest = travel
         travel = longest / state[_CYCLES]
-        if state[_WAY] >= 0.0:
-            travel = min(travel, max(_LONGER * state[_WAY], least_travel))
+        if state[_TRAVEL] >= 0.0:
+            travel = min(travel, max(_LONGER * state[_TRAVEL], least_travel))
         if not np.isfinite(total) or longest - shortest > max(least_travel, _ALIKE * travel):
             state[_UNPAIRED] += 1.0
             return False
-        state[_WAY] = travel
+        state[_TRAVEL] = travel
     for k in range(count):
         state[_LAST + k] = positions[k]
     state[_STARTED], state[_CYCLES] = 1.0, 0.0
@@ -94,21 +94,21 @@ def miss(state: Vector) -> None:
 
 
 @compiled
-def _fits(travels: Vector, usual: Vector, plays: Vector, gone: float) -> bool:
+def _fits(travels: Vector, usual: Vector, plays: Vector, elapsed: float) -> bool:
     """True if these travels fit so many cycles, at any possible acceleration of a machine."""
     fits = True
     for k in range(len(travels)):
-        fits &= abs(travels[k] - gone * usual[k]) <= _ALIKE * abs(usual[k]) + gone * gone * plays[k]
+        fits &= abs(travels[k] - elapsed * usual[k]) <= _ALIKE * abs(usual[k]) + elapsed * elapsed * plays[k]
     return fits
 
 
 @compiled
-def _agree(travels: Vector, usual: Vector, plays: Vector, gone: float, fastest: int) -> bool:
+def _agree(travels: Vector, usual: Vector, plays: Vector, elapsed: float, fastest: int) -> bool:
     """True if all axes have gone as far as the fastest, whose travel gives the common acceleration: after many cycles
     one that is a cycle further would else pass as accelerated more."""
     if usual[fastest] == 0.0:
         return True
-    cycles, spare = travels[fastest] / usual[fastest], max(_APART * gone, 1.0)
+    cycles, spare = travels[fastest] / usual[fastest], max(_APART * elapsed, 1.0)
     agree = True
     for k in range(len(travels)):
         agree &= abs(travels[k] - cycles * usual[k]) <= _ALIKE * abs(usual[k]) + spare * plays[k]
@@ -135,7 +135,7 @@ def whole_cycles(travels: Vector, usual: Vector, plays: Vector, reported: float)
 #: State of `own_travels`: cycles since positions were accepted, and number refused since; cycles between the last two
 #: accepted, and those since without positions; whether there are any, and whether the travel of a cycle is known. Then,
 #: of each axis, its last position, the travel of a cycle, room for a travel, and its largest change.
-_SINCE, _REFUSED, OWN_GONE, OWN_BEHIND, _HAS_POSITIONS, _HAS_USUAL, _OF_AXES = range(7)
+_SINCE, _REFUSED, OWN_ELAPSED, OWN_BEHIND, _HAS_POSITIONS, _HAS_USUAL, _OF_AXES = range(7)
 
 
 def own_travels_state(axes: int, play: float) -> Vector:
@@ -164,19 +164,19 @@ def own_travels(state: Vector, positions: Vector) -> bool:
     else:
         for k in range(n):
             travels[k] = positions[k] - last[k]
-        gone = state[_SINCE]
+        elapsed = state[_SINCE]
         if state[_HAS_USUAL] != 0.0:
-            gone = whole_cycles(travels, usual, plays, state[_SINCE])
-        if gone < 0.0 and state[_REFUSED] < _MOST_REFUSED:
+            elapsed = whole_cycles(travels, usual, plays, state[_SINCE])
+        if elapsed < 0.0 and state[_REFUSED] < _MOST_REFUSED:
             state[_REFUSED] += 1.0
             return False
-        gone = state[_SINCE] if gone < 0.0 else gone
+        elapsed = state[_SINCE] if elapsed < 0.0 else elapsed
         # Up to one cycle ahead of the count: a SYNC that was sent late, and the next one on time.
-        state[OWN_BEHIND] = max(state[OWN_BEHIND] - gone, 0.0 if gone == 1.0 else -1.0)
-        state[OWN_GONE] = gone
-        if gone > 0.0:
+        state[OWN_BEHIND] = max(state[OWN_BEHIND] - elapsed, 0.0 if elapsed == 1.0 else -1.0)
+        state[OWN_ELAPSED] = elapsed
+        if elapsed > 0.0:
             for k in range(n):
-                usual[k] = travels[k] / gone
+                usual[k] = travels[k] / elapsed
             state[_HAS_USUAL] = 1.0
     for k in range(n):
         last[k] = positions[k]
@@ -228,7 +228,7 @@ class SampleCoherence:
 
     def reset(self) -> None:
         """Accept the next positions unchecked."""
-        self._state[_CYCLES], self._state[_WAY], self._state[_STARTED] = 0.0, -1.0, 0.0
+        self._state[_CYCLES], self._state[_TRAVEL], self._state[_STARTED] = 0.0, -1.0, 0.0
 
     def miss(self) -> None:
         """Count a cycle without positions of its own."""
@@ -288,9 +288,9 @@ class OwnIncrements:
         forget_own_travels(self._state)
 
     @property
-    def gone(self) -> int:
+    def elapsed(self) -> int:
         """Cycles between the last two accepted positions."""
-        return int(self._state[OWN_GONE])
+        return int(self._state[OWN_ELAPSED])
 
     @property
     def behind(self) -> int:

@@ -66,9 +66,9 @@ def _lines(block: BaseModel, folder: Path, depth: int) -> Iterator[str]:
             continue
         if value and isinstance(value, list | tuple) and isinstance(value[0], BaseModel):
             yield _line(depth, f"{name}:", field.description)
-            yield from ("  " * (depth + 1) + "- " + _flow(_plain(entry)) for entry in value)
+            yield from ("  " * (depth + 1) + "- " + _flow(_as_yaml(entry)) for entry in value)
             continue
-        yield _line(depth, f"{name}: {_flow(_plain(value))}", field.description)
+        yield _line(depth, f"{name}: {_flow(_as_yaml(value))}", field.description)
 
 
 def _line(depth: int, text: str, comment: str | None) -> str:
@@ -80,14 +80,14 @@ def _first_line(block: BaseModel) -> str:
     return (type(block).__doc__ or "").strip().partition("\n")[0].rstrip(".")
 
 
-def _plain(value: Any) -> Any:
+def _as_yaml(value: Any) -> Any:
     if isinstance(value, BaseModel):
         return _tag(value) | value.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     if isinstance(value, Path):
         return value.as_posix()
     if isinstance(value, Mapping):
-        return {key: _plain(entry) for key, entry in value.items()}
-    return [_plain(entry) for entry in value] if isinstance(value, Sequence) and not isinstance(value, str) else value
+        return {key: _as_yaml(entry) for key, entry in value.items()}
+    return [_as_yaml(entry) for entry in value] if isinstance(value, Sequence) and not isinstance(value, str) else value
 
 
 def _tag(block: BaseModel) -> dict[str, Any]:

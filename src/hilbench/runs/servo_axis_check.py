@@ -24,14 +24,14 @@ def check_shaft(loaded: LoadedConfig, asked: list[Move]) -> tuple[list[str], flo
         if inertia != before[SHAFT_INERTIA]:
             check_emulated_inertia(config, document, inertia, move.after.place)
             inertias.append(inertia)
-        way_rad_s = abs(after[SPEED] - before[SPEED])
-        if way_rad_s:
+        change_rad_s = abs(after[SPEED] - before[SPEED])
+        if change_rad_s:
             warnings += beyond(at, "speed", abs(after[SPEED]), limits.speed_rad_s, "rad/s")
         if move.duration_s > 0.0:
-            needed_Nm = inertia * way_rad_s / move.duration_s + after[SHAFT_COULOMB_FRICTION]
-            if way_rad_s and needed_Nm > most_Nm:
+            needed_Nm = inertia * change_rad_s / move.duration_s + after[SHAFT_COULOMB_FRICTION]
+            if change_rad_s and needed_Nm > most_Nm:
                 warnings.append(
-                    f"{at}: {way_rad_s:g} rad/s within {move.duration_s:g} s ask for {needed_Nm:.3g} N·m of axis 1, "
+                    f"{at}: {change_rad_s:g} rad/s within {move.duration_s:g} s ask for {needed_Nm:.3g} N·m of axis 1, "
                     f"which has {most_Nm:g} N·m, expected a longer ramp"
                 )
     return warnings, imitable_inertias_kg_m2(config)[1] / max(inertias)

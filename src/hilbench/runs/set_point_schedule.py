@@ -98,8 +98,8 @@ def moves(config: ExperimentConfig) -> Iterator[Move]:
         place: Location = ("steps", number, step.kind)
         if step.ramp is not None:
             ramp = step.ramp
-            way = abs(ramp.to - state.values.get(ramp.path, 0.0))
-            lasts_s = ramp.duration_s or way / (ramp.rate_per_s or 1.0)
+            change = abs(ramp.to - state.values.get(ramp.path, 0.0))
+            lasts_s = ramp.duration_s or change / (ramp.rate_per_s or 1.0)
             move = _move(state, place, ramp.path, ramp.to, lasts_s)
             yield move
             state = move.after

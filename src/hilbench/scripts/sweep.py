@@ -84,7 +84,7 @@ class Job:
 
 
 @dataclass
-class _UnderWay:
+class _Running:
     """A run in a process of its own; what it says goes to a file beside its folder, kept where it failed."""
 
     job: Job
@@ -119,7 +119,7 @@ class _UnderWay:
 
 def execute(job: Job) -> Row | None:
     """Do a run in a process of its own, here; None when it was interrupted."""
-    return _UnderWay.begin(job).result()
+    return _Running.begin(job).result()
 
 
 def _row(job: Job, future: Future[Row | None]) -> Row | None:
@@ -257,22 +257,22 @@ class Sweep:
         """In copies of this process, which has loaded what each of them needs."""
         if len(left) > 1:
             self._load()
-        waiting, under_way = deque(left), dict[int, _UnderWay]()
+        waiting, running = deque(left), dict[int, _Running]()
         ends = select.poll()
         try:
-            while waiting or under_way:
-                while waiting and len(under_way) < jobs:
+            while waiting or running:
+                while waiting and len(running) < jobs:
                     with forked_workers({_RUN: lambda: None}) as made:
-                        run = _UnderWay.begin(waiting.popleft(), made.pop(_RUN, None))
+                        run = _Running.begin(waiting.popleft(), made.pop(_RUN, None))
                     end = os.pidfd_open(run.process.pid)
-                    under_way[end] = run
+                    running[end] = run
                     ends.register(end, select.POLLIN)
                 for end, _ in ends.poll():
                     ends.unregister(end)
                     os.close(end)
-                    self._keep(under_way.pop(end).result(), done)
+                    self._keep(running.pop(end).result(), done)
         finally:
-            for run in under_way.values():
+            for run in running.values():
                 run.process.end()
 
     def _load(self) -> None:

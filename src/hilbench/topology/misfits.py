@@ -120,8 +120,8 @@ def whole_misfits(
 def _fmu_misfits(load: LoadConfig, machine: Any, load_motors: int | None) -> Iterator[str]:
     """Why load motors can't emulate an FMU in the place of a machine."""
     assert load.fmu is not None
-    plain = LoadConfig(fmu=load.fmu)
+    without_options = LoadConfig(fmu=load.fmu)
     for name in ("web", "shaft", "effects", "measured"):
-        if getattr(load, name) != getattr(plain, name):
+        if getattr(load, name) != getattr(without_options, name):
             yield f"no '{name}:' beside 'fmu:', which says by itself what is emulated"
     yield from load.fmu.problems(machine.axis_count, load_motors, machine.position_unit)

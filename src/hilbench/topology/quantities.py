@@ -85,7 +85,7 @@ def _number(value: object, *, truth: bool) -> float | None:
     return number if isfinite(number) else None
 
 
-_PLAIN_OF = {
+_SINGLE_OF = {
     MachineKind.WEB_LINE: {
         LINE_SPEED: Permitted(-100.0, 100.0, "m/s"),
         TENSION_SET_POINT: Permitted(0.0, 1e5, "N"),
@@ -101,8 +101,8 @@ _PLAIN_OF = {
         SHAFT_VISCOUS_FRICTION: Permitted(0.0, 1e5, "N·m·s/rad"),
     },
 }
-_PLAIN = {path: values for of_kind in _PLAIN_OF.values() for path, values in of_kind.items()}
-PLAIN_PATHS = tuple(_PLAIN)
+_SINGLE = {path: values for of_kind in _SINGLE_OF.values() for path, values in of_kind.items()}
+SINGLE_PATHS = tuple(_SINGLE)
 _NUMBERED_SET_POINT = re.compile(r"tension_control\.span([1-9]\d{0,3})\.set_point_N")
 _OF_POSITIONS = {
     SET_POINT: Permitted(-100.0, 100.0, "m"),
@@ -130,7 +130,7 @@ def span_of_set_point(path: str) -> str | None:
 
 def fits_fast_path(path: str) -> bool:
     """Whether a quantity is none of an effect, whatever the machine."""
-    if path in _PLAIN or _NUMBERED_SET_POINT.fullmatch(path) is not None:
+    if path in _SINGLE or _NUMBERED_SET_POINT.fullmatch(path) is not None:
         return True
     return numbered.is_modulus(path) or position_quantity(path) != ""
 
@@ -199,10 +199,10 @@ def _expected(text: str) -> str:
     """What is expected in the place of a text that is no path: what is nearest to it, else all that there is."""
     station = text.split(".")[1] if re.fullmatch(r"position_control\.[A-Za-z]\w*(\..*)?", text) else "NAME"
     further = positions((station,), (station,))
-    near = closest(text, [*PLAIN_PATHS, *further, *all_paths()], _MOST_NEAR)
+    near = closest(text, [*SINGLE_PATHS, *further, *all_paths()], _MOST_NEAR)
     if near:
         return f"one of {', '.join(near)}, …, did you mean '{near[0]}'?"
-    known = ", ".join([*PLAIN_PATHS, *further])
+    known = ", ".join([*SINGLE_PATHS, *further])
     return f"one of {known}, or load|hardware.effects.ID[.axisN|.spanN].PARAMETER"
 
 
@@ -212,8 +212,8 @@ def fast_path_places(kind: MachineKind, shape: Shape) -> tuple[str, ...]:
         TENSION_SET_POINT: [tension_set_point(shape.numbered(span)) for span in shape.controlled],
         numbered.YOUNGS_MODULUS: [numbered.YOUNGS_MODULUS, *numbered.moduli(shape)],
     }
-    plain = [path for known in _PLAIN_OF[kind] for path in several.get(known, [known])]
-    return (*plain, *positions(shape.positioned, shape.pushed))
+    paths_of_kind = [path for known in _SINGLE_OF[kind] for path in several.get(known, [known])]
+    return (*paths_of_kind, *positions(shape.positioned, shape.pushed))
 
 
 def path_problem(path: str, kind: MachineKind, shape: Shape, loaded: Collection[int]) -> str | None:
@@ -222,7 +222,7 @@ def path_problem(path: str, kind: MachineKind, shape: Shape, loaded: Collection[
     if path in known:
         return None
     if fits_fast_path(path):
-        other = "another kind of machine" if path in _PLAIN and path not in _PLAIN_OF[kind] else "another machine"
+        other = "another kind of machine" if path in _SINGLE and path not in _SINGLE_OF[kind] else "another machine"
         return f"a quantity of a {kind} ({', '.join(known)}), '{path}' is of {other}"
     try:
         of = parse_effect_path(path, kind)
@@ -234,7 +234,7 @@ def path_problem(path: str, kind: MachineKind, shape: Shape, loaded: Collection[
 
 def all_paths() -> Iterator[str]:
     """Every path that can be set on the smallest machine of each kind."""
-    yield from PLAIN_PATHS
+    yield from SINGLE_PATHS
     for kind, effect in ((each, effect) for each in MachineKind for effect in effects_of(each)):
         axes, loaded = _SMALLEST[kind]
         for place, axis in product(EffectPlace, range(1, axes + 1) if effect.per_axis else (None,)):
@@ -268,7 +268,7 @@ def permitted(path: str) -> Permitted:
     if fits_fast_path(path):
         if position := position_quantity(path):
             return _OF_POSITIONS[position]
-        return _PLAIN.get(path, _PLAIN[numbered.YOUNGS_MODULUS if numbered.is_modulus(path) else TENSION_SET_POINT])
+        return _SINGLE.get(path, _SINGLE[numbered.YOUNGS_MODULUS if numbered.is_modulus(path) else TENSION_SET_POINT])
     of = parse_effect_path(path)
     parameter = find_effect(of.effect, of.kind).parameter(of.parameter)
     return Permitted(parameter.lower, parameter.upper, parameter.unit)

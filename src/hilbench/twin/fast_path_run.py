@@ -136,7 +136,7 @@ class TwinFastCycle:
             if outcome == ANSWERED:
                 self._axes.begin()
                 self._awaits = True
-        return outcome == ANSWERED or (outcome == NOTHING and not self._answers.stands)
+        return outcome == ANSWERED or (outcome == NOTHING and not self._answers.is_active)
 
     def _go_on(self) -> None:
         """Run the machine by the axes' answers."""

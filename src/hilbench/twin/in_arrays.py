@@ -33,7 +33,7 @@ class TwinInArrays:
     def __init__(self, application: TwinApplication, of_host: HostFrames, slots: Slots) -> None:
         """Raises FastPathRefusedError where the virtual I/O's objects are of another type than the twin's values."""
         self._application, self._slots, self._cells = application, slots, slots.cells[slots.side]
-        self._in_vectors = application.goes_in_vectors
+        self._in_vectors = application.runs_in_vectors
         self._read_real: list[tuple[Cell, int]] = []
         self._read_whole: list[tuple[Cell, int]] = []
         self._written: list[tuple[Cell, int]] = []
@@ -106,7 +106,7 @@ class TwinInArrays:
         if self._motors.over or self._application.leaves_vectors:
             return False
         looks = not (self._in_vectors or (self._cycles + 1) % _LOOK_FOR_VECTORS)
-        return not (looks and self._application.goes_in_vectors)
+        return not (looks and self._application.runs_in_vectors)
 
     @property
     def piece(self) -> CompiledStage | None:

@@ -165,13 +165,13 @@ class ModelSwitcher:
         self._smooth = BumplessTransfer(self._configured.largest_steps)
         self._configured.reset()
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
+    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, in_motion: bool = False) -> bool:
         """Release after the drives were enabled; False if the measurements are not coherent (of one instant)."""
         if self._candidate is not None and self._share > 0.0:
             self._take_over(self._candidate)
         self._pass_set_points(self._current)
         self._before, self._released = None, False
-        return self._current.release(before, now, under_way=under_way)
+        return self._current.release(before, now, in_motion=in_motion)
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
         """Take the axes' (N,) measurements.

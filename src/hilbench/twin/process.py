@@ -251,7 +251,7 @@ class TwinApplication:
         return powered and in_step and self._released and not self._pending and self._time_s > 0.0
 
     @property
-    def goes_by_clock(self) -> bool:
+    def advances_by_clock(self) -> bool:
         """True if SYNCs are checked against the clock."""
         return self._clock is not None
 
@@ -309,10 +309,10 @@ class TwinApplication:
             self._io.publish_status(*self._last_status)
 
     @property
-    def goes_in_vectors(self) -> bool:
+    def runs_in_vectors(self) -> bool:
         """True if the machine may run in vectors from now on."""
         machine = self._machine.in_use
-        return self._machine.only_plant is not None and isinstance(machine, VectorMachine) and machine.goes_in_vectors
+        return self._machine.only_plant is not None and isinstance(machine, VectorMachine) and machine.runs_in_vectors
 
     def begin_in_vectors(self, vectors: MachineVectors) -> None:
         """Move the machine into these vectors until `end_in_vectors`; sets number and status of the next SYNC there."""
@@ -419,7 +419,7 @@ class TwinApplication:
         measured = self._measured_before
         if before is None or measured is None or self._waits_for_set_points(before, measured):
             return False
-        if not self._machine.release(before, measured, under_way=not self._was_held):
+        if not self._machine.release(before, measured, in_motion=not self._was_held):
             return False
         self._released = True
         self._time_s = self._waited_s = self._kept_s = 0.0

@@ -139,7 +139,7 @@ def bring_up(
                 supervisor = _start_supervisor(config, folder, forked_workers)
             if supervisor is not None:
                 resources.callback(supervisor.end)
-            plain = None if here else _fast_path_cycles(config, link, nodes, tap)  # loaded while they start
+            fast_path = None if here else _fast_path_cycles(config, link, nodes, tap)  # loaded while they start
             announce("configure nodes")
             found = _configure(config, nodes, master, children, participants)
             brought = {} if participants is Participants.PRESENT else config.simulated_drives
@@ -157,8 +157,8 @@ def bring_up(
         exchange = Exchange(nodes, link, objects, tap=tap, in_process=here is not None, producer=producer)
         if here and inside:
             exchange.use(here.fast_path_cycles(inside, nodes, tap))
-        elif plain is not None:
-            exchange.use(plain)
+        elif fast_path is not None:
+            exchange.use(fast_path)
         resources.callback(_release_nodes, master, exchange)
         if producer is not None:
             resources.callback(producer.close)

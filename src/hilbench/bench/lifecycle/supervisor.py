@@ -51,25 +51,25 @@ def supervise(watch: Watch) -> None:
 
     Raises BusError when the bus is lost.
     """
-    asked_to_end, bench_gone = threading.Event(), threading.Event()
+    asked_to_end, bench_lost = threading.Event(), threading.Event()
     # Ctrl-C is the bench's to handle, which ends us afterwards.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: asked_to_end.set())
-    threading.Thread(target=_follow, args=(bench_gone,), name="follow-bench", daemon=True).start()
+    threading.Thread(target=_follow, args=(bench_lost,), name="follow-bench", daemon=True).start()
     link = open_link(watch.bus)
     try:
-        watch_heartbeat(link, watch, asked_to_end, bench_gone)
+        watch_heartbeat(link, watch, asked_to_end, bench_lost)
     finally:
         link.close()
 
 
-def _follow(bench_gone: threading.Event) -> None:
+def _follow(bench_lost: threading.Event) -> None:
     while os.read(0, 4096):
         pass
-    bench_gone.set()
+    bench_lost.set()
 
 
-def watch_heartbeat(link: Link, watch: Watch, asked_to_end: threading.Event, bench_gone: threading.Event) -> None:
+def watch_heartbeat(link: Link, watch: Watch, asked_to_end: threading.Event, bench_lost: threading.Event) -> None:
     """Stop the drives over `link` when the heartbeat, once received, stays away, or the bench is gone."""
     heartbeat = HEARTBEAT + watch.node_id
     link.set_filters([(heartbeat, COB_ID)])
@@ -78,7 +78,7 @@ def watch_heartbeat(link: Link, watch: Watch, asked_to_end: threading.Event, ben
         # Others' frames may have come before the filter was there: while the nodes boot the bench sends no heartbeat.
         if any(frame.can_id == heartbeat for frame in link.receive(_LOOK_S)):
             received_s = time.monotonic()
-        if bench_gone.is_set() and not asked_to_end.is_set():
+        if bench_lost.is_set() and not asked_to_end.is_set():
             _stop(link, "the bench's process is gone")
             return
         if received_s is not None and time.monotonic() - received_s > watch.limit_s:

@@ -30,7 +30,7 @@ _COMMAND = "v1_cmd_rad_s"
 #: Age of the twin's data at which it counts as lost; no controller depends on them.
 _TWIN_AGE_LIMIT_CYCLES = 10
 #: Travel per cycle above which cycles can be counted by it: some counts of a 16-bit encoder.
-_LEAST_WAY_RAD = 1e-4
+_LEAST_TRAVEL_RAD = 1e-4
 
 
 def shaft_load_model(config: BenchConfig, report: Callable[[str], None] = print) -> LoadModel:
@@ -44,7 +44,7 @@ def shaft_load_model(config: BenchConfig, report: Callable[[str], None] = print)
         truths = [quantity.name for quantity in machine.describe().outputs]
         machine = FmuFollower(config.load.fmu, config.machine_kind, "rad", 1, cycle_s, truths, report)
     return LoadModel(
-        machine, [1], cycle_s, emulation_delay_s(sampled_shaft(real, cycle_s)), _LEAST_WAY_RAD, config.load.effects
+        machine, [1], cycle_s, emulation_delay_s(sampled_shaft(real, cycle_s)), _LEAST_TRAVEL_RAD, config.load.effects
     )
 
 

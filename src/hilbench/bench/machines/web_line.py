@@ -73,7 +73,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         if carriage.station.name in config.position_controls
     }
     sections = section_model(model)
-    ways = {
+    trajectories = {
         axis: StrainTrajectory(
             control.set_point_rise_s, cycle_s, sections.span_length_m(axis), sections.section_m2(axis)
         )
@@ -81,7 +81,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         if control.feed_forward == "twin"
     }
     loops: dict[int, TensionTask] = {}
-    plan = FeedForwardTask(sections, cycle_s, line_speed, loops, ways) if ways else None
+    plan = FeedForwardTask(sections, cycle_s, line_speed, loops, trajectories) if trajectories else None
     torqued = config.reel_controls
     leads = max(axis for axis in range(1, model.axis_count + 1) if axis not in torqued)
     leading = LeadingAxis(drives[leads - 1], leads, line_speed)
@@ -109,8 +109,8 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         names = LoopNames.of(drives[axis - 1], control.span, config.shape)
         trusts.append(VirtualSensorSupervision(control, limits.tension_N.trip or inf, cycle_s, names.twin))
         ahead = None
-        if plan is not None and axis in ways:
-            ahead = FeedForward(ways[axis], *neighbour_strains(config, axis), plan)
+        if plan is not None and axis in trajectories:
+            ahead = FeedForward(trajectories[axis], *neighbour_strains(config, axis), plan)
         loops[axis] = _tension_task(config, state, control, names, axes[-1], trusts[-1], ahead)
         axes.append(loops[axis])
     of_spans = {loop.span: loop for loop in loops.values()}
@@ -218,11 +218,11 @@ def _tension_task(
         cycle_s,
         model.youngs_modulus_Pa(section),
         ahead,
-        _ways(config, section),
+        _trajectories(config, section),
     )
 
 
-def _ways(config: BenchConfig, section: int) -> Callable[[CycleSample], tuple[float, float]] | None:
+def _trajectories(config: BenchConfig, section: int) -> Callable[[CycleSample], tuple[float, float]] | None:
     """Web travel at the ends of a section with a reel of measured radius there; None without."""
     reels = {reel.axis: reel for reel in _measured_reels(config)}
     if not reels.keys() & {section, section + 1}:

@@ -97,12 +97,12 @@ class Operator(CyclicTask):
         self._ramped = path
         try:
             while len(values):
-                gone = self._follow_compiled(path, values, cycles)
-                if not gone:
+                done = self._follow_compiled(path, values, cycles)
+                if not done:
                     self.set(path, float(values[0]))
                     cycles.cycle()
-                    gone = 1
-                values = values[gone:]
+                    done = 1
+                values = values[done:]
         finally:
             self._ramped = ""
 

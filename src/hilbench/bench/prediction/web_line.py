@@ -180,7 +180,7 @@ class LineLook:
 
     def _gains(self, config: BenchConfig) -> Callable[[float], Array]:
         model, spans = config.web_line, config.shape.spans
-        swings = {
+        damped = {
             span: SwingPlant.of_model(model, config.cycle_time_s, span, strains_around(config, span))
             for span in config.tension_controls
         }
@@ -190,7 +190,7 @@ class LineLook:
             for span, control in config.tension_controls.items():
                 # What a future knows of a strain at the start of a step acts in that step, and is that of the step
                 # before in the mean; its drives act on the motion at the same instant.
-                plant = replace(swings[span], cycle_s=step_s, sample_time_s=0.0, delay_cycles=0)
+                plant = replace(damped[span], cycle_s=step_s, sample_time_s=0.0, delay_cycles=0)
                 damping = damping_gains(plant, control.swing_damping_ratio, modulus_Pa)
                 kp, length_m, least_per_s = self._controllers[span].schedule(modulus_Pa)
                 row = found[span - 1]

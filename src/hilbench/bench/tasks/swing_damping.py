@@ -130,11 +130,11 @@ def damping_gains(plant: SwingPlant, damping_ratio: float, modulus_Pa: float) ->
         rate=per_s * (lag_s * c + s / omega),
         elongation_per_s=per_s * (c - lag_s * omega * s),
         washout_per_s=_WASHOUT * omega,
-        pending=tuple(-per_s * lag_s * moved * share for share in _under_way(plant)),
+        pending=tuple(-per_s * lag_s * moved * share for share in _plant_in_motion(plant)),
     )
 
 
-def _under_way(plant: SwingPlant) -> list[float]:
+def _plant_in_motion(plant: SwingPlant) -> list[float]:
     """Shares of the commands of 1, 2, … cycles before that act after the measurement and before the new command."""
     left, shares = plant.delay_s / plant.cycle_s - 0.5, []
     while left > 0.0:
@@ -173,10 +173,10 @@ def _elongated_m(plant: Vector, s: Vector, travel1_m: float, travel2_m: float) -
 
 
 @compiled
-def damp(plant: Vector, gains: Vector, ways: Vector, s: Vector, positions_m: Vector, planned_m_s: float) -> float:
-    """`SwingDamping.velocity` on its vectors (`ways`: for `coherent`); positions (2,)."""
+def damp(plant: Vector, gains: Vector, coherence: Vector, s: Vector, positions_m: Vector, planned_m_s: float) -> float:
+    """`SwingDamping.velocity` on its vectors (`coherence`: for `coherent`); positions (2,)."""
     s[_CYCLES] += 1.0
-    if not coherent(ways, positions_m, plant[_LEAST_TRAVEL_M]):
+    if not coherent(coherence, positions_m, plant[_LEAST_TRAVEL_M]):
         return float(s[_COMMANDS])
     travel1_m, travel2_m, cycles = positions_m[0] - s[_X1_M], positions_m[1] - s[_X2_M], s[_CYCLES]
     started = s[_STARTED] != 0.0
@@ -201,8 +201,8 @@ def damp(plant: Vector, gains: Vector, ways: Vector, s: Vector, positions_m: Vec
 
 
 @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL)
-def _damp(plant: Vector, gains: Vector, ways: Vector, s: Vector, positions_m: Vector, planned_m_s: float) -> float:
-    return damp(plant, gains, ways, s, positions_m, planned_m_s)
+def _damp(plant: Vector, gains: Vector, coherence: Vector, s: Vector, positions_m: Vector, planned_m_s: float) -> float:
+    return damp(plant, gains, coherence, s, positions_m, planned_m_s)
 
 
 _POSITIONS = Struct("=2d")
@@ -218,13 +218,13 @@ class SwingDamping:
     def __init__(self, plant: SwingPlant, damping_ratio: float, modulus_Pa: float) -> None:
         self._plant = plant
         self._ratio = damping_ratio
-        self._sent = len(_under_way(plant))
+        self._sent = len(_plant_in_motion(plant))
         strains = (plant.upstream_strain, plant.downstream_strain)
         figures = plant.span_length_m, *strains, plant.limit_m_s, plant.cycle_s, plant.least_travel_m, modulus_Pa
         self._figures = np.array(figures)
         self._gains = np.zeros(_GAINS + self._sent)
         self._state = np.zeros(_COMMANDS + self._sent)
-        self._ways, self._positions_m = coherence_state(2), np.zeros(2)
+        self._coherence, self._positions_m = coherence_state(2), np.zeros(2)
         self._use(modulus_Pa)
         self.velocity(0.0, 0.0)  # compiled, or loaded, before a cycle waits for it
         self.reset()
@@ -232,11 +232,11 @@ class SwingDamping:
     @property
     def vectors(self) -> tuple[Vector, Vector, Vector, Vector, Vector]:
         """Vectors of `damp`, for compiled callers."""
-        return self._figures, self._gains, self._ways, self._state, self._positions_m
+        return self._figures, self._gains, self._coherence, self._state, self._positions_m
 
     def reset(self) -> None:
         """The web is strained as upstream, and at rest (drives off)."""
-        self._ways[:] = coherence_state(2)
+        self._coherence[:] = coherence_state(2)
         self._state[:] = 0.0
         self._state[_UNSTRETCHED_M] = self._plant.span_length_m / (1.0 + self._plant.upstream_strain)
         self._state[_STRAIN] = self._plant.upstream_strain
@@ -259,4 +259,4 @@ class SwingDamping:
         While the positions are not of one instant it keeps its last value.
         """
         _POSITIONS.pack_into(self._positions_m.data, 0, x1_m, x2_m)
-        return _damp(self._figures, self._gains, self._ways, self._state, self._positions_m, planned_m_s)
+        return _damp(self._figures, self._gains, self._coherence, self._state, self._positions_m, planned_m_s)

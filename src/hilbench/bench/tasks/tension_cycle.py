@@ -51,7 +51,7 @@ STALE, CHANGED, OTHER_MODULUS = range(16, 19)
     _TRUST,
     _TRUST_STATE,
     _TRUST_AT,
-    _WAY,
+    _TRAJECTORY,
     _ENTERING,
     _ENTERING_AT,
     _LEADS,
@@ -85,7 +85,7 @@ def _since_controlled_s(loop: Vector, words: Places, at: Places) -> float:
 @compiled
 def _control(table: Table, loop: Vector, values: Vector, words: Places, at: Places) -> None:
     """Velocity of the axis from the last sample."""
-    leader, way = floats(table, _LEADER, (1,)), floats(table, _WAY, (1,))
+    leader, trajectory = floats(table, _LEADER, (1,)), floats(table, _TRAJECTORY, (1,))
     closed = loop[CLOSED] == 1.0
     words[at[_CLOSED_AT]] = 1 if closed else 0
     since_s, set_point_N, around_m_s = (
@@ -99,13 +99,13 @@ def _control(table: Table, loop: Vector, values: Vector, words: Places, at: Plac
         modulus_Pa = loop[MODULUS_PA] = values[at[_MODULUS_AT]]
     else:
         since_s = loop[CYCLE_S]
-    if len(way) > 0:
+    if len(trajectory) > 0:
         behind_m_s, entering = leader[LEADS_DAMPED_BY], floats(table, _ENTERING, (1,))
         strain = entering_strain(
             entering, integers(table, _ENTERING_AT, (1,)), values, behind_m_s >= 0.0, loop[FRESH] != 0.0
         )
-        set_point_N = trajectory_tension_N(way, loop[MODULUS_PA])
-        around_m_s, planned_m_s = trajectory_velocity(way, behind_m_s, strain), shown_m_s(way)
+        set_point_N = trajectory_tension_N(trajectory, loop[MODULUS_PA])
+        around_m_s, planned_m_s = trajectory_velocity(trajectory, behind_m_s, strain), shown_m_s(trajectory)
         lead_m_s = floats(table, _LEADS, (1,))[0]
     loop[SPEED_M_S] = control(
         floats(table, _CONTROLLER, (1,)),
@@ -121,8 +121,11 @@ def _control(table: Table, loop: Vector, values: Vector, words: Places, at: Plac
     positions_m, gains = floats(table, _POSITIONS, (1,)), floats(table, _GAINS, (1,))
     positions_m[0] = loop[BEFORE_M] if at[_BEFORE_AT] == NOWHERE else values[at[_BEFORE_AT]]
     positions_m[1] = loop[BEHIND_M] if at[_BEHIND_AT] == NOWHERE else values[at[_BEHIND_AT]]
-    plant, ways, s = floats(table, _PLANT, (1,)), floats(table, _PAIRED, (1,)), floats(table, _DAMPED_STATE, (1,))
-    loop[DAMPED_M_S], pull_m_s = loop[SPEED_M_S] + damp(plant, gains, ways, s, positions_m, planned_m_s), loop[PULL_M_S]
+    plant, coherence, s = floats(table, _PLANT, (1,)), floats(table, _PAIRED, (1,)), floats(table, _DAMPED_STATE, (1,))
+    loop[DAMPED_M_S], pull_m_s = (
+        loop[SPEED_M_S] + damp(plant, gains, coherence, s, positions_m, planned_m_s),
+        loop[PULL_M_S],
+    )
     if np.isnan(pull_m_s):
         values[at[_COMMAND_AT]] = loop[DAMPED_M_S] + lead_m_s
     else:  # what is damped would take the pull back

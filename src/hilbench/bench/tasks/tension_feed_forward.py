@@ -58,10 +58,12 @@ _TORQUE_SHARE = 0.5
 #: A roller: mass, kg, and kp, N·s/m, at the web; share of the missing torque that the drive takes up in a
 #: cycle; feed-forward limit, N; force that its drive has, N (NaN: unknown); place of its axis among the
 #: leads, of its own trajectory (NOWHERE: none), and of those of the spans that pull it back and forward.
-_MASS_KG, _KP_N_S_PER_M, _SHARE, _LIMIT_N, _HELD_N, _AXIS, _OWN_WAY, _PULLED_BACK, _PULLED_ON, _ROLLER = range(10)
+_MASS_KG, _KP_N_S_PER_M, _SHARE, _LIMIT_N, _HELD_N, _AXIS, _OWN_TRAJECTORY, _PULLED_BACK, _PULLED_ON, _ROLLER = range(
+    10
+)
 NOWHERE = -1
 # Rows of the table; after them, for each trajectory, its vector and that of its loop.
-_ROLLERS, _LEADS_M_S, _LINE_SPEED, _OWN, _WAYS = range(5)
+_ROLLERS, _LEADS_M_S, _LINE_SPEED, _OWN, _TRAJECTORIES = range(5)
 #: Vector of the task: a cycle, s, and the line's speed in the last one.
 _CYCLE_S, _SPEED_M_S = range(2)
 
@@ -79,11 +81,11 @@ def _lead_m_s(r: Vector, acceleration_m_s2: float, force_N: float) -> float:
 
 
 @compiled
-def _pull_N(table: Table, way: float, sign: float) -> float:
+def _pull_N(table: Table, trajectory: float, sign: float) -> float:
     """Pull of a span's wanted tension; 0 without a trajectory."""
-    if way < 0.0:
+    if trajectory < 0.0:
         return 0.0
-    row = _WAYS + 2 * int(way)
+    row = _TRAJECTORIES + 2 * int(trajectory)
     return sign * trajectory_tension_N(floats(table, row, (1,)), floats(table, row + 1, (1,))[MODULUS_PA])
 
 
@@ -91,7 +93,7 @@ def _pull_N(table: Table, way: float, sign: float) -> float:
 def _plan(_: int, table: Table) -> int:
     if len(table) == 0:
         return CONTINUE
-    for row in range(_WAYS, len(table), 2):
+    for row in range(_TRAJECTORIES, len(table), 2):
         loop = floats(table, row + 1, (1,))
         trajectory_update(floats(table, row, (1,)), loop[SET_POINT_N] + loop[SHIFT_N], loop[MODULUS_PA])
     own, rollers, leads_m_s = (
@@ -104,8 +106,8 @@ def _plan(_: int, table: Table) -> int:
     own[_SPEED_M_S] = speed_m_s
     for k in range(len(rollers)):
         roller = rollers[k]
-        if roller[_OWN_WAY] >= 0.0:
-            acceleration_m_s2 -= lengthening_m_s2(floats(table, _WAYS + 2 * int(roller[_OWN_WAY]), (1,)))
+        if roller[_OWN_TRAJECTORY] >= 0.0:
+            acceleration_m_s2 -= lengthening_m_s2(floats(table, _TRAJECTORIES + 2 * int(roller[_OWN_TRAJECTORY]), (1,)))
         pull_N = 0.0
         pull_N += _pull_N(table, roller[_PULLED_BACK], 1.0)
         pull_N += _pull_N(table, roller[_PULLED_ON], -1.0)
@@ -169,8 +171,8 @@ class Goal(Protocol):
 class FeedForwardTask(CyclicTask):
     """Feed-forward plan of a cycle, before any speed command: set-point trajectories, and leads of the rollers.
 
-    `loops`: tension loops by the number of the span, also those added later; `ways`: trajectories of those spans
-    that have one. The others count as having a constant tension.
+    `loops`: tension loops by the number of the span, also those added later; `trajectories`: trajectories of those
+    spans that have one. The others count as having a constant tension.
     """
 
     def __init__(
@@ -179,22 +181,22 @@ class FeedForwardTask(CyclicTask):
         cycle_s: float,
         line_speed: Reference,
         loops: Mapping[int, Goal],
-        ways: Mapping[int, StrainTrajectory],
+        trajectories: Mapping[int, StrainTrajectory],
     ) -> None:
         self._line_speed = line_speed
-        self._loops, self._ways = loops, ways
+        self._loops, self._trajectories = loops, trajectories
         self._upstream_strain = model.upstream_strain
         self._own, self._leads_m_s = np.array([cycle_s, 0.0]), np.zeros(model.axis_count)
-        for way in ways.values():
-            way.reset(self._upstream_strain)
+        for trajectory in trajectories.values():
+            trajectory.reset(self._upstream_strain)
         self._rollers = np.array([self._roller(model, axis, cycle_s) for axis in range(model.axis_count, 0, -1)])
         self._piece: CompiledStage | None = None
         _plan(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before a cycle waits for it
 
     def _roller(self, model: ModelParameters, axis: int, cycle_s: float) -> Vector:
-        place = {span: at for at, span in enumerate(self._ways)}
+        place = {span: at for at, span in enumerate(self._trajectories)}
         roller = RollerForces.of_model(model, axis, cycle_s).vector
-        roller[_AXIS], roller[_OWN_WAY] = axis - 1, place.get(axis, NOWHERE)
+        roller[_AXIS], roller[_OWN_TRAJECTORY] = axis - 1, place.get(axis, NOWHERE)
         if model.carries_web_load(axis):
             roller[_PULLED_BACK], roller[_PULLED_ON] = place.get(axis - 1, NOWHERE), place.get(axis, NOWHERE)
         return roller
@@ -208,8 +210,8 @@ class FeedForwardTask(CyclicTask):
         """Compiled stage: advance the plan by a cycle."""
         if self._piece is None:
             kept = [self._rollers, self._leads_m_s, self._line_speed.vector, self._own]
-            for span, way in self._ways.items():
-                kept += [way.vector, self._loops[span].loop]
+            for span, trajectory in self._trajectories.items():
+                kept += [trajectory.vector, self._loops[span].loop]
             self._piece = CompiledStage(_plan, 0, table_of(kept), fallback=never, keeps=kept)
         return self._piece
 
@@ -224,7 +226,7 @@ class FeedForwardTask(CyclicTask):
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """Reset at rest: the web is strained as upstream, and the trajectories begin there."""
         self._own[_SPEED_M_S] = self._line_speed.present
-        for way in self._ways.values():
-            way.reset(self._upstream_strain)
+        for trajectory in self._trajectories.values():
+            trajectory.reset(self._upstream_strain)
         self._rollers[:, _HELD_N] = nan
         self._leads_m_s[:] = 0.0

@@ -257,8 +257,8 @@ class TensionLoop:
             # Tension per length that is drawn evenly while the web moves on.
             pull = self._stiffness_N_per_m(j) * ((1.0 - left) / moved if abs(moved) > 1e-9 else 1.0)
             entering = (1.0 - left) * before[j - 1] if j > 1 else 0.0
-            ways = (self._unit(f"way{j + 1}") - self._unit(f"way{j}")) * share
-            found[j] = left * web + entering + pull * ways
+            travels = (self._unit(f"way{j + 1}") - self._unit(f"way{j}")) * share
+            found[j] = left * web + entering + pull * travels
         return found
 
     def _commands(self, webs: Mapping[int, Matrix]) -> dict[str, Matrix]:

@@ -49,7 +49,7 @@ class Leader(Protocol):
 class FeedForward:
     """Feed-forward of a loop; strains: of the web around the span; `leads`: of the rollers."""
 
-    way: StrainTrajectory
+    trajectory: StrainTrajectory
     strain_before: EnteringStrain
     strain_behind: EnteringStrain
     leads: FeedForwardTask
@@ -94,8 +94,8 @@ class TensionTask(CyclicTask):
     """Velocity of the axis before a span from the simulated tension, with the damping of the swing added.
 
     `set_point_N` can be set during the run; `leader`: the axis after the span; `modulus_Pa`: E until the loop was
-    closed (for `feed_forward`); `ways`: web travel at the axes before and after the span, m, where that differs from
-    the encoders'.
+    closed (for `feed_forward`); `trajectories`: web travel at the axes before and after the span, m, where that differs
+    from the encoders'.
     """
 
     def __init__(
@@ -111,9 +111,9 @@ class TensionTask(CyclicTask):
         cycle_s: float,
         modulus_Pa: float = 0.0,
         feed_forward: FeedForward | None = None,
-        ways: Callable[[CycleSample], tuple[float, float]] | None = None,
+        trajectories: Callable[[CycleSample], tuple[float, float]] | None = None,
     ) -> None:
-        self._ways = ways
+        self._trajectories = trajectories
         self._names = names
         self._leader = leader
         self._controller, self._damping, self._trust, self._twin = controller, damping, trust, twin
@@ -134,13 +134,15 @@ class TensionTask(CyclicTask):
         """Make the compiled stage."""
         self._sample = sample
         names, kind, ahead = self._names, type(sample), None
-        of_web = [cycle.NOWHERE, cycle.NOWHERE] if self._ways else kind.places([names.before, names.behind]).tolist()
+        of_web = (
+            [cycle.NOWHERE, cycle.NOWHERE] if self._trajectories else kind.places([names.before, names.behind]).tolist()
+        )
         of_twin = [names.twin.tension, names.twin.modulus]
         at = [*kind.places([names.closed, names.command, *of_twin]).tolist(), *of_web]
         at += kind.places(["twin_age_cycles", "cycle"]).tolist()
         if self._ahead is not None:
             of_strains = entering_vectors(kind, (self._ahead.strain_before, self._ahead.strain_behind))
-            ahead = self._ahead.way.vector, *of_strains, self._ahead.leads.lead(names.axis)
+            ahead = self._ahead.trajectory.vector, *of_strains, self._ahead.leads.lead(names.axis)
         kept = cycle.in_order(
             (self._controller.figures, self._controller.state),
             self._damping.vectors,
@@ -235,8 +237,8 @@ class TensionTask(CyclicTask):
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis from the last sample."""
         self._at[cycle.FRESH] = self._twin.fresh(sample)
-        if self._ways is not None:
-            self._at[cycle.BEFORE_M], self._at[cycle.BEHIND_M] = self._ways(sample)
+        if self._trajectories is not None:
+            self._at[cycle.BEFORE_M], self._at[cycle.BEHIND_M] = self._trajectories(sample)
         self._piece(sample)()
         outputs[self._names.drive] = getattr(sample, self._names.command)
 
@@ -246,7 +248,7 @@ class TensionTask(CyclicTask):
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
         """Compiled stage of the loop; the set-point stays as it is."""
-        if self._ways is not None:
+        if self._trajectories is not None:
             return None
 
         def cycles() -> int:

@@ -59,7 +59,7 @@ _TURNING = ("unbalance", "torque_ripple", "torque_ripple_load")
 #: Outcome of `run`: the verdict on a twin has changed.
 _LOOK = CONTINUE + 1
 # Rows of the table.
-(_VALUES, _WORDS, _AT, _PARAMETERS, _ROLLERS, _MOTION, _BEGUN, _LINE, _WAYS, _POSITIONS, _WEB) = range(11)
+(_VALUES, _WORDS, _AT, _PARAMETERS, _ROLLERS, _MOTION, _BEGUN, _LINE, _COHERENCE, _POSITIONS, _WEB) = range(11)
 (_FIGURES, _STATES, _RINGS, _SUMS, _PLACED, _BLOCK) = range(11, 17)
 #: Of a line: cycles of a block and how many it has; the cycle in which it began; samples whose positions are of one
 #: instant; the leading axis' command; 1 if that, or the twin's model, has changed, or a torque is at its limit;
@@ -128,13 +128,13 @@ def _add(values: Vector, words: Places, at: Places, begun: Matrix, line: Vector,
 
 
 @compiled
-def _follow(values: Vector, at: Places, line: Vector, ways: Vector, positions: Matrix, web: Matrix) -> None:
+def _follow(values: Vector, at: Places, line: Vector, coherence: Vector, positions: Matrix, web: Matrix) -> None:
     """The web by mass conservation, where the positions are of one instant."""
     axes = positions.shape[1]
     now_m, last_m, travel_m = positions[_NOW_M], positions[_LAST_M], positions[_TRAVEL]
     for j in range(axes):
         now_m[j] = values[at[3 * j]]
-    if not coherent(ways, now_m, line[_TRAVEL_M]):
+    if not coherent(coherence, now_m, line[_TRAVEL_M]):
         return
     of_line = at[_OF_AXIS * axes :]
     if line[_HAS_WEB] == 0.0:  # at rest, and strained as the web upstream
@@ -184,7 +184,7 @@ def _run(_: int, table: Places) -> int:
     values, words, at = floats(table, _VALUES, (1,)), integers(table, _WORDS, (1,)), integers(table, _AT, (1,))
     begun, line, web = floats(table, _BEGUN, (1, 2)), floats(table, _LINE, (1,)), floats(table, _WEB, (1, 2))
     sums, placed = floats(table, _SUMS, (1, 2)), integers(table, _PLACED, (1, 2))
-    _follow(values, at, line, floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1, 2)), web)
+    _follow(values, at, line, floats(table, _COHERENCE, (1,)), floats(table, _POSITIONS, (1, 2)), web)
     if line[_HAS] == 0.0:
         _begin(values, words, at, begun, line, web, sums)
         return CONTINUE
@@ -248,7 +248,7 @@ class TensionWatch(CyclicTask):
             per_item(sections.drives.torque_limit_Nm, k + 1) if sections.drives else np.inf for k in range(axes)
         ]
         self._begun[_LIMIT_NM] = _AT_LIMIT * np.array(limits_Nm)
-        self._line, self._ways = np.zeros(_LINE_SIZE), coherence_state(axes)
+        self._line, self._coherence = np.zeros(_LINE_SIZE), coherence_state(axes)
         self._line[_CYCLES] = max(1, round(_BLOCK_S / cycle_s))
         travel_m = least_travel_m(model, cycle_s)
         self._line[[_CYCLE_S, _TRAVEL_M, _DOWNSTREAM]] = cycle_s, travel_m, model.downstream_strain
@@ -278,7 +278,7 @@ class TensionWatch(CyclicTask):
             names += [of.twin.tension, of.twin.modulus, of.set_point, of.closed]
         kept = (
             *(sample.reals, sample.wholes, kind.places(names), self._parameters, self._rollers, self._motion),
-            *(self._begun, self._line, self._ways, self._positions, self._web),
+            *(self._begun, self._line, self._coherence, self._positions, self._web),
             *(self._figures, self._states, self._rings, self._sums, self._placed, self._block),
         )
         return CompiledStage(_run, 0, table_of(kept), fallback=self._report, keeps=kept)
@@ -303,7 +303,7 @@ class TensionWatch(CyclicTask):
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The drives are off: nothing is known of the web or the twin when they are enabled again."""
         self._line[[_HAS, _HAS_WEB]] = 0.0
-        self._ways[:] = coherence_state(len(self._rollers))
+        self._coherence[:] = coherence_state(len(self._rollers))
         self._begin_anew()
 
     def _look_for_a_new_twin(self) -> None:

@@ -99,9 +99,9 @@ class TwinConnection(CyclicTask):
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Compiled stages: nothing is to be done while the twin answers."""
-        return CompiledStages(cycles=self._goes_well)
+        return CompiledStages(cycles=self._is_regular)
 
-    def _goes_well(self) -> int:
+    def _is_regular(self) -> int:
         """Number of cycles without work, if answers come as they did."""
         nodes, cycles = self._nodes, self._exchange.timing.cycles
         busy = self._return is not None or self._returned_cycle is not None or self._twin.away or self._jumped_for

@@ -109,9 +109,9 @@ class StandstillExcitation:
 
     def go_on(self) -> None:
         """Speeds of the next cycle."""
-        gone_s = self._cycles * self._cycle_s
-        half, within_s = divmod(gone_s + 0.5 * _HALF_S, _HALF_S)  # from the middle of forth on
-        since_s = gone_s if half == 0 else within_s
+        elapsed_s = self._cycles * self._cycle_s
+        half, within_s = divmod(elapsed_s + 0.5 * _HALF_S, _HALF_S)  # from the middle of forth on
+        since_s = elapsed_s if half == 0 else within_s
         self._cycles += 1
         speed_m_s = _FORTH * self.travel_m / (_HALF_S - _EDGE_S)
         share = min(1.0, min(since_s, _HALF_S - within_s) / _EDGE_S)

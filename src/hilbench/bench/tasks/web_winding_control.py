@@ -22,7 +22,7 @@ from hilbench.plant.web_line.stations import Accumulator, Dancer, LineCarriage, 
 #: With less an unwinder that stops turns back by more than 1 mm/s.
 ROUNDED: Final = 2.0 / 9.0
 #: Speed below which dry friction is compensated in proportion to it, m/s: a part at rest may stick either way.
-_STANDS_M_S = 2e-4
+_STANDSTILL_M_S = 2e-4
 _DRY_N = lay.place("coulomb_friction", "force_N")
 _VISCOUS_N_S_PER_M = lay.place("viscous_friction", "coefficient_N_s_per_m")
 
@@ -34,10 +34,10 @@ def eased(time: float, rounded: float = ROUNDED) -> tuple[float, float]:
     left, fastest = min(time, 1.0 - time), 1.0 / (1.0 - rounded)
     if left < rounded:
         turned = pi * left / rounded
-        way, speed = 0.5 * fastest * (left - rounded * sin(turned) / pi), 0.5 * fastest * (1.0 - cos(turned))
+        travel, speed = 0.5 * fastest * (left - rounded * sin(turned) / pi), 0.5 * fastest * (1.0 - cos(turned))
     else:
-        way, speed = fastest * (left - 0.5 * rounded), fastest
-    return (way if time <= 0.5 else 1.0 - way), speed
+        travel, speed = fastest * (left - 0.5 * rounded), fastest
+    return (travel if time <= 0.5 else 1.0 - travel), speed
 
 
 @dataclass(frozen=True)
@@ -255,5 +255,5 @@ class Resisting:
 
     def friction_N(self, speed_m_s: float) -> float:
         """Against its motion."""
-        direction = min(max(speed_m_s / _STANDS_M_S, -1.0), 1.0)
+        direction = min(max(speed_m_s / _STANDSTILL_M_S, -1.0), 1.0)
         return direction * self.dry_N + self.viscous_N_s_per_m * speed_m_s

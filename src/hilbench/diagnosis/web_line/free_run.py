@@ -54,7 +54,7 @@ _CREEP: Final = lay.place("web_slip", "creep_per_N")
 #: A change of a torque by which its response is looked at, N·m.
 _A_TORQUE_NM: Final = 0.01
 #: The same of a position, m.
-_A_WAY_M: Final = 1e-5
+_SHORT_TRAVEL_M: Final = 1e-5
 #: Share of a corner's bend by which the slopes of one side of it may differ.
 _STRAIGHT: Final = 0.25
 
@@ -176,8 +176,8 @@ class FreeRun:
         usable = ~near if np.mean(near) < _MOSTLY else np.ones(len(slow), bool)
         usable &= data.usable(_MOVING_S)
         if speed > _MOVES_M_S:
-            way_m = remembered_m(self._model, _TRANSPORTS) if data.before is None else 0.0
-            settle_s = way_m / speed + 1.0
+            travel_m = remembered_m(self._model, _TRANSPORTS) if data.before is None else 0.0
+            settle_s = travel_m / speed + 1.0
             usable[: int(settle_s / data.period_s)] = False
         return usable
 
@@ -288,7 +288,7 @@ class FreeRun:
         """(signals, n): an axis commanded to be somewhat further from a row on, by which its integral differs."""
         commands = self._commands
         self._commands = [commands[0].copy(), *commands[1:]]
-        self._commands[0][row, axis - 1] += _A_WAY_M / self._period_s
+        self._commands[0][row, axis - 1] += _SHORT_TRAVEL_M / self._period_s
         try:
             return np.asarray(self._predicted(parameters[None])[0])
         finally:

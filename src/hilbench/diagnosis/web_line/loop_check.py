@@ -90,7 +90,7 @@ class ProposalOutcome:
 
     axis: int
     command_m_s: Array  #: (n,), each held for a row
-    way_m: Array  #: (fine,) on a grid `whole` times that of the rows
+    travel_m: Array  #: (fine,) on a grid `whole` times that of the rows
     speed_m_s: Array  #: (fine,)
     torque_Nm: Array  #: (n,)
     floor_Nm: float  #: of the torque in the band
@@ -191,7 +191,7 @@ def _loop_terms(
     error = rad_per_m * (command - np.interp(at, fine, is_identified.speed_m_s))
     asked = np.concatenate([[0.0], np.cumsum(command)]) * (period_s / per_row)
     # A sample's integral holds its own error already: the sum of the speeds reaches half a sample ahead.
-    integral = rad_per_m * (asked[1:] - np.interp(at + 0.5 * period_s / per_row, fine, is_identified.way_m))
+    integral = rad_per_m * (asked[1:] - np.interp(at + 0.5 * period_s / per_row, fine, is_identified.travel_m))
     integral -= np.mean(integral)
 
     def lagging(lag_s: float) -> tuple[Array, Array]:

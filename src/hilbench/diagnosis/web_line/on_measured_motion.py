@@ -115,10 +115,10 @@ class LineOnMeasuredMotion:
         reach = round(reach_s / self._fine_s)
         slow = np.min(np.abs(self._v), axis=1) < STANDSTILL_M_S
         near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
-        way = np.abs(integrated(np.abs(self._v[:, -1]), self._fine_s))
+        travel = np.abs(integrated(np.abs(self._v[:, -1]), self._fine_s))
         forgotten = remembered_m(self._model, _TRANSPORTS)
-        if way[-1] > 5.0 * forgotten:
-            near |= way < forgotten
+        if travel[-1] > 5.0 * forgotten:
+            near |= travel < forgotten
         near[:reach] = near[-reach:] = True
         rows = ~near[:: self._whole] & data.usable(reach_s)
         return np.asarray(rows[::every])
@@ -384,13 +384,15 @@ def _motion(
     """
     band_Hz, apart_Hz = bands_Hz
     axes = sorted({*data.x_m, *data.v_m_s})
-    way = {axis: data.x_m[axis] if axis in data.x_m else integrated(data.v_m_s[axis], data.period_s) for axis in axes}
-    mean = _mean_of(way)
+    travel = {
+        axis: data.x_m[axis] if axis in data.x_m else integrated(data.v_m_s[axis], data.period_s) for axis in axes
+    }
+    mean = _mean_of(travel)
     x, v, a = smoothed(mean, data.period_s, whole, band_Hz, 2)
     if mean_by_speed:
         v, a = smoothed(_mean_of(data.v_m_s), data.period_s, whole, band_Hz, 1)
     all_known = set(data.x_m) >= set(axes)
-    apart = [way[axis] - mean if all_known else np.zeros_like(mean) for axis in axes]
+    apart = [travel[axis] - mean if all_known else np.zeros_like(mean) for axis in axes]
     moved = [smoothed(each, data.period_s, whole, apart_Hz, 2) for each in apart]
 
     def of_all(common: Array, order: int) -> Array:

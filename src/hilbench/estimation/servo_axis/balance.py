@@ -360,7 +360,7 @@ class FilterInputs:
 
     def update(self, sample: ShaftSample) -> bool:
         """Fill `u`; False for a sample without new information, and for the first of a row, whose motion is unknown."""
-        cycles, s = self._cycles_gone(sample), self._state
+        cycles, s = self._cycles_elapsed(sample), self._state
         if cycles == 0:
             return False
         duration_s, s[_MISSING] = cycles * sample.cycle_s, 0.0
@@ -389,7 +389,7 @@ class FilterInputs:
         self._motion.reset(position_rad)
         s[FOLLOWED] = 0.0
 
-    def _cycles_gone(self, sample: ShaftSample) -> int:
+    def _cycles_elapsed(self, sample: ShaftSample) -> int:
         """Cycles since the previous sample, by the motion; no frame shows a SYNC that was lost or sent late.
 
         0 for a position of the same instant. Where no number fits, or a different one again and again, the motion is
@@ -403,13 +403,13 @@ class FilterInputs:
         if self._off_rad(sample, expected) <= _slack(self._position.state, expected):
             s[_ODD] = 0.0
             return expected
-        found, way_of_a_cycle = expected, abs(self._motion.motion.item(1)) * sample.cycle_s
-        is_telling = way_of_a_cycle > 2.0 * self._accelerated_rad(sample, 1)
+        found, travel_per_cycle = expected, abs(self._motion.motion.item(1)) * sample.cycle_s
+        is_telling = travel_per_cycle > 2.0 * self._accelerated_rad(sample, 1)
         if is_telling:
             found = min(range(expected + _MORE_CYCLES + 1), key=lambda n: self._off_rad(sample, n))
         off_rad = self._off_rad(sample, found)
         s[_ODD] = s[_ODD] + 1.0 if found != expected else 0.0
-        between = is_telling and off_rad > _BETWEEN * way_of_a_cycle
+        between = is_telling and off_rad > _BETWEEN * travel_per_cycle
         if between or off_rad > self._accelerated_rad(sample, found) or s[_ODD] > _MOST_ODD:
             self.interrupt()
             return 1

@@ -39,7 +39,7 @@ _LEAST_VARIANCE = 1e-8
 _LEAST_SHARE = 0.01
 #: Filtered speeds (m/s) up to which a roller is at rest, and from which on all of its dry friction acts against its
 #: direction. It counts as unknown below `SLOW_M_S`: at line speed it belongs to `unmodelled_effects`.
-_STANDS_M_S, _MOVES_M_S = 1e-4, FRICTION_WIDTH_M_S
+_STANDSTILL_M_S, _MOVES_M_S = 1e-4, FRICTION_WIDTH_M_S
 #: Relative change of the strain from which on the tension differs from that when the roller came to rest.
 _PULLED = 0.02
 #: Deviations beyond which friction is certain.
@@ -124,23 +124,23 @@ class JointInitialization:
             return self.found
         row = self._rows.row
         speed_m_s = float(row[2])
-        stands = abs(speed_m_s) <= _STANDS_M_S and not self._has_moved
+        at_standstill = abs(speed_m_s) <= _STANDSTILL_M_S and not self._has_moved
         moves = abs(speed_m_s) >= _MOVES_M_S
         # A roller at rest takes up a growing load, and stays at rest as long as its friction can.
-        if stands and self._has_rested and abs(row[0] - self._rests_at) > _PULLED * abs(self._rests_at):
-            stands, self._has_moved = False, True
+        if at_standstill and self._has_rested and abs(row[0] - self._rests_at) > _PULLED * abs(self._rests_at):
+            at_standstill, self._has_moved = False, True
         # Several rollers count as one only when they move alike.
-        stands = stands and self._webs.go_along(self._span, 0.0, _STANDS_M_S)
+        at_standstill = at_standstill and self._webs.go_along(self._span, 0.0, _STANDSTILL_M_S)
         moves = moves and self._webs.go_along(self._span, speed_m_s, _MOVES_M_S)
-        if stands and not self._has_rested:
+        if at_standstill and not self._has_rested:
             self._has_rested, self._rests_at = True, float(row[0])
         self._has_moved = self._has_moved or moves
-        if not (stands or moves):  # friction may have any value between the two
+        if not (at_standstill or moves):  # friction may have any value between the two
             return self.found
         regressors = np.zeros(self._unknowns)
         regressors[_MODULUS], regressors[_STRAIN] = row[0] / self._force_N, self._filtered[1][self._span]
         regressors[_OTHERS:] = self._filtered[1][self._others]
-        regressors[_AT_REST] = stands
+        regressors[_AT_REST] = at_standstill
         if moves and abs(speed_m_s) < SLOW_M_S:
             regressors[_FRICTION] = np.sign(speed_m_s)
         force = float(row[-1]) / self._force_N

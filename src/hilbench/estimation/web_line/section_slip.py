@@ -49,10 +49,10 @@ class SectionSlip:
 
     def __init__(self, usual_N: float, length_m: float) -> None:
         self._usual_N, self._length_m = usual_N, length_m
-        self.reset(under_way=False)
+        self.reset(in_motion=False)
 
-    def reset(self, *, under_way: bool) -> None:
-        """Reset for a released web; with `under_way` its strain is unknown until it has left."""
+    def reset(self, *, in_motion: bool) -> None:
+        """Reset for a released web; with `in_motion` its strain is unknown until it has left."""
         # Tensions by the model's E are passed in: the detector's own factor is 1.
         self._detector = anomalies.new_state(1.0, self._usual_N, self._length_m)
         self._block = np.zeros(block_means.MOTION_N + 1)
@@ -61,7 +61,7 @@ class SectionSlip:
         self._begins_s: deque[float] = deque(maxlen=_BEFORE)  # of the last blocks
         self._since_s = inf
         self._reported = _NOTHING
-        self._report(_RESET if under_way else _SUSPEND)
+        self._report(_RESET if in_motion else _SUSPEND)
 
     @property
     def slips(self) -> bool:

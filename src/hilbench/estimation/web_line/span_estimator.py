@@ -174,7 +174,7 @@ class SpanEstimator:
         """Upstream-strain correction of the unknown-input observer; 0 for methods that estimate E."""
         return self._input_strain or 0.0
 
-    def has_gone_on(self) -> None:
+    def has_advanced(self) -> None:
         """Update cached values after cycles run entirely by compiled callers."""
         if self._t[cycle.BANK]:
             self._nuisances = None
@@ -422,7 +422,7 @@ class SpanEstimator:
         values = (x1_m, x2_m, torque_Nm, self._axis2.torque_Nm, strain_prev, F_next_N, *others, creep_ratio_prev)
         stage = cycle.run_vectors(cycle.COMPARE, tuple(map(float, values)), self._table)
         if stage == cycle.DONE:
-            self.has_gone_on()
+            self.has_advanced()
         else:
             self.go_on_from(stage, strain_prev)
         if self._t[cycle.MOVED]:

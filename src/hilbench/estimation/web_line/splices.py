@@ -116,8 +116,8 @@ def _explain(
 
 
 @entry_point(VECTOR, VECTOR, MATRIX, VECTOR, MATRIX)
-def _explain_all(ways: Vector, values: Vector, motion: Array, fronts: Vector, best: Array) -> None:
-    """Best fit of each shape: travels `ways` (n,) and `fronts` (m,) in lengths of the span."""
+def _explain_all(regressors: Vector, values: Vector, motion: Array, fronts: Vector, best: Array) -> None:
+    """Best fit of each shape: travels `regressors` (n,) and `fronts` (m,) in lengths of the span."""
     of_values, found = np.zeros(len(motion)), np.zeros(_BEST)
     into, left = np.zeros(len(values)), np.zeros(len(values))
     for k in range(len(motion)):
@@ -126,7 +126,7 @@ def _explain_all(ways: Vector, values: Vector, motion: Array, fronts: Vector, be
     best[:, _EXPLAINED] = -1.0
     for place in range(len(fronts)):
         for j in range(len(values)):
-            into[j] = ways[j] - fronts[place]
+            into[j] = regressors[j] - fronts[place]
             left[j] = exp(-into[j]) if into[j] > 0.0 else 1.0
         for kind in range(_SHAPES):
             _explain(kind, into, left, values, motion, of_values, found)
@@ -232,7 +232,7 @@ class SpliceFinder:
         if not noise > 0.0:
             return None
         fronts_m = _fronts_m(travels_m)
-        motion = _known_ways(speeds_m_s, accelerating)
+        motion = _known_regressors(speeds_m_s, accelerating)
         fits = self._fits(travels_m, compliances, motion, fronts_m, noise)
         # The residual of the best fit, e.g. of a roller hit by a step, counts as noise.
         total = float(np.sum(_without(compliances, motion) ** 2)) / noise**2
@@ -250,17 +250,17 @@ class SpliceFinder:
                 return None
             self._joint = None
             return Entered(None, relative_change=1.0 / (1.0 + fits[kind].share) - 1.0)
-        way = (float(travels_m[-1]) - fits[kind].front_m) / self._length_m
-        if way > _THROUGH:
+        travel_share = (float(travels_m[-1]) - fits[kind].front_m) / self._length_m
+        if travel_share > _THROUGH:
             if self._joint is None:  # too late: all of the span is the new web, whose E is known
                 self._forget_before(fits[kind].front_m)
             return None
-        return self._entered(fits[kind], way)
+        return self._entered(fits[kind], travel_share)
 
     def _fits(
         self, travels_m: Array, compliances: Array, motion: Array, fronts_m: Array, noise: float
     ) -> dict[_Kind, _Fit]:
-        """Best least-squares fit of a + b·shape + motion for each kind; motion (n, k): as of `_known_ways`."""
+        """Best least-squares fit of a + b·shape + motion for each kind; motion (n, k): as of `_known_regressors`."""
         values, rows, best = (
             np.ascontiguousarray(compliances),
             np.ascontiguousarray(motion.T),
@@ -312,12 +312,12 @@ class SpliceFinder:
         elif self._joint is None and not self.suspects:
             self._since_m = changed_m
 
-    def _entered(self, found: _Fit, way: float) -> Entered:
+    def _entered(self, found: _Fit, travel_share: float) -> Entered:
         """Splice as it is estimated now."""
         share, endless = found.share, self._kind is _Kind.WEB
-        left = exp(-max(way, 0.0))
+        left = exp(-max(travel_share, 0.0))
         if endless:
-            length_m, of_piece, acts, seems = inf, share, share * min(max(way, 0.0), 1.0), share * (1.0 - left)
+            length_m, of_piece, acts, seems = inf, share, share * min(max(travel_share, 0.0), 1.0), share * (1.0 - left)
         else:
             length_m = max(_SHORT_M, abs(share) * self._length_m / _LEAST_SHARE)
             of_piece, acts, seems = share * self._length_m / length_m, share, share * left
@@ -333,14 +333,14 @@ def _fronts_m(travels_m: Array) -> Array:
     return np.asarray(0.5 * (travels_m[before] + travels_m[before + 1]))
 
 
-def _known_ways(speeds_m_s: Array, accelerating: Array) -> Array:
+def _known_regressors(speeds_m_s: Array, accelerating: Array) -> Array:
     """Orthonormal columns (n, 1 to 3) of compliance changes without a joint: constant, speed, acceleration."""
-    ways = [np.ones(len(speeds_m_s))]
+    regressors = [np.ones(len(speeds_m_s))]
     if np.ptp(speeds_m_s) > SAME_SPEED * np.max(np.abs(speeds_m_s)):
-        ways += [speeds_m_s, accelerating]
-    return np.linalg.qr(np.stack(ways, axis=1))[0]
+        regressors += [speeds_m_s, accelerating]
+    return np.linalg.qr(np.stack(regressors, axis=1))[0]
 
 
-def _without(values: Array, ways: Array) -> Array:
+def _without(values: Array, regressors: Array) -> Array:
     """Values (..., n) less their projection on orthonormal columns (n, k)."""
-    return np.asarray(values - (values @ ways) @ ways.T)
+    return np.asarray(values - (values @ regressors) @ regressors.T)

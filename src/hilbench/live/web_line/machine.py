@@ -83,7 +83,7 @@ class LiveLine:
 
     def followed_from(self, window: Window, first: int) -> int:
         """Until all of its web is another one."""
-        return first - segment.rows_of_way(window, self.configured, first, exchanged_m(self.configured)) - SHORT
+        return first - segment.rows_of_travel(window, self.configured, first, exchanged_m(self.configured)) - SHORT
 
     def quiet_cycle(self, window: Window, first: int, end: int) -> int | None:
         """The first cycle before which, for a while, neither speeds nor tensions change; None where there is none."""

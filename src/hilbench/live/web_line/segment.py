@@ -117,9 +117,9 @@ def _put_off_m(commands_m_s: Array, measured: Rows, cycle_s: float) -> float:
 def _before(window: Window, model: ModelParameters, begun: int, cycle: int, cycle_s: float) -> Before:
     """How the rollers turned until a cycle, at the earliest from that in which it began. The strain at the beginning of
     that is the model's, on what was before."""
-    shown = max(rows_of_way(window, model, cycle, remembered_m(model, _SHOWN_LENGTHS)), round(_SHOWN_S / cycle_s))
+    shown = max(rows_of_travel(window, model, cycle, remembered_m(model, _SHOWN_LENGTHS)), round(_SHOWN_S / cycle_s))
     shown = max(min(shown, cycle - begun), 1)
-    exchanged = rows_of_way(window, model, cycle - shown, exchanged_m(model))
+    exchanged = rows_of_travel(window, model, cycle - shown, exchanged_m(model))
     rows = window.rows(cycle - shown - max(exchanged, round(_KNOWN_S / cycle_s)), cycle + 1)
     x = np.column_stack([window.column(rows, f"x{axis}_m") for axis in range(1, model.axis_count + 1)])
     boundary = np.column_stack([window.column(rows, name) for name in ("strain_prev", "F_next_N")])
@@ -131,12 +131,12 @@ def _before(window: Window, model: ModelParameters, begun: int, cycle: int, cycl
     return Before(x[max(split - 1, 0) :], boundary[max(split - 1, 0) :], strain)
 
 
-def rows_of_way(window: Window, model: ModelParameters, end: int, way_m: float) -> int:
+def rows_of_travel(window: Window, model: ModelParameters, end: int, travel_m: float) -> int:
     """Rows until a cycle, as far as they are kept, in which the web has gone so far."""
     x = window.column(window.rows(window.first, end), f"x{model.axis_count}_m")
     if not len(x):
         return 0
-    nearer = np.abs(x - x[-1]) < way_m
+    nearer = np.abs(x - x[-1]) < travel_m
     return len(x) if np.all(nearer) else int(np.argmin(nearer[::-1]))
 
 

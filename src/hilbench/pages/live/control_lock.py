@@ -9,7 +9,7 @@ from typing import Final
 
 #: The seat is free again after this time without an action, and after this time without a connection, s.
 IDLE_S: Final = 120.0
-GONE_S: Final = 10.0
+LOST_S: Final = 10.0
 
 
 @dataclass
@@ -29,8 +29,8 @@ class ControlLock:
 
     def _taken(self) -> _Holder | None:
         holder, now_s = self._holder, self._now()
-        gone = holder is not None and holder.elapsed_s is not None and now_s - holder.elapsed_s > GONE_S
-        if holder is not None and (gone or now_s > holder.until_s):
+        lost = holder is not None and holder.elapsed_s is not None and now_s - holder.elapsed_s > LOST_S
+        if holder is not None and (lost or now_s > holder.until_s):
             self._holder = holder = None
         return holder
 

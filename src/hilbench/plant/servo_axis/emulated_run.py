@@ -121,8 +121,8 @@ def simulate_emulated(
     """
     many = np.atleast_2d(np.ascontiguousarray(parameters))
     believed = lay.pack(bench.stand.axis.model_copy(update={"effects": ()}), bench.stand.load_motor)
-    stands, emulated = _stands(believed, many), _emulated(many)
-    states = np.array([_started(stand, *start) for stand in stands])
+    rigs, emulated = _rigs(believed, many), _emulated(many)
+    states = np.array([_started(stand, *start) for stand in rigs])
     inputs = lay.new_inputs(believed)
     lay.motor_inputs(inputs)[:, loops.IN_MODE] = MotorMode.VELOCITY, MotorMode.TORQUE
     samples = samples_per(bench.cycle_s, believed.item(lay.P_SAMPLE_TIME_S))
@@ -134,7 +134,7 @@ def simulate_emulated(
 
     def run(share: slice) -> None:
         _simulate_rows(
-            stands[share], emulated[share], believed, states[share], inputs.copy(), rows, samples, bench.cycle_s, step,
+            rigs[share], emulated[share], believed, states[share], inputs.copy(), rows, samples, bench.cycle_s, step,
             gain, transition(lead_s), lead_s, steepest, most, out[share],
         )  # fmt: skip
 
@@ -142,17 +142,17 @@ def simulate_emulated(
     return EmulatedRun(out[..., 0], out[..., 1], out[..., 2])
 
 
-def _stands(believed: Vector, many: Vector) -> Vector:
+def _rigs(believed: Vector, many: Vector) -> Vector:
     """Parameters (B, P) of the rig with the models' effects.
 
     Effects that are a share of an inertia are the shares of the model's: the rig has another.
     """
-    stands = np.tile(believed, (len(many), 1))
-    stands[:, _EFFECTS] = many[:, _EFFECTS]
-    stands[:, lay.P_INERTIA] += many[:, _INERTIA] * many[:, lay.P_INERTIA]
+    rigs = np.tile(believed, (len(many), 1))
+    rigs[:, _EFFECTS] = many[:, _EFFECTS]
+    rigs[:, lay.P_INERTIA] += many[:, _INERTIA] * many[:, lay.P_INERTIA]
     for of_model in (_INERTIA, _STEPS, _FED_FORWARD):
-        stands[:, of_model] = 0.0
-    return stands
+        rigs[:, of_model] = 0.0
+    return rigs
 
 
 def _emulated(many: Vector) -> Vector:

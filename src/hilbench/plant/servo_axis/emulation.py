@@ -54,10 +54,10 @@ Matrix = NDArray[np.float64]
 # its own figures; of a shaft on measured motion then those of that, `transition` and `gains` of a cycle, `transition`
 # over the lead, torques of the load motors (M,), and the process image's values and offsets.
 _EMULATED, _REAL, _INPUTS, _FILTERED, _OWN = range(5)
-_MOTION, _WAYS, _POSITIONS, _SPEEDS, _FORWARD, _GAINS, _FORWARD_AHEAD, _TORQUES, _VALUES, _AT = range(5, 15)
+_MOTION, _TRAVELS, _POSITIONS, _SPEEDS, _FORWARD, _GAINS, _FORWARD_AHEAD, _TORQUES, _VALUES, _AT = range(5, 15)
 #: Own figures: its time, the largest possible acceleration; a cycle, and the usual lead of the torques; the elapsed
 #: time where it was another.
-_TIME_S, _MOST_RAD_S2, _CYCLE_S, _LEAD_S, _GONE_S, _OWN_SIZE = range(6)
+_TIME_S, _MOST_RAD_S2, _CYCLE_S, _LEAD_S, _ELAPSED_S, _OWN_SIZE = range(6)
 #: Results of `follow`: nothing to follow; followed; only counted, as elapsed time or lead are not those of a normal
 #: cycle.
 NOTHING, FOLLOWED, ANOTHER_TIME = range(3)
@@ -101,7 +101,7 @@ def _torque_Nm(table: Table, forward: Matrix, lead_s: float, speed_rad_s: float)
 def _follow(late: int, table: Table) -> int:
     if len(table) == 0:
         return NOTHING
-    counted, travels, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
+    counted, travels, x = floats(table, _MOTION, (1,)), floats(table, _TRAVELS, (1,)), floats(table, _POSITIONS, (1,))
     speeds, values, at = floats(table, _SPEEDS, (1,)), floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
     own, torques = floats(table, _OWN, (1,)), floats(table, _TORQUES, (1,))
     x[0], speeds[0] = values[at[0]], values[at[1]]
@@ -110,7 +110,7 @@ def _follow(late: int, table: Table) -> int:
         return NOTHING
     lead_s = ahead_s(counted)
     if duration_s != own[_CYCLE_S] or lead_s != own[_LEAD_S]:
-        own[_GONE_S] = duration_s
+        own[_ELAPSED_S] = duration_s
         return ANOTHER_TIME
     follow_position(floats(table, _FILTERED, (1,)), floats(table, _FORWARD, (1, 2)), floats(table, _GAINS, (1,)), x[0])
     own[_TIME_S] += duration_s
@@ -297,7 +297,7 @@ class ShaftInStep(CompiledInStep):
         if code == NOTHING:
             return HasFollowed.NOT
         if code == ANOTHER_TIME:
-            self._follow_for(self._shaft._own.item(_GONE_S))
+            self._follow_for(self._shaft._own.item(_ELAPSED_S))
         self._shaft._stale = False
         return HasFollowed.ALL
 

@@ -191,11 +191,11 @@ def simulate_emulated(
     n = model.axis_count
     if commands.ndim != 2 or commands.shape[1] != n or np.shape(boundary) != (len(commands), 2):
         raise ValueError(f"commands {commands.shape}, boundary {np.shape(boundary)}, expected (n, {n}) and (n, 2)")
-    stands = stands_of(emulation, model, many)
-    layout = Layout.of(stands[0])
-    starts, followers = _start(layout, stands, many, states, boundary[0])
+    rigs = rigs_of(emulation, model, many)
+    layout = Layout.of(rigs[0])
+    starts, followers = _start(layout, rigs, many, states, boundary[0])
     inputs = rig_inputs(layout, n, layout.motor_states(starts[0])[n:, lay.SM_TORQUE_NM])
-    rows = np.ascontiguousarray(commands * layout.motor_rows(stands[0])[:n, lay.M_RAD_PER_M])
+    rows = np.ascontiguousarray(commands * layout.motor_rows(rigs[0])[:n, lay.M_RAD_PER_M])
     limits = np.ascontiguousarray(boundary, dtype=np.float64)
     samples = samples_per(emulation.cycle_s, many[0, lay.W_SAMPLE_TIME_S])
     of_rig, k = layout.output_size, Layout.of(many[0]).spans
@@ -204,7 +204,7 @@ def simulate_emulated(
 
     def run(share: slice) -> None:
         _simulate_rows(
-            stands[share], starts[share], inputs.copy(), layout.new_work(), many[share], followers[share],
+            rigs[share], starts[share], inputs.copy(), layout.new_work(), many[share], followers[share],
             spans.new_follower_work(Layout.of(many[0])), rows, limits, samples, emulation.cycle_s, lead, out[share],
         )  # fmt: skip
 
@@ -232,26 +232,26 @@ def of_axes(layout: Layout, axes: int, out: Vector) -> tuple[Vector, Vector, Vec
     return x, v, tau
 
 
-def stands_of(emulation: Emulation, model: ModelParameters, many: Vector) -> Vector:
+def rigs_of(emulation: Emulation, model: ModelParameters, many: Vector) -> Vector:
     """Rig parameters (B, P) for models (B, P), with the models' effects on axes and drives."""
-    plain = model.model_copy(update={"effects": ()})
+    without_effects = model.model_copy(update={"effects": ()})
     # Their rotors are included in the model's roller inertia.
     load_motors = [
         coupled.model_copy(update={"motor": coupled.motor.model_copy(update={"inertia_kg_m2": 0.0})})
         for coupled in emulation.load_motors
     ]
-    template = pack_rig(RigParameters.matching(plain, load_motors))
-    stands = np.tile(template, (len(many), 1))
+    template = pack_rig(RigParameters.matching(without_effects, load_motors))
+    rigs = np.tile(template, (len(many), 1))
     layout, of_model, driven = Layout.of(template), Layout.of(many[0]), list(lay.driven_rows(many[0]))
-    for stand, parameters in zip(stands, many, strict=True):
+    for stand, parameters in zip(rigs, many, strict=True):
         layout.axis_rows(stand)[:, lay.A_FIXED :] = of_model.axis_rows(parameters)[driven, lay.A_FIXED :]
         motors = layout.motor_rows(stand)[: layout.axes]
         motors[:] = of_model.motor_rows(parameters)[driven]
         motors[:, lay.M_AXIS] = np.arange(layout.axes)
-    return stands
+    return rigs
 
 
-def _start(layout: Layout, stands: Vector, many: Vector, states: Vector, boundary: Vector) -> tuple[Vector, Vector]:
+def _start(layout: Layout, rigs: Vector, many: Vector, states: Vector, boundary: Vector) -> tuple[Vector, Vector]:
     """States (B, S) of the rigs and of the webs (as of `span_kernel.roll_on`), for states of the models.
 
     `boundary` (2,): upstream strain and downstream tension (N) at the start.
@@ -259,7 +259,7 @@ def _start(layout: Layout, stands: Vector, many: Vector, states: Vector, boundar
     of_model = Layout.of(many[0])
     n, k = of_model.axes, of_model.spans
     starts, followers = np.zeros((len(many), layout.state_size)), np.zeros((len(many), spans.follower_size(of_model)))
-    for stand, start, follower, parameters, state in zip(stands, starts, followers, many, states, strict=True):
+    for stand, start, follower, parameters, state in zip(rigs, starts, followers, many, states, strict=True):
         y = of_model.y(state)
         layout.y(start)[:] = y[: 4 * n]
         follower[1 : 1 + n], follower[1 + n : 1 + n + 2 * k] = y[:n], y[4 * n :]

@@ -30,7 +30,7 @@ Vector = NDArray[np.float64]
     _TORQUES,
     _SHOWN,
     _MOTION,
-    _WAYS,
+    _TRAVELS,
     _POSITIONS,
     _MEASURED_SPEEDS,
     _VALUES,
@@ -49,7 +49,7 @@ def follow(late: int, table: Table) -> int:
     if len(table) == 0:
         return NOTHING
     values, at = floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
-    motion, travels, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
+    motion, travels, x = floats(table, _MOTION, (1,)), floats(table, _TRAVELS, (1,)), floats(table, _POSITIONS, (1,))
     speeds = floats(table, _MEASURED_SPEEDS, (1,))
     take(values, at, x, speeds)
     duration_s = elapsed_s(motion, travels, x, speeds, late != 0)

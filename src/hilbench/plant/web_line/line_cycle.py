@@ -18,7 +18,7 @@ Places = NDArray[np.int64]
 # Rows of the table: those of `line_kernel.pull`, those of the measured motion, zero position offsets (N,), indices of
 # the outputs in the kernel's report and in the integrated quantities, and rows of the reels; room for all outputs; then
 # the process image's values and the offsets in it.
-_MOTION, _WAYS, _POSITIONS, _FURTHER, _COLUMNS, _STATES, _REELS, _SHOWN, _VALUES, _AT = range(
+_MOTION, _TRAVELS, _POSITIONS, _FURTHER, _COLUMNS, _STATES, _REELS, _SHOWN, _VALUES, _AT = range(
     line_kernel.TORQUES + 1, line_kernel.TORQUES + 11
 )
 
@@ -52,7 +52,7 @@ def follow(late: int, table: Table) -> int:
     if len(table) == 0:
         return NOTHING
     values, at = floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
-    motion, travels, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
+    motion, travels, x = floats(table, _MOTION, (1,)), floats(table, _TRAVELS, (1,)), floats(table, _POSITIONS, (1,))
     speeds = floats(table, line_kernel.SPEEDS, (1,))
     take(values, at, x, speeds)
     duration_s = elapsed_s(motion, travels, x, speeds, late != 0)

@@ -16,7 +16,7 @@ from hilbench.compiled import COUNT, CUBE, INDICES, MATRIX, REAL, VECTOR, compil
 from hilbench.plant.sampling import on_all_cores, samples_per
 from hilbench.plant.web_line import kernel, laws, line_follower, places, reels
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.emulation import Emulation, lead_s, of_axes, rig_inputs, stands_of
+from hilbench.plant.web_line.emulation import Emulation, lead_s, of_axes, rig_inputs, rigs_of
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.line_kernel import ACCELERATION_S, gained_m_s, turn
 from hilbench.plant.web_line.offline import Simulation, start_state
@@ -87,11 +87,11 @@ def _run(
             for j in range(len(pushed)):
                 web[places.axis(pushed[j]) + lay.A_FORCE_N] = forces[row - 1, j] + more[j]
             for i in range(n):
-                gone = (out[place + i] - line[lay.S_Y + rows[i]]) / cycle_s
+                mean_m_s = (out[place + i] - line[lay.S_Y + rows[i]]) / cycle_s
                 if row > 1:
-                    a[i] += cycle_s / (cycle_s + ACCELERATION_S) * ((gone - mean[i]) / cycle_s - a[i])
-                mean[i] = gone
-                v[i] = gone - 0.5 * gained_m_s(a[i], cycle_s)
+                    a[i] += cycle_s / (cycle_s + ACCELERATION_S) * ((mean_m_s - mean[i]) / cycle_s - a[i])
+                mean[i] = mean_m_s
+                v[i] = mean_m_s - 0.5 * gained_m_s(a[i], cycle_s)
             turn(web, line, line_u, line_w, rows, v, a, cycle_s, sample_s, step_s)
             for i in range(n):
                 line[lay.S_Y + rows[i]] = out[place + i]
@@ -157,11 +157,11 @@ def simulate_emulated_line(
     sample time.
     """
     many = np.array(np.atleast_2d(parameters))
-    stands = stands_of(emulation, model, many)
-    layout, of_line = Layout.of(stands[0]), Layout.of(many[0])
+    rigs = rigs_of(emulation, model, many)
+    layout, of_line = Layout.of(rigs[0]), Layout.of(many[0])
     starts = np.zeros((len(many), layout.state_size))
     lines = np.array([start_state(one, model) for one in many])
-    for stand, start, one, line in zip(stands, starts, many, lines, strict=True):
+    for stand, start, one, line in zip(rigs, starts, many, lines, strict=True):
         line_follower.hold(one)
         of_line.axis_rows(one)[:, lay.place("backlash", "gap_rad")] = 0.0  # gears are the rig's
         lay.refresh_modes(stand, start)
@@ -182,7 +182,7 @@ def simulate_emulated_line(
 
     def run(share: slice) -> None:
         _simulate(
-            stands[share], starts[share], inputs.copy(), layout.new_work(), many[share], lines[share],
+            rigs[share], starts[share], inputs.copy(), layout.new_work(), many[share], lines[share],
             of_line.new_inputs(), of_line.new_work(), rows, sensor_rows, pulls, at_motors, limits, samples,
             emulation.cycle_s, lead, longest_s, pushed, forces, bases, out[share],
         )  # fmt: skip

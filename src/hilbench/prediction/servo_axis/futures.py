@@ -31,7 +31,7 @@ _LEAST_INERTIA_SHARE: Final = 0.05
 #: Longest step, s.
 _LONGEST_STEP_S: Final = 0.00625
 #: Deviations of its speed from zero within which a shaft counts as at rest.
-_STANDS: Final = 3.0
+_STANDSTILL: Final = 3.0
 
 
 @dataclass(frozen=True)
@@ -182,8 +182,8 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         motor[loops.TORQUE_NM] = motor[loops.COMMAND_NM] = present.torque_Nm
         motor[loops.INTEGRAL_NM] = present.torque_Nm - self._kp * present.error_rad_s
         states = np.tile(state, (self._futures, 1))
-        stands = abs(present.speed_rad_s) <= _STANDS * present.speed_sd_rad_s
+        at_standstill = abs(present.speed_rad_s) <= _STANDSTILL * present.speed_sd_rad_s
         speeds = present.speed_rad_s + present.speed_sd_rad_s * z
-        states[:, lay.S_V] = 0.0 if stands else speeds
+        states[:, lay.S_V] = 0.0 if at_standstill else speeds
         states[:, lay.S_DIRECTION] = np.sign(states[:, lay.S_V])
         return states

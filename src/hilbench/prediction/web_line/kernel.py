@@ -62,7 +62,7 @@ C_STRAIN: Final = 2  #: in the last step
 C_DAMPING_M_S: Final = 3  #: last command of the damping
 C_TRAJECTORY_STRAIN: Final = 4  #: on the set point's trajectory, with its first and second derivative
 C_TRAJECTORY_PER_S: Final = 5
-C_WAY_PER_S2: Final = 6
+C_TRAJECTORY_PER_S2: Final = 6
 C_SHOWN_M_S: Final = 7  #: intended growth rate of the span in the last step
 C_SIZE: Final = 8
 
@@ -83,17 +83,19 @@ def _strain(p: Vector, w: Vector, n: int, m: int, k: int, j: int) -> float:
 
 
 @inlined
-def _go_way(c: Vector, at: int, rate_per_s: float, left: float, goal: float, h: float) -> None:
+def _follow_trajectory(c: Vector, at: int, rate_per_s: float, left: float, goal: float, h: float) -> None:
     """Advance the wanted strain of a span by a step on its trajectory to `goal`: three equal poles, with `left`
     remaining after it."""
     off = c[at + C_TRAJECTORY_STRAIN] - goal
     slope = c[at + C_TRAJECTORY_PER_S] + rate_per_s * off
-    bend = 0.5 * (c[at + C_WAY_PER_S2] + 2.0 * rate_per_s * c[at + C_TRAJECTORY_PER_S] + rate_per_s * rate_per_s * off)
+    bend = 0.5 * (
+        c[at + C_TRAJECTORY_PER_S2] + 2.0 * rate_per_s * c[at + C_TRAJECTORY_PER_S] + rate_per_s * rate_per_s * off
+    )
     off = (off + (slope + bend * h) * h) * left
     sloping = (slope + 2.0 * bend * h) * left
     c[at + C_TRAJECTORY_STRAIN] = goal + off
     c[at + C_TRAJECTORY_PER_S] = sloping - rate_per_s * off
-    c[at + C_WAY_PER_S2] = 2.0 * bend * left - 2.0 * rate_per_s * sloping + rate_per_s * rate_per_s * off
+    c[at + C_TRAJECTORY_PER_S2] = 2.0 * bend * left - 2.0 * rate_per_s * sloping + rate_per_s * rate_per_s * off
 
 
 @inlined
@@ -131,11 +133,11 @@ def _plan(
     for j in range(k, -1, -1):
         here_N = 0.0  # of the web before it
         if j < k and g[row * k + j, G_TRAJECTORY_PER_S] > 0.0:
-            acceleration -= g[row * k + j, G_LENGTH_M] * c[C_SIZE * j + C_WAY_PER_S2]
+            acceleration -= g[row * k + j, G_LENGTH_M] * c[C_SIZE * j + C_TRAJECTORY_PER_S2]
         if j > 0 and g[row * k + j - 1, G_TRAJECTORY_PER_S] > 0.0:
             at = C_SIZE * (j - 1)
             rate_per_s, left = g[row * k + j - 1, G_TRAJECTORY_PER_S], g[row * k + j - 1, _G_TRAJECTORY_LEFT]
-            _go_way(c, at, rate_per_s, left, set_point[i, j - 1] / known[i, j - 1], h)
+            _follow_trajectory(c, at, rate_per_s, left, set_point[i, j - 1] / known[i, j - 1], h)
             here_N = c[at + C_TRAJECTORY_STRAIN] * known[i, j - 1]
         ahead[j] = _lead(leads, j, c, C_SIZE * k + j, acceleration, here_N - pull_N)
         pull_N = here_N

@@ -77,11 +77,11 @@ class TwinMachine(Protocol):
     def keep(self) -> None:
         """Take a checkpoint of the estimate: the cycle time is as assumed. A release does the same."""
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
+    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, in_motion: bool = False) -> bool:
         """Release the machine after the drives were enabled: take over motion and torque of the axes (N,), from two
         cycles in a row.
 
-        `under_way`: they were enabled already when the twin began. False if either measurement is incoherent (of
+        `in_motion`: they were enabled already when the twin began. False if either measurement is incoherent (of
         several instants): nothing is taken over.
         """
 
@@ -163,7 +163,7 @@ class VectorMachine(Protocol):
     """Machine that can run in vectors."""
 
     @property
-    def goes_in_vectors(self) -> bool:
+    def runs_in_vectors(self) -> bool:
         """True if it can do so in its present state."""
 
     def warm_up_in_vectors(self) -> None:

@@ -101,7 +101,7 @@ class ServoAxisTwin:
         """Take a checkpoint, for `set_cycle_time`."""
         self._kept = self._kept[-1], self._estimator.known()
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
+    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, in_motion: bool = False) -> bool:
         """Release the shaft at the real one's position."""
         ((then_rad, _),), ((position_rad, torque_Nm),) = before, now
         speed_rad_s = (position_rad - then_rad) / self._cycle_s
@@ -150,7 +150,7 @@ class ServoAxisTwin:
         self._estimate = self._estimator.miss(self._cycle_s)
 
     @property
-    def goes_in_vectors(self) -> bool:
+    def runs_in_vectors(self) -> bool:
         """True if `in_vectors` covers all of a cycle: not with an FMU, which is foreign code."""
         return not isinstance(self.plant, FmuAxis)
 

@@ -209,7 +209,7 @@ class WebLineTwin:
             self._others.reset()
         self._last_at, self._must_come_back = None, False
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
+    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, in_motion: bool = False) -> bool:
         """Release the web, with the axes' motion and torque."""
         last, positions = self._positions_m(before), self._positions_m(now)
         self._pairing.reset()
@@ -227,7 +227,7 @@ class WebLineTwin:
                 torques if moves else at_rest,
             )
         )
-        known_at_rest = self._known_at_rest and not under_way
+        known_at_rest = self._known_at_rest and not in_motion
         unknown = UNKNOWN_STRAIN if moves else 0.0 if known_at_rest else UNKNOWN_AT_REST
         webs = initial_strains(self._model)
         for each in self._all:
@@ -365,7 +365,7 @@ class WebLineTwin:
         return [found for each in self._all for found in as_effects(each.tracking.errors, self._model, each.span)]
 
     @property
-    def goes_in_vectors(self) -> bool:
+    def runs_in_vectors(self) -> bool:
         """True if `in_vectors` covers all of a cycle: E of every span is estimated, and the model has no
         effects on E."""
         if self._others is not None or self.plant.changes_elasticity or self._must_come_back:

@@ -79,9 +79,9 @@ class SectionWatch:
             if axis in self._seen and {Unknown(Kind.STRAIN, axis), Unknown(Kind.MODULUS, axis)} <= set(unknowns)
         }
         self._carriage_slips = _carriage_slips(model, measured, self._length_m)
-        self.reset(under_way=False)
+        self.reset(in_motion=False)
 
-    def reset(self, *, under_way: bool) -> None:
+    def reset(self, *, in_motion: bool) -> None:
         """Reset for a released web, at rest or running."""
         self._time_s = 0.0
         self._low = dict.fromkeys(self._seen, False)  # in the previous block
@@ -95,7 +95,7 @@ class SectionWatch:
         self._agreed_m = dict.fromkeys(self._seen, 0.0)  # travel of the web since they agree again
         self._is_N: dict[int, float] = {}
         for slip in self._slips.values():
-            slip.reset(under_way=under_way)
+            slip.reset(in_motion=in_motion)
         for of_carriage in self._carriage_slips.values():
             of_carriage.reset()
         self._lengths_m: dict[int, float] = {}  # of the sections with a carriage, at the last evaluation

@@ -46,7 +46,7 @@ _ENDS = {_DONE: WENT_ON, _LOOK: LOOK, _WITHOUT: MISSED}
 
 # Rows of the table; after them those of the span estimators.
 (
-    _WAYS,
+    _TRAVELS,
     _STEADY,
     _FIGURES,
     _SPANS,
@@ -109,7 +109,7 @@ def _measured(table: Places) -> bool:
     steady, figures = floats(table, _STEADY, (1,)), floats(table, _FIGURES, (1,))
     for axis in range(len(x_m)):
         x_m[axis] = measured[_MEASURED_SIZE * axis] * (1.0 / rad_per_m[axis])
-    if not coherent(floats(table, _WAYS, (1,)), x_m, figures[_LEAST_TRAVEL_M]):
+    if not coherent(floats(table, _TRAVELS, (1,)), x_m, figures[_LEAST_TRAVEL_M]):
         steady[sample_coherence.STEADY_MISSED] += 1.0
         return False
     if not increments_steadily(steady, x_m[1]):
@@ -162,7 +162,7 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
     of_passage = floats(table, _OF_PASSAGE, (1,))
     if len(of_passage) > 0:
         block, t = floats(table, _OF_BLOCK, (1,)), floats(table, _OWN + cycle.STATE_ROW, (1,))
-        if not web_splice_tracker.goes_by(of_passage, block, t, _strain(table[_OWN:]), x_m[0]):
+        if not web_splice_tracker.passes(of_passage, block, t, _strain(table[_OWN:]), x_m[0]):
             return PASSAGE
     return _FINISH
 
@@ -354,7 +354,7 @@ class LineInVectors:
     def _go_on_by_objects(self, stage: int) -> int:
         """Run an interpreted stage, then the compiled ones after it."""
         for each in self._estimated:
-            each.tracking.has_gone_on()
+            each.tracking.has_advanced()
         if stage == _UNPAIRED:
             for each in self._estimated:
                 each.tracking.miss()
@@ -374,6 +374,6 @@ class LineInVectors:
     def give(self) -> int:
         """Write back to the objects; see `machine.InVectors`."""
         for each, residual_Nm in zip(self._estimated, self._spans[:, _RESIDUAL_NM].tolist(), strict=True):
-            each.tracking.has_gone_on()
+            each.tracking.has_advanced()
             each.residual_Nm = residual_Nm
         return int(self._outputs.item(_STATUS))

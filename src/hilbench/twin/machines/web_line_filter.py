@@ -39,7 +39,7 @@ _JUMP_SHARE, _SECTION_JUMP_SHARE = 0.2, 0.1
 #: strain. And the relative deviation of E that is added by learning both of them from their product.
 _SHOWN_FROM, _OF_PRODUCT = 0.1, 0.01
 #: Strain of the entering web: at rest, running, and at rest with unknown strain.
-_STRAIN_AT_REST, _STRAIN_UNDER_WAY, _STRAIN_UNKNOWN = 0.02, 0.5, 1.0
+_STRAIN_AT_REST, _STRAIN_IN_MOTION, _STRAIN_UNKNOWN = 0.02, 0.5, 1.0
 #: Of its travel. A running one has its stops as only prior, and so has one whose position its spring will show.
 _CARRIAGE_AT_REST: Final = 0.01
 _USUAL_TRAVEL_M: Final = 1.0  #: of a carriage without stops
@@ -61,10 +61,10 @@ _LEAST_NOISE_SHARE: Final = 1e-3  #: of a window: oscillating idlers are no whit
 #: oscillates; and for how long.
 _SWING_SHARE, _SWING_S = 0.2, 0.05
 #: After a change of the web: of torques and tensions that show it, and for how long; other sensors have none.
-_CHANGE_SWING_SHARE, _CHANGE_SWINGS_S = 0.3, 0.13
+_CHANGE_OSCILLATION_SHARE, _CHANGE_OSCILLATES_S = 0.3, 0.13
 #: The same of torques next to a section with a carriage, which oscillates against its web.
-_KICK_SWING_SHARE, _KICK_SWINGS_S = 1.0, 0.3
-_KICK_SHARE: Final = 0.03  #: of a limit, of these at first
+_TRANSIENT_OSCILLATION_SHARE, _TRANSIENT_OSCILLATES_S = 1.0, 0.3
+_TRANSIENT_SHARE: Final = 0.03  #: of a limit, of these at first
 _INERTIA_SHARE: Final = 0.05  #: of the accelerating torque
 #: Change of a section's strain while a web slips, over that of the entering web.
 _SLIPPING_PER_SQRT_S: Final = 0.2
@@ -73,8 +73,8 @@ _SLIPPING_PER_SQRT_S: Final = 0.2
 _ACCEPTED: Final = 20.0
 _KEPT: Final = 0.5 * _ACCEPTED  #: evidence remaining once more is known, down to which it is kept
 #: Start of the transient detection: the line is released in another state than the real one, and oscillates.
-_KICKS_FROM_S: Final = 0.5
-_KICK_NOISE_SHARE: Final = 1e-3  #: of a limit: other torque noise
+_TRANSIENTS_FROM_S: Final = 0.5
+_TRANSIENT_NOISE_SHARE: Final = 1e-3  #: of a limit: other torque noise
 #: Time for which an uncertain transient is kept, for the strain of its web to show in the next section.
 _MAY_BE_S: Final = 3.0
 #: Deviations of E by which the next section's has to differ, and the error of that, as a share.
@@ -133,7 +133,7 @@ class LineFilter:
         assert loops is not None, "a twin's model has drives"
         self._limits_Nm = [per_item(loops.torque_limit_Nm, axis) for axis in self._axes]
         limits_Nm, of_sensors = np.array(self._limits_Nm), self._sensors.offsets
-        self._least_variances = (_KICK_NOISE_SHARE * limits_Nm) ** 2  # of torques in which transients are searched
+        self._least_variances = (_TRANSIENT_NOISE_SHARE * limits_Nm) ** 2  # of torques in which transients are searched
         self._offsets = np.concatenate([_OFFSET_SHARE * limits_Nm, of_sensors])
         self._shows = np.array([self._shows_in_torques(each) for each in self.sensitivities.unknowns], float)
         self._gains = [per_item(loops.velocity_kp_Nm_s_per_rad, axis) for axis in axes]
@@ -164,14 +164,14 @@ class LineFilter:
         held = {axes_before_spans(model)[carriage.first_span - 1] for carriage in model.carriages}
         self._beside_carriages = np.array([axis in held or axis - 1 in held for axis in self._axes], bool)
         self.begin([0.0] * model.axis_count, 0.0)
-        self._set_kicks()
+        self._set_transients()
 
     def _set_cycle(self, cycle_s: float) -> None:
         self._cycle_s = cycle_s
         self._window = max(round(_WINDOW_S / cycle_s), 1)
         self._response = DriveResponse(self._gains, self._rates, len(self.sensitivities.unknowns) + 1, cycle_s)
 
-    def _set_kicks(self) -> None:
+    def _set_transients(self) -> None:
         """Create the transient detectors for this cycle time."""
         model = self._model
         held = {
@@ -195,7 +195,7 @@ class LineFilter:
         self._response.go_on_from(before)
         self._set_growth()
         self._set_inertia()
-        self._set_kicks()
+        self._set_transients()
         self._may_be.clear()
         self._begin_window()
 
@@ -203,16 +203,16 @@ class LineFilter:
         """Start with the driven rollers (N,) at these positions and this web speed, 0 at rest. Not `known`: the strain
         of a web at rest is unknown."""
         self.sensitivities.reset(positions_m, speed_m_s)
-        under_way = speed_m_s != 0.0 or not known
-        strained = _STRAIN_AT_REST if not under_way else _STRAIN_UNDER_WAY if speed_m_s else _STRAIN_UNKNOWN
-        believed = np.diag([self._believed(each, under_way, strained) ** 2 for each in self.sensitivities.unknowns])
+        in_motion = speed_m_s != 0.0 or not known
+        strained = _STRAIN_AT_REST if not in_motion else _STRAIN_IN_MOTION if speed_m_s else _STRAIN_UNKNOWN
+        believed = np.diag([self._believed(each, in_motion, strained) ** 2 for each in self.sensitivities.unknowns])
         # On a line joined while running, E and strain are separable once its web has been replaced; but after a
         # carriage, which keeps the tension, web enters with a strain that E has made.
-        self._known_from_m = self._web_m if under_way else 0.0
+        self._known_from_m = self._web_m if in_motion else 0.0
         unknown_at_rest = not known and speed_m_s == 0.0
         self._moduli_from_m = _SHOWN_FROM * self._web_m if unknown_at_rest else 0.0
         self._model_share = hypot(_MODEL_SHARE, _OF_PRODUCT if unknown_at_rest else 0.0)
-        identifies = not under_way or not self._model.carriages
+        identifies = not in_motion or not self._model.carriages
         self._identifies_moduli = identifies and any(each.kind is Kind.MODULUS for each in self.sensitivities.unknowns)
         nothing = np.zeros_like(believed)
         common = sqrt(_MODULUS_SHARE**2 - _SECTION_SHARE**2)
@@ -223,10 +223,16 @@ class LineFilter:
         jumps = self._moduli_apart(_JUMP_SHARE, _SECTION_JUMP_SHARE) if self._identifies_moduli else nothing
         self._jumps, self._drifts = jumps[at], drifts[at]
         seen_in_tension = np.concatenate([np.ones(len(self._axes), bool), self._sensors.tensions_N > 0.0])
-        kicked = np.concatenate([self._beside_carriages, np.zeros(len(self._sensors.tensions_N), bool)])
-        swings = np.where(seen_in_tension, np.where(kicked, _KICK_SWING_SHARE, _CHANGE_SWING_SHARE), 0.0)
-        swings_on = np.exp(-self._window * self._cycle_s / np.where(kicked, _KICK_SWINGS_S, _CHANGE_SWINGS_S))
-        swinging = np.concatenate([_KICK_SHARE * self._beside_carriages * self._limits_Nm, 0.0 * self._sensors.offsets])
+        disturbed = np.concatenate([self._beside_carriages, np.zeros(len(self._sensors.tensions_N), bool)])
+        swings = np.where(
+            seen_in_tension, np.where(disturbed, _TRANSIENT_OSCILLATION_SHARE, _CHANGE_OSCILLATION_SHARE), 0.0
+        )
+        swings_on = np.exp(
+            -self._window * self._cycle_s / np.where(disturbed, _TRANSIENT_OSCILLATES_S, _CHANGE_OSCILLATES_S)
+        )
+        swinging = np.concatenate(
+            [_TRANSIENT_SHARE * self._beside_carriages * self._limits_Nm, 0.0 * self._sensors.offsets]
+        )
         rates = np.array([self._rate_per_m(each) for each in self.sensitivities.unknowns])
         self._filter = AugmentedFilter(
             believed + moduli, self._is_modulus, rates, self._offsets, swings, swings_on, swinging
@@ -248,17 +254,17 @@ class LineFilter:
         #: Travel from which on E next to a carriage has changed, or web enters with another strain, or slips.
         self._undecided_from_m = inf
         self._corrected = np.zeros(len(self.sensitivities.unknowns))
-        self._learns_until_s = self._swings_until_s = -inf
+        self._learns_until_s = self._oscillates_until_s = -inf
         self._started = np.zeros_like(self._corrected)
         self._kept = deque([_Kept(-inf, 0.0, self._filter.posterior, self._corrected)])
         self._begin_window()
 
-    def _believed(self, unknown: Unknown, under_way: bool, strained: float) -> float:
+    def _believed(self, unknown: Unknown, in_motion: bool, strained: float) -> float:
         if unknown.kind is Kind.CARRIAGE:
             station = self._model.carriages[unknown.number - 1].station
             ends = (station.lower_stop_m, station.upper_stop_m)
             travel_m = _USUAL_TRAVEL_M if ends[0] is None or ends[1] is None else ends[1] - ends[0]
-            known = not under_way and not self._shows_in_torques(unknown)
+            known = not in_motion and not self._shows_in_torques(unknown)
             return _CARRIAGE_AT_REST * travel_m if known else travel_m / sqrt(12.0)
         if unknown.kind is Kind.STRAIN:
             return self._model.upstream_strain * strained
@@ -296,7 +302,7 @@ class LineFilter:
     @property
     def swings(self) -> bool:
         """True while carriages oscillate after a sudden change of E."""
-        return self._time_s <= self._swings_until_s
+        return self._time_s <= self._oscillates_until_s
 
     def _begin_window(self) -> None:
         self._cycles = 0
@@ -347,7 +353,7 @@ class LineFilter:
         answered = self._response.torques_Nm
         left = (residuals_Nm - answered[:, -1])[self._rows]
         self._noise.update(left)
-        if not limited and self._look_for_kicks(time_s, left):
+        if not limited and self._look_for_transients(time_s, left):
             self._response.step(self._loads)
             self._begin_window()
             return True
@@ -401,7 +407,7 @@ class LineFilter:
         filtered, none = self._filter, np.zeros_like(self._corrected)
         if filtered.has_changed:
             if self._time_s > self._learns_until_s:
-                self._swings_until_s = self._time_s + _KICK_SWINGS_S
+                self._oscillates_until_s = self._time_s + _TRANSIENT_OSCILLATES_S
             self._learn()
         found = self._from_start()
         if self._time_s <= self._learns_until_s:
@@ -442,10 +448,10 @@ class LineFilter:
         self._undecided_from_m = inf
         self._learns_until_s = self._time_s + _LEARNS_S
 
-    def _look_for_kicks(self, time_s: float, left_Nm: Vector) -> bool:
+    def _look_for_transients(self, time_s: float, left_Nm: Vector) -> bool:
         """Search transients in torque residuals (m,); True if one was applied."""
-        if not self._identifies_moduli or self._slips or self._time_s < _KICKS_FROM_S:
-            self._forget_kicks()
+        if not self._identifies_moduli or self._slips or self._time_s < _TRANSIENTS_FROM_S:
+            self._forget_transients()
             return False
         variances = self._least_variances + self._noise.variances
         found = [(place, watch.take(left_Nm, variances)) for place, watch in self._transients]
@@ -508,7 +514,7 @@ class LineFilter:
         jumps[changed, changed] = (factor * transient.deviation) ** 2
         self._apply(changes)
         self._filter.jump(jumps)
-        self._forget_kicks()
+        self._forget_transients()
         self._learn()
 
     def _hand_on(self, axis: int, since_s: float, transient: Transient, changes: Vector) -> None:
@@ -522,7 +528,7 @@ class LineFilter:
             more = -transient.share / (1.0 + transient.share) * line.strain.item(spans[axis - 1][-1])
             changes[self.sensitivities.places[behind]] = self.sensitivities.modulus_factor(axis + 1) * more * gone
 
-    def _forget_kicks(self) -> None:
+    def _forget_transients(self) -> None:
         for _, watch in self._transients:
             watch.reset()
         self._may_be.clear()

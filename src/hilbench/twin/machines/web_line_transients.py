@@ -20,7 +20,7 @@ from hilbench.plant.web_line.sensitivity_model import damped_follower
 #: Steps of E as shares: a stiffer web oscillates faster.
 _SHARES: Final = (-0.5, -0.3, -0.15, 0.15, 0.3, 0.5)
 #: Settling time of the line before the step, simulated duration of its transient; share of its energy that is used.
-_SETTLE_S, _KICK_S, _MOST = 0.9, 0.24, 0.9
+_SETTLE_S, _TRANSIENT_S, _MOST = 0.9, 0.24, 0.9
 
 
 def transient_detector(
@@ -28,9 +28,9 @@ def transient_detector(
 ) -> TransientDetector:
     """Transient detector of the section after an axis; `rows`: indices of usable torques, from 0; `response`: of the
     drives, to one load each."""
-    transients = np.stack([_kick(model, axis, share, cycle_s)[:, rows] / share for share in _SHARES])
-    gone = np.cumsum(np.sum(transients**2, axis=(0, 2)))
-    cycles = int(np.searchsorted(gone, _MOST * gone[-1])) + 1
+    transients = np.stack([_transient(model, axis, share, cycle_s)[:, rows] / share for share in _SHARES])
+    energy = np.cumsum(np.sum(transients**2, axis=(0, 2)))
+    cycles = int(np.searchsorted(energy, _MOST * energy[-1])) + 1
     response.reset()
     loads = []
     for _ in range(cycles):
@@ -39,7 +39,7 @@ def transient_detector(
     return TransientDetector(transients[:, :cycles], _SHARES, np.array(loads))
 
 
-def _kick(model: ModelParameters, axis: int, share: float, cycle_s: float) -> Vector:
+def _transient(model: ModelParameters, axis: int, share: float, cycle_s: float) -> Vector:
     """Torques (cycles, N) of a line at rest after a step of E, less those of a twin following its motion."""
     pair = _Pair(model, cycle_s)
     for _ in range(round(_SETTLE_S / cycle_s)):
@@ -49,7 +49,7 @@ def _kick(model: ModelParameters, axis: int, share: float, cycle_s: float) -> Ve
         if of == axis:
             pair.line.set_parameter(f"span{span}.youngs_modulus_Pa", (1.0 + share) * model.youngs_modulus_Pa(span))
     found = []
-    for _ in range(round(_KICK_S / cycle_s)):
+    for _ in range(round(_TRANSIENT_S / cycle_s)):
         found.append(pair.torques_Nm - before)
         pair.step()
     return np.array(found)

@@ -95,7 +95,7 @@ class LineWithStationsTwin:
         self.plant.lock_to(cycle_s)
         self._unknowns.set_cycle_time(cycle_s)
         self._set_cycle(cycle_s)
-        self._watch.reset(under_way=True)
+        self._watch.reset(in_motion=True)
         self._missed = 0
 
     def keep(self) -> None:
@@ -114,11 +114,11 @@ class LineWithStationsTwin:
     def reset(self) -> None:
         """Reset, at rest."""
         self.synchronized = False
-        self._watch.reset(under_way=False)
+        self._watch.reset(in_motion=False)
         self._positions_m = None
         self._residuals_Nm = [0.0] * len(self.ports)
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, under_way: bool = False) -> bool:
+    def release(self, before: Sequence[Measured], now: Sequence[Measured], *, in_motion: bool = False) -> bool:
         """Release the web, with the axes' motion and torque."""
         last, positions = self._at_web(before), self._at_web(now)
         self._pairing.reset()
@@ -129,8 +129,8 @@ class LineWithStationsTwin:
         self._pairing.update(*last)
         self._positions_m, self._missed = positions, 0
         moves = max(abs(x - then) for x, then in zip(positions, last, strict=True)) > 1e-3 * self._cycle_s
-        known = not moves and (not self._shows_at_rest or (self._known_at_rest and not under_way))
-        self._watch.reset(under_way=not known)
+        known = not moves and (not self._shows_at_rest or (self._known_at_rest and not in_motion))
+        self._watch.reset(in_motion=not known)
         self._unknown_m = 0.0 if known else self._web_m
         self.synchronized = known
         speeds = [(x - then) / self._cycle_s if moves else 0.0 for x, then in zip(positions, last, strict=True)]
@@ -149,7 +149,7 @@ class LineWithStationsTwin:
         positions = self._at_web(measured)
         if self._positions_m is None:
             return False
-        if not self._pairing.update(*positions) or not self._gone:
+        if not self._pairing.update(*positions) or not self._elapsed_cycles:
             self._go_on_without()
             return False
         if not self._missed:
@@ -157,7 +157,7 @@ class LineWithStationsTwin:
         self._unknowns.sensitivities.set_boundary(
             self._boundary_inputs("strain_prev"), self._boundary_inputs("F_next_N")
         )
-        self._unknowns.follow(positions, self._gone * self._cycle_s)
+        self._unknowns.follow(positions, self._elapsed_cycles * self._cycle_s)
         self._let_out(abs(positions[-1] - self._positions_m[-1]))
         self._positions_m, self._missed = positions, 0
         self._look_for_breaks(time_s, positions, [torque for _, torque in measured])
@@ -207,9 +207,9 @@ class LineWithStationsTwin:
         return [position * metres for (position, _), metres in zip(measured, self._per_rad, strict=True)]
 
     @property
-    def _gone(self) -> int:
+    def _elapsed_cycles(self) -> int:
         """Cycles from the last followed motion to the present measurement."""
-        return self._pairing.gone if isinstance(self._pairing, OwnIncrements) else self._missed + 1
+        return self._pairing.elapsed if isinstance(self._pairing, OwnIncrements) else self._missed + 1
 
     def miss(self) -> None:
         """Skip a cycle without measurement."""

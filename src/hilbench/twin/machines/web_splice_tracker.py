@@ -32,7 +32,7 @@ _JOINTS, _CYCLE, _EVERY, _SEEMING, _STRAIN = range(5)
 
 
 @compiled
-def goes_by(s: Vector, block: Vector, t: Vector, strain: float, before_m: float) -> bool:
+def passes(s: Vector, block: Vector, t: Vector, strain: float, before_m: float) -> bool:
     """Run `SpliceTracker.update` of a cycle without result or checkpoint; False, and nothing done, otherwise. s: state
     of the splice tracker, block: that of its finder; t: of the first span's estimator, strain: as measured there,
     before_m: position of the roller before it."""
@@ -92,7 +92,7 @@ class SpliceTracker:
 
     @property
     def vectors(self) -> tuple[Vector, Vector]:
-        """States of the tracker and of its finder, for compiled callers of `goes_by`."""
+        """States of the tracker and of its finder, for compiled callers of `passes`."""
         return self._state, self._finder.state
 
     def reset(self) -> None:
@@ -169,7 +169,7 @@ class SpliceTracker:
     def _hand_on(self, span: _Span, behind: _Span | None, before_m: float, behind_m: float) -> None:
         """Move joints that have passed a span to the next one; a span filled by the new web takes its E."""
         stretch, unstretched_m = 1.0 + span.tracking.span.strain, span.tracking.span.unstretched_m
-        gone = []
+        passed = []
         for inside in span.joints:
             joint = inside.joint
             beyond_m = (before_m - joint.front_m) / stretch - unstretched_m
@@ -180,9 +180,9 @@ class SpliceTracker:
                     behind.put()
                 if isinf(joint.length_m):
                     span.tracking.become(joint.relative_change)
-                    gone.append(inside)
+                    passed.append(inside)
             if beyond_m >= joint.length_m:
-                gone.append(inside)
-        if gone:
-            span.joints = [inside for inside in span.joints if inside not in gone]
+                passed.append(inside)
+        if passed:
+            span.joints = [inside for inside in span.joints if inside not in passed]
             span.put()
