@@ -82,7 +82,7 @@ class OnPlantTime:
         self._kept = np.empty((0, self._width))  # last rows, of these cycles of the plant:
         self._kept_cycles = np.empty(0, np.int64)
         self._last_row: Array | None = None  # last row, whenever it was measured
-        self._more = 0  # cycles that the plant has gone, less those that the bench has counted
+        self._more = 0  # cycles of the plant less those that the bench has counted
         self._way: Array | None = None  # of a cycle
         self._odd = 0
 
@@ -141,7 +141,7 @@ class OnPlantTime:
                 np.append(begin - 1, cycle),
                 np.append(-1, at),
             )
-        # What the bench said last, in whichever row.
+        # The bench's last report, in whichever row.
         held = np.searchsorted(np.maximum.accumulate(cycle), cycles, side="right") - 1
         result, syncs = last_rows[held], first_sync + at[held]
         if not np.all(in_time):
@@ -160,7 +160,7 @@ class OnPlantTime:
 
 
 def _straight(at: Cycles, values: Array) -> Callable[[Cycles], Array]:
-    """From value to value."""
+    """Linear interpolation of values."""
     return lambda places: np.interp(places, at, values)
 
 
@@ -170,7 +170,7 @@ def _curve(at: Cycles, values: Array) -> Callable[[Cycles], Array]:
 
 
 def _nearly(measured: Rows) -> Rows:
-    """With the cycles that are bridged."""
+    """Rows that are measured, or in a gap short enough to be bridged."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], ~measured, [False]]))).reshape(-1, 2)
     found = measured.copy()
     for first, end in edges:

@@ -51,10 +51,8 @@ LONGEST_S = 1e6
 
 @dataclass(frozen=True)
 class Permitted:
-    """Values that a quantity may have: finite numbers from `lower` to `upper` (inclusive), in `unit` ("1": a ratio).
-
-    As text it says what was expected: ``a number from 0 to 100000 N``.
-    """
+    """Permitted values of a quantity: finite numbers from `lower` to `upper` (inclusive), in `unit` ("1": a ratio).
+    As text it states what was expected: ``a number from 0 to 100000 N``."""
 
     lower: float
     upper: float
@@ -62,7 +60,7 @@ class Permitted:
     only_ends: bool = False  #: a switch: `lower` or `upper`, nothing between
 
     def holds(self, value: object) -> bool:
-        """Whether `value` is one of them. Texts are none, and truth values only where there is a switch."""
+        """True if `value` is permitted. Texts are not, and truth values only where there is a switch."""
         number = _number(value, truth=self.only_ends)
         if number is None or not self.lower <= number <= self.upper:
             return False
@@ -129,7 +127,7 @@ def span_of_set_point(path: str) -> str | None:
 
 
 def fits_fast_path(path: str) -> bool:
-    """Whether a quantity is none of an effect, whatever the machine."""
+    """True if a quantity does not belong to an effect, whatever the machine."""
     if path in _PLAIN or _NUMBERED_SET_POINT.fullmatch(path) is not None:
         return True
     return numbered.is_modulus(path) or position_quantity(path) != ""
@@ -149,10 +147,8 @@ class EffectPath:
 
 @cache
 def parse_effect_path(text: str, kind: MachineKind | None = None) -> EffectPath:
-    """Take ``load|hardware.effects.ID[.axisN|.spanN].PARAMETER`` apart, as a kind of machine has it (None: any).
-
-    Which axes and sections there are the bench says (`path_problem`). Raises ValueError that says what is wrong.
-    """
+    """Parse ``load|hardware.effects.ID[.axisN|.spanN].PARAMETER`` for a kind of machine (None: any). The bench
+    checks axes and sections (`path_problem`). Raises ValueError that states what is wrong."""
     if kind is not None:
         return _parsed(text, kind)
     try:
@@ -196,7 +192,7 @@ def _parsed(text: str, kind: MachineKind) -> EffectPath:
 
 
 def _expected(text: str) -> str:
-    """What is expected in the place of a text that is no path: what is nearest to it, else all that there is."""
+    """Text of what is expected in place of one that is no path: the nearest path, else all paths."""
     station = text.split(".")[1] if re.fullmatch(r"position_control\.[A-Za-z]\w*(\..*)?", text) else "NAME"
     further = positions((station,), (station,))
     near = closest(text, [*PLAIN_PATHS, *further, *all_paths()], _MOST_NEAR)
