@@ -35,7 +35,7 @@ def panel(config: BenchConfig) -> Panel:
 
 
 def settled(config: BenchConfig, names: Sequence[str], first: Array, last: Array) -> bool:
-    """Whether the web has run through the line often enough between two samples."""
+    """True if the web has run through the line often enough between two samples."""
     at = names.index(f"x{config.shape.axes}_m")
     lengths_m = sum(config.web_line.span_length_m(span) for span in range(1, config.shape.spans + 1))
     return bool(abs(last[at] - first[at]) > _TIMES * lengths_m)
