@@ -41,7 +41,7 @@ class BenchWatch:
         if frame.can_id == SYNC:
             self._sync_s = now_s
             if self._ended is Condition.ENDED:
-                self._ended = None  # another master started nodes: the bench goes on
+                self._ended = None  # another master released nodes: the bench goes on
         elif frame.can_id == EMERGENCY_STOP_COB_ID:
             self._ended = Condition.EMERGENCY_STOP
         elif frame.can_id == NMT and len(frame.data) == 2:

@@ -164,8 +164,7 @@ class CoresConfig(Block):
 
 
 class RealtimeConfig(Block):
-    """Settings that the processes ask of the operating system at pace `realtime`; what is not permitted is a
-    warning."""
+    """Settings asked of the operating system at pace `realtime`; what is not permitted is a warning."""
 
     priority: int | None = Field(
         default=None,
