@@ -63,9 +63,10 @@ def examine(
     groups: Collection[str] = (),
     on_result: Callable[[CaseResult], None] = lambda _result: None,
 ) -> list[CaseResult]:
-    """Run every case, or those of some groups; `on_result` is called with each as it ends. Raises BenchFaultError
-    when the device does not answer at the beginning, or is lost between two cases; UnusableInputError for a drive
-    with power.
+    """Run every case, or those of some groups; `on_result` is called with each as it ends.
+
+    Raises BenchFaultError when the device does not answer at the beginning, or is lost between two cases;
+    UnusableInputError for a drive with power.
     """
     _check_ready(dut)
     try:

@@ -159,8 +159,10 @@ def acyclic(dut: DeviceUnderTest, state: NmtCommand) -> None:
 
 
 def start_value(dut: DeviceUnderTest, state: NmtCommand) -> None:
-    """SYNC start value with the SYNC counter: every second one from 4 on. 4 counts as the first that is received;
-    whether the first or the second of each two is answered is not decided."""
+    """SYNC start value with the SYNC counter: every second one from 4 on.
+
+    4 counts as the first that is received; whether the first or the second of each two is answered is not decided.
+    """
     pdo = transmit_pdo(dut)
     dut.needs_to_write((0x1019, 0))
     if dut.eds.can_write(0x1006) and dut.value(0x1006):

@@ -40,9 +40,10 @@ class Wire(Protocol):
 
 
 class LinkWire:
-    """A bus of this machine, in real time. Raises BusError when the bus is lost. `asked_to_end` is polled while
-    frames are waited for; the first time that it is true, KeyboardInterrupt is raised, so that the cleanup after it
-    is undisturbed.
+    """A bus of this machine, in real time.
+
+    Raises BusError when the bus is lost. `asked_to_end` is polled while frames are waited for; the first time that it
+    is true, KeyboardInterrupt is raised, so that the cleanup after it is undisturbed.
     """
 
     def __init__(self, link: Link, asked_to_end: Callable[[], bool] = lambda: False) -> None:

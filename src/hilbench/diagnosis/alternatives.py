@@ -60,8 +60,9 @@ class Alternatives:
         dict[Key, list[Place]],
         dict[Key, dict[str, float]],
     ]:
-        """Test each term against its alternatives: the fit, what is tied with each term, and the evidence. When a
-        term turns out to be superfluous, or something else explains more, everything is tested again from there:
+        """Test each term against its alternatives: the fit, what is tied with each term, and the evidence.
+
+        When a term turns out to be superfluous, or something else explains more, everything is tested again from there:
         the evidence of each term is conditional on the others.
         """
         tied: dict[Key, list[Place]] = {}

@@ -527,8 +527,10 @@ def _named(model: Machine, found: _Found, one: int, problem: _Problem, chosen: l
 
 
 def _left_out_of_the_torque(term: Term, then: Array, change: Array) -> list[str]:
-    """Effects of the torque's measurement that make most of this one vanish by their law: feed-forward. Their
-    response is that of the force they leave out, so no regression separates them from it."""
+    """Effects of the torque's measurement that make most of this one vanish by their law: feed-forward.
+
+    Their response is that of the force they leave out, so no regression separates them from it.
+    """
     whole = float(then[0]) + (1.0 if term.effect.domain is Domain.INERTIA else 0.0)
     sizes = sorted((abs(whole), abs(whole + float(change[0]))))
     if term.has_phase or sizes[0] > _VANISHED * sizes[1]:

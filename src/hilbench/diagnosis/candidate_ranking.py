@@ -60,9 +60,10 @@ def in_order(offers: list[Offer], as_simple: Collection[str] = ()) -> list[Offer
 
 
 def _is_preferred(other: Offer, offer: Offer) -> bool:
-    """True if another explanation that leaves as much is preferred. The simple one; then the one that changes less
-    of what the present terms explain; then the one that is less unusual on such a machine; then the first in the
-    table.
+    """True if another explanation that leaves as much is preferred.
+
+    The simple one; then the one that changes less of what the present terms explain; then the one that is less unusual
+    on such a machine; then the first in the table.
     """
     if other.term.effect.removable != offer.term.effect.removable:
         return not other.term.effect.removable
@@ -73,9 +74,10 @@ def _is_preferred(other: Offer, offer: Offer) -> bool:
 
 
 def is_beside_a_whole_order(offer: Offer, whole: list[tuple[Term, float]]) -> bool:
-    """True if a whole order explains nearly as much as this one that is not. whole: terms of whole orders, and what
-    each explains with a phase of its own in every stretch, even if with one phase it explains too little to be
-    offered: then an order near it is not offered either.
+    """True if a whole order explains nearly as much as this one that is not.
+
+    whole: terms of whole orders, and what each explains with a phase of its own in every stretch, even if with one
+    phase it explains too little to be offered: then an order near it is not offered either.
     """
     return not offer.term.held and any(
         other.key == offer.term.key and explained >= WHOLE * offer.in_stretches for other, explained in whole

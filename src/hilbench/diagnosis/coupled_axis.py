@@ -35,8 +35,9 @@ def untold_beside(predictor: Predictor, model: Machine) -> tuple[Effect, ...]:
 
 
 def proposer_for(predictor: Predictor, model: Machine, data: Measured, without: Collection[str] = ()) -> Proposer:
-    """Proposer of effects that are identifiable by a prediction; without: effects that are not looked for. With
-    another axis coupled, gravity is looked for in any arc: else it is taken for one of the torques that go with
+    """Proposer of effects that are identifiable by a prediction; without: effects that are not looked for.
+
+    With another axis coupled, gravity is looked for in any arc: else it is taken for one of the torques that go with
     both.
     """
     untold = untold_beside(predictor, model)

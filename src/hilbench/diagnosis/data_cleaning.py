@@ -1,7 +1,8 @@
 """Data cleaning: faults in a recording's rows that are no reason to refuse it are repaired, left out, and reported.
-Rows out of order are sorted, repeated ones dropped, missing ones filled in and left out of every comparison,
-counters that wrap are unwrapped, samples that are no number, frozen or saturated at the end of a sensor's range are
-left out. What can't be repaired without guessing is refused, in one line.
+
+Rows out of order are sorted, repeated ones dropped, missing ones filled in and left out of every comparison, counters
+that wrap are unwrapped, samples that are no number, frozen or saturated at the end of a sensor's range are left out.
+What can't be repaired without guessing is refused, in one line.
 """
 
 from __future__ import annotations

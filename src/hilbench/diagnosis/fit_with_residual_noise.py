@@ -38,9 +38,10 @@ def weights(space: Space, terms: list[Term]) -> Whitening:
 
 
 def uncertainty_of(space: Space, found: Fit, rows: NDArray[np.bool_] | None = None) -> Uncertainty:
-    """Uncertainty of a fit's coordinates, with its residual as noise; rows (n,) of the fit, by default all that
-    count. A resonance is identified by few frequencies, at which slightly different friction or inertia look alike:
-    there it counts by what the prediction may be off.
+    """Uncertainty of a fit's coordinates, with its residual as noise; rows (n,) of the fit, by default all that count.
+
+    A resonance is identified by few frequencies, at which slightly different friction or inertia look alike: there it
+    counts by what the prediction may be off.
     """
     rows = space.predictor.rows if rows is None else rows
     derivatives = space.point(found.terms, found.residual).derivatives[..., rows]

@@ -190,7 +190,9 @@ def required_Nm(
     out: Array,
     presliding: float = 0.0,
 ) -> None:
-    """Torque (n,) that a motion (n,) of a lone axis needs, into `out`: as its drive reports it. presliding:
-    displacement over which dry friction turns over after a reversal, in the machine's unit."""
+    """Torque (n,) that a motion (n,) of a lone axis needs, into `out`: as its drive reports it.
+
+    presliding: displacement over which dry friction turns over after a reversal, in the machine's unit.
+    """
     law = shaft_torque_Nm if isinstance(model, ServoAxisParameters) else required_torque_Nm
     law(parameters, x, v, a, period_s, out, presliding)

@@ -207,10 +207,11 @@ class OnMeasuredMotion:
         return result
 
     def _driving_motion(self) -> Motion:
-        """Motion from which the torque is predicted. With a coupled axis, whose torques nearly cancel the joint's
-        own, it has all that the filter takes, so that its torque passes one filter as the measured torque does.
-        Elsewhere it is the filtered motion, in which what is near the corner hardly shows: else a loop's answer to
-        a ripple there is taken for a torque that is late.
+        """Motion from which the torque is predicted.
+
+        With a coupled axis, whose torques nearly cancel the joint's own, it has all that the filter takes, so that its
+        torque passes one filter as the measured torque does. Elsewhere it is the filtered motion, in which what is near
+        the corner hardly shows: else a loop's answer to a ripple there is taken for a torque that is late.
         """
         if self._filtered_once:
             return self._filter.driving(self._data.x_m[1])
@@ -372,8 +373,9 @@ class OnMeasuredMotion:
         return result
 
     def doubts(self, parameters: Array) -> Array:
-        """(shapes, 1, n): errors of a right prediction in addition to noise, each to one standard deviation. A
-        rigid inertia that the model has not, a torque that is read some time within a row, what the filter takes
+        """(shapes, 1, n): errors of a right prediction in addition to noise, each to one standard deviation.
+
+        A rigid inertia that the model has not, a torque that is read some time within a row, what the filter takes
         twice of a motion near its corner, and how friction turns over.
         """
         here = self._required(parameters)[0]

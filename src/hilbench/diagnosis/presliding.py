@@ -1,6 +1,7 @@
 """Presliding: displacement over which an axis's dry friction turns over after a reversal, from motion and torque.
-Before friction slides it is a spring. Where that displacement shows, what happens at reversals is one law, and
-friction read far from them alone is not mistaken for one that grows with the speed.
+
+Before friction slides it is a spring. Where that displacement shows, what happens at reversals is one law, and friction
+read far from them alone is not mistaken for one that grows with the speed.
 """
 
 from __future__ import annotations

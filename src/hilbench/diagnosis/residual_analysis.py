@@ -91,8 +91,9 @@ def located(
     names: tuple[str, ...], scaled: Array, rows: NDArray[np.bool_], conditions: list[Condition], most: int
 ) -> list[tuple[Misfit, float]]:
     """Locate residuals (signals, n), with the share of all that is beyond noise; at most `most`, largest first.
-    Conditions go together (time, speed, tension): what the first explains is taken out before the next is looked
-    for, so that the shares are parts of one whole.
+
+    Conditions go together (time, speed, tension): what the first explains is taken out before the next is looked for,
+    so that the shares are parts of one whole.
     """
     residual = scaled.copy()
     counted = float(np.count_nonzero(rows))

@@ -80,8 +80,10 @@ class MeasuredSearch:
         self._rows = space.predictor.rows
 
     def run(self) -> Selection:
-        """Add what explains more than a small share, the simple first; then drop what is not certain given all
-        others. With a gross error of the model nothing is certain, so that comes last."""
+        """Add what explains more than a small share, the simple first; then drop what is not certain given all others.
+
+        With a gross error of the model nothing is certain, so that comes last.
+        """
         current = self._fitted([])
         offered = self._offered(current)
         for depth in range(_MOST_TERMS):
@@ -152,8 +154,9 @@ class MeasuredSearch:
 
     def _searched(self, current: Fit, white: Whitening) -> list[Term]:
         """Orders and frequencies from the residual's spectrum, as it is and whitened, in addition to those present.
-        Where a turn is resolved the nearest whole number of times a turn is offered as well: rotating parts have
-        such orders, and a drive's loop that answers in another phase in each direction splits their peak.
+
+        Where a turn is resolved the nearest whole number of times a turn is offered as well: rotating parts have such
+        orders, and a drive's loop that answers in another phase in each direction splits their peak.
         """
         found: list[Term] = []
         beside = without_side_bands(self._space, current, self._side_bands(current))
@@ -260,8 +263,10 @@ class MeasuredSearch:
         return problem.gain_unseen_in_phase(mine, group)
 
     def _is_as_good_a_wave(self, other: Term, gain: float, wave: Term, its: float) -> bool:
-        """True if a simpler wave of the same order explains nearly as much when phases are free. A loop that
-        answers in another phase in each direction makes a wave look like one that goes with the torque."""
+        """True if a simpler wave of the same order explains nearly as much when phases are free.
+
+        A loop that answers in another phase in each direction makes a wave look like one that goes with the torque.
+        """
         if not wave.has_phase or RANK[other.effect.id] >= RANK[wave.effect.id]:
             return False
         return (

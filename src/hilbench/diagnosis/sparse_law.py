@@ -66,7 +66,9 @@ class _Candidate:
 
 def law(signal: str, residual: Array, conditions: Sequence[Condition], train: Rows, test: Rows) -> SparseLaw | None:
     """Law of a residual (n,), N·m, over the states of `conditions`; None where none holds on the rows of `test`.
-    Fitted on the rows of `train` (n,); the offset is no part of it: it is fitted with every law and not reported."""
+
+    Fitted on the rows of `train` (n,); the offset is no part of it: it is fitted with every law and not reported.
+    """
     library = [one for one in _library(conditions) if _usable(one.values, train)]
     offset = np.ones(len(residual))
     chosen: list[_Candidate] = []

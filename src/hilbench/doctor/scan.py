@@ -67,8 +67,9 @@ def scan(
     ask: bool = True,
 ) -> Scan:
     """Listen for `listen_s`, then ask every node id, unless another master is at work there or `ask` is false.
-    `bitrate` (bit/s): answers are waited for until a bus of that rate has carried them. `claimed_by`: the program
-    that has claimed to be the master. Raises BusError when the bus is lost.
+
+    `bitrate` (bit/s): answers are waited for until a bus of that rate has carried them. `claimed_by`: the program that
+    has claimed to be the master. Raises BusError when the bus is lost.
     """
     frames = receive_for(link, listen_s)
     received = sort_by_node(frames)

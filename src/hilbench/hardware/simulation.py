@@ -36,9 +36,10 @@ _OVERDUE = 1.5
 
 
 class RigApplication:
-    """SYNC handler of the hardware: the drives take their set points, then the rig advances. `time` gives the
-    number of sample times of the drives' loops; the drives read their set points at least once in every cycle of
-    the config.
+    """SYNC handler of the hardware: the drives take their set points, then the rig advances.
+
+    `time` gives the number of sample times of the drives' loops; the drives read their set points at least once in
+    every cycle of the config.
     """
 
     listens_to: frozenset[int] = frozenset()

@@ -36,8 +36,10 @@ _PLACES: Final = ("phase_rad", "time_s", "duration_s")
 
 
 def remember(folder: RunFolder) -> Path | None:
-    """Add a run's findings to the history of its stand; returns the file, None where nothing was found. Raises
-    UnusableInputError for a folder that can't be read, or a history that can't be written."""
+    """Add a run's findings to the history of its stand; returns the file, None where nothing was found.
+
+    Raises UnusableInputError for a folder that can't be read, or a history that can't be written.
+    """
     config = load(folder.config)[0]
     found = list(entries_of(folder, config))
     if not found:
@@ -48,8 +50,11 @@ def remember(folder: RunFolder) -> Path | None:
 
 
 def rebuild(path: Path, stand: str | None, runs: Path) -> tuple[int, list[str]]:
-    """Make a history, or one stand's part of it, from the run folders in `runs`. Returns the number of its entries,
-    and a line for each folder that could not be read. Raises UnusableInputError for no folder `runs`."""
+    """Make a history, or one stand's part of it, from the run folders in `runs`.
+
+    Returns the number of its entries, and a line for each folder that could not be read. Raises UnusableInputError for
+    no folder `runs`.
+    """
     if not runs.is_dir():
         raise UnusableInputError(runs, "no such folder, expected that in which the run folders are")
     entries: list[Entry] = []

@@ -22,7 +22,9 @@ _AHEAD: Final = 0.5
 @dataclass(frozen=True)
 class QuantityTrend:
     """A quantity as the runs of a stand found it, in the order of time, and its trend (None: not yet possible).
-    Days count from `first_time_s`, s since 1970."""
+
+    Days count from `first_time_s`, s since 1970.
+    """
 
     name: str
     unit: str

@@ -264,8 +264,10 @@ class _Average:
         self._chosen = self._search()
 
     def _search(self) -> list[int]:
-        """Find the changes that are certain, one after the other, then each again given the others. One whose kind
-        is not (the last run is off: will it stay so?) is left to the average."""
+        """Find the changes that are certain, one after the other, then each again given the others.
+
+        One whose kind is not (the last run is off: will it stay so?) is left to the average.
+        """
         chosen: list[int] = []
         while len(chosen) < _MOST_CHANGES:
             found = self._most_probable(chosen)

@@ -1,5 +1,7 @@
-"""State of a bench by the frames on its bus; fed by a listener, sends nothing. No outdated value is shown: while
-the bench does not run, and of a silent node, there is none."""
+"""State of a bench by the frames on its bus; fed by a listener, sends nothing.
+
+No outdated value is shown: while the bench does not run, and of a silent node, there is none.
+"""
 
 from __future__ import annotations
 

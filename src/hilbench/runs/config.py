@@ -144,6 +144,7 @@ def _named_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...
 
 def dump(config: BenchConfig, path: Path) -> None:
     """Write the resolved config, every default spelled out; `load` reads it back to a config that does the same.
+
     Tables and Python files of its steps are copied next to it, so that the folder is complete. Raises
     UnusableInputError when it cannot be written.
     """
@@ -203,8 +204,10 @@ def load_with_overrides(
     seed: int | None = None,
     changes: Sequence[str] = (),
 ) -> LoadedConfig:
-    """`load` with command-line overrides: `changes` are texts ``machine.web.width_m=0.6``. Raises
-    UnusableInputError that names the file and line, or the option."""
+    """`load` with command-line overrides: `changes` are texts ``machine.web.width_m=0.6``.
+
+    Raises UnusableInputError that names the file and line, or the option.
+    """
     document = read_document(path)
     for text in changes:
         option, (location, value) = f"--set {text}", parse_change(text)

@@ -38,8 +38,10 @@ def write_value(path: Path, location: Sequence[str], value: Any) -> Path:
 
 
 def edited(text: str, location: Sequence[str], value: Any, place: str | Path) -> str:
-    """YAML text with another value at a location, mappings made where there are none; all else is unchanged. Raises
-    UnusableInputError, at `place`, where a value on the path is no mapping."""
+    """YAML text with another value at a location, mappings made where there are none; all else is unchanged.
+
+    Raises UnusableInputError, at `place`, where a value on the path is no mapping.
+    """
     root = yaml.compose(text, yaml.SafeLoader)
     node, done = root, 0
     while isinstance(node, yaml.MappingNode) and done < len(location):

@@ -89,10 +89,11 @@ Verdict = Literal["passed", "marginal", "failed", "error"]
 
 
 class CriterionResult(Strict):
-    """Verdict on one criterion. `value` is None where the run has no such value, and `reason` states why: an
-    *error*, which, other than a failure, is no statement on what was tested; with `never`, the awaited event did
-    not come: a failure. With a value `reason` states what was not judged. `step`: which step of the run the value
-    is of.
+    """Verdict on one criterion.
+
+    `value` is None where the run has no such value, and `reason` states why: an *error*, which, other than a failure,
+    is no statement on what was tested; with `never`, the awaited event did not come: a failure. With a value `reason`
+    states what was not judged. `step`: which step of the run the value is of.
     """
 
     name: str

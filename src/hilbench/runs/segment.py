@@ -44,9 +44,10 @@ class UnknownFigureError(Exception):
 
 
 class Segment:
-    """Signals from one step to the next event, and the figures they show; UnknownFigureError states why there is
-    none. `part`: its samples within `channels` (by signal, of equal length); `event`: the step, None for a working
-    window; `marks`: what else happened, in order of time.
+    """Signals from one step to the next event, and the figures they show; UnknownFigureError states why there is none.
+
+    `part`: its samples within `channels` (by signal, of equal length); `event`: the step, None for a working window;
+    `marks`: what else happened, in order of time.
     """
 
     def __init__(self, channels: Channels, part: slice, event: Event | None, marks: Sequence[Event] = ()) -> None:
@@ -155,8 +156,10 @@ class Segment:
 
 @dataclass(frozen=True)
 class Metric:
-    """Meaning of a metric's number: its unit, why a run may not have it, and how a segment shows it. `figure` is
-    None for what is counted of the whole run; `judged` selects the segments that have a figure."""
+    """Meaning of a metric's number: its unit, why a run may not have it, and how a segment shows it.
+
+    `figure` is None for what is counted of the whole run; `judged` selects the segments that have a figure.
+    """
 
     unit: str
     description: str

@@ -173,7 +173,9 @@ def parse_axis(text: str) -> Axis:
 
 def points(axes: Sequence[Axis], samples: int | None, seed: int) -> list[dict[str, str]]:
     """Changes of each run: the grid of all lists, each with `samples` points of the ranges (Latin hypercube).
-    Raises UnusableInputError for ranges without a number of samples, or the other way round."""
+
+    Raises UnusableInputError for ranges without a number of samples, or the other way round.
+    """
     lists = [axis for axis in axes if axis.values]
     ranges = [axis for axis in axes if not axis.values]
     if bool(ranges) != (samples is not None):

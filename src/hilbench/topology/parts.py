@@ -96,9 +96,10 @@ class Role(Enum):
 
 @dataclass(frozen=True)
 class Part:
-    """A node of the bench with its place in the topology. `name` is its name in messages and commands; `axis` the
-    number of the driven axis it turns, simulates, or (a load motor) sits on, None for the virtual I/O; `location`
-    its place in the config.
+    """A node of the bench with its place in the topology.
+
+    `name` is its name in messages and commands; `axis` the number of the driven axis it turns, simulates, or (a load
+    motor) sits on, None for the virtual I/O; `location` its place in the config.
     """
 
     name: str

@@ -52,7 +52,9 @@ LONGEST_S = 1e6
 @dataclass(frozen=True)
 class Permitted:
     """Permitted values of a quantity: finite numbers from `lower` to `upper` (inclusive), in `unit` ("1": a ratio).
-    As text it states what was expected: ``a number from 0 to 100000 N``."""
+
+    As text it states what was expected: ``a number from 0 to 100000 N``.
+    """
 
     lower: float
     upper: float
@@ -147,8 +149,10 @@ class EffectPath:
 
 @cache
 def parse_effect_path(text: str, kind: MachineKind | None = None) -> EffectPath:
-    """Parse ``load|hardware.effects.ID[.axisN|.spanN].PARAMETER`` for a kind of machine (None: any). The bench
-    checks axes and sections (`path_problem`). Raises ValueError that states what is wrong."""
+    """Parse ``load|hardware.effects.ID[.axisN|.spanN].PARAMETER`` for a kind of machine (None: any).
+
+    The bench checks axes and sections (`path_problem`). Raises ValueError that states what is wrong.
+    """
     if kind is not None:
         return _parsed(text, kind)
     try:

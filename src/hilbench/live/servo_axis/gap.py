@@ -1,6 +1,7 @@
-"""Torque residual of a servo axis, cheaply: the drive's torque less the one that its motion requires. Motion and
-torque are means over `SHORT` cycles. The acceleration of a mean is that of its neighbours' positions, so it is
-known one mean later; the torque is weighted as that weights it.
+"""Torque residual of a servo axis, cheaply: the drive's torque less the one that its motion requires.
+
+Motion and torque are means over `SHORT` cycles. The acceleration of a mean is that of its neighbours' positions, so it
+is known one mean later; the torque is weighted as that weights it.
 """
 
 from __future__ import annotations

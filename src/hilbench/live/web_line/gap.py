@@ -1,7 +1,9 @@
-"""Residual of the momentum balance of each roller, cycle by cycle, cheaply. r_k = (i/r)·τ_k − R_k(v_k) + F_k −
-F_(k−1) − m_k·v_k' (0 but for noise where the model is right). Motion and torques are measured, the tension follows
-from the measured motion by the model (`SpanFollower`), effects included. The residual is averaged over `SHORT`
-cycles, whose accelerations are differences of positions.
+"""Residual of the momentum balance of each roller, cycle by cycle, cheaply.
+
+    r_k = (i/r)·τ_k − R_k(v_k) + F_k − F_(k−1) − m_k·v_k'        (0 but for noise where the model is right)
+
+Motion and torques are measured, the tension follows from the measured motion by the model (`SpanFollower`), effects
+included. The residual is averaged over `SHORT` cycles, whose accelerations are differences of positions.
 """
 
 from __future__ import annotations
@@ -69,9 +71,9 @@ class ModelGap:
             self._follower.set_parameter(name, modulus_Pa)
 
     def follow(self, channels: Mapping[str, Array], known: Rows) -> Array:
-        """Residuals (n // SHORT, N) of the next rows (n,) of x{k}_m, tau{k}_Nm, strain_prev and F_next_N; n a
-        multiple. NaN where a row is not known, or follows one; and until the web of the first row, of unknown
-        strain, has left.
+        """Residuals (n // SHORT, N) of the next rows (n,) of x{k}_m, tau{k}_Nm, strain_prev and F_next_N; n a multiple.
+
+        NaN where a row is not known, or follows one; and until the web of the first row, of unknown strain, has left.
         """
         axes = range(1, self._axes + 1)
         x = np.column_stack([channels[f"x{k}_m"] for k in axes])

@@ -29,9 +29,10 @@ _SPEED_BAND = 0.02
 
 @dataclass(frozen=True)
 class MachineMetrics:
-    """Metrics of a kind of machine. The command of `speed` shows when the machine works; where its ramps are the
-    work itself (`moves_always`), they end no segment. `together`: groups of figures of one step, that whose last
-    one is the largest.
+    """Metrics of a kind of machine.
+
+    The command of `speed` shows when the machine works; where its ramps are the work itself (`moves_always`), they end
+    no segment. `together`: groups of figures of one step, that whose last one is the largest.
     """
 
     speed: MainQuantity

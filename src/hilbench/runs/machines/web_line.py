@@ -153,8 +153,10 @@ def _mass(span: int, shape: Shape) -> dict[str, Metric]:
 
 @cache
 def metrics_of(shape: Shape) -> MachineMetrics:
-    """Metrics of a line, with the number of the span in the names where there are several. Of one span all are
-    looked for, whatever is recorded: a run then reports what it lacks."""
+    """Metrics of a line, with the number of the span in the names where there are several.
+
+    Of one span all are looked for, whatever is recorded: a run then reports what it lacks.
+    """
     if shape.spans < 2:
         shape = SMALLEST["web_line"]
     speed, metrics, together = line_speed(shape), dict[str, Metric](), list[tuple[str, ...]]()

@@ -87,9 +87,10 @@ class Plot:
 
 @dataclass(frozen=True)
 class Panel:
-    """Panel of one machine: its plots, and its drawing as SVG. In the drawing an element with ``data-part`` is that
-    of a part, and has the state of its drive as a class; the text of one with ``data-signal`` is the signal's value
-    in ``data-unit``, of ``data-per`` SI units.
+    """Panel of one machine: its plots, and its drawing as SVG.
+
+    In the drawing an element with ``data-part`` is that of a part, and has the state of its drive as a class; the text
+    of one with ``data-signal`` is the signal's value in ``data-unit``, of ``data-per`` SI units.
     """
 
     plots: Sequence[Plot]
