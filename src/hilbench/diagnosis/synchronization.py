@@ -91,7 +91,7 @@ def require_one_span(model: ModelParameters, place: str | Path) -> None:
 
 
 def measurements_of(recording: Recording, place: str | Path) -> Measurements:
-    """What a twin would have heard. Raises UnusableInputError when a channel is missing."""
+    """Measurements that a twin would have received. Raises UnusableInputError when a channel is missing."""
     recording.require(NEEDED, place)
 
     def channel(name: str) -> Array:

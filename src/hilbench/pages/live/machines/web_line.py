@@ -70,7 +70,7 @@ def _moduli(config: BenchConfig) -> Iterator[Plot]:
 
 
 def _of_twin(quantity: MainQuantity, may_be_untold: bool) -> Iterator[Trace]:
-    """What the twin has of a quantity: estimated, and its model's where nothing tells it."""
+    """Traces of the twin's value of a quantity: estimated, and its model's where it is not identifiable."""
     if not may_be_untold:
         yield Trace(quantity.twin_signal, ESTIMATED, VERMILLION)
         return
