@@ -164,7 +164,7 @@ def compare_runs(model: ModelParameters, runs: Mapping[str, Recording]) -> Compa
 def _comparison(
     model: ModelParameters, data: Measurements, E_true_Pa: Array | None, tracks: Mapping[str, Track]
 ) -> Comparison:
-    """Scores of what each method did, beside the bound of these samples."""
+    """Scores of each method, and the bound of these samples."""
     step = figures.last_step(E_true_Pa) if E_true_Pa is not None else None
     noise_Nm = torque_noise_Nm(data)
     bound = np.full(len(data.t_s), np.inf)

@@ -29,7 +29,7 @@ _MOST_FORGOTTEN: Final = 0.5
 
 
 def beside_swinging(space: Space, terms: list[Term]) -> OnMeasuredMotion | None:
-    """The prediction that is right beside those of the terms that swing; None without any, or of a free run."""
+    """Prediction for the terms that are resonances; None without any, or of a free run."""
     swinging = [term for term in terms if term.swings]
     if not swinging or not isinstance(space.predictor, OnMeasuredMotion):
         return None
@@ -64,5 +64,5 @@ def _lines(values: Array) -> float:
 
 
 def _memory_s(term: Term) -> float:
-    """How long a swing is remembered."""
+    """Decay time of a resonance's free oscillation, s."""
     return _FADED / (2.0 * np.pi * term.values["frequency_Hz"] * term.values["damping"])
