@@ -244,7 +244,7 @@ def all_paths() -> Iterator[str]:
 
 
 def is_of_load(path: str) -> bool:
-    """Whether a quantity belongs to the emulated mechanics."""
+    """True if a quantity belongs to the emulated mechanics."""
     return path.startswith("load.")
 
 
@@ -264,7 +264,7 @@ def rampable_path(text: str) -> str:
 
 @cache
 def permitted(path: str) -> Permitted:
-    """What values a quantity may have. Raises ValueError for an unknown path."""
+    """Permitted values of a quantity. Raises ValueError for an unknown path."""
     if fits_fast_path(path):
         if position := position_quantity(path):
             return _OF_POSITIONS[position]

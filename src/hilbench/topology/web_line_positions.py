@@ -30,6 +30,6 @@ def position_quantity(path: str) -> str:
 
 
 def positions(stations: tuple[str, ...], pushed: tuple[str, ...]) -> list[str]:
-    """The paths of the loops of these stations; `pushed`: those of them whose force is told ahead."""
+    """Paths of the loops of these stations; `pushed`: those of them whose force is sent ahead."""
     plain = [position_path(station, quantity) for station in stations for quantity in (SET_POINT, FEED)]
     return [*plain, *(position_path(station, FORCE_SET_POINT) for station in pushed)]
