@@ -1,4 +1,4 @@
-"""Recordings in which something is hidden: what a diagnosis, given them and the plain model, is tried on."""
+"""Recordings with a hidden effect: test data for a diagnosis that is given the unmodified model."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ Disturbance = Callable[[ModelParameters, Experiment, float, np.random.Generator]
 
 
 def _speed_ripple(model: ModelParameters, e: Experiment, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """A ripple over the way that grows with the square of the speed, and is no multiple of a turn."""
+    """Ripple over the displacement that grows with the square of the speed, and is no multiple of a turn."""
     v = e.commands_m_s[:, -1]
     way = np.cumsum(v) * PERIOD_S
     return np.zeros_like(v), size * (v / np.max(np.abs(v))) ** 2 * np.sin(way * rng.uniform(9.0, 17.0))
@@ -73,7 +73,7 @@ def _running_in(model: ModelParameters, e: Experiment, size: float, rng: np.rand
 
 
 def _relaxation(model: ModelParameters, e: Experiment, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """A web behind that gives way to a new tension for seconds: its memory of the tension, and of the speed."""
+    """Downstream web that relaxes for seconds at a new tension: its memory of the tension, and of the speed."""
     decay = np.exp(-PERIOD_S / rng.uniform(1.5, 4.0))
     wanted = e.F_ref_N[:, -1] / np.std(e.F_ref_N[:, -1])
     changes = np.diff(wanted + e.commands_m_s[:, -1], prepend=wanted[0])

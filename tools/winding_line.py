@@ -60,7 +60,7 @@ Regressors = Callable[[LineRecording, Mapping[str, float]], dict[str, Array]]
 
 @dataclass(frozen=True)
 class LineParameter:
-    """A parameter with its standard deviation, and how far the others can stand in for it."""
+    """A parameter with its standard deviation, and its collinearity with the others (variance inflation)."""
 
     name: str
     value: float
@@ -69,7 +69,7 @@ class LineParameter:
 
     @property
     def is_identified(self) -> bool:
-        """Whether the data tell it by itself: not zero, and not to be made up for by the others."""
+        """True if the data identify it: significantly not zero, and not collinear with the others."""
         return abs(self.value) > NORMAL_95 * self.deviation and self.variance_inflation < _COLLINEAR
 
 
@@ -102,7 +102,7 @@ def fit_line(line: LineRecording, train: slice, test: slice) -> LineFit:
 
 
 def _tension_1(line: LineRecording, times: Mapping[str, float]) -> dict[str, Array]:
-    """What each gain of tension 1 multiplies."""
+    """Regressors of the gains of tension 1."""
     step, late_s = line.period_s, times["speed_late_s"]
     reels, pacer, rewinder = (
         _earlier(speed, late_s / step)
@@ -119,7 +119,7 @@ def _tension_1(line: LineRecording, times: Mapping[str, float]) -> dict[str, Arr
 
 
 def _tension_2(line: LineRecording, times: Mapping[str, float]) -> dict[str, Array]:
-    """What each gain of tension 2 multiplies."""
+    """Regressors of the gains of tension 2."""
     lag_s = max(times["span_2_lag_s"], _SHORTEST_S)
     return {
         "unwinder_torque_2": held_lag(line.unwinder_current, lag_s, line.period_s),
@@ -159,7 +159,7 @@ class _Tension:
         return np.asarray((self._measured - predicted)[self._train])
 
     def parameters(self) -> list[LineParameter]:
-        """With deviations that grow with the correlation of what is left."""
+        """Parameters with deviations that grow with the autocorrelation of the residual."""
         columns = []
         for k in range(len(self._values)):
             moved = self._values.copy()
@@ -202,6 +202,6 @@ def held_lags(values: Array, one_s: float, other_s: float, period_s: float) -> A
 
 
 def _earlier(values: Array, rows: float) -> Array:
-    """What was there so many rows later: a signal that was recorded late."""
+    """Signal shifted earlier by some rows: one that was recorded late."""
     at = np.arange(len(values), dtype=np.float64)
     return np.asarray(np.interp(at + rows, at, values))

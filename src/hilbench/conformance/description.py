@@ -78,7 +78,7 @@ class Entry:
 
     @property
     def mapping(self) -> int:
-        """Its entry in a PDO mapping."""
+        """Entry of the object in a PDO mapping."""
         bits = data_type(self.variable.data_type or 0).pdo_bits or 0
         return self.index << 16 | self.sub << 8 | bits
 
@@ -110,11 +110,11 @@ class Description:
             self.axis = 1
 
     def own(self, index: int) -> int:
-        """Where the axis has an object, named as that of the first one."""
+        """Index of an object on this axis, named as that of the first one."""
         return object_of(self.axis, index)
 
     def has(self, index: int, sub: int = 0) -> bool:
-        """Whether the file has the value."""
+        """True if the file has the value."""
         return (self.own(index), sub) in self._entries
 
     def entry(self, index: int, sub: int = 0) -> Entry:
@@ -122,11 +122,11 @@ class Description:
         return self._entries[self.own(index), sub]
 
     def can_write(self, index: int, sub: int = 0) -> bool:
-        """Whether the file has the value, to be read and written."""
+        """True if the file has the value, to be read and written."""
         return self.has(index, sub) and self.entry(index, sub).writable
 
     def entries(self, first: int = 0x1000, last: int = 0x9FFF) -> Iterator[Entry]:
-        """Those of an area; of each object sub-index 0 last, as a configuration writes them."""
+        """Entries of an area; of each object sub-index 0 last, as a configuration writes them."""
         found = [entry for entry in self._entries.values() if first <= entry.index <= last]
         yield from sorted(found, key=lambda entry: (entry.index, entry.sub == 0, entry.sub))
 

@@ -50,7 +50,7 @@ def after_reset(dut: DeviceUnderTest) -> None:
 
 
 def _destinations(before: State, asked: Command) -> Sequence[State]:
-    """Where a command leads; "enable operation" in READY TO SWITCH ON may lead further by itself."""
+    """Destination states of a command; "enable operation" in READY TO SWITCH ON may lead further by itself."""
     if (before, asked) == (State.READY_TO_SWITCH_ON, Command.ENABLE_OPERATION):
         return State.OPERATION_ENABLED, State.SWITCHED_ON
     transition = commanded(before, asked.value, 0)
@@ -75,7 +75,7 @@ def _expect(dut: DeviceUnderTest, before: State, asked: Command, wanted: Sequenc
     what = f"'{_NAMES[asked]}' ({asked.value:04X}h) in {before.label}"
     command(dut, asked.value)
     if before is State.OPERATION_ENABLED and asked is Command.QUICK_STOP:
-        wanted = (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)  # as 605Ah says
+        wanted = (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)  # by 605Ah
     if tuple(wanted) == (before,):
         expect_stays(dut, what, before)
     else:
@@ -171,7 +171,7 @@ def _bits(dut: DeviceUnderTest, wanted: State) -> None:
 
 
 def several_axes(dut: DeviceUnderTest) -> None:
-    """1000h says that there are some, and its profile is that of the first; each axis may tell its own type."""
+    """1000h states several axes, and its profile is that of the first; each axis may have a type of its own."""
     needs_drive(dut)
     if len(dut.eds.axes) == 1:
         raise NotApplicableError("one axis: 6840h and 6841h are not in the EDS file")

@@ -40,7 +40,7 @@ _SYNC_PAUSE_S: Final = 0.02
 
 @dataclass(frozen=True)
 class Allowed:
-    """What an examination may do beyond talking."""
+    """Permissions of an examination beyond communication."""
 
     motion: bool = False
     store: bool = False
@@ -48,7 +48,7 @@ class Allowed:
 
 @dataclass(frozen=True)
 class Patience:
-    """How long one waits, in seconds: for an SDO answer, and from a reset to the boot-up message."""
+    """Timeouts, s: for an SDO answer, and from a reset to the boot-up message."""
 
     answer_s: float = 1.0
     boot_s: float = 10.0
@@ -97,7 +97,7 @@ class DeviceUnderTest:
                 raise NotApplicableError(f"{self.name(index, sub)} is not in the EDS file")
 
     def needs_to_write(self, *keys: tuple[int, int]) -> None:
-        """Raises NotApplicableError when the EDS file lacks one of them, or lets nobody write it."""
+        """Raises NotApplicableError when the EDS file lacks one of them, or has it read-only."""
         self.needs(*keys)
         for index, sub in keys:
             if not self.eds.can_write(index, sub):
@@ -123,7 +123,7 @@ class DeviceUnderTest:
         self.wire.send(can_id, data)
 
     def receive(self, duration_s: float) -> list[ReceivedFrame]:
-        """What came since the last look, and comes in this time; answers to SDO requests left out."""
+        """Frames since the last call, and in this time; answers to SDO requests left out."""
         found = [*self._received, *self.wire.listen(duration_s)]
         self._received = []
         return [received for received in found if received.can_id != SDO_ANSWER + self.node_id]
@@ -135,7 +135,7 @@ class DeviceUnderTest:
         return self.receive(then_s)
 
     def receive_id(self, can_id: int, duration_s: float) -> list[ReceivedFrame]:
-        """The same, of one identifier."""
+        """Frames of one identifier since the last call, and in this time."""
         return [received for received in self.receive(duration_s) if received.can_id == can_id]
 
     def wait(self, duration_s: float) -> None:
@@ -143,7 +143,7 @@ class DeviceUnderTest:
         self._received += self.wire.listen(duration_s)
 
     def forget(self) -> None:
-        """What came up to now does not count."""
+        """Discard the frames received up to now."""
         self.receive(0.0)
 
     def nmt(self, command: int, node_id: int | None = None) -> None:
@@ -270,7 +270,7 @@ class DeviceUnderTest:
         return int.from_bytes(answer, "little")
 
     def signed(self, index: int, sub: int = 0) -> int:
-        """The same as its type in the EDS file says."""
+        """Value decoded as its type in the EDS file."""
         width = self.eds.entry(index, sub).width or 4
         kind = data_type(self.eds.entry(index, sub).variable.data_type or 0)
         return int(kind.decode(self.value(index, sub).to_bytes(width, "little")))
@@ -320,7 +320,7 @@ class DeviceUnderTest:
         return answer
 
     def data_of(self, index: int, sub: int, value: int) -> bytes:
-        """SDO data of a number, as long as the EDS file says."""
+        """SDO data of a number, in the length of the EDS file."""
         width = (self.eds.entry(index, sub).width or 4) if self.eds.has(index, sub) else 4
         return (value & ((1 << 8 * width) - 1)).to_bytes(width, "little")
 
@@ -388,7 +388,7 @@ class DeviceUnderTest:
 
 
 def matches(pattern: str, seen: str) -> bool:
-    """Whether hexadecimal digits are the expected ones."""
+    """True if hexadecimal digits match the expected ones."""
     wanted = pattern.replace(" ", "").lower()
     return len(wanted) == len(seen) and all(a in ("?", b) for a, b in zip(wanted, seen.lower(), strict=True))
 
@@ -410,7 +410,7 @@ def aborted(index: int, sub: int, code: int) -> str:
 
 
 def answers(values: Sequence[ReceivedFrame], can_id: int, test: Callable[[bytes], bool]) -> bool:
-    """Whether some frame of an identifier passes a test."""
+    """True if some frame of an identifier passes a test."""
     return any(received.can_id == can_id and test(received.data) for received in values)
 
 

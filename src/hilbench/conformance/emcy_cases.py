@@ -45,7 +45,7 @@ def error_history(dut: DeviceUnderTest) -> None:
 
 
 def _ready(dut: DeviceUnderTest) -> Pdo:
-    """An RPDO in OPERATIONAL that was received once as it should be: an error of before would not be told again."""
+    """RPDO in OPERATIONAL that was received once correctly: an earlier error would not be reported again."""
     dut.needs((0x1014, 0))
     pdo = receive_pdo(dut)
     set_up(dut, pdo, 255)
@@ -56,7 +56,7 @@ def _ready(dut: DeviceUnderTest) -> Pdo:
 
 
 def _too_short(dut: DeviceUnderTest, pdo: Pdo) -> int:
-    """The message comes: what it says of 1001h."""
+    """Check that the EMCY of a too short RPDO comes, and return its error register (1001h)."""
     dut.forget()
     dut.send(pdo.cob_id)
     found = dut.hear_until(dut.emergency_id, _SOON_S)

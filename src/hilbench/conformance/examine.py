@@ -63,9 +63,9 @@ def examine(
     groups: Collection[str] = (),
     on_result: Callable[[CaseResult], None] = lambda _result: None,
 ) -> list[CaseResult]:
-    """Every case, or those of some groups; `on_result` hears of each as it ends.
+    """Run every case, or those of some groups; `on_result` is called with each as it ends.
 
-    Raises BenchFaultError when the device does not answer at the beginning, or is gone between two cases;
+    Raises BenchFaultError when the device does not answer at the beginning, or is lost between two cases;
     UnusableInputError for a drive with power.
     """
     _check_ready(dut)
@@ -135,7 +135,7 @@ def _check_ready(dut: DeviceUnderTest) -> None:
 
 
 def _at_power_on(dut: DeviceUnderTest, before: Values) -> Values:
-    """What the device has stored: its parameters after a reset."""
+    """Stored parameters of the device: its values after a reset."""
     dut.reset()
     stored = snapshot(dut)
     restore(dut, before)
@@ -143,7 +143,7 @@ def _at_power_on(dut: DeviceUnderTest, before: Values) -> Values:
 
 
 def _leave(dut: DeviceUnderTest, before: Values, power_on: Values | None) -> list[Lost]:
-    """As it was found; and stored as it was."""
+    """Restore the values found, and the stored ones."""
     dut.begin()
     if power_on is not None and dut.eds.can_write(0x1010, 1):
         dut.was_reset = True

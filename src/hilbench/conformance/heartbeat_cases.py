@@ -1,4 +1,4 @@
-"""Heartbeat and node guarding (CiA 301, 7.2.8.3.2): producer, consumer, and the two beside each other."""
+"""Heartbeat and node guarding (CiA 301, 7.2.8.3.2): producer, consumer, and both at once."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _entries(dut: DeviceUnderTest) -> list[int]:
 
 
 def _strangers(dut: DeviceUnderTest) -> list[int]:
-    """Node ids that nobody has who was heard, and that no entry watches."""
+    """Node ids that were not received, and that no heartbeat consumer entry watches."""
     received = {each.can_id - HEARTBEAT for each in dut.receive(0.2)}
     watched = {dut.value(0x1016, sub) >> 16 & 0x7F for sub in _entries(dut)}
     return [node for node in range(LAST_NODE, 0, -1) if node not in received | watched | {dut.node_id}]
@@ -114,7 +114,8 @@ def missed(dut: DeviceUnderTest) -> None:
 
 
 def reset_ends_watch(dut: DeviceUnderTest) -> None:
-    """The time begins with the first heartbeat; after a reset nobody is missed who was not heard again."""
+    """The consumer time begins with the first heartbeat; after a reset no node is missed that was not received
+    again."""
     entry, node = _entries(dut)[0], _strangers(dut)[0]
     _watch(dut, entry, node)
     dut.forget()
@@ -236,13 +237,13 @@ def _beats_beside_requests(dut: DeviceUnderTest) -> None:
 
 
 def heartbeat_wins(dut: DeviceUnderTest) -> None:
-    """With both set the heartbeat is produced (CiA 301: it has priority)."""
+    """With both set, the heartbeat is produced (CiA 301: it has priority)."""
     guarding_times(dut)
     heartbeat_alone(dut)
 
 
 def heartbeat_beside_guarding(dut: DeviceUnderTest) -> None:
-    """With both set no remote request is answered."""
+    """With both set, no remote request is answered."""
     guarding_times(dut)
     _beats_beside_requests(dut)
 

@@ -29,7 +29,7 @@ def boot_up(dut: DeviceUnderTest) -> None:
 
 
 def _pdos_act(dut: DeviceUnderTest, command: NmtCommand, act: bool) -> None:
-    """Whether SYNC brings a TPDO, and an RPDO acts."""
+    """Check whether SYNC triggers a TPDO, and an RPDO acts."""
     try:
         pdo = transmit_pdo(dut)
     except NotApplicableError as error:
@@ -103,7 +103,7 @@ _STATES: Final = {
 
 
 def resets(dut: DeviceUnderTest) -> None:
-    """From every state, with the boot-up message."""
+    """Reset from every state, with the boot-up message."""
     for before in _STATES:
         for command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
             dut.nmt(before)
@@ -113,7 +113,7 @@ def resets(dut: DeviceUnderTest) -> None:
 
 
 def service(dut: DeviceUnderTest, command: NmtCommand) -> None:
-    """From each of the other states."""
+    """Command from each of the other states."""
     dut.produce_heartbeats()
     for before in _STATES:
         if before is not command:
@@ -125,7 +125,7 @@ def service(dut: DeviceUnderTest, command: NmtCommand) -> None:
 
 
 def _others(dut: DeviceUnderTest) -> None:
-    """What is for another node, unknown, or too short changes nothing."""
+    """Commands for another node, unknown, or too short change nothing."""
     dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
     for data in (bytes((1, dut.node_id % 127 + 1)), bytes((0x77, dut.node_id)), bytes((1,))):
         dut.send(NMT, data)

@@ -1,4 +1,4 @@
-"""OD cases: every object behaves as the EDS file says (CiA 301, 7.4; CiA 306)."""
+"""OD cases: every object behaves as in the EDS file (CiA 301, 7.4; CiA 306)."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def eds_checker(dut: DeviceUnderTest) -> None:
 
 
 def _is_number_of_a_real(dut: DeviceUnderTest, warning: str) -> bool:
-    """Whether it is about a default of a REAL32 or REAL64 that most readers of EDS files take as the number it is."""
+    """True for a warning on a default of a REAL32 or REAL64 that most readers of EDS files take as the number it is."""
     found = _BAD_DEFAULT.fullmatch(warning)
     key = (int(found[1], 16), int(found[2] or "0", 16)) if found else None
     return key is not None and dut.eds.has(*key) and isinstance(dut.eds.entry(*key).variable.default, float)
@@ -126,7 +126,7 @@ def _open_pdos(dut: DeviceUnderTest) -> None:
 
 
 def defaults(dut: DeviceUnderTest, area: tuple[int, int]) -> None:
-    """After a reset; what a device stores (1010h) may be another value, and is told."""
+    """Defaults after a reset; what a device stores (1010h) may be another value, and is reported."""
     dut.reset()
     for entry in dut.eds.entries(*area):
         default = entry.default
@@ -174,7 +174,7 @@ def write_only(dut: DeviceUnderTest) -> None:
 
 
 def sub_index_255(dut: DeviceUnderTest) -> None:
-    """Not there, or it tells object and data type of the file."""
+    """Sub-index 255 is absent, or has object and data type of the file."""
     for index in sorted({entry.index for entry in dut.eds.entries()}):
         data = dut.peek(index, 0xFF)
         if isinstance(data, bytes):
@@ -218,7 +218,7 @@ def _is_of_type(entry: Entry, value: int) -> bool:
 
 
 def write_back(dut: DeviceUnderTest) -> None:
-    """What is read is taken back."""
+    """A value that was read is accepted when written back."""
     found = [e for e in dut.eds.entries(*DEVICE) if e.writable and not e.flags & (REFUSE_WRITE | REFUSE_READ)]
     if not found:
         raise NotApplicableError("no object from 2000h on can be written by the EDS file")

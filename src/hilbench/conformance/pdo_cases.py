@@ -49,7 +49,7 @@ _LARGEST_PDO: Final = 64
 
 
 def scan(dut: DeviceUnderTest, base: int) -> None:
-    """Those that the file has are there, and the next one is not."""
+    """PDOs of the file are there, and the next one is not."""
     numbers = dut.eds.pdos(base)
     for number in numbers:
         request = multiplexed(0x40, base + number, 1).hex()
@@ -159,7 +159,7 @@ def acyclic(dut: DeviceUnderTest, state: NmtCommand) -> None:
 
 
 def start_value(dut: DeviceUnderTest, state: NmtCommand) -> None:
-    """With the SYNC counter, every second one from 4 on.
+    """SYNC start value with the SYNC counter: every second one from 4 on.
 
     4 counts as the first that is received; whether the first or the second of each two is answered is not decided.
     """
@@ -188,7 +188,7 @@ def _marks(came: list[bool]) -> str:
 
 
 def default_mapping(dut: DeviceUnderTest) -> None:
-    """What is mapped is in the file, as long as the mapping says."""
+    """Mapped objects are in the file, as long as the mapping states."""
     indices = [base + number for base in (RPDO, TPDO) for number in dut.eds.pdos(base)]
     if not indices:
         raise NotApplicableError("no PDO is in the EDS file")
@@ -215,7 +215,7 @@ def _variable(dut: DeviceUnderTest, base: int) -> int:
 
 
 def _opened(dut: DeviceUnderTest, base: int) -> int:
-    """The same, invalid and with nothing mapped."""
+    """PDO made invalid, with nothing mapped."""
     index = _variable(dut, base)
     remote = NO_REMOTE_REQUEST if base == TPDO else 0
     cob_id = dut.value(index, 1) & COB_ID or (0x180 if base == TPDO else 0x200) + dut.node_id
@@ -255,7 +255,7 @@ def _mapped_pdos(dut: DeviceUnderTest) -> list[int]:
 
 
 def _carried(dut: DeviceUnderTest, base: int) -> list[Entry]:
-    """What a PDO may carry. Raises NotApplicableError for a device that has nothing of the kind."""
+    """Objects that a PDO may carry. Raises NotApplicableError for a device that has nothing of the kind."""
     found = [entry for entry in dut.eds.entries(0x2000) if _may_carry(entry, base)]
     if not found:
         what = "an RPDO" if base == RPDO else "a TPDO"

@@ -54,7 +54,7 @@ def state(dut: DeviceUnderTest) -> State | None:
 
 
 def label(found: State | None) -> str:
-    """Its name."""
+    """Name of the state."""
     return "no state of CiA 402" if found is None else found.label
 
 
@@ -100,7 +100,7 @@ def switch_off(dut: DeviceUnderTest) -> None:
 
 
 def bring(dut: DeviceUnderTest, wanted: State) -> None:
-    """From SWITCH ON DISABLED to READY TO SWITCH ON, SWITCHED ON or OPERATION ENABLED."""
+    """Bring the drive from SWITCH ON DISABLED to READY TO SWITCH ON, SWITCHED ON or OPERATION ENABLED."""
     switch_off(dut)
     words = {State.READY_TO_SWITCH_ON: 1, State.SWITCHED_ON: 2, State.OPERATION_ENABLED: 3}
     if wanted is State.OPERATION_ENABLED:
@@ -165,14 +165,14 @@ def rest(dut: DeviceUnderTest) -> None:
 
 @dataclass(frozen=True)
 class Speed:
-    """How a drive turns in a case, in its own units."""
+    """Speed of a drive in a case, in its own units."""
 
     velocity: int
     units: DriveUnits
 
 
 def units(dut: DeviceUnderTest) -> DriveUnits:
-    """As the drive's objects tell them. Raises NotApplicableError when they don't."""
+    """Units in the drive's objects. Raises NotApplicableError when they are missing."""
 
     def read(index: int, sub: int) -> float | None:
         return float(dut.signed(index, sub)) if dut.eds.has(index, sub) else None
@@ -229,7 +229,7 @@ def time_to_rest(dut: DeviceUnderTest, velocity: int) -> float | None:
 
 
 def lose_connection(dut: DeviceUnderTest) -> None:
-    """Let a heartbeat that the drive watches (1016h) stay away. Call `find_connection` when it is over."""
+    """Stop a heartbeat that the drive consumes (1016h). Call `find_connection` when it is over."""
     node = _stranger(dut)
     dut.write(0x1016, 1, node << 16 | _HEARTBEAT_MS)
     dut.send(0x700 + node, b"\x05")
@@ -247,14 +247,14 @@ def find_connection(dut: DeviceUnderTest) -> None:
 
 
 def _stranger(dut: DeviceUnderTest) -> int:
-    """A node id that nobody has who was heard, and that no entry watches."""
+    """Node id that was not received, and that no heartbeat consumer entry watches."""
     received = {each.can_id & 0x7F for each in dut.receive(0.1) if each.can_id & 0x780 == 0x700}
     watched = {dut.value(*entry.key) >> 16 & 0x7F for entry in dut.eds.entries(0x1016, 0x1016) if entry.sub}
     return next(node for node in range(127, 0, -1) if node not in received | watched | {dut.node_id})
 
 
 def fail(dut: DeviceUnderTest) -> None:
-    """From OPERATION ENABLED to FAULT: 6007h = 1 and a lost heartbeat."""
+    """Bring the drive from OPERATION ENABLED to FAULT: 6007h = 1 and a lost heartbeat."""
     dut.write(objects.ABORT_CONNECTION_OPTION_CODE, 0, 1)
     lose_connection(dut)
     dut.must(expect_state(dut, "6007h = 1, a watched heartbeat stays away", State.FAULT))

@@ -1,4 +1,4 @@
-"""What an examination leaves: steps with what was sent, expected and seen, verdicts, the whole."""
+"""Record of an examination: steps with what was sent, expected and seen, verdicts, the whole."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from enum import StrEnum
 
 
 class Verdict(StrEnum):
-    """Of one case."""
+    """Verdict of one case."""
 
     PASSED = "passed"
     FAILED = "failed"
@@ -44,7 +44,7 @@ class CaseResult:
 
     @property
     def label(self) -> str:
-        """Its number in the group, and the axis of a device with several."""
+        """Number of the case in its group, and the axis of a device with several."""
         return f"{self.number}" if self.axis is None else f"{self.number}, axis {self.axis}"
 
     @property
@@ -65,13 +65,13 @@ class Examination:
 
     @property
     def counts(self) -> dict[Verdict, int]:
-        """How many cases have each verdict."""
+        """Number of cases with each verdict."""
         counted = Counter(case.verdict for case in self.cases)
         return {verdict: counted[verdict] for verdict in Verdict}
 
     @property
     def failed(self) -> list[CaseResult]:
-        """Those that failed."""
+        """Cases that failed."""
         return [case for case in self.cases if case.verdict is Verdict.FAILED]
 
 
@@ -80,8 +80,8 @@ class CaseEndedError(Exception):
 
 
 class NotApplicableError(Exception):
-    """The device does not have, by its EDS file or by what it says, what the case is about."""
+    """The device lacks, by its EDS file or by its answers, what the case is about."""
 
 
 class NotAllowedError(Exception):
-    """The case would move or store something, and nobody has allowed it."""
+    """The case would move or store something, without permission."""

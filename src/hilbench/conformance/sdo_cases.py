@@ -107,13 +107,13 @@ def _wrong_length(dut: DeviceUnderTest, fits: Callable[[int], bool], length: int
 
 
 def write_too_high(dut: DeviceUnderTest) -> None:
-    """1003h:0 takes 0 alone, 1019h up to 240, others what the file says."""
+    """1003h:0 takes 0 alone, 1019h up to 240, others the maximum in the file."""
     known = {0x1003: 0xFF, 0x1019: 0xF1}
     _beyond(dut, {i: v for i, v in known.items() if dut.eds.can_write(i)}, "max", 1, VALUE_TOO_HIGH)
 
 
 def write_too_low(dut: DeviceUnderTest) -> None:
-    """What the file says."""
+    """Values below the minimum in the file are refused."""
     _beyond(dut, {}, "min", -1, VALUE_TOO_LOW)
 
 
@@ -137,7 +137,7 @@ def _beyond(dut: DeviceUnderTest, known: Mapping[int, int], limit: str, step: in
 
 
 def _fits(width: int | None, limit: int | None, step: int) -> bool:
-    """Whether the value behind a limit is one of the type (as unsigned: a bit pattern is sent)."""
+    """True if the value beyond a limit is one of the type (as unsigned: a bit pattern is sent)."""
     if width is None or limit is None:
         return False
     low = -(1 << 8 * width - 1) if limit < 0 else 0
@@ -180,7 +180,7 @@ def _long_text(dut: DeviceUnderTest) -> tuple[int, bytes]:
 
 
 def segmented_upload(dut: DeviceUnderTest) -> None:
-    """The size is announced, the toggle bit alternates, the last segment says so."""
+    """The size is announced, the toggle bit alternates, the last segment is marked."""
     index, data = _long_text(dut)
     _segmented_upload(dut, index, data)
 
@@ -306,7 +306,7 @@ def wrong_sequence_number(dut: DeviceUnderTest) -> None:
 
 
 def further_servers(dut: DeviceUnderTest) -> None:
-    """Those that the file has are there, and no others."""
+    """SDO servers of the file are there, and no others."""
     for number in range(1, 0x80):
         index = 0x1200 + number
         request = multiplexed(0x40, index, 1).hex()

@@ -23,7 +23,7 @@ def default_identifier(dut: DeviceUnderTest) -> None:
 
 
 def _produced(dut: DeviceUnderTest) -> list[ReceivedFrame]:
-    """What a producer sends in 1 s with a period of 100 ms. Raises NotApplicableError for a device that is none."""
+    """SYNCs of a producer in 1 s with a period of 100 ms. Raises NotApplicableError for a device that is none."""
     dut.needs_to_write((0x1005, 0), (0x1006, 0))
     dut.configure(0x1006, 0, 0, "no period")
     dut.configure(0x1005, 0, PRODUCE_SYNC | SYNC, "the device is no SYNC producer")

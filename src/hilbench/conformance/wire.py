@@ -36,14 +36,14 @@ class Wire(Protocol):
         """Put a frame on the bus."""
 
     def listen(self, duration_s: float, until: Callable[[ReceivedFrame], bool] | None = None) -> list[ReceivedFrame]:
-        """What comes in this time; up to the first frame for which `until` says so, that one included."""
+        """Frames in this time; up to and with the first frame for which `until` is true."""
 
 
 class LinkWire:
-    """A bus of this machine, in real time. Raises BusError when the bus is lost.
+    """A bus of this machine, in real time.
 
-    `asked_to_end` is looked at while frames are waited for; the first time that it says so, KeyboardInterrupt is
-    raised, so that what has to be put in order then is put in order undisturbed.
+    Raises BusError when the bus is lost. `asked_to_end` is polled while frames are waited for; the first time that it
+    is true, KeyboardInterrupt is raised, so that the cleanup after it is undisturbed.
     """
 
     def __init__(self, link: Link, asked_to_end: Callable[[], bool] = lambda: False) -> None:
@@ -83,7 +83,7 @@ class LinkWire:
 
 
 def steady(found: list[ReceivedFrame], period_s: float) -> bool:
-    """Whether the mean of the periods is as it should be."""
+    """True if the mean period is `period_s`, within the tolerance."""
     if len(found) < 2:
         return False
     mean_s = (found[-1].at_s - found[0].at_s) / (len(found) - 1)

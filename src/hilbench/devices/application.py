@@ -1,4 +1,4 @@
-"""What stands behind simulated drives on their host: shafts that turn, and events that come."""
+"""Application of simulated drives on their host: shafts that turn, and scheduled events."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class DrivesApplication:
         self._rig.tick(duration_s)
 
     def put_beside(self, lss: NodeIdGiven) -> None:
-        """Let it hear what else comes for the node."""
+        """Add an LSS slave that receives its own frames for the node."""
         self._lss, self.listens_to = lss, lss.listens_to
 
     def on_frame(self, frame: Frame) -> None:
@@ -113,7 +113,7 @@ class FaultyDrive:
         self._node.port.position_rad += self._jumped_rad
 
     def happen(self) -> None:
-        """What is due."""
+        """Cause the events that are due."""
         now_ns = self._now_ns()
         while self._events and (now_ns - self._power_on_ns) * 1e-9 >= self._events[0].at_s:
             self.cause(self._events.pop(0))
@@ -124,7 +124,7 @@ class FaultyDrive:
         device.heartbeat_fails = now_ns < self._no_heartbeat_until_ns
 
     def cause(self, event: Event) -> None:
-        """Let it happen now."""
+        """Cause an event now."""
         device, now_ns = self._node.device, self._now_ns()
         if event.fault is not None:
             self._node.drive.fault(event.fault)

@@ -32,12 +32,12 @@ class Units(Block):
     rated_torque_Nm: Positive | None = Field(default=None, description="torques (6071h, 6077h) are thousandths of it")
 
     def given(self) -> dict[str, float]:
-        """Those that are there, by key."""
+        """Values that are given, by key."""
         return {name: value for name, value in self if value is not None}
 
 
 class SwitchPlaces(Block):
-    """Where the switches are."""
+    """Positions of the switches."""
 
     negative_limit: FiniteFloat = Field(default=-10.0, description="the negative limit switch is active up to there")
     positive_limit: FiniteFloat = Field(default=10.0, description="the positive limit switch is active from there on")
@@ -56,7 +56,7 @@ class SwitchPlaces(Block):
         return self
 
     def switches(self) -> Switches:
-        """The same for the drive, in rad."""
+        """Switches for the drive, in rad."""
         return Switches(
             negative_limit=Zone(-inf, self.negative_limit * _TURN_RAD),
             positive_limit=Zone(self.positive_limit * _TURN_RAD, inf),

@@ -133,7 +133,7 @@ class SimulatedDrive:
 
     @property
     def state(self) -> State:
-        """Its power state."""
+        """Power state of the drive."""
         return self._node.drive.state
 
     @property
@@ -180,11 +180,11 @@ class SimulatedDrive:
         self._cause(emergency=Emergency(code=code, register_bits=register_bits, data=list(data)))
 
     def clear_emergency(self, code: int) -> None:
-        """That error is gone."""
+        """Clear an error (EMCY)."""
         self._cause(emergency_over=code)
 
     def encoder_jump(self, turns: float) -> None:
-        """Let the encoder jump."""
+        """Make the encoder jump."""
         self._cause(encoder_jump_turns=turns)
 
     def no_heartbeat(self, duration_s: float) -> None:

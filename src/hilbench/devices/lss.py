@@ -38,7 +38,7 @@ def await_node_id(link: Link, lss: LssSlave, stop: Callable[[], bool]) -> None:
 
 
 class NodeIdGiven:
-    """Answers LSS beside a device that is on the bus; a reset puts the node id in force that it was given."""
+    """LSS slave of a device on the bus; a reset puts the node id in force that it was given."""
 
     listens_to: Final = frozenset({LSS_REQUEST, NMT})
 
@@ -48,7 +48,7 @@ class NodeIdGiven:
         self.takes_effect = False
 
     def on_frame(self, frame: Frame) -> None:
-        """A request, or what the master says to all."""
+        """Handle an LSS request, or an NMT reset."""
         if frame.can_id == LSS_REQUEST:
             answer = self._lss.handle(frame.data)
             if answer is not None:

@@ -114,13 +114,13 @@ def _give_serial_number(eds: Path, od: ObjectDictionary, serial_number: int) -> 
 
 
 def hosted(nodes: Sequence[SimulatedNode], clock: Clock) -> tuple[HostedDevices, DrivesApplication]:
-    """What a host runs, and the part of it through which a test acts on the drives."""
+    """Devices of a host, and the application through which a test acts on the drives."""
     application = DrivesApplication(nodes, clock.now_ns)
     return HostedDevices(list(dict.fromkeys(node.device for node in nodes)), clock, application), application
 
 
 def new_clock() -> Clock:
-    """Of drives that nobody waits for."""
+    """Clock of drives that no master waits for."""
     return MonotonicClock(stall_s=1.5 * CYCLE_S)
 
 
@@ -139,7 +139,7 @@ def _rig(units: DriveUnits, shaft: ShaftParameters | None, port: MotorPort) -> S
     axis = ServoAxisParameters(shaft=behind, motor=MotorParameters(), drives=drives)
     sensors = SensorParameters(encoder_rad_per_count=min(units.position_rad, 2.0 * pi))
     parameters = ServoRigParameters(axis=axis, load_motor=LoadMotorParameters(), sensors=sensors)
-    # One that nobody sees runs first, so that compiling is over before the device boots.
+    # A first one off the bus, so that compiling is over before the device boots.
     ServoRig(parameters, (MotorPort(), MotorPort())).step(SAMPLE_S)
     return ServoRig(parameters, (port, MotorPort()))
 

@@ -1,1 +1,1 @@
-"""Where simulation and measurement disagree, which effect is missing, and the model with it."""
+"""Diagnosis of recordings: gap between simulation and measurement, the missing effects, and the model with them."""

@@ -1,7 +1,5 @@
-"""What could stand in the place of a term that was found: is the model worse without it, does another explain the same?
-
-Such others are tied with it; where one explains more it takes the term's place, and everything is tested again.
-"""
+"""Alternatives to a term that was found: is the model worse without it, does another explain the same? Equal
+alternatives are tied with it; one that explains more replaces it, and everything is tested again."""
 
 from __future__ import annotations
 
@@ -39,21 +37,20 @@ _FORCE_SEARCH: Final = (0.02, 0.002)
 
 @dataclass(frozen=True)
 class Better:
-    """What the vocabulary does not have, and explains better than a term."""
+    """An explanation outside the vocabulary that is better than a term."""
 
     name: str
     detail: str  #: size and time, for a person
 
 
 class Alternatives:
-    """The test of each term against what could stand in its place."""
+    """Test of each term against its alternatives."""
 
     def __init__(self, steps: Steps) -> None:
         self._steps, self._space, self._proposer, self._samples = steps, steps.space, steps.proposer, steps.samples
 
     def _spares_a_term(self, found: Fit, white: Whitening) -> bool:
-        """Whether beside an explanation that is as good another term is superfluous: two effects in the place of three
-        of which one stands for the wrong choice of another."""
+        """True if with an equally good explanation another term is superfluous: two effects replace three."""
         return len(self._steps.pruned(found, white).terms) < len(found.terms)
 
     def tested(
@@ -63,10 +60,10 @@ class Alternatives:
         dict[Key, list[Place]],
         dict[Key, dict[str, float]],
     ]:
-        """Each term against what could stand in its place: the fit, what is tied with each term, and the evidence.
+        """Test each term against its alternatives: the fit, what is tied with each term, and the evidence.
 
-        When a term turns out to be superfluous, or something else explains more, everything is tested again from
-        there: the evidence of each term is that beside the others.
+        When a term turns out to be superfluous, or something else explains more, everything is tested again from there:
+        the evidence of each term is conditional on the others.
         """
         tied: dict[Key, list[Place]] = {}
         evidence: dict[Key, dict[str, float]] = {}

@@ -66,7 +66,7 @@ _RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS)}
 
 
 def inertia(data: Measured) -> float:
-    """Torque per acceleration of axis 1, beside friction and offset, N·m/(unit of x1_m/s²); above 0."""
+    """Torque per acceleration of axis 1, fitted with friction and offset, N·m/(unit of x1_m/s²); above 0."""
     nyquist = 0.5 / data.period_s
     sos = butter(2, min(_CORNER_HZ, 0.5 * nyquist) / nyquist, output="sos")
     x = sosfiltfilt(sos, data.x_m[1])
@@ -94,11 +94,11 @@ class _Side:
 
     @property
     def predictor(self) -> Predictor:
-        """Of the recording."""
+        """Predictor of the recording."""
         return self.space.predictor
 
     def slow(self, corner_Hz: float) -> _Side:
-        """The same below a corner, without the rows that what does not count reaches through the filter."""
+        """This side low-pass filtered at a corner, without the rows that excluded ones reach through the filter."""
         period_s = self.data.period_s * self.predictor.every
         sos = butter(2, min(2.0 * corner_Hz * period_s, 0.95), output="sos")
         columns = [np.asarray(sosfiltfilt(sos, column, axis=1)) for column in self.columns]
@@ -142,7 +142,7 @@ class _Problem:
         self._fixed: tuple[list[int], Array] = [], self._basis
 
     def columns_of(self, chosen: list[int]) -> list[int]:
-        """Of some terms, the columns."""
+        """Columns of some terms."""
         return [column for k in chosen for column in range(self._place[k], self._place[k + 1])]
 
     def _differing(self, chosen: list[int]) -> Array:
@@ -162,7 +162,7 @@ class _Problem:
         return _Solved(shared, change, self._covariance(differing, rest), rest, float(rest @ rest))
 
     def _covariance(self, differing: Array, rest: Array) -> Array:
-        """Of the changes: from blocks of time, and never less than that of noise as coloured as the rest."""
+        """Covariance of the changes: from blocks of time, never less than that of noise as coloured as the rest."""
         if len(differing) == 0:
             return np.empty((0, 0))
         free = differing - (differing @ self._basis.T) @ self._basis
@@ -188,8 +188,8 @@ class _Problem:
         return float(2.0 * found @ (free @ without.residual) - np.sum((found @ free) ** 2))
 
     def simple(self, count: int) -> Array:
-        """Coordinates of the first so many columns that explain the earlier recording alone: beside all others, which
-        may say the same, they would mean nothing."""
+        """Coordinates of the first `count` columns fitted to the earlier recording alone: with all others, which
+        may be collinear, they would be meaningless."""
         columns, values = self._shared[:count, self._n :], self._y[self._n :]
         scale = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
         found, *_ = np.linalg.lstsq((columns / scale[:, None]).T, values, rcond=1e-10)
@@ -206,7 +206,8 @@ class _Problem:
         return slice(int(at[place]), int(at[place + 1]))
 
     def rms_Nm(self) -> float:
-        """Of the torque that friction and offset made before: what the simple effects but the inertia add up to."""
+        """RMS of the torque of friction and offset in the earlier recording (the simple effects without the
+        inertia)."""
         return float(np.sqrt(np.mean(self._friction[self._n :] ** 2)))
 
     def size(self, solved: _Solved, chosen: list[int], one: int) -> float:
@@ -228,7 +229,7 @@ def _basis(rows: Array) -> Array:
 
 
 def changes(model: Machine, now: Measured, then: Measured, announce: Announce) -> Diagnosis:
-    """What differs in `now` from `then`, of one lone axis with `model`."""
+    """Find what differs in `now` from `then`, of one lone axis with `model`."""
     announce("simulate the model", 0.1)
     sides, base, terms = _prepared(model, now, then)
     announce(f"{len(terms)} effects that may differ", 0.4)
@@ -271,7 +272,8 @@ def _prepared(model: Machine, now: Measured, then: Measured) -> tuple[tuple[_Sid
 
 
 def _corner_Hz(side: _Side, simple: list[int]) -> float:
-    """Where the torque of the simple effects ends: above it noise of the differentiated motion is all there is."""
+    """Corner frequency of the torque of the simple effects: above it there is only noise of the differentiated
+    motion."""
     rows = side.rows
     made = np.concatenate([side.columns[k] for k in simple])
     scale = np.maximum(np.sqrt(np.mean(made[:, rows] ** 2, axis=1)), 1e-300)
@@ -290,7 +292,7 @@ def _moving(predictor: Predictor, data: Measured) -> Rows:
 
 
 def _is_linear(term: Term) -> bool:
-    """Whether one look at its response speaks for other strengths as well."""
+    """True if one evaluation of its response holds for other strengths as well."""
     return term.probe is None
 
 
@@ -319,7 +321,7 @@ def _ripples(
 
 
 def _apart(data: Measured, model: Machine) -> float:
-    """Orders nearer to each other than this can't be told apart."""
+    """Order resolution: orders nearer to each other than this are indistinguishable."""
     return 2.0 * _TURN / max(float(np.ptp(data.x_m[1])) * model.motor_rad_per_unit(1), 1e-9)
 
 
@@ -372,7 +374,7 @@ class _Judge:
         return chosen
 
     def counts(self, chosen: list[int], one: int) -> bool:
-        """Whether the change of one of the chosen terms is beyond chance, and large enough to be news."""
+        """True if the change of one of the chosen terms is significant (Wald test) and large enough to report."""
         problem = self.problem
         solved = problem.solved(chosen)
         part = problem.part(chosen, one)
@@ -457,7 +459,7 @@ def _concluded(
 
 
 def _bent(side: _Side, base: list[Term], term: Term, small: float) -> float:
-    """How many times as strong a term has to be as its response at a small strength would say, for this much of it."""
+    """Ratio of the strength needed to that extrapolated from the response at a small strength, for this much of it."""
     neutral = term.neutral()
     start, shape = neutral.coordinates()[: term.linear], neutral.coordinates()[term.linear :]
     rows, plain = side.rows, side.space.residual(base)[0]
@@ -525,9 +527,9 @@ def _named(model: Machine, found: _Found, one: int, problem: _Problem, chosen: l
 
 
 def _left_out_of_the_torque(term: Term, then: Array, change: Array) -> list[str]:
-    """Which effects of the torque's measurement make most of this one vanish by their law: feed-forward.
+    """Effects of the torque's measurement that make most of this one vanish by their law: feed-forward.
 
-    Their response is that of the force they leave out, so no regression tells them from it.
+    Their response is that of the force they leave out, so no regression separates them from it.
     """
     whole = float(then[0]) + (1.0 if term.effect.domain is Domain.INERTIA else 0.0)
     sizes = sorted((abs(whole), abs(whole + float(change[0]))))
@@ -541,7 +543,7 @@ def _left_out_of_the_torque(term: Term, then: Array, change: Array) -> list[str]
 
 
 def _hidden(found: _Found, least_Nm: float) -> list[Unobservable]:
-    """Of which effects a change of a usual size would not have counted."""
+    """Effects of which a change of a usual size would not have been detected."""
     problem = found.problem
     seen: dict[str, Unobservable] = {}
     for k, term in enumerate(found.terms):

@@ -1,4 +1,5 @@
-"""Prediction of a bench's servo axis by a free run: the stand under its load model, on the recorded commands."""
+"""Prediction of a bench's servo axis by a free run: the emulated axis under its load model, on the recorded
+commands."""
 
 from __future__ import annotations
 
@@ -56,7 +57,7 @@ class AxisFreeRun:
         return np.asarray(usable)
 
     def floor(self, signal: int) -> float:
-        """From fourth differences of the measured torque."""
+        """Noise floor from fourth differences of the measured torque."""
         return floor(self.measured[signal])
 
     def conditions(self, parameters: Array) -> list[Condition]:

@@ -40,7 +40,7 @@ _APART_S: Final = 0.05
 
 @dataclass(frozen=True)
 class AxisReach:
-    """What the axis has done already, and may be asked again; in its unit of position per s and s²."""
+    """Range that the axis has covered already, and may be asked for again; in its unit of position per s and s²."""
 
     top: float
     steepest: float

@@ -34,7 +34,7 @@ class Offer:
 
     @property
     def sizes(self) -> float:
-        """How far from neutral it is, in its usual sizes."""
+        """Distance from neutral, in units of the term's usual size."""
         moved = self.term.coordinates()[: self.term.linear] - self.term.neutral().coordinates()[: self.term.linear]
         return float(np.linalg.norm(moved)) / self.term.size
 
@@ -60,7 +60,7 @@ def in_order(offers: list[Offer], as_simple: Collection[str] = ()) -> list[Offer
 
 
 def _is_preferred(other: Offer, offer: Offer) -> bool:
-    """Whether another explanation that leaves as much is named instead of one.
+    """True if another explanation that leaves as much is preferred.
 
     The simple one; then the one that changes less of what the present terms explain; then the one that is less unusual
     on such a machine; then the first in the table.
@@ -74,10 +74,10 @@ def _is_preferred(other: Offer, offer: Offer) -> bool:
 
 
 def is_beside_a_whole_order(offer: Offer, whole: list[tuple[Term, float]]) -> bool:
-    """Whether a whole order explains nearly as much as one that is not.
+    """True if a whole order explains nearly as much as this one that is not.
 
-    whole: terms of whole orders, and what each explains with a phase of its own in every stretch, whether or not it
-    explains enough with one phase to be offered: an order beside it is none either.
+    whole: terms of whole orders, and what each explains with a phase of its own in every stretch, even if with one
+    phase it explains too little to be offered: then an order near it is not offered either.
     """
     return not offer.term.held and any(
         other.key == offer.term.key and explained >= WHOLE * offer.in_stretches for other, explained in whole

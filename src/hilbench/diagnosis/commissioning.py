@@ -128,13 +128,13 @@ def _loops(model: Machine, proposer: Proposer) -> list[Term]:
 
 
 def _once_a_turn(proposer: Proposer) -> list[Term]:
-    """Ripple once a turn of each motor: what is stated where no other order stands out."""
+    """Ripple once a turn of each motor: stated where no other order is prominent."""
     waves = proposer.waves([1.0]).items()
     return [replace(wave, held=_ORDER) for place, (wave,) in waves if place.effect == "torque_ripple"]
 
 
 def _searched_ripples(found: _Fitted, proposer: Proposer, believed: Callable[[Term], float]) -> list[Term]:
-    """Ripples of the orders at which what is left of the torques stands out, of each whole number where it is one."""
+    """Ripples of the orders that are prominent in the torque residuals, of each whole number where it is one."""
     space = found.space
     left = np.where(space.predictor.rows, found.left, 0.0)
     named, every = dict(zip(space.predictor.names, left, strict=True)), space.predictor.every
@@ -203,8 +203,7 @@ class _Fitted:
         return cls(space, terms, here + step, known.covariance, white, columns, left, precision)
 
     def beside(self, term: Term, believed: float) -> tuple[Term, float]:
-        """A further term of two components with the values that it would have beside the others, and its amplitude in
-        standard deviations."""
+        """Add a term of two components: its values given the others, and its amplitude in standard deviations."""
         rows = self.space.predictor.rows
         residual = self.space.residual(self.terms)
         (response,) = self.space.strengths(self.terms, residual, [term])
@@ -220,14 +219,14 @@ class _Fitted:
         return term.at(found[own]), float(np.sqrt(square))
 
     def stated(self) -> list[Commissioned]:
-        """What is measured, one for each parameter at each place; of several ripples of an axis the largest."""
+        """Measured values, one for each parameter at each place; of several ripples of an axis the largest."""
         found: dict[Place, Commissioned] = {}
         for term in self.terms:
             if term.effect.id not in MEASURED:
                 continue
             one = self._stated(term)
             if term.effect.id == "torque_ripple" and term.slot > 0 and one.value < _RIPPLE * one.deviation:
-                continue  # it was searched for, and beside all others it is none
+                continue  # it was searched for, and given all others it is none
             if term.place not in found or one.value > found[term.place].value:
                 found[term.place] = one
         return list(found.values())
@@ -248,7 +247,7 @@ class _Fitted:
         return float(self.coordinates[at]), float(np.sqrt(self.covariance[at, at]))
 
     def _amplitude(self, term: Term) -> tuple[float, float]:
-        """Of two components, and its deviation: without what noise adds to the square of an amplitude."""
+        """Amplitude of two components, and its deviation: without what noise adds to the square of an amplitude."""
         part = self._part(term)
         both, covariance = self.coordinates[part], self.covariance[part, part]
         square, noise = float(both @ both), float(np.trace(covariance))
@@ -271,14 +270,15 @@ def _are_forces(space: Space) -> NDArray[np.bool_]:
 
 
 def _with_positions_alike(white: Whitening, space: Space) -> Whitening:
-    """The same with positions that are off by their tolerance in all rows alike: however many there are, they tell as
-    much as one. Else the rounding of a command, over a minute, would be an offset."""
+    """`white` with position errors by their tolerance common to all rows: however many there are, they count as
+    one. Else the rounding of a command, over a minute, would be an offset."""
     alike = np.where(_are_forces(space), 1.0, np.count_nonzero(space.predictor.rows) ** -0.5)
     return Whitening(white.filters * alike[:, None])
 
 
 def _uncertainty(space: Space, columns: Array, left: Array, precision: Array) -> Uncertainty:
-    """Of coordinates, with what is left of torques and tensions as their noise; whitened columns (J, signals, n)."""
+    """Uncertainty of coordinates, with the residual of torques and tensions as noise; whitened columns (J, signals,
+    n)."""
     forces, rows = _are_forces(space), space.predictor.rows
     others = columns[:, ~forces][..., rows].reshape(len(columns), -1)
     known = np.diag(precision) + others @ others.T

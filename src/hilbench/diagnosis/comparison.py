@@ -1,4 +1,4 @@
-"""What changed between two recordings of one machine: both explained together, and what differs in the later one."""
+"""Comparison of two recordings of one machine: both explained together, and what differs in the later one."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _ONE_MACHINE: Final = 100.0
 
 @dataclass(frozen=True)
 class Run:
-    """A recording, and what is to be said of it."""
+    """A recording and its place for messages."""
 
     recording: Recording
     place: str | Path
@@ -60,7 +60,7 @@ def compared(
 
 
 def _check_together(now: Measured, then: Measured, place: str | Path, other: str | Path) -> None:
-    """Whether two recordings can be of one machine. Raises UnusableInputError, one line."""
+    """Check that two recordings can be of one machine. Raises UnusableInputError, one line."""
     for what, here, there in (("torque", now.tau_Nm, then.tau_Nm), ("position", now.x_m, then.x_m)):
         if set(here) != set(there):
             raise UnusableInputError(

@@ -1,4 +1,4 @@
-"""A diagnosis of a lone axis beside another one: which effects can be told there, and what the coupling is."""
+"""Diagnosis of a lone axis coupled with another one: which effects are identifiable there, and the coupling."""
 
 from __future__ import annotations
 
@@ -28,16 +28,17 @@ OTHER_HELD: Final = "the same motion while the other axis is held"
 
 
 def untold_beside(predictor: Predictor, model: Machine) -> tuple[Effect, ...]:
-    """Effects that a prediction beside another axis can't tell; none where there is no other."""
+    """Effects that are not identifiable with another axis coupled; none where there is no other."""
     if not is_coupled(predictor):
         return ()
     return tuple(effect for effect in machines.vocabulary(model) if effect.id in _UNTOLD)
 
 
 def proposer_for(predictor: Predictor, model: Machine, data: Measured, without: Collection[str] = ()) -> Proposer:
-    """Of what a machine may lack as far as a prediction can tell it; without: effects that are not looked for.
+    """Proposer of effects that are identifiable by a prediction; without: effects that are not looked for.
 
-    Beside another axis gravity is looked for in any arc: else it is taken for one of the torques that go with both.
+    With another axis coupled, gravity is looked for in any arc: else it is taken for one of the torques that go with
+    both.
     """
     untold = untold_beside(predictor, model)
     vocabulary = tuple(
@@ -47,13 +48,13 @@ def proposer_for(predictor: Predictor, model: Machine, data: Measured, without: 
 
 
 def simple_beside(predictor: Predictor) -> tuple[str, ...]:
-    """Effects that are as simple as friction: beside another axis gravity, of which an offset may be a part."""
+    """Effects that are as simple as friction: with another axis coupled gravity, of which an offset may be a part."""
     return ("unbalance",) if is_coupled(predictor) else ()
 
 
 def couplings(space: Space, found: Fit) -> dict[str, tuple[float, tuple[float, float], str]]:
-    """What another axis makes at the joint, by name: value, 95 % interval and unit, beside the terms that were found;
-    empty where no other axis does."""
+    """Torques of another axis at the joint, by name: value, 95 % interval and unit, fitted with the terms that were
+    found; empty without another axis."""
     predictor = space.predictor
     if not isinstance(predictor, OnMeasuredMotion) or predictor.arm is None:
         return {}

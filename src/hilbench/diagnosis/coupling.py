@@ -33,7 +33,7 @@ _LEAST_ROWS: Final = 4
 
 
 class Arm(StrEnum):
-    """Where a joint stands in an arm."""
+    """Place of a joint in an arm."""
 
     CARRIES = "carries the other axis"
     CARRIED = "carried by the other axis"
@@ -99,7 +99,7 @@ def left_unseen(torque: Array, explaining: Array) -> float:
 
 
 def likelier(left: Mapping[Arm, Sequence[float]]) -> Arm:
-    """Where the joint stands, from what each arm leaves unseen of the torque's rms by corner: the one that leaves less,
+    """More likely place of the joint, from each arm's unexplained share of the torque's rms by corner: the smaller,
     in the geometric mean of the corners at which either may be one and both are known."""
     shares = np.array([left[arm] for arm in Arm])
     is_identified = np.all(np.isfinite(shares), axis=0) & np.any(shares < _MOST_LEFT, axis=0)
@@ -108,5 +108,5 @@ def likelier(left: Mapping[Arm, Sequence[float]]) -> Arm:
 
 
 def explains(beside: float, alone: float) -> bool:
-    """Whether what the other's motion leaves is little, and so much less than what the joint alone does."""
+    """True if the other's motion leaves little, and clearly less than the joint alone does."""
     return beside < min((1.0 - _LEAST_SHARE) * alone, _MOST_LEFT)

@@ -1,8 +1,8 @@
-"""What can be wrong with the rows of a recording and is no reason to refuse it: mended, left out, and said.
+"""Data cleaning: faults in a recording's rows that are no reason to refuse it are repaired, left out, and reported.
 
 Rows out of order are sorted, repeated ones dropped, missing ones filled in and left out of every comparison, counters
-that wrap are unwrapped, samples that are no number, stay as they were or stand at the end of a sensor's range are left
-out. What can't be mended without guessing is refused, in one line.
+that wrap are unwrapped, samples that are no number, frozen or saturated at the end of a sensor's range are left out.
+What can't be repaired without guessing is refused, in one line.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Mended:
 
 @dataclass(frozen=True)
 class _Table:
-    """Rows on their way through the repairs."""
+    """Rows while they are repaired."""
 
     t_s: Array
     channels: Mapping[str, Array]  #: of float64
@@ -208,7 +208,7 @@ def _in_order(table: _Table, place: str | Path) -> _Table:
 
 
 def _differs_from_the_row_before(table: _Table, again: Rows) -> int:
-    """How many of the rows with the time of the one before have another value than it."""
+    """Number of rows that repeat the time of the one before with another value."""
     at = np.flatnonzero(again)
     differs = np.zeros(len(at), bool)
     for name in table.named(_READ):
@@ -275,25 +275,22 @@ def _without_stuck_values(table: _Table) -> _Table:
 
 
 def _is_noisy(values: Array, repeated: float, quantum: float) -> bool:
-    """Whether a torque changes by more than its counts nearly always, and not smoothly: without noise one that stays is
-    no wonder.
-
-    `repeated`: share of the rows, but for those in question, in which it is what it was.
-    """
+    """True if a torque changes by more than its counts nearly always, and not smoothly: without noise a constant
+    one is normal. `repeated`: share of the rows, but for those in question, in which it repeats the value before."""
     steps = np.abs(np.diff(values))
     usual = float(np.median(steps[steps > 0.0]))
     return repeated < _HARDLY_EVER and usual > _QUANTA * quantum and floor(values) > _ROUGH * usual
 
 
 def _moves(x: Array, start: int, end: int) -> bool:
-    """Whether a position moves in rows start to end - 1 by more than counts, and than an axis creeps that friction
-    holds: there a torque may well stay what it is."""
+    """True if a position moves in rows start to end - 1 by more than counts, and than an axis creeps that friction
+    holds: there a torque may well be constant."""
     usual = float(np.mean(np.abs(np.diff(x)))) * (end - start)
     return float(np.ptp(x[start:end])) > max(_QUANTA * _quantum(x), _CREEPS * usual)
 
 
 def _moved_on(x: Array, start: int, end: int, quantum: float) -> bool:
-    """Whether a position that stood still in rows start to end - 1 has gone on meanwhile, by more than counts."""
+    """True if a position that was constant in rows start to end - 1 has moved meanwhile, by more than counts."""
     low, high = max(start - _AROUND, 0), min(end + _AROUND, len(x) - 1)
     moved = float(np.abs(x[end] - x[start - 1]))
     speed = abs(float(x[high] - x[low])) / (high - low)
@@ -371,7 +368,7 @@ def _finite(table: _Table) -> _Table:
 
 
 def _unsaturated(table: _Table, limits_Nm: Mapping[str, float]) -> _Table:
-    """Rows in which a torque stands at the end of its range are left out."""
+    """Leave out rows in which a torque is saturated at the end of its range."""
     for name in table.named(_TORQUE):
         values = table.channels[name]
         cut = np.zeros(len(values), bool)
@@ -440,7 +437,7 @@ def _numbered(t_s: Array, period_s: float) -> tuple[Array, float, float]:
 
 
 def _filled(table: _Table, number: Array, period_s: float) -> _Table:
-    """With rows in between where their numbers leave some out."""
+    """Insert rows where the row numbers leave some out."""
     period_s = round(period_s, 9)
     everything = np.arange(int(number[-1]) + 1)
     missing = np.ones(len(everything), bool)
@@ -473,7 +470,7 @@ def _gap(t_s: Array, wide: Rows, count: int) -> Repair:
 
 
 def _roughness(table: _Table) -> float:
-    """How little the positions go on from row to row: times that are not those of the rows make motion rough."""
+    """Roughness of the positions from row to row (rms of 4th differences): wrong row times make motion rough."""
     kept = ~table.left_out[4:]
     found = 0.0
     for name in table.named(_POSITION):
@@ -483,7 +480,7 @@ def _roughness(table: _Table) -> float:
 
 
 def _longest_stretch(table: _Table, longest_gap_s: float) -> _Table:
-    """Where too much is missing at once: the longest part without that."""
+    """Longest part without a gap that is too long."""
     if not np.any(table.left_out) or not np.isfinite(longest_gap_s):
         return table
     edges = np.flatnonzero(np.diff(np.concatenate([[0], table.left_out.astype(int), [0]])))

@@ -73,7 +73,7 @@ class Value:
 
     @property
     def digits(self) -> int:
-        """Significant digits with which the ends of the interval can be told apart, 5 at least."""
+        """Significant digits needed to distinguish the ends of the interval, 5 at least."""
         low, high = self.ci95
         largest = max(abs(low), abs(high))
         if not 0.0 < high - low <= largest:
@@ -95,7 +95,7 @@ class NamedEffect:
 
     @property
     def place(self) -> Place:
-        """Where it is."""
+        """Place of the effect."""
         return Place(self.effect, self.axis, self.section)
 
 
@@ -147,12 +147,12 @@ class Unobservable:
 
     @property
     def place(self) -> Place:
-        """Where it would be."""
+        """Place where the effect would be."""
         return Place(self.effect, self.axis, self.section)
 
     @property
     def shape(self) -> dict[str, float]:
-        """What is known of its parameters beside its size."""
+        """Known parameters of its shape, in addition to its size."""
         values = {"order": self.order, "frequency_Hz": self.frequency_Hz}
         return {name: value for name, value in values.items() if value is not None}
 
@@ -234,7 +234,7 @@ def _predicted_by(chosen: Choice, model: Machine, data: Measured, announce: Anno
         if (settled := with_torsional_mode(space, selection.fit.terms)) is not None:
             chosen, space = replace(chosen, predictor=settled), Space(model, settled, data.period_s)
             selection = MeasuredSearch(space, proposer, announce, as_simple).run()
-        if few := untold(space, selection.fit):  # what was found beside them is as little told: once more without
+        if few := untold(space, selection.fit):  # found given the others it is as little identified: once more without
             proposer = proposer_for(predictor, model, data, {term.effect.id for term in few})
             selection = replace(MeasuredSearch(space, proposer, announce, as_simple).run(), of_too_few=few)
     return concluded(space, chosen, data, selection, announce)
@@ -319,7 +319,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
 
 
 def _swing(term: Term) -> tuple[str, str]:
-    """What is said of a term of which the motion has too few frequencies: what it is, and why it has no name."""
+    """Name and explanation of a term of which the motion has too few frequencies to identify it."""
     about_Hz = f"{term.values['frequency_Hz']:.2g} Hz"
     return f"a {term.effect.id}", f"perhaps near {about_Hz}, which the few frequencies of this motion can't tell"
 
@@ -331,12 +331,12 @@ def _asked(term: Term) -> Unobservable:
 
 
 def _without_other(effect: Effect) -> Unobservable:
-    """What an axis does not show beside another one, and what would."""
+    """An effect that an axis does not show while another is coupled, and the experiment that would show it."""
     return Unobservable(effect.id, 1, None, effect.parameter(effect.strength[0]).unit, OTHER_HELD)
 
 
 def _beyond_noise(space: Space, final: Fit) -> list[Misfit]:
-    """The signals beside the torques (positions, speeds, tensions) that are not where the model has them."""
+    """Signals other than the torques (positions, speeds, tensions) that deviate from the model beyond noise."""
     predictor = space.predictor
     others = [k for k, name in enumerate(predictor.names) if not name.startswith("tau")]
     floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
@@ -345,10 +345,7 @@ def _beyond_noise(space: Space, final: Fit) -> list[Misfit]:
 
 
 def _nuisance(model: Machine, chosen: Choice, effects: list[NamedEffect]) -> list[NamedEffect]:
-    """How the drives' loops differ from the model's, where that is certain.
-
-    A torque that is reported late looks like a lag of its loop.
-    """
+    """Deviations of the drives' loops from the model's, where certain. A torque reported late looks like a loop lag."""
     late = {e.axis for e in effects if e.effect == "torque_delay"}
     result: list[NamedEffect] = []
     if not isinstance(model, ModelParameters):
@@ -366,7 +363,7 @@ def _nuisance(model: Machine, chosen: Choice, effects: list[NamedEffect]) -> lis
 
 
 def _presliding(model: Machine, chosen: Choice) -> list[NamedEffect]:
-    """The way over which dry friction turns over after a reversal, of a lone axis that shows one."""
+    """Presliding displacement of dry friction after a reversal, of a lone axis that shows one."""
     if not isinstance(chosen.predictor, OnMeasuredMotion) or chosen.predictor.presliding is None:
         return []
     found = chosen.predictor.presliding
@@ -376,7 +373,7 @@ def _presliding(model: Machine, chosen: Choice) -> list[NamedEffect]:
 
 
 def _coupling(space: Space, final: Fit) -> list[NamedEffect]:
-    """What another axis makes at a lone one, where its motion was recorded."""
+    """Coupling torques of another axis at a lone one, where its motion was recorded."""
     values = {
         name: Value(rounded(value), (rounded(low), rounded(high)), unit)
         for name, (value, (low, high), unit) in couplings(space, final).items()
@@ -385,7 +382,7 @@ def _coupling(space: Space, final: Fit) -> list[NamedEffect]:
 
 
 def _laws(space: Space, names: tuple[str, ...], residuals: Array, conditions: list[Condition]) -> list[SparseLaw]:
-    """Of each torque (signals, n), where one is found."""
+    """Sparse laws of the torque residuals (signals, n), where one is found."""
     train, test = space.split.train, space.split.test
     found = (law(name, rest, conditions, train, test) for name, rest in zip(names, residuals, strict=True))
     return [one for one in found if one is not None]
@@ -479,7 +476,7 @@ def _moments(
             half_s, times = 3.0 * half_s, np.array([here])
         k = first + term.free().index(term.onset)
         variance = float(final.covariance[k, k])
-        # When within a cycle it happened no recording says.
+        # No recording has the time within a cycle at which it happened.
         least_s = max(space.period_s, NORMAL_95 * inflation * max(variance, 0.0) ** 0.5)
         found[place, term.onset] = (min(low, here - least_s), max(high, here + least_s))
     return found
@@ -527,7 +524,7 @@ def _joined(terms: list[Term], named: list[NamedEffect]) -> list[NamedEffect]:
 
 
 def _experiment(model: Machine, effect: Effect, other: str) -> str:
-    """What tells an effect from another effect, by its id, or from what it may be mistaken for."""
+    """Experiment that distinguishes an effect from another, by its id, or from its lookalike."""
     if effect.lookalike is not None and other == effect.lookalike.name:
         return effect.lookalike.told_apart_by
     return effect.distinguished_from(machines.effect_of(model, other))
@@ -543,7 +540,7 @@ def _where(found: list[tuple[Misfit, float]]) -> list[GapLocation]:
 
 
 def _profiles(before: list[Misfit], after: list[Misfit], floors: dict[str, float], signal: str) -> list[Profile]:
-    """Those of one signal on which it depended most before."""
+    """Profiles of one signal over the conditions on which it depended most before."""
     now = {m.condition: m for m in after if m.signal == signal and m.points}
     binned = [m for m in before if m.signal == signal and m.condition in now and m.condition != "time"]
     result = []

@@ -1,4 +1,4 @@
-"""How the machine of a bench's recording was emulated: from the bench config that made it."""
+"""Emulation of the machine of a bench's recording, from the bench config that made it."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from hilbench.topology.parts import Role
 
 
 def emulation_of(config: BenchConfig) -> AnyEmulation | None:
-    """How the bench of this config emulates its machine; None without a load motor. Without its EDS files it is not
-    known what its drives round to."""
+    """Emulation used by the bench of this config; None without a load motor. Without EDS files the drives' rounding
+    is unknown."""
     resolution = None
     with suppress(UnusableInputError):  # a run folder that was brought here from another machine
         resolution = tuple(_resolution(config, axis) for axis in range(1, len(config.drives) + 1))
@@ -33,7 +33,7 @@ def emulation_of(config: BenchConfig) -> AnyEmulation | None:
 
 
 def _resolution(config: BenchConfig, axis: int) -> float:
-    """What the drive of an axis rounds a velocity command to, in the machine's unit of position per s."""
+    """Resolution of an axis's velocity command in its drive, in the machine's unit of position per s."""
     part = config.parts_of(Role.AXIS)[axis - 1]
     units = declared_units(part, shared_eds(part.node.eds, part.node.node_id))
     return units.velocity_rad_s / config.machine.motor_rad_per_unit(axis)

@@ -237,7 +237,7 @@ class _Problem:
         return step, float(2.0 * step @ (self._c @ self._r) - step @ self._gram @ step)
 
     def covariance(self) -> Array:
-        """Of the coordinates; the whitened noise has variance 1."""
+        """Covariance of the coordinates; the whitened noise has variance 1."""
         if len(self._c) == 0:
             return np.empty((0, 0))
         normal = self._gram / np.outer(self._scale, self._scale)

@@ -32,16 +32,16 @@ def fitted(space: Space, terms: list[Term]) -> Fit:
 
 
 def weights(space: Space, terms: list[Term]) -> Whitening:
-    """Of each signal: by what a model with the terms leaves of it."""
+    """Scale each signal by the rms residual of a model with the terms."""
     residual = space.residual(terms)[:, space.predictor.rows]
     return scaling(np.maximum(np.std(residual, axis=-1), 1e-300))
 
 
 def uncertainty_of(space: Space, found: Fit, rows: NDArray[np.bool_] | None = None) -> Uncertainty:
-    """Of a fit's coordinates, with what it leaves as noise; rows (n,) of the fit, by default all that count.
+    """Uncertainty of a fit's coordinates, with its residual as noise; rows (n,) of the fit, by default all that count.
 
-    What swings at a frequency of its own is told by few frequencies, at which friction or an inertia that are a little
-    other look alike: there it counts by what the prediction may be off.
+    A resonance is identified by few frequencies, at which slightly different friction or inertia look alike: there it
+    counts by what the prediction may be off.
     """
     rows = space.predictor.rows if rows is None else rows
     derivatives = space.point(found.terms, found.residual).derivatives[..., rows]
@@ -75,13 +75,13 @@ def stated_uncertainty(space: Space, found: Fit) -> Uncertainty:
 
 
 def _identifies_inertia(term: Term) -> bool:
-    """Whether another inertia of the model would be another size of a term."""
+    """True if an error of the model's inertia would show as another size of a term."""
     inertia = find_effect("inertia_mismatch")
     return term.effect.domain in (Domain.INERTIA, Domain.MOTOR_TORQUE) or term.effect.is_alike(inertia)
 
 
 def _on_one_sine(space: Space, found: Fit, predictor: OnMeasuredMotion, waves: Array) -> Uncertainty:
-    """Of a fit's coordinates, by what repeats itself (waves, n) alone, and how friction turns over."""
+    """Uncertainty on one sine, from its periodic part (waves, n) alone, and how friction turns over."""
     derivatives = space.point(found.terms, found.residual).derivatives
     shapes = predictor.doubt_of_turning(pack_with(space.model, found.terms))
     rows = predictor.rows

@@ -22,7 +22,7 @@ from hilbench.runs.config import ExperimentConfig, LoadedConfig
 
 @dataclass(frozen=True)
 class LiveGap:
-    """How well the twin did in one run, while the machine worked."""
+    """Prediction errors of the twin in one run."""
 
     run: Path
     cycles: int  #: length of the whole run

@@ -32,7 +32,7 @@ _RATES: Final = {"m": ("m_s", "m/s"), "rad": ("rad_s", "rad/s")}
 
 
 def is_lone(model: Machine) -> bool:
-    """Whether it is a lone axis, without a web."""
+    """True if it is a lone axis, without a web."""
     return model.span_count == 0
 
 
@@ -42,27 +42,27 @@ def kind_of(model: Machine) -> MachineKind:
 
 
 def vocabulary(model: Machine) -> tuple[Effect, ...]:
-    """What it may lack."""
+    """Effects that it may lack."""
     return effects_of(kind_of(model)) + (STATION_EFFECTS if has_stations(model) else ())
 
 
 def has_stations(model: Machine) -> bool:
-    """Whether it is more than driven axes and what is between them."""
+    """True if it has stations in addition to driven axes and spans."""
     return not isinstance(model, ServoAxisParameters) and model.stations is not None
 
 
 def position_channel(model: Machine, axis: int) -> str:
-    """Of a recording, in the machine's unit."""
+    """Position channel of a recording, in the machine's unit."""
     return f"x{axis}_{model.position_unit}"
 
 
 def speed_channel(model: Machine, axis: int, what: str = "") -> str:
-    """The same of a speed; `what`: "_cmd" of a command."""
+    """Speed channel of a recording; `what`: "_cmd" of a command."""
     return f"v{axis}{what}_{_RATES[model.position_unit][0]}"
 
 
 def speed_unit(model: Machine) -> str:
-    """As a person writes it."""
+    """Unit of speed as written in messages."""
     return _RATES[model.position_unit][1]
 
 
@@ -106,7 +106,7 @@ def with_effects(model: Machine, entries: Sequence[EffectEntry]) -> Machine:
 def entry(
     model: Machine, effect_id: str, axis: int | None, parameters: Mapping[str, float], section: Section | None = None
 ) -> EffectEntry:
-    """An effect as it stands in the model's file."""
+    """Entry of an effect in the model's file."""
     made = ShaftEffect if isinstance(model, ServoAxisParameters) else EffectEntry
     if isinstance(section, str):
         return made(effect=effect_id, station=section, parameters=dict(parameters))
@@ -131,7 +131,7 @@ def places(model: Machine, effect: Effect) -> list[tuple[int | None, Section | N
 
 
 def entries_at(model: Machine, effect: Effect, axis: int | None, section: Section | None) -> list[EffectEntry]:
-    """What a model has of an effect at a place, in the order of its slots."""
+    """Entries of an effect at a place in a model, in the order of its slots."""
     return [
         one
         for one in model.effects
@@ -149,7 +149,7 @@ def effect_of(model: Machine, effect_id: str) -> Effect:
 def sizes(
     model: Machine, axis: int | None, top_speed: float, torque_Nm: float, sample_time_s: float | None
 ) -> MachineSizes:
-    """What is usual at an axis; `top_speed` in the machine's unit."""
+    """Usual sizes at an axis; `top_speed` in the machine's unit."""
     if isinstance(model, ServoAxisParameters):
         return shaft_sizes.machine_sizes(
             model, top_speed_rad_s=top_speed, torque_Nm=torque_Nm, sample_time_s=sample_time_s
@@ -165,7 +165,7 @@ def without_unbalance(parameters: Array) -> Array:
 
 
 def turns_apart(model: Machine, axis: int) -> bool:
-    """Whether a play can be between motor and roller: with a web there has to be inertia on both sides of it."""
+    """True if a play can be between motor and roller: with a web there has to be inertia on both sides of it."""
     if isinstance(model, ServoAxisParameters):
         return False
     if is_lone(model):
@@ -192,7 +192,7 @@ def required_Nm(
 ) -> None:
     """Torque (n,) that a motion (n,) of a lone axis needs, into `out`: as its drive reports it.
 
-    presliding: way over which dry friction turns over after a reversal, in the machine's unit.
+    presliding: displacement over which dry friction turns over after a reversal, in the machine's unit.
     """
     law = shaft_torque_Nm if isinstance(model, ServoAxisParameters) else required_torque_Nm
     law(parameters, x, v, a, period_s, out, presliding)

@@ -1,4 +1,4 @@
-"""What a diagnosis takes from a recording, checked: nothing is guessed, nothing read that only a simulation knows."""
+"""Measured signals of a recording, checked: nothing is guessed, nothing read that only a simulation knows."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ _LOAD_MOTOR: Final = re.compile(r"tau_\w+_cmd_Nm")
 
 @dataclass(frozen=True)
 class Before:
-    """What the encoders showed up to and with the first row of what was measured, at its period."""
+    """Encoder positions up to and with the first row of what was measured, at its period."""
 
     x_m: Array  #: (m, axes)
     boundary: Array  #: (m, 2) upstream strain, downstream tension (N)
@@ -330,7 +330,7 @@ def _travel(x: Array, period_s: float) -> float:
 
 
 def _limits_Nm(model: Machine) -> dict[str, float]:
-    """Of the torque channels, the limits of the drives."""
+    """Torque limits of the drives, by torque channel."""
     if model.drives is None:
         return {}
     limits = model.drives.torque_limit_Nm
@@ -365,7 +365,7 @@ def _check_units(measured: Measured, model: Machine, place: str | Path) -> None:
 
 
 def _of_the_machine(model: Machine, axis: int) -> Iterator[tuple[float, str, str, float]]:
-    """As `_UNITS`, of what turns where positions and speeds are those of the web."""
+    """Unit conversions as in `_UNITS`, for rotating parts where positions and speeds are those of the web."""
     if model.position_unit != "m":
         return
     motor = model.motor_rad_per_unit(axis)
@@ -392,7 +392,7 @@ def _check_directions(measured: Measured, place: str | Path) -> None:
 
 
 def _check_boundary(measured: Measured, model: ModelParameters, place: str | Path) -> None:
-    """What enters and leaves must be of the size that the model says: in other units it is a hundred times that."""
+    """Check the size of boundary inputs against the model: other units differ by a factor of a hundred."""
     usual = {"strain_prev": model.upstream_strain, "F_next_N": model.boundary.downstream_tension_N}
     for (name, known), values in zip(usual.items(), measured.boundary.T, strict=True):
         ratio = float(np.mean(values)) / known if known > 0.0 else 1.0
@@ -432,7 +432,7 @@ def _check_driven(measured: Measured, model: Machine, place: str | Path) -> None
 
 
 def _check_positions(measured: Measured, model: Machine, place: str | Path) -> None:
-    """A position must move as fast as its axis is told to."""
+    """Check that each position moves as fast as its axis is commanded."""
     for axis, x in measured.x_m.items():
         if axis > measured.commands_m_s.shape[1]:
             continue

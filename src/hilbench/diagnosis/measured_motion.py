@@ -87,7 +87,7 @@ class MotionFilter:
 
     @classmethod
     def for_speed(cls, speed: Array, period_s: float) -> MotionFilter:
-        """The same of a measured speed (n,)."""
+        """Filter for a measured speed (n,)."""
         return cls._widest(position_noise(speed), period_s, speed, cls.rate)
 
     def rate(self, values: Array) -> Array:
@@ -176,12 +176,12 @@ class OnMeasuredMotion:
 
     @property
     def corner_hz(self) -> float:
-        """Of the filter."""
+        """Corner frequency of the filter."""
         return self._filter.corner_hz
 
     @property
     def narrower(self) -> OnMeasuredMotion | None:
-        """The same with half the corner; None beside another axis where that is lower than any that is tried."""
+        """Prediction with half the corner; None with a coupled axis where that is lower than any that is tried."""
         if self.arm is not None and 0.5 * self.corner_hz < _LOWEST_COUPLED_HZ:
             return None
         return OnMeasuredMotion(self._model, self._data, self, self.arm)
@@ -190,7 +190,7 @@ class OnMeasuredMotion:
         """The same, with rows that count once the swing of before the recording is forgotten, and the way over which
         friction turns over looked for again beside what swings.
 
-        swinging (1 + J, P): parameters without it, and each with something of it, of which any multiple may be there.
+        swinging (1 + J, P): parameters without it, and each with some of it, of which any multiple may be there.
         """
         result = copy(self)
         result._memory_s = memory_s
@@ -200,26 +200,25 @@ class OnMeasuredMotion:
         return result
 
     def filtered_once(self) -> OnMeasuredMotion:
-        """The same, with the torque of what is near the filter's corner as it would be measured."""
+        """Prediction with the torque of what is near the filter's corner as it would be measured."""
         result = copy(self)
         result._filtered_once = True
         result._driving = result._driving_motion()
         return result
 
     def _driving_motion(self) -> Motion:
-        """From which the torque is predicted.
+        """Motion from which the torque is predicted.
 
-        Beside another axis, whose torques nearly make up for the joint's own,
-        it has all that the filter takes, so that its torque passes one filter as the measured torque does. Elsewhere
-        it is the filtered motion, in which what is near the corner hardly shows: else a loop's answer to a ripple
-        there is taken for a torque that is late.
+        With a coupled axis, whose torques nearly cancel the joint's own, it has all that the filter takes, so that its
+        torque passes one filter as the measured torque does. Elsewhere it is the filtered motion, in which what is near
+        the corner hardly shows: else a loop's answer to a ripple there is taken for a torque that is late.
         """
         if self._filtered_once:
             return self._filter.driving(self._data.x_m[1])
         return Motion(self._x, self._v, self._a)
 
     def _presliding(self, beside: Array | None = None) -> Presliding | None:
-        """How friction turns over at reversals, however long they take; beside other torques (J, n)."""
+        """Presliding at reversals, however long they take; fitted with other torques `beside` (J, n)."""
         rows = self._moving(len(self._x) * self._period_s * self.corner_hz)
         motion = (self._x, self._v, self._a)
         coupled = list(self._coupled.values())
@@ -235,7 +234,7 @@ class OnMeasuredMotion:
         )
 
     def _couplings(self) -> dict[str, Array]:
-        """(n,) each: the torques of which any multiple may be there beside the other axis."""
+        """Coupling torques (n,) by name, of which any multiple may be there."""
         joints = self._joints()
         if joints is None or self.arm is None:
             return {}
@@ -245,7 +244,7 @@ class OnMeasuredMotion:
         return {name: self._filter.smooth(column) for name, column in columns(self.arm, own, other).items()}
 
     def _joints(self) -> tuple[Motion, Motion] | None:
-        """Of this joint and of the other that the recording has."""
+        """Motion of this joint and of the other one in the recording; None without another."""
         if self._data.other_rad is None:
             return None
         ratio, driving = self._model.gear_ratio(1), self._driving
@@ -274,7 +273,7 @@ class OnMeasuredMotion:
 
     @property
     def _slow(self) -> float:
-        """Speed below which the axis stands."""
+        """Speed below which the axis is at standstill."""
         return max(STANDSTILL_M_S, _STANDSTILL_SHARE * float(np.quantile(np.abs(self._v), 0.99)))
 
     def _rows(self) -> NDArray[np.bool_]:
@@ -297,17 +296,18 @@ class OnMeasuredMotion:
 
     @property
     def starts(self) -> int:
-        """How often the recording begins: after each gap once more."""
+        """Number of starts of the recording: after each gap once more."""
         unknown = ~self._data.usable()
         unknown[0] = True
         return len(_runs(unknown))
 
     def floor(self, signal: int) -> float:
-        """What of the measured torque is above the band in which motion is known, carried into the band as white."""
+        """Noise of the measured torque above the band in which motion is known, carried into the band as white."""
         return self._noise_Nm
 
     def conditions(self, parameters: Array) -> list[Condition]:
-        """Time and motion. Before friction slides, and within a play, it depends on the way since the last reversal."""
+        """Time and motion. Before friction slides, and within a play, it depends on the displacement since the last
+        reversal."""
         step, unit = slice(None, None, self.every), self._model.position_unit
         return [
             Condition("time", "s", self._t_s[step], spectral=True),
@@ -318,7 +318,7 @@ class OnMeasuredMotion:
         ]
 
     def _since_reversal(self) -> Array:
-        """(n,): how far the axis has gone in its present direction, with the sign of it."""
+        """(n,): displacement since the last reversal, signed by the direction."""
         turns = np.concatenate([[0], np.flatnonzero(np.diff(np.sign(self._v))) + 1, [len(self._v)]])
         return np.asarray(self._x - np.repeat(self._x[turns[:-1]], np.diff(turns)))
 
@@ -335,7 +335,7 @@ class OnMeasuredMotion:
         return values - self._coupled_in(values) @ self.couplings if self._coupled else values
 
     def _coupled_in(self, values: Array) -> Array:
-        """Of values (…, n of the prediction), how much (…, J) of each coupling explains them best."""
+        """Least-squares amounts (…, J) of each coupling in values (…, n of the prediction)."""
         return np.asarray(values[..., self.rows] @ np.linalg.pinv(self.couplings[:, self.rows]))
 
     @property
@@ -344,7 +344,7 @@ class OnMeasuredMotion:
         return np.array(list(self._coupled.values()))[:, :: self.every]
 
     def coupled_by(self, parameters: Array) -> dict[str, float]:
-        """How much of each coupling explains best what the laws leave with these parameters (P,)."""
+        """Least-squares amount of each coupling in what the laws leave with these parameters (P,)."""
         left = self.measured[0] - self._required(parameters)[0, :: self.every]
         return dict(zip(self._coupled, self._coupled_in(left).tolist(), strict=True))
 
@@ -371,13 +371,13 @@ class OnMeasuredMotion:
 
     @property
     def uncoupled(self) -> OnMeasuredMotion:
-        """The same laws on the same rows, without what the other axis makes."""
+        """Prediction by the same laws on the same rows, without coupling torques."""
         result = copy(self)
         result._coupled = {}
         return result
 
     def doubts(self, parameters: Array) -> Array:
-        """(shapes, 1, n): by what a right prediction may be off beside the noise, each to one standard deviation.
+        """(shapes, 1, n): errors of a right prediction in addition to noise, each to one standard deviation.
 
         A rigid inertia that the model has not, a torque that is read some time within a row, what the filter takes
         twice of a motion near its corner, and how friction turns over.
@@ -394,7 +394,7 @@ class OnMeasuredMotion:
         return self._beside(inertia_Nm[None, None, :: self.every])
 
     def doubt_of_turning(self, parameters: Array) -> Array:
-        """(1, 1, n): of these, friction that turns over a way too short to be seen, or as sure as that is known."""
+        """(1, 1, n): of these, friction with a presliding displacement too short to be seen, or at its upper bound."""
         if self.presliding is None:
             presliding_travel = unseen(float(np.ptp(self._x))).presliding_travel
         else:
@@ -466,12 +466,12 @@ def coupled_motion(model: Machine, data: Measured) -> OnMeasuredMotion | None:
 
 
 def is_coupled(predictor: object) -> bool:
-    """Whether a prediction is one beside another axis."""
+    """True if a prediction has a coupled axis."""
     return isinstance(predictor, OnMeasuredMotion) and predictor.arm is not None
 
 
 def _filter_for(data: Measured) -> MotionFilter:
-    """As wide as the noise of what is measured allows."""
+    """Widest filter that the noise of the measured signal allows."""
     if data.integrated:
         return MotionFilter.for_speed(data.v_m_s[1], data.period_s)
     return MotionFilter.for_position(data.x_m[1], data.period_s)

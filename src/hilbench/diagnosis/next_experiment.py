@@ -1,7 +1,5 @@
-"""The next experiment: of a small library of moves the one, or two, that tell most of what is tied or not shown.
-
-What a move tells is up to the kind of machine: `web_next_experiment`, `axis_next_experiment`.
-"""
+"""The next experiment: of a small library of moves the one, or two, that identify most of what is tied or not
+shown. What a move identifies depends on the kind of machine: `web_next_experiment`, `axis_next_experiment`."""
 
 from __future__ import annotations
 
@@ -91,9 +89,9 @@ def through(
     levels: Sequence[tuple[float, float, float]],
     last: Sequence[Step] = (),
 ) -> list[Step]:
-    """Steps through levels of a speed to standstill: share of the top speed, least time to it, time at it, s.
+    r"""Steps through levels of a speed to standstill: share of the top speed, least time to it, time at it, s.
 
-    path: of the speed; top and steepest: its highest value and rate. last: what is done before the way to standstill.
+    path: of the speed; top and steepest: its highest value and rate. last: steps before the ramp to standstill.
     """
     steps: list[Step] = []
     speed = 0.0
@@ -111,17 +109,17 @@ def through(
 
 
 def duration_s(steps: Sequence[Step]) -> float:
-    """How long steps take."""
+    """Duration of steps, s."""
     return float(sum(one.get("duration_s", 0.0) for step in steps for one in step.values()))
 
 
 def best(
     library: Mapping[str, list[Step]], questions: Sequence[Question], is_identified: Callable[[list[Step]], Array]
 ) -> NextExperiment | None:
-    """The move, or two, that would tell most of the questions; None where no move would tell of any.
+    r"""The move, or two, that would answer most of the questions; None where no move answers any.
 
-    library: moves from standstill to standstill, by what they are. told: what steps tell of each question
-    (questions,), as `Question.is_identified`.
+    library: moves from standstill to standstill, by name. is_identified: which questions (questions,) steps answer,
+    as `Question.is_identified`.
     """
     if not questions:
         return None
@@ -154,7 +152,7 @@ def _takes(library: Mapping[str, list[Step]], names: tuple[str, ...]) -> float:
 
 
 def questions_of(found: Diagnosis, sizes: Callable[[int | None], MachineSizes]) -> Iterator[Question]:
-    """What a diagnosis leaves open; `sizes`: what is usual at an axis of its machine."""
+    """Questions that a diagnosis leaves open; `sizes`: what is usual at an axis of its machine."""
     model = found.model
     for effect in found.effects:
         entry = next((e for e in model.effects if Place.of(e) == effect.place), None)
@@ -182,7 +180,7 @@ def questions_of(found: Diagnosis, sizes: Callable[[int | None], MachineSizes]) 
 
 
 def _other(name: str, effect: NamedEffect, model: Machine) -> Place | None:
-    """What something is tied with, by what is said of it; None for what is not in the vocabulary."""
+    """Place of an effect that is tied with another, parsed from its name; None for one outside the vocabulary."""
     match = re.fullmatch(r"(\w+)(?: \((axis|span) (\d+)\))?", name)
     if match is None or match[1] not in {one.id for one in EFFECTS}:
         return None

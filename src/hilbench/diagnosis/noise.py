@@ -65,7 +65,7 @@ def scaling(deviations: Array) -> Whitening:
 
 
 def whitening(residuals: Array) -> Whitening:
-    """From residuals (signals, n) that hold noise alone, by Yule and Walker's equations."""
+    """Whitening filters from residuals (signals, n) that hold noise alone, by Yule and Walker's equations."""
     filters = np.zeros((len(residuals), ORDER + 1))
     for k, values in enumerate(residuals):
         values = values - values.mean()
@@ -83,7 +83,7 @@ def whitening(residuals: Array) -> Whitening:
 
 
 def repeats(values: Array) -> float:
-    """How many samples of coloured noise count as one: 1 + 2·Σρ, up to where the correlation is first lost."""
+    """Number of samples of coloured noise that count as one: 1 + 2·Σρ, up to where the correlation is first lost."""
     values = values - values.mean()
     size = 1 << (2 * len(values) - 1).bit_length()
     correlation = np.fft.irfft(np.abs(np.fft.rfft(values, size)) ** 2, size)[: len(values) // 4]

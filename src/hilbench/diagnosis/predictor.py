@@ -1,4 +1,4 @@
-"""What a diagnosis needs to know of a way to predict what a recording measured from a parameter vector."""
+"""Interface of a prediction of a recording's measured signals from a parameter vector."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _UNEVEN_CYCLES: Final = 1e-6
 
 
 class Predictor(Protocol):
-    """What a diagnosis needs to know of a way to predict."""
+    """Prediction that a diagnosis can use."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the signals."""
+        """Names of the signals."""
 
     @property
     def measured(self) -> Array:
@@ -50,19 +50,19 @@ class Predictor(Protocol):
 
     @property
     def exact(self) -> bool:
-        """Whether a right model leaves white noise and nothing else."""
+        """True if a right model leaves white noise and nothing else."""
 
     @property
     def tolerances(self) -> Array:
-        """(signals,): what a signal may be off by beside its noise."""
+        """(signals,): possible error of each signal in addition to its noise."""
 
     @property
     def emulation(self) -> AnyEmulation | None:
-        """How a load motor emulated web or shaft; None where they were there."""
+        """Emulation of web or shaft by a load motor; None where they were real."""
 
     @property
     def narrower(self) -> Predictor | None:
-        """The same in half the band of frequencies; None where all are compared."""
+        """Prediction in half the band of frequencies; None where all are compared."""
 
     def floor(self, signal: int) -> float:
         """Standard deviation of the noise of a signal, from the recording alone."""
@@ -76,7 +76,7 @@ class Predictor(Protocol):
 
 @dataclass(frozen=True)
 class Choice:
-    """A way to predict, why it was chosen, and the drives' loops as the recording shows them."""
+    """Chosen prediction, why it was chosen, and the drives' loops as the recording shows them."""
 
     predictor: Predictor
     basis: str  #: for a person
@@ -109,7 +109,7 @@ def choice(model: Machine, data: Measured, emulation: AnyEmulation | None = None
 
 
 def _is_cycle(cycles: float) -> bool:
-    """Whether a row of a bench's recording is whole cycles after the one before."""
+    """True if a row of a bench's recording is whole cycles after the one before."""
     return cycles > 0.5 and abs(cycles - round(cycles)) <= _UNEVEN_CYCLES
 
 
@@ -145,5 +145,5 @@ def _blind(motion: LineOnMeasuredMotion) -> str:
 
 
 def predictor_for(model: Machine, data: Measured, emulation: AnyEmulation | None = None) -> Predictor:
-    """The way to predict that `choice` chooses, of an axis by itself."""
+    """Prediction that `choice` chooses, of an axis by itself."""
     return choice(model, replace(data, other_rad=None), emulation).predictor

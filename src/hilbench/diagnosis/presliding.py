@@ -1,7 +1,7 @@
-"""The way over which the dry friction of an axis turns over after a reversal, from its motion and torque alone.
+"""Presliding: displacement over which an axis's dry friction turns over after a reversal, from motion and torque.
 
-Before friction slides it is a spring (presliding). Where that way shows, what happens at reversals is one law, and a
-friction that would be read from what is far from them alone is not mistaken for one that grows with the speed.
+Before friction slides it is a spring. Where that displacement shows, what happens at reversals is one law, and friction
+read far from them alone is not mistaken for one that grows with the speed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _RISE: Final = 3.84
 
 @dataclass(frozen=True)
 class Presliding:
-    """The way, in the unit of the position, with its 95 % interval."""
+    """Presliding displacement, in the unit of the position, with its 95 % interval."""
 
     presliding_travel: float
     ci95: tuple[float, float]
@@ -61,12 +61,12 @@ def presliding(
     *,
     may_play: bool = True,
 ) -> Presliding | None:
-    """The way that explains the torque best beside inertia, offset, and friction that grows with the speed.
+    r"""Presliding displacement that explains the torque best, fitted with inertia, offset and viscous friction.
 
-    motion: x, v, a (n,); torque (n,), filtered as `smooth` filters (…, n); rows (n,): those that count, of which every
-    so many are looked at; others (J, n): torques of which any multiple may be there; may_play: whether the machine may
-    have a play in series, which is looked for beside the way. None where friction that turns
-    over with the sign of the speed explains as much.
+    motion: x, v, a (n,); torque (n,), filtered as `smooth` filters (…, n); rows (n,): those that count, of which
+    every so many are looked at; others (J, n): torques of which any multiple may be there; may_play: True if the
+    machine may have a play in series, which is fitted with it. None where friction that turns over with the sign of
+    the speed explains as much.
     """
     x, v, a = motion
     if np.count_nonzero(np.diff(np.sign(v[rows]))) < _LEAST_REVERSALS:
@@ -88,7 +88,7 @@ def presliding(
     stroke = float(np.ptp(x[rows]))
     squares = np.array([[square(share * stroke, play * share * stroke) for play in _PLAYS] for share in _SHARES])
     best, alone = int(np.argmin(np.min(squares, axis=1))), int(np.argmin(squares[:, 0]))
-    # A short way and a play look alike in the band; every friction has a way, so it is one where that explains as much.
+    # Presliding and play look alike in the band; every friction has it, so it is one where that explains as much.
     may_play = may_play and float(squares[alone, 0]) > (1.0 + _AS_WELL) * float(np.min(squares))
     if not may_play:
         best = alone
@@ -105,7 +105,7 @@ def presliding(
         return None
     if np.std(here) > _MOST_LEFT * np.std(torque[looked_at]):
         return None
-    # Closer: way and play make up for each other, so the profile over the way has the best play at each.
+    # Closer: both make up for each other, so the profile over the displacement has the best play at each.
     first, gap = _SHARES[best] * stroke, play * _SHARES[best] * stroke
 
     def gap_near(at: Array) -> float:
@@ -144,7 +144,7 @@ def _direction(x: Array, presliding_travel: float, play: float) -> Array:
 
 
 def _explains(here: Array, without: Array) -> bool:
-    """Whether the rest is so much smaller, and in every stretch as well."""
+    """True if the residual is clearly smaller, and in every stretch as well."""
     if float(np.sum(here**2)) > (1.0 - _LEAST_SHARE) * float(np.sum(without**2)):
         return False
     edges = np.linspace(0, len(here), _STRETCHES + 1).astype(int)

@@ -82,11 +82,11 @@ class Proposer:
         self._torque_Nm = max(float(np.sqrt(np.mean(tau**2))) for tau in data.tau_Nm.values())
 
     def sizes(self, axis: int | None) -> MachineSizes:
-        """What is usual on the machine at an axis (None: the first), by its model and how it ran."""
+        """Usual sizes at an axis of the machine (None: the first), by its model and how it ran."""
         return machines.sizes(self._model, axis, self._top_m_s, self._torque_Nm, self._data.period_s)
 
     def waves(self, orders: Sequence[float]) -> dict[Place, list[Term]]:
-        """Of each effect with an order at each axis whose torque is recorded, that effect at these orders."""
+        """Terms of each effect with an order, at these orders, for each axis whose torque is recorded."""
         return {
             Place(effect.id, axis): [self._term(effect, axis, {effect.probe.parameter: order}) for order in orders]
             for effect in self._over(ProbeOver.MOTOR_ANGLE)
@@ -140,7 +140,8 @@ class Proposer:
         )
 
     def _least_order(self, axis: int | None) -> float:
-        """Of a torque ripple: some of its periods are in the recording, and on a machine it comes from what turns."""
+        """Least order of a torque ripple: some periods are in the recording, and on a machine it comes from what
+        turns."""
         least = _LEAST_CYCLES / max(self._turns(axis), 1e-9)
         if axis is None or machines.is_lone(self._model):
             return least
@@ -191,7 +192,7 @@ class Proposer:
         return machines.turns_apart(self._model, axis)
 
     def _differs(self, effect: Effect, section: Section | None) -> bool:
-        """Whether an effect of all spans is one that the model has in some of them already."""
+        """True if an effect of all spans is one that the model has in some of them already."""
         return (
             effect.per_section
             and section is None
@@ -250,7 +251,7 @@ class Proposer:
         return replace(term, values={**term.values, name: term.values[name] + float(shifts[best])})
 
     def searched_angle_rad(self, term: Term, every: int) -> tuple[str | None, Array]:
-        """What the searched shape of a term multiplies, for each row; None for a term without one."""
+        """Phase that the searched shape of a term multiplies, for each row; None for a term without one."""
         probe = term.effect.probe
         if probe is not None and probe.over is ProbeOver.MOTOR_ANGLE and term.axis is not None:
             return probe.parameter, self._data.x_m[term.axis][::every] * self._model.motor_rad_per_unit(term.axis)
@@ -339,7 +340,8 @@ class Proposer:
     def gradual(
         self, effect: Effect, time_s: float, duration_s: float, present: list[Term], section: Section | None = None
     ) -> list[Term]:
-        """What grows over a time into what the sudden `effect` is at once, if the model can have another one there."""
+        """Terms that grow over a time into what the sudden `effect` is at once, if the model can have another one
+        there."""
         terms = []
         for other in self._over(ProbeOver.ONSET_AND_DURATION):
             slot = self._slot(other, None, present, section)
@@ -361,7 +363,7 @@ class Proposer:
     def _slot(
         self, effect: Effect, axis: int | None, present: list[Term], section: Section | None = None
     ) -> int | None:
-        """That of another one at a place; one of all spans takes one of each."""
+        """Free slot of an effect at a place; one of all spans takes one of each."""
         entries = machines.entries_at(self._model, effect, axis, section)
         there = [term for term in present if (term.effect.id, term.axis) == (effect.id, axis)]
         slot = len(entries) + sum(section is None or term.section in (None, section) for term in there)

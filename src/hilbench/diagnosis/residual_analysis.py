@@ -96,7 +96,7 @@ def misfits(
 def located(
     names: tuple[str, ...], scaled: Array, rows: NDArray[np.bool_], conditions: list[Condition], most: int
 ) -> list[tuple[Misfit, float]]:
-    """Where residuals (signals, n) are, with the share of all that is beyond noise; at most `most`, largest first.
+    """Locate residuals (signals, n), with the share of all that is beyond noise; at most `most`, largest first.
 
     Conditions go together (time, speed, tension): what the first explains is taken out before the next is looked for,
     so that the shares are parts of one whole.
@@ -217,7 +217,7 @@ def _burst(name: str, values: Array, rows: NDArray[np.bool_], time: Condition) -
 
 
 def largest_ratio(rows: NDArray[np.bool_]) -> float:
-    """Of the rms of a signal's residual on these rows (n,) to its floor, as far as noise alone may make it."""
+    """Largest ratio of the rms of a signal's residual on these rows (n,) to its floor that noise alone may cause."""
     count = max(int(np.count_nonzero(rows)), 1)
     return max(_LARGEST_RATIO, 1.0 + _RMS_ERRORS * float(np.sqrt((1.0 + _OF_FLOOR) / (2.0 * count))))
 

@@ -31,7 +31,7 @@ _TOLD: Final = 0.25
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Of fitted coordinates (J,), with the spectrum of the rest as noise."""
+    """Uncertainty of fitted coordinates (J,), with the spectrum of the residual as noise."""
 
     covariance: Array  #: (J, J)
     freedom: Array  #: (J,) degrees of freedom of each variance
@@ -42,7 +42,7 @@ class Uncertainty:
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     def quantiles(self, probability: float) -> Array:
-        """Of each coordinate's error, in its standard deviations (J,), two-sided."""
+        """Two-sided quantiles of each coordinate's error, in its standard deviations (J,)."""
         return np.asarray(stdtrit(self.freedom, 0.5 + 0.5 * probability))
 
     def chance(self, part: slice, moved: Array) -> float:
@@ -54,13 +54,12 @@ class Uncertainty:
 def uncertainty(
     columns: Array, residual: Array, precision: Array | None = None, least_noise: float = 0.0
 ) -> Uncertainty:
-    """Of the coordinates that least squares finds with these columns.
+    r"""Uncertainty of the coordinates that least squares finds with these columns.
 
     columns: (J, signals, n), derivatives of the prediction by the coordinates; residual: (signals, n), what the fit
-    left; both in the units in which the sum of squares was least. Rows are taken as adjacent in time.
-    precision (J, J): of what was known of the coordinates before, the inverse of its covariance, where the fit went by
-    that as well; least_noise: variance of the white noise that there is at least: a fit with many columns takes much of
-    it up at the frequencies at which they act.
+    left; both in the units in which the sum of squares was least. Rows are taken as adjacent in time. precision (J,
+    J): inverse prior covariance of the coordinates, where the fit used it; least_noise: least variance of the white
+    noise: a fit with many columns takes much of it up at the frequencies at which they act.
     """
     count, signals, n = columns.shape
     if count == 0:
@@ -136,9 +135,9 @@ def with_guess(known: Uncertainty, columns: Array, residual: Array, guess: Array
 
 
 def by_waves(columns: Array, residual: Array, shapes: Array, waves: Array) -> Uncertainty:
-    """The same of a motion that repeats itself: what is left does so as well, so that only so many numbers are left.
+    r"""Uncertainty for a periodic motion, whose residual is periodic as well, so that few numbers are left.
 
-    columns (J, n), residual (n,); shapes (K, n): by what the prediction may be off, each to one standard deviation;
+    columns (J, n), residual (n,); shapes (K, n): possible errors of the prediction, each to one standard deviation;
     waves (W, n): all that repeats itself as the motion does, each of which may be left as much as any other.
     """
     known, _ = np.linalg.qr(waves.T)

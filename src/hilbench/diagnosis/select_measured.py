@@ -80,9 +80,9 @@ class MeasuredSearch:
         self._rows = space.predictor.rows
 
     def run(self) -> Selection:
-        """Add what explains more than a small share, the simple first; then drop what is not certain beside all others.
+        """Add what explains more than a small share, the simple first; then drop what is not certain given all others.
 
-        Beside a gross error of the model nothing is certain, so that comes last.
+        With a gross error of the model nothing is certain, so that comes last.
         """
         current = self._fitted([])
         offered = self._offered(current)
@@ -106,7 +106,7 @@ class MeasuredSearch:
             current, offered = plainer, self._offered(plainer)
             tied = self._tied(current, offered, wandering)
         samples = float(np.count_nonzero(self._rows) * len(self._space.predictor.names))
-        # Of one steady sine an inertia stands for what swings, and leaves more.
+        # On one steady sine an inertia replaces a resonance, and leaves more.
         swung = any(term.swings for term in steady.terms) and not any(term.swings for term in current.terms)
         exhausted = swung and is_on_one_sine(self._space)
         untold = self._untold(current, tied, offered)
@@ -153,10 +153,10 @@ class MeasuredSearch:
         return CandidateSet(white, current.residual, own, candidates + searched, responses + more)
 
     def _searched(self, current: Fit, white: Whitening) -> list[Term]:
-        """Orders and frequencies from the residual's spectrum, as it is and whitened, beside those that are there.
+        """Orders and frequencies from the residual's spectrum, as it is and whitened, in addition to those present.
 
-        Where a turn is resolved the whole number of times a turn that is nearest is offered as well: what turns has
-        such orders, and a drive's loop that answers in another phase in each direction splits their peak.
+        Where a turn is resolved the nearest whole number of times a turn is offered as well: rotating parts have such
+        orders, and a drive's loop that answers in another phase in each direction splits their peak.
         """
         found: list[Term] = []
         beside = without_side_bands(self._space, current, self._side_bands(current))
@@ -184,10 +184,10 @@ class MeasuredSearch:
     def _linear(
         self, residual: Array, own: Array, offered: CandidateSet, beside: Array | None = None
     ) -> tuple[StretchedProblem, list[list[int]]]:
-        """The linear problem of the terms' own columns and of the candidates; which columns are each candidate's.
+        r"""Linear problem of the terms' own columns and of the candidates; which columns are each candidate's.
 
-        beside: columns (J, signals, n) of which nothing is looked at: taken out of all the others beforehand, because
-        what one stretch has of them the others don't tell.
+        beside: columns (J, signals, n) of which nothing is looked at: projected out of all the others beforehand,
+        because their amounts in one stretch do not hold in the others.
         """
         columns = self._counted(np.concatenate([own, *offered.responses]))
         counted = self._counted(residual)
@@ -230,7 +230,7 @@ class MeasuredSearch:
             least = least_share(term)
             if started is None or before - started[0] < least * before:
                 continue
-            # A law of higher order is read beside those that it is made of, whether or not these are told.
+            # A law of higher order is fitted with those that it is made of, even where these are not identified.
             if term.effect.removable and problem.own_share(group[0], [*mine, *simple]) < _OWN_SHARE:
                 continue
             if term.has_phase:
@@ -263,7 +263,7 @@ class MeasuredSearch:
         return problem.gain_unseen_in_phase(mine, group)
 
     def _is_as_good_a_wave(self, other: Term, gain: float, wave: Term, its: float) -> bool:
-        """Whether a simpler wave of the same order explains nearly as much when phases are free.
+        """True if a simpler wave of the same order explains nearly as much when phases are free.
 
         A loop that answers in another phase in each direction makes a wave look like one that goes with the torque.
         """
@@ -276,8 +276,8 @@ class MeasuredSearch:
 
     @staticmethod
     def _started(problem: StretchedProblem, mine: list[int], term: Term, group: list[int]) -> tuple[float, Term] | None:
-        """What a candidate would leave, and its start values; None where it says nothing of its own or no bound allows
-        its sign."""
+        """Residual sum with a candidate, and its start values; None where it is collinear or no bound allows its
+        sign."""
         if min(problem.own_share(column, mine) for column in group) < _OWN_SHARE:
             return None
         left, theta = problem.left([*mine, *group])
@@ -293,13 +293,14 @@ class MeasuredSearch:
 
     @staticmethod
     def _left_whatever_its_sign(problem: StretchedProblem, mine: list[int], group: list[int]) -> float:
-        """What a candidate would leave though no bound allowed its sign; all where it says nothing of its own."""
+        """Residual sum with a candidate even if no bound allows its sign; infinite where it is collinear."""
         if min(problem.own_share(column, mine) for column in group) < _OWN_SHARE:
             return float("inf")
         return problem.left([*mine, *group])[0]
 
     def _chances(self, found: Fit, known: Uncertainty | None = None) -> list[float]:
-        """Of each term that it is neutral and was found all the same; known: by default by what is left as noise."""
+        """Probability for each term that it is neutral and was found by chance; known: by default with the residual
+        as noise."""
         known = uncertainty_of(self._space, found) if known is None else known
         at, chances = 0, []
         for term in found.terms:
@@ -347,7 +348,7 @@ class MeasuredSearch:
         return shares
 
     def _tied(self, current: Fit, offered: CandidateSet, wandering: set[Place]) -> dict[Key, list[Place]]:
-        """What could stand in the place of each term and leave as little, but for what no two bands agree on."""
+        """Alternatives to each term that leave as little, but for those on which no two bands agree."""
         tied: dict[Key, list[Place]] = {}
         count = len(offered.own)
         problem, groups = self._linear(current.residual, offered.own, offered)
@@ -366,7 +367,7 @@ class MeasuredSearch:
                 if term.effect.removable or other.effect.removable:
                     started = self._started(without, mine, other, group)
                     left = float("inf") if started is None else started[0]
-                else:  # more of it may be fed forward than there is: its sign says nothing
+                else:  # more of it may be fed forward than there is: its sign has no meaning
                     left = self._left_whatever_its_sign(without, mine, group)
                 if left < (1.0 + TIED) * here:
                     tied[term.key].append(other.place)

@@ -1,4 +1,4 @@
-"""What a wave that is known leaves near its order: a drive's loop answers to it in another phase at every speed."""
+"""Side bands that a known wave leaves near its order: a drive's loop responds in another phase at every speed."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def without_side_bands(space: Space, current: Fit, bands: Array) -> Array:
 
 
 def is_near_present(space: Space, proposer: Proposer, term: Term, current: Fit) -> bool:
-    """Whether a wave's order is one that is there, or within its side bands."""
+    """True if a wave's order is one that is there, or within its side bands."""
     if not term.has_phase:
         return False
     order = order_of(space, proposer, term)

@@ -26,13 +26,13 @@ _OWN_SHARE: Final = 0.25
 
 
 def is_on_one_sine(space: Space) -> bool:
-    """Whether a lone axis goes to and fro by one steady sine."""
+    """True if a lone axis moves to and fro by one steady sine."""
     return isinstance(space.predictor, OnMeasuredMotion) and space.predictor.sine_Hz is not None
 
 
 def identifiable_on_one_sine(space: Space, terms: list[Term], offered: CandidateSet) -> list[bool]:
-    """Of each candidate whether the motion can tell it; all of any but one steady sine. What swings at a frequency of
-    its own is judged by the lines of its spectrum, once it is found (`hilbench.diagnosis.torsional_mode.untold`)."""
+    """True for each candidate that the motion identifies; all of any but one steady sine. A resonance is judged by
+    the lines of its spectrum, once it is found (`hilbench.diagnosis.torsional_mode.untold`)."""
     predictor = space.predictor
     if not isinstance(predictor, OnMeasuredMotion) or predictor.sine_Hz is None:
         return [True] * len(offered.candidates)

@@ -88,7 +88,7 @@ class Thinning:
 
     @property
     def reach_s(self) -> float:
-        """How far before and behind a row what it holds lies."""
+        """Time before and after a row that its value depends on, s."""
         return _HALF_LENGTH * self.every * self.period_s if self.every > 1 else 0.0
 
     @property

@@ -241,8 +241,7 @@ class Space:
         return np.asarray(self.predictor.measured - self._quick - predicted[0], np.float64)
 
     def doubts(self, terms: list[Term]) -> Array:
-        """(shapes, signals, n): by what a right prediction may be off beside the noise, each to one standard
-        deviation."""
+        """(shapes, signals, n): errors of a right prediction in addition to noise, each to one standard deviation."""
         if not isinstance(self.predictor, LineOnMeasuredMotion | OnMeasuredMotion):
             return np.empty((0, *self.predictor.measured.shape))
         return self.predictor.doubts(pack_with(self.model, terms))
@@ -312,7 +311,7 @@ class Linear:
         self._gram, self._cross = self.gram[train].sum(0), self.cross[train].sum(0)
 
     def information(self, column: int) -> float:
-        """Of the training blocks about one coordinate, if it were the only one."""
+        """Information of the training blocks about one coordinate, if it were the only one."""
         return float(self._gram[column, column])
 
     def own_share(self, column: int, beside: list[int]) -> float:
@@ -334,18 +333,19 @@ class Linear:
         return float(2.0 * theta @ cross - theta @ gram @ theta), theta
 
     def gain_at(self, chosen: list[int], theta: Array) -> float:
-        """The same at given coordinates."""
+        """Gain at given coordinates."""
         gram, cross = self._gram[np.ix_(chosen, chosen)], self._cross[chosen]
         return float(2.0 * theta @ cross - theta @ gram @ theta)
 
 
 def finest(space: Space) -> Whitening | None:
-    """With a quarter of the tolerances, to choose between good explanations; None where nothing is tolerated."""
+    """Whitening with a quarter of the tolerances, to choose between good explanations; None where nothing is
+    tolerated."""
     return _noise_of_right_model(space.predictor, 0.25) if space.predictor.exact else None
 
 
 def _noise_of_right_model(predictor: Predictor, tolerated: float = 1.0) -> Whitening:
-    """What makes what a right model leaves white: its floor, and what is tolerated beside it, or a share of that."""
+    """Whitening by a right model's residual: its floor, and the tolerances, or a share of them."""
     floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
     return scaling(np.hypot(floors, tolerated * predictor.tolerances))
 

@@ -65,9 +65,9 @@ class _Candidate:
 
 
 def law(signal: str, residual: Array, conditions: Sequence[Condition], train: Rows, test: Rows) -> SparseLaw | None:
-    """A law for a residual (n,), N·m, over the states of `conditions`; None where none holds on the rows of `test`.
+    """Law of a residual (n,), N·m, over the states of `conditions`; None where none holds on the rows of `test`.
 
-    Fitted on the rows of `train` (n,); the offset is not part of it, so it is fitted beside every law and not told.
+    Fitted on the rows of `train` (n,); the offset is no part of it: it is fitted with every law and not reported.
     """
     library = [one for one in _library(conditions) if _usable(one.values, train)]
     offset = np.ones(len(residual))
@@ -108,7 +108,7 @@ def _held_out(columns: Sequence[Array], residual: Array, train: Rows, test: Rows
 
 
 def _correlation(values: Array, columns: Sequence[Array], left: Array, rows: Rows) -> float:
-    """How much of what is left one more column would explain, on these rows."""
+    """Reduction of the residual's sum of squares by one more column, on these rows."""
     matrix = np.array(columns)[:, rows]
     matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=1), 1e-300)[:, None]
     theta, *_ = np.linalg.lstsq(matrix.T, values[rows], rcond=1e-8)
@@ -120,7 +120,7 @@ def _correlation(values: Array, columns: Sequence[Array], left: Array, rows: Row
 
 
 def _library(conditions: Sequence[Condition]) -> Iterator[_Candidate]:
-    """What a residual may depend on: friction of every kind, load, position, and products of them."""
+    """Candidate laws: friction of every kind, load, position, and products of them."""
     states = {one.name: one for one in conditions}
     speeds = [one for name, one in states.items() if name.startswith("speed of axis")]
     for speed in speeds:

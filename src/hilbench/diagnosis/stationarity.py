@@ -1,7 +1,5 @@
-"""Whether an effect that was found is the same in other bands of frequencies and in other stretches of a recording.
-
-An effect has one size. What stands for something else has another wherever that is another.
-"""
+"""Stationarity test: is a found effect the same in other frequency bands and other stretches of a recording? An
+effect has one size. A substitute for something else has another wherever that is another."""
 
 from __future__ import annotations
 

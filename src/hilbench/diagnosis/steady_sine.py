@@ -1,4 +1,4 @@
-"""Whether a motion is one steady sine, and what repeats itself and what goes with the position in it."""
+"""Detection of a motion that is one steady sine, and its components that repeat or go with the position."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _WAVES: Final = 5
 
 
 def frequency_of_sine(speed: Array, period_s: float) -> float | None:
-    """Of a speed (n,), rows so far apart, that is one sine about standstill, Hz; None of any other."""
+    """Frequency of a speed (n,), at this row period, that is one sine about standstill, Hz; None of any other."""
     n = len(speed)
     t_s = np.linspace(0.0, period_s * (n - 1), n)
     spectrum = np.abs(np.fft.rfft(speed * np.hanning(n), _FINER * n))

@@ -65,7 +65,7 @@ _OWN_SHARE: Final = 0.005
 
 
 def price(terms: list[Term], samples: float) -> float:
-    """What the terms' parameters and their search cost, in units of the sum of squares."""
+    """Price of the terms' parameters and their search, in units of the sum of squares."""
     parameters = sum(len(term.coordinates()) for term in terms)
     return parameters * float(np.log(samples)) + sum(2.0 * float(np.log(_PLACES * t.multiplicity)) for t in terms)
 
@@ -82,7 +82,7 @@ class CandidateSet:
 
 
 def _apart(terms: list[Term], gains: Array, least_s: float) -> list[Term]:
-    """Those of most gain, at least `least_s` apart."""
+    """Terms of most gain, at least `least_s` apart."""
     found: list[Term] = []
     for k in np.argsort(-gains):
         if all(abs(terms[k].time_s - other.time_s) > least_s for other in found):
@@ -106,14 +106,14 @@ def _best_while(times_s: Array, responses: Array, along: Array) -> tuple[float, 
 
 
 class Steps:
-    """What the search does at each of its steps, over one space."""
+    """Steps of the search over one space."""
 
     def __init__(self, space: Space, proposer: Proposer, every: int = 1) -> None:
         self.space, self.proposer, self._every = space, proposer, every
 
     @property
     def samples(self) -> float:
-        """How many values fits see."""
+        """Number of values that fits see."""
         return float(np.count_nonzero(self.space.split.train) * len(self.space.predictor.names))
 
     # -- candidates ------------------------------------------------------------------------------------------
@@ -140,7 +140,7 @@ class Steps:
         return found
 
     def criterion(self, found: Fit) -> float:
-        """Of a fit on all rows."""
+        """Selection criterion of a fit on all rows."""
         return found.train + found.test + price(found.terms, self.samples)
 
     def candidates(self, current: Fit) -> CandidateSet:
@@ -168,7 +168,7 @@ class Steps:
         return CandidateSet(white, current.residual, own, plain + searched, responses)
 
     def _changes(self, current: Fit, white: Whitening) -> list[Term]:
-        """Of each sudden effect the times at which it would explain most, and what grows into it over a while."""
+        """Terms of each sudden effect at the times at which it would explain most, and gradual ones over a while."""
         times, apart_s = self.proposer.onset_times_s()
         counted = np.flatnonzero(self.space.split.block >= 0) * self.space.period_s * self._every
         # What set in before the first row that counts has been there always.
@@ -182,7 +182,8 @@ class Steps:
         ]
 
     def _passages(self, current: Fit, white: Whitening, whitened: dict[str, Array]) -> list[Term]:
-        """Of each effect that passes the times at which it would explain most, near where the residual stands out."""
+        """Terms of each passing effect at the times at which it would explain most, near where the residual is
+        large."""
         effects = self.proposer.passing()
         if not effects or not self.space.predictor.exact:
             return []
@@ -297,7 +298,7 @@ class Steps:
         return CandidateSet(offered.whitening, current.residual, own, candidates, responses)
 
     def is_rough(self, current: Fit) -> bool:
-        """Whether far more than noise is left, so that the right model was not found."""
+        """True if far more than noise is left, so that the right model was not found."""
         space, rows = self.space, self.space.split.block >= 0
         torques = [k for k, name in enumerate(space.predictor.names) if name.startswith("tau")]
         rms = np.sqrt(np.mean(current.residual[torques][:, rows] ** 2, axis=1))

@@ -51,7 +51,7 @@ class StretchedProblem:
         return float(square - _solved(gram, beside, chosen) @ beside[chosen])
 
     def left_unseen(self, chosen: list[int]) -> float:
-        """The same, each stretch predicted from the others."""
+        """Residual sum of squares, each stretch predicted from the others."""
         gram, cross, total = self.gram.sum(0), self.cross.sum(0), 0.0
         for g, c, s in zip(self.gram, self.cross, self.square, strict=True):
             theta = _solved(gram - g, cross - c, chosen)
@@ -71,8 +71,8 @@ class StretchedProblem:
         return gain
 
     def gain_unseen_in_phase(self, mine: list[int], group: list[int]) -> float:
-        """The same by a wave's two columns with the amplitude that the other stretches have and a phase of its own:
-        where phase is a state of the machine only the amplitude can be predicted."""
+        """Gain of a wave's two columns with the amplitude of the other stretches and a phase of its own: where
+        phase is a state of the machine only the amplitude can be predicted."""
         gram, cross, gain = self.gram.sum(0), self.cross.sum(0), 0.0
         for g, c in zip(self.gram, self.cross, strict=True):
             others = _solved(gram - g, cross - c, [*mine, *group])

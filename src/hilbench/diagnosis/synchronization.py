@@ -91,7 +91,7 @@ def require_one_span(model: ModelParameters, place: str | Path) -> None:
 
 
 def measurements_of(recording: Recording, place: str | Path) -> Measurements:
-    """What a twin would have heard. Raises UnusableInputError when a channel is missing."""
+    """Measurements that a twin would have received. Raises UnusableInputError when a channel is missing."""
     recording.require(NEEDED, place)
 
     def channel(name: str) -> Array:
@@ -164,7 +164,7 @@ def compare_runs(model: ModelParameters, runs: Mapping[str, Recording]) -> Compa
 def _comparison(
     model: ModelParameters, data: Measurements, E_true_Pa: Array | None, tracks: Mapping[str, Track]
 ) -> Comparison:
-    """Scores of what each method did, beside the bound of these samples."""
+    """Scores of each method, and the bound of these samples."""
     step = figures.last_step(E_true_Pa) if E_true_Pa is not None else None
     noise_Nm = torque_noise_Nm(data)
     bound = np.full(len(data.t_s), np.inf)

@@ -33,7 +33,7 @@ class Place(NamedTuple):
 
     @classmethod
     def of(cls, entry: EffectEntry) -> Place:
-        """Of an effect as a model file has it."""
+        """Place of an effect as a model file has it."""
         return cls(entry.effect, entry.axis, entry.section)
 
     @property
@@ -49,7 +49,7 @@ class Place(NamedTuple):
         return f"axis {self.axis}" if self.axis else f"span {self.section}" if self.section else ""
 
     def beside(self, other: Place) -> str:
-        """As what is tied with another: with its part of the machine where that is not the other's."""
+        """Name of what is tied with another: with its part of the machine where that is not the other's."""
         return self.effect if self.where in ("", other.where) else f"{self.effect} ({self.where})"
 
 
@@ -83,22 +83,22 @@ class Term:
 
     @property
     def key(self) -> Key:
-        """Where it is in the model."""
+        """Key of the term in the model."""
         return self.place, self.slot, self.part
 
     @property
     def place(self) -> Place:
-        """What is named."""
+        """Place of the effect."""
         return Place(self.effect.id, self.axis, self.section)
 
     @property
     def is_searched(self) -> bool:
-        """Whether something of it is to be searched for, because the sum of squares has many minima in it."""
+        """True if a parameter of it has to be searched for, because the sum of squares has many minima in it."""
         return self.probe is not None or (self.is_sudden and not self.aimed)
 
     @property
     def is_sudden(self) -> bool:
-        """Whether it sets in at once, at a time of its own."""
+        """True if it sets in at once, at a time of its own."""
         return self.effect.probe is not None and self.effect.probe.over in (ProbeOver.ONSET, ProbeOver.PASSAGE)
 
     @property
@@ -116,12 +116,12 @@ class Term:
 
     @property
     def duration_s(self) -> float:
-        """How long it takes to grow, s; 0 of what sets in at once."""
+        """Time that it takes to grow, s; 0 if it sets in at once."""
         probe = self.effect.probe
         return self.values[probe.duration] if probe is not None and probe.duration else 0.0
 
     def overlaps(self, other: Term) -> bool:
-        """Whether they write the same values of a model: one of all spans those of each."""
+        """True if both write the same values of a model: one of all spans those of each."""
         (place, *rest), (its, *others) = self.key, other.key
         return (
             rest == others
@@ -130,26 +130,26 @@ class Term:
         )
 
     def moved_to(self, time_s: float) -> Term:
-        """The same from another time on. Raises ValueError for a term without one."""
+        """Term from another time on. Raises ValueError for a term without one."""
         return replace(self, values={**self.values, self.onset: time_s})
 
     def stays_at(self, name: str) -> bool:
-        """Whether a parameter is a time that has been searched for already."""
+        """True if a parameter is a time that has been searched for already."""
         return self.aimed and name == self.onset
 
     @property
     def has_phase(self) -> bool:
-        """Whether strength and phase are fitted as two components."""
+        """True if strength and phase are fitted as two components."""
         return any(p.name == _PHASE for p in self.effect.parameters)
 
     @property
     def is_of_a_frequency(self) -> bool:
-        """Whether it shows near a frequency of its own, and not in a band without that."""
+        """True if it shows near a frequency of its own, and not in a band without that."""
         return self.has_phase or (self.effect.probe is not None and self.effect.probe.over is ProbeOver.FREQUENCIES)
 
     @property
     def swings(self) -> bool:
-        """Whether it is a part of the machine that swings at a frequency of its own."""
+        """True if it is a resonance of a part of the machine."""
         return self.is_of_a_frequency and not self.has_phase
 
     @property
@@ -161,7 +161,7 @@ class Term:
 
     @property
     def own(self) -> dict[str, float]:
-        """Its values, without those of other parts of the same effect."""
+        """Values of the term, without those of other parts of the same effect."""
         others = [name for name in self.effect.strength if name != self._strength]
         return {name: value for name, value in self.values.items() if name not in others}
 
@@ -180,7 +180,7 @@ class Term:
         return np.array(head + [values[name] for name in self._shapes()])
 
     def at(self, coordinates: Array) -> Term:
-        """The same term with these coordinates, within the parameters' bounds."""
+        """Term with these coordinates, within the parameters' bounds."""
         values = dict(self.values)
         if self.has_phase:
             values[self._strength] = hypot(coordinates[0], coordinates[1])
@@ -193,7 +193,7 @@ class Term:
         return replace(self, values=values)
 
     def neutral(self) -> Term:
-        """With the strength that the diagnosed model has, the shape as it is."""
+        """Term with the strength that the diagnosed model has, the shape unchanged."""
         values = dict(self.values)
         values[self._strength] = self.base[self._strength]
         if self.has_phase:
@@ -214,7 +214,7 @@ class Term:
         return head + self._shapes()
 
     def allowed(self, strength: float) -> bool:
-        """Whether a strength (of a term without phase) is within its bounds."""
+        """True if a strength (of a term without phase) is within its bounds."""
         parameter = self.effect.parameter(self._strength)
         return self.has_phase or parameter.lower <= strength <= parameter.upper
 
@@ -257,7 +257,7 @@ def _of_all_first(term: Term) -> bool:
 
 
 def _by_section(entries: list[EffectEntry], effect_id: str, sections: int) -> list[EffectEntry]:
-    """The same with an entry for each span instead of one for all of them."""
+    """Entries of an effect for each span instead of one for all of them."""
     found: list[EffectEntry] = []
     for entry in entries:
         if entry.effect == effect_id and entry.section is None:

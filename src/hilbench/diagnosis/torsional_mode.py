@@ -64,5 +64,5 @@ def _lines(values: Array) -> float:
 
 
 def _memory_s(term: Term) -> float:
-    """How long a swing is remembered."""
+    """Decay time of a resonance's free oscillation, s."""
     return _FADED / (2.0 * np.pi * term.values["frequency_Hz"] * term.values["damping"])

@@ -62,7 +62,7 @@ def _Hz(term: Term) -> float:
 
 
 def _between(low: Term, high: Term) -> Term:
-    """The same at the geometric mean of two frequencies."""
+    """Term at the geometric mean of two frequencies."""
     return replace(low, values={**low.values, _frequency(low) or "": float(np.sqrt(_Hz(low) * _Hz(high)))})
 
 

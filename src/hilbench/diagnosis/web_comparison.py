@@ -35,7 +35,7 @@ _BY_THE_CLOCK: Final = (ProbeOver.TIME, ProbeOver.ONSET, ProbeOver.ONSET_AND_DUR
 
 @dataclass(frozen=True)
 class _Side:
-    """A recording, what was found in it beside its model, and how its residuals are weighted."""
+    """A recording, the terms found in it beyond its model, and the weights of its residuals."""
 
     space: Space
     choice: Choice
@@ -51,7 +51,7 @@ class _Side:
 
     @property
     def terms(self) -> list[Term]:
-        """What was found."""
+        """Terms that were found."""
         return self.selection.fit.terms
 
     def linearized(self, terms: list[Term]) -> tuple[Array, Array]:
@@ -68,12 +68,12 @@ def changes(
     emulations: tuple[AnyEmulation | None, AnyEmulation | None],
     announce: Announce,
 ) -> Diagnosis:
-    """What differs in `now` from `then`, of a machine that is simulated; `emulations` of both, in that order."""
+    """Find what differs in `now` from `then`, of a machine that is simulated; `emulations` of both, in that order."""
     before = _Side.of(model, then, emulations[1], lambda text, share: announce(f"before: {text}", 0.4 * share))
     was = extended(model, [term for term in before.terms if not _by_the_clock(term)])
     after = _Side.of(was, now, emulations[0], lambda text, share: announce(f"after: {text}", 0.4 + 0.3 * share))
     found = concluded(after.space, after.choice, now, after.selection, announce)
-    if found.verdict == "unknown" and was != model:  # what has gone may hide what has come
+    if found.verdict == "unknown" and was != model:  # an effect that ended may hide a new one
         alone = _Side.of(model, now, emulations[0], lambda text, share: announce(f"alone: {text}", 0.7 + 0.25 * share))
         other = concluded(alone.space, alone.choice, now, alone.selection, announce)
         if other.verdict != "unknown":
@@ -174,7 +174,7 @@ class _Joint:
         return replace(effect, parameters={**effect.parameters, strength: size})
 
     def _strength(self, when: str, key: Key, term: Term) -> Array:
-        """Its coordinates in which the model is linear, in one recording; neutral where it was not found."""
+        """Linear coordinates of a term in one recording; neutral where it was not found."""
         found = (self.after if when == "after" else self.before).get(key)
         if found is None:
             return term.neutral().coordinates()[: term.linear]

@@ -41,7 +41,7 @@ _PERIOD_S: Final = 0.002
 
 @dataclass(frozen=True)
 class Reach:
-    """What the machine has done already, and may be asked again."""
+    """Range that the machine has covered already, and may be asked for again."""
 
     top_m_s: float
     steepest_m_s2: float
@@ -104,7 +104,7 @@ def _information(
     questions: list[Question],
     noise: dict[str, float],
 ) -> Array:
-    """What steps tell of each question."""
+    """Information of steps about each question."""
     data = _as_measured(steps, model, reach)
     predictor = FreeRun(model, data, found.emulation if isinstance(found.emulation, Emulation) else None)
     sigma = np.array([noise.get(name, 0.0) for name in predictor.names])
@@ -120,7 +120,7 @@ def _information(
 
 
 def _as_measured(steps: list[Step], model: ModelParameters, reach: Reach) -> Measured:
-    """What a bench would command for the steps: speeds, and the strain that the tension asks for."""
+    """Commands of a bench for the steps: speeds, and the strain of the tension set-point."""
     times, speeds, tensions = [0.0], [0.0], [reach.tension_N or model.boundary.upstream_tension_N]
     for step in steps:
         ((kind, what),) = step.items()

@@ -1,4 +1,4 @@
-"""What is measured of a web beside its driven rollers: tensions, positions of carriages, radii of reels."""
+"""Web measurements other than those of driven rollers: tensions, positions of carriages, radii of reels."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _CARRIAGE_M, _RADIUS_SHARE = 2e-4, 2e-4
 
 @dataclass(frozen=True)
 class StationSensor:
-    """What the sensor of a carriage's position or a reel's radius said."""
+    """Readings of the sensor of a carriage's position or a reel's radius."""
 
     channel: str
     measured_m: NDArray[np.float64]  #: (n,)
@@ -29,7 +29,7 @@ class StationSensor:
 
 
 def station_sensors(recording: Recording, model: Machine) -> dict[str, StationSensor]:
-    """What sensors of stations said, where they are recorded, by the station's name."""
+    """Readings of station sensors, where they are recorded, by the station's name."""
     if not isinstance(model, ModelParameters):
         return {}
     known = {each.station.name: (f"x_{each.station.name}_meas_m", _CARRIAGE_M) for each in model.carriages}
@@ -45,7 +45,7 @@ def station_sensors(recording: Recording, model: Machine) -> dict[str, StationSe
 
 
 def carriage_forces(recording: Recording, model: Machine) -> dict[str, NDArray[np.float64]]:
-    """What carriages were told that were told a force, N, by the station's name."""
+    """Force commands of carriages that receive one, N, by the station's name."""
     carriages = model.carriages if isinstance(model, ModelParameters) else ()
     channels = {each.station.name: f"f_{each.station.name}_cmd_N" for each in carriages}
     return {
@@ -72,5 +72,5 @@ def _usual_first(span: int, spans: int) -> list[str]:
 
 
 def tension_names(spans: Iterable[int]) -> list[str]:
-    """What the tensions of these spans are called in a diagnosis, in the order of the spans."""
+    """Names of the tensions of these spans in a diagnosis, in the order of the spans."""
     return [_TENSION if span == 1 else f"F{span}_meas_N" for span in sorted(spans)]

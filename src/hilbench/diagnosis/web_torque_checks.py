@@ -1,4 +1,4 @@
-"""Whether recorded torques can be those of their axes: what accelerates an axis, and how a web pulls, is known."""
+"""Check that recorded torques can be those of their axes, by what accelerates an axis, and how a web pulls."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _EXCHANGED: Final = 0.1
 
 @dataclass(frozen=True)
 class SlowMotion:
-    """How axes moved and what torques were recorded, without what is fast: (n,) by axis."""
+    """Low-frequency motion and recorded torques of the axes: (n,) by axis."""
 
     x: dict[int, Array]  #: of axes with a position
     v: dict[int, Array]
@@ -67,7 +67,7 @@ class SlowMotion:
         v, a, torque = (values[axis][self.rows] for values in (self.v, self.a, self.tau_Nm))
         columns = np.column_stack([Nm_per_acceleration * a, v, np.sign(v), np.ones_like(v)])
         theta, _, rank, _ = np.linalg.lstsq(columns, torque, rcond=None)
-        if rank < columns.shape[1]:  # at an even speed nothing tells an inertia
+        if rank < columns.shape[1]:  # at an even speed the inertia is not identifiable
             return None
         left = torque - columns @ theta
         deviation = float(np.std(left) * np.sqrt(np.linalg.pinv(columns.T @ columns)[0, 0]))
@@ -83,7 +83,7 @@ def unit_of(share: float) -> str | None:
 
 
 def accelerates(share: float) -> bool:
-    """Whether a torque with that share of the inertia may be its axis' own, with an effect or without."""
+    """True if a torque with that share of the inertia may be its axis' own, with an effect or without."""
     return -_AGAINST < share < _MOST_INERTIA
 
 

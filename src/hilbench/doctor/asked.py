@@ -1,4 +1,4 @@
-"""Asking the drives of a stand what they say, and finding what its last run kept of them."""
+"""Read the answers of a stand's drives, and find what its last run recorded of them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PRESENT_S = 0.5
 
 @dataclass(frozen=True)
 class LastRun:
-    """What the last run of a stand kept: its folder, its config, what it knew of its nodes."""
+    """Record of the last run of a stand: its folder, its config, its nodes."""
 
     folder: RunFolder
     config: BenchConfig
@@ -38,7 +38,7 @@ class LastRun:
 
 
 def last_run(runs: Path, stand: str) -> tuple[LastRun | None, list[str]]:
-    """The last run of a stand among the folders in `runs`, None for none; and a line for each that can't be read."""
+    """Last run of a stand among the folders in `runs`, None for none; and a line for each that can't be read."""
     found: list[tuple[RunFolder, StandData]] = []
     problems = []
     for path in sorted(runs.glob("*/nodes.json")):
@@ -60,10 +60,10 @@ def last_run(runs: Path, stand: str) -> tuple[LastRun | None, list[str]]:
 def ask_stand(
     config: BenchConfig, *, start: bool, in_process: bool, announce: Callable[[str], None]
 ) -> tuple[NodeAnswers, frozenset[str]]:
-    """What the drives say, by part, and which of them were started for that; nothing is written to any.
+    r"""Answers of the drives, by part, and which of them were started for that; nothing is written to any.
 
     start: simulated drives are started when none of them is there. in_process: they are, without processes. Raises
-    UnusableInputError where another master is at work, or nobody answers; BenchFaultError for a bus that is lost.
+    UnusableInputError where another master is at work, or no node answers; BenchFaultError for a bus that is lost.
     """
     simulated = frozenset(part.name for part in drives_of(config) if part.is_simulated)
     if in_process:

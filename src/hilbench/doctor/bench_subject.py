@@ -1,4 +1,4 @@
-"""What an examination has to expect of a bench, from its config and EDS files."""
+"""Expectations of an examination of a bench, from its config and EDS files."""
 
 from __future__ import annotations
 

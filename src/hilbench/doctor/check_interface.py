@@ -1,4 +1,4 @@
-"""Whether a CAN interface is as a bench needs it: pure functions of what was read."""
+"""Check of a CAN interface against a bench's needs: pure functions of what was read."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _STATES = {
 
 @dataclass(frozen=True)
 class InterfaceNeeds:
-    """What the bench asks of its interface."""
+    """Requirements of the bench on its interface."""
 
     bitrate: int  #: bit/s
     frames_per_cycle: int  #: that may wait in the transmit queue at a time
@@ -110,7 +110,7 @@ def _modes(facts: InterfaceFacts) -> Iterator[Finding]:
 
 
 def _state(facts: InterfaceFacts) -> Iterator[Finding]:
-    # What is down is stopped, and has been told already.
+    # What is down is stopped, and has been reported already.
     if facts.state is None or not facts.up:
         return
     level, advice = _STATES.get(facts.state, (Level.WARNING, "ip -details link show {name}"))

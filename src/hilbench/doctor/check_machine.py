@@ -1,4 +1,4 @@
-"""Whether a machine is fit for the pace of a bench: pure functions of what was read and measured."""
+"""Check that a machine is fit for the pace of a bench: pure functions of what was read and measured."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LIMITS = "/etc/security/limits.d/hilbench.conf"
 
 @dataclass(frozen=True)
 class MachineNeeds:
-    """What the bench asks of the machine."""
+    """Requirements of the bench on the machine."""
 
     realtime: bool  #: False: in lockstep only the result counts, not when it comes
     cycle_s: float

@@ -1,4 +1,4 @@
-"""Whether those on the bus are those of the config: pure functions of what was heard and answered."""
+"""Check that the nodes on the bus are those of the config: pure functions of what was received."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _WRITE_ONLY = 0x06010001
 def check_received(
     received: Received, expected: Sequence[ExpectedNode], master_id: int, bus: str, claimed_by: str | None = None
 ) -> list[Finding]:
-    """Findings on who talks without having been asked; `claimed_by`: who has said that it is the master."""
+    """Findings on unsolicited frames; `claimed_by`: the program that has claimed to be the master."""
     findings = []
     master = master_at_work(received, claimed_by, master_id)
     if master is not None:

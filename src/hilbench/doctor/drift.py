@@ -46,7 +46,7 @@ _BY_THE_FILE: Final[tuple[tuple[Key, int], ...]] = (
 
 @dataclass(frozen=True)
 class Write:
-    """What would make the config say what is there now."""
+    """Change of the config that would match the present value."""
 
     location: tuple[str, ...]
     value: Any
@@ -195,7 +195,8 @@ def _bytes(text: str | None) -> bytes | None:
 def _against_last(
     key: Key, now: bytes | None, found: Mapping[Key, bytes | None], written: Mapping[Key, bytes | None]
 ) -> tuple[Kind, bytes | None] | None:
-    """What it was, if it is neither what the last run left nor, of an object that it did not write, what it found."""
+    """Kind of change and the last value, if it is neither what the last run left nor, of an object that it did not
+    write, what it found."""
     left = written.get(key, found.get(key))
     if now == left:
         return None
@@ -222,7 +223,7 @@ def _what(od: ObjectDictionary, key: Key) -> str:
 
 
 def _by_file(part: Part, od: ObjectDictionary, key: Key, now: bytes | None) -> str | None:
-    """What the file says, where a device must agree with it and does not."""
+    """Value in the file, where a device must agree with it and does not."""
     try:
         variable = eds.variable(od, *key)
     except KeyError:

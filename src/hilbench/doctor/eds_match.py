@@ -17,23 +17,23 @@ _VENDOR, _PRODUCT, _REVISION = 0, 1, 2
 
 @dataclass(frozen=True)
 class EdsFile:
-    """An EDS file and, for vendor id, product code and revision, the numbers that it gives (none: it says nothing)."""
+    """An EDS file and its values for vendor id, product code and revision (none: not given)."""
 
     path: Path
     identity: tuple[frozenset[int], ...]
 
     def fits(self, found: tuple[int | None, ...]) -> bool:
-        """Whether vendor-ID and product code are a device's; what the file leaves open the device has as 0."""
+        """True if vendor-ID and product code are a device's; what the file leaves open the device has as 0."""
         values = zip((_VENDOR, _PRODUCT), found, strict=False)
         return bool(self.identity[_PRODUCT]) and all(value in (self.identity[at] or {0}) for at, value in values)
 
     def is_of_revision(self, revision: int | None) -> bool:
-        """Whether the file is of this revision, or says nothing about it."""
+        """True if the file is of this revision, or does not state one."""
         return not self.identity[_REVISION] or revision in self.identity[_REVISION]
 
 
 def identity(od: canopen.ObjectDictionary) -> tuple[frozenset[int], ...]:
-    """Vendor id, product code and revision: for each, what [DeviceInfo] and 1018h give (0 stands for nothing)."""
+    """Vendor id, product code and revision: for each, what [DeviceInfo] and 1018h give (0 means none)."""
     device = od.device_information
     header = (device.vendor_number, device.product_number, device.revision_number)
     return tuple(
@@ -51,7 +51,7 @@ def default(od: canopen.ObjectDictionary, index: int, sub: int) -> int | None:
 
 
 def eds_files(folder: Path, left_out: Callable[[UnusableInputError], None]) -> list[EdsFile]:
-    """The EDS and DCF files of a folder, by name; `left_out` is told of those that cannot be used."""
+    """EDS and DCF files of a folder, by name; `left_out` is called for those that cannot be used."""
     found = []
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         if path.suffix.lower() in _SUFFIXES:

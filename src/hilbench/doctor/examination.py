@@ -36,7 +36,7 @@ _PRESENT_S = 0.5
 
 @dataclass(frozen=True)
 class Subject:
-    """What is examined; the defaults are those of a bench config, for an examination without one."""
+    """Subject of an examination; the defaults are those of a bench config, for one without a config."""
 
     bus: BusAddress | None  #: None: the machine alone
     realtime: bool
@@ -60,14 +60,14 @@ class Subject:
 
 @dataclass(frozen=True)
 class Examination:
-    """What came out."""
+    """Result of an examination."""
 
     findings: list[Finding]
     lateness: Lateness
 
     @property
     def nodes_asked(self) -> int:
-        """How many nodes were asked; without any, nothing is known of them."""
+        """Number of nodes that were asked; without any, nothing is known of them."""
         return sum(finding.check is Check.NODE_ANSWERS for finding in self.findings)
 
     @property
@@ -76,7 +76,7 @@ class Examination:
         return not self.count(Level.ERROR)
 
     def count(self, level: Level) -> int:
-        """How many findings are of this level."""
+        """Number of findings of this level."""
         return sum(finding.level is level for finding in self.findings)
 
 

@@ -1,4 +1,4 @@
-"""What an examination says: one finding for each thing that was looked at."""
+"""Findings of an examination: one for each thing that was looked at."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class Level(StrEnum):
-    """How bad it is: `error` means that a run would fail or must not be trusted."""
+    """Severity: `error` means that a run would fail or must not be trusted."""
 
     OK = "ok"
     WARNING = "warning"

@@ -1,4 +1,4 @@
-"""What the kernel says of a CAN network interface: from ``ip`` (iproute2, netlink) and /sys/class/net."""
+"""Kernel data of a CAN network interface: from ``ip`` (iproute2, netlink) and /sys/class/net."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _counters(controller: Mapping[str, int], statistics: Mapping[str, Mapping[st
 
 
 def read_sysfs(name: str, root: Path = _SYSFS) -> InterfaceFacts:
-    """What /sys/class/net says; little, but always there."""
+    """Read /sys/class/net; little, but always there."""
     folder = root / name
     if not folder.is_dir():
         return InterfaceFacts(name, exists=False)
@@ -91,7 +91,7 @@ def read_sysfs(name: str, root: Path = _SYSFS) -> InterfaceFacts:
 
 
 def read_interface(name: str) -> InterfaceFacts:
-    """What the kernel says of an interface; where `ip` is missing, or too old for JSON, what /sys says."""
+    """Read the kernel's data of an interface; where `ip` is missing, or too old for JSON, those of /sys."""
     facts = read_sysfs(name)
     if not facts.exists:
         return facts
@@ -104,7 +104,7 @@ def read_interface(name: str) -> InterfaceFacts:
 
 
 def bitrate_of(bus: BusAddress) -> int:
-    """Of an interface that says it, in bit/s; else the address's."""
+    """Bit rate of an interface that reports it, in bit/s; else the address's."""
     known_bitrate = read_interface(bus.channel).bitrate if bus.interface == "socketcan" else None
     return known_bitrate or bus.bitrate
 

@@ -1,4 +1,4 @@
-"""What this machine offers a bench in real time: clock, scheduling rights, kernel, and how late its timer is."""
+"""Real-time capabilities of this machine: clock, scheduling rights, kernel, and timer lateness."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class MachineFacts:
 
 @dataclass(frozen=True)
 class Lateness:
-    """How late a loop of absolute deadlines woke up, µs."""
+    """Wake-up lateness of a loop of absolute deadlines, µs."""
 
     cycles: int
     p50_us: float

@@ -1,4 +1,4 @@
-"""Who is on a bus: heard, and asked by SDO; nothing is written."""
+"""Scan of a bus: nodes received, and asked by SDO; nothing is written."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Station:
 
 @dataclass(frozen=True)
 class Scan:
-    """What is on a bus. While another master is at work nobody was asked; `master` says what tells of it."""
+    """Nodes on a bus. While another master is at work none was asked; `master` gives the evidence."""
 
     stations: list[Station]
     master: str | None = None
@@ -51,7 +51,7 @@ class Scan:
 
     @property
     def master_at_work(self) -> bool:
-        """Whether there is one."""
+        """True if there is one."""
         return self.master is not None
 
 
@@ -69,7 +69,7 @@ def scan(
     """Listen for `listen_s`, then ask every node id, unless another master is at work there or `ask` is false.
 
     `bitrate` (bit/s): answers are waited for until a bus of that rate has carried them. `claimed_by`: the program that
-    has said it is the master. Raises BusError when the bus is lost.
+    has claimed to be the master. Raises BusError when the bus is lost.
     """
     frames = receive_for(link, listen_s)
     received = sort_by_node(frames)
@@ -126,7 +126,7 @@ def _text(reader: SdoClient, node_id: int, index: int) -> str | None:
 
 
 def _drive_states(reader: SdoClient, node_id: int, information: int) -> str | None:
-    """Of the axis; `information`: the upper half of 1000h, which says whether there are more."""
+    """States of the axes of a node; `information`: the upper half of 1000h, which states if there are several."""
     states: list[str] = []
     for axis in range(1, (MOST_AXES if information == SEVERAL else 1) + 1):
         state = _drive_state(reader, node_id, axis)

@@ -1,4 +1,4 @@
-"""What the bench's nodes say of themselves: read by SDO, never written to."""
+"""Identities and states of the bench's nodes: read by SDO, never written to."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class MappedObject:
 
 @dataclass(frozen=True)
 class ExpectedNode:
-    """A node of the config, as its EDS file has it; None where the file says nothing."""
+    """A node of the config, as its EDS file has it; None where the file does not state it."""
 
     part: str
     node_id: int
@@ -36,13 +36,13 @@ class ExpectedNode:
 
     @property
     def subject(self) -> str:
-        """How it is called in findings."""
+        """Name of the node in findings."""
         return f"{self.part.replace('_', ' ')} (node {self.node_id})"
 
 
 @dataclass(frozen=True)
 class NodeAnswers:
-    """What one node answered; only `device_type` when it gave no answer to that."""
+    """Answers of one node; only `device_type` when it gave no answer to that."""
 
     device_type: Answer
     identity: tuple[Answer, ...] = ()

@@ -1,4 +1,4 @@
-"""What a request ends with when it can't be done (CiA 309-3, internal error codes), or a device says (SDO abort)."""
+"""Errors of requests that can't be done (CiA 309-3, internal error codes), or that a device aborts (SDO abort)."""
 
 from __future__ import annotations
 

@@ -29,15 +29,15 @@ class GatewayNetwork:
         self._lock = threading.Lock()
 
     def upload(self, node_id: int, index: int, sub: int) -> bytes:
-        """As `SdoClient`."""
+        """Read an object by `SdoClient.upload`."""
         return self._master.upload(node_id, index, sub)
 
     def download(self, node_id: int, index: int, sub: int, data: bytes) -> None:
-        """As `SdoClient`."""
+        """Write an object by `SdoClient.download`."""
         self._master.download(node_id, index, sub, data)
 
     def nmt(self, command: NmtCommand, node_id: int = 0) -> None:
-        """As `Master`."""
+        """Send an NMT command by `Master.nmt`."""
         self._master.nmt(command, node_id)
 
     def why_not(self, node_id: int) -> str | None:

@@ -1,4 +1,4 @@
-"""The gateway on TCP: a thread for each client, and one that tells all of them what happens on the bus."""
+"""The gateway on TCP: a thread for each client, and one that reports bus events to all of them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Gateway(socketserver.ThreadingTCPServer):
             return True
 
     def leave(self, client: _Client) -> None:
-        """It has gone."""
+        """Remove a client that has disconnected."""
         with self._lock:
             self._clients.discard(client)
 
@@ -65,7 +65,7 @@ class Gateway(socketserver.ThreadingTCPServer):
 
 
 def event_of(frame: Frame) -> str | None:
-    """What a frame means to clients (CiA 309-3): boot-up and EMCY; None: nothing."""
+    """Event of a frame for clients (CiA 309-3): boot-up and EMCY; None: no event."""
     node_id = node_of(frame.can_id, HEARTBEAT)
     if node_id:
         return f"{NET} {node_id} BOOT_UP" if frame.data == NmtState.INITIALISING.heartbeat else None
@@ -91,7 +91,7 @@ class _Client(socketserver.StreamRequestHandler):
         try:
             self._serve(self.server.new_session())
         except (OSError, BusError):
-            return  # it has gone; that the bus has is said by who follows it
+            return  # the client disconnected; a lost bus is reported by its follower
         finally:
             self.server.leave(self)
 
@@ -105,7 +105,7 @@ class _Client(socketserver.StreamRequestHandler):
                 self.send(answer)
 
     def send(self, line: str) -> None:
-        """A line to the client; one that has gone, or takes nothing, is left alone."""
+        """Send a line to the client; one that has disconnected, or takes nothing, is ignored."""
         with self._sending, suppress(OSError):
             self.connection.settimeout(_SEND_S)
             try:

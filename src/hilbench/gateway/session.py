@@ -1,4 +1,4 @@
-"""What one client of the gateway asks for, and is answered."""
+"""Requests of one client of the gateway, and their answers."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ _TIMED_OUT: Final = "0x05040000"
 
 
 class Network(Protocol):
-    """What the gateway does on the bus. `why_not(node)`: None where it may write, or why not."""
+    """Bus operations of the gateway. `why_not(node)`: None where it may write, or why not."""
 
     def upload(self, node_id: int, index: int, sub: int) -> bytes:
-        """As `SdoClient`."""
+        """Read an object, as `SdoClient.upload`."""
 
     def download(self, node_id: int, index: int, sub: int, data: bytes) -> None:
-        """As `SdoClient`."""
+        """Write an object, as `SdoClient.download`."""
 
     def nmt(self, command: NmtCommand, node_id: int = 0) -> None:
-        """As `Master`."""
+        """Send an NMT command, as `Master.nmt`."""
 
     def why_not(self, node_id: int) -> str | None:
         """Why nothing may be changed at a node (0: of the network)."""

@@ -16,14 +16,14 @@ from hilbench.gateway.errors import GatewayError, RequestError
 
 @dataclass(frozen=True)
 class TextForm:
-    """How the values of a data type are written and read."""
+    """Text format of the values of a data type."""
 
     parse: Callable[[str], bytes]
     show: Callable[[bytes], str]
 
 
 def form(name: str) -> TextForm:
-    """Of a data type by its name. Raises RequestError for a name that is none."""
+    """Text format of a data type by its name. Raises RequestError for a name that is none."""
     try:
         return _FORMS[name.lower()]
     except KeyError:

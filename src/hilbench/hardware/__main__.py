@@ -9,7 +9,7 @@ from hilbench.topology.resolved import config_of_process
 
 
 def main() -> None:
-    """Simulate until the bench ends this process, or is gone."""
+    """Simulate until the bench ends this process, or disconnects."""
     report_lost_frames(simulate(config_of_process("hilbench.hardware")))
 
 

@@ -29,7 +29,7 @@ class PlantTime(Protocol):
 
     @property
     def sample_s(self) -> float:
-        """How long one of them is now."""
+        """Present sample time, s."""
 
     def before_sync(self, behind: int) -> int:
         """A SYNC is here (and `behind` more wait): to its time."""
@@ -42,7 +42,7 @@ class PlantTime(Protocol):
 
 
 class BySync:
-    """A SYNC is one cycle, however long it takes: whoever sends it waits for the answers."""
+    """Lockstep: a SYNC is one cycle, however long it takes, as the SYNC producer waits for the answers."""
 
     def __init__(self, cycle_s: float, sample_s: float) -> None:
         self._cycle = round(cycle_s / sample_s)
@@ -137,7 +137,7 @@ class ByClock:
         return self._per_period * self._sample_ns or self._sync.period_ns
 
     def _lock(self) -> None:
-        """From this SYNC on follow its clock, if the period is one of whole sample times."""
+        """Follow the clock of SYNC from here on, if the period is one of whole sample times."""
         self._unlock()
         per_period = round(self._sync.period_ns / self._given_ns)
         if self._any_period:
@@ -175,7 +175,7 @@ class ByClock:
             self._since_ns, self._periods = self._at_ns, 0
 
     def _follow_any(self, periods: int) -> None:
-        """With the sample time that fits; SYNCs that were counted wrong are made good by the clock."""
+        """Follow SYNC with the sample time that fits; miscounted SYNCs are corrected by the clock."""
         self._fit_sample_time()
         self._move_anchor(self._at_ns, self._anchor + periods * self._per_period)
         if self._is_off(self._at_ns - self._since_ns):
@@ -185,12 +185,12 @@ class ByClock:
             self._since_ns = self._at_ns
 
     def _is_off(self, followed_ns: int) -> bool:
-        """Whether SYNC has shifted by more than jitter and the difference of two clocks explain."""
+        """True if SYNC has shifted by more than jitter and the difference of two clocks explain."""
         jitter_ns = _JITTER_SAMPLES * self._sample_ns + _JITTER_CYCLES * self._cycle_ns
         return abs(self._shift_ns) > jitter_ns + _CLOCKS_DIFFER * followed_ns
 
     def _fits(self, duration_ns: int) -> bool:
-        """Whether the periods of a time were whole sample times, but for the clocks; if not, they are counted anew."""
+        """True if the periods of a time were whole sample times, but for the clocks; if not, restart their count."""
         per_period = round(duration_ns / max(1, self._periods) / self._sample_ns)
         whole_ns = self._periods * per_period * self._sample_ns
         if abs(duration_ns - whole_ns) <= _CLOCKS_DIFFER * duration_ns:
@@ -210,7 +210,7 @@ class ByClock:
         self._anchor_ns, self._anchor = time_ns, samples
 
     def _due(self, time_ns: int) -> int:
-        """Time that the plant has to have gone, in ns since it began."""
+        """Time that the plant has to have reached, in ns since its start."""
         if self._anchor_ns is None:
             self._anchor_ns = time_ns
         return self._anchor * self._sample_ns + time_ns - self._anchor_ns

@@ -36,7 +36,7 @@ _OVERDUE = 1.5
 
 
 class RigApplication:
-    """What the hardware does at a SYNC: the drives take their set points, then the rig moves on.
+    """SYNC handler of the hardware: the drives take their set points, then the rig advances.
 
     `time` says how far, in sample times of the drives' loops; the drives look at their set points at least once in
     every cycle of the config. `lock`: gives the rig another sample time, where `time` may have one.
@@ -68,12 +68,12 @@ class RigApplication:
 
     @property
     def ports(self) -> Sequence[MotorPort]:
-        """Those of all motors, simulated drive or not."""
+        """Ports of all motors, simulated drive or not."""
         return self._ports
 
     @property
     def rig(self) -> Steps:
-        """What the motors turn."""
+        """Mechanics that the motors turn."""
         return self._rig
 
     @property
@@ -142,7 +142,7 @@ def simulate(config: BenchConfig) -> int | None:
 
 
 def fast_path_host(host: DeviceHost, link: Link, hosted: HostedDevices, config: BenchConfig) -> FastPathHost | None:
-    """Who serves the host's devices on the embedded bus in lockstep."""
+    """Fast-path host of the devices on the embedded bus in lockstep; None elsewhere."""
     devices, clock, application, cycle_ns = hosted.devices, hosted.clock, hosted.application, config.cycle_ns
     if not isinstance(link, EmbeddedLink) or not isinstance(clock, SyncClock):
         return None
@@ -207,7 +207,7 @@ def warm_up_in_modes(config: BenchConfig) -> None:
 
 
 def _time_base(config: BenchConfig) -> tuple[Clock, PlantTime]:
-    """Of devices and rig: SYNC where the bench waits for everybody (lockstep), else the clock."""
+    """Clock and plant time of devices and rig: SYNC where the bench waits for all nodes (lockstep), else the clock."""
     sample_s = config.drive_parameters.sample_time_s
     if config.pace == "lockstep":
         return device_clock(config), BySync(config.cycle_time_s, sample_s)

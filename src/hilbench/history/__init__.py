@@ -1,1 +1,1 @@
-"""What runs have found of a stand's machine, and how it changes from day to day."""
+"""Findings of the runs of a stand's machine, and how they change from day to day."""

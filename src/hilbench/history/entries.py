@@ -36,7 +36,7 @@ _PLACES: Final = ("phase_rad", "time_s", "duration_s")
 
 
 def remember(folder: RunFolder) -> Path | None:
-    """Add what a run has found to the history of its stand; returns the file, None where nothing was found.
+    """Add a run's findings to the history of its stand; returns the file, None where nothing was found.
 
     Raises UnusableInputError for a folder that can't be read, or a history that can't be written.
     """
@@ -52,8 +52,8 @@ def remember(folder: RunFolder) -> Path | None:
 def rebuild(path: Path, stand: str | None, runs: Path) -> tuple[int, list[str]]:
     """Make a history, or one stand's part of it, from the run folders in `runs`.
 
-    Returns how many entries it has, and a line for each folder that could not be read. Raises UnusableInputError for no
-    folder `runs`.
+    Returns the number of its entries, and a line for each folder that could not be read. Raises UnusableInputError for
+    no folder `runs`.
     """
     if not runs.is_dir():
         raise UnusableInputError(runs, "no such folder, expected that in which the run folders are")
@@ -74,7 +74,7 @@ def rebuild(path: Path, stand: str | None, runs: Path) -> tuple[int, list[str]]:
 
 
 def entries_of(folder: RunFolder, config: BenchConfig) -> Iterator[Entry]:
-    """What is known from a run: one entry for each source that found something. Raises UnusableInputError."""
+    """Entries of a run: one for each source that found something. Raises UnusableInputError."""
     recording = read_recording(folder.recording)
     began = recording.start_time or datetime.fromtimestamp(folder.config.stat().st_mtime, UTC)
     followed = list(_of_twin(recording))
@@ -117,7 +117,7 @@ def _quantity(one: Commissioned) -> Quantity:
 
 
 def _of_commissioning(folder: RunFolder) -> Iterator[Quantity]:
-    """What a commissioning has measured, from its run folder."""
+    """Quantities measured by a commissioning, from its run folder."""
     if not folder.commissioning.is_file():
         return
     try:
@@ -162,7 +162,7 @@ def _beside(folder: RunFolder) -> Iterator[Quantity]:
 
 
 def _place(effect: Mapping[str, Any]) -> str:
-    """Of an effect as a diagnosis writes it, in the path of a quantity."""
+    """Place of an effect as a diagnosis writes it, in the path of a quantity."""
     if effect["axis"]:
         return f"axis{effect['axis']}"
     return web_line.place(effect)

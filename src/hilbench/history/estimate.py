@@ -1,4 +1,4 @@
-"""Where a recording has what a twin estimated of its machine."""
+"""Channels of a recording that hold a twin's estimates of its machine."""
 
 from __future__ import annotations
 

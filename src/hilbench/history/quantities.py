@@ -21,7 +21,7 @@ _AHEAD: Final = 0.5
 
 @dataclass(frozen=True)
 class QuantityTrend:
-    """A quantity as the runs of a stand found it, in the order of time, and its trend (None: it can't have one yet).
+    """A quantity as the runs of a stand found it, in the order of time, and its trend (None: not yet possible).
 
     Days count from `first_time_s`, s since 1970.
     """

@@ -1,4 +1,4 @@
-"""What a twin of a servo axis estimates."""
+"""Estimates of a twin of a servo axis."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from hilbench.history.estimate import Estimate
 
 
 def estimates() -> tuple[Estimate, ...]:
-    """Of its shaft."""
+    """Estimates of its shaft."""
     return (
         Estimate("J_sim_kg_m2", "J_sd_kg_m2", "shaft.inertia_kg_m2", "kg·m²"),
         Estimate("coulomb_sim_Nm", "coulomb_sd_Nm", "shaft.coulomb_friction_Nm", "N·m"),

@@ -63,8 +63,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Entry:
-    """What one run has found. `source`: who found it, ``twin``, ``diagnosis`` or ``commissioning``; `run`: name of the
-    run folder."""
+    """Findings of one run. `source`: ``twin``, ``diagnosis`` or ``commissioning``; `run`: name of the run folder."""
 
     stand: str
     run: str
@@ -107,19 +106,19 @@ class History:
                 _write(connection, entry)
 
     def replace_all(self, stand: str | None, entries: Sequence[Entry]) -> None:
-        """Make the history, or that of one stand, of these runs alone."""
+        """Replace the history, or that of one stand, by these runs alone."""
         with self._connected(make=True) as connection, connection:
             connection.execute("DELETE FROM run WHERE ?1 IS NULL OR stand = ?1", (stand,))
             for entry in entries:
                 _write(connection, entry)
 
     def stands(self) -> list[str]:
-        """The names of the stands, in order."""
+        """Names of the stands, in order."""
         with self._connected() as connection:
             return [name for (name,) in connection.execute("SELECT DISTINCT stand FROM run ORDER BY stand")]
 
     def rows(self, stand: str) -> list[Row]:
-        """All that was found of a stand, by quantity and time."""
+        """Findings of a stand, by quantity and time."""
         with self._connected() as connection:
             found = connection.execute(
                 "SELECT run.run, source, time_s, quantity, value, sd, unit, tied_with"
@@ -151,7 +150,7 @@ class History:
             _write_ahead(connection)
             with connection:
                 connection.execute("BEGIN IMMEDIATE")
-                if _version(connection) == 0:  # nobody else was faster
+                if _version(connection) == 0:  # no other process was faster
                     if connection.execute("SELECT count(*) FROM sqlite_schema").fetchone() != (0,):
                         raise UnusableInputError(
                             self.path, "has tables of something else, expected a history of stands"

@@ -83,7 +83,7 @@ class Reached:
 
 @dataclass(frozen=True)
 class Trend:
-    """How a quantity changes. Times in days, on the axis of the runs; rates per day."""
+    """Trend of a quantity. Times in days, on the axis of the runs; rates per day."""
 
     level: float  #: at the last run, without what passes
     level_ci95: tuple[float, float]
@@ -233,13 +233,13 @@ class _Candidates:
         return found
 
     def rates(self) -> Array:
-        """What each adds to the rate at the last run, (K,)."""
+        """Contribution of each to the rate at the last run, (K,)."""
         return np.where(self.kinds == "kink", 1.0, 0.0)
 
 
 @dataclass(frozen=True)
 class _Noise:
-    """One way in which runs and days may vary, and products of the whitened columns under it."""
+    """One variance model of runs and days, and products of the whitened columns under it."""
 
     repeat: float
     daily: float
@@ -264,7 +264,7 @@ class _Average:
         self._chosen = self._search()
 
     def _search(self) -> list[int]:
-        """The changes that are sure, found one after the other, then each looked for again beside the others.
+        """Find the changes that are certain, one after the other, then each again given the others.
 
         One whose kind is not (the last run is off: will it stay so?) is left to the average.
         """
@@ -282,7 +282,7 @@ class _Average:
         return chosen
 
     def _shares(self, one: int, chosen: Sequence[int]) -> tuple[Array, NDArray[np.int64]]:
-        """Probability of each candidate of the kind of a chosen one, beside the others, and which these are."""
+        """Probability of each candidate of the kind of a chosen one, given the others, and which these are."""
         weights = self._weights([each for each in chosen if each != one])[0]
         alike = np.flatnonzero(self._candidates.kinds == self._candidates.kinds[one])
         return weights[:, alike + 1].sum(axis=0), alike
@@ -296,7 +296,7 @@ class _Average:
         return chosen
 
     def _most_probable(self, chosen: list[int]) -> int | None:
-        """The candidate that is most probable beside those chosen; None where it is not sure that there is one."""
+        """Most probable candidate given those chosen; None where it is not certain that there is one."""
         weights = self._weights(chosen)[0].sum(axis=0)
         if weights[1:].sum() < CHANGE_SURE:
             return None
@@ -304,13 +304,13 @@ class _Average:
         return best if best not in chosen else None
 
     def _weights(self, chosen: list[int]) -> tuple[Array, list[_Posterior]]:
-        """Probability of each way to vary (rows) and of no further change, or each candidate (columns)."""
+        """Probability of each variance model (rows) and of no further change, or each candidate (columns)."""
         posteriors = [_Posterior(noise, self._candidates, chosen) for noise in self._noises]
         logs = np.array([each.log_weights for each in posteriors])
         return np.exp(logs - special.logsumexp(logs)), posteriors
 
     def trend(self, limits: Sequence[float], ahead_d: float, least_rate_per_d: float, *, may_report: bool) -> Trend:
-        """What is to be said."""
+        """Trend by Bayesian model averaging."""
         points, scatter = self._points, self._points.scatter
         weights, posteriors = self._weights(self._chosen)
         last = float(points.t[-1])
@@ -348,7 +348,7 @@ class _Average:
         )
 
     def _row(self, at: float) -> Array:
-        """What makes the mean at a time of level, rate and candidates."""
+        """Regressor row of the mean at a time: level, rate and candidates."""
         return np.concatenate([[1.0, at - self._end], self._candidates.at(np.array([at]), self._points)[0]])
 
     def _rate_row(self) -> Array:
@@ -406,7 +406,7 @@ def _noise(points: _Points, columns: Array, repeat: float, daily: float, correla
 
 
 class _Posterior:
-    """Level, rate and chosen changes under one way to vary, alone and with each further candidate."""
+    """Posterior of level, rate and chosen changes under one variance model, alone and with each further candidate."""
 
     def __init__(self, noise: _Noise, candidates: _Candidates, chosen: Sequence[int]) -> None:
         own = np.array([1, 2, *(3 + k for k in chosen)])
@@ -481,7 +481,7 @@ class _Mixture:
         return float(self.weights @ special.ndtr(off))
 
     def interval(self, figure: int) -> tuple[float, float]:
-        """That of 95 %, between its quantiles."""
+        """95 % interval, between its quantiles."""
         mean, deviation = self.moments(figure)
         at = mean + deviation * np.linspace(-8.0, 8.0, 321)
         off = (at[:, None] - self.means[None, :, figure]) / np.sqrt(self.variances[None, :, figure])
@@ -490,7 +490,7 @@ class _Mixture:
         return float(low), float(high)
 
     def draws(self) -> tuple[Array, Array]:
-        """Of the first two figures, the same each time."""
+        """Draws of the first two figures, the same each time."""
         rng = np.random.default_rng(0)
         model = rng.choice(len(self.weights), _DRAWS, p=self.weights)
         first, second = rng.standard_normal((2, _DRAWS))

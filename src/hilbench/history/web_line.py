@@ -1,4 +1,4 @@
-"""What a twin of a web line estimates, and how the history calls what is of no axis of it."""
+"""Estimates of a twin of a web line, and history names of what belongs to no axis of it."""
 
 from __future__ import annotations
 
@@ -23,5 +23,5 @@ def estimates(channels: Iterable[str]) -> Iterator[Estimate]:
 
 
 def place(effect: Mapping[str, Any]) -> str:
-    """Of an effect that is of no axis, as a diagnosis writes it."""
+    """Place of an effect that is of no axis, as a diagnosis writes it."""
     return f"span{effect['span']}" if effect.get("span") else PLACE

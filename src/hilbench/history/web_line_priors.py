@@ -1,4 +1,4 @@
-"""What the newest commissioning of a stand gives the twin of a run to begin with."""
+"""Priors of a run's twin from the newest commissioning of its stand."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _PLACE: Final = re.compile(r"(axis|span|web)(\d*)")
 
 
 def with_commissioned(loaded: LoadedConfig, runs: Path, warn: Callable[[str], None]) -> LoadedConfig:
-    """The config with the priors of the newest commissioning of its stand, beyond its model.
+    r"""Config with the priors of the newest commissioning of its stand, beyond its model.
 
     runs: the folder in which run folders are made. Unchanged where there is no commissioning, where the config has
-    priors of its own or `commissioned: ignore`, and of a machine other than a web line; where the history can't be read
-    a run is no worse for it, and `warn` gets a line.
+    priors of its own or `commissioned: ignore`, and of a machine other than a web line; where the history can't be
+    read the run goes on without, and `warn` gets a line.
     """
     config, path = loaded.config, history_of(loaded.config, runs)
     model, twin = config.machine, config.twin
@@ -55,7 +55,8 @@ def _newest(rows: Sequence[Row]) -> list[Row]:
 
 
 def _prior(row: Row, model: ModelParameters) -> Prior | None:
-    """What a row says of an axis beyond the model; None for what a twin has no prior of, or of no axis of this one."""
+    """Prior of an axis beyond the model, from a row; None for what a twin has no prior of, or of no axis of this
+    one."""
     place, effect, parameter = row.quantity.name.split(".")
     quantity, found = _PRIORS.get((effect, parameter)), _PLACE.fullmatch(place)
     if quantity is None or found is None or row.quantity.sd <= 0.0:
@@ -77,7 +78,7 @@ def _prior(row: Row, model: ModelParameters) -> Prior | None:
 
 
 def _is_at(effect: EffectEntry, axis: int) -> bool:
-    """Whether an effect of an axis, or of the span before it, is at this one."""
+    """True if an effect of an axis, or of the span before it, is at this one."""
     if effect.axis is not None:
         return effect.axis == axis
     return effect.section in (None, axis - 1)

@@ -1,4 +1,4 @@
-"""What is to be said of a quantity's history: sentences for a person, one object for a program."""
+"""Texts of a quantity's history: sentences for a person, one object for a program."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def figures(one: QuantityTrend) -> list[str]:
 
 
 def sentences(one: QuantityTrend) -> list[str]:
-    """What is to be said of a quantity beside its figures: its changes, and when its limit is reached."""
+    """Sentences on a quantity in addition to its figures: its changes, and when its limit is reached."""
     found, lines = one.trend, []
     for change in () if found is None else found.changes:
         if change.kind == "outlier":

@@ -1,4 +1,4 @@
-"""``python -m hilbench.live CONFIG --pace PACE --connection N``: diagnosis beside a bench, as that starts it."""
+"""``python -m hilbench.live CONFIG --pace PACE --connection N``: live diagnosis process, started by a bench."""
 
 import sys
 from argparse import ArgumentParser
@@ -17,7 +17,7 @@ from hilbench.topology.resolved import read_resolved
 
 
 def main() -> None:
-    """Answer every chunk of samples until the bench ends this process, or is gone."""
+    """Answer every chunk of samples until the bench ends this process, or closes the connection."""
     parser = ArgumentParser(prog="python -m hilbench.live")
     parser.add_argument("config", type=Path, help="resolved bench config")
     parser.add_argument("--pace", choices=get_args(Pace), default="realtime", help="by the clock, or by SYNC")
@@ -29,7 +29,7 @@ def main() -> None:
 
 
 def answer(connection: Connection, config: BenchConfig) -> None:
-    """Answer what comes, until nobody is there any more."""
+    """Answer messages until the connection is closed."""
     session = session_of(config)
     if config.pace == "realtime":
         cores = config.realtime.cores

@@ -1,4 +1,4 @@
-"""The diagnosis beside a bench, of the machine of its config."""
+"""Live diagnosis of a bench, for the machine of its config."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hilbench.topology.config import BenchConfig
 
 
 def session_of(config: BenchConfig) -> Session:
-    """Its session, with all that it runs compiled and loaded. The config asks for one."""
+    """Session of a config that asks for one, with all that it runs compiled and loaded."""
     live, cycle_s = config.twin.live_diagnosis, config.cycle_time_s
     assert live is not None, "it is started where there is one"
     emulation = emulation_of(config) if config.load_motors else None

@@ -1,4 +1,4 @@
-"""What a kind of machine is to the diagnosis beside a running bench."""
+"""Interface of a kind of machine to the live diagnosis."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ SHORT: Final = 10
 
 
 class Gap(Protocol):
-    """How far measurement and one model part, in N·m at the motor of each axis (N,)."""
+    """Residual between measurement and one model, in N·m at the motor of each axis (N,)."""
 
     def restart(self) -> None:
         """The next rows are not those that follow the last."""
 
     def use_estimate(self, estimate: Array) -> None:
-        """What the twin estimates (M,), from now on."""
+        """Use the twin's estimates (M,) from now on."""
 
     def follow(self, channels: Mapping[str, Array], known: Rows) -> Array:
         """(n // SHORT, N): of the next rows (n,) of `LiveMachine.needed`; n a multiple. NaN where nothing is known."""
@@ -47,7 +47,7 @@ class LiveMachine(Protocol):
 
     @property
     def emulation(self) -> AnyEmulation | None:
-        """How load motors emulate what is not there; None where it is there."""
+        """Emulation by load motors; None where the machine is real."""
 
     @property
     def needed(self) -> tuple[str, ...]:
@@ -55,7 +55,7 @@ class LiveMachine(Protocol):
 
     @property
     def speeds(self) -> tuple[str, ...]:
-        """Of the axes."""
+        """Speed channels of the axes."""
 
     @property
     def moves(self) -> float:
@@ -70,7 +70,7 @@ class LiveMachine(Protocol):
         """The signals of what the twin estimates (M,)."""
 
     def gap(self, model: Machine) -> Gap:
-        """Of one model."""
+        """Residual generator of one model."""
 
     def estimate_of(self, model: Machine) -> Array:
         """(M,) as the model has it."""
@@ -82,7 +82,7 @@ class LiveMachine(Protocol):
         """(M,) as the model's effects make it at a time of theirs."""
 
     def is_of_estimate(self, effect_id: str) -> bool:
-        """Whether an effect is a change of what the twin estimates anyway."""
+        """True if an effect is a change of what the twin estimates anyway."""
 
     def why_not_carried(self, effect_id: str) -> str:
         """Why the twin can't have an effect in its model; "" where it can."""
@@ -101,8 +101,8 @@ class LiveMachine(Protocol):
         that. Raises UnusableInputError for what can't be diagnosed."""
 
     def data_of(self, window: Window, model: Machine, first: int, end: int, begun: int) -> Measured:
-        """What a diagnosis takes from these cycles, of what has begun in cycle `begun`; before that the machine was as
-        the model is. Raises UnusableInputError for what can't be diagnosed."""
+        """Measured data of these cycles, for an effect that began in cycle `begun`; before that the model held.
+        Raises UnusableInputError for what can't be diagnosed."""
 
     def packed(self, model: Machine) -> Array:
         """(P,): as a predictor takes it."""

@@ -41,7 +41,7 @@ def as_text(model: Machine, configured: Machine) -> str:
 
 
 def found_effect(named: NamedEffect, model: Machine) -> FoundEffect:
-    """As it is told to the bench: of what a model lacks."""
+    """Effect that a model lacks, as reported to the bench."""
     values = {
         name: FoundValue(value.value, value.ci95[0], value.ci95[1], value.unit)
         for name, value in named.parameters.items()

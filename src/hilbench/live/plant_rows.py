@@ -141,7 +141,7 @@ class OnPlantTime:
                 np.append(begin - 1, cycle),
                 np.append(-1, at),
             )
-        # What the bench said last, in whichever row.
+        # The bench's last report, in whichever row.
         held = np.searchsorted(np.maximum.accumulate(cycle), cycles, side="right") - 1
         result, syncs = last_rows[held], first_sync + at[held]
         if not np.all(in_time):
@@ -160,7 +160,7 @@ class OnPlantTime:
 
 
 def _straight(at: Cycles, values: Array) -> Callable[[Cycles], Array]:
-    """From value to value."""
+    """Linear interpolation of values."""
     return lambda places: np.interp(places, at, values)
 
 
@@ -170,7 +170,7 @@ def _curve(at: Cycles, values: Array) -> Callable[[Cycles], Array]:
 
 
 def _nearly(measured: Rows) -> Rows:
-    """With the cycles that are bridged."""
+    """Rows that are measured, or in a gap short enough to be bridged."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], ~measured, [False]]))).reshape(-1, 2)
     found = measured.copy()
     for first, end in edges:

@@ -22,7 +22,7 @@ _SHOWS: Final = 0.02
 
 @dataclass(frozen=True)
 class Segment:
-    """Data from a cycle on, and a way to predict them by a model."""
+    """Data from a cycle on, and their prediction by a model."""
 
     data: Measured
     predictor: Predictor
@@ -51,8 +51,7 @@ class Segment:
 
 
 def shows_in_torque(segment: Segment, before: Array, after: Array) -> bool:
-    """Whether a change of the model takes something off the gap of a torque: of residuals (signals, n) before and after
-    it."""
+    """True if a change of the model reduces the gap of a torque: of residuals (signals, n) before and after it."""
     rows, predictor = segment.predictor.rows, segment.predictor
     torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
     less_Nm = np.sqrt(np.mean(before[torques][:, rows] ** 2, axis=1)) - np.sqrt(

@@ -61,7 +61,7 @@ _SURE, _STEP = 0.005, 0.02
 
 @dataclass(frozen=True)
 class _Case:
-    """What is being looked into: since when model and measurement part, and what has been found of it."""
+    """State of a case: since when model and measurement differ, and what has been found of it."""
 
     begun: int
     lacking: int  #: shortest data that could say more, in cycles
@@ -72,7 +72,7 @@ class _Case:
 
 
 class Session:
-    """The diagnosis beside one run of a machine; `names`: of the signals of a row."""
+    """Live diagnosis of one run of a machine; `names`: of the signals of a row."""
 
     def __init__(self, names: Sequence[str], machine: LiveMachine, config: LiveDiagnosisConfig, cycle_s: float) -> None:
         self._machine = machine
@@ -111,7 +111,7 @@ class Session:
         return DiagnosisAnswer(samples.cycle, tuple(self._news), self._gap_rows(samples.cycle, piece, original))
 
     def _watched(self) -> tuple[Piece | None, Piece | None]:
-        """What has come since the last time, in whole means, as both watches see it."""
+        """New samples since the last call, in whole means, as both watches see them."""
         window, watches = self._window, (self._watch, self._original)
         if window.first > self._seen_until or not self._seen_until:
             self._seen_until = window.first
@@ -128,21 +128,21 @@ class Session:
         return piece, original
 
     def _channels(self, first: int, end: int) -> tuple[dict[str, Array], Rows]:
-        """What a gap is made from, of the cycles until `end` that are kept, in whole means; and which are known."""
+        """Channels of a gap in the cycles until `end` that are kept, in whole means; and which rows are known."""
         rows, known = self._window.rows(first, end), self._window.known(first, end)
         counted = len(rows) // SHORT * SHORT
         at = slice(len(rows) - counted, None)
         return {name: self._window.column(rows, name)[at] for name in self._machine.needed}, known[at]
 
     def outcome(self, outcome: ProposalOutcome) -> None:
-        """What became of a change, or was announced."""
+        """Take the outcome or the announcement of a model change."""
         if outcome.what == "refused":
             self._rest_until_it_ends()
             return
         self._use(with_effects(self._configured, outcome.model))
 
     def _gap_rows(self, cycle: int, piece: Piece | None, original: Piece | None) -> tuple[GapRow, ...]:
-        """Of each axis."""
+        """Gaps of each axis by the original and the present model."""
         nothing = np.full(len(self._machine.speeds), np.nan)
         sizes = (nothing if each is None else each.size for each in (original, piece))
         pairs = zip(*sizes, strict=True)
@@ -161,7 +161,7 @@ class Session:
         self._state, self._case = "watching", None
 
     def _rest_until_it_ends(self) -> None:
-        """Nothing more is said of what there is now."""
+        """Report nothing more of the present gap."""
         self._state = "waiting"
 
     def _look(self) -> None:
@@ -224,7 +224,7 @@ class Session:
         self._judge(found, case, end)
 
     def _is_another(self, case: _Case) -> bool:
-        """Whether what a case began with had passed before that began which is there now."""
+        """True if the cause of a case had passed before the present gap began."""
         begun = self._watch.begun_cycle
         if begun <= case.begun or self._watch.in_a_row < _LASTING:
             return False
@@ -248,7 +248,7 @@ class Session:
         return None
 
     def _is_noise(self, segment: Segment, model: Machine) -> bool:
-        """Whether a model leaves nothing but noise of the torques."""
+        """True if a model leaves nothing but noise of the torques."""
         predictor, (residual, _) = segment.predictor, self._fitted(segment, model)
         torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
         floors = {k: predictor.floor(k) for k in torques}
@@ -306,7 +306,7 @@ class Session:
         before = segment.residual(self._machine.packed(self._machine.with_estimate(self._in_use, self._estimate)))
         (_, old_cost), (after, new_cost) = (self._fitted(segment, model) for model in (self._in_use, case.candidate))
         gain = old_cost - new_cost
-        # A change that many samples make certain may still be one that nobody would see: of an effect that the model
+        # A change that many samples make certain may still be too small to matter: of an effect that the model
         # has, a little more or less, put down to another one.
         if gain > _DECISIVE and shows_in_torque(segment, before, after):
             self._decide(case, self._gap(case.candidate, first, end, segment.predictor.rows))
@@ -332,8 +332,8 @@ class Session:
         return self._machine.packed(self._machine.with_estimate(model, (1.0 + shares) * self._estimate))
 
     def _gap(self, candidate: Machine, first: int, end: int, rows: Rows) -> FoundGap:
-        """Of the models in use and changed, from cycle `first` to before `end`, as the watch sees it on those of these
-        `rows` (n,) by which was decided: what else pushes the axes, behind rows that come late, is neither model's."""
+        """Gap of the models in use and changed, from cycle `first` to before `end`, on the `rows` (n,) of the
+        decision. Other forces on the axes, after rows that come late, are neither model's."""
         channels, known = self._channels(self._machine.followed_from(self._window, first), end)
         known[-len(rows) :] &= rows[-len(known) :]
         seen = []

@@ -1,4 +1,4 @@
-"""Whether model and measurement part: the gap in pieces of half a second, against what is noise."""
+"""Gap detection: the residual of measurement and model in pieces of half a second, against noise."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Watch:
         self.begun_cycle = 0  #: the first of them begins there
 
     def learned_from(self, other: Watch) -> None:
-        """The noise is that of the stand: another model's watch knows it."""
+        """Take the noise, which is that of the machine, from another model's watch."""
         self._rests = other._rests.copy()
 
     @property
@@ -67,11 +67,11 @@ class Watch:
         return np.mean(np.array(self._rests), axis=0) if self._rests else None
 
     def use_estimate(self, estimate: Array) -> None:
-        """What the twin estimates (M,), from now on."""
+        """Use the twin's estimates (M,) from now on."""
         self._gap.use_estimate(estimate)
 
     def follow(self, channels: Mapping[str, Array], known: Rows) -> None:
-        """What was before the next chunk: it is not looked at, and what comes is known by it."""
+        """Take the rows before the next chunk as initial state, without judging them."""
         if len(known):
             self._gap.follow(channels, known)
 
@@ -81,8 +81,8 @@ class Watch:
         self.in_a_row = 0
 
     def update(self, last_cycle: int, channels: Mapping[str, Array], known: Rows) -> Piece | None:
-        """The next chunk (n,) of each channel; `known`: the rows that are no guess. None of one in which the
-        machine stands, or of which too little is known: that says nothing."""
+        """Judge the next chunk (n,) of each channel; `known`: the rows that are no guess. None at standstill, or
+        with too few known rows."""
         values = self._gap.follow(channels, known)
         cycles = len(known)
         if min(float(np.min(np.abs(channels[name]))) for name in self._machine.speeds) < self._machine.moves:

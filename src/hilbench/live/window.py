@@ -44,7 +44,7 @@ class Window:
             self.first += len(self._chunks.popleft().rows)
 
     def column(self, rows: Array, name: str) -> Array:
-        """Of rows (n, signals) one signal (n,)."""
+        """One signal (n,) of rows (n, signals)."""
         return rows[:, self._column[name]]
 
     def rows(self, first: int, end: int) -> Array:

@@ -38,7 +38,7 @@ Answered = TypeVar("Answered", str, "Foreseen")
 
 @dataclass(frozen=True)
 class Foreseen:
-    """What would come of a change: in a line, and its futures where it can be foreseen."""
+    """Predicted outcome of a change: in a line, and its forecasts where it can be predicted."""
 
     text: str
     outlook: Outlook | None = None
@@ -80,7 +80,7 @@ class ChangeRequests:
         return self._submit(self._thread, self._write, switch.path, asked, float(on), "0 or 1")
 
     def look_ahead(self, quantity: MainQuantity, value: float, frames: Sequence[Frame]) -> Future[Foreseen]:
-        """Ask what would come if the quantity went to a value, from the last frames that were heard; nothing moves."""
+        """Predict the outcome if the quantity went to a value, from the last frames received; nothing moves."""
         return self._submit(self._ahead, self._looked_ahead, quantity, value, frames)
 
     def _submit(self, thread: ThreadPoolExecutor, request: Callable[..., Answered], *values: Any) -> Future[Answered]:
@@ -95,7 +95,7 @@ class ChangeRequests:
         return [str(request.result()) for request in done if not request.cancelled()]
 
     def range_of(self, quantity: MainQuantity) -> tuple[float, float]:
-        """What the bench accepts by its config, in the quantity's unit."""
+        """Range that the bench accepts by its config, in the quantity's unit."""
         low, high = self._ranges[quantity.path]
         return low / quantity.si_per_shown, high / quantity.si_per_shown
 

@@ -1,4 +1,4 @@
-"""Whether what was heard of a bench is so now: it runs, has ended, was stopped, or nothing is heard of it any more."""
+"""Condition of a bench by the frames received: it runs, has ended, was stopped, or is silent."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class BenchWatch:
         self._ended: Condition | None = None
 
     def take(self, frame: Frame, now_s: float) -> None:
-        """A frame was heard."""
+        """Take a received frame."""
         if frame.can_id == SYNC:
             self._sync_s = now_s
             if self._ended is Condition.ENDED:
-                self._ended = None  # somebody else let nodes go: the bench goes on
+                self._ended = None  # another master released nodes: the bench goes on
         elif frame.can_id == EMERGENCY_STOP_COB_ID:
             self._ended = Condition.EMERGENCY_STOP
         elif frame.can_id == NMT and len(frame.data) == 2:
@@ -56,7 +56,7 @@ class BenchWatch:
             self._ended = Condition.ENDED
 
     def condition(self, now_s: float) -> Condition:
-        """What the bench is doing now."""
+        """Present condition of the bench."""
         if self._ended is not None:
             return self._ended
         if self._sync_s is None:

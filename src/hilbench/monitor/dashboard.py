@@ -63,7 +63,7 @@ class _Question(ModalScreen[bool]):
 
 
 class _StopQuestion(_Question):
-    """Whether to stop everything; the key that asked for it means yes as well."""
+    """Confirmation of the emergency stop; the key that asked for it means yes as well."""
 
     def __init__(self) -> None:
         super().__init__("Stop every device on the bus?", f"y or {_STOP_KEY}: STOP   n: no")
@@ -136,7 +136,7 @@ class _NewValue(ModalScreen[float | None]):
 
 
 class Dashboard(App[None]):
-    """Trends of what the twin says, the nodes with their decoded states, bus load, jitter and faults."""
+    """Trends of the twin's signals, the nodes with their decoded states, bus load, jitter and faults."""
 
     CSS = """
     #condition { height: 1; padding: 0 1; background: $error; text-style: bold; }
@@ -314,7 +314,7 @@ class Dashboard(App[None]):
         self._write(f"cycle {note.cycle}  {note.part}: {note.text}" for note in new)
 
     def _draw_trend(self, trend: Trend) -> None:
-        # A sparkline stands on 0: what matters is how the signal moves above its least value.
+        # A sparkline starts at 0: what matters is how the signal moves above its least value.
         values = trend.shown
         least = min(values, default=0.0)
         self.query_one(f"#{trend.signal}", Sparkline).data = [value - least for value in values]

@@ -10,14 +10,14 @@ from hilbench.results.received import SYNCS
 
 
 class RecentFrames:
-    """Those of about `hilbench.results.received.SYNCS` cycles."""
+    """Frames of about `hilbench.results.received.SYNCS` cycles."""
 
     def __init__(self) -> None:
         self._received: deque[list[Frame]] = deque()
         self._syncs = 0
 
     def take(self, frames: list[Frame]) -> None:
-        """Add what was heard."""
+        """Add received frames."""
         self._received.append(frames)
         self._syncs += _syncs(frames)
         while self._syncs - (oldest := _syncs(self._received[0])) > SYNCS:

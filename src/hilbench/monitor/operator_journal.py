@@ -1,4 +1,4 @@
-"""What somebody at a monitor does, in the journal of the run that it was done to."""
+"""Journal entries of an operator's actions at a monitor, in the run that they act on."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hilbench.results.journal import append_to_journal
 
 
 def somebody_here() -> str:
-    """Who sits at this terminal, as a journal has him."""
+    """Name of the user at this terminal, as written in a journal."""
     try:
         name = getpass.getuser()
     except (KeyError, OSError):  # an account without a name

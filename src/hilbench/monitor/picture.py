@@ -1,7 +1,6 @@
-"""What the frames on a bus tell of a bench; fed by a listener, and nothing here sends.
+"""State of a bench by the frames on its bus; fed by a listener, sends nothing.
 
-Nothing is shown that is not so any more: while the bench does not run, and of a node that is not heard, there is no
-value.
+No outdated value is shown: while the bench does not run, and of a silent node, there is none.
 """
 
 from __future__ import annotations
@@ -59,14 +58,14 @@ class NodePicture:
     stale: bool = False  #: it has been heard, and is not heard any more
 
     def forget(self) -> None:
-        """What it last said is not so now."""
+        """Discard the last values, which are outdated."""
         self.drive_state = self.statusword = None
         self.velocity_rad_s = self.torque_Nm = self.position_rad = None
 
 
 @dataclass
 class _Received:
-    """When something was last heard: in which cycle, and at which time of the monotonic clock, s."""
+    """Last reception: in which cycle, and at which time of the monotonic clock, s."""
 
     cycle: int
     time_s: float
@@ -75,7 +74,7 @@ class _Received:
 
 @dataclass(frozen=True)
 class FaultNote:
-    """Something that went wrong: in which cycle (SYNCs heard so far), where, what."""
+    """A fault: in which cycle (SYNCs received so far), where, what."""
 
     cycle: int
     part: str
@@ -84,7 +83,7 @@ class FaultNote:
 
 @dataclass
 class BusPicture:
-    """The picture of one bench; `take` adds what was heard."""
+    """Picture of one bench; `take` adds received frames."""
 
     config: BenchConfig
     cycles: int = 0  #: SYNCs heard of this run
@@ -138,7 +137,7 @@ class BusPicture:
     # -- what was heard --------------------------------------------------------------------------------------
 
     def take(self, frames: Iterable[Frame], now_s: float | None = None) -> None:
-        """Add frames in the order in which they were heard, at `now_s` of the monotonic clock (now, if not given)."""
+        """Add frames in the order of reception, at `now_s` of the monotonic clock (now, if not given)."""
         self._now_s = time.monotonic() if now_s is None else now_s
         last: dict[int, bytes] = {}
         heartbeats: list[Frame] = []
@@ -174,7 +173,7 @@ class BusPicture:
         self._look_for_silence()
 
     def _look_at_quality(self, last: dict[int, bytes]) -> None:
-        """What the twin states of its estimates."""
+        """Take the standard deviations that the twin publishes."""
         for cob_id, (pdo, names) in self._quality.items():
             data = last.get(cob_id, b"")
             if len(data) == pdo.size:
@@ -184,7 +183,7 @@ class BusPicture:
                         trend.stated = float(stated[trend.deviation])
 
     def _look_at_model(self, status: int) -> None:
-        """What the twin says of its model (2100h sub 3)."""
+        """Take the twin's model status (2100h sub 3)."""
         changing, changed = status & TwinStatus.MODEL_CHANGING, status & TwinStatus.MODEL_CHANGED
         self.model = "another model is tried beside it" if changing else "model with what was found" if changed else ""
 
@@ -193,7 +192,7 @@ class BusPicture:
         self._received[who, what] = _Received(self.cycles, self._now_s, within_cycles)
 
     def _look_for_silence(self) -> None:
-        """Who is not heard in time has no values any more."""
+        """Discard the values of nodes that are silent."""
         running = self.condition is Condition.RUNNING
         for part, node in self.nodes.items():
             said = {what: received for (who, what), received in self._received.items() if who in (part, node.node_id)}
@@ -212,17 +211,17 @@ class BusPicture:
 
     @property
     def condition(self) -> Condition:
-        """What the bench was doing when frames were last taken."""
+        """Condition of the bench when frames were last taken."""
         return self._watch.condition(self._now_s)
 
     @property
     def condition_text(self) -> str:
-        """The same in words."""
+        """Condition as text."""
         return self._watch.text(self._now_s)
 
     @property
     def twin_is_alive(self) -> bool:
-        """Whether what the twin says is so now."""
+        """True if the twin's values are current."""
         received = self._received.get((self.config.twin.node.node_id, "PDO"))
         running = self.condition is Condition.RUNNING
         return running and received is not None and not self._is_silent(received, running=running)
@@ -240,7 +239,7 @@ class BusPicture:
                 trend.values.append(float(value))
 
     def _look_at_answers(self) -> None:
-        """Who has answered the last SYNC before this one; a node that sends nothing at all is not late."""
+        """Update the age of each node's answer to SYNC; a node that sends nothing at all is not late."""
         for part, cob_id in self._answers.items():
             if cob_id in self._answered:
                 self._ages[part] = 0
@@ -311,7 +310,7 @@ class BusPicture:
         return float(np.percentile(late_us, 99)), float(late_us.max())
 
     def late_pct(self) -> dict[str, float]:
-        """Who was late lately, and in which share of the cycles, %."""
+        """Share of recent cycles in which each part was late, %, where worth showing."""
         return {part: 100 * each.lately for part, each in self.timeliness.of.items() if each.lately > _WORTH_SHOWING}
 
     def as_data(self) -> dict[str, Any]:

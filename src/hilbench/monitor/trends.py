@@ -1,4 +1,4 @@
-"""What the twin says with every SYNC, as the monitor shows it over time."""
+"""Signals that the twin sends with every SYNC, as the monitor shows them over time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _POINTS = 240
 
 @dataclass
 class Trend:
-    """One signal of the twin: its name in a recording, and how a person is told of it."""
+    """One signal of the twin: its name in a recording, and its title for display."""
 
     signal: str
     title: str
@@ -29,7 +29,7 @@ class Trend:
 
     @property
     def is_of_the_model(self) -> bool:
-        """Whether it is no estimate, as nothing tells it."""
+        """True if the value is the model's, as it is not identifiable (infinite deviation)."""
         return isinf(self.stated)
 
     @property
@@ -44,7 +44,7 @@ class Trend:
 
 
 def trends_of(kind: MachineKind, shape: Shape) -> list[Trend]:
-    """What the twin of a machine sends with every SYNC, in the order of its PDOs."""
+    """Trends of the signals that a machine's twin sends with every SYNC, in the order of its PDOs."""
     known = {each.twin_signal: each for each in main_quantities(kind, shape) if each.twin_signal}
     trends = []
     for carried in process_data(kind, shape).state:

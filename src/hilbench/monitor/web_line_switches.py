@@ -1,4 +1,4 @@
-"""What a bench with a web line is told yes or no to."""
+"""Yes-or-no switches of a bench with a web line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hilbench.topology.quantities import MODEL_CHANGE, TENSION_PROBE
 
 @dataclass(frozen=True)
 class Switch:
-    """What a bench is told yes or no: path, key in the monitor, how it is called, and what yes and no mean."""
+    """Yes-or-no switch of a bench: path, key in the monitor, title, and the meaning of yes and no."""
 
     path: str
     key: str
@@ -26,7 +26,7 @@ MODEL: Final = Switch(MODEL_CHANGE, "c", "model change", "the twin goes on with 
 
 
 def switches(config: BenchConfig) -> Iterator[Switch]:
-    """Those that this bench has."""
+    """Switches of this bench."""
     if any(control.probes.mode != "off" for control in config.tension_controls.values()):
         yield PROBE
     if config.twin.live_diagnosis is not None:

@@ -68,11 +68,11 @@ class Access:
         return session
 
     def knows(self, session: str) -> bool:
-        """Whether it is one that was opened."""
+        """True if the session was opened."""
         return any(hmac.compare_digest(session.encode(), known.encode()) for known in self._sessions)
 
     def is_ours(self, host: str) -> bool:
-        """Whether a Host header names this server: a name that is known, or any address, which no name server gives."""
+        """True if a Host header names this server: a name that is known, or any address, which no name server gives."""
         name, colon, port = host.rpartition(":")
         if not colon or not port.isdecimal():
             name, port = host, "80"

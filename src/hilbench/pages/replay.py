@@ -34,25 +34,25 @@ _LONGEST_REASON: Final = 120
 
 
 class Pace(Strict):
-    """How fast it is played: times the time in which it was run; none: as fast as it goes."""
+    """Pace of a replay: multiple of the original pace; none: as fast as possible."""
 
     do: Literal["pace"]
     pace: Annotated[float, Field(ge=0.0, le=1000.0)] | None
 
 
 class Playing:
-    """What viewers may ask of a run that is played again."""
+    """Viewers' requests to a replay."""
 
     def __init__(self, trace: PlayedTrace) -> None:
         self.control_lock = ControlLock()
         self._trace = trace
 
     def as_data(self) -> dict[str, Any]:
-        """What can be asked for."""
+        """Possible requests, as data for the page."""
         return {"quantities": [], "switches": [], "replay": self._trace.channel}
 
     async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> ControlAnswer:
-        """What became of it."""
+        """Execute a request and return its result."""
         try:
             pace = Pace.model_validate(asked).pace
         except ValidationError:

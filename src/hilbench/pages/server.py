@@ -39,7 +39,7 @@ _MOST_CONNECTIONS: Final = 128
 
 
 class _Connection(H11Protocol):
-    """A connection as it begins; of more than `_MOST_CONNECTIONS` the oldest ends: silent ones keep nobody out."""
+    """A new connection; of more than `_MOST_CONNECTIONS` the oldest ends: silent ones block no others."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
@@ -52,7 +52,7 @@ class _Connection(H11Protocol):
 
 
 class _ViewersConnection(WebSocketsSansIOProtocol):
-    """A viewer's connection, which ends when nothing is heard of him, also where he does not take what was sent."""
+    """A viewer's connection, which ends when he is silent, also where he does not take what was sent."""
 
     def keepalive_timeout(self) -> None:
         self.transport.abort()

@@ -1,4 +1,4 @@
-"""What must hold of a config and its experiment before anything starts, and what an operator should know of it."""
+"""Checks of a config and its experiment before anything starts, and warnings for the operator."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Worst:
 
 @dataclass(frozen=True)
 class CheckedExperiment:
-    """What the check found."""
+    """Result of the check."""
 
     bench: CheckedBench
     #: Stiffest web that the load motor could emulate by itself, over the stiffest asked for; None: there is no web.

@@ -69,7 +69,7 @@ def commissioning_plan(config: ExperimentConfig, place: Path, *, forward_only: b
 
 
 def _one_way(reach: Reach, sign: float) -> Iterator[dict[str, Any]]:
-    """From standstill to standstill in one direction."""
+    """Steps from standstill to standstill in one direction."""
     speed = 0.0
 
     def to(share: float, acceleration: float, stay_s: float) -> Iterator[dict[str, Any]]:

@@ -98,7 +98,7 @@ def files_of(path: Path) -> list[Path]:
 
 
 def _read(path: Path, including: tuple[Path, ...], read: list[Path]) -> strict_yaml.Document:
-    """`including`: the files on the way to this one; `read`: all that were read."""
+    """Read a config file. `including`: the chain of files that include this one; `read`: all that were read."""
     document = strict_yaml.load(path)
     read.append(path)
     if not isinstance(document.data, Mapping):
@@ -129,7 +129,7 @@ def _read(path: Path, including: tuple[Path, ...], read: list[Path]) -> strict_y
 
 
 def is_model(data: Mapping[str, Any]) -> bool:
-    """Whether a file's data are a model, as `hilbench.plant.model_file.load_machine` reads it."""
+    """True if a file's data are a model, as `hilbench.plant.model_file.load_machine` reads it."""
     return "rollers" in data or "shaft" in data
 
 
@@ -177,7 +177,7 @@ def _named_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...
 def dump(config: BenchConfig, path: Path) -> None:
     """Write the resolved config, every default spelled out; `load` reads it back to a config that does the same.
 
-    Tables and Python files of its steps are copied beside it, so that the folder says by itself what was run. Raises
+    Tables and Python files of its steps are copied next to it, so that the folder is complete. Raises
     UnusableInputError when it cannot be written.
     """
     data: dict[str, Any] = config.model_dump(mode="json", exclude_none=True)
@@ -235,7 +235,7 @@ def load_with_overrides(
     seed: int | None = None,
     changes: Sequence[str] = (),
 ) -> LoadedConfig:
-    """`load`, with what the command line says instead: `changes` are texts ``machine.web.width_m=0.6``.
+    """`load` with command-line overrides: `changes` are texts ``machine.web.width_m=0.6``.
 
     Raises UnusableInputError that names the file and line, or the option.
     """

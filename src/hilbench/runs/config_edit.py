@@ -1,4 +1,4 @@
-"""Changing single values of a config file as text, so that comments and layout stay as somebody wrote them."""
+"""Edits of single values of a config file as text, so that comments and layout stay as written."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def _write(file: Path, data: bytes) -> None:
 
 
 def edited(text: str, location: Sequence[str], value: Any, place: str | Path) -> str:
-    """A YAML text with another value at a location, mappings made where there are none; all else is as it was.
+    """YAML text with another value at a location, mappings made where there are none; all else is unchanged.
 
-    Raises UnusableInputError, at `place`, where a value on the way is no mapping.
+    Raises UnusableInputError, at `place`, where a value on the path is no mapping.
     """
     root = yaml.compose(text, yaml.SafeLoader)
     node, done = root, 0
@@ -67,12 +67,12 @@ def edited(text: str, location: Sequence[str], value: Any, place: str | Path) ->
 
 
 def _is_nothing(node: yaml.ScalarNode) -> bool:
-    """Whether a key has no value at all: an empty text in quotes is one."""
+    """True if a key has no value at all: an empty text in quotes is one."""
     return node.value == "" and node.style is None
 
 
 def _with_key(text: str, node: yaml.MappingNode, pair: str) -> str:
-    """A mapping with a further key, behind the last one that stands in its line as a whole."""
+    """Mapping with a further key, after the last one that is in its line as a whole."""
     if node.flow_style:
         if not node.value:
             at = node.start_mark.index + 1

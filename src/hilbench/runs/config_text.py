@@ -1,4 +1,4 @@
-"""Config files for people and editors: YAML with what each key means beside it, and the JSON Schema."""
+"""Config files for people and editors: YAML commented with each key's meaning, and the JSON Schema."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def json_schema() -> dict[str, Any]:
     }
     complete = {"required": schema.pop("required")}
     for block in schema["$defs"].values():
-        block.pop("required", None)  # what a file includes may give it: `hilbench check` says what is missing
+        block.pop("required", None)  # what a file includes may give it: `hilbench check` reports what is missing
     return {**_any_of(schema), "if": {"not": {"required": ["include"]}}, "then": complete}
 
 
 def _any_of(node: Any) -> Any:
-    """The same with `anyOf` for `oneOf`: where nothing is required a block may be one of several kinds."""
+    """Replace `oneOf` by `anyOf`: where nothing is required a block may be one of several kinds."""
     if isinstance(node, list):
         return [_any_of(each) for each in node]
     if isinstance(node, dict):
@@ -91,7 +91,7 @@ def _as_yaml(value: Any) -> Any:
 
 
 def _tag(block: BaseModel) -> dict[str, Any]:
-    """What says which kind of block it is: the keys that can have one value only, which is their default."""
+    """Keys that identify the kind of block: those that can have one value only, which is their default."""
     fields = type(block).model_fields
     return {
         name: getattr(block, name)

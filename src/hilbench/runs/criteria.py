@@ -59,7 +59,7 @@ class Criterion(Block):
 
     @property
     def meaning(self) -> Metric:
-        """What the metric is."""
+        """Meaning of the metric."""
         metric = find_metric(self.metric)
         assert metric is not None, "as it was checked"
         return metric
@@ -74,7 +74,7 @@ class Criterion(Block):
         return f"≥ {_text(self.min)}" if self.min is not None else f"≤ {_text(self.max)}"
 
     def distance(self, value: float) -> float:
-        """How far within the nearer bound a finite value lies; negative outside."""
+        """Margin of a finite value within the nearer bound; negative outside."""
         if self.target is not None and self.tolerance is not None:
             return self.tolerance - abs(value - self.target)
         below = inf if self.max is None else self.max - value
@@ -89,11 +89,11 @@ Verdict = Literal["passed", "marginal", "failed", "error"]
 
 
 class CriterionResult(Strict):
-    """The verdict on one criterion.
+    """Verdict on one criterion.
 
-    `value` is None where the run has no such value, and `reason` says why: an *error*, which, other than a failure,
-    says nothing about what was tested; with `never`, what was waited for did not come: a failure. Beside a value
-    `reason` says what was not judged. `step`: which step of the run the value is of.
+    `value` is None where the run has no such value, and `reason` states why: an *error*, which, other than a failure,
+    is no statement on what was tested; with `never`, the awaited event did not come: a failure. With a value `reason`
+    states what was not judged. `step`: which step of the run the value is of.
     """
 
     name: str
@@ -115,7 +115,7 @@ class CriterionResult(Strict):
         return "error" if self.value is None and not self.never else "failed"
 
     def of_cut_off_run(self) -> Self:
-        """The verdict where the run did not go to its end: what holds until then says nothing of what was tested."""
+        """Verdict for a run that was cut off: what holds until then proves nothing of what was tested."""
         if not self.passed:
             return self
         until = "" if self.value is None else f", {self.value:.6g} until then"
@@ -176,7 +176,7 @@ def _judge_steps(criterion: Criterion, judged: Judgement) -> CriterionResult:
 
 
 def _never(criterion: Criterion, figure: Figure) -> bool:
-    """Whether what was waited for did not come, and the wait was long enough to say so."""
+    """True if the awaited event did not come, and the wait was long enough to state so."""
     waited_s = figure.longer_than_s
     return waited_s is not None and (waited_s >= LEAST_SETTLED_S or criterion.distance(waited_s) < 0)
 

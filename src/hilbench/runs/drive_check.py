@@ -1,4 +1,4 @@
-"""What the steps of an experiment ask of the drives, beside what the objects of their EDS files allow."""
+"""Check of an experiment's steps against what the objects of the drives' EDS files allow."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hilbench.topology.quantities import LINE_SPEED, SPEED
 
 @dataclass(frozen=True)
 class _Allowed:
-    """Of a drive, in the machine's unit of position: speed per s, by which object; and acceleration per s²."""
+    """Limits of a drive, in the machine's unit of position: speed per s, by which object; and acceleration per s²."""
 
     part: Part
     speed: float
@@ -73,7 +73,7 @@ def _allowed(config: ExperimentConfig, part: Part) -> _Allowed:
 
 
 def torque_limit_Nm(config: ExperimentConfig, part: Part) -> float:
-    """What the drive of an axis gives at most: its motor's limit in the machine's model, or less by 6072h."""
+    """Torque limit of the drive of an axis: its motor's limit in the machine's model, or less by 6072h."""
     od = shared_eds(part.node.eds, part.node.node_id)
     limit = default_reader(od, part.node.writes, part.node_axis)(objects.MAX_TORQUE, 0) or inf
     of_motor_Nm = per_item(config.drive_parameters.torque_limit_Nm, part.axis or 1)

@@ -41,7 +41,7 @@ FIGURES: Final[Mapping[str, Metric]] = {
 
 
 def find_metric(name: str, kinds: Sequence[MachineKind] = tuple(MachineKind)) -> Metric | None:
-    """What is meant by a name, of one of these kinds of machine; None for one that is no metric of what was found."""
+    """Metric of a name, for one of these kinds of machine; None for one that is no metric of what was found."""
     if name in METRICS:
         return METRICS[name]
     parts = _NAME.fullmatch(name)
@@ -60,7 +60,7 @@ def find_metric(name: str, kinds: Sequence[MachineKind] = tuple(MachineKind)) ->
 
 
 def metrics(changes: Sequence[ModelChange]) -> dict[str, float | None]:
-    """Of everything that was found in a run."""
+    """Metrics of everything that was found in a run."""
     found: dict[str, float | None] = {COUNT: float(sum(len(change.effects) for change in changes))}
     for change in changes:
         for kind, effects in (("found", change.effects), ("gone", change.gone)):

@@ -51,7 +51,7 @@ _MARKS: Final = {
 
 @dataclass(frozen=True)
 class Changed:
-    """A quantity (`hilbench.topology.quantities`, SI) and its values around an event; None where nobody knows it."""
+    """A quantity (`hilbench.topology.quantities`, SI) and its values around an event; None where unknown."""
 
     path: str
     before: float | None
@@ -85,12 +85,12 @@ class Event:
         return ", ".join(map(str, self.changes)) or self.text
 
     def of(self, path: str) -> Changed | None:
-        """What it did to a quantity; None where it left it alone."""
+        """Change of a quantity by the event; None if it did not change."""
         return next((change for change in self.changes if change.path == path), None)
 
 
 def of_open_loop(event: Event) -> bool:
-    """Whether it says that a tension loop is open for long, or is no more."""
+    """True if it reports that a tension loop is open for long, or closed again."""
     return event.text.endswith((_OPEN, _CLOSED))
 
 
@@ -106,7 +106,7 @@ def open_loops(events: Sequence[Event], start_s: float, until_s: float) -> set[s
 
 
 def find_events(channels: Channels, journal: Sequence[Event] = ()) -> list[Event]:
-    """Everything that happened in a recording, in order of time, with what its journal says (`journal_events`)."""
+    """Events of a recording, in order of time, including those of its journal (`journal_events`)."""
     time_s = np.asarray(channels["t_s"], np.float64)
     if len(time_s) < 2:
         return []
@@ -154,7 +154,7 @@ class EventLog:
             self._done.append(Event("mark", at_s, at_s, text=_MARKS[change.what].format(path=change.path)))
 
     def events(self) -> list[Event]:
-        """What has happened until now, in order of time and in the time of the recording."""
+        """Events until now, in order of time and in the time of the recording."""
         unfinished = [event for sets in self._open.values() if (event := self._event(sets)) is not None]
         return sorted([*self._done, *unfinished], key=lambda event: event.start_s)
 
@@ -192,7 +192,7 @@ class _Sets:
 
 
 def journal_events(changes: Iterable[Change], cycle_time_s: float) -> list[Event]:
-    """What a journal says as events."""
+    """Events of a journal."""
     log = EventLog(cycle_time_s)
     for change in changes:
         log.add(change)
@@ -243,8 +243,7 @@ def _groups(positions: Sequence[int]) -> list[list[int]]:
 
 
 def merged(journal: Iterable[Event], shown: Iterable[Event], same_s: float) -> list[Event]:
-    """One list in order of time: what the journal says, and what only the signals show; steps at the same time are
-    one."""
+    """Merge the journal's events and those only in the signals, in order of time; steps at the same time are one."""
     entries = list(journal)
     found = entries + [event for event in shown if not any(_same(event, known, same_s) for known in entries)]
     result: list[Event] = []

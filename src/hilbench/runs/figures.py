@@ -73,7 +73,7 @@ def _latest_cut(time_s: Array) -> int:
 
 
 def _truncation(data: Array, latest: int) -> int:
-    """How many samples at the beginning to leave out, at most `latest`, for the least standard error of the mean."""
+    """Number of samples to leave out at the start, at most `latest`, for the least standard error of the mean."""
     backwards = (data - data[-1])[::-1]
     count = np.arange(1, len(data) + 1)
     squares = np.cumsum(backwards**2) - np.cumsum(backwards) ** 2 / count
@@ -82,9 +82,8 @@ def _truncation(data: Array, latest: int) -> int:
 
 
 def still_settling(t_s: ArrayLike, values: ArrayLike) -> bool:
-    """Whether the settled part of a short segment still has some of the transient: as much was cut off as may be, and
-    the first third of the rest is far more uneven about its straight-line trend than the last.
-    """
+    """True if the settled part of a short segment still has some of the transient: as much was cut off as may be,
+    and the first third of the rest is far more uneven about its straight-line trend than the last."""
     time_s, data = np.asarray(t_s, np.float64), np.asarray(values, np.float64)
     latest, part = _latest_cut(time_s), settled_part(time_s, data)
     third = len(data[part]) // 3
@@ -100,7 +99,7 @@ def _rms(values: Array) -> float:
 
 
 def least_stay_s(hold_s: float) -> float:
-    """How long (s) a signal must have been in its band at the end of a hold to be called settled."""
+    """Time (s) that a signal must have been in its band at the end of a hold to count as settled."""
     return min(LEAST_SETTLED_S, hold_s / 4)
 
 
@@ -148,7 +147,7 @@ def trend_rms(time_s: Array, values: Array) -> float:
 
 
 def _about_trend(time_s: Array, values: Array) -> Array:
-    """What is left of values beside their least-squares straight line over time."""
+    """Residual of values about their least-squares straight line over time."""
     centred_s, centred = time_s - time_s.mean(), values - values.mean()
     spread = float(centred_s @ centred_s)
     slope = float(centred_s @ centred) / spread if spread else 0.0

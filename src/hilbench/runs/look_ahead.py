@@ -1,4 +1,4 @@
-"""What the rest of an experiment will ask for, and when: the plan that a bench looks ahead by."""
+"""Look-ahead plan of a bench: what the rest of an experiment will ask for, and when."""
 
 from __future__ import annotations
 
@@ -31,8 +31,7 @@ class LookAhead:
                     self._moves.append((number, Move(path, begins_s, begins_s + move.duration_s, to)))
 
     def plan(self, number: int, now_s: float) -> Plan:
-        """From the step of this number (from 0) on, which begins now; up to one of which nobody knows how long it
-        takes."""
+        """Plan from the step of this number (from 0), which begins now, to the first one of unknown duration."""
         until = next((k for k in range(number, len(self._kinds)) if self._kinds[k] in _OPEN), len(self._kinds))
         later_s = now_s - self._starts_s[number]
         return Plan(

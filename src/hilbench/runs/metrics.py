@@ -82,13 +82,13 @@ _MOST_REASONS: Final = 3
 
 
 def metrics_of(kind: str, shape: Shape) -> MachineMetrics:
-    """What a machine has of its steps."""
+    """Step metrics of a kind of machine."""
     return web_line.metrics_of(shape) if kind == "web_line" else OF_STEPS[kind]
 
 
 @cache
 def find_metric(name: str) -> Metric | None:
-    """What is meant by a name, whatever the machine; None for a name that is no metric."""
+    """Metric of a name, whatever the machine; None for a name that is no metric."""
     if name in METRICS:
         return METRICS[name]
     numbered = _NUMBERED.fullmatch(name)
@@ -168,7 +168,7 @@ class Judgement:
 
 
 class NotJudgedError(AssertionError):
-    """A test asks for a metric that the run does not show; the text says why."""
+    """A test asks for a metric that the run does not show; the text gives the reason."""
 
 
 class Metrics(dict[str, float | None]):
@@ -227,12 +227,12 @@ def judge(channels: Channels, *, journal: Sequence[Event] = ()) -> Judgement:
 
 
 def _is_its_work(event: Event, machine: MachineMetrics) -> bool:
-    """Whether an event is no more than the motion that the machine is always in."""
+    """True if an event is no more than the motion that the machine is always in."""
     return machine.moves_always and event.kind == "ramp" and event.of(machine.speed.path) is not None
 
 
 def _window(machine: MachineMetrics, channels: Channels, time_s: Array) -> slice | None:
-    """The working window; None where the machine never ran, or nobody knows."""
+    """Working window; None where the machine never ran, or its speed was not recorded."""
     if machine.speed.signal not in channels:
         return None
     command = np.asarray(channels[machine.speed.signal], np.float64)
@@ -243,7 +243,7 @@ def _window(machine: MachineMetrics, channels: Channels, time_s: Array) -> slice
 
 
 def _next(events: Sequence[Event], after_s: float) -> float:
-    """When the next event begins, or a ramp that is under way ends."""
+    """Time at which the next event begins, or a ramp in progress ends."""
     times = [time for event in events for time in (event.start_s, event.end_s) if time > after_s]
     return min(times, default=np.inf)
 

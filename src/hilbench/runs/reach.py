@@ -1,4 +1,4 @@
-"""How far the commissioning of a machine goes, and what every kind of machine keeps to."""
+"""Range of a machine's commissioning, and the bounds of every kind of machine."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ SLOW, HOLD_S = 0.15, 4.0
 
 @dataclass(frozen=True)
 class Reach:
-    """How far the plan goes: highest speed and steepest ramps in the machine's unit of position per s and s²; of each
-    set-point beside the speed its path, the two values, and their unit."""
+    """Range of the plan: highest speed and steepest ramps in the machine's unit of position per s and s²; of each
+    set-point other than the speed its path, the two values, and their unit."""
 
     path: str
     unit: str

@@ -40,12 +40,11 @@ class Figure:
 
 
 class UnknownFigureError(Exception):
-    """A figure that cannot be had; its text says why."""
+    """A figure that cannot be determined; its text gives the reason."""
 
 
 class Segment:
-    """The signals from one step to the next event, and the figures they show; UnknownFigureError says why there is
-    none.
+    """Signals from one step to the next event, and the figures they show; UnknownFigureError states why there is none.
 
     `part`: its samples within `channels` (by signal, of equal length); `event`: the step, None for a working window;
     `marks`: what else happened, in order of time.
@@ -144,8 +143,8 @@ class Segment:
         return float(values[self._part.start]) - float(values[max(before, 0)])
 
     def is_step_of(self, quantity: MainQuantity) -> bool:
-        """Whether its step is one of this quantity. Who emulates the machine may change it unheard: what is recorded
-        shows that, beyond the drift that such a quantity may have."""
+        """True if its step is one of this quantity. The emulation may change it without a journal entry: the
+        recording shows that, beyond the drift that such a quantity may have."""
         if self.event is None:
             return False
         height = self.height_of(quantity)
@@ -157,9 +156,9 @@ class Segment:
 
 @dataclass(frozen=True)
 class Metric:
-    """What a metric's number means: its unit, why a run may not have it, and how a segment of it shows the number.
+    """Meaning of a metric's number: its unit, why a run may not have it, and how a segment shows it.
 
-    `figure` is None for what is counted of the whole run; `judged` says of which segments there is a figure.
+    `figure` is None for what is counted of the whole run; `judged` selects the segments that have a figure.
     """
 
     unit: str
@@ -170,7 +169,7 @@ class Metric:
 
     @property
     def of_steps(self) -> bool:
-        """Whether each step has a figure of its own."""
+        """True if each step has a figure of its own."""
         return self.figure is not None
 
 

@@ -1,4 +1,4 @@
-"""What the steps of an experiment ask of a servo axis: inertias that can be emulated, speeds and torques in limits."""
+"""Check of an experiment's steps on a servo axis: inertias that can be emulated, speeds and torques in limits."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, 
 
 
 def check_shaft(loaded: LoadedConfig, asked: list[Move]) -> tuple[list[str], float]:
-    """What an operator should know of the steps' speeds and torques, and the largest inertia that the load motor can
-    emulate, over the largest that is asked for. Raises UnusableInputError at the step that asks for one it cannot."""
+    """Warnings on the steps' speeds and torques, and the largest inertia that the load motor can emulate, over the
+    largest that is asked for. Raises UnusableInputError at the step that asks for one it cannot."""
     config, document = loaded.config, loaded.document
     limits, inertias = config.safety.limits, [start_of(config).values[SHAFT_INERTIA]]
     warnings: list[str] = []

@@ -1,4 +1,4 @@
-"""What the steps of an experiment will ask of a bench, as far as that can be known before it runs."""
+"""Set-point schedule of an experiment's steps, as far as it is known before the run."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class State:
 
     @property
     def set_points_N(self) -> dict[str, float]:
-        """Of the tensions, by path."""
+        """Tension set-points, by path."""
         return {path: value for path, value in self.values.items() if quantities.span_of_set_point(path) is not None}
 
     @property
@@ -52,7 +52,7 @@ class State:
 
 @dataclass(frozen=True)
 class Move:
-    """From one state to the next, within `duration_s` (0: at once)."""
+    """Change from one state to the next, within `duration_s` (0: at once)."""
 
     before: State
     after: State

@@ -1,4 +1,4 @@
-"""The steps of an experiment as they stand in YAML, and how each is run on a bench."""
+"""The steps of an experiment as written in YAML, and how each is run on a bench."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _CONDITION = re.compile(r"^\s*(\w+)\s*(<=|>=|<|>)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-
 
 
 def _permitted_value(value: object, info: ValidationInfo) -> object:
-    """Checked against the path beside it; where that is none, its own error is the one to tell."""
+    """Check the value against its path; an invalid path has an error of its own."""
     path = info.data.get("path")
     if path is not None and not permitted(path).holds(value):
         raise ValueError(f"{permitted(path)} for {path}")
@@ -79,7 +79,7 @@ Method = Annotated[str, AfterValidator(_method), WithJsonSchema({"type": "string
 
 
 class CheckedMove(Block):
-    """What may be checked before it is done: whether the twin's prediction sees a trip level crossed by it."""
+    """Step that may be checked before it is done: does the twin's prediction cross a trip level?"""
 
     check: Literal["predicted"] | None = Field(
         default=None,
@@ -122,7 +122,7 @@ class Ramp(CheckedMove):
 
 
 class Hold(Block):
-    """Let the bench run: for `duration_s`, or until experiment time `until_s`."""
+    """Run the bench for `duration_s`, or until experiment time `until_s`."""
 
     duration_s: NoOrSomeTime | None = Field(default=None, description="how long")
     until_s: NoOrSomeTime | None = Field(default=None, description="experiment time at the end")
@@ -206,7 +206,7 @@ class RestartTwin(Block):
 
 
 class UseSynchronizer(Block):
-    """Let the twin go on with another method from its present E, with that method's defaults."""
+    """Switch the twin to another method from its present E, with that method's defaults."""
 
     method: Method = Field(description="as in twin: estimate: method")
 
@@ -246,7 +246,7 @@ JudgedAction = TableStep | PythonStep
 
 
 class ExperimentStep(Block):
-    """One entry of `steps:`, a mapping with a single key that says what is done."""
+    """One entry of `steps:`, a mapping with a single key that names the action."""
 
     ramp: Ramp | None = None
     hold: Hold | None = None
@@ -269,7 +269,7 @@ class ExperimentStep(Block):
 
     @property
     def kind(self) -> str:
-        """Its key."""
+        """Key of the step."""
         return self._given()[0][0]
 
     def prepare(self) -> None:

@@ -1,4 +1,4 @@
-"""What the steps of an experiment ask of the cylinders on carriages whose force is told ahead."""
+"""Check of an experiment's steps on the cylinders of carriages whose force is sent ahead."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def beyond_cylinders(config: ExperimentConfig, at: str, move: Move) -> Iterator[
 
 
 def _motions(config: ExperimentConfig, name: str, move: Move) -> Iterator[Ends]:
-    """What the web at the ends of a carriage goes through; nothing where the move is none of its speeds."""
+    """Web motions at the ends of a carriage; nothing where the move is none of its speeds."""
     before, after, path = move.before, move.after, position_path(name, FEED)
     speed_m_s, feed = after.line_speed_m_s, after.values.get(path, 1.0)
     fed, went_m_s = before.values.get(path, 1.0), before.line_speed_m_s

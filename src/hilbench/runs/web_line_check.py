@@ -1,4 +1,4 @@
-"""What the steps of an experiment ask of a web line: where its loops will work, and what they will run into."""
+"""Check of an experiment's steps on a web line: operating points of its loops, and limits they will reach."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ _MOST_POINTS = 24
 
 
 def operating_points(config: ExperimentConfig, asked: list[Move]) -> dict[OperatingPoint, Location]:
-    """Where the loop will be, each with the step that brings it there; behind a step of E with the old one believed."""
+    """Operating points of the loop, each with the step that leads there; after a step of E with the old one
+    believed."""
     start, spans = start_of(config), range(1, config.shape.spans + 1)
     points: dict[OperatingPoint, Location] = {}
 
@@ -58,13 +59,13 @@ def _modulus_Pa(state: State, span: int) -> float:
 
 
 def _length_factor(state: State, span: int) -> float:
-    """Of a span (from 1) of the emulated web."""
+    """Length factor of a span (from 1) of the emulated web."""
     effects = _effects_in(state, span)
     return prod(1.0 + p["relative_change"] for effect, p in effects if effect == "span_length_error")
 
 
 def _effects_in(state: State, span: int) -> Iterator[tuple[str, Mapping[str, float]]]:
-    """Those of a span, and of all spans or of the whole line."""
+    """Effects of a span, and of all spans or of the whole line."""
     for entry in state.effects:
         if entry.span in (None, span):
             yield entry.effect, find_effect(entry.effect).filled(entry.parameters)
@@ -75,7 +76,7 @@ def _effects_in(state: State, span: int) -> Iterator[tuple[str, Mapping[str, flo
 
 
 def _elasticity_factor(effect: str, parameters: Mapping[str, float], t_s: float) -> float:
-    """What an effect makes of E, as `hilbench.plant.web_line.laws` has it; 1 for one that is none of the elasticity."""
+    """Factor of an effect on E, as `hilbench.plant.web_line.laws` has it; 1 for one that is none of the elasticity."""
     change = parameters.get("relative_change", 0.0)
     if effect == "elasticity_shift":
         return 1.0 + change
@@ -93,7 +94,7 @@ def _moduli(state: State, spans: Iterable[int]) -> Moduli:
 
 
 def stiffness_of(point: OperatingPoint) -> float:
-    """Of the stiffest span, to compare points by."""
+    """Stiffness of the stiffest span, to compare points by."""
     return max(modulus / factor for modulus, factor in zip(point.moduli_Pa, point.length_factors, strict=True))
 
 
@@ -124,7 +125,7 @@ def _extremes(points: dict[OperatingPoint, Location]) -> dict[OperatingPoint, Lo
 
 
 def step_warnings(loaded: LoadedConfig, asked: list[Move]) -> Iterator[str]:
-    """What the steps will run into."""
+    """Warnings on the limits that the steps will reach."""
     limits = loaded.config.safety.limits
     for move in asked:
         before, after = move.before, move.after
@@ -140,7 +141,7 @@ def step_warnings(loaded: LoadedConfig, asked: list[Move]) -> Iterator[str]:
 
 
 def _of_a_change_of_E(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
-    """What the span whose E is then off the most, or jumps the most, runs into."""
+    """Warnings on the span whose E is then off the most, or jumps the most."""
     limits, model = config.safety.limits, config.web_line
     changed = []
     for span in range(1, model.span_count + 1):
@@ -199,7 +200,7 @@ def _too_fast(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
 
 
 def _pull_N(config: ExperimentConfig, axis: int, state: State) -> float:
-    """By how much more the web pulls back at an axis than on, where the tensions beside it are asked for; else 0."""
+    """Excess of the upstream over the downstream web force at an axis, where the tensions are set-points; else 0."""
     model, around = config.web_line, config.web_line.boundary
     if config.shape.has_stations or not model.carries_web_load(axis):
         return 0.0

@@ -1,4 +1,4 @@
-"""How far the commissioning of a web line goes: its speeds, two tensions of each span that keeps one, its ramps."""
+"""Range of a web line's commissioning: its speeds, two tensions of each controlled span, its ramps."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LEAST_TURNS: Final = 0.25
 
 
 def reach_of_line(config: ExperimentConfig, place: Path) -> Reach:
-    """How far the commissioning of a line of driven rollers goes; see `commissioning_plan`."""
+    """Range of the commissioning of a line of driven rollers; see `commissioning_plan`."""
     model = config.web_line
     if model.stations is not None:
         raise UnusableInputError(

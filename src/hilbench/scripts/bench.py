@@ -35,10 +35,10 @@ from hilbench.topology import quantities
 
 @dataclass(frozen=True)
 class StepResponse:
-    """What a step change did: the whole recording, when the step was (s of experiment time), and the metrics.
+    """Response to a step change: the whole recording, time of the step (s of experiment time), and metrics.
 
-    Metrics are those of `hilbench.runs.metrics.METRICS` that a recording decides, of this step alone; `not_judged` says
-    why of those that it does not show, and so does the error of who asks for one.
+    Metrics are those of `hilbench.runs.metrics.METRICS` that a recording decides, of this step alone; `not_judged`
+    gives the reasons for missing ones, and so does the error when one is asked for.
     """
 
     recording: Recording
@@ -55,7 +55,7 @@ def failed_or_passed(name: str, reason: str = "") -> CriterionResult:
 
 
 def _nowhere(text: str) -> None:
-    """What is being done is not told."""
+    """Ignore progress messages."""
 
 
 def _on_standard_error(text: str) -> None:
@@ -209,7 +209,7 @@ class Bench(bench.Bench):
 
     @property
     def recording(self) -> Recording:
-        """What was measured until now, one row a cycle, as a copy."""
+        """Measurements until now, one row a cycle, as a copy."""
         return self._recorder.recording(self._made, self.config.description)
 
     def judge(self) -> Judgement:

@@ -87,7 +87,7 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
 
 
 def _reason(report: pytest.TestReport) -> str:
-    """What failed, in a line."""
+    """Reason of the failure, in a line."""
     crash = getattr(report.longrepr, "reprcrash", None)
     lines = (crash.message if crash is not None else report.longreprtext).strip().splitlines()
     return lines[0] if lines else f"{report.when} failed"

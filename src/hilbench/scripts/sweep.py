@@ -100,7 +100,7 @@ class _Running:
         return cls(job, ChildProcess(f"run {job.number}", ["hilbench.results", *job.arguments], log, copy=copy), log)
 
     def result(self) -> Row | None:
-        """What came of it, once it has ended; None when it was interrupted."""
+        """Row of the run, once it has ended; None when it was interrupted."""
         job, code, said = self.job, self.process.wait(), self.process.last_words()
         self.process.end()
         if code in (EXIT_PASSED, EXIT_CRITERION_FAILED, EXIT_INTERRUPTED):
@@ -123,7 +123,7 @@ def execute(job: Job) -> Row | None:
 
 
 def _row(job: Job, future: Future[Row | None]) -> Row | None:
-    """What came of a job; one that its worker could not do leaves a row as well."""
+    """Row of a job; one that its worker could not do leaves a row as well."""
     error = future.exception()
     if error is None:
         return future.result()
@@ -171,7 +171,7 @@ def parse_axis(text: str) -> Axis:
 
 
 def points(axes: Sequence[Axis], samples: int | None, seed: int) -> list[dict[str, str]]:
-    """What each run changes: the grid of all lists, each with `samples` points of the ranges (Latin hypercube).
+    """Changes of each run: the grid of all lists, each with `samples` points of the ranges (Latin hypercube).
 
     Raises UnusableInputError for ranges without a number of samples, or the other way round.
     """
@@ -323,7 +323,7 @@ class Sweep:
         return list(dict.fromkeys(path for run in self.runs for path in run))
 
     def shown_metrics(self) -> list[str]:
-        """Those of the criteria; without any, those that are not the same in all runs."""
+        """Metrics of the criteria; without any, those that are not the same in all runs."""
         judged = list(dict.fromkeys(criterion.metric for criterion in self._any.criteria))
         found = dict.fromkeys(name for row in self.rows.values() for name in row.metrics)
         return judged or [name for name in found if len({row.metrics.get(name) for row in self.rows.values()}) > 1]
@@ -344,7 +344,7 @@ class Sweep:
         return path
 
     def write_parquet(self) -> Path | None:
-        """The same table as `results.parquet`, with types; None where pyarrow is not installed."""
+        """Write the table as `results.parquet`, with types; None where pyarrow is not installed."""
         if find_spec("pyarrow") is None:
             return None
         import pandas

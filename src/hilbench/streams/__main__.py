@@ -23,7 +23,7 @@ _PIECE = 1 << 18
 
 
 def main() -> None:
-    """Until the bench closes its end, or is gone."""
+    """Send samples to the target until the bench closes its end, or disconnects."""
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.nice(5)
     with socket.socket(fileno=int(sys.argv[1])) as bench:

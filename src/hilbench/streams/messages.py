@@ -13,7 +13,7 @@ from hilbench.topology.signal_kinds import TIME, Signal
 
 @dataclass(frozen=True)
 class Group:
-    """Signals that stand in one message, and where each is in a row."""
+    """Signals of one message, and the place of each in a row."""
 
     name: str
     signals: Sequence[Signal]
@@ -51,7 +51,7 @@ class Group:
         return found
 
     def text(self, row: Sequence[float], t_s: float) -> bytes:
-        """The same as JSON; numbers as the shortest text that reads back as the same binary64."""
+        """Message as JSON; numbers as the shortest text that reads back as the same binary64."""
         return json.dumps(self.values(row, t_s), separators=(",", ":")).encode()
 
 
@@ -67,7 +67,7 @@ def groups_of(signals: Sequence[Signal]) -> list[Group]:
 
 
 def time_place(signals: Sequence[Signal]) -> int:
-    """Where a row has its time."""
+    """Place of the time in a row."""
     return next(place for place, signal in enumerate(signals) if signal.name == TIME)
 
 

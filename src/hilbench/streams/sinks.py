@@ -1,4 +1,4 @@
-"""What takes a stream's samples: each kind with the library that its tool's makers keep."""
+"""Sinks of a stream's samples: each kind with the library that its tool's makers keep."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _needs(package: str, target: object) -> UnusableInputError:
 
 
 class FoxgloveSink:
-    """A channel a group, into an MCAP file or to whoever looks with Foxglove; by Foxglove's SDK for both."""
+    """A channel a group, into an MCAP file or to Foxglove clients; by Foxglove's SDK for both."""
 
     def __init__(self, signals: Sequence[Signal], context: Any, end: Any, began_s: float) -> None:
         from foxglove import Channel
@@ -109,7 +109,7 @@ class FoxgloveSink:
             channel.log(group.text(row, t_s), log_time=time_ns)
 
     def close(self) -> None:
-        """The file is whole; the server is gone."""
+        """Complete the file, or end the server."""
         for _, channel in self._channels:
             channel.close()
         self._end()
@@ -137,11 +137,11 @@ class PlotJugglerSink:
             raise UnusableInputError(f"--stream {target}", f"{error.strerror}, expected a host and port") from error
 
     def take(self, row: Sequence[float]) -> None:
-        """One datagram; nobody need be there."""
+        """Send one datagram; no receiver is needed."""
         t_s = row[self._time]
         values = {group.name: group.values(row, t_s) for group in self._groups}
         data = json.dumps({"timestamp": t_s, **values}, separators=(",", ":")).encode()
-        with suppress(OSError):  # nobody listens, or the network is full: the next cycle comes soon
+        with suppress(OSError):  # no receiver, or the network is full: the next cycle comes soon
             self._socket.sendto(data, self._address)
 
     def close(self) -> None:
@@ -179,6 +179,6 @@ class MqttSink:
             self._client.publish(f"{self._below}/{group.name}", group.text(row, t_s))
 
     def close(self) -> None:
-        """What was published is sent."""
+        """Send what was published, and disconnect."""
         self._client.disconnect()
         self._client.loop_stop()

@@ -88,7 +88,7 @@ class Stream:
 
     @property
     def pid(self) -> int:
-        """Of its process."""
+        """Process id of its process."""
         return self._child.pid
 
     def sample(self, sample: CycleSample) -> None:
@@ -117,7 +117,7 @@ class Stream:
             self._ended = self._ended or str(error)
 
     def _rest_is_gone(self) -> bool:
-        """Whether the piece before has gone whole; else more of it is sent. A piece never goes in part."""
+        """True if the piece before has been sent whole; else more of it is sent. A piece never goes in part."""
         if self._rest is None:
             return True
         sent = self._socket.send(self._rest)
@@ -145,7 +145,7 @@ class Stream:
         self._child.end()
 
     def record(self) -> StreamRecord:
-        """What the result says of it."""
+        """Record of the stream for the result."""
         return StreamRecord(to=str(self.target), samples=self.samples + self._filled, dropped=self.dropped)
 
 

@@ -1,4 +1,4 @@
-"""Where a stream goes, as one types it."""
+"""Target of a stream, as typed on the command line."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Target:
 
     @property
     def may_wait(self) -> bool:
-        """Whether a bench whose time is no clock's waits for it: a file is to be whole; who looks on may miss some."""
+        """True if a bench without a real-time clock waits for it: a file has to be complete; viewers may miss some."""
         return self.kind == "mcap"
 
     def __str__(self) -> str:

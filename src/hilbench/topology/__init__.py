@@ -1,1 +1,1 @@
-"""What a bench is made of: config, parts, signals, settable quantities."""
+"""Bench topology: config, parts, signals, settable quantities."""

@@ -58,7 +58,7 @@ class BusConfig(Block):
     def _parses(cls, value: str) -> str:
         try:
             BusAddress.parse(value)
-        except UnusableInputError as error:  # the place is this key's, which pydantic tells
+        except UnusableInputError as error:  # pydantic adds the place, this key
             raise ValueError(error.problem.partition("expected ")[2] or error.problem) from error
         return value
 
@@ -74,7 +74,7 @@ class MasterConfig(Block):
 
 
 class HiddenEffect(EffectEntry):
-    """An effect as any kind of machine has it: which one's it has to be says the whole config."""
+    """Effect of any kind of machine; the whole config decides of which kind it has to be."""
 
     @model_validator(mode="after")
     def _known(self) -> HiddenEffect:
@@ -97,7 +97,7 @@ def _place_problem(entry: EffectEntry, place: EffectPlace, kind: MachineKind) ->
 
 
 def _possible_effects(entries: list[HiddenEffect], place: EffectPlace) -> list[HiddenEffect]:
-    """The entries, if there is a kind of machine that can have each of them: which it is the whole config says."""
+    """Check that there is a kind of machine that can have each entry; which one it is, the whole config decides."""
     for entry in entries:
         problems = [_place_problem(entry, place, kind) for kind in MachineKind]
         if all(problems):
@@ -123,7 +123,7 @@ class HardwareConfig(Block):
 
 
 class LoadShaftConfig(Block):
-    """Where the emulated shaft differs from the model; what is not given is as in `machine:`."""
+    """Deviations of the emulated shaft from the model; what is not given is as in `machine:`."""
 
     inertia_kg_m2: Positive | None = Field(default=None, description="of all that turns, the motor's rotor included")
     coulomb_friction_Nm: NotNegative | None = Field(default=None, description="dry friction")
@@ -164,7 +164,7 @@ class CoresConfig(Block):
 
 
 class RealtimeConfig(Block):
-    """What the processes ask of the operating system at pace `realtime`; what is not permitted is a warning."""
+    """Settings asked of the operating system at pace `realtime`; what is not permitted is a warning."""
 
     priority: int | None = Field(
         default=None,

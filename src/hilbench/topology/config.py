@@ -166,14 +166,14 @@ class BenchConfig(Block):
 
     @property
     def stand_name(self) -> str:
-        """Of the stand in its history."""
+        """Name of the stand in its history."""
         return self.stand or self.name
 
     # -- the machine -------------------------------------------------------------------------------------
 
     @property
     def machine_kind(self) -> MachineKind:
-        """What kind of machine it is."""
+        """Kind of machine."""
         return self.machine.machine_kind
 
     @property
@@ -213,11 +213,11 @@ class BenchConfig(Block):
 
     @property
     def stops_together(self) -> bool:
-        """Whether the axes are brought to rest in the ratio of their speeds."""
+        """True if the axes are brought to rest in the ratio of their speeds."""
         return isinstance(self.machine, ModelParameters) and self.machine.span_count > 1
 
     def fastest_m_s2(self, axis: int) -> float:
-        """How fast the drive of an axis of a web line changes its speed, by its torque limit and all that it turns."""
+        """Largest acceleration of the drive of a web line's axis, by its torque limit and all that it turns."""
         model = self.web_line
         limit_N = per_item(self.drive_parameters.torque_limit_Nm, axis) * model.motor_rad_per_m(axis)
         return limit_N / model.mass_kg(axis)
@@ -295,7 +295,7 @@ class BenchConfig(Block):
 
     @property
     def shape(self) -> Shape:
-        """What there are several of."""
+        """Multiplicities of the machine's parts."""
         machine, motors = self.machine, tuple(self.load_motors)
         if not isinstance(machine, ModelParameters):
             return Shape(machine.axis_count, motors)
@@ -303,7 +303,7 @@ class BenchConfig(Block):
 
     @property
     def signals(self) -> tuple[Signal, ...]:
-        """What a sample of this bench has, in recording order."""
+        """Signals of a sample of this bench, in recording order."""
         return signals_of(self.machine_kind, self.shape)
 
     @property
@@ -387,7 +387,7 @@ class BenchConfig(Block):
         return {part.node.node_id: part.name for part in self.parts if part.is_virtual}
 
     def process_settings(self, part: Literal["bench", "hardware", "twin"]) -> ProcessSettings | None:
-        """What the process of a part asks of the operating system; None in lockstep."""
+        """Operating-system settings of a part's process; None in lockstep."""
         if self.pace == "lockstep":
             return None
         wanted = self.realtime

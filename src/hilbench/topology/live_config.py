@@ -1,4 +1,4 @@
-"""What a bench config says of the diagnosis that goes on while the bench runs."""
+"""Bench config of the live diagnosis."""
 
 from __future__ import annotations
 

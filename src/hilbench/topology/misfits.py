@@ -1,4 +1,4 @@
-"""What of a bench config does not fit its machine: each line says what is expected in its place."""
+"""Misfits between a bench config and its machine: each line states what is expected."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None) 
 
 
 def one_node_misfit(part: Part, beside: Mapping[int, Part]) -> tuple[str, str]:
-    """Why a part can't be on its node `beside` others, by their axes: the key, and what is expected there."""
+    """Reason why a part can't share its node with others, by their axes: the key, and what is expected there."""
     other = next(iter(beside.values()), None)
     if other is None:
         return "", ""

@@ -17,7 +17,7 @@ PartName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=3
 
 
 class UnitsConfig(Block):
-    """What a drive's own objects do not tell of its units (608Fh, 60A9h, 6076h); motor side."""
+    """Units of a drive that its own objects do not state (608Fh, 60A9h, 6076h); motor side."""
 
     position_rad: PositiveFloat | None = Field(default=None, description="rad per unit of 6064h")
     velocity_rad_s: PositiveFloat | None = Field(default=None, description="rad/s per unit of 60FFh and 606Ch")
@@ -86,7 +86,7 @@ class LoadMotorConfig(DeviceConfig):
 
 
 class Role(Enum):
-    """What a node is for."""
+    """Purpose of a node."""
 
     AXIS = "axis"
     LOAD_MOTOR = "load motor"
@@ -98,8 +98,8 @@ class Role(Enum):
 class Part:
     """A node of the bench with its place in the topology.
 
-    `name` is how messages and commands call it; `axis` the number of the driven axis it turns, simulates, or (a load
-    motor) sits on, None for the virtual I/O; `location` where it stands in the config.
+    `name` is its name in messages and commands; `axis` the number of the driven axis it turns, simulates, or (a load
+    motor) sits on, None for the virtual I/O; `location` its place in the config.
     """
 
     name: str
@@ -120,10 +120,10 @@ class Part:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether the simulated hardware plays it."""
+        """True if the simulated hardware emulates it."""
         return isinstance(self.node, DeviceConfig) and self.node.simulated
 
     @property
     def is_virtual(self) -> bool:
-        """Whether the twin plays it."""
+        """True if the twin emulates it."""
         return self.role in (Role.VIRTUAL_AXIS, Role.VIRTUAL_IO)

@@ -51,9 +51,9 @@ LONGEST_S = 1e6
 
 @dataclass(frozen=True)
 class Permitted:
-    """Values that a quantity may have: finite numbers from `lower` to `upper` (inclusive), in `unit` ("1": a ratio).
+    """Permitted values of a quantity: finite numbers from `lower` to `upper` (inclusive), in `unit` ("1": a ratio).
 
-    As text it says what was expected: ``a number from 0 to 100000 N``.
+    As text it states what was expected: ``a number from 0 to 100000 N``.
     """
 
     lower: float
@@ -62,7 +62,7 @@ class Permitted:
     only_ends: bool = False  #: a switch: `lower` or `upper`, nothing between
 
     def holds(self, value: object) -> bool:
-        """Whether `value` is one of them. Texts are none, and truth values only where there is a switch."""
+        """True if `value` is permitted. Texts are not, and truth values only where there is a switch."""
         number = _number(value, truth=self.only_ends)
         if number is None or not self.lower <= number <= self.upper:
             return False
@@ -149,9 +149,9 @@ class EffectPath:
 
 @cache
 def parse_effect_path(text: str, kind: MachineKind | None = None) -> EffectPath:
-    """Take ``load|hardware.effects.ID[.axisN|.spanN].PARAMETER`` apart, as a kind of machine has it (None: any).
+    """Parse ``load|hardware.effects.ID[.axisN|.spanN].PARAMETER`` for a kind of machine (None: any).
 
-    Which axes and sections there are the bench says (`path_problem`). Raises ValueError that says what is wrong.
+    The bench checks axes and sections (`path_problem`). Raises ValueError that states what is wrong.
     """
     if kind is not None:
         return _parsed(text, kind)
@@ -196,7 +196,7 @@ def _parsed(text: str, kind: MachineKind) -> EffectPath:
 
 
 def _expected(text: str) -> str:
-    """What is expected in the place of a text that is no path: what is nearest to it, else all that there is."""
+    """Text of what is expected in place of one that is no path: the nearest path, else all paths."""
     station = text.split(".")[1] if re.fullmatch(r"position_control\.[A-Za-z]\w*(\..*)?", text) else "NAME"
     further = positions((station,), (station,))
     near = closest(text, [*SINGLE_PATHS, *further, *all_paths()], _MOST_NEAR)
@@ -244,7 +244,7 @@ def all_paths() -> Iterator[str]:
 
 
 def is_of_load(path: str) -> bool:
-    """Whether a quantity belongs to the emulated mechanics."""
+    """True if a quantity belongs to the emulated mechanics."""
     return path.startswith("load.")
 
 
@@ -264,7 +264,7 @@ def rampable_path(text: str) -> str:
 
 @cache
 def permitted(path: str) -> Permitted:
-    """What values a quantity may have. Raises ValueError for an unknown path."""
+    """Permitted values of a quantity. Raises ValueError for an unknown path."""
     if fits_fast_path(path):
         if position := position_quantity(path):
             return _OF_POSITIONS[position]

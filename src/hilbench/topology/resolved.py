@@ -28,7 +28,7 @@ def write_resolved(config: BenchConfig, path: Path) -> None:
 
 
 def read_resolved(path: Path) -> BenchConfig:
-    """The bench of a resolved config; the experiment that stands beside it in a run folder is not looked at.
+    r"""Read the bench of a resolved config, without the experiment in the same file of a run folder.
 
     Raises UnusableInputError with file, line and what was expected.
     """

@@ -47,17 +47,17 @@ class CycleSample:
 
     @classmethod
     def place(cls, signal: str) -> int:
-        """Where it stands in the vectors. Raises AttributeError for a signal that this bench does not have."""
+        """Index of a signal in the vectors. Raises AttributeError for a signal that this bench does not have."""
         return int(cast("Any", getattr(cls, signal)).offset // 8)
 
     @classmethod
     def places(cls, signals: Sequence[str]) -> NDArray[np.int64]:
-        """The same of each of them."""
+        """Index of each signal in the vectors."""
         return np.array([cls.place(signal) for signal in signals], np.int64)
 
 
 class PlacesIn:
-    """Where signals stand in the vectors of samples, for who gets these one by one: mostly the same object."""
+    """Indices of signals in the vectors of samples, for readers that get these one by one: mostly the same object."""
 
     def __init__(self, signals: Sequence[str]) -> None:
         self._signals = list(signals)
@@ -77,7 +77,7 @@ def sample_type(signals: Sequence[Signal]) -> type[CycleSample]:
 
 
 class _Structure(ctypes.Structure):
-    """What has vectors of all that is in it."""
+    """Structure with a vector view of all its fields."""
 
     __slots__ = ("reals", "wholes")
     reals: NDArray[np.float64]

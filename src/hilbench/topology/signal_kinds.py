@@ -1,4 +1,4 @@
-"""What the declaration of a signal is, and what every kind of machine declares."""
+"""Declarations of signals, and those of every kind of machine."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 
 
 class Per(StrEnum):
-    """What has a signal of its own."""
+    """Part that has a signal of its own."""
 
     BENCH = "bench"
     AXIS = "axis"  #: a driven axis of the machine
@@ -29,7 +29,7 @@ class Per(StrEnum):
 
     @property
     def placeholder(self) -> str:
-        """What stands in the name of a declaration for the number or name of the part."""
+        """Placeholder in the name of a declaration for the number or name of the part."""
         if self.is_of_span:
             return "span"
         of_all = self.removeprefix("measured_").removeprefix("positioned_").removeprefix("pushed_")
@@ -37,12 +37,12 @@ class Per(StrEnum):
 
     @property
     def is_of_span(self) -> bool:
-        """Whether a part is counted among the spans."""
+        """True if a part is counted among the spans."""
         return self in (Per.SPAN, Per.ESTIMATED, Per.CONTROLLED, Per.SIMULATED)
 
     @property
     def is_counted(self) -> bool:
-        """Whether a part has a number; others have a name, or there is one."""
+        """True if a part has a number; others have a name, or there is one."""
         return self in (Per.AXIS, Per.TORQUED_AXIS) or self.is_of_span
 
 
@@ -96,7 +96,7 @@ TIME_SIGNALS: Final = (SignalKind(TIME, "s", "bus time: number of the SYNC times
 
 
 def axes_signals(unit: str, where: str, what: str) -> tuple[SignalKind, ...]:
-    """What every driven axis has, in the machine's unit of position; `where` and `what` say of what."""
+    """Signals of every driven axis, in the machine's unit of position; `where` and `what` complete the descriptions."""
     speed, per = f"{unit}/s", Per.AXIS
     suffix = f"{unit}_s"
     return (

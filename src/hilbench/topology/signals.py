@@ -89,7 +89,7 @@ class Shape:
 
     @property
     def has_stations(self) -> bool:
-        """Whether there is more than driven rollers."""
+        """True if there is more than driven rollers."""
         return self.spans > max(self.axes - 1, 0)
 
     @property
@@ -109,7 +109,7 @@ class Shape:
 
     @property
     def forces(self) -> tuple[tuple[str, str], ...]:
-        """Each carriage whose force is told ahead, and the signal of that."""
+        """Each carriage whose force is sent ahead, and the signal of that."""
         return tuple((name, f"f_{name}_cmd_N") for name in self.pushed)
 
     def axis_before(self, number: int) -> int:
@@ -118,11 +118,11 @@ class Shape:
 
     @property
     def simulated(self) -> tuple[int, ...]:
-        """The spans whose tension the twin tells."""
+        """Spans whose tension the twin publishes."""
         return self.listed_spans or tuple(range(1, self.spans + 1))
 
     def numbered(self, number: int) -> str:
-        """The number of a span as it stands in names: none where there is only one."""
+        """Number of a span in names: empty where there is only one."""
         return str(number) if self.spans > 1 else ""
 
     def shows(self, number: int) -> int:
@@ -174,7 +174,7 @@ def signals_of(kind: str, shape: Shape) -> tuple[Signal, ...]:
 
 @cache
 def find_signal(name: str) -> Signal | None:
-    """What is declared under a name, whatever the bench; None for a name that no kind of part has."""
+    """Signal declared under a name, whatever the bench; None for a name that no kind of part has."""
     found = [kind for kinds in DECLARATIONS.values() for kind in kinds if _pattern(kind).fullmatch(name)]
     # `tau_load_cmd_Nm` is the command of a motor `load` before it is the torque of a motor `load_cmd`.
     found.sort(key=lambda kind: len(kind.name), reverse=True)

@@ -1,5 +1,4 @@
-"""What a bench config has of a web line beside its machine: the emulated web, the loops of tensions and positions, what
-is estimated."""
+"""Bench config of a web line, without its machine: emulated web, tension and position loops, estimation."""
 
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ ONE_CONTROLLER = "one controller between two driven rollers: one axis can keep o
 
 
 class LoadWebConfig(Block):
-    """Where the emulated web differs from the model; what is not given is as in `machine:`."""
+    """Deviations of the emulated web from the model; what is not given is as in `machine:`."""
 
     youngs_modulus_Pa: Modulus | list[Modulus] | None = Field(
         default=None, description="Young's modulus E of the emulated web: one, or a list of the spans'"
@@ -95,7 +94,7 @@ class TensionControlConfig(Block):
 
     @property
     def probes(self) -> ProbingConfig:
-        """How the tension is probed."""
+        """Config of the tension probing."""
         return ProbingConfig(mode=self.probing) if isinstance(self.probing, str) else self.probing
 
 
@@ -149,7 +148,7 @@ class PositionControlConfig(Block):
 
 
 class ReelControlConfig(Block):
-    """The tension loop of a reel in torque mode (cyclic synchronous torque): its torque from a load cell beside it."""
+    """The tension loop of a reel in torque mode (cyclic synchronous torque): its torque from a load cell next to it."""
 
     kind: Literal["reel"] = Field(description="of a reel in torque mode; without a kind: of a tension, by a speed")
     reel: StationName = Field(description="the unwinder or rewinder, whose drive is told torques")
@@ -183,22 +182,22 @@ ControllerConfig = Annotated[
 
 
 def tension_loops(controllers: Iterable[ControllerConfig]) -> list[TensionControlConfig]:
-    """Those of them that keep tensions."""
+    """Controllers of tensions."""
     return [each for each in controllers if isinstance(each, TensionControlConfig)]
 
 
 def position_loops(controllers: Iterable[ControllerConfig]) -> list[PositionControlConfig]:
-    """Those of them that keep positions."""
+    """Controllers of positions."""
     return [each for each in controllers if isinstance(each, PositionControlConfig)]
 
 
 def forces_ahead(controllers: Iterable[ControllerConfig]) -> dict[str, CarriageForceConfig]:
-    """The forces on carriages that are told ahead, by the name of the station."""
+    """Forces on carriages that are sent ahead, by the name of the station."""
     return {each.station: each.force for each in position_loops(controllers) if each.force is not None}
 
 
 def reel_loops(controllers: Iterable[ControllerConfig]) -> list[ReelControlConfig]:
-    """Those of them that keep the tension beside a reel by its torque."""
+    """Controllers of the tension next to a reel by its torque."""
     return [each for each in controllers if isinstance(each, ReelControlConfig)]
 
 
@@ -250,7 +249,7 @@ def _each_once(spans: Sequence[int], count: int, why: str) -> Iterator[str]:
 
 
 def estimate_misfits(twin: EstimationConfig, machine: ModelParameters) -> Iterator[str]:
-    """Why a twin can't estimate what it is told to."""
+    """Reasons why a twin can't estimate what its config asks for."""
     given = [estimate.span for estimate in twin.estimate if estimate.span is not None]
     if len(twin.estimate) > len(given) and len(twin.estimate) > 1:
         yield "'estimate' with a span in every entry, or one entry without a span for all of them"
@@ -282,7 +281,7 @@ def rest_misfit(
     controllers: Iterable[ControllerConfig],
     measured: Collection[str],
 ) -> str | None:
-    """Why a line can't be told, or asked, at rest, in one line, or None; `measured`: what stations have a sensor."""
+    """Reason why the state at rest can't be identified or requested, or None; `measured`: stations with a sensor."""
     if machine.stations is not None:
         of_sections = [*(carriage.station.name for carriage in machine.carriages), *reel_axes(machine)]
         unseen = [name for name in of_sections if name not in measured]
@@ -296,7 +295,7 @@ def rest_misfit(
 
 
 def _untold_misfit(key: str, estimated: Collection[int], count: int) -> str | None:
-    """Why webs that nothing is known of can't be told, where a key ("": none) asks for that."""
+    """Reason why unknown webs are not identifiable, where a key ("": none) asks for that."""
     untold = [span for span in range(1, count + 1) if span not in estimated]
     return f"'twin: {{estimate: …}}' at every span with {key}, not without span {untold[0]}" if key and untold else None
 
@@ -368,7 +367,7 @@ def _loops_misfit(
 
 
 def _force_misfit(station: Dancer | Accumulator, force: CarriageForceConfig | None) -> str | None:
-    """Why a force can't be told ahead to a carriage, in one line, or None."""
+    """Reason why a force can't be sent ahead to a carriage, in one line, or None."""
     if force is None:
         return None
     tension_N = force.tension_N(station)
@@ -402,7 +401,7 @@ def _stations_misfit(
 
 
 def station_names(machine: ModelParameters) -> tuple[str, ...]:
-    """Of dancers and accumulators, which have a position, then of reels, which have a radius."""
+    """Names of dancers and accumulators, which have a position, then of reels, which have a radius."""
     reels = (roller.station for roller in machine.line_rollers)
     return (
         *(carriage.station.name for carriage in machine.carriages),

@@ -24,7 +24,7 @@ def span_of_modulus(path: str) -> str:
 
 
 def is_modulus(path: str) -> bool:
-    """Whether a path is that of E of one span."""
+    """True if a path is that of E of one span."""
     return span_of_modulus(path) != ""
 
 

@@ -1,4 +1,4 @@
-"""What a web line's bench has several of."""
+"""Multiplicities of the parts of a web line's bench."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def web_line_shape(
     controllers: Iterable[ControllerConfig],
     measured: Sequence[str],
 ) -> Shape:
-    """Of a line with these load motors, this twin, these controllers, and sensors of these stations."""
+    """Shape of a line with these load motors, this twin, these controllers, and sensors of these stations."""
     given = tuple(controllers)
     controlled = tuple(sorted(each.span for each in tension_loops(given)))
     if machine.stations is None:
@@ -43,8 +43,7 @@ def web_line_shape(
 
 
 def sensors_at_start(machine: ModelParameters, shape: Shape) -> dict[str, float]:
-    """What the sensors of carriages and reels, m, and load cells, N, say while the line stands as at the start, by
-    signal."""
+    """Sensor values of carriages and reels, m, and load cells, N, in the line's initial state, by signal."""
     found = {carriage.station.name: carriage.station.position_m for carriage in machine.carriages}
     for row, roller in enumerate(machine.line_rollers):
         if isinstance(roller.station, Reel) and roller.axis is not None:
@@ -56,7 +55,7 @@ def sensors_at_start(machine: ModelParameters, shape: Shape) -> dict[str, float]
 
 
 def forces_at_start(machine: ModelParameters, shape: Shape) -> dict[str, float]:
-    """What pushes the carriages whose force is told ahead while nobody has told it, N, by signal."""
+    """Initial force on the carriages whose force is sent ahead, before any is sent, N, by signal."""
     found = {carriage.station.name: carriage.station.force_N for carriage in machine.carriages}
     return {signal: found[name] for name, signal in shape.forces}
 
@@ -68,7 +67,7 @@ def _with_stations(
     torqued: tuple[int, ...],
     measured: Sequence[str],
 ) -> Shape:
-    """Of a line with more than driven rollers: the twin tells the tension of each section once, and where there is a
+    """Shape of a line with more than driven rollers: the twin publishes one tension of each section, and of each
     controller."""
     before, rollers = axes_before_spans(machine), machine.line_rollers
     of_controls = {before[span - 1] for span in controlled}

@@ -1,4 +1,4 @@
-"""What the parts of a web line have, in recording order."""
+"""Signals of the parts of a web line, in recording order."""
 
 from __future__ import annotations
 
@@ -124,5 +124,5 @@ WEB_LINE: Final = (
 
 
 def tension_loop_words(number: str) -> str:
-    """What messages call the loop of a span's tension; `number` as of `quantities.tension_set_point`."""
+    """Name of a span's tension loop in messages; `number` as of `quantities.tension_set_point`."""
     return f"tension loop of span {number}" if number else "tension loop"

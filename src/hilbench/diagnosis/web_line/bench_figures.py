@@ -10,7 +10,7 @@ from hilbench.results.recording import Recording
 
 
 def figures_of_line(recording: Recording) -> tuple[LiveFigure, ...]:
-    """Of the one span, or of each of several by its number."""
+    """Figures of the one span, or of each of several by its number."""
     if "F_true_N" in recording:
         return _of_a_span(recording, 1, "")
     spans = [span for span in range(1, len(recording.channels)) if f"F{span}_true_N" in recording]
@@ -20,7 +20,7 @@ def figures_of_line(recording: Recording) -> tuple[LiveFigure, ...]:
 
 
 def _with_stations(recording: Recording, spans: list[int]) -> tuple[LiveFigure, ...]:
-    """Of a line of which the twin tells one span of each section between two axes: `spans`."""
+    """Figures of a line of which the twin publishes one span of each section between two axes: `spans`."""
     axes = [axis for axis in range(1, len(recording.channels)) if f"v{axis}_cmd_m_s" in recording]
     speed = signal(recording, f"v{axes[-1]}_cmd_m_s")
     works, figures = speed > WORKS * speed.max(), []

@@ -134,7 +134,7 @@ class FreeRun:
         self._data = data
 
     def with_force(self, force_N: float, time_s: float) -> FreeRun:
-        """The same with a force against the motion of the last roller from a time on."""
+        """Free run with a force against the motion of the last roller from a time on."""
         other = copy(self)
         share = np.clip((self._data.t_s + self._period_s - time_s) / self._period_s, 0.0, 1.0)
         against = force_N * share * np.sign(self._data.commands_m_s[:, -1])
@@ -142,7 +142,7 @@ class FreeRun:
         return other
 
     def floor(self, signal: int) -> float:
-        """From fourth differences of what was measured."""
+        """Noise floor from fourth differences of what was measured."""
         return floor(self.measured[signal])
 
     def conditions(self, parameters: Array) -> list[Condition]:
@@ -339,7 +339,7 @@ class FreeRun:
         return strain * (lengths[span] if self._all and span < len(lengths) else max(lengths))
 
     def _run(self, parameters: Array) -> Simulation:
-        """Of one parameter vector, or of (B, P)."""
+        """Run one parameter vector, or (B, P)."""
         parameters = self._with_loops(parameters)
         whole = len(self._commands)
         commands, boundary = self._commands[0], self._boundary
@@ -374,7 +374,7 @@ class FreeRun:
 
 
 def of_span(model: ModelParameters, span: int) -> str:
-    """What tells a span from others, in a name; "" where there is one."""
+    """Suffix of a span in a name; "" where there is only one."""
     return f" of span {span}" if model.span_count > 1 else ""
 
 

@@ -61,16 +61,16 @@ class Loop:
 
     @property
     def is_known(self) -> bool:
-        """Whether the model's loops explain the torque as well as any."""
+        """True if the model's loops explain the torque as well as any."""
         return self.is_fed_forward or (self.gain < _DIFFERENT and self.is_understood)
 
     @property
     def is_understood(self) -> bool:
-        """Whether any loops of this kind explain the torque."""
+        """True if any loops of this kind explain the torque."""
         return self.ratio < _UNDERSTOOD
 
     def is_only_late(self, model: ModelParameters) -> bool:
-        """Whether its gains are the model's, and nothing but a lag tells it from the model's."""
+        """True if its gains are the model's, and it differs from the model's by nothing but a lag."""
         drives = model.drives
         if drives is None or not self.is_understood:
             return False
@@ -86,7 +86,7 @@ class Loop:
 
 @dataclass(frozen=True)
 class ProposalOutcome:
-    """One axis: what it was told, how it moved and what its torque was."""
+    """Data of one axis: its commands, motion and torque."""
 
     axis: int
     command_m_s: Array  #: (n,), each held for a row
@@ -143,7 +143,7 @@ def loop_of(
         return float(np.sum((wanted - theta @ at) ** 2)), np.asarray(theta, np.float64)
 
     def best(beside: Array) -> tuple[float, float, Array]:
-        """Least square over the lags with these columns beside the loop's, the lag, and what is fitted."""
+        """Least square over the lags with these columns in addition to the loop's, the lag, and what is fitted."""
 
         def at(lag: float) -> tuple[float, Array]:
             return fitted(np.vstack([columns(float(lag)), beside]), torque)
@@ -182,7 +182,7 @@ def loop_of(
 def _loop_terms(
     is_identified: ProposalOutcome, rad_per_m: float, period_s: float, sample_s: float
 ) -> Callable[[float], tuple[Array, Array]]:
-    """What kp and ki multiply, at the rows (n,), for a lag of the current loop."""
+    """Factors of kp and ki, at the rows (n,), for a lag of the current loop."""
     n = len(is_identified.command_m_s)
     per_row = max(1, round(period_s / sample_s))
     at = np.arange(n * per_row) * (period_s / per_row)
@@ -206,7 +206,7 @@ def _loop_terms(
 
 
 def nuisance_of(loop: Loop, model: ModelParameters) -> dict[str, dict[str, tuple[float, tuple[float, float], str]]]:
-    """How a drive's loops certainly differ from the model's: by effect and parameter the value, interval and unit."""
+    """Certain differences of a drive's loops from the model's: by effect and parameter the value, interval and unit."""
     drives = model.drives
     if drives is None or loop.is_known or not loop.is_understood:
         return {}

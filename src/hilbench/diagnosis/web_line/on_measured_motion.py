@@ -212,7 +212,7 @@ class LineOnMeasuredMotion:
         return found
 
     def with_force(self, force_N: float, time_s: float) -> LineOnMeasuredMotion:
-        """The same with a force against the motion of the last roller from a time on."""
+        """Prediction with a force against the motion of the last roller from a time on."""
         other = copy(self)
         t = np.arange(len(self._x)) * self._fine_s
         against = force_N * np.clip((t + self._fine_s - time_s) / self._fine_s, 0.0, 1.0) * np.sign(self._v[:, -1])
@@ -220,7 +220,7 @@ class LineOnMeasuredMotion:
         return other
 
     def floor(self, signal: int) -> float:
-        """Of the measured torque in the band, with what the noise of the motion adds."""
+        """Noise floor of the measured torque in the band, with what the noise of the motion adds."""
         return float(self._floors[signal])
 
     def conditions(self, parameters: Array) -> list[Condition]:
@@ -270,7 +270,7 @@ class LineOnMeasuredMotion:
 
 
 class _Noise:
-    """How well motion and torques are known, and the band that follows from it."""
+    """Noise of motion and torques, and the band that follows from it."""
 
     def __init__(self, model: ModelParameters, data: Measured) -> None:
         self._model, self._data = model, data
@@ -293,7 +293,7 @@ class _Noise:
         self.calm_ends_Hz = [float(np.clip(end, _CALMEST_HZ, _HIGHEST_HZ)) for end in calm]
 
     def _difference(self) -> tuple[float, bool]:
-        """Of half the difference of two positions, m, or of the speeds, m/s, and whether it is the speeds'."""
+        """Noise of half the difference of two positions, m, or of the speeds, m/s, and True if it is the speeds'."""
         data = self._data
         if set(data.x_m) >= set(self._axes):
             return 0.5 * max(floor(data.x_m[axis] - data.x_m[axis + 1]) for axis in self._axes[:-1]), False
@@ -301,12 +301,12 @@ class _Noise:
         return 0.5 * float(np.linalg.norm(speeds)), True
 
     def _band_Hz(self, by_speed: bool, noise: float) -> float:
-        """Where the noise of the acceleration's torque has a given share of that of the torque."""
+        """Frequency at which the noise of the acceleration's torque has a given share of that of the torque."""
         mean, difference = self._ends_Hz(by_speed, noise, _NOISE_SHARE)
         return float((mean**-4.0 + difference**-4.0) ** -0.25)
 
     def _ends_Hz(self, by_speed: bool, noise: float, share: float) -> tuple[float, float]:
-        """The same of the mean motion and of the difference alone."""
+        """Band ends, Hz, of the mean motion and of the difference alone."""
 
         def end_Hz(noise: float, power: float) -> float:
             ratio = np.sqrt(share) * max(self._torque_Nm.values()) / max(noise * self._per_acceleration, 1e-300)
@@ -322,7 +322,7 @@ class _Noise:
         return thinning
 
     def floors(self) -> tuple[Array, Array]:
-        """Of the thinned torques, and of the tensions."""
+        """Noise floors of the decimated torques, and of the tensions."""
         data, model, share = self._data, self._model, self.thinning.noise_share
         power = 2 if self.mean_by_speed else 4
         end = 2.0 * np.pi * self.thinning.corner_Hz

@@ -1,7 +1,7 @@
-"""How far measurement and model part, cheaply: the torque of the drive less the one that its motion asks for.
+"""Torque residual of a servo axis, cheaply: the drive's torque less the one that its motion requires.
 
-Motion and torque are looked at as means over `SHORT` cycles. The acceleration of a mean is that of its neighbours'
-positions, so it is known one mean later; the torque is weighted as that weights it.
+Motion and torque are means over `SHORT` cycles. The acceleration of a mean is that of its neighbours' positions, so it
+is known one mean later; the torque is weighted as that weights it.
 """
 
 from __future__ import annotations

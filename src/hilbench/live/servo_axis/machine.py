@@ -50,7 +50,7 @@ class LiveShaft:
         self._cycle_s = cycle_s
 
     def gap(self, model: Machine) -> ShaftGap:
-        """Of one model."""
+        """Residual generator of one model."""
         return ShaftGap(models.shaft(model), self._cycle_s)
 
     def estimate_of(self, model: Machine) -> Array:
@@ -67,7 +67,7 @@ class LiveShaft:
         return np.array([of_shaft.inertia_kg_m2 * models.inertia_factor(of_shaft, time_s)])
 
     def is_of_estimate(self, effect_id: str) -> bool:
-        """Whether an effect is a change of the inertia."""
+        """True if an effect is a change of the inertia."""
         return models.is_of_estimate(effect_id)
 
     def why_not_carried(self, effect_id: str) -> str:
@@ -88,7 +88,8 @@ class LiveShaft:
         return begin if begin < end else None
 
     def estimate_in(self, window: Window, model: Machine, known: Array, first: int, end: int) -> Array:
-        """By the torques of its accelerations, beside a constant one and one in proportion to the speed."""
+        """Inertia by the torques of its accelerations, fitted with a constant one and one in proportion to the
+        speed."""
         segment = Segment.of(self, window, self.with_estimate(model, known), first, end, first)
         here, there = (
             segment.residual(self.packed(self.with_estimate(model, known * (1.0 + share))))[0] for share in (0.0, _STEP)
@@ -99,8 +100,8 @@ class LiveShaft:
         return np.asarray(known * (1.0 + float(np.clip(share, -_MOST, _MOST))))
 
     def data_of(self, window: Window, model: Machine, first: int, end: int, begun: int) -> Measured:
-        """What a diagnosis takes from these cycles, of a shaft which keeps nothing of what was before. Raises
-        UnusableInputError for what can't be diagnosed."""
+        """Measured data of these cycles, of a shaft, which has no memory of earlier ones. Raises UnusableInputError
+        for what can't be diagnosed."""
         data = measured_from(window.recording(first, end), model, "the running bench")
         known = window.known(first, end)
         if len(known) != len(data.t_s):

@@ -12,23 +12,23 @@ _OF_INERTIA = ("inertia_mismatch", "inertia_step")
 
 
 def shaft(model: Machine) -> ServoAxisParameters:
-    """The same, known to be of a servo axis."""
+    """Narrow a machine's type to a servo axis."""
     assert isinstance(model, ServoAxisParameters), "a servo axis is diagnosed as one"
     return model
 
 
 def is_of_estimate(effect_id: str) -> bool:
-    """Whether an effect is a change of the inertia, which the twin estimates anyway."""
+    """True if an effect is a change of the inertia, which the twin estimates anyway."""
     return effect_id in _OF_INERTIA
 
 
 def inertia_factor(model: ServoAxisParameters, time_s: float) -> float:
-    """What a model's effects make of its inertia at a time of theirs."""
+    """Factor of a model's effects on its inertia at a time of theirs."""
     return float(look(lay.pack(model), time_s)[0])
 
 
 def with_inertia(model: ServoAxisParameters, inertia_kg_m2: float) -> ServoAxisParameters:
-    """The model with so much inertia, its effects included: what the shaft has beside the motor's rotor."""
+    """Model with this inertia, its effects included: the shaft has what exceeds the motor's rotor."""
     behind = max(inertia_kg_m2 / inertia_factor(model, 0.0) - model.motor.inertia_kg_m2, 0.0)
     return model.model_copy(update={"shaft": model.shaft.model_copy(update={"inertia_kg_m2": behind})})
 

@@ -1,4 +1,5 @@
-"""What a diagnosis runs again and again, run once on a few seconds of made-up samples, to be compiled and loaded."""
+"""Warm-up of a diagnosis: its repeated parts run once on a few seconds of made-up samples, to be compiled and
+loaded."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ _MEAN_RAD_S, _SWING_RAD_S, _PERIOD_S, _NOISE_Nm = 20.0, 10.0, 2.0, 0.05
 
 
 def warm_up(names: Sequence[str], machine: LiveShaft, config: LiveDiagnosisConfig, cycle_s: float) -> None:
-    """As `Session` is given; nothing is left of it but what is compiled."""
+    """Compile and load a `Session` with these arguments; nothing else is kept."""
     count = round((SHORTEST_S + 0.5) / cycle_s)
     t_s, phase = cycle_s * np.arange(count), 2.0 * np.pi / _PERIOD_S
     speed = _MEAN_RAD_S - _SWING_RAD_S * np.cos(phase * t_s)

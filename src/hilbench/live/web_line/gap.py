@@ -1,9 +1,9 @@
-"""How far measurement and model part, cycle by cycle, cheaply: the momentum balance of each roller.
+"""Residual of the momentum balance of each roller, cycle by cycle, cheaply.
 
     r_k = (i/r)·τ_k − R_k(v_k) + F_k − F_(k−1) − m_k·v_k'        (0 but for noise where the model is right)
 
 Motion and torques are measured, the tension follows from the measured motion by the model (`SpanFollower`), effects
-included. What is left is looked at as means over `SHORT` cycles, whose accelerations are differences of positions.
+included. The residual is averaged over `SHORT` cycles, whose accelerations are differences of positions.
 """
 
 from __future__ import annotations
@@ -71,10 +71,10 @@ class ModelGap:
             self._follower.set_parameter(name, modulus_Pa)
 
     def follow(self, channels: Mapping[str, Array], known: Rows) -> Array:
-        """(n // SHORT, N): of the next rows (n,) of x{k}_m, tau{k}_Nm, strain_prev and F_next_N; n a multiple.
+        """Residuals (n // SHORT, N) of the next rows (n,) of x{k}_m, tau{k}_Nm, strain_prev and F_next_N; n a multiple.
 
-        NaN where a row is not known, or follows one; and until the web has left that was found at the first row: of its
-        strain nobody knows."""
+        NaN where a row is not known, or follows one; and until the web of the first row, of unknown strain, has left.
+        """
         axes = range(1, self._axes + 1)
         x = np.column_stack([channels[f"x{k}_m"] for k in axes])
         torque = np.column_stack([channels[f"tau{k}_Nm"] for k in axes])
@@ -110,7 +110,8 @@ class ModelGap:
         return np.column_stack([around[:, 0] * self._p.item(lay.W_UPSTREAM_STIFFNESS_N), between, around[:, 1]])
 
     def _of(self, positions: Array, end: int, forces: Array) -> Array:
-        """Of the SHORT cycles up to row `end` of positions, with the means of torques and tensions (2 N + 1,) there."""
+        """Residual of the SHORT cycles up to row `end` of positions, with the means of torques and tensions (2 N +
+        1,)."""
         first = end - SHORT
         if first < 1:
             return np.full(self._axes, np.nan)

@@ -53,7 +53,7 @@ class LiveLine:
         self._cycle_s = cycle_s
 
     def gap(self, model: Machine) -> ModelGap:
-        """Of one model."""
+        """Residual generator of one model."""
         return ModelGap(models.line(model), self._spans, self._cycle_s)
 
     def estimate_of(self, model: Machine) -> Array:
@@ -70,7 +70,7 @@ class LiveLine:
         return np.array([models.modulus_at(model, span, time_s) for span in self._spans])
 
     def is_of_estimate(self, effect_id: str) -> bool:
-        """Whether an effect is a change of E."""
+        """True if an effect is a change of E."""
         return models.is_of_estimate(effect_id)
 
     def why_not_carried(self, effect_id: str) -> str:
@@ -90,12 +90,12 @@ class LiveLine:
         return segment.quiet_cycle(window, self.configured, first, end, self._cycle_s)
 
     def estimate_in(self, window: Window, model: Machine, known: Array, first: int, end: int) -> Array:
-        """As it is known: what a line lacks looks like another E too often."""
+        """Keep the known estimate: what a line lacks looks like another E too often."""
         return known
 
     def data_of(self, window: Window, model: Machine, first: int, end: int, begun: int) -> Measured:
-        """What a diagnosis takes from these cycles, of what has begun in cycle `begun`: until then the web was strained
-        as by the model. Raises UnusableInputError for what can't be diagnosed."""
+        """Measured data of these cycles, of what has begun in cycle `begun`: until then the web was strained as by
+        the model. Raises UnusableInputError for what can't be diagnosed."""
         return segment.data_of(window, models.line(model), self.emulation, (begun, first, end), self._cycle_s)
 
     def packed(self, model: Machine) -> Array:

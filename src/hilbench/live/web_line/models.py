@@ -17,7 +17,7 @@ _SHIFT, _SHARE = "elasticity_shift", "relative_change"
 
 
 def is_of_estimate(effect_id: str) -> bool:
-    """Whether an effect is a change of what the twin estimates anyway."""
+    """True if an effect is a change of what the twin estimates anyway."""
     effect = find_effect(effect_id)
     return effect.domain is Domain.ELASTICITY and effect_id not in ("web_damping", "strain_offset")
 
@@ -39,12 +39,12 @@ def with_moduli(model: ModelParameters, moduli_Pa: Mapping[int, float]) -> Model
 
 
 def numbered(model: ModelParameters, span: int) -> str:
-    """The number of a span as it stands in names of signals: none where there is only one."""
+    """Number of a span in names of signals: empty where there is only one."""
     return str(span) if model.span_count > 1 else ""
 
 
 def line(model: Machine) -> ModelParameters:
-    """The same, known to be of a line."""
+    """Narrow a machine's type to a web line."""
     assert isinstance(model, ModelParameters), "a line is diagnosed as one"
     return model
 

@@ -1,4 +1,4 @@
-"""Stretches of a running bench as a diagnosis takes them: begun under way, at a moment when little happens."""
+"""Segments of a running bench for a diagnosis: begun during the run, at a moment when little happens."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def data_of(
     cycles: tuple[int, int, int],
     cycle_s: float,
 ) -> Measured:
-    """What a diagnosis takes from cycles: that in which began what is looked for, the first and the one behind the last
-    that are looked at. Raises UnusableInputError for what can't be diagnosed."""
+    """Measured data of cycles: that in which the effect began, the first one and the one after the last one used.
+    Raises UnusableInputError for what can't be diagnosed."""
     begun, first, end = cycles
     data = measured_from(window.recording(first, end), model, "the running bench")
     measured, known = window.measured(first, end), window.known(first, end)
@@ -88,9 +88,8 @@ def data_of(
 
 
 def _pushed(data: Measured, model: ModelParameters, emulation: Emulation | None, measured: Rows) -> tuple[int, ...]:
-    """Rows at which rollers have left their way at once, behind rows that were not `measured` in time (n,): a load
-    motor goes on with the torque that it has as long as the bench does not hear from it, and that pushes the rollers.
-    """
+    """Rows at which rollers are pushed off their trajectory at once, after rows that were not `measured` in time
+    (n,): a load motor holds its torque as long as it receives nothing from the bench, and that pushes the rollers."""
     predictor = choice(model, data, emulation).predictor
     away = [place for place, name in enumerate(predictor.names) if _AWAY.fullmatch(name)]
     if not away:  # on measured motion: whatever made the rollers move so
@@ -107,8 +106,8 @@ def _pushed(data: Measured, model: ModelParameters, emulation: Emulation | None,
 
 
 def _put_off_m(commands_m_s: Array, measured: Rows, cycle_s: float) -> float:
-    """How far from its way a line may be that takes each command (n, axes) a cycle late with which a row comes that was
-    not `measured` in time (n,), or one behind it: where drives answer late, the next commands leave late."""
+    """Largest displacement error of a line that takes commands (n, axes) a cycle late whose rows were not
+    `measured` in time (n,), or follow one: where drives answer late, the next commands leave late."""
     doubted = ~measured[1:] | ~measured[:-1]
     changes_m_s = np.abs(np.diff(commands_m_s, axis=0))[doubted]
     return cycle_s * float(np.max(np.sum(changes_m_s, axis=0)))

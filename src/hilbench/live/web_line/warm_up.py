@@ -1,4 +1,5 @@
-"""What a diagnosis runs again and again, run once on a few seconds of made-up samples, to be compiled and loaded."""
+"""Warm-up of a diagnosis: its repeated parts run once on a few seconds of made-up samples, to be compiled and
+loaded."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ _BEFORE_S, _STRETCH_S = 2.0, SHORTEST_S + 0.5
 
 
 def warm_up(names: Sequence[str], machine: LiveLine, config: LiveDiagnosisConfig, cycle_s: float) -> None:
-    """As `Session` is given; nothing is left of it but what is compiled."""
+    """Compile and load a `Session` with these arguments; nothing else is kept."""
     first, count = round(_BEFORE_S / cycle_s), round((_BEFORE_S + _STRETCH_S) / cycle_s)
     noise, model = np.random.default_rng(0), machine.configured
     # All of its web is another one with the second chunk: only then the watch looks at anything.

@@ -1,1 +1,1 @@
-"""The page of a running bench: a listener on its bus, what it has heard, and who controls."""
+"""Page of a running bench: a listener on its bus, its received signals, and the control lock."""

@@ -1,4 +1,4 @@
-"""Who controls: of any number of viewers one, who takes the seat, gives it back, or loses it by doing nothing."""
+"""Control lock: of any number of viewers one controls, until he releases it or is idle too long."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class ControlLock:
 
     @property
     def name(self) -> str:
-        """Of who controls; "" while nobody does."""
+        """Name of the controlling viewer; "" without one."""
         holder = self._taken()
         return "" if holder is None else holder.name
 
@@ -47,12 +47,12 @@ class ControlLock:
         return None if holder is None else holder.until_s - self._now()
 
     def is_of(self, viewer: str) -> bool:
-        """Whether that viewer controls."""
+        """True if that viewer controls."""
         holder = self._taken()
         return holder is not None and holder.viewer == viewer
 
     def take(self, viewer: str, name: str) -> bool:
-        """Sit down, or stay; False where somebody else sits."""
+        """Take or keep control; False where another viewer has it."""
         holder = self._taken()
         if holder is not None and holder.viewer != viewer:
             return False
@@ -71,7 +71,7 @@ class ControlLock:
         return True
 
     def leaves(self, viewer: str) -> None:
-        """The connection of a viewer is gone; he may come back."""
+        """Note that a viewer's connection is lost; he may come back."""
         if self._holder is not None and self._holder.viewer == viewer:
             self._holder.elapsed_s = self._now()
 

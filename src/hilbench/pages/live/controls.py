@@ -1,4 +1,4 @@
-"""What viewers ask of a bench: the same requests, in the same ranges, as the terminal's monitor makes."""
+"""Requests of viewers to a bench: the same, in the same ranges, as the terminal's monitor makes."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Answer(Strict):
 
 
 class WhatIf(Strict):
-    """What would come of another value; moves nothing."""
+    """Request to predict the outcome of another value; moves nothing."""
 
     do: Literal["what_if"]
     key: Key
@@ -75,18 +75,18 @@ _ACTION: Final[TypeAdapter[Action]] = TypeAdapter(Annotated[Action, Field(discri
 
 @dataclass(frozen=True)
 class Viewer:
-    """Who asks: what only that viewer knows, and from where."""
+    """Identity of a viewer: what only that viewer knows, and from where."""
 
     secret: str
     address: str
 
     def named(self, name: str) -> str:
-        """As the journal has him."""
+        """Name of the viewer in the journal."""
         return f"{name} ({self.address})"
 
 
 class ControlAnswer(NamedTuple):
-    """What became of something that was asked: in a line, whether it was done, and courses to come."""
+    """Result of a request: in a line, whether it was done, and forecasts."""
 
     text: str
     done: bool
@@ -94,7 +94,7 @@ class ControlAnswer(NamedTuple):
 
 
 class Controls:
-    """Does what viewers ask for, says what became of it, and who it was into the journal."""
+    """Execute viewers' requests, report the result, and write who it was into the journal."""
 
     def __init__(self, listener: Listener, changes: ChangeRequests, control_lock: ControlLock | None = None) -> None:
         self.control_lock = control_lock or ControlLock()
@@ -103,7 +103,7 @@ class Controls:
         self._looking = asyncio.Lock()
 
     def as_data(self) -> dict[str, Any]:
-        """What can be asked for."""
+        """Possible requests, as data for the page."""
         quantities = []
         for key, quantity in self._changes.changeable.items():
             low, high = self._changes.range_of(quantity)
@@ -119,7 +119,7 @@ class Controls:
         return {"quantities": quantities, "switches": switches}
 
     async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> ControlAnswer:
-        """What became of it."""
+        """Execute a request and return its result."""
         try:
             action = _ACTION.validate_python(asked)
         except ValidationError as error:

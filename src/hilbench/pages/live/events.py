@@ -22,7 +22,7 @@ class Entry:
 
 
 class Events:
-    """The last events of a bench, by what tells them apart; `number` counts changes of the list."""
+    """Last events of a bench, by key; `number` counts changes of the list."""
 
     def __init__(self) -> None:
         self.number = 0
@@ -45,5 +45,5 @@ class Events:
         self.put(("only", self.number), entry)
 
     def since(self, number: int) -> list[dict[str, Any]]:
-        """Those that have come or changed since the list had that number; `place` tells them apart."""
+        """Events that have come or changed since the list had that number; `place` is their key."""
         return [{"place": place, **vars(entry)} for place, changed, entry in self._entries.values() if changed > number]

@@ -15,7 +15,7 @@ _DIGITS: Final = 5
 
 
 def courses(outlook: Outlook) -> list[dict[str, Any]]:
-    """Of each tension (N) and torque (N·m) the band of nine measurements in ten, its middle, and levels; `t_s`: from
+    """Band of nine measurements in ten of each tension (N) and torque (N·m), its middle, and levels; `t_s`: from
     now."""
     t_s = outlook.times_s - outlook.now_s
     edges = np.linspace(0, len(t_s), min(len(t_s), _MOST_POINTS), endpoint=False).astype(int)

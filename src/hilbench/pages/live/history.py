@@ -97,7 +97,7 @@ class _Level:
 
 
 class History:
-    """What the signals of these names did lately. `generation` counts the runs that it has seen."""
+    """Recent signals of these names. `generation` counts the runs that it has seen."""
 
     def __init__(self, names: Sequence[str], cycle_s: float) -> None:
         self.names = tuple(names)
@@ -131,7 +131,7 @@ class History:
         return {name: float(v) if np.isfinite(v) else None for name, v in zip(self.names, values[0], strict=True)}
 
     def window(self, from_s: float, to_s: float, points: int) -> Stretches:
-        """What lies between two times, s: every sample if there are no more than `points`, else so many stretches."""
+        """Samples between two times, s: every one if there are no more than `points`, else so many stretches."""
         count = self._full.count
         t_s, values = self._full.part(count - len(self._full), count)
         first, last = np.searchsorted(t_s, [from_s, to_s])

@@ -68,8 +68,8 @@ class Listener:
         self._samples: LiveSamples | None = None
         self._bus_problem = ""
         self._noted_faults = 0
-        self._newest_ns = 0  # of the wall clock: when the last SYNC was heard
-        self._folder: RunFolder | None = None  # of the run that is heard, or was last
+        self._newest_ns = 0  # of the wall clock: when the last SYNC was received
+        self._folder: RunFolder | None = None  # of the run that is received, or was last
         self._ended: dict[str, Any] | None = None  # what became of it
         self._look_again_s = 0.0
         self._generation = 0
@@ -77,8 +77,8 @@ class Listener:
         self._thread = threading.Thread(target=self._listen, name="listener", daemon=True)
 
     def start(self) -> None:
-        """Join the bus. Raises BusError where it can't be joined at first, nor a moment later: a bus that is just being
-        made says of its timing what it does not keep to."""
+        """Join the bus. Raises BusError where it can't be joined at first, nor a moment later: the timing of a bus
+        that is just being set up is not reliable yet."""
         try:
             self._join()
         except BusError:
@@ -164,11 +164,11 @@ class Listener:
 
     @property
     def _has_report(self) -> bool:
-        """Whether all is known of the end: the report is written after the result."""
+        """True if all is known of the end: the report is written after the result."""
         return self._ended is not None and self._ended["report"] is not None
 
     def _look_at_folder(self) -> None:
-        """What became of a run that has ended."""
+        """Look for the result of a run that has ended."""
         now_s = time.monotonic()
         if self._folder is None or self._has_report or now_s < self._look_again_s:
             return
@@ -203,7 +203,7 @@ class Listener:
             self._picture.take(EMERGENCY_STOP)  # a link does not hear what it sends
 
     def recent_frames(self) -> list[Frame]:
-        """Those of the last cycles."""
+        """Frames of the last cycles."""
         with self.lock:
             return self._recent.frames()
 
@@ -227,7 +227,7 @@ class Listener:
 
 
 def event_of(change: Change, t_s: float) -> Entry:
-    """What a journal says beside quantities that were set."""
+    """Page entry of a journal change other than a quantity that was set."""
     words: dict[str, tuple[str, str, Weight]] = {
         "enabled": ("bench", "drives enabled", "note"),
         "stopping": ("bench", "the drives are brought to a stop", "note"),
@@ -242,7 +242,7 @@ def event_of(change: Change, t_s: float) -> Entry:
 
 
 def ended(folder: RunFolder, result: Result) -> dict[str, Any]:
-    """What a page says of a run that is over."""
+    """Page data of a run that is over."""
     return {
         "verdict": read_entry(folder.path.parent, folder.name).state,
         "faults": [fault.text for fault in result.faults],

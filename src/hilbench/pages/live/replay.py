@@ -19,10 +19,9 @@ _MOST_CYCLES: Final = 200
 
 
 class PlayedTrace:
-    """A link that hears the trace of a run, cycle by cycle at `pace` times the time in which it was run; 0: it stands
-    still, infinite: as fast as it is taken. A cycle takes the same time in lockstep, where its trace does not say so.
-
-    Raises UnusableInputError on reading, for a trace that can't be read.
+    """Link that receives the trace of a run, cycle by cycle at `pace` times the time in which it was run; 0:
+    paused, infinite: as fast as it is taken. A cycle takes the same time in lockstep, where its trace does not
+    state it. Raises UnusableInputError on reading, for a trace that can't be read.
     """
 
     controller = ControllerState.ERROR_ACTIVE
@@ -44,7 +43,7 @@ class PlayedTrace:
         return self._played_s
 
     def receive(self, timeout_s: float) -> list[Frame]:
-        """What has come since the last call; waits for `timeout_s` where that is nothing."""
+        """Frames since the last call; waits for `timeout_s` where there are none."""
         asked_s = self._now()
         elapsed_s, self._asked_s = asked_s - self._asked_s, asked_s
         last = self._cycles + _MOST_CYCLES - 1
@@ -72,14 +71,14 @@ class PlayedTrace:
         raise BusError(f"{self.channel} is played again, expected a bench that runs")
 
     def set_filters(self, identifiers: Sequence[tuple[int, int]] | None) -> None:
-        """All is heard."""
+        """Receive all frames, whatever the filters."""
 
     def fileno(self) -> int:
         """Nothing to wait for. Raises BusError."""
         raise BusError(f"{self.channel} is played again, expected a bus")
 
     def close(self) -> None:
-        """It is heard no more."""
+        """End the replay."""
         self._frames, self._over = iter(()), True
 
 

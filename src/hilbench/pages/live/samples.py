@@ -71,7 +71,7 @@ class LiveSamples:
         self._cycle = 0
         self._simulates_anew = False
         self._from_start = from_start
-        self._first_row: Array | None = None  # of a run that was joined under way, until what is emulated is right
+        self._first_row: Array | None = None  # of a run that was joined late, until the emulation is right
 
     @property
     def cycle(self) -> int:
@@ -79,12 +79,12 @@ class LiveSamples:
         return self._cycle if self.run is not None else 0
 
     def reported(self) -> list[tuple[float, Change]]:
-        """What the journal says beside what was set and what `log` has, since the last call: time, s, and change."""
+        """Journal changes other than set quantities and what `log` has, since the last call: time, s, and change."""
         due, self._reported = self._reported, []
         return [((change.cycle - self._first_cycle) * self._config.cycle_time_s, change) for change in due]
 
     def take(self, frames: Iterable[Frame]) -> None:
-        """More frames, in the order in which they were heard."""
+        """Take further frames, in the order of reception."""
         self._read_journal()
         for frame in frames:
             if frame.can_id == NMT and frame.data == START_ALL:
@@ -100,14 +100,14 @@ class LiveSamples:
         self._store()
 
     def _start_anew(self) -> None:
-        """A bench starts its nodes: what it has configured was heard before."""
+        """Begin a run when a bench starts its nodes: its configuration was received before."""
         configuration = self._splitter.current.received
         self._store()
         self._begin(from_start=True)
         self._splitter.current.received = configuration
 
     def _join(self, sync: Frame) -> None:
-        """The first SYNC that is heard of a run."""
+        """Join a run at the first SYNC received."""
         self._history.clear()
         self.run = self._find_run(self._channel)
         take_units(self._nodes, self._splitter.current.received)
@@ -141,7 +141,7 @@ class LiveSamples:
         self._report(math.inf if not self.run.is_played else self._cycle)
 
     def _report(self, until: float) -> None:
-        """What the journal says of the cycles so far: of a run that is played again it knows those to come."""
+        """Report the journal's changes until a cycle: in a replay the journal has later ones already."""
         while self._to_report and self._to_report[0].cycle <= until:
             change = self._to_report.pop(0)
             self.log.add(change)

@@ -1,4 +1,4 @@
-"""One viewer's connection: what is new is sent when he has taken what was sent before, and nobody waits for him."""
+"""Connection of one viewer: new data are sent when he has taken the last ones, and nothing else waits for him."""
 
 from __future__ import annotations
 
@@ -44,15 +44,15 @@ def packed(level: int, generation: int, stretches: Stretches) -> bytes:
 
 
 class Asked(Protocol):
-    """Who does what viewers ask for."""
+    """Handler of viewers' requests."""
 
     control_lock: ControlLock
 
     def as_data(self) -> dict[str, Any]:
-        """What can be asked for."""
+        """Possible requests, as data for the page."""
 
     async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> ControlAnswer:
-        """What became of it."""
+        """Execute a request and return its result."""
 
 
 class Viewers:
@@ -154,7 +154,7 @@ class Viewers:
         }
 
     async def _send(self, socket: WebSocket, secret: str) -> None:
-        """What is new, as fast as this viewer takes it."""
+        """Send new data, as fast as this viewer takes them."""
         listener, history = self._listener, self._listener.history
         if not await _sent(socket, json.dumps(self._layout(secret))):
             return
@@ -185,7 +185,7 @@ class Viewers:
 
 
 async def _received(socket: WebSocket) -> dict[str, Any] | None:
-    """The next message; None once the connection is gone, or for what is none: no JSON, or deeper than Python goes."""
+    """Next message; None once the connection is lost, or for an invalid one: no JSON, or deeper than Python goes."""
     try:
         message = await socket.receive_json()
     except (WebSocketDisconnect, RuntimeError, ValueError, KeyError):  # RuntimeError: as below, and RecursionError
@@ -194,7 +194,7 @@ async def _received(socket: WebSocket) -> dict[str, Any] | None:
 
 
 async def _sent(socket: WebSocket, message: str | bytes) -> bool:
-    """Send it; False once the connection is gone."""
+    """Send a message; False once the connection is lost."""
     try:
         await (socket.send_text(message) if isinstance(message, str) else socket.send_bytes(message))
     except (WebSocketDisconnect, RuntimeError):  # starlette's word for a connection that was closed meanwhile

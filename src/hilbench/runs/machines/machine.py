@@ -1,4 +1,4 @@
-"""What judges the runs of a kind of machine, and the metrics that follow from the signals that every kind has."""
+"""Metrics of the runs of a kind of machine, and those that follow from the signals that every kind has."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _SPEED_BAND = 0.02
 
 @dataclass(frozen=True)
 class MachineMetrics:
-    """The metrics of a kind of machine.
+    """Metrics of a kind of machine.
 
-    The command of `speed` says when the machine works; where its ramps are the work itself (`moves_always`), they end
+    The command of `speed` shows when the machine works; where its ramps are the work itself (`moves_always`), they end
     no segment. `together`: groups of figures of one step, that whose last one is the largest.
     """
 
@@ -55,7 +55,7 @@ class Estimate:
 
     @property
     def signal(self) -> str:
-        """What the twin says."""
+        """Signal of the twin."""
         return self.quantity.twin_signal
 
     def metrics(self) -> dict[str, Metric]:
@@ -108,7 +108,7 @@ class Estimate:
 
 
 def speed_metrics(speed: MainQuantity, follower: str, measured: str) -> dict[str, Metric]:
-    """How a velocity follows a step of the speed: `measured` is its signal, `follower` its name."""
+    """Metrics of a velocity that follows a step of the speed: `measured` is its signal, `follower` its name."""
     absent = f"the {speed.title} did not step, or {measured} is not recorded"
 
     def settling(segment: Segment) -> Figure:

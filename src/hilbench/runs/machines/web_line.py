@@ -34,14 +34,14 @@ def expected_v1_m_s(v2_m_s: Number, strain_prev: Number, strain: Number) -> Numb
 
 
 def _needs_loop(segment: Segment, number: str) -> None:
-    """Nothing is said of the tension of a span whose loop does not keep it."""
+    """Raise UnknownFigureError for the tension of a span whose loop was open for long."""
     loop = tension_loop_words(number)
     if loop in segment.open_loops:
         raise UnknownFigureError(f"the {loop} was open for long, see the warnings")
 
 
 def _tension(number: str) -> dict[str, Metric]:
-    """Of the span of that number, as names have it (`Shape.numbered`)."""
+    """Tension metrics of the span of that number, as names have it (`Shape.numbered`)."""
     quantity = set_point(number)
     true, simulated, goal = f"F{number}_true_N", quantity.twin_signal, quantity.signal
 
@@ -93,7 +93,7 @@ def _tension(number: str) -> dict[str, Metric]:
 
 
 def _disturbance(number: str) -> dict[str, Metric]:
-    """Of the span of that number."""
+    """Disturbance metrics of the span of that number."""
     true = f"F{number}_true_N"
 
     def largest_pct(segment: Segment) -> Figure:
@@ -108,7 +108,7 @@ def _disturbance(number: str) -> dict[str, Metric]:
 
 
 def _mass(span: int, shape: Shape) -> dict[str, Metric]:
-    """What mass conservation in a span asks of the roller before it."""
+    """Mass-conservation metrics of a span and the roller before it."""
     command = line_speed(shape).signal
     entering = "strain_prev" if span == 1 else f"strain{shape.numbered(span - 1)}_true"
     signals = (f"x{span}_m", f"x{span + 1}_m", entering, f"strain{shape.numbered(span)}_true")
@@ -153,9 +153,9 @@ def _mass(span: int, shape: Shape) -> dict[str, Metric]:
 
 @cache
 def metrics_of(shape: Shape) -> MachineMetrics:
-    """The metrics of a line, with the number of the span in the names where there are several.
+    """Metrics of a line, with the number of the span in the names where there are several.
 
-    Of one span all are looked for, whatever is recorded: a run then says what it lacks.
+    Of one span all are looked for, whatever is recorded: a run then reports what it lacks.
     """
     if shape.spans < 2:
         shape = SMALLEST["web_line"]

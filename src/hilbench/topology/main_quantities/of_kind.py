@@ -11,7 +11,7 @@ from hilbench.topology.signals import SMALLEST, Shape, shape_of
 
 
 def main_quantities(kind: str, shape: Shape) -> tuple[MainQuantity, ...]:
-    """Those of a kind of machine that has so many parts."""
+    """Main quantities of a kind of machine with these parts."""
     return servo_axis.QUANTITIES if kind == "servo_axis" else web_line.quantities(shape)
 
 
@@ -26,7 +26,7 @@ def find_quantity(path: str) -> MainQuantity | None:
 
 
 def recorded_quantities(signals: Iterable[str]) -> list[MainQuantity]:
-    """Those whose signals are among the names."""
+    """Main quantities whose signals are among the names."""
     names = set(signals)
     shape = shape_of(names)
     return [each for kind in SMALLEST for each in main_quantities(kind, shape) if each.signal in names]

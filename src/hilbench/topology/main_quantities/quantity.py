@@ -1,4 +1,4 @@
-"""What there is to know of a quantity that a person changes under way."""
+"""Description of a quantity that a person changes during a run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ OF_THE_MODEL: Final = "of the model"
 
 
 def text_of_deviation(deviation: float) -> str:
-    """What a twin's value with this standard deviation is: its model's where that is inf, as nothing tells it."""
+    """Text for a twin's value with this standard deviation: the model's where that is inf, else estimated."""
     return OF_THE_MODEL if isinf(deviation) else ESTIMATED
 
 

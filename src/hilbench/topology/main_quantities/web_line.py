@@ -12,13 +12,13 @@ from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
 
 def line_speed(shape: Shape) -> MainQuantity:
-    """Of a line: the last axis leads, by the radius of the web on it where that is a reel."""
+    """Line speed: the last axis leads, by the radius of the web on it where that is a reel."""
     signal = LINE_SPEED_SIGNAL if shape.winds else f"v{shape.axes}_cmd_m_s"
     return MainQuantity(LINE_SPEED, "line speed", "line speed", "m/s", signal, "v")
 
 
 def set_point(number: str = "") -> MainQuantity:
-    """Of the span of that number, as names have it (`Shape.numbered`)."""
+    """Set-point of the span of that number, as names have it (`Shape.numbered`)."""
     of = f" of span {number}" if number else ""
     return MainQuantity(
         tension_set_point(number),
@@ -60,7 +60,7 @@ def numbered(path: str) -> MainQuantity | None:
 
 
 def quantities(shape: Shape) -> tuple[MainQuantity, ...]:
-    """Of a line: E as it is estimated (of a recording without estimates: as it was), the set-points, the speed."""
+    """Quantities of a line: E as it is estimated (of a recording without estimates: as it was), set-points, speed."""
     return (
         *(modulus(shape.numbered(span)) for span in shape.estimated or (1,)),
         *(set_point(shape.numbered(span)) for span in shape.controlled),

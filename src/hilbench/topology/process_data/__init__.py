@@ -1,1 +1,1 @@
-"""What goes between the bench and the twin of each kind of machine."""
+"""Process data between the bench and the twin of each kind of machine."""

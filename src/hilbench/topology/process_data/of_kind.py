@@ -9,5 +9,5 @@ from hilbench.topology.signals import Shape
 
 
 def process_data(kind: MachineKind, shape: Shape) -> ProcessData:
-    """What goes between the bench and the twin of a machine."""
+    """Process data between the bench and the twin of a machine."""
     return servo_axis.process_data() if kind is MachineKind.SERVO_AXIS else web_line.process_data(shape)

@@ -13,7 +13,7 @@ from hilbench.topology.process_data.table import (
 
 
 def process_data() -> ProcessData:
-    """Of any servo axis."""
+    """Process data of any servo axis."""
     inertia, friction, deviation, torque, residual, friction_sd, viscous, viscous_sd = (
         IoSignal(name, INPUTS, sub, text)
         for sub, (name, text) in enumerate(

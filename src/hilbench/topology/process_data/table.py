@@ -51,7 +51,7 @@ class SimulatedTorque:
 
 @dataclass(frozen=True, slots=True)
 class ProcessData:
-    """What goes between the bench and the twin of a machine.
+    r"""Process data between the bench and the twin of a machine.
 
     `published`: signals of 6403h in the order of their sub-indices; `boundary_inputs`: those of 6413h, none for a
     machine with nothing around it; `sent`: TPDOs, without the status.
@@ -64,11 +64,11 @@ class ProcessData:
 
     @property
     def boundary(self) -> tuple[IoPdo, ...]:
-        """The RPDOs with what the twin is told, in its order; none where that is nothing."""
+        """RPDOs with the twin's boundary inputs, in their order; none where there are no inputs."""
         pairs = [self.boundary_inputs[at : at + PER_PDO] for at in range(0, len(self.boundary_inputs), PER_PDO)]
         return tuple(IoPdo(number, pair) for number, pair in enumerate(pairs, 1))
 
     @property
     def state(self) -> Iterator[IoSignal]:
-        """What the twin sends with every SYNC."""
+        """Signals that the twin sends with every SYNC."""
         return chain.from_iterable(pdo.signals for pdo in self.sent if pdo.every == 1)

@@ -49,7 +49,7 @@ class _Span:
 def _span(shape: Shape, number: int) -> _Span:
     k, of = shape.numbered(number), f" of span {number}" if shape.spans > 1 else ""
     before = shape.axis_before(number)
-    # Of a line with more than driven rollers a section is told once, and may have any number of spans.
+    # Of a line with more than driven rollers a section is sent once, and may have any number of spans.
     place, axis = before if shape.has_stations else number, before + 1
     further = place - 1 - _FIRST_SPANS
     first = _PER_SPAN * (place - 1) + 1 if further < 0 else _FIRST_OF_FURTHER + _PER_SPAN * further
@@ -63,7 +63,7 @@ def _span(shape: Shape, number: int) -> _Span:
 
 
 def _stations(shape: Shape) -> list[tuple[IoSignal, IoSignal]]:
-    """What is found of each dancer, accumulator and reel, and its deviation."""
+    """Estimate of each dancer, accumulator and reel, and its deviation."""
     found = []
     for at, name in enumerate(shape.stations):
         letter, what = ("x", "position") if name in shape.carriages else ("r", "radius")
@@ -82,7 +82,7 @@ def _of_sensor(number: int) -> str:
 
 
 def process_data(shape: Shape) -> ProcessData:
-    """Of a line with so many spans."""
+    """Process data of a line of this shape."""
     stations = _stations(shape)
     sensors = (
         IoSignal(signal, OUTPUTS, sub, _of_sensor(sub - _FIRST_OF_SENSORS + 1))

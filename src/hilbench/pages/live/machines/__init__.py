@@ -1,1 +1,1 @@
-"""What the page of each kind of machine shows: its plots and its drawing."""
+"""Page contents of each kind of machine: its plots and its drawing."""

@@ -12,11 +12,11 @@ from hilbench.topology.config import BenchConfig
 
 
 def panel_of(config: BenchConfig) -> Panel:
-    """What the page of a bench shows."""
+    """Panel of the page of a bench."""
     return servo_axis.panel(config) if config.machine_kind is MachineKind.SERVO_AXIS else web_line.panel(config)
 
 
 def settled(config: BenchConfig, names: Sequence[str], first: Array, last: Array) -> bool:
-    """Whether what is emulated, simulated on the motion since the sample `first` (N,), is right in the sample `last`,
-    wherever it was taken to begin."""
+    """True if the emulation, simulated on the motion since the sample `first` (N,), is right in the sample `last`,
+    whatever its initial state."""
     return config.machine_kind is MachineKind.SERVO_AXIS or web_line.settled(config, names, first, last)

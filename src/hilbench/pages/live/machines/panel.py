@@ -1,4 +1,4 @@
-"""What the page of a machine is made of: plots of signals over time, and the drawing."""
+"""Panel of a machine's page: plots of signals over time, and the drawing."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Panel:
-    """What the page of one machine shows: its plots, and its drawing as SVG.
+    """Panel of one machine: its plots, and its drawing as SVG.
 
     In the drawing an element with ``data-part`` is that of a part, and has the state of its drive as a class; the text
     of one with ``data-signal`` is the signal's value in ``data-unit``, of ``data-per`` SI units.

@@ -26,7 +26,7 @@ def value(x: float, y: float, signal: str, unit: str, *, kind: str = "", per: fl
 
 
 def part(name: str, shapes: Iterable[str]) -> str:
-    """What belongs to a part of the bench, and shows its state."""
+    """Group of shapes of a part of the bench, which shows its state."""
     return f'<g data-part="{escape(name)}">{"".join(shapes)}</g>'
 
 

@@ -35,7 +35,7 @@ def panel(config: BenchConfig) -> Panel:
 
 
 def settled(config: BenchConfig, names: Sequence[str], first: Array, last: Array) -> bool:
-    """Whether the web has run through the line often enough between two samples."""
+    """True if the web has run through the line often enough between two samples."""
     at = names.index(f"x{config.shape.axes}_m")
     lengths_m = sum(config.web_line.span_length_m(span) for span in range(1, config.shape.spans + 1))
     return bool(abs(last[at] - first[at]) > _TIMES * lengths_m)
@@ -70,7 +70,7 @@ def _moduli(config: BenchConfig) -> Iterator[Plot]:
 
 
 def _of_twin(quantity: MainQuantity, may_be_untold: bool) -> Iterator[Trace]:
-    """What the twin has of a quantity: estimated, and its model's where nothing tells it."""
+    """Traces of the twin's value of a quantity: estimated, and its model's where it is not identifiable."""
     if not may_be_untold:
         yield Trace(quantity.twin_signal, ESTIMATED, VERMILLION)
         return
