@@ -221,8 +221,9 @@ def test_what_nobody_foresaw_in_a_copy_is_a_line_in_its_log_and_one_that_is_gone
             child = ChildProcess("it", ["told"], folder / "copy.log", copy=waiting.popitem()[1])
             assert child._process.wait(30.0) == 3 and child.ended
             line, = (folder / "copy.log").read_text().splitlines()
-            assert line.startswith("hilbench: unexpected ZeroDivisionError in forked_workers.py:") and "unforeseen; tr"
-            in line child.restart()  # a new interpreter
+            assert line.startswith("hilbench: unexpected ZeroDivisionError in forked_workers.py:")
+            assert "unforeseen; tr" in line
+            child.restart()  # a new interpreter
             assert child._process.wait(30.0) == 1
             child.end()
             copy = waiting.popitem()[1]

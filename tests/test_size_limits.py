@@ -100,10 +100,11 @@ def columns_of_nothing(path: Path) -> None:
 
 
 def one_block_many_times(path: Path) -> None:
-    """An MDF file whose list of data names one packed block 5,000 times (ASAM MDF 4: DLBLOCK)."""
-    count, times = 100_000, 5001
+    """An MDF file whose list of data names one packed block 125,000 times (ASAM MDF 4: DLBLOCK)."""
+    count, times = 4000, 125_025
     write_recording(Recording({"t_s": np.arange(count) * 1e-3, "x": np.zeros(count)}), path)
     data = bytearray(path.read_bytes())
+    data[16:24] = b"foreign "  # the program in the identification block
     group, (block,) = data.index(b"##DG"), [at.start() for at in re.finditer(b"##DZ", data)]
     channel_group = data.index(b"##CG")
     (cycles,) = struct.unpack_from("<Q", data, channel_group + 24 + 6 * 8 + 8)

@@ -103,7 +103,7 @@ FILES: Final[tuple[tuple[str, str, str, Callable[[Path], None]], ...]] = (
     ("convert", "a.csv.gz", "the half of that", halved(made.packed_text)),
     ("convert", "a.parquet", "9 GB unpacked", made.columns_of_nothing),
     ("convert", "a.parquet", "the half of that", halved(made.columns_of_nothing)),
-    ("convert", "a.mf4", "a block that is there 5,001 times", made.one_block_many_times),
+    ("convert", "a.mf4", "a block that is there 125,025 times", made.one_block_many_times),
     ("convert", "a.mf4", "the half of that", halved(made.one_block_many_times)),
     ("convert", "a.blf", "200 MB in a container", made.one_large_container),
     ("convert", "a.log", "a line of 20 MB", made.large),

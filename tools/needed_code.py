@@ -25,9 +25,9 @@ PACKAGE = ROOT / "src" / "hilbench"
 LIST = PACKAGE / "cli" / "needed_code.json"
 #: The examples of each kind of run.
 EXAMPLES = {
-    "web_section": ("web_section_step",),
-    "line_of_spans": ("line_two_spans",),
-    "line_with_stations": ("line_with_dancer", "winding_line"),
+    "web_line": ("web_section_step",),
+    "web_line of several axes": ("line_two_spans",),
+    "web_line with stations": ("line_with_dancer", "winding_line"),
     "servo_axis": ("servo_axis",),
 }
 _NAME = re.compile(r"(?P<stem>\w+)\.(?P<name>\w+)-\d+\.py\d+\.\d+\.nbc")

@@ -32,5 +32,5 @@ def broken(fault: Fault, first_cycle: int, cycles: int = 1 << 30) -> Iterator[No
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(WebLineTwin, "published", wrong)
         # In vectors it would not be asked.
-        patch.setattr(WebLineTwin, "goes_in_vectors", property(lambda twin: False))
+        patch.setattr(WebLineTwin, "runs_in_vectors", property(lambda twin: False))
         yield

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hilbench.pages.live.control_lock import GONE_S, IDLE_S, ControlLock
+from hilbench.pages.live.control_lock import IDLE_S, LOST_S, ControlLock
 
 
 class Clock:
@@ -62,11 +62,11 @@ def test_a_connection_that_is_gone_frees_the_seat_unless_it_comes_back_soon(
 ) -> None:
     control_lock.take("a", "anna")
     control_lock.leaves("a")
-    clock.now_s = GONE_S - 1
+    clock.now_s = LOST_S - 1
     control_lock.comes("a")
-    clock.now_s = GONE_S + 5
+    clock.now_s = LOST_S + 5
     assert control_lock.is_of("a")
     control_lock.leaves("b")  # whoever that is
     control_lock.leaves("a")
-    clock.now_s += GONE_S + 1
+    clock.now_s += LOST_S + 1
     assert control_lock.name == ""

@@ -71,14 +71,14 @@ def test_axes_with_speeds_of_their_own_are_of_one_instant_when_all_have_gone_as_
     assert not axes.update(3.0 * OWN_M[0], 0.0, 2.0 * OWN_M[2])
     assert axes.behind == 1
     assert axes.update(*(4.0 * way for way in OWN_M))
-    assert (axes.gone, axes.behind) == (2, 0)
+    assert (axes.elapsed, axes.behind) == (2, 0)
 
 
 @pytest.mark.parametrize(("gone", "behind"), [(0, 1), (1, 0), (2, -1), (3, -1)])
 def test_ways_say_how_many_cycles_have_gone_by_whatever_was_counted(gone: int, behind: int) -> None:
     axes = under_way()
     assert axes.update(*((2.0 + gone) * way for way in OWN_M))
-    assert (axes.gone, axes.behind) == (gone, behind)
+    assert (axes.elapsed, axes.behind) == (gone, behind)
 
 
 def test_a_sample_that_is_late_is_made_good_by_the_next() -> None:
@@ -86,7 +86,7 @@ def test_a_sample_that_is_late_is_made_good_by_the_next() -> None:
     axes.miss()
     assert axes.behind == 1
     assert axes.update(*(4.0 * way for way in OWN_M))
-    assert (axes.gone, axes.behind) == (2, 0)
+    assert (axes.elapsed, axes.behind) == (2, 0)
 
 
 def test_axes_that_never_agree_are_believed_after_some_cycles() -> None:

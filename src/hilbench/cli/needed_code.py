@@ -42,12 +42,11 @@ class Function(NamedTuple):
 
 
 def kind_of(config: BenchConfig) -> str:
-    """Of needed_code.json: web_section, line_of_spans, line_with_stations or servo_axis."""
-    if config.machine_kind != "web_line":
-        return "servo_axis"
-    if config.web_line.stations is not None:
-        return "line_with_stations"
-    return "line_of_spans" if config.web_line.span_count > 1 else "web_section"
+    """Kind of needed_code.json: the machine's, with what else its runs compute."""
+    kind, shape = config.machine_kind, config.shape
+    if shape.has_stations or shape.reels:
+        return f"{kind} with stations"
+    return f"{kind} of several axes" if shape.axes > 2 else kind
 
 
 def needed(kind: str) -> list[Function]:

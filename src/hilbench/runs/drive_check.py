@@ -17,6 +17,7 @@ from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.set_point_schedule import Move
 from hilbench.topology.parts import Part, Role
 from hilbench.topology.quantities import LINE_SPEED, SPEED
+from hilbench.topology.safety import Limit
 
 
 @dataclass(frozen=True)
@@ -78,3 +79,14 @@ def torque_limit_Nm(config: ExperimentConfig, part: Part) -> float:
     limit = default_reader(od, part.node.writes, part.node_axis)(objects.MAX_TORQUE, 0) or inf
     of_motor_Nm = per_item(config.drive_parameters.torque_limit_Nm, part.axis or 1)
     return min(of_motor_Nm, limit * declared_units(part, od).torque_Nm)
+
+
+def beyond(at: str, what: str, value: float, limit: Limit, unit: str) -> Iterator[str]:
+    """A value that will end the run, or be warned of in it: at the level itself noise goes beyond."""
+    asked = f"{at}: {what} {value:.4g} {unit}".rstrip()
+    if limit.trip is not None and value > limit.trip:
+        level = f"{limit.trip:g} {unit}".strip()
+        yield f"{asked} is beyond the trip level {level}: the run will end there in the safe state"
+    elif limit.warning is not None and value >= limit.warning:
+        level = f"{limit.warning:g} {unit}".strip()
+        yield f"{asked} reaches the warning level {level}, expected less"

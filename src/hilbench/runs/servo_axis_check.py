@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from hilbench.bench.servo_axis_check import check_emulated_inertia, imitable_inertias_kg_m2
 from hilbench.runs.config import LoadedConfig
-from hilbench.runs.drive_check import torque_limit_Nm
+from hilbench.runs.drive_check import beyond, torque_limit_Nm
 from hilbench.runs.set_point_schedule import Move, start_of
-from hilbench.runs.web_line_check import beyond
 from hilbench.topology.parts import Role
 from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SPEED
 

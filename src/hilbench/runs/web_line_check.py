@@ -10,13 +10,12 @@ from hilbench.bench.web_line_check import alike
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
-from hilbench.runs.drive_check import torque_limit_Nm
+from hilbench.runs.drive_check import beyond, torque_limit_Nm
 from hilbench.runs.set_point_schedule import Move, State, start_of
 from hilbench.runs.web_force_check import beyond_cylinders
 from hilbench.strict_yaml import Location
 from hilbench.topology.parts import Role
 from hilbench.topology.quantities import tension_set_point
-from hilbench.topology.safety import Limit
 from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span
 
 #: A difference that makes no other operating point.
@@ -155,17 +154,6 @@ def _of_a_change_of_E(config: ExperimentConfig, at: str, move: Move) -> Iterator
         if move.duration_s == 0.0:
             tension_N = max(move.after.set_points_N.values()) * max(jump for _, jump in changed)
             yield from beyond(at, "tension right behind this step of E", tension_N, limits.tension_N, "N")
-
-
-def beyond(at: str, what: str, value: float, limit: Limit, unit: str) -> Iterator[str]:
-    """A value that will end the run, or be warned of in it: at the level itself noise goes beyond."""
-    asked = f"{at}: {what} {value:.4g} {unit}".rstrip()
-    if limit.trip is not None and value > limit.trip:
-        level = f"{limit.trip:g} {unit}".strip()
-        yield f"{asked} is beyond the trip level {level}: the run will end there in the safe state"
-    elif limit.warning is not None and value >= limit.warning:
-        level = f"{limit.warning:g} {unit}".strip()
-        yield f"{asked} reaches the warning level {level}, expected less"
 
 
 def _too_fast(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:

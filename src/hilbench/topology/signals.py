@@ -77,7 +77,7 @@ class Shape:
     estimated: tuple[int, ...] = ()
     controlled: tuple[int, ...] = ()
     axes_before: tuple[int, ...] = ()
-    listed_spans: tuple[int, ...] = ()
+    listed: tuple[int, ...] = ()
     carriages: tuple[str, ...] = ()
     reels: tuple[str, ...] = ()
     measured: tuple[str, ...] = ()
@@ -119,7 +119,7 @@ class Shape:
     @property
     def simulated(self) -> tuple[int, ...]:
         """Spans whose tension the twin publishes."""
-        return self.listed_spans or tuple(range(1, self.spans + 1))
+        return self.listed or tuple(range(1, self.spans + 1))
 
     def numbered(self, number: int) -> str:
         """Number of a span in names: empty where there is only one."""

@@ -79,7 +79,7 @@ def _with_stations(
         controlled,
         controlled,
         axes_before=before,
-        listed_spans=tuple(sorted([*controlled, *others])),
+        listed=tuple(sorted([*controlled, *others])),
         carriages=tuple(carriage.station.name for carriage in machine.carriages),
         reels=tuple(reel_name(roller.station) for roller in rollers if isinstance(roller.station, Reel)),
         measured=tuple(measured),
