@@ -188,7 +188,7 @@ def test_check_of_three_thousand_unknown_keys_names_the_first(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("name", ["a.mf4", "a.csv", "a.csv.gz", "a.parquet", "a.log", "a.asc", "a.blf"])
-def test_a_pipe_under_the_name_of_a_recording_or_a_trace_is_refused_and_not_waited_for(name, tmp_path):
+def test_a_pipe_with_the_name_of_a_recording_or_trace_is_refused_without_waiting(name: str, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / name)
     read = read_recording if name[2:] in ("mf4", "csv", "csv.gz", "parquet") else lambda path: list(read_trace(path))
     with pytest.raises(UnusableInputError, match="file"):
@@ -196,7 +196,7 @@ def test_a_pipe_under_the_name_of_a_recording_or_a_trace_is_refused_and_not_wait
 
 
 @pytest.mark.parametrize("suffix", ["mf4", "csv", "csv.gz", "parquet"])
-def test_a_recording_is_kept_in_a_folder_whose_name_is_no_utf_8(suffix, tmp_path):
+def test_a_recording_is_kept_in_a_folder_whose_name_is_no_utf_8(suffix: str, tmp_path: Path) -> None:
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/m\xfcller"))
     folder.mkdir()
     path = folder / f"recording.{suffix}"

@@ -38,7 +38,7 @@ def config(folder: Path, **changes: object) -> Path:
     data["machine"]["web"] |= {"youngs_modulus_Pa": 8.7e9, "thickness_m": 65e-6}
     data["steps"], data["criteria"] = SHORT, []
     data["bus"]["address"] = f"embedded:t{uuid.uuid4().hex[:10]}"
-    changes["twin"] = data["twin"] | changes.get("twin", {})  # type: ignore[operator]
+    changes["twin"] = data["twin"] | changes.get("twin", {})
     data |= changes
     path = folder / "bench.yaml"
     path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
