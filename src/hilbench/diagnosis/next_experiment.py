@@ -89,7 +89,7 @@ def through(
     levels: Sequence[tuple[float, float, float]],
     last: Sequence[Step] = (),
 ) -> list[Step]:
-    r"""Steps through levels of a speed to standstill: share of the top speed, least time to it, time at it, s.
+    """Steps through levels of a speed to standstill: share of the top speed, least time to it, time at it, s.
 
     path: of the speed; top and steepest: its highest value and rate. last: steps before the ramp to standstill.
     """
@@ -116,7 +116,7 @@ def duration_s(steps: Sequence[Step]) -> float:
 def best(
     library: Mapping[str, list[Step]], questions: Sequence[Question], is_identified: Callable[[list[Step]], Array]
 ) -> NextExperiment | None:
-    r"""The move, or two, that would answer most of the questions; None where no move answers any.
+    """The move, or two, that would answer most of the questions; None where no move answers any.
 
     library: moves from standstill to standstill, by name. is_identified: which questions (questions,) steps answer,
     as `Question.is_identified`.

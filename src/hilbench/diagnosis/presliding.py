@@ -61,7 +61,7 @@ def presliding(
     *,
     may_play: bool = True,
 ) -> Presliding | None:
-    r"""Presliding displacement that explains the torque best, fitted with inertia, offset and viscous friction.
+    """Presliding displacement that explains the torque best, fitted with inertia, offset and viscous friction.
 
     motion: x, v, a (n,); torque (n,), filtered as `smooth` filters (…, n); rows (n,): those that count, of which
     every so many are looked at; others (J, n): torques of which any multiple may be there; may_play: True if the

@@ -54,7 +54,7 @@ class Uncertainty:
 def uncertainty(
     columns: Array, residual: Array, precision: Array | None = None, least_noise: float = 0.0
 ) -> Uncertainty:
-    r"""Uncertainty of the coordinates that least squares finds with these columns.
+    """Uncertainty of the coordinates that least squares finds with these columns.
 
     columns: (J, signals, n), derivatives of the prediction by the coordinates; residual: (signals, n), what the fit
     left; both in the units in which the sum of squares was least. Rows are taken as adjacent in time. precision (J,
@@ -135,7 +135,7 @@ def with_guess(known: Uncertainty, columns: Array, residual: Array, guess: Array
 
 
 def by_waves(columns: Array, residual: Array, shapes: Array, waves: Array) -> Uncertainty:
-    r"""Uncertainty for a periodic motion, whose residual is periodic as well, so that few numbers are left.
+    """Uncertainty for a periodic motion, whose residual is periodic as well, so that few numbers are left.
 
     columns (J, n), residual (n,); shapes (K, n): possible errors of the prediction, each to one standard deviation;
     waves (W, n): all that repeats itself as the motion does, each of which may be left as much as any other.

@@ -184,7 +184,7 @@ class MeasuredSearch:
     def _linear(
         self, residual: Array, own: Array, offered: CandidateSet, beside: Array | None = None
     ) -> tuple[StretchedProblem, list[list[int]]]:
-        r"""Linear problem of the terms' own columns and of the candidates; which columns are each candidate's.
+        """Linear problem of the terms' own columns and of the candidates; which columns are each candidate's.
 
         beside: columns (J, signals, n) of which nothing is looked at: projected out of all the others beforehand,
         because their amounts in one stretch do not hold in the others.

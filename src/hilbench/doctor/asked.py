@@ -60,7 +60,7 @@ def last_run(runs: Path, stand: str) -> tuple[LastRun | None, list[str]]:
 def ask_stand(
     config: BenchConfig, *, start: bool, in_process: bool, announce: Callable[[str], None]
 ) -> tuple[NodeAnswers, frozenset[str]]:
-    r"""Answers of the drives, by part, and which of them were started for that; nothing is written to any.
+    """Answers of the drives, by part, and which of them were started for that; nothing is written to any.
 
     start: simulated drives are started when none of them is there. in_process: they are, without processes. Raises
     UnusableInputError where another master is at work, or no node answers; BenchFaultError for a bus that is lost.

@@ -29,7 +29,7 @@ _PLACE: Final = re.compile(r"(axis|span|web)(\d*)")
 
 
 def with_commissioned(loaded: LoadedConfig, runs: Path, warn: Callable[[str], None]) -> LoadedConfig:
-    r"""Config with the priors of the newest commissioning of its stand, beyond its model.
+    """Config with the priors of the newest commissioning of its stand, beyond its model.
 
     runs: the folder in which run folders are made. Unchanged where there is no commissioning, where the config has
     priors of its own or `commissioned: ignore`, and of a machine other than a web line; where the history can't be

@@ -28,7 +28,7 @@ def write_resolved(config: BenchConfig, path: Path) -> None:
 
 
 def read_resolved(path: Path) -> BenchConfig:
-    r"""Read the bench of a resolved config, without the experiment in the same file of a run folder.
+    """Read the bench of a resolved config, without the experiment in the same file of a run folder.
 
     Raises UnusableInputError with file, line and what was expected.
     """

@@ -51,7 +51,7 @@ class SimulatedTorque:
 
 @dataclass(frozen=True, slots=True)
 class ProcessData:
-    r"""Process data between the bench and the twin of a machine.
+    """Process data between the bench and the twin of a machine.
 
     `published`: signals of 6403h in the order of their sub-indices; `boundary_inputs`: those of 6413h, none for a
     machine with nothing around it; `sent`: TPDOs, without the status.
