@@ -48,8 +48,8 @@ def test_what_is_not_permitted_is_told_in_a_line_and_left_out() -> None:
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     core, priority, memory, runs = ended.stdout.splitlines()
     assert core.startswith("core 4095: cannot be had, expected one of 0")
-    assert priority == "priority 80: SCHED_FIFO is not permitted, rtprio is 0; hilbench doctor says what to do"
-    assert memory == "lock_memory: not permitted, memlock is 64 KiB; hilbench doctor says what to do"
+    assert priority == "priority 80: SCHED_FIFO is not permitted, rtprio is 0; see hilbench doctor"
+    assert memory == "lock_memory: not permitted, memlock is 64 KiB; see hilbench doctor"
     assert runs == "runs"
 
 

@@ -130,7 +130,7 @@ class ChildProcess:
             lines = self._log_path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         except OSError as error:
             return f"{self._log_path}: cannot be read ({error.strerror})"
-        return lines[-1] if lines else "it said nothing"
+        return lines[-1] if lines else "it printed nothing"
 
 
 _LOST_FRAMES = "lost frames:"

@@ -105,7 +105,7 @@ def _first(priority: int | None, report: Callable[[str], None]) -> Iterator[None
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError:
         limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
-        report(f"priority {priority}: SCHED_FIFO is not permitted, rtprio is {limit}; hilbench doctor says what to do")
+        report(f"priority {priority}: SCHED_FIFO is not permitted, rtprio is {limit}; see hilbench doctor")
     try:
         yield
     finally:
@@ -125,7 +125,7 @@ def _locked(wanted: bool | None, report: Callable[[str], None]) -> Iterator[None
     locked = libc.mlockall(_MCL_CURRENT | _MCL_ONFAULT) == 0
     if wanted and not locked:
         limit_KiB = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] >> 10
-        report(f"lock_memory: not permitted, memlock is {limit_KiB} KiB; hilbench doctor says what to do")
+        report(f"lock_memory: not permitted, memlock is {limit_KiB} KiB; see hilbench doctor")
     try:
         yield
     finally:

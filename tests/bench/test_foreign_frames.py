@@ -196,7 +196,7 @@ def test_a_stranger_beside_a_run_of_real_processes_is_in_its_result(tmp_path: Pa
     process.communicate(timeout=60)
     assert process.returncode == 130
     found = {text.split(" '")[0]: count for _, text, count in told(Result.read(folder / "result.json"))}
-    written = found.pop("SDO write by somebody else: 1016h sub 1")
+    written = found.pop("SDO write by another station: 1016h sub 1")
     assert written == 50
     ((text, count),) = found.items()
     assert "TPDO (COB-ID 282h) more often than SYNC asks for it" in text

@@ -118,7 +118,7 @@ def test_a_bit_rate_that_nobody_says_is_not_guessed(machine: Machine) -> None:
     machine.holders = [replace(BENCH, place="pcan:PCAN_USBBUS1", bitrate=None)]
     done = hilbench("estop")
     assert done.returncode == 3
-    assert "does not say its bit rate" in done.stderr
+    assert "its bit rate is unknown" in done.stderr
     assert machine.bitrates == {}
 
 

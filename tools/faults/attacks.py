@@ -70,7 +70,7 @@ def attacks(long: list[dict[str, Any]], loop_back: list[dict[str, Any]]) -> Iter
             f"attack: {index:04X}h of a drive written by SDO",
             "told with node, object and value",
             codes,
-            f"SDO write by somebody else: {index:04X}h sub {sub}",
+            f"SDO write by another station: {index:04X}h sub {sub}",
             send_again_and_again(download(1, index, value, size, sub), times=1),
             told,
         )

@@ -72,7 +72,7 @@ def _unmatched_loads(config: BenchConfig) -> list[str]:
         pulled = config.web_line.carries_web_load(axis)
         if part.is_simulated and pulled and axis not in loaded:
             notes.append(
-                f"{part.name}: machine: web_load says that the web loads axis {axis}, and no load motor on its shaft "
+                f"{part.name}: by machine: web_load the web loads axis {axis}, and no load motor on its shaft "
                 f"emulates that: the twin simulates a load that is not there"
             )
         if axis in loaded and not pulled:
@@ -163,8 +163,8 @@ def _check_stiffness(config: BenchConfig, document: Document, point: OperatingPo
                 document.place(where),
                 f"the load motor of axis {axis} can't emulate so stiff a web over a cycle of "
                 f"{config.cycle_time_s * 1e3:g} ms ({operating_point_text(point)}): it is stable up to "
-                f"{100 * reserve:.0f} % of it where the rollers beside it stand still, expected a shorter cycle, a "
-                f"heavier axis {axis}, or a softer or longer web beside it",
+                f"{100 * reserve:.0f} % of it where adjacent rollers are at standstill, expected a shorter cycle, a "
+                f"heavier axis {axis}, or a softer or longer adjacent web",
             )
 
 

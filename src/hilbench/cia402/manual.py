@@ -180,7 +180,7 @@ class ManualDrive:
         """Ramp to a velocity of the motor (6083h, 6084h). Raises BenchFaultError when its units are not known."""
         if self._units is None:
             unit = self.object(objects.SI_UNIT_VELOCITY)
-            raise self._fault(f"does not tell its velocity unit ({unit:X}h), expected it: give units in --config")
+            raise self._fault(f"does not define its velocity unit ({unit:X}h), expected it: give units in --config")
         self.enabled_statusword()
         self.write(objects.TARGET_VELOCITY, round(velocity_rad_s / self._units.velocity_rad_s))
 

@@ -43,7 +43,7 @@ def commission(
             min=0.01,
             max=100.0,
             metavar="PCT",
-            help="how well E is known (standard deviation, %): what is tied with it is told as well as that",
+            help="standard deviation of E, %: what is tied with E is known no better",
         ),
     ] = 20.0,
     yes: Annotated[bool, typer.Option("--yes", help="move real drives without asking")] = False,

@@ -165,7 +165,7 @@ def _remember(found: _Found, source: Path, data: dict[str, Any], errors: Console
 
 def _next_line(found: _Found, written: Path | None) -> str:
     if found.proposed is None:
-        return "next experiment: none of the library would tell more"
+        return "next experiment: none of the library would add information"
     shown_text = f"next experiment: {found.proposed.moves}, {found.proposed.duration_s:.1f} s: {written}"
     return shown_text if found.config is None else f"{shown_text}\nhilbench run {written}"
 
@@ -390,7 +390,7 @@ def _show(console: Console, found: Diagnosis, against: Path | None) -> None:
         for effect in found.effects:
             if effect.tied_with:
                 others = ", ".join(effect.tied_with)
-                console.print(f"{effect.effect} is tied with {others}; told apart by: {effect.told_apart_by}")
+                console.print(f"{effect.effect} is tied with {others}; distinguished by: {effect.told_apart_by}")
     gaps = Table(title="torque residual, rms on held-out data, N·m", title_justify="left")
     for column in ("signal", "before", "after", "noise floor"):
         gaps.add_column(column, justify="left" if column == "signal" else "right")

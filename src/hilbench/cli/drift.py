@@ -31,7 +31,7 @@ def drift(
     write: Annotated[
         list[str] | None,
         typer.Option(
-            "--write", metavar="KEY", help="write what a node says now into the config, by its key; all; repeatable"
+            "--write", metavar="KEY", help="write a node's present value into the config, by its key; all; repeatable"
         ),
     ] = None,
     json: JsonOption = False,

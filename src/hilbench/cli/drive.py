@@ -80,14 +80,14 @@ def drive(
         typer.Option(
             "--units",
             metavar="KEY=VALUE",
-            help="position_rad, velocity_rad_s or rated_torque_Nm of a drive whose objects do not tell it; repeatable",
+            help="position_rad, velocity_rad_s or rated_torque_Nm of a drive without objects for it; repeatable",
         ),
     ] = None,
     duration: Annotated[
         float | None,
         typer.Option("--for", metavar="S", min=0.0, help="velocity, torque: so long", show_default="until Ctrl-C"),
     ] = None,
-    timeout: Annotated[float, typer.Option("--timeout", metavar="S", min=0.1, help="longest way to a state")] = 5.0,
+    timeout: Annotated[float, typer.Option("--timeout", metavar="S", min=0.1, help="longest time to a state")] = 5.0,
     axis: Annotated[
         int | None,
         typer.Option("--axis", metavar="N", min=1, max=8, help="which axis of a node with several", show_default="1"),

@@ -49,7 +49,7 @@ class Target:
             statistics(bus.channel)  # to open a bus on which nobody is would make one
             return bus
         if self.known and bitrate is None and bus.interface not in _RATE_IS_THERE:
-            raise BusError(f"{bus}: the program there does not say its bit rate; a wrong one would disturb the bus")
+            raise BusError(f"{bus}: its bit rate is unknown; a wrong one would disturb the bus")
         return bus
 
 
@@ -117,7 +117,7 @@ def everything() -> tuple[list[Target], bool]:
     if not found:
         raise UnusableInputError(
             "estop",
-            "no bench says that it runs on this machine, no embedded bus of this user runs and no CAN interface is up, "
+            "no bench is registered on this machine, no embedded bus of this user runs and no CAN interface is up, "
             "expected one, or --bus with the bus to stop",
         )
     return [Target(place, tuple(there)) for place, there in found.items()], complete
@@ -150,7 +150,7 @@ def _stop(target: Target) -> Outcome:
         return Outcome(target, f"NOT STOPPED: {error}")
     if moving:
         nodes = ", ".join(str(node) for node in moving)
-        return Outcome(target, f"{target.place}: emergency stop sent, node {nodes} still says OPERATIONAL")
+        return Outcome(target, f"{target.place}: emergency stop sent, node {nodes} still OPERATIONAL")
     return Outcome(target)
 
 

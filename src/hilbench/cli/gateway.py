@@ -26,7 +26,7 @@ def gateway(
     config: ConfigOption = None,
     bus: BusOption = None,
     host: Annotated[
-        str, typer.Option("--host", help="address that it serves; whoever reaches it may do what it may")
+        str, typer.Option("--host", help="address to serve; every client that reaches it has its rights")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option("--port", min=0, max=65535, help="0: a free one")] = _PORT,
     read_only: Annotated[bool, typer.Option("--read-only", help="clients may read, and change nothing")] = False,

@@ -72,7 +72,7 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def hilbench(
     show_version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="say the version and exit")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="print the version and exit")
     ] = False,
 ) -> None:
     """Hardware-in-the-loop test bench over CAN/CANopen with a synchronized twin of the machine."""
@@ -137,7 +137,7 @@ def run(
         ),
     ] = False,
     force: Annotated[
-        bool, typer.Option("--force", help="run although another master is on the bus (not beside one of ours)")
+        bool, typer.Option("--force", help="run although another master is on the bus (not with another hilbench)")
     ] = False,
     require_criteria: Annotated[
         bool, typer.Option("--require-criteria", help="exit code 1 where no criterion judges the run")
@@ -477,7 +477,7 @@ def diagnose(
         typer.Option(
             "--next-experiment",
             metavar="FILE",
-            help="write steps of at most 30 s that would tell effects apart that are tied, or show what was not (YAML)",
+            help="write steps of at most 30 s that would separate tied effects, or excite what was not (YAML)",
         ),
     ] = None,
     until_clear: Annotated[

@@ -22,9 +22,7 @@ BusOption = Annotated[
 PaceOption = Annotated[str | None, typer.Option("--pace", help="lockstep or realtime")]
 PacedByOption = Annotated[
     str,
-    typer.Option(
-        "--pace", help="realtime: goes by the clock; lockstep: by SYNC, beside a bench that waits for it in lockstep"
-    ),
+    typer.Option("--pace", help="realtime: by the clock; lockstep: by SYNC of a bench in lockstep"),
 ]
 SetOption = Annotated[
     list[str] | None,
@@ -39,7 +37,10 @@ EdsOption = Annotated[
 NodeArgument = Annotated[str, typer.Argument(metavar="NODE", help="node id, or with --config its name: axis1, bench")]
 ForceOption = Annotated[
     bool,
-    typer.Option("--force", help="also beside a master (a running bench, or one received): you answer for it"),
+    typer.Option(
+        "--force",
+        help="also with another master on the bus (a running bench, foreign SYNC or NMT)",
+    ),
 ]
 #: Where no --timeout is given, s.
 SDO_TIMEOUT_S = 1.0

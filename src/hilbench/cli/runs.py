@@ -449,7 +449,7 @@ def gc(
     keep_labelled: Annotated[
         bool, typer.Option("--keep-labelled/--no-keep-labelled", help="runs with a tag or a note stay")
     ] = True,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="only say what would go")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="only list what would be deleted")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="don't ask")] = False,
     json: JsonOption = False,
 ) -> None:

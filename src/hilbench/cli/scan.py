@@ -148,7 +148,7 @@ def _show(found: Scan, bench: ExperimentConfig | None, problems: list[str], bus:
     if found.waited_s:
         console.print(f"all node ids were asked, sixteen at a time; each had {found.waited_s:.2f} s to answer")
     if found.master_at_work:
-        console.print(f"nobody was asked: another master is at work: {found.master}", soft_wrap=True, markup=False)
+        console.print(f"no node was asked: another master is active: {found.master}", soft_wrap=True, markup=False)
     for problem in problems:
         console.print(f"[red]error[/red] {problem}", soft_wrap=True)
 

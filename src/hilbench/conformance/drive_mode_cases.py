@@ -111,7 +111,7 @@ def profile_position(dut: DeviceUnderTest) -> None:
     command(dut, _ENABLED | CONTROLWORD_HALT)
     taken_s = time_to_rest(dut, at.velocity)
     dut.check("halt", "at rest", "at rest" if taken_s is not None else "turns", taken_s is not None)
-    _bit(dut, "halt: target reached says that it stands", STATUS_TARGET_REACHED, set_=True)
+    _bit(dut, "halt: target reached at standstill", STATUS_TARGET_REACHED, set_=True)
     switch_off(dut)
 
 

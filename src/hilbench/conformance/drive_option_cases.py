@@ -140,7 +140,7 @@ def connection_lost(dut: DeviceUnderTest) -> None:
         lose_connection(dut)
         expect_state(dut, f"6007h = {code}, a watched heartbeat stays away", *ends[code])
         if code == 3 and state(dut) is State.QUICK_STOP_ACTIVE:
-            dut.notes.append("6007h = 3: stays in QUICK STOP ACTIVE, as 605Ah says")
+            dut.notes.append("6007h = 3: stays in QUICK STOP ACTIVE, by 605Ah")
         find_connection(dut)
 
 

@@ -80,7 +80,7 @@ def register_after(dut: DeviceUnderTest) -> None:
     """1001h is as in the message: an error, until an RPDO of the right length comes; then EMCY 0000h is sent."""
     pdo = _ready(dut)
     if not _too_short(dut, pdo):
-        dut.notes.append("the device tells the error once, and has none in 1001h")
+        dut.notes.append("the device reports the error once, and has none in 1001h")
         dut.reads("1001h as in the message", 0x1001, 0, 0)
         return
     dut.reads_bits("1001h: generic and communication error", 0x1001, 0, 0x11)

@@ -180,7 +180,7 @@ def units(dut: DeviceUnderTest) -> DriveUnits:
     try:
         return DriveUnits.from_objects(read, {"rated_torque_Nm": 1.0}, "units")  # no case counts in N·m
     except UnusableInputError as error:
-        raise NotApplicableError(f"the drive does not tell its units: {error.problem}") from error
+        raise NotApplicableError(f"the drive does not define its units: {error.problem}") from error
 
 
 def speed(dut: DeviceUnderTest) -> Speed:

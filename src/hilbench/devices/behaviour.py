@@ -97,8 +97,8 @@ class Event(Block):
     at_s: NotNegative = Field(description="after power-on")
     axis: int = Field(default=1, ge=1, le=MOST_AXES, description="of a node with several: which one fails, or jumps")
     fault: Word | None = Field(default=None, description="the drive fails with this error code (603Fh, EMCY)")
-    emergency: Emergency | None = Field(default=None, description="it sends an EMCY message and goes on")
-    emergency_over: Word | None = Field(default=None, description="that error is gone")
+    emergency: Emergency | None = Field(default=None, description="it sends an EMCY message and continues")
+    emergency_over: Word | None = Field(default=None, description="that error is reset")
     encoder_jump_turns: FiniteFloat | None = Field(default=None, description="the encoder jumps by so much")
     no_heartbeat_s: Positive | None = Field(default=None, description="the heartbeat stays away so long")
     silent_s: Positive | None = Field(default=None, description="nothing at all is sent so long")
@@ -120,7 +120,7 @@ class Behaviour(Block):
     shaft: ShaftParameters | None = Field(
         default=None, description="what the motor turns; without it one that 0.1 s of rated torque brings to 1000 rpm"
     )
-    units: Units = Field(default=Units(), description="factors that the EDS file does not tell")
+    units: Units = Field(default=Units(), description="factors that the EDS file does not define")
     switches: SwitchPlaces = Field(default=SwitchPlaces(), description="limit, home and probe switches")
     boot_s: NotNegative = Field(default=0.0, description="from power-on to the boot-up message")
     state_change_s: NotNegative = Field(default=0.0, description="how long each transition towards power takes")

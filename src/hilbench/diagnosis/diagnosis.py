@@ -321,7 +321,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
 def _swing(term: Term) -> tuple[str, str]:
     """Name and explanation of a term of which the motion has too few frequencies to identify it."""
     about_Hz = f"{term.values['frequency_Hz']:.2g} Hz"
-    return f"a {term.effect.id}", f"perhaps near {about_Hz}, which the few frequencies of this motion can't tell"
+    return f"a {term.effect.id}", f"perhaps near {about_Hz}, which the few frequencies of this motion do not identify"
 
 
 def _asked(term: Term) -> Unobservable:

@@ -128,7 +128,7 @@ def _web_choice(model: ModelParameters, data: Measured, emulation: Emulation | N
         return Choice(motion, f"measured motion: there are no commands{_blind(motion)}")
     if loops and all(loop.is_known for loop in loops):
         return Choice(FreeRun(model, data), commands, loops)
-    why = "the drives' loops are not those of the model" if loops else "nothing tells the drives' loops"
+    why = "the drives' loops are not those of the model" if loops else "the drives' loops are not identifiable"
     if motion.knows_strain or len(data.tau_Nm) == model.axis_count:
         # A torque that is recorded late looks like a lag of its loop; what moves by the model's loops has them.
         only_late = bool(loops) and all(loop.is_known or loop.is_only_late(model) for loop in loops)
@@ -139,9 +139,7 @@ def _web_choice(model: ModelParameters, data: Measured, emulation: Emulation | N
 
 
 def _blind(motion: LineOnMeasuredMotion) -> str:
-    return (
-        "" if motion.knows_strain else "; without positions nothing tells the strain, and what acts on it is not seen"
-    )
+    return "" if motion.knows_strain else "; without positions the strain is not observable, nor what acts on it"
 
 
 def predictor_for(model: Machine, data: Measured, emulation: AnyEmulation | None = None) -> Predictor:

@@ -19,7 +19,7 @@ _STATES = {
     "ERROR-WARNING": (Level.WARNING, "many bit errors: check termination (60 ohm between CAN_H and CAN_L) and stubs"),
     "ERROR-PASSIVE": (
         Level.ERROR,
-        "nobody acknowledges, or the bit rate is wrong: is a powered node connected? candump -e {name},0:0,#FFFFFFFF",
+        "no node acknowledges, or the bit rate is wrong: is a powered node connected? candump -e {name},0:0,#FFFFFFFF",
     ),
     "BUS-OFF": (
         Level.ERROR,
@@ -90,7 +90,7 @@ def _bitrate(facts: InterfaceFacts, needs: InterfaceNeeds) -> Finding:
     wanted = f"{needs.bitrate} bit/s, {needs.bitrate_source}"
     if facts.bitrate is None:
         return warning(
-            Check.BITRATE, facts.name, "not told by the driver", wanted, "set it where the adapter is configured"
+            Check.BITRATE, facts.name, "not reported by the driver", wanted, "set it where the adapter is configured"
         )
     if facts.bitrate != needs.bitrate:
         advice = f"sudo ip link set {facts.name} down && {_up_command(facts, needs)}"
@@ -152,7 +152,7 @@ def _restart(facts: InterfaceFacts) -> Iterator[Finding]:
     if facts.restart_ms is None:
         return
     if facts.restart_ms == 0:
-        yield ok(Check.RESTART, facts.name, "restart-ms 0: bus-off stays until somebody acts")
+        yield ok(Check.RESTART, facts.name, "restart-ms 0: bus-off persists until restarted by hand")
         return
     yield warning(
         Check.RESTART,
@@ -167,7 +167,7 @@ def _queue_length(facts: InterfaceFacts, needs: InterfaceNeeds) -> Finding:
     if not facts.queued:
         return ok(Check.QUEUE_LENGTH, facts.name, "no queue: frames go to the receivers at once")
     if facts.queue_length is None:
-        return ok(Check.QUEUE_LENGTH, facts.name, "not told by the driver")
+        return ok(Check.QUEUE_LENGTH, facts.name, "not reported by the driver")
     wanted = 2 * needs.frames_per_cycle
     if facts.queue_length >= wanted:
         return ok(Check.QUEUE_LENGTH, facts.name, f"{facts.queue_length} frames")

@@ -62,7 +62,7 @@ def _clock(facts: MachineFacts) -> Finding:
 
 def _clock_source(facts: MachineFacts) -> Finding:
     if facts.clock_source is None:
-        return ok(Check.CLOCK_SOURCE, SUBJECT, "not told by the kernel")
+        return ok(Check.CLOCK_SOURCE, SUBJECT, "not reported by the kernel")
     if facts.clock_source in _SLOW_CLOCK_SOURCES:
         better = next((name for name in facts.clock_sources if name not in _SLOW_CLOCK_SOURCES), None)
         place = "/sys/devices/system/clocksource/clocksource0/current_clocksource"

@@ -149,8 +149,8 @@ class UnexpectedSenders:
             return None
         specifier, node_id = data[0] >> 5, can_id - SDO_REQUEST
         if specifier == _DOWNLOAD or (specifier == _BLOCK_DOWNLOAD and not data[0] & 1):
-            return self._name(node_id), f"SDO write by somebody else: {self._object(node_id, data)}"
-        return (self._name(node_id), "SDO abort by somebody else") if specifier == _ABORT else None
+            return self._name(node_id), f"SDO write by another station: {self._object(node_id, data)}"
+        return (self._name(node_id), "SDO abort by another station") if specifier == _ABORT else None
 
     def _name(self, node_id: int) -> str:
         return f"{self._owned.nodes[node_id]} (node {node_id})"

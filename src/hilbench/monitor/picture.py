@@ -185,7 +185,7 @@ class BusPicture:
     def _look_at_model(self, status: int) -> None:
         """Take the twin's model status (2100h sub 3)."""
         changing, changed = status & TwinStatus.MODEL_CHANGING, status & TwinStatus.MODEL_CHANGED
-        self.model = "another model is tried beside it" if changing else "model with what was found" if changed else ""
+        self.model = "another model is evaluated" if changing else "model with what was found" if changed else ""
 
     def _hear(self, who: int | str, what: str, within_cycles: float) -> None:
         """`who`: a node by its id, or a part by its name."""

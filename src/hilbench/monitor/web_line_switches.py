@@ -22,7 +22,7 @@ class Switch:
 
 
 PROBE: Final = Switch(TENSION_PROBE, "p", "probe", "move the tension a little, or allow it", "end or refuse it")
-MODEL: Final = Switch(MODEL_CHANGE, "c", "model change", "the twin goes on with what was proposed", "refuse it")
+MODEL: Final = Switch(MODEL_CHANGE, "c", "model change", "the twin takes over the proposed model", "refuse it")
 
 
 def switches(config: BenchConfig) -> Iterator[Switch]:

@@ -77,7 +77,7 @@ def serve(config: BenchConfig | None, runs: Path, host: str, port: int, announce
         announce(f"page: http://{shown}:{access.port}/#{access.token}")
         if host != LOOPBACK:
             announce(
-                "whoever has this address can stop the machine and change what it does; it is not encrypted: "
+                "everyone with this address can stop the machine and change what it does; it is not encrypted: "
                 "expected in a network of your own, or at the end of a tunnel (ssh -L)"
             )
         server = uvicorn.Server(

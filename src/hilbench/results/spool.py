@@ -176,7 +176,7 @@ class Spool(RecordingBuilder):
         self._hand_over()
         if self._problem and not self._told:
             self._told = True
-            self.warn(f"{self._problem}; the run goes on, and is not recorded any more")
+            self.warn(f"{self._problem}; the run continues without a recording")
         try:
             self._open_block(BLOCK_ROWS)
         except OSError as error:  # no space for one more; those that are there come back

@@ -169,7 +169,7 @@ class TraceWriter:
 
     def _end(self, why: str) -> None:
         self._ended = True
-        self.warn(f"{self.path}: {why}; the bench goes on, its frames are not kept any more")
+        self.warn(f"{self.path}: {why}; the run continues without a trace")
 
     def _close_part(self) -> None:
         """The file that is written is full; the first one stays open, for its lock."""

@@ -82,7 +82,7 @@ def what_if(config: BenchConfig, recording: Recording, question: Question, place
     before = {path: float(recording[signal][row]) for path, signal in foreseeable(config).items()}
     unknown = [path for path, value in before.items() if not isfinite(value) and path in question.values]
     if unknown:
-        raise UnusableInputError(place, f"nothing says what {unknown[0]} is now, expected the journal of the run")
+        raise UnusableInputError(place, f"nothing defines what {unknown[0]} is now, expected the journal of the run")
     before = {path: value for path, value in before.items() if isfinite(value)}
     moves = tuple(
         Move(path, now_s, now_s + _lasts_s(config, path, before[path], value, question.over_s), value)

@@ -38,10 +38,8 @@ class RecordingConfig(Block):
 class TraceConfig(Block):
     """The frames of the bus on disk."""
 
-    keep_MB: float = Field(
-        default=4000.0, gt=0.0, description="so much is written at most; then the trace ends, and a notice says so"
-    )
-    part_MB: float = Field(default=256.0, gt=0.0, description="a trace that is longer goes on in a further file")
+    keep_MB: float = Field(default=4000.0, gt=0.0, description="largest size of the trace; then it ends with a notice")
+    part_MB: float = Field(default=256.0, gt=0.0, description="size of each file of the trace")
     compress: bool = Field(default=False, description="further files are packed (gzip) once they are full")
 
 

@@ -20,19 +20,19 @@ from hilbench.runs.segment import Metric
 
 COUNT: Final = "found.count"
 _NAME: Final = re.compile(r"(found|gone)\.([a-z_]+)(?:\.([a-z]+)[1-9]\d{0,3})?\.(\w+)")
-_NOT_FOUND: Final = "it was not found, or no diagnosis ran beside it"
+_NOT_FOUND: Final = "it was not found, or no live diagnosis ran"
 #: Unit and meaning of what is known of every effect that was found.
 _FIGURES: Final[Mapping[str, tuple[str, str]]] = {
     "t_s": ("s", "since when model and measurement parted"),
     "named_after_s": ("s", "from then until it was named"),
-    "applied_after_s": ("s", "from then until the twin had gone over to the changed model"),
+    "applied_after_s": ("s", "from then until the twin had switched to the changed model"),
     "tension_step_N": ("N", "largest change of a simulated tension from one cycle to the next on the way"),
     "gap_before_Nm": ("N·m", "rms of measured less predicted torque, means over ten cycles, before, in the trial"),
     "gap_after_Nm": ("N·m", "the same after"),
     "gap_over_noise": ("", "the same after, over the noise floor"),
 }
 METRICS: Final[Mapping[str, Metric]] = {
-    COUNT: Metric("", "effects that were found while the bench ran", "no diagnosis ran beside it")
+    COUNT: Metric("", "effects that were found while the bench ran", "no live diagnosis ran")
 }
 #: The others, as they are shown to a person.
 FIGURES: Final[Mapping[str, Metric]] = {

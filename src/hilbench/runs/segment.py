@@ -107,9 +107,7 @@ class Segment:
         """Rms about the trend of the settled part."""
         part = self.settled(error)
         if still_settling(self.t_s, error):
-            raise UnknownFigureError(
-                f"noise cannot be told from what still settles after the hold of {self.hold_s:.3g} s"
-            )
+            raise UnknownFigureError(f"noise is not separable from settling after the hold of {self.hold_s:.3g} s")
         return trend_rms(self.t_s[part], error[part])
 
     def overshoot(self, name: str, goal: str, height: float) -> Figure:

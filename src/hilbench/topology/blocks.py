@@ -181,7 +181,7 @@ class RealtimeConfig(Block):
 class TwinConfig(EstimationConfig):
     """The twin: its virtual I/O, what it assumes and how it keeps in step with the bench."""
 
-    node: NodeConfig = Field(description="the virtual I/O: what the twin is told and what it tells")
+    node: NodeConfig = Field(description="the virtual I/O: boundary inputs and outputs of the twin")
     commissioned: Literal["use", "ignore"] = Field(
         default="use",
         description="the newest commissioning in the history of the stand gives the `priors`, where the config has "

@@ -74,7 +74,7 @@ class BenchConfig(Block):
     """One bench. Keys that carry a unit say so in their name."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", description="names the run folder")
-    description: str = Field(default="", description="stands in report and recording")
+    description: str = Field(default="", description="shown in report and recording")
     seed: int = Field(default=1, ge=0, description="of every random number of the run")
     pace: Pace = Field(
         default="lockstep",
@@ -83,7 +83,7 @@ class BenchConfig(Block):
     cycle_time_s: float = Field(default=0.002, ge=0.0005, le=0.1, description="SYNC period, whole microseconds")
     mirroring: Mirroring = Field(
         default="listen",
-        description="listen: virtual axes hear the real axes' RPDOs; copy: they get RPDOs of their own",
+        description="listen: virtual axes receive the real axes' RPDOs; copy: they get RPDOs of their own",
     )
     bus: BusConfig = BusConfig()
     master: MasterConfig = MasterConfig()

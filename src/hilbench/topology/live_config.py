@@ -14,7 +14,7 @@ class LiveDiagnosisConfig(Block):
 
     model_changes: Literal["propose", "apply"] | None = Field(
         default=None,
-        description="apply: the twin goes on with the model that was found; propose: an operator says so first; "
+        description="apply: the twin switches to the model that was found; propose: an operator approves first; "
         "where it is not given, propose on real drives and apply on simulated ones",
     )
     window_s: float = Field(

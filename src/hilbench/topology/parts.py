@@ -37,7 +37,9 @@ class NodeConfig(Block):
 
     node_id: int = Field(ge=1, le=127, description="CANopen node id; two axes of one node have it in common")
     eds: Path = Field(description="EDS or DCF file; a relative path is taken from the config file's folder")
-    units: UnitsConfig = Field(default=UnitsConfig(), description="a drive's units where its objects do not tell them")
+    units: UnitsConfig = Field(
+        default=UnitsConfig(), description="a drive's units where its objects do not define them"
+    )
     parameters: dict[str, int | float] = Field(
         default={}, description="objects written to a drive at configuration, device units: {60A9h: 0xFAB44700}"
     )
@@ -75,7 +77,7 @@ class DeviceConfig(NodeConfig):
 class DriveConfig(DeviceConfig):
     """The drive of one driven axis of the machine, and its virtual axis in the twin."""
 
-    virtual: NodeConfig = Field(description="the virtual axis: what the twin plays beside this drive")
+    virtual: NodeConfig = Field(description="the virtual axis: the twin's drive of this axis")
 
 
 class LoadMotorConfig(DeviceConfig):

@@ -75,7 +75,7 @@ class SafetyConfig(Block):
     )
     on_foreign_frames: Literal["stop", "warn"] = Field(
         default="warn",
-        description="when somebody else sends what only the bench or its nodes send, or writes to the nodes by SDO",
+        description="when another station sends what only the bench or its nodes send, or writes to the nodes by SDO",
     )
     supervisor_timeout_s: TimeOut = Field(
         default=0.5,

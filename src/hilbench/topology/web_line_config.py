@@ -48,7 +48,7 @@ class ProbingConfig(Block):
     duration_s: float = Field(default=5.0, ge=1, le=60, description="of a probe")
     deviation_pct: PositiveFloat = Field(default=0.5, description="stated deviation of E from which it is wide")
     settled_s: PositiveFloat = Field(default=2.0, description="how long the line has to be steady before a probe")
-    rest_s: float = Field(default=60.0, ge=0, description="least time between two probes that nobody asked for")
+    rest_s: float = Field(default=60.0, ge=0, description="least time between two automatic probes")
     at_rest_mm: float = Field(
         default=0.0,
         ge=0,
@@ -78,7 +78,7 @@ class TensionControlConfig(Block):
         default=1.3,
         ge=0.0,
         le=2.0,
-        description="damping ratio that axis 1 gives the swing of roller 2 against the web; 0: none",
+        description="damping ratio that axis 1 gives the oscillation of roller 2 on the web; 0: none",
     )
     feed_forward: Literal["none", "twin"] = Field(
         default="none",
@@ -86,7 +86,10 @@ class TensionControlConfig(Block):
         "torques at ramps and steps of set-points, ahead of the controller, so that neighbours are not disturbed",
     )
     set_point_rise_s: float = Field(
-        default=0.4, ge=0.05, le=60, description="with feed_forward: way of a stepped set-point to its new value"
+        default=0.4,
+        ge=0.05,
+        le=60,
+        description="with feed_forward: rise time of a stepped set-point",
     )
     probing: ProbingMode | ProbingConfig = Field(
         default="off", description="small known changes of the tension; a word alone is the mode"
@@ -143,7 +146,7 @@ class PositionControlConfig(Block):
         "its feed is switched off or on (position_control.NAME.feed: a reel change)",
     )
     force: CarriageForceConfig | None = Field(
-        default=None, description="told ahead to what pushes the carriage; null: the machine's force stays"
+        default=None, description="sent ahead to the carriage's actuator; null: the machine's force stays"
     )
 
 
@@ -151,16 +154,16 @@ class ReelControlConfig(Block):
     """The tension loop of a reel in torque mode (cyclic synchronous torque): its torque from a load cell next to it."""
 
     kind: Literal["reel"] = Field(description="of a reel in torque mode; without a kind: of a tension, by a speed")
-    reel: StationName = Field(description="the unwinder or rewinder, whose drive is told torques")
-    load_cell: StationName = Field(description="the idler beside it whose sensor tells the tension (load: measured)")
-    set_point_N: PositiveFloat = Field(default=80.0, description="of the tension beside the reel")
+    reel: StationName = Field(description="the unwinder or rewinder, whose drive gets torque set points")
+    load_cell: StationName = Field(description="the adjacent idler with a tension sensor (load: measured)")
+    set_point_N: PositiveFloat = Field(default=80.0, description="of the tension at the reel")
     gain: float = Field(default=0.0, ge=0, le=100, description="of the controller, N of the reel's pull per N")
     rate_per_s: float = Field(default=2.0, ge=0, le=1e3, description="of its integral, N of the reel's pull per N·s")
     derivative_s: float = Field(
         default=0.0,
         ge=0,
         le=10,
-        description="of its derivative, N of the reel's pull per N/s: damps the swing of the reel against its web",
+        description="of its derivative, N of the reel's pull per N/s: damps the oscillation of the reel on its web",
     )
     feed_forward: Literal["none", "twin"] = Field(
         default="none",

@@ -79,7 +79,7 @@ def watch_heartbeat(link: Link, watch: Watch, asked_to_end: threading.Event, ben
         if any(frame.can_id == heartbeat for frame in link.receive(_LOOK_S)):
             received_s = time.monotonic()
         if bench_lost.is_set() and not asked_to_end.is_set():
-            _stop(link, "the bench's process is gone")
+            _stop(link, "the bench's process has ended")
             return
         if received_s is not None and time.monotonic() - received_s > watch.limit_s:
             _stop(link, f"no heartbeat of the bench for {watch.limit_s:g} s")

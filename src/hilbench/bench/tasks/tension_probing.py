@@ -153,7 +153,7 @@ class Probing(CyclicTask):
         elif movement.is_beyond(sample):
             self._end("broken off: a roller has moved further than is permitted")
         elif self._line_speed.present != 0.0 or not sample.twin_status & RUNNING:
-            self._end("broken off: the line is not at rest beside a twin")
+            self._end("aborted: the line is not at rest with a twin")
         elif since_s >= _LONGEST_AT_REST_S:
             self._end(f"not told in {_LONGEST_AT_REST_S:g} s, {self._known(sample)}")
         else:

@@ -227,9 +227,7 @@ def _stations(shape: Shape) -> list[RunPicture]:
     ]
     if force_lines:
         title = "Forces on the carriages"
-        found.append(
-            RunPicture("forces", title, f"{title}, as they are told ahead.", (lines("force in N", *force_lines),))
-        )
+        found.append(RunPicture("forces", title, f"{title}, as sent ahead.", (lines("force in N", *force_lines),)))
     return found
 
 

@@ -93,7 +93,7 @@ def _link(work: Path, header: str, kernel: bytes, library: Path) -> None:
     ]  # fmt: skip
     ended = subprocess.run(command, cwd=work, capture_output=True, text=True, check=False)
     if ended.returncode:
-        lines = ended.stderr.strip().splitlines() or ["it said nothing"]
+        lines = ended.stderr.strip().splitlines() or ["it printed nothing"]
         log = next((line for line in lines if "error" in line), lines[0])
         raise UnusableInputError("fmu export", f"{found} fails: {log}, expected a C compiler that links the FMU")
 
