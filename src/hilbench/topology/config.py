@@ -87,7 +87,7 @@ class BenchConfig(Block):
     )
     bus: BusConfig = BusConfig()
     master: MasterConfig = MasterConfig()
-    machine: MachineParameters = Field(description="what the twin believes of the machine")
+    machine: MachineParameters = Field(description="the twin's model of the machine")
     drives: dict[PartName, DriveConfig] = Field(
         min_length=1, description="of the machine's driven axes, in the order of the machine, by the names they get"
     )
