@@ -15,7 +15,7 @@ import pytest
 
 from hilbench.exchange.sync_cycle import SyncCycle
 from hilbench.hardware.plant_time import BySync
-from hilbench.twin.bus_clock import ReceivedFrame
+from hilbench.twin.bus_clock import SyncArrival
 from hilbench.twin.process import TwinApplication
 
 
@@ -25,9 +25,9 @@ class _Counted:
     missed = 0
     apart = False
 
-    def receive(self, behind: int) -> ReceivedFrame:
+    def sync_received(self, behind: int) -> SyncArrival:
         """A cycle is as long as the config says."""
-        return ReceivedFrame(self.missed, None, were_apart=False, apart=False)
+        return SyncArrival(self.missed, None, were_apart=False, apart=False)
 
 
 @contextmanager

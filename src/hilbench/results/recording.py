@@ -278,6 +278,7 @@ def convert_recording(source: Path, target: Path) -> tuple[int, list[str]]:
         write_recording(recording, target)
         return len(recording), list(recording.channels)
     pieces = MdfPieces(source)
+    _check_count(pieces.rows, source)
     write_pieces(pieces, pieces, target)
     return pieces.rows, [column.name for column in pieces.columns]
 
@@ -423,9 +424,13 @@ def _kind(path: Path) -> str:
     raise UnusableInputError(path, f"file name '{path.name}', {_FORMATS}")
 
 
+def _check_count(samples: int, path: Path) -> None:
+    if samples < LEAST_SAMPLES:
+        raise UnusableInputError(path, f"{samples} sample(s), expected at least {LEAST_SAMPLES}")
+
+
 def _check_time(time_s: NDArray[np.float64], path: Path) -> None:
-    if len(time_s) < LEAST_SAMPLES:
-        raise UnusableInputError(path, f"{len(time_s)} sample(s), expected at least {LEAST_SAMPLES}")
+    _check_count(len(time_s), path)
     finite = np.isfinite(time_s)
     if not finite.all():
         raise UnusableInputError(

@@ -128,8 +128,8 @@ def span_of_set_point(path: str) -> str | None:
     return found[1] if found else "" if path == TENSION_SET_POINT else None
 
 
-def fits_fast_path(path: str) -> bool:
-    """Whether a quantity is none of an effect, whatever the machine."""
+def is_simple_path(path: str) -> bool:
+    """True if a quantity is none of an effect, on any machine."""
     if path in _SINGLE or _NUMBERED_SET_POINT.fullmatch(path) is not None:
         return True
     return numbered.is_modulus(path) or position_quantity(path) != ""
@@ -221,7 +221,7 @@ def path_problem(path: str, kind: MachineKind, shape: Shape, loaded: Collection[
     known = fast_path_places(kind, shape)
     if path in known:
         return None
-    if fits_fast_path(path):
+    if is_simple_path(path):
         other = "another kind of machine" if path in _SINGLE and path not in _SINGLE_OF[kind] else "another machine"
         return f"a quantity of a {kind} ({', '.join(known)}), '{path}' is of {other}"
     try:
@@ -250,7 +250,7 @@ def is_of_load(path: str) -> bool:
 
 def settable_path(text: str) -> str:
     """The path itself when it names a quantity that can be set; ValueError otherwise."""
-    if not fits_fast_path(text):
+    if not is_simple_path(text):
         parse_effect_path(text)
     return text
 
@@ -265,7 +265,7 @@ def rampable_path(text: str) -> str:
 @cache
 def permitted(path: str) -> Permitted:
     """Permitted values of a quantity. Raises ValueError for an unknown path."""
-    if fits_fast_path(path):
+    if is_simple_path(path):
         if position := position_quantity(path):
             return _OF_POSITIONS[position]
         return _SINGLE.get(path, _SINGLE[numbered.YOUNGS_MODULUS if numbered.is_modulus(path) else TENSION_SET_POINT])

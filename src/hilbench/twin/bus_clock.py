@@ -14,7 +14,7 @@ from hilbench.canopen.device import Device
 from hilbench.twin.reports import PROFILE_SPECIFIC
 
 
-class ReceivedFrame(NamedTuple):
+class SyncArrival(NamedTuple):
     """Clock check of a received SYNC."""
 
     skipped: int  #: cycles without SYNC since the last; -1: it is one too many
@@ -34,11 +34,11 @@ class BusClock:
         self._device, self._say = device, report
         self.apart = False  #: SYNC comes with another period than the one in use
 
-    def sync_received(self, behind: int) -> ReceivedFrame:
+    def sync_received(self, behind: int) -> SyncArrival:
         """Check a received SYNC, with `behind` more waiting."""
         cycles, other_ns = self._cycle.received(behind), self._cycle.pop_other()
         were_apart, self.apart = self.apart, not self._cycle.in_step
-        return ReceivedFrame(cycles - 1, other_ns, were_apart, self.apart)
+        return SyncArrival(cycles - 1, other_ns, were_apart, self.apart)
 
     def report_period(self, cycle_ns: int) -> None:
         """Report the period in use from here on, by EMCY and to the user."""

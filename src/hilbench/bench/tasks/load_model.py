@@ -18,7 +18,7 @@ from hilbench.plant.effects import find_effect
 from hilbench.plant.interface import Follower
 from hilbench.plant.measured_motion import FollowsInStep, HasFollowed, MeasuredMotion
 from hilbench.plant.parameters import EffectEntry
-from hilbench.topology.quantities import EffectPath, fits_fast_path, parse_effect_path
+from hilbench.topology.quantities import EffectPath, is_simple_path, parse_effect_path
 
 Vector = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -129,13 +129,13 @@ class LoadModel:
 
     def value(self, path: str) -> float:
         """Present value of a quantity of the emulated mechanics. Raises ValueError for an unknown path."""
-        if fits_fast_path(path):
+        if is_simple_path(path):
             return self.machine.parameter(_parameter(path))
         return self._effect_value(parse_effect_path(path, self._kind))
 
     def set(self, path: str, value: float) -> None:
         """Give a quantity a value from now on. Raises ValueError for an unknown path or an impossible value."""
-        if fits_fast_path(path):
+        if is_simple_path(path):
             self.machine.set_parameter(_parameter(path), value)
         else:
             self._set_effect_value(parse_effect_path(path, self._kind), value)
