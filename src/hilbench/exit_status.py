@@ -22,10 +22,13 @@ def ended(command: Callable[[], object]) -> int:
         hold_standard_descriptors()
     except OSError:
         return EXIT_BENCH_FAULT  # nothing can be opened, and there is nowhere to say it
-    with honest_output() as problems, _threads_reported(), _signals_raised():
-        code = _code(command)
-    for problem in problems:
-        _report(str(problem))
+    try:
+        with honest_output() as problems, _threads_reported(), _signals_raised():
+            code = _code(command)
+        for problem in problems:
+            _report(str(problem))
+    except KeyboardInterrupt as error:  # while these are set up or taken back
+        return _interrupted(error)
     return code or (EXIT_BENCH_FAULT if problems else 0)
 
 
