@@ -95,7 +95,7 @@ class TwinConnection(CyclicTask):
         elif nodes.twin_problem:
             self._lose(nodes.twin_problem)
         elif self._counts_anew():
-            self._lose("the twin counts SYNC from 0 again, as after a foreign NMT command")
+            self._lose("the twin counts SYNC anew, as after a foreign NMT command")
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Compiled stages: nothing is to be done while the twin answers."""
