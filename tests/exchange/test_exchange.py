@@ -151,11 +151,11 @@ def test_what_a_stranger_has_sent_is_known_with_the_fault_of_a_drive_and_forgott
     bench.link.statusword = FAULT
     with pytest.raises(BenchFaultError):
         bench.exchange.cycle(OUTPUTS)
-    assert [found.about for found in bench.exchange.crash_report] == [bench.nodes.sender(bench.nodes.axes[0])]
+    assert [found.about for found in bench.exchange.unexpected_frames] == [bench.nodes.sender(bench.nodes.axes[0])]
     bench.silence("axis1")
     with pytest.raises(NoAnswerError):
         bench.exchange.cycle(OUTPUTS)
-    assert not bench.exchange.crash_report
+    assert not bench.exchange.unexpected_frames
 
 
 @pytest.mark.parametrize("command", [1, 2, 128, 129, 130])
@@ -172,7 +172,7 @@ def test_an_nmt_command_of_somebody_else_is_known_where_the_node_answers_no_more
     bench.silence("axis1")
     with pytest.raises(NoAnswerError, match="axis1"):
         bench.exchange.cycle(OUTPUTS)
-    (found,) = bench.exchange.crash_report
+    (found,) = bench.exchange.unexpected_frames
     assert (found.about, found.certain) == (bench.nodes.sender(bench.nodes.axes[0]), True)
     assert found.text.startswith("NMT '")
 
@@ -185,10 +185,10 @@ def test_an_nmt_command_of_somebody_else_beside_the_benchs_own_is_known_while_th
     bench.link.waiting += [Frame(0x000, bytes((129, 32))), Frame(0x000, bytes((2, 1)))]
     bench.exchange.discard_waiting()
     bench.exchange.cycle(OUTPUTS)
-    assert [found.text for found in bench.exchange.crash_report] == ["NMT 'stop' that the bench has not sent"]
+    assert [found.text for found in bench.exchange.unexpected_frames] == ["NMT 'stop' that the bench has not sent"]
     bench.link.further = [Frame(0x000, bytes((129, 32)))]  # the bench has sent that only once
     bench.exchange.cycle(OUTPUTS)
-    assert [found.about for found in bench.exchange.crash_report] == [TWIN]
+    assert [found.about for found in bench.exchange.unexpected_frames] == [TWIN]
 
 
 @pytest.mark.parametrize("between", [200, 4050])

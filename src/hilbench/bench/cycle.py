@@ -132,10 +132,10 @@ class BenchCycle:
         try:
             inputs = exchange.cycle(outputs)
         finally:
-            if exchange.crash_report:
-                self._report(exchange.crash_report)
-        if exchange.crash_report:
-            self._check(exchange.crash_report)
+            if exchange.unexpected_frames:
+                self._report(exchange.unexpected_frames)
+        if exchange.unexpected_frames:
+            self._check(exchange.unexpected_frames)
         inputs.fill(sample)
         self._stamp()
         if state.enabled:
@@ -143,19 +143,19 @@ class BenchCycle:
                 follow(sample, inputs)
         return inputs
 
-    def _report(self, crash_report: Sequence[Unexpected]) -> None:
+    def _report(self, unexpected_frames: Sequence[Unexpected]) -> None:
         """Report foreign frames: another sender that sends as the bench or its nodes do, or changes them."""
         reports = self._state.reports
-        for found in crash_report:
+        for found in unexpected_frames:
             source = f"foreign frames, {found.about}"
             reports.note(source, found.text, count=found.count)
             if found.certain:
                 reports.condition("foreign frames", f"{source}: {found.text}")
 
-    def _check(self, crash_report: Sequence[Unexpected]) -> None:
+    def _check(self, unexpected_frames: Sequence[Unexpected]) -> None:
         if not self._stop_on_unexpected_frames or self._state.stopping:
             return
-        for found in crash_report:
+        for found in unexpected_frames:
             if found.certain:
                 time_s = self._state.sample.t_s
                 raise BenchFaultError(f"t = {time_s:.3f} s: foreign frames, {found.about}: {found.text}")

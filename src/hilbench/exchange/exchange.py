@@ -123,7 +123,7 @@ class Exchange:
     def cycle(self, outputs: Mapping[str, float]) -> Inputs:
         """Outputs and SYNC onto the bus, then what the nodes answer. `outputs` as in `Nodes.encode`."""
         nodes, sync, own = self._nodes, self._sync, self._own
-        nodes.crash_report = []
+        nodes.unexpected_frames = []
         self._foreign_before, self._foreign_between = self._foreign_between, []
         if self._by_clock:
             sync.wait_for_turn()
@@ -135,7 +135,7 @@ class Exchange:
             received = sync.exchange([*set_points, *answers], may_be_left_out=nodes.follow and not answers)
         except BenchFaultError:
             if sync.received:  # an answer that stays away may be a stranger's doing
-                nodes.crash_report, sync.received = nodes.foreign_among(sync.received), []
+                nodes.unexpected_frames, sync.received = nodes.foreign_among(sync.received), []
             raise
         own.handle(received)
         nodes.decode(received, sync.before_sync, sync.elapsed_cycles)
@@ -146,10 +146,10 @@ class Exchange:
         self._nodes.measured.count(self.timing.cycles, self._sync.last_bits)
 
     @property
-    def crash_report(self) -> Sequence[Unexpected]:
+    def unexpected_frames(self) -> Sequence[Unexpected]:
         """Frames of the last cycle that are neither the bench's nor its nodes'; also after a fault of a drive, which
         such a frame may have caused."""
-        return [*self._foreign_before, *self._nodes.crash_report]
+        return [*self._foreign_before, *self._nodes.unexpected_frames]
 
     def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[ExchangeStages | None]:
         """Compiled stages of cycles (`FastPathCycles.chained`); None without a fast path."""
@@ -175,7 +175,7 @@ class Exchange:
 
     def discard_waiting(self, timeout_s: float = 0.0) -> None:
         """Discard frames that wait, or come within `timeout_s`, as answers to the last SYNC; foreign frames among
-        them appear in `crash_report` of the next cycle."""
+        them appear in `unexpected_frames` of the next cycle."""
         self._foreign_between += self._nodes.foreign_among(self._sync.discard_waiting(timeout_s))
 
     def sync_only(self) -> None:

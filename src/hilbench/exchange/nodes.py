@@ -131,7 +131,7 @@ class Nodes:
         self._twin_tpdos = [Tpdo(pdo.cob_id, pdo.size, pdo.period, self.twin_name) for _, pdo in self.io.tpdos]
         self._tpdos |= {pdo.cob_id: pdo for pdo in self._twin_tpdos}
         self._watch: UnexpectedSenders | None = None  # from when the master is known
-        self.crash_report: list[Unexpected] = []  #: frames of this cycle that are neither the bench's nor its nodes'
+        self.unexpected_frames: list[Unexpected] = []  #: of this cycle, neither the bench's nor its nodes'
         self._cycle = 0
         self._elapsed_cycles = 0
         self._heartbeat_cycle: dict[int, int] = {}
@@ -415,7 +415,7 @@ class Nodes:
             self.twin_reported_cycle = self._cycle
 
     def _answers(self, frames: Sequence[Frame], before_sync: int, elapsed_cycles: int) -> dict[int, bytes]:
-        """Answers to this SYNC by COB-ID; surplus frames are counted, and are in `crash_report`."""
+        """Answers to this SYNC by COB-ID; surplus frames are counted, and are in `unexpected_frames`."""
         tpdos = self._tpdos
         for tpdo in tpdos.values():
             tpdo.begin()
@@ -432,7 +432,7 @@ class Nodes:
             if tpdo.data is not None:
                 data[cob_id] = tpdo.data
         self._ages_cycles = tuple(max(tpdo.age_cycles for tpdo in of_drive) for of_drive in self._tpdos_of)
-        self.crash_report = self._watch.look(frames, tpdos.values()) if self._watch else []
+        self.unexpected_frames = self._watch.look(frames, tpdos.values()) if self._watch else []
         return data
 
     def foreign_among(self, frames: Sequence[Frame]) -> list[Unexpected]:
@@ -492,7 +492,7 @@ class Nodes:
     def begin_fast_path(self) -> None:
         """Prepare cycles with answers to SYNC only: clear messages and ages."""
         self._inbox.clear()
-        self.crash_report = []
+        self.unexpected_frames = []
         self._ages_cycles = self._in_time
 
     def take_fast_path(self, status: Sequence[int] | None, heartbeats: Iterable[int]) -> None:

@@ -45,8 +45,8 @@ class Reference:
         self.path = path
         self.vector = np.zeros(1)  #: of the present value
         self._at = self.vector.data.cast("B").cast("d")  # faster access to one value
-        self._course, self._follow_compiled = np.zeros(_LONGEST_COURSE), np.zeros(2, np.int64)
-        kept = self.vector, self._course, self._follow_compiled
+        self._course, self._progress = np.zeros(_LONGEST_COURSE), np.zeros(2, np.int64)
+        kept = self.vector, self._course, self._progress
         #: Compiled stage: follow the trajectory.
         self.piece = CompiledStage(_follow, 0, table_of(kept), fallback=never, keeps=kept)
         self._step = step
@@ -106,13 +106,13 @@ class Reference:
         """Load values for the next cycles, one per cycle that begins with `piece`; returns how many fit."""
         count = min(len(values), _LONGEST_COURSE)
         self._course[:count] = values[:count]
-        self._follow_compiled[:] = 0, count
+        self._progress[:] = 0, count
         return count
 
     def end_trajectory(self) -> int:
         """Keep the present value; returns the number of values of the trajectory that were used."""
-        had = int(self._follow_compiled[_NEXT])
-        self._follow_compiled[:] = 0
+        had = int(self._progress[_NEXT])
+        self._progress[:] = 0
         return had
 
     def move_to(self, goal: float) -> None:

@@ -159,7 +159,7 @@ class ShaftInVectors:
         vectors: MachineVectors,
         fallback: Callable[[int], bool],
     ) -> None:
-        self._otherwise = fallback
+        self._fallback = fallback
         self._estimator, self._cycle_s, self._keeps = estimator, cycle_s, keeps
         self._measured = vectors.measured
         self._outputs = np.zeros(_PROBLEM_BEFORE + 1)
@@ -178,7 +178,7 @@ class ShaftInVectors:
         """Update the table after a change of the estimator's vectors."""
         self._of = self._estimator.table
         self._table = np.concatenate([table_of(self._own), self._of])
-        self.piece = CompiledStage(_run, _COMPARE, self._table, continues=_DONE, fallback=self._otherwise)
+        self.piece = CompiledStage(_run, _COMPARE, self._table, continues=_DONE, fallback=self._fallback)
 
     def has_ended(self, code: int) -> bool:
         """True if the cycle was completed; see `machine.InVectors`."""

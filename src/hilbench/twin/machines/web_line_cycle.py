@@ -310,7 +310,7 @@ class LineInVectors:
         vectors: MachineVectors,
         fallback: Callable[[int], bool],
     ) -> None:
-        self._otherwise = fallback
+        self._fallback = fallback
         self._estimated, self._splice_tracker, self._values = estimated, passage, vectors.values
         travels, positions_m = pairing_of_axes.vectors(len(rad_per_m))
         self._positions_m = positions_m
@@ -337,7 +337,7 @@ class LineInVectors:
         if not len(self._table) or any(now is not then for now, then in zip(tables, self._of, strict=True)):
             self._of = tables
             self._table = np.concatenate([table_of(self._own), *tables])
-            self.piece = CompiledStage(_run, cycle.COMPARE, self._table, continues=_DONE, fallback=self._otherwise)
+            self.piece = CompiledStage(_run, cycle.COMPARE, self._table, continues=_DONE, fallback=self._fallback)
         self._figures[_INPUT_STRAIN] = self._estimated[0].tracking.input_strain
         self._spans[:, _SEPARABLE] = [each.tracking.separable for each in self._estimated]
 
