@@ -36,7 +36,7 @@ def pull(axis1, F_simTension_N):
         ("plant/web_line/kernel.py", True),
         ("bench/tasks/tension_control.py", True),
         ("bench/tasks/limits.py", False),
-        ("cli/website.py", False),
+        ("apps/cli/website.py", False),
     ],
 )
 def test_a_module_of_the_web_line_says_so_in_its_path(path: str, own: bool) -> None:

@@ -42,7 +42,7 @@ class Installed:
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
     folder = tmp_path_factory.mktemp("wheel")
-    subprocess.run([sys.executable, "-m", "hilbench.cli", "compile"], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([sys.executable, "-m", "hilbench", "compile"], check=True, stdout=subprocess.DEVNULL)
     wheel = build(folder / "dist")
     assert wheel.name.endswith(f"-cp{sys.version_info.major}{sys.version_info.minor}-linux_{os.uname().machine}.whl")
     venv.create(folder / "venv", with_pip=False)

@@ -35,7 +35,7 @@ from tests.bench.whole_runs import config  # noqa: E402
 from tests.pages.page_server import Server  # noqa: E402
 from tests.pages.test_bounds import Site  # noqa: E402
 
-HILBENCH: Final = [sys.executable, "-m", "hilbench.cli"]
+HILBENCH: Final = [sys.executable, "-m", "hilbench"]
 PAGE: Final = ROOT / "docs" / "faults.md"
 #: What a command may take, MB and s, lines that it may say; memory from which on it is shown.
 MOST_MB, MOST_S, MOST_LINES, SHOWN_MB = 1500, 120, 3, 300

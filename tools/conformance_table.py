@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 
-from hilbench.conformance.examine import AFTERWARDS, examine
-from hilbench.conformance.record import CaseResult, Verdict
+from hilbench.apps.conformance.examine import AFTERWARDS, examine
+from hilbench.apps.conformance.record import CaseResult, Verdict
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # the tests' helpers are imported from there

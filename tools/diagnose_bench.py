@@ -38,7 +38,7 @@ FIGURES = (
 def diagnosed(config: Path) -> dict[str, Any]:
     """The object that the command prints. Raises CalledProcessError."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "hilbench.cli", "diagnose", str(config), "--out", folder, "--json"]
+        command = [sys.executable, "-m", "hilbench", "diagnose", str(config), "--out", folder, "--json"]
         done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
     found: dict[str, Any] = json.loads(done.stdout)
     return found

@@ -64,7 +64,7 @@ class LongRun:
         config = folder / f"{self.name}.yaml"
         base = str(ROOT / "bench_configs" / f"{self.name}.yaml")
         config.write_text(yaml.safe_dump({"include": base, "steps": steps, "criteria": []}), encoding="utf-8")
-        command = [sys.executable, "-m", "hilbench.cli", "run", str(config), "--in-process", "--json"]
+        command = [sys.executable, "-m", "hilbench", "run", str(config), "--in-process", "--json"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=folder) as process:
             runs = folder / "runs"
             while process.poll() is None:

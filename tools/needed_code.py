@@ -1,4 +1,4 @@
-"""Write src/hilbench/cli/needed_code.json: the compiled functions that runs of each kind call.
+"""Write src/hilbench/apps/cli/needed_code.json: the compiled functions that runs of each kind call.
 
 Each example is run on copies of the machine code that `hilbench compile` has left; what is read of them was needed.
 That goes by the time of access of the files, so that every process of a run counts.
@@ -18,11 +18,11 @@ from typing import Any
 
 from numba.core.caching import UserProvidedCacheLocator
 
-from hilbench.cli.needed_code import Function
+from hilbench.apps.cli.needed_code import Function
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "hilbench"
-LIST = PACKAGE / "cli" / "needed_code.json"
+LIST = PACKAGE / "apps" / "cli" / "needed_code.json"
 #: The examples of each kind of run.
 EXAMPLES = {
     "web_line": ("web_section_step",),
@@ -45,7 +45,7 @@ def used_by(example: str, folder: Path) -> dict[Function, int]:
         copy = Path(shutil.copy(source, to))
         os.utime(copy, (0, copy.stat().st_mtime))
         copies[copy] = ".".join(package.relative_to(PACKAGE.parent).parts)
-    command = [sys.executable, "-m", "hilbench.cli", "run", str(ROOT / "bench_configs" / f"{example}.yaml")]
+    command = [sys.executable, "-m", "hilbench", "run", str(ROOT / "bench_configs" / f"{example}.yaml")]
     options = ["--no-report", "--out", str(folder / "runs"), "--bus", f"embedded:needed{os.getpid()}"]
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder)}
     subprocess.run([*command, *options], env=environment, stdout=subprocess.DEVNULL, check=True)

@@ -84,7 +84,7 @@ def ended(process: subprocess.Popen[str]) -> Iterator[subprocess.Popen[str]]:
 
 def page(stack: ExitStack, options: list[str], runs: Path) -> tuple[int, list[Viewer]]:
     """The process of a page, and its viewers."""
-    command = [sys.executable, "-m", "hilbench.cli", "monitor", str(CONFIG), *options, "--browser", "--port", "0"]
+    command = [sys.executable, "-m", "hilbench", "monitor", str(CONFIG), *options, "--browser", "--port", "0"]
     process = stack.enter_context(
         ended(subprocess.Popen([*command, "--runs", str(runs)], stdout=subprocess.PIPE, text=True))
     )
@@ -113,7 +113,7 @@ def run(seconds: float, pace: str, with_page: bool) -> tuple[dict[str, float], l
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         runs = Path(folder)
         viewed = page(stack, options, runs) if with_page else None
-        command = [sys.executable, "-m", "hilbench.cli", "run", str(CONFIG), *options, "--out", folder]
+        command = [sys.executable, "-m", "hilbench", "run", str(CONFIG), *options, "--out", folder]
         bench = subprocess.Popen(
             [*command, "--set", f"steps={steps}", "--set", "criteria=[]"], stdout=subprocess.DEVNULL, text=True
         )

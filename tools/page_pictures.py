@@ -41,7 +41,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
     out: Path = parser.parse_args().out
-    hilbench, options = [sys.executable, "-m", "hilbench.cli"], ["--bus", f"embedded:pictures-{os.getpid()}"]
+    hilbench, options = [sys.executable, "-m", "hilbench"], ["--bus", f"embedded:pictures-{os.getpid()}"]
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack, sync_playwright() as playwright:
         runs = Path(folder) / "runs"
         served = [*hilbench, "monitor", str(CONFIG), *options, "--browser", "--port", "0", "--runs", str(runs)]

@@ -20,6 +20,8 @@ from pathlib import Path
 import docs_page
 import numpy as np
 
+from hilbench.apps.report.chart import BLUE, INK, VERMILLION, Band, Chart, Curve
+from hilbench.apps.report.plots import Picture, drawn
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.prediction.create import look_of
@@ -27,8 +29,6 @@ from hilbench.bench.prediction.servo_axis import ShaftLook
 from hilbench.bench.prediction.web_line import LineLook
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Outlook
-from hilbench.report.chart import BLUE, INK, VERMILLION, Band, Chart, Curve
-from hilbench.report.plots import Picture, drawn
 from hilbench.results.recording import Recording
 from hilbench.results.run import Recorder
 from hilbench.runs.config import load_with_overrides

@@ -21,6 +21,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.apps.report.web_line_drawing import LineNotes, drawing
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.tension_control import TensionController, control
@@ -32,7 +33,6 @@ from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters, load_model
-from hilbench.report.web_line_drawing import LineNotes, drawing
 from hilbench.results.recording import read_recording
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides

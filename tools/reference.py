@@ -14,11 +14,11 @@ import typer
 from canopen.objectdictionary import ODVariable
 
 import canopen
+from hilbench.apps.cli.main import app
 from hilbench.canopen import data_types
 from hilbench.canopen.eds import all_variables, load_eds
 from hilbench.canopen.eds import variable as find_variable
 from hilbench.cia402.object_units import has_drive_unit, si_unit
-from hilbench.cli.main import app
 from hilbench.plant.effect import Effect, EffectPlace, MachineKind, Parameter
 from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
 from hilbench.runs import estimated_errors

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import sync_playwright
 
-from hilbench.library.entry import RunEntry
-from hilbench.report.runs_page import write_runs_page
+from hilbench.apps.library.entry import RunEntry
+from hilbench.apps.report.runs_page import write_runs_page
 
 _RUNS = 900
 _BEGAN_S = 1_767_600_000.0

@@ -26,7 +26,7 @@ def compared(jobs: int) -> dict[str, Any]:
     """What the command prints with `--json`."""
     with TemporaryDirectory() as folder:
         command = ["sync", str(CONFIG), "--json", "--jobs", str(jobs), "--out", folder]
-        done = subprocess.run([sys.executable, "-m", "hilbench.cli", *command], check=True, stdout=subprocess.PIPE)
+        done = subprocess.run([sys.executable, "-m", "hilbench", *command], check=True, stdout=subprocess.PIPE)
     found: dict[str, Any] = json.loads(done.stdout)
     return found
 

@@ -16,11 +16,11 @@ from pathlib import Path
 import docs_page
 import numpy as np
 
+from hilbench.apps.scripts.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.tasks.tension_loop import OperatingPoint, TensionLoop
 from hilbench.runs.config import load_with_overrides
 from hilbench.runs.figures import time_to_stay
-from hilbench.scripts.bench import Bench
 
 CONFIG = Path(__file__).resolve().parents[1] / "bench_configs" / "web_section_step.yaml"
 UNDAMPED = "controllers.tension_control.swing_damping_ratio=0"

@@ -50,10 +50,10 @@ def run_on_the_embedded_bus() -> None:
     """Leave the runs that others are compared with in EMBEDDED_RUN, and the machine code of all in numba's cache."""
     shutil.rmtree(EMBEDDED_RUN, ignore_errors=True)
     # On all cores; a run compiles what it needs on one.
-    subprocess.run([sys.executable, "-m", "hilbench.cli", "compile"], check=True, env={**os.environ, **COMPILED})
+    subprocess.run([sys.executable, "-m", "hilbench", "compile"], check=True, env={**os.environ, **COMPILED})
     for name in ("step_change", "three_spans"):
         config, bus = ROOT / "tests" / "vcan" / f"{name}.yaml", f"embedded:r{os.getpid()}"
-        command = [sys.executable, "-m", "hilbench.cli", "run", str(config), "--bus", bus, "--no-report"]
+        command = [sys.executable, "-m", "hilbench", "run", str(config), "--bus", bus, "--no-report"]
         subprocess.run([*command, "--out", str(EMBEDDED_RUN)], check=True, env={**os.environ, **COMPILED})
 
 

@@ -10,14 +10,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from hilbench.apps.scripts.bench import Bench
     from hilbench.results.recording import Recording, read_recording
     from hilbench.results.result import Result
-    from hilbench.scripts.bench import Bench
 
 __all__ = ["Bench", "Recording", "Result", "read_recording"]
 
 _PLACES = {
-    "Bench": "hilbench.scripts.bench",
+    "Bench": "hilbench.apps.scripts.bench",
     "Recording": "hilbench.results.recording",
     "Result": "hilbench.results.result",
     "read_recording": "hilbench.results.recording",

@@ -12,8 +12,8 @@ import pytest
 from tests.bench.whole_runs import ENDLESS, bus_of, config, gone, run_folders, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
+from hilbench.apps.scripts.bench import Bench
 from hilbench.results.result import Result
-from hilbench.scripts.bench import Bench
 
 pytestmark = pytest.mark.slow
 

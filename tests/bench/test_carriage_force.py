@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from tests.plant.models import DEMONSTRATOR
 
+from hilbench.apps.report.machines.web_line import pictures_of
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.machines.kinds import machine_tasks
@@ -22,7 +23,6 @@ from hilbench.bench.tasks.web_carriage_force import CarriageForceTask
 from hilbench.bench.tasks.web_winding_control import ROUNDED, CarriageForce
 from hilbench.errors import UnusableInputError
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.report.machines.web_line import pictures_of
 from hilbench.results.recording import read_recording
 from hilbench.results.recover import recover_run
 from hilbench.results.run import RunOutcome, run_experiment

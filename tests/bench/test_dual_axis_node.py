@@ -13,6 +13,7 @@ import yaml
 from tests.bench.whole_runs import config, run, run_folders, run_here
 from tests.cia402.stand_in import StandingClock
 
+from hilbench.apps.scripts.bench import Bench
 from hilbench.bench.check import check_bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.can.frame import Frame
@@ -26,7 +27,6 @@ from hilbench.exchange.pdo_set import pdo_set_dbc
 from hilbench.plant.motor_port import MotorPort
 from hilbench.results.recording import read_recording
 from hilbench.runs.config import LoadedConfig, load_with_overrides
-from hilbench.scripts.bench import Bench
 
 ROOT = Path(__file__).resolve().parents[2]
 SERVO, DUAL = ROOT / "eds" / "hilbench_servo.eds", ROOT / "eds" / "hilbench_servo_dual.eds"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tests.bench.whole_runs import config
 
+from hilbench.apps.scripts.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.scripts.bench import Bench
 
 AXIS = "hardware.effects.{}.axis1.{}"
 DRAG = AXIS.format("quadratic_drag", "coefficient_N_s2_per_m2")

@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 import pytest
 from tests.bench.whole_runs import ENDLESS, config, result_of, run_folders, run_here
 
+from hilbench.apps.scripts.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.results.recording import read_recording
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides
-from hilbench.scripts.bench import Bench
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 
@@ -70,7 +70,7 @@ def test_a_second_signal_in_the_quick_stop_waits_for_it_and_is_told(tmp_path, ca
 
 
 def test_ctrl_c_while_the_report_is_written_waits_for_it(tmp_path, capfd, monkeypatch):
-    from hilbench.report import html
+    from hilbench.apps.report import html
 
     write = html.write_report
 

@@ -10,10 +10,10 @@ import pytest
 from tests.bench.late_senders import late
 from tests.bench.whole_runs import config
 
+from hilbench.apps.report.html import write_report
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.machines.servo_axis import shaft_load_model
 from hilbench.bench.tasks.emulated_web import web_load_model
-from hilbench.report.html import write_report
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import load, load_with_overrides

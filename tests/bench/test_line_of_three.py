@@ -12,6 +12,8 @@ import pytest
 import yaml
 from tests.tiers import slow
 
+from hilbench.apps.monitor.picture import BusPicture
+from hilbench.apps.report.html import write_report
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
 from hilbench.bench.tasks.emulated_web import web_load_model
@@ -19,8 +21,6 @@ from hilbench.canopen.identifiers import SYNC
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.pdo_set import pdo_set_dbc
-from hilbench.monitor.picture import BusPicture
-from hilbench.report.html import write_report
 from hilbench.results.recording import read_recording
 from hilbench.results.recover import recover_run
 from hilbench.results.run import RunOutcome, run_experiment

@@ -14,11 +14,11 @@ import pytest
 import yaml
 from tests.tiers import slow
 
+from hilbench.apps.report.machines.web_line import pictures_of
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.web_line_check import start_point, stiffness_reserves
 from hilbench.errors import UnusableInputError
-from hilbench.report.machines.web_line import pictures_of
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.recover import recover_run
 from hilbench.results.run import RunOutcome, run_experiment

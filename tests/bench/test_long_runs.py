@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from tests.bench.whole_runs import SHORT, config
 
+from hilbench.apps.report.html import write_report
+from hilbench.apps.scripts.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.report.html import write_report
 from hilbench.results.recording import read_recording
 from hilbench.results.result import Result
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.results.trace import TraceReader, parts_of
 from hilbench.runs.config import load_with_overrides
-from hilbench.scripts.bench import Bench
 
 #: Counts per turn of a motor (608Fh of its EDS file), and turns per metre of web.
 COUNTS, TURNS_PER_M = 1 << 20, 5.0 / (2.0 * np.pi * 0.2)

@@ -10,15 +10,15 @@ import pytest
 from rich.console import Console
 from tests.bench.whole_runs import SHORT, config, gone
 
+from hilbench.apps.cli.run import show_outcome
+from hilbench.apps.report.html import write_report
 from hilbench.bench.lifecycle import startup
 from hilbench.can.confinement import ControllerState
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.can.open import open_link
-from hilbench.cli.run import show_outcome
 from hilbench.errors import NoAnswerError
 from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
-from hilbench.report.html import write_report
 from hilbench.results.result import Timing
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from tests.bench.whole_runs import config
 
+from hilbench.apps.scripts.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.scripts.bench import Bench
 from hilbench.twin.virtual_io import TwinStatus
 
 COUNT = 64

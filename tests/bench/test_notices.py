@@ -10,11 +10,11 @@ from tests.bench.bench_nodes import nodes
 from tests.bench.strangers import STEPS, from_sync, on_the_bus
 from tests.bench.whole_runs import config
 
+from hilbench.apps.report.html import write_report
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.reports.notice import MOST_KINDS, Notices
 from hilbench.can.frame import Frame
 from hilbench.exchange.emergencies import MOST_IN_A_CYCLE
-from hilbench.report.html import write_report
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import load_with_overrides
 

@@ -49,7 +49,7 @@ def test_of_two_runs_that_start_in_the_same_moment_one_runs_and_one_is_refused(t
 @pytest.mark.slow
 def test_nodes_that_run_already_are_named_with_how_to_use_them(tmp_path: Path) -> None:
     path = config(tmp_path)
-    hardware = subprocess.Popen([sys.executable, "-m", "hilbench.cli", "simulate-hardware", str(path)])
+    hardware = subprocess.Popen([sys.executable, "-m", "hilbench", "simulate-hardware", str(path)])
     try:
         wait_until_claimed(path, "node1")
         code, _, err = run(path)
@@ -196,7 +196,7 @@ def terminal() -> Iterator[int]:
 @pytest.mark.slow
 def test_a_terminal_that_closes_stops_the_drives_as_sigterm_does(tmp_path: Path) -> None:
     path = config(tmp_path, steps=ENDLESS)
-    command = [sys.executable, "-m", "hilbench.cli", "run", str(path), "--out", str(tmp_path / "runs"), "--no-report"]
+    command = [sys.executable, "-m", "hilbench", "run", str(path), "--out", str(tmp_path / "runs"), "--no-report"]
     with terminal() as theirs:
         process = subprocess.Popen(
             [*_HEARS_THE_END, *command],

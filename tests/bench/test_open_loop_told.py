@@ -9,8 +9,8 @@ import pytest
 from tests.bench.whole_runs import config, run_folders
 from tests.cli.in_process import hilbench
 
+from hilbench.apps.scripts.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.scripts.bench import Bench
 
 #: A deviation of E that no twin has.
 NEVER = {"tension_control": {"twin_deviation_limit_pct": 1e-6}}

@@ -11,12 +11,12 @@ import pytest
 from tests.bench.whole_runs import SHORT, config, recover, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
+from hilbench.apps.monitor.changes import ChangeRequests
 from hilbench.bench.operator.operator_objects import OperatorObjects
 from hilbench.can.frame import Frame
 from hilbench.can.open import open_python_can
 from hilbench.canopen.sdo_client import SdoClient
 from hilbench.exchange.master_node import MasterNode
-from hilbench.monitor.changes import ChangeRequests
 from hilbench.results.recording import read_recording
 from hilbench.runs.config import load
 

@@ -9,6 +9,7 @@ import yaml
 from tests.bench.whole_runs import config
 from tests.cia402.stand_in import StandingClock
 
+from hilbench.apps.scripts.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds
@@ -16,7 +17,6 @@ from hilbench.errors import UnusableInputError, UnusableValueError
 from hilbench.exchange.effect_objects import bind_effect_objects
 from hilbench.runs.check import check_experiment
 from hilbench.runs.config import load_with_overrides
-from hilbench.scripts.bench import Bench
 
 ROOT = Path(__file__).resolve().parents[2]
 STEP = ROOT / "bench_configs" / "web_section_step.yaml"

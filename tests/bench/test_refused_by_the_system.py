@@ -24,7 +24,7 @@ def run(path: Path, runtime: Path, *options: str, files: int | None = None) -> s
             resource.setrlimit(resource.RLIMIT_NOFILE, (files, files))
 
     return subprocess.run(
-        [sys.executable, "-m", "hilbench.cli", "run", str(path), "--out", str(path.parent / "runs"), *options],
+        [sys.executable, "-m", "hilbench", "run", str(path), "--out", str(path.parent / "runs"), *options],
         env={**os.environ, "XDG_RUNTIME_DIR": str(runtime)},
         capture_output=True,
         text=True,

@@ -48,7 +48,7 @@ def test_emergency_stop_from_another_terminal(tmp_path: Path) -> None:
     process = start(path)
     folder = wait_for_frames(path, 500)
     address = Path(path).read_text().split("address: ")[1].split()[0]
-    command = [sys.executable, "-m", "hilbench.cli", "estop", "--bus", address]
+    command = [sys.executable, "-m", "hilbench", "estop", "--bus", address]
     stop = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     out, _ = process.communicate(timeout=60)
     assert stop.returncode == 0, stop.stderr

@@ -97,7 +97,7 @@ def started_by_hand(folder: Path, bus: str) -> Iterator[Path]:
     """Simulated hardware and twin by the clock, each with a cycle of its own; what the twin says."""
     with ExitStack() as ends:
         for command, cycle_s in (("simulate-hardware", BY_THE_CLOCK_S), ("twin", OF_TWIN_S)):
-            words = [sys.executable, "-m", "hilbench.cli", command, str(SERVO), "--bus", bus, "--pace", "realtime"]
+            words = [sys.executable, "-m", "hilbench", command, str(SERVO), "--bus", bus, "--pace", "realtime"]
             log = ends.enter_context((folder / f"{command}.log").open("w"))
             process = subprocess.Popen([*words, *FIRST, "--set", f"cycle_time_s={cycle_s}"], stdout=log, stderr=log)
             ends.callback(process.wait)

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from tests.bench.whole_runs import config
 from tests.cli.in_process import hilbench
 
+from hilbench.apps.scripts.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import BenchFaultError, UnusableInputError, UnusableValueError
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import effects_of
 from hilbench.runs.config import load
 from hilbench.runs.scenario import read_scenario
-from hilbench.scripts.bench import Bench
 from hilbench.topology.quantities import (
     LONGEST_S,
     SINGLE_PATHS,

@@ -50,7 +50,7 @@ STARTED: list[subprocess.Popen[str]] = []
 
 
 def start(path: Path, *options: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "hilbench.cli", "run", str(path), "--out", str(path.parent / "runs"), *options]
+    command = [sys.executable, "-m", "hilbench", "run", str(path), "--out", str(path.parent / "runs"), *options]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )

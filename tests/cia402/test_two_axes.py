@@ -13,14 +13,14 @@ import pytest
 from tests.cia402.stand_in import StandingClock
 
 import canopen
+from hilbench.apps.devices import SimulatedDrive
+from hilbench.apps.devices.behaviour import Behaviour
 from hilbench.can.frame import Frame
 from hilbench.can.python_can import can
 from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds
 from hilbench.cia402.simulated import SimulatedDrive as Cia402Drive
 from hilbench.cia402.state_machine import State
-from hilbench.devices import SimulatedDrive
-from hilbench.devices.behaviour import Behaviour
 from hilbench.errors import UnusableInputError
 from hilbench.plant.motor_port import MotorPort
 

@@ -22,7 +22,7 @@ def bus() -> Iterator[str]:
     """The bus while they are there."""
     name = f"embedded:{uuid.uuid4().hex[:12]}"
     arguments = [str(EDS), "--node", "5", "--count", "2", "--bus", name]
-    running = subprocess.Popen([sys.executable, "-m", "hilbench.cli", "simulate-drive", *arguments])
+    running = subprocess.Popen([sys.executable, "-m", "hilbench", "simulate-drive", *arguments])
     link = open_link(BusAddress.parse(name))
     assert any(len(present(link, [5, 6], 0.2)) == 2 for _ in range(300)), "the drives do not answer"
     link.close()

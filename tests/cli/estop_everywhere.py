@@ -27,7 +27,7 @@ def main(paths: list[Path]) -> None:
         benches.append(start(path))
         wait_for_frames(path, 200)
     benches[-1].send_signal(signal.SIGSTOP)
-    command = [sys.executable, "-m", "hilbench.cli", "estop"]
+    command = [sys.executable, "-m", "hilbench", "estop"]
     bare = {"PATH": os.environ["PATH"], "XDG_RUNTIME_DIR": directories[-1]}
     stop = subprocess.run(command, capture_output=True, text=True, check=False, cwd="/", env=bare, timeout=60)
     benches[-1].send_signal(signal.SIGCONT)

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from unittest.mock import patch
 
+from hilbench.apps.cli.main import main
 from hilbench.canopen import master_guard
-from hilbench.cli.main import main
 
 
 def hilbench(*arguments: object, typed: str = "") -> subprocess.CompletedProcess[str]:

@@ -26,7 +26,7 @@ from hilbench.canopen.listening import present, receive_for
 from hilbench.runs.config import load
 
 EDS = Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"
-HILBENCH = [sys.executable, "-m", "hilbench.cli"]
+HILBENCH = [sys.executable, "-m", "hilbench"]
 
 
 @pytest.fixture(scope="module")

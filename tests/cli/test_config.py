@@ -190,7 +190,7 @@ def test_new_without_answers_is_unusable_input_and_ctrl_c_is_an_interruption(tmp
     done = hilbench(*words, typed="mine\n")
     assert done.returncode == 2
     assert "ended at the question 'bus" in done.stderr
-    command = [sys.executable, "-m", "hilbench.cli", *map(str, words)]
+    command = [sys.executable, "-m", "hilbench", *map(str, words)]
     asking = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert asking.stdout is not None
     assert asking.stdout.read(4) == b"name"

@@ -46,7 +46,7 @@ def in_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def start(path: Path) -> subprocess.Popen[str]:
-    words = [sys.executable, "-m", "hilbench.cli", "diagnose", path.name, "--out", "."]
+    words = [sys.executable, "-m", "hilbench", "diagnose", path.name, "--out", "."]
     return subprocess.Popen(
         words, cwd=path.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )

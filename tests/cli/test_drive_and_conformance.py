@@ -22,7 +22,7 @@ from tests.tiers import slow
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.listening import present, receive_for
 
-HILBENCH = [sys.executable, "-m", "hilbench.cli"]
+HILBENCH = [sys.executable, "-m", "hilbench"]
 #: 60 rpm into 60FFh, whose unit is 0.0001 rpm.
 SPEED = bytes.fromhex("23FF6000") + (600_000).to_bytes(4, "little")
 SERVO = Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"

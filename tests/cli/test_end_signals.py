@@ -75,7 +75,7 @@ def test_a_page_of_runs_is_as_it_was_when_writing_it_was_interrupted(tmp_path, a
 
 @pytest.mark.parametrize("number", CODES)
 def test_a_program_that_waits_is_ended_with_the_code_of_the_signal_and_one_line(tmp_path, number):
-    command = [sys.executable, "-m", "hilbench.cli", "config", "new", tmp_path / "mine.yaml", "--eds", ROOT / "eds"]
+    command = [sys.executable, "-m", "hilbench", "config", "new", tmp_path / "mine.yaml", "--eds", ROOT / "eds"]
     asking = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert asking.stdout is not None
     assert asking.stdout.read(4) == b"name"

@@ -14,13 +14,13 @@ import pytest
 from tests.bench.whole_runs import SHORT, config
 from tests.cli.in_process import hilbench
 
+from hilbench.apps.cli import estop
 from hilbench.can import interfaces
 from hilbench.can.claims import MASTER, Holder, holders
 from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus, MemoryLink
 from hilbench.can.open import BusAddress
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
-from hilbench.cli import estop
 from hilbench.errors import BusError
 
 ROOT = Path(__file__).resolve().parents[2]

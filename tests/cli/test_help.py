@@ -11,7 +11,7 @@ import pytest
 import typer
 from tests.cli.in_process import hilbench
 
-from hilbench.cli.main import app
+from hilbench.apps.cli.main import app
 
 
 def commands(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:

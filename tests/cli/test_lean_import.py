@@ -13,7 +13,7 @@ from tests.tiers import slow
 _CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 _PROGRAM = """if True:
     import sys
-    import hilbench.bench.lifecycle.supervisor, hilbench.hardware.simulation, hilbench.twin.run, hilbench.cli.run
+    import hilbench.bench.lifecycle.supervisor, hilbench.hardware.simulation, hilbench.twin.run, hilbench.apps.cli.run
     early = {"pandas", "asammdf", "scipy.linalg"} & set(sys.modules)
     assert not early, early
     import asammdf  # a recording is still written with it
@@ -29,7 +29,7 @@ def test_a_bench_starts_without_the_libraries_of_recordings_and_of_its_check() -
 def test_a_command_that_runs_a_bench_with_processes_loads_neither_hardware_nor_what_one_process_runs_on() -> None:
     program = """if True:
         import sys
-        import hilbench.cli.run
+        import hilbench.apps.cli.run
         rooms = ("hilbench.in_process_cycle", "hilbench.hardware.")
         early = sorted(name for name in sys.modules if name.startswith(rooms))
         assert not early, early
@@ -43,7 +43,7 @@ def test_the_check_before_a_run_imports_no_scipy_and_nothing_that_only_others_ne
     program = f"""if True:
         import sys
         from pathlib import Path
-        import hilbench.cli.run
+        import hilbench.apps.cli.run
         from hilbench.bench.bench import Bench
         from hilbench.bench.lifecycle.participants import Participants
         from hilbench.bench.lifecycle.startup import copies_beside
@@ -56,7 +56,7 @@ def test_the_check_before_a_run_imports_no_scipy_and_nothing_that_only_others_ne
         Bench(loaded.config)
         assert "scipy.linalg" not in sys.modules
         of_others = "twin.machines.{other}", "bench.machines.{other}", "prediction.{other}"
-        at_the_end = "history.entries", "report.html"
+        at_the_end = "apps.history.entries", "apps.report.html"
         early = {{f"hilbench.{{name}}" for name in (*of_others, *at_the_end)}} & set(sys.modules)
         assert not early, early
         print("numba.typed.typeddict" in sys.modules)
@@ -107,11 +107,11 @@ def test_a_diagnosis_calculates_with_one_thread_a_product_unless_told_otherwise(
     """The library reads it once, when it is imported: nothing may have imported it before."""
     program = """if True:
         import os, sys
-        import hilbench.cli.main
+        import hilbench.apps.cli.main
         assert "numpy" not in sys.modules
         sys.argv = ["hilbench", "diagnose", "nowhere.csv"]
         try:
-            hilbench.cli.main.main()
+            hilbench.apps.cli.main.main()
         except SystemExit as end:
             assert end.code == 2
         assert "numpy" in sys.modules

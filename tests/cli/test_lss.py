@@ -19,7 +19,7 @@ def bus() -> Iterator[str]:
     name = f"embedded:{uuid.uuid4().hex[:12]}"
     arguments = [str(EDS), "--lss", "--count", "2", "--serial", "7", "--bus", name]
     running = subprocess.Popen(
-        [sys.executable, "-m", "hilbench.cli", "simulate-drive", *arguments], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "hilbench", "simulate-drive", *arguments], stdout=subprocess.PIPE, text=True
     )
     assert running.stdout is not None
     assert [running.stdout.readline() for _ in range(2)] == [

@@ -17,7 +17,7 @@ from tests.bench.whole_runs import config, run_folders
 from tests.tiers import slow
 from typer.main import get_command
 
-from hilbench.cli.main import app, main
+from hilbench.apps.cli.main import app, main
 from hilbench.results.result import Result
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
@@ -150,7 +150,7 @@ def test_standard_output_on_a_full_disk_is_one_line_and_exit_code_3(
 @pytest.mark.slow
 def test_a_run_whose_output_fails_on_the_way_stops_its_drives_and_writes_its_result(tmp_path: Path) -> None:
     path = config(tmp_path, steps=[SHORT[0], {"hold": {"duration_s": 600.0}}])
-    command = [sys.executable, "-m", "hilbench.cli", "run", str(path), "--in-process", "--out", str(tmp_path / "runs")]
+    command = [sys.executable, "-m", "hilbench", "run", str(path), "--in-process", "--out", str(tmp_path / "runs")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stderr is not None
@@ -171,7 +171,7 @@ def test_a_run_whose_output_fails_on_the_way_stops_its_drives_and_writes_its_res
 @pytest.mark.parametrize("closed", ["<&- >&- 2>&-", "<&-", ">&-", "2>&-"])
 def test_a_command_with_a_standard_stream_closed_does_its_work(tmp_path: Path, closed: str) -> None:
     path = config(tmp_path, steps=SHORT)
-    line = f"{sys.executable} -m hilbench.cli run {path} --in-process --no-report --out {tmp_path}/runs {closed}"
+    line = f"{sys.executable} -m hilbench run {path} --in-process --no-report --out {tmp_path}/runs {closed}"
     ended = subprocess.run(["sh", "-c", line], capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended
     (folder,) = run_folders(path)
@@ -190,7 +190,7 @@ def test_a_file_name_that_is_no_text_is_told_all_the_same(tmp_path: Path) -> Non
 def test_a_command_in_a_locale_that_knows_ascii_only(tmp_path: Path) -> None:
     path = config(tmp_path, steps=SHORT, description="Grüße ≥ 3 µ")
     environment = {**os.environ, "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
-    command = [sys.executable, "-m", "hilbench.cli", "run", str(path), "--in-process", "--out", str(tmp_path / "runs")]
+    command = [sys.executable, "-m", "hilbench", "run", str(path), "--in-process", "--out", str(tmp_path / "runs")]
     ended = subprocess.run(command, capture_output=True, env=environment, check=False)
     assert ended.returncode == 0, ended
     assert ended.stderr == b""
@@ -203,7 +203,7 @@ def test_what_nobody_foresaw_in_a_command_is_one_line_with_its_traceback_kept(
 ) -> None:
     monkeypatch.setenv("HILBENCH_TRACEBACKS", str(tmp_path))
     for error in (KeyError("what"), BrokenPipeError(32, "Broken pipe"), OSError(24, "Too many open files")):
-        with patch("hilbench.cli.check.check_experiment", side_effect=error):
+        with patch("hilbench.apps.cli.check.check_experiment", side_effect=error):
             code, said = hilbench("check", SHIPPED, out=tmp_path / "out")
         assert code == 3
         assert said.count("\n") == 1
@@ -211,7 +211,7 @@ def test_what_nobody_foresaw_in_a_command_is_one_line_with_its_traceback_kept(
         assert match is not None, said
         assert "check_experiment" in Path(match[1]).read_text()
     monkeypatch.setenv("HILBENCH_TRACEBACKS", str(tmp_path / "nowhere"))
-    with patch("hilbench.cli.check.check_experiment", side_effect=KeyError("what")):
+    with patch("hilbench.apps.cli.check.check_experiment", side_effect=KeyError("what")):
         code, said = hilbench("check", SHIPPED, out=tmp_path / "out")
     assert (code, said.count("\n")) == (3, 1)
     assert "its traceback can't be kept (No such file or directory)" in said
@@ -225,7 +225,7 @@ def test_a_thread_that_nobody_foresaw_to_end_is_one_line(tmp_path: Path, monkeyp
         thread.start()
         thread.join()
 
-    with patch("hilbench.cli.check.check_command", side_effect=with_thread):
+    with patch("hilbench.apps.cli.check.check_command", side_effect=with_thread):
         code, said = hilbench("check", SHIPPED, out=tmp_path / "out")
     assert code == 0
     assert re.fullmatch(r"hilbench: unexpected KeyError in .*: 'what'; traceback in .*\n", said)

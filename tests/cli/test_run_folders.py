@@ -14,9 +14,9 @@ import pytest
 from tests.bench.whole_runs import run_folders, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
+from hilbench.apps.monitor.picture import BusPicture
 from hilbench.can.open import open_link
 from hilbench.canopen.listening import receive_for
-from hilbench.monitor.picture import BusPicture
 from hilbench.results.recording import read_recording
 from hilbench.runs.config import load
 

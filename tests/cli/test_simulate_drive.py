@@ -17,7 +17,7 @@ from tests.cli.in_process import hilbench, nobody_else
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.listening import present
 
-HILBENCH = [sys.executable, "-m", "hilbench.cli"]
+HILBENCH = [sys.executable, "-m", "hilbench"]
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ DUAL = ROOT / "eds" / "hilbench_servo_dual.eds"
 def played() -> Iterator[tuple[str, list[str]]]:
     """The bus with the node, which has id 1, and what its program said."""
     bus = f"embedded:{uuid.uuid4().hex[:12]}"
-    command = [sys.executable, "-m", "hilbench.cli", "simulate-drive", str(DUAL), "--node", "1", "--bus", bus]
+    command = [sys.executable, "-m", "hilbench", "simulate-drive", str(DUAL), "--node", "1", "--bus", bus]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert running.stdout is not None
     said = [running.stdout.readline() for _ in range(2)]

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import pytest
 from tests.conformance.virtual_bus import VirtualBus, under_test
 
+from hilbench.apps.conformance.examine import examine
+from hilbench.apps.conformance.record import Verdict
 from hilbench.can.frame import Frame
 from hilbench.canopen.object_store import NO_OBJECT, NO_SUB_INDEX, PDO_LENGTH, READ_ONLY
 from hilbench.cia402.state_machine import State
-from hilbench.conformance.examine import examine
-from hilbench.conformance.record import Verdict
 
 NODE, ANSWER, REQUEST, HEARTBEAT = 5, 0x585, 0x605, 0x705
 

@@ -10,10 +10,10 @@ import pytest
 from tests.canopen.device_under_test import SECTIONS, eds_text, var
 from tests.conformance.virtual_bus import SERVO_EDS, VirtualBus, under_test
 
+from hilbench.apps.conformance.examine import CASES, examine
+from hilbench.apps.conformance.record import Verdict
 from hilbench.can.frame import REMOTE_FLAG, Frame
 from hilbench.canopen.object_store import SEQUENCE_NUMBER, UNKNOWN_COMMAND
-from hilbench.conformance.examine import CASES, examine
-from hilbench.conformance.record import Verdict
 from hilbench.errors import BenchFaultError
 
 NODE, REQUEST, ANSWER, HEARTBEAT = 5, 0x605, 0x585, 0x705

@@ -11,9 +11,9 @@ from tests.cia402.every_mode import eds_file
 from tests.conformance.virtual_bus import SERVO_EDS, VirtualBus, under_test
 from tests.tiers import slow
 
-from hilbench.conformance.examine import CASES, examine
-from hilbench.conformance.listing import listed_cases
-from hilbench.conformance.record import CaseResult, Verdict
+from hilbench.apps.conformance.examine import CASES, examine
+from hilbench.apps.conformance.listing import listed_cases
+from hilbench.apps.conformance.record import CaseResult, Verdict
 from hilbench.errors import UnusableInputError
 from hilbench.plant.motor_port import MotorMode
 

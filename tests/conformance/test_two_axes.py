@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from tests.conformance.virtual_bus import VirtualBus, under_test
 
+from hilbench.apps.conformance.examine import OF_DRIVES, examine
+from hilbench.apps.conformance.listing import listed_cases
+from hilbench.apps.conformance.record import CaseResult, Verdict
 from hilbench.canopen.object_store import SdoAbort
-from hilbench.conformance.examine import OF_DRIVES, examine
-from hilbench.conformance.listing import listed_cases
-from hilbench.conformance.record import CaseResult, Verdict
 from hilbench.errors import UnusableInputError
 
 DUAL = Path(__file__).parents[2] / "eds" / "hilbench_servo_dual.eds"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from hilbench.apps.conformance.wire import LinkWire
 from hilbench.can.frame import Frame
-from hilbench.conformance.wire import LinkWire
 
 
 class Given:

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from tests.canopen.device_under_test import HandClock
 
+from hilbench.apps.conformance.description import Description
+from hilbench.apps.conformance.dut import Allowed, DeviceUnderTest
+from hilbench.apps.conformance.wire import ReceivedFrame
+from hilbench.apps.devices.application import DrivesApplication
+from hilbench.apps.devices.behaviour import Behaviour
+from hilbench.apps.devices.simulation import simulated_axes
 from hilbench.can.frame import Frame
 from hilbench.canopen.identifiers import NMT
-from hilbench.conformance.description import Description
-from hilbench.conformance.dut import Allowed, DeviceUnderTest
-from hilbench.conformance.wire import ReceivedFrame
-from hilbench.devices.application import DrivesApplication
-from hilbench.devices.behaviour import Behaviour
-from hilbench.devices.simulation import simulated_axes
 
 _STEP_NS = 1_000_000
 SERVO_EDS = Path(__file__).parents[2] / "eds" / "hilbench_servo.eds"

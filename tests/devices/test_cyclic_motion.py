@@ -9,9 +9,9 @@ import pytest
 from tests.canopen.device_under_test import HandClock
 from tests.cia402.every_mode import INCREMENTS, eds_file
 
+from hilbench.apps.devices.node import SimulatedNode
+from hilbench.apps.devices.simulation import hosted, simulated_axes
 from hilbench.cia402.state_machine import State
-from hilbench.devices.node import SimulatedNode
-from hilbench.devices.simulation import hosted, simulated_axes
 
 CSP, CSV = 8, 9
 MODE, CONTROLWORD, INTERPOLATION_PERIOD, FOLLOWING_ERROR_WINDOW = 0x6060, 0x6040, 0x60C2, 0x6065

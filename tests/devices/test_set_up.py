@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from tests.cia402.every_mode import eds_file
 
+from hilbench.apps.devices import SimulatedDrive
 from hilbench.can.python_can import can
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.master import Master
@@ -20,7 +21,6 @@ from hilbench.cia402.manual import ManualDrive
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.set_up import Limits, SetUpDrive, usable
 from hilbench.cia402.state_machine import State
-from hilbench.devices import SimulatedDrive
 from hilbench.errors import BenchFaultError, UnusableInputError
 
 SERVO = Path(__file__).parents[2] / "eds" / "hilbench_servo.eds"

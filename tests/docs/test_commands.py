@@ -8,7 +8,7 @@ import pytest
 import typer
 from tests.docs.shown import NOT_RUN, ROOT, Shown, shown
 
-from hilbench.cli.main import app
+from hilbench.apps.cli.main import app
 
 LINES = shown()
 HILBENCH = typer.main.get_command(app)

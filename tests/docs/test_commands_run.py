@@ -22,9 +22,9 @@ from tests.docs.shown import ROOT, shown
 from tests.simulated_recordings import hidden_recording
 from typer.testing import CliRunner
 
+from hilbench.apps.cli.main import app
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.listening import present
-from hilbench.cli.main import app
 from hilbench.plant.model_file import write_model
 from hilbench.plant.parameters import EffectEntry
 from hilbench.results.recording import write_recording
@@ -124,7 +124,7 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
     (folder / "columns.yaml").write_text(yaml.safe_dump(columns).replace("'0.001'", "0.001"))
     paced = ["--pace", "lockstep"]  # as the config: a bench waits for them
     started = [
-        [sys.executable, "-m", "hilbench.cli", command, "bench_configs/web_section_step.yaml", "--bus", bus, *paced]
+        [sys.executable, "-m", "hilbench", command, "bench_configs/web_section_step.yaml", "--bus", bus, *paced]
         for command in ("simulate-hardware", "twin")
     ]
     children = [subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL) for command in started]

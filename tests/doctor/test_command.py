@@ -16,8 +16,8 @@ import yaml
 from tests.bench.whole_runs import SHORT, config, gone, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
-from hilbench.doctor import examination
-from hilbench.doctor.findings import Check
+from hilbench.apps.doctor import examination
+from hilbench.apps.doctor.findings import Check
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -96,7 +96,7 @@ def test_a_real_drive_that_is_silent_and_one_that_its_eds_does_not_fit(tmp_path:
 
 
 def start_hardware(path: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "hilbench.cli", "simulate-hardware", str(path), "--pace", "lockstep"]
+    command = [sys.executable, "-m", "hilbench", "simulate-hardware", str(path), "--pace", "lockstep"]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 

@@ -11,6 +11,11 @@ from pathlib import Path
 import pytest
 
 import can
+from hilbench.apps.doctor.bench_subject import expected_nodes
+from hilbench.apps.doctor.check_stations import check_node, check_received
+from hilbench.apps.doctor.findings import Check, Finding, Level
+from hilbench.apps.doctor.scan import scan
+from hilbench.apps.doctor.stations import ExpectedNode, NodeAnswers, ask
 from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus
 from hilbench.canopen.clock import MonotonicClock
@@ -20,11 +25,6 @@ from hilbench.canopen.emergency_stop import EMERGENCY_STOP
 from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.listening import present, sort_by_node
 from hilbench.canopen.sdo_client import Refusal, SdoClient
-from hilbench.doctor.bench_subject import expected_nodes
-from hilbench.doctor.check_stations import check_node, check_received
-from hilbench.doctor.findings import Check, Finding, Level
-from hilbench.doctor.scan import scan
-from hilbench.doctor.stations import ExpectedNode, NodeAnswers, ask
 from hilbench.errors import BusError
 from hilbench.exchange.nodes import Nodes
 from hilbench.runs.config import load

@@ -49,7 +49,7 @@ def address() -> BusAddress:
 def hardware(address: BusAddress, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Simulated hardware that nobody paces, and where it says what."""
     log = tmp_path_factory.mktemp("hardware") / "said.log"
-    words = [sys.executable, "-m", "hilbench.cli", "simulate-hardware", str(CONFIG), "--bus", str(address)]
+    words = [sys.executable, "-m", "hilbench", "simulate-hardware", str(CONFIG), "--bus", str(address)]
     with log.open("wb") as file:
         process = subprocess.Popen(words, stdout=file, stderr=file)
     link = open_link(address)

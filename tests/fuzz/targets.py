@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from hilbench.apps.monitor.picture import BusPicture
 from hilbench.can import protocol
 from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.can.hub import Client, Hub
@@ -25,7 +26,6 @@ from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.exchange.nodes import Nodes
-from hilbench.monitor.picture import BusPicture
 from hilbench.plant.motor_port import MotorPort
 from hilbench.results.import_mapping import read_foreign
 from hilbench.results.journal import read_journal

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from tests.cli.drives import bus, sdo
 from tests.cli.in_process import hilbench
 
+from hilbench.apps.gateway.server import event_of
+from hilbench.apps.gateway.session import Session
+from hilbench.apps.gateway.values import form
 from hilbench.can.frame import Frame
 from hilbench.errors import BusError
-from hilbench.gateway.server import event_of
-from hilbench.gateway.session import Session
-from hilbench.gateway.values import form
 
 __all__ = ["bus"]
 
@@ -60,7 +60,7 @@ def start() -> Iterator[Started]:
 
     def started(bus: str, *options: str) -> tuple[str, int]:
         process = subprocess.Popen(
-            [sys.executable, "-m", "hilbench.cli", "gateway", "--bus", bus, "--port", "0", *options],
+            [sys.executable, "-m", "hilbench", "gateway", "--bus", bus, "--port", "0", *options],
             stdout=subprocess.PIPE,
             text=True,
         )

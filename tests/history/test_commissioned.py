@@ -10,12 +10,12 @@ import pytest
 import yaml
 from tests.cli import in_process
 
+from hilbench.apps.history.store import COMMISSIONING, Entry, History, Quantity
+from hilbench.apps.history.web_line_priors import with_commissioned
+from hilbench.apps.scripts.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.history.store import COMMISSIONING, Entry, History, Quantity
-from hilbench.history.web_line_priors import with_commissioned
 from hilbench.results.commissioned import commissioned_text
 from hilbench.runs.config import LoadedConfig, load, load_with_overrides
-from hilbench.scripts.bench import Bench
 
 CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 NOW = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)

@@ -14,7 +14,7 @@ import yaml
 from tests.cli import in_process
 from tests.simulated_recordings import hidden_recording
 
-from hilbench.history.store import History, Row
+from hilbench.apps.history.store import History, Row
 from hilbench.plant.parameters import EffectEntry
 from hilbench.results.recording import read_recording, write_recording
 from hilbench.runs.config import load

@@ -15,8 +15,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hilbench.apps.history.store import Entry, History, Quantity
 from hilbench.errors import UnusableInputError
-from hilbench.history.store import Entry, History, Quantity
 
 BEGAN = datetime(2026, 3, 4, 12, 0, tzinfo=UTC)
 #: Writes entries of ten quantities each, one after the other, and says so after each.
@@ -24,7 +24,7 @@ WRITER = """
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from hilbench.history.store import Entry, History, Quantity
+from hilbench.apps.history.store import Entry, History, Quantity
 path, name, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 found = [Quantity(f"axis{k}.coulomb_friction.force_N", 5.0 + k, 0.1, "N") for k in range(10)]
 for number in range(count):

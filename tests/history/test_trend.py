@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hilbench.history.trend import Trend, trend
+from hilbench.apps.history.trend import Trend, trend
 
 Array = NDArray[np.float64]
 SEEDS = range(12)

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from tests.library.made_runs import FIRST, made_run
 
+from hilbench.apps.library.labels import note, tag
+from hilbench.apps.library.query import Library
+from hilbench.apps.library.retention import Keep, delete, to_clear
 from hilbench.errors import UnusableInputError
-from hilbench.library.labels import note, tag
-from hilbench.library.query import Library
-from hilbench.library.retention import Keep, delete, to_clear
 from hilbench.results.run_folder import RunFolder
 
 NOW_S = FIRST.timestamp() + 10 * 3600.0

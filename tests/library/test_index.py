@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 from tests.library.made_runs import criterion, made_run
 
+from hilbench.apps.library import index as index_module
+from hilbench.apps.library.index import FILE, Index
+from hilbench.apps.library.labels import note, tag
+from hilbench.apps.library.query import Library, Query
 from hilbench.errors import UnusableInputError
-from hilbench.library import index as index_module
-from hilbench.library.index import FILE, Index
-from hilbench.library.labels import note, tag
-from hilbench.library.query import Library, Query
 from hilbench.results.result import Fault
 
 

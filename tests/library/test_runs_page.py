@@ -16,7 +16,7 @@ from tests.cli.in_process import hilbench
 from tests.library.made_runs import criterion, made_run
 from tests.report.parsed import EVIL, ParsedPage, parsed
 
-from hilbench.library.labels import note, tag
+from hilbench.apps.library.labels import note, tag
 
 
 @pytest.fixture(scope="module")

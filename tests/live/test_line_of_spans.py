@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hilbench.apps.report.html import write_report
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import EXIT_PASSED
 from hilbench.live.watch import Watch
 from hilbench.live.web_line.machine import LiveLine
 from hilbench.plant.web_line.span import SpanFollower
-from hilbench.report.html import write_report
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import LoadedConfig, load_with_overrides

@@ -10,10 +10,10 @@ import pytest
 from tests.bench.late_senders import late
 from tests.bench.missed_cycles import missed
 
+from hilbench.apps.report.html import write_report
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import EXIT_PASSED, UnusableInputError
 from hilbench.live.machine import SHORT
-from hilbench.report.html import write_report
 from hilbench.results.journal import read_journal
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment

@@ -9,12 +9,12 @@ import pytest
 from tests.bench.late_senders import late
 from tests.bench.missed_cycles import missed
 
+from hilbench.apps.report.html import write_report
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import EXIT_PASSED
 from hilbench.live.servo_axis.machine import LiveShaft
 from hilbench.live.watch import Watch
 from hilbench.live.window import Window
-from hilbench.report.html import write_report
 from hilbench.results.journal import read_journal
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment

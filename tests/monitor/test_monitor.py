@@ -16,6 +16,13 @@ from tests.tiers import slow
 from textual.widgets import DataTable, Log, Static
 from textual.widgets._footer import FooterKey
 
+from hilbench.apps.monitor import condition
+from hilbench.apps.monitor import picture as picture_of
+from hilbench.apps.monitor.changes import ChangeRequests, Foreseen
+from hilbench.apps.monitor.dashboard import Dashboard
+from hilbench.apps.monitor.operator_journal import OperatorJournal
+from hilbench.apps.monitor.picture import BusPicture
+from hilbench.apps.monitor.trends import trends_of
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus, MemoryLink
@@ -23,13 +30,6 @@ from hilbench.canopen.emergency_stop import EMERGENCY_STOP
 from hilbench.canopen.sdo_client import SdoClient
 from hilbench.errors import BusError
 from hilbench.exchange.nodes import Nodes
-from hilbench.monitor import condition
-from hilbench.monitor import picture as picture_of
-from hilbench.monitor.changes import ChangeRequests, Foreseen
-from hilbench.monitor.dashboard import Dashboard
-from hilbench.monitor.operator_journal import OperatorJournal
-from hilbench.monitor.picture import BusPicture
-from hilbench.monitor.trends import trends_of
 from hilbench.plant.effect import MachineKind
 from hilbench.results.journal import read_journal
 from hilbench.results.run import run_experiment

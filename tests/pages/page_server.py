@@ -16,7 +16,7 @@ class Server:
     def __init__(self, path: Path, *more: str) -> None:
         options = ["--browser", "--port", "0", "--runs", str(path.parent / "runs"), *more]
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "hilbench.cli", "monitor", str(path), *options],
+            [sys.executable, "-m", "hilbench", "monitor", str(path), *options],
             stdout=subprocess.PIPE,
             text=True,
             start_new_session=True,

@@ -9,9 +9,9 @@ import pytest
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from hilbench.pages.access import Access
-from hilbench.pages.runs import routes
-from hilbench.pages.site import site
+from hilbench.apps.pages.access import Access
+from hilbench.apps.pages.runs import routes
+from hilbench.apps.pages.site import site
 
 PORT = 8321
 HERE = f"http://127.0.0.1:{PORT}"

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilbench.pages.live.history import LEVELS, History
+from hilbench.apps.pages.live.history import LEVELS, History
 
 CYCLE_S = 0.002
 

@@ -15,12 +15,12 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 from tests.pages.told_samples import keep
 
+from hilbench.apps.pages import replay
+from hilbench.apps.pages.access import Access
+from hilbench.apps.pages.live.replay import FAST, PlayedTrace
+from hilbench.apps.pages.runs import routes
+from hilbench.apps.pages.site import site
 from hilbench.canopen.identifiers import SYNC
-from hilbench.pages import replay
-from hilbench.pages.access import Access
-from hilbench.pages.live.replay import FAST, PlayedTrace
-from hilbench.pages.runs import routes
-from hilbench.pages.site import site
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome
 from hilbench.results.run_folder import RunFolder

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hilbench.apps.library.live_run import LiveRun
+from hilbench.apps.pages.live.history import History
+from hilbench.apps.pages.live.listener import event_of
+from hilbench.apps.pages.live.machines.kinds import panel_of
+from hilbench.apps.pages.live.samples import LiveSamples
 from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
-from hilbench.library.live_run import LiveRun
-from hilbench.pages.live.history import History
-from hilbench.pages.live.listener import event_of
-from hilbench.pages.live.machines.kinds import panel_of
-from hilbench.pages.live.samples import LiveSamples
 from hilbench.results.journal import append_to_journal
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.run import RunOutcome

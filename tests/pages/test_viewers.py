@@ -14,19 +14,19 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 from tests.pages.told_samples import keep
 
+from hilbench.apps.library.live_run import LiveRun
+from hilbench.apps.monitor.changes import ChangeRequests
+from hilbench.apps.pages.access import Access
+from hilbench.apps.pages.live.controls import Controls
+from hilbench.apps.pages.live.listener import Listener
+from hilbench.apps.pages.live.viewer import Viewers
+from hilbench.apps.pages.site import site
 from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus, MemoryLink
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP
 from hilbench.canopen.sdo_client import SdoClient
 from hilbench.errors import BusError
 from hilbench.exchange.nodes import Nodes
-from hilbench.library.live_run import LiveRun
-from hilbench.monitor.changes import ChangeRequests
-from hilbench.pages.access import Access
-from hilbench.pages.live.controls import Controls
-from hilbench.pages.live.listener import Listener
-from hilbench.pages.live.viewer import Viewers
-from hilbench.pages.site import site
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.config import BenchConfig
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from hilbench.cli.model_option import model_from
+from hilbench.apps.cli.model_option import model_from
 from hilbench.errors import UnusableInputError
 from hilbench.plant.model_file import write_model
 from hilbench.plant.motor_port import MotorMode, MotorPort

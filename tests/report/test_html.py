@@ -20,11 +20,11 @@ from tests.cli.in_process import hilbench
 from tests.report.parsed import EVIL, ParsedPage, parsed
 from tests.runs.shafts import recorded_shaft
 
+from hilbench.apps.report import live
+from hilbench.apps.report.chart import BLUE, Band, Chart, Curve, Mark
+from hilbench.apps.report.html import write_report
+from hilbench.apps.report.plots import Picture, drawn
 from hilbench.errors import UnusableInputError
-from hilbench.report import live
-from hilbench.report.chart import BLUE, Band, Chart, Curve, Mark
-from hilbench.report.html import write_report
-from hilbench.report.plots import Picture, drawn
 from hilbench.results.recording import Recording, write_recording
 from hilbench.results.result import Environment, Fault, Result, Timing, Warned, jitter
 from hilbench.results.run_folder import RunFolder

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hilbench.apps.report.web_line_drawing import LineNotes, drawing, line_picture
 from hilbench.plant.web_line.parameters import load_model
-from hilbench.report.web_line_drawing import LineNotes, drawing, line_picture
 from hilbench.results.recording import Recording
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.signals import signals_of

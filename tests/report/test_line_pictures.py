@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilbench.report.machines.kinds import pictures_of
-from hilbench.report.machines.picture import ShownRun
+from hilbench.apps.report.machines.kinds import pictures_of
+from hilbench.apps.report.machines.picture import ShownRun
 from hilbench.results.recording import Recording
 
 SPEED_M_S, STRAIN, WOUND = 2.0, 0.0034, 0.003

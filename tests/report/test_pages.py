@@ -9,6 +9,10 @@ import numpy as np
 import pytest
 from tests.report.parsed import EVIL, parsed
 
+from hilbench.apps.report import live
+from hilbench.apps.report.compare_page import ComparedRun, write_compare_page
+from hilbench.apps.report.diagnosis_page import write_diagnosis_page
+from hilbench.apps.report.sync_page import write_comparison
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Profile, Unobservable, Value
 from hilbench.diagnosis.live import LiveGap
 from hilbench.diagnosis.live_figure import LiveFigure
@@ -17,10 +21,6 @@ from hilbench.diagnosis.synchronization import Comparison, MethodResult
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.offline import Track
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.report import live
-from hilbench.report.compare_page import ComparedRun, write_compare_page
-from hilbench.report.diagnosis_page import write_diagnosis_page
-from hilbench.report.sync_page import write_comparison
 from hilbench.results.recording import Recording
 
 T_S = np.linspace(0.0, 10.0, 2000)

@@ -7,8 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from hilbench.report.chart import Chart, Curve
-from hilbench.report.plots import Picture, drawn
+from hilbench.apps.report.chart import Chart, Curve
+from hilbench.apps.report.plots import Picture, drawn
 
 
 @pytest.mark.parametrize(("count", "rows"), [(2, 1), (3, 1), (5, 2)])

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilbench.report.reduce import (
+from hilbench.apps.report.reduce import (
     envelope,
     mean_velocity,
     moving_average,

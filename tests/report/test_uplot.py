@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from tests.foreign.foreign_station import PACKAGES
 
-HERE = resources.files("hilbench.report").joinpath("uplot")
+HERE = resources.files("hilbench.apps.report").joinpath("uplot")
 SOURCE = json.loads(HERE.joinpath("source.json").read_text(encoding="utf-8"))
 LOCK = json.loads((Path(__file__).parents[1] / "foreign" / "package-lock.json").read_text())
 

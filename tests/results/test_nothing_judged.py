@@ -12,9 +12,9 @@ import pytest
 from tests.bench.whole_runs import config, run_folders
 from tests.cli.in_process import hilbench
 
+from hilbench.apps.scripts.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.results.result import Result
-from hilbench.scripts.bench import Bench
 
 SHORT = [{"hold": {"duration_s": 0.1}}]
 BUS_LOAD = [{"name": "bus load", "metric": "bus_load_pct", "max": 100.0}]

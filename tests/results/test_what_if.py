@@ -89,7 +89,7 @@ def test_a_bench_that_runs_is_asked_on_its_bus(tmp_path: Path) -> None:
         bench.set("tension_control.set_point_N", 90.0)
         bench.run(1.0)
         asked = ("--set", "tension_control.set_point_N=100", "--horizon", "2", "--json")
-        command = [sys.executable, "-m", "hilbench.cli", "what-if", str(CONFIG), "--bus", address, *asked]
+        command = [sys.executable, "-m", "hilbench", "what-if", str(CONFIG), "--bus", address, *asked]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             while process.poll() is None:
                 bench.cycle()

@@ -16,13 +16,13 @@ from tests.cli.in_process import hilbench
 from tests.tiers import slow
 
 from hilbench import strict_yaml
+from hilbench.apps.scripts.bench import Bench
 from hilbench.bench.check import check_bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.block import LARGEST, LEAST
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.estimation.web_line.config import METHODS
 from hilbench.runs.config import ExperimentConfig, load
-from hilbench.scripts.bench import Bench
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 

@@ -10,14 +10,14 @@ from typing import cast
 import numpy as np
 import pytest
 
+from hilbench.apps.cli.shown.web_line import shown
+from hilbench.apps.monitor.picture import BusPicture
+from hilbench.apps.pages.live.machines.web_line import panel
+from hilbench.apps.report.chart import Chart
+from hilbench.apps.report.machines.picture import ShownRun
+from hilbench.apps.report.machines.web_line import pictures_of
 from hilbench.can.frame import Frame
-from hilbench.cli.shown.web_line import shown
 from hilbench.exchange.nodes import Nodes
-from hilbench.monitor.picture import BusPicture
-from hilbench.pages.live.machines.web_line import panel
-from hilbench.report.chart import Chart
-from hilbench.report.machines.picture import ShownRun
-from hilbench.report.machines.web_line import pictures_of
 from hilbench.results.recording import Recording
 from hilbench.runs.config import load
 from hilbench.runs.metrics import judge

@@ -13,10 +13,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from hilbench.apps.scripts.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.results.recording import read_recording
 from hilbench.results.result import Result
-from hilbench.scripts.bench import Bench
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "scripts.md").read_text(encoding="utf-8")
@@ -25,7 +25,9 @@ CONFIG = ROOT / "bench_configs" / "web_section_step.yaml"
 
 
 def test_the_package_itself_imports_nothing_heavy():
-    code = "import sys, hilbench, hilbench.scripts.pytest_plugin; print({'numpy', 'can', 'numba'} & set(sys.modules))"
+    code = (
+        "import sys, hilbench, hilbench.apps.scripts.pytest_plugin; print({'numpy', 'can', 'numba'} & set(sys.modules))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
 

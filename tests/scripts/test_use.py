@@ -18,6 +18,7 @@ import pytest
 from tests.bench.whole_runs import config as bench_config
 from tests.cli.in_process import hilbench
 
+from hilbench.apps.scripts.bench import Bench
 from hilbench.bench import bench as library
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.can.frame import Frame
@@ -26,7 +27,6 @@ from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.errors import BenchNotRunningError, UnusableValueError
 from hilbench.results.recording import Recording
 from hilbench.runs.config import load
-from hilbench.scripts.bench import Bench
 
 CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 #: Longer than devices and supervisor wait for a bench that says nothing.

@@ -21,15 +21,15 @@ from mcap.reader import make_reader
 from tests.bench.whole_runs import config, run_folders, run_here
 from tests.cli.in_process import hilbench
 
+from hilbench.apps.streams.messages import groups_of
+from hilbench.apps.streams.sinks import open_sink
+from hilbench.apps.streams.stream import Stream
+from hilbench.apps.streams.target import Target, parse_target
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load_with_overrides
-from hilbench.streams.messages import groups_of
-from hilbench.streams.sinks import open_sink
-from hilbench.streams.stream import Stream
-from hilbench.streams.target import Target, parse_target
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import sample_type
 from hilbench.topology.signals import SMALLEST, find_signal, signals_of
@@ -176,8 +176,8 @@ _KILLED = """if True:
     import os, signal, sys
     from pathlib import Path
     from hilbench.runs.config import load_with_overrides
-    from hilbench.streams.stream import Stream
-    from hilbench.streams.target import parse_target
+    from hilbench.apps.streams.stream import Stream
+    from hilbench.apps.streams.target import parse_target
     from hilbench.topology.sample import sample_type
     folder = Path(sys.argv[1])
     bench = load_with_overrides(folder / "bench.yaml").config

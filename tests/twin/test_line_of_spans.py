@@ -12,11 +12,11 @@ import pytest
 from tests.twin.beside_a_line import Array, BesideALine, line_model
 from tests.twin.independent_spans import IndependentSpans
 
+from hilbench.apps.report.html import write_report
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.exchange.nodes import Nodes
-from hilbench.report.html import write_report
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import load_with_overrides

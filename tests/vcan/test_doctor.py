@@ -51,7 +51,7 @@ def test_interface_and_stranger_are_seen_and_read() -> None:
     host = threading.Thread(target=DeviceHost(link, [device], MonotonicClock(), Idle()).run, args=(stop.is_set,))
     host.start()
     try:
-        command = [sys.executable, "-m", "hilbench.cli", "doctor", "--bus", str(bus), "--json"]
+        command = [sys.executable, "-m", "hilbench", "doctor", "--bus", str(bus), "--json"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
         with SdoClient(open_python_can(bus), timeout_s=5.0) as reader:
             assert reader.read(NODE, 0x1018, 2) == (0x402).to_bytes(4, "little")

@@ -47,7 +47,7 @@ def run_and_witness(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunFolder
     """The run folder, and candump's log of the same time."""
     folder = tmp_path_factory.mktemp("step")
     channel = os.environ["HILBENCH_VCAN"]
-    command = [sys.executable, "-m", "hilbench.cli", "run", str(CONFIG), "--bus", f"socketcan:{channel}"]
+    command = [sys.executable, "-m", "hilbench", "run", str(CONFIG), "--bus", f"socketcan:{channel}"]
     with candump(channel, folder / "witness.log"):
         done = subprocess.run(
             [*command, "--no-report", "--out", str(folder / "runs")], capture_output=True, text=True, check=False

@@ -36,7 +36,7 @@ def assert_is_that_of_the_embedded_bus(runs: Path) -> None:
 @pytest.mark.parametrize("where", ["on the kernel's bus", "in one process"])
 def test_every_signal(where: str, tmp_path: Path) -> None:
     how = ["--in-process"] if where == "in one process" else ["--bus", f"socketcan:{os.environ['HILBENCH_VCAN']}"]
-    command = [sys.executable, "-m", "hilbench.cli", "run", str(CONFIG), "--no-report", "--out", str(tmp_path / "runs")]
+    command = [sys.executable, "-m", "hilbench", "run", str(CONFIG), "--no-report", "--out", str(tmp_path / "runs")]
     done = subprocess.run([*command, *how], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert_is_that_of_the_embedded_bus(tmp_path / "runs")

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilbench.doctor.machine import measure_lateness
+from hilbench.apps.doctor.machine import measure_lateness
 from hilbench.results.recording import read_recording
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
@@ -28,7 +28,7 @@ pytestmark = [
 ]
 
 FOLDER = Path(__file__).parent
-CLI = [sys.executable, "-m", "hilbench.cli"]
+CLI = [sys.executable, "-m", "hilbench"]
 END_S = 60.0
 
 

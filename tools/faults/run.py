@@ -23,7 +23,7 @@ from hilbench.results.run_folder import RunFolder
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "bench_configs" / "web_section_step.yaml"
-CLI = [sys.executable, "-m", "hilbench.cli"]
+CLI = [sys.executable, "-m", "hilbench"]
 AT_SPEED_S = 1.0  # the ramp is over
 #: Real time: cycle, E of the web that can be emulated over it, time-outs and periods of heartbeats.
 SLOW_CYCLE_S, SOFT_PA = 0.01, 2.0e9

@@ -5,10 +5,10 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+from hilbench.apps.streams.sinks import open_sink
+from hilbench.apps.streams.stream import Stream
+from hilbench.apps.streams.target import Target
 from hilbench.results.run import Recorder
-from hilbench.streams.sinks import open_sink
-from hilbench.streams.stream import Stream
-from hilbench.streams.target import Target
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import sample_type
 from performance.table import Section, best_cpu_s

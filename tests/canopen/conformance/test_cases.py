@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from tools.conformance_table import ROOT, examined, table, with_table
 
-from hilbench.conformance.listing import listed_cases
+from hilbench.apps.conformance.listing import listed_cases
 
 
 def cases_under_test() -> Iterator[str]:

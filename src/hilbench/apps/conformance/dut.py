@@ -1,0 +1,443 @@
+"""The device under test: requests with what is expected of their answers, and everything as it was afterwards.
+
+An expectation is written as the frame's data in hexadecimal digits with `?` for any digit; blanks don't count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from hilbench.apps.conformance.description import Description
+from hilbench.apps.conformance.record import CaseEndedError, NotAllowedError, NotApplicableError, Step
+from hilbench.apps.conformance.wire import ReceivedFrame, Wire
+from hilbench.can.frame import REMOTE_FLAG
+from hilbench.canopen.data_types import data_type
+from hilbench.canopen.identifiers import (
+    COB_ID,
+    EMERGENCY,
+    HEARTBEAT,
+    NMT,
+    SDO_ANSWER,
+    SDO_REQUEST,
+    SYNC,
+    NmtCommand,
+    NmtState,
+)
+from hilbench.canopen.sdo_client import Answer, Refusal
+
+#: Heartbeat period while a case looks at NMT states, and how long it waits for one.
+_HEARTBEAT_MS: Final = 100
+_HEARTBEAT_S: Final = 0.35
+_AFTER_BOOT_S: Final = 0.05
+_EMPTY: Final = "nothing"
+_SDO_BYTES: Final = 8
+#: Command specifiers of requests that name an object, and whose answers do: download and upload.
+_NAMES_OBJECT: Final = (1, 2)
+_SYNC_PAUSE_S: Final = 0.02
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """Permissions of an examination beyond communication."""
+
+    motion: bool = False
+    store: bool = False
+
+
+@dataclass(frozen=True)
+class Patience:
+    """Timeouts, s: for an SDO answer, and from a reset to the boot-up message."""
+
+    answer_s: float = 1.0
+    boot_s: float = 10.0
+
+
+class DeviceUnderTest:
+    """A node on a wire. Expectations are recorded in `steps`; those that must hold to go on end the case."""
+
+    def __init__(
+        self,
+        wire: Wire,
+        node_id: int,
+        description: Description,
+        allowed: Allowed = Allowed(),
+        patience: Patience = Patience(),
+    ) -> None:
+        self.wire = wire
+        self.node_id = node_id
+        self.eds = description
+        self.allowed = allowed
+        self.patience = patience
+        self.steps: list[Step] = []
+        self.notes: list[str] = []
+        #: Objects that were written, and whether all may be others since a reset.
+        self.touched: set[tuple[int, int]] = set()
+        self.was_reset = False
+        self._sent: list[str] = []
+        self._received: list[ReceivedFrame] = []
+
+    # -- what a case needs -----------------------------------------------------------------------------------
+
+    def needs_motion(self, why: str) -> None:
+        """Raises NotAllowedError when nothing may move."""
+        if not self.allowed.motion:
+            raise NotAllowedError(f"{why}: --allow-motion")
+
+    def needs_store(self) -> None:
+        """Raises NotAllowedError when nothing may be stored."""
+        if not self.allowed.store:
+            raise NotAllowedError("writes the device's memory (1010h, 1011h): --allow-store")
+
+    def needs(self, *keys: tuple[int, int]) -> None:
+        """Raises NotApplicableError when the EDS file lacks one of them."""
+        for index, sub in keys:
+            if not self.eds.has(index, sub):
+                raise NotApplicableError(f"{self.name(index, sub)} is not in the EDS file")
+
+    def needs_to_write(self, *keys: tuple[int, int]) -> None:
+        """Raises NotApplicableError when the EDS file lacks one of them, or has it read-only."""
+        self.needs(*keys)
+        for index, sub in keys:
+            if not self.eds.can_write(index, sub):
+                raise NotApplicableError(
+                    f"{self.name(index, sub)} is {self.eds.entry(index, sub).access} in the EDS file"
+                )
+
+    def name(self, index: int, sub: int) -> str:
+        """An object as messages call it."""
+        return f"{self.eds.own(index):04X}h:{sub}"
+
+    # -- frames ----------------------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """A case begins."""
+        self.steps, self.notes, self._sent, self._received = [], [], [], []
+        self.wire.listen(0.0)
+
+    def send(self, can_id: int, data: bytes = b"") -> None:
+        """A frame onto the bus."""
+        remote = " remote" if can_id & REMOTE_FLAG else ""
+        self._sent.append(f"{can_id & COB_ID:03X}{remote} {data.hex(' ')}".strip())
+        self.wire.send(can_id, data)
+
+    def receive(self, duration_s: float) -> list[ReceivedFrame]:
+        """Frames since the last call, and in this time; answers to SDO requests left out."""
+        found = [*self._received, *self.wire.listen(duration_s)]
+        self._received = []
+        return [received for received in found if received.can_id != SDO_ANSWER + self.node_id]
+
+    def hear_until(self, can_id: int, then_s: float) -> list[ReceivedFrame]:
+        """The same up to a frame that is waited for as long as for an answer, and for a time behind it."""
+        if not any(received.can_id == can_id for received in self._received):
+            self._received += self.wire.listen(self.patience.answer_s, lambda received: received.can_id == can_id)
+        return self.receive(then_s)
+
+    def receive_id(self, can_id: int, duration_s: float) -> list[ReceivedFrame]:
+        """Frames of one identifier since the last call, and in this time."""
+        return [received for received in self.receive(duration_s) if received.can_id == can_id]
+
+    def wait(self, duration_s: float) -> None:
+        """Time passes; what comes meanwhile is kept for the next look."""
+        self._received += self.wire.listen(duration_s)
+
+    def forget(self) -> None:
+        """Discard the frames received up to now."""
+        self.receive(0.0)
+
+    def nmt(self, command: int, node_id: int | None = None) -> None:
+        """An NMT command, by default to the device."""
+        self.send(NMT, bytes((command, self.node_id if node_id is None else node_id)))
+        self.receive(_SYNC_PAUSE_S)
+
+    def sync(self, data: bytes = b"") -> list[ReceivedFrame]:
+        """A SYNC, and what it brings."""
+        self.send(self.sync_id, data)
+        return self.receive(_SYNC_PAUSE_S)
+
+    @property
+    def sync_id(self) -> int:
+        """1005h of the device, or the default."""
+        known = self.peek(0x1005, 0) if self.eds.has(0x1005) else None
+        return int.from_bytes(known, "little") & COB_ID if isinstance(known, bytes) else SYNC
+
+    @property
+    def emergency_id(self) -> int:
+        """1014h of the device, or the default."""
+        known = self.peek(0x1014, 0) if self.eds.has(0x1014) else None
+        return int.from_bytes(known, "little") & COB_ID if isinstance(known, bytes) else EMERGENCY + self.node_id
+
+    # -- expectations ----------------------------------------------------------------------------------------
+
+    def check(self, what: str, expected: str, seen: str, ok: bool) -> bool:
+        """Record an expectation; what was sent since the last one belongs to it."""
+        self.steps.append(Step(what, "; ".join(self._sent[-4:]), expected, seen, ok))
+        self._sent = []
+        return ok
+
+    def must(self, ok: bool) -> None:
+        """Ends the case when what it goes on from has not happened."""
+        if not ok:
+            raise CaseEndedError
+
+    def frames(self, what: str, found: Sequence[ReceivedFrame], can_id: int, *expected: str) -> bool:
+        """Expect exactly these data, in this order, of an identifier."""
+        seen = [received.data.hex() for received in found if received.can_id == can_id]
+        ok = len(seen) == len(expected) and all(map(matches, expected, seen))
+        return self.check(what, _frames_text(can_id, expected), _frames_text(can_id, seen), ok)
+
+    def silent(self, what: str, found: Sequence[ReceivedFrame], can_id: int) -> bool:
+        """Expect nothing of an identifier."""
+        return self.frames(what, found, can_id)
+
+    # -- SDO -------------------------------------------------------------------------------------------------
+
+    def exchange(self, request: bytes) -> bytes | None:
+        """The answer to an SDO request; None: there is none. An answer that is late is not taken for the next one's."""
+        answer_id = SDO_ANSWER + self.node_id
+        names_object = request[0] >> 5 in _NAMES_OBJECT and len(request) == _SDO_BYTES
+        self._received += [received for received in self.wire.listen(0.0) if received.can_id != answer_id]
+
+        def answers(received: ReceivedFrame) -> bool:
+            return received.can_id == answer_id and (not names_object or received.data[1:4] == request[1:4])
+
+        self.send(SDO_REQUEST + self.node_id, request)
+        found = self.wire.listen(self.patience.answer_s, answers)
+        self._received += [received for received in found if received.can_id != answer_id]
+        replies = [received for received in found if received.can_id == answer_id]
+        return replies[-1].data if replies else None
+
+    def ask(self, what: str, request: str, *expected: str) -> bytes:
+        """A request whose answer is one of the expected ones; what was answered, empty when there is none."""
+        answer = self.exchange(bytes.fromhex(request)) or b""
+        self._expect_answer(what, answer, expected)
+        return answer
+
+    def _expect_answer(self, what: str, answer: bytes, expected: Collection[str]) -> bool:
+        ok = any(matches(pattern, answer.hex()) for pattern in expected)
+        answer_id = SDO_ANSWER + self.node_id
+        texts = " or ".join(spaced(pattern) for pattern in expected)
+        return self.check(
+            what, f"{answer_id:03X} {texts}", f"{answer_id:03X} {answer.hex(' ')}" if answer else _EMPTY, ok
+        )
+
+    def segments(self, count: int) -> list[bytes]:
+        """Frames of a block that come without a request each."""
+        answer_id = SDO_ANSWER + self.node_id
+        found: list[bytes] = []
+        while len(found) < count:
+            received = self.wire.listen(self.patience.answer_s, lambda received: received.can_id == answer_id)
+            answers = [each.data for each in received if each.can_id == answer_id]
+            self._received += [each for each in received if each.can_id != answer_id]
+            if not answers:
+                break
+            found += answers
+        return found
+
+    def peek(self, index: int, sub: int) -> Answer:
+        """A value, without an expectation: for what a case needs to know."""
+        kept, self._sent = self._sent, []
+        try:
+            return self._upload(index, sub)
+        finally:
+            self._sent = kept
+
+    def _upload(self, index: int, sub: int) -> Answer:
+        answer = self.exchange(multiplexed(0x40, self.eds.own(index), sub))
+        if answer is None or len(answer) != 8:
+            return None
+        if answer[0] == 0x80:
+            return Refusal(int.from_bytes(answer[4:], "little"))
+        if answer[0] & 0x02:
+            return answer[4 : 8 - (answer[0] >> 2 & 3)] if answer[0] & 0x01 else answer[4:]
+        data, toggle = b"", 0x00
+        while True:
+            segment = self.exchange(bytes((0x60 | toggle, *bytes(7))))
+            if segment is None or segment[0] & 0xE0:
+                return None if segment is None else Refusal(int.from_bytes(segment[4:], "little"))
+            data += segment[1 : 8 - (segment[0] >> 1 & 7)]
+            if segment[0] & 0x01:
+                return data
+            toggle ^= 0x10
+
+    def value(self, index: int, sub: int = 0) -> int:
+        """A number that the case can't do without (unsigned)."""
+        answer = self.peek(index, sub)
+        if not isinstance(answer, bytes):
+            self.check(f"read {self.name(index, sub)}", "a value", answer_text(answer), False)
+            raise CaseEndedError
+        return int.from_bytes(answer, "little")
+
+    def signed(self, index: int, sub: int = 0) -> int:
+        """Value decoded as its type in the EDS file."""
+        width = self.eds.entry(index, sub).width or 4
+        kind = data_type(self.eds.entry(index, sub).variable.data_type or 0)
+        return int(kind.decode(self.value(index, sub).to_bytes(width, "little")))
+
+    def reads(self, what: str, index: int, sub: int, expected: int) -> bool:
+        """Expect a number (unsigned) in an object."""
+        answer = self.peek(index, sub)
+        found = int.from_bytes(answer, "little") if isinstance(answer, bytes) else None
+        self._sent.append(f"read {self.name(index, sub)}")
+        return self.check(what, f"{expected:X}h", answer_text(answer), found == expected)
+
+    def reads_bits(self, what: str, index: int, sub: int, expected: int) -> bool:
+        """Expect that these bits are set in an object."""
+        answer = self.peek(index, sub)
+        found = int.from_bytes(answer, "little") if isinstance(answer, bytes) else None
+        ok = found is not None and found & expected == expected
+        return self.check(what, f"bits {expected:X}h", answer_text(answer), ok)
+
+    def request_to_write(self, index: int, sub: int, data: bytes) -> bytes:
+        """The request that writes up to four bytes at once."""
+        return multiplexed(0x23 | (4 - len(data)) << 2, self.eds.own(index), sub, data)
+
+    def try_to_write(self, index: int, sub: int, data: bytes) -> Answer:
+        """Write, without an expectation: b"" when it was taken."""
+        self.touched.add((self.eds.own(index), sub))
+        kept, self._sent = self._sent, []
+        try:
+            if 0 < len(data) <= 4:
+                answer = self.exchange(self.request_to_write(index, sub, data))
+            else:
+                answer = self._download(index, sub, data)
+        finally:
+            self._sent = kept
+        return _write_answer(answer)
+
+    def _download(self, index: int, sub: int, data: bytes) -> bytes | None:
+        answer = self.exchange(multiplexed(0x21, self.eds.own(index), sub, len(data).to_bytes(4, "little")))
+        at, toggle = 0, 0x00
+        while answer is not None and answer[0] != 0x80:
+            part, at = data[at : at + 7], at + 7
+            last = at >= len(data)
+            head = toggle | (7 - len(part)) << 1 | int(last)
+            answer = self.exchange(bytes((head,)) + part.ljust(7, b"\0"))
+            if last:
+                break
+            toggle ^= 0x10
+        return answer
+
+    def data_of(self, index: int, sub: int, value: int) -> bytes:
+        """SDO data of a number, in the length of the EDS file."""
+        width = (self.eds.entry(index, sub).width or 4) if self.eds.has(index, sub) else 4
+        return (value & ((1 << 8 * width) - 1)).to_bytes(width, "little")
+
+    def write(self, index: int, sub: int, value: int) -> None:
+        """Write a number; a refusal ends the case."""
+        self.must(self.takes(f"write {value:X}h to {self.name(index, sub)}", index, sub, value))
+
+    def takes(self, what: str, index: int, sub: int, value: int) -> bool:
+        """Expect that a number is taken."""
+        self.touched.add((self.eds.own(index), sub))
+        answer = self.exchange(self.request_to_write(index, sub, self.data_of(index, sub, value))) or b""
+        return self._expect_answer(what, answer, [f"60{_mux(self.eds.own(index), sub)}????????"])
+
+    def refuses(self, what: str, index: int, sub: int, data: bytes, *codes: int) -> bool:
+        """Expect that data are refused with one of these abort codes."""
+        self.touched.add((self.eds.own(index), sub))
+        answer = self.exchange(self.request_to_write(index, sub, data)) or b""
+        return self._expect_answer(what, answer, [aborted(self.eds.own(index), sub, code) for code in codes])
+
+    def configure(self, index: int, sub: int, value: int, what: str) -> None:
+        """Write what not every device has to take. Raises NotApplicableError when it refuses."""
+        answer = self.try_to_write(index, sub, self.data_of(index, sub, value))
+        if isinstance(answer, Refusal):
+            raise NotApplicableError(f"{what}: {self.name(index, sub)} = {value:X}h is refused, {answer}")
+        if answer is None:
+            self.check(what, "an answer", _EMPTY, False)
+            raise CaseEndedError
+
+    # -- NMT -------------------------------------------------------------------------------------------------
+
+    def reset(self, command: NmtCommand = NmtCommand.RESET_NODE) -> None:
+        """Reset and expect the boot-up message: one byte, 0. It is on as soon as its server answers."""
+        self.was_reset = True
+        can_id = HEARTBEAT + self.node_id
+        self.forget()
+        self.send(NMT, command.to(self.node_id))
+        # A heartbeat may be under way when the command comes.
+        before = {state.heartbeat for state in NmtState if state is not NmtState.INITIALISING}
+
+        def boots(received: ReceivedFrame) -> bool:
+            return received.can_id == can_id and received.data not in before
+
+        found = self.wire.listen(self.patience.boot_s, boots)
+        self.must(self.frames("boot-up message", list(filter(boots, found)) or found, can_id, "00"))
+        self.wire.listen(_AFTER_BOOT_S)
+
+    def produce_heartbeats(self, period_ms: int = _HEARTBEAT_MS) -> None:
+        """Set 1017h. Raises NotApplicableError for a device without."""
+        self.needs_to_write((0x1017, 0))
+        self.write(0x1017, 0, period_ms)
+
+    def shows(self, state: NmtState) -> bool:
+        """Expect an NMT state in the next heartbeat."""
+        can_id = HEARTBEAT + self.node_id
+        self.forget()
+        found = self.wire.listen(_HEARTBEAT_S, lambda received: received.can_id == can_id)
+        beats = [received for received in found if received.can_id == can_id]
+        return self.frames(f"heartbeat in {state.name.replace('_', '-')}", beats, can_id, state.heartbeat.hex())
+
+    def first(self, of: Collection[int], what: str) -> int:
+        """The lowest of some numbers. Raises NotApplicableError when there is none."""
+        if not of:
+            raise NotApplicableError(f"{what} is not in the EDS file")
+        return min(of)
+
+
+def matches(pattern: str, seen: str) -> bool:
+    """True if hexadecimal digits match the expected ones."""
+    wanted = pattern.replace(" ", "").lower()
+    return len(wanted) == len(seen) and all(a in ("?", b) for a, b in zip(wanted, seen.lower(), strict=True))
+
+
+def spaced(digits: str) -> str:
+    """Hexadecimal digits byte by byte."""
+    packed = digits.replace(" ", "")
+    return " ".join(packed[at : at + 2] for at in range(0, len(packed), 2))
+
+
+def multiplexed(head: int, index: int, sub: int, data: bytes = b"") -> bytes:
+    """An SDO frame: command, index, sub-index, four bytes."""
+    return bytes((head, index & 0xFF, index >> 8, sub)) + data.ljust(4, b"\0")
+
+
+def aborted(index: int, sub: int, code: int) -> str:
+    """The abort of a transfer."""
+    return f"80{_mux(index, sub)}{code.to_bytes(4, 'little').hex()}"
+
+
+def answers(values: Sequence[ReceivedFrame], can_id: int, test: Callable[[bytes], bool]) -> bool:
+    """True if some frame of an identifier passes a test."""
+    return any(received.can_id == can_id and test(received.data) for received in values)
+
+
+def _mux(index: int, sub: int) -> str:
+    return bytes((index & 0xFF, index >> 8, sub)).hex()
+
+
+def _write_answer(answer: bytes | None) -> Answer:
+    if answer is None:
+        return None
+    return Refusal(int.from_bytes(answer[4:], "little")) if answer[0] == 0x80 else b""
+
+
+def answer_text(answer: Answer) -> str:
+    """The answer to a request to read, for a person."""
+    if isinstance(answer, bytes):
+        return answer.hex(" ")
+    return _EMPTY if answer is None else str(answer)
+
+
+def taken_text(answer: Answer) -> str:
+    """The answer to a request to write."""
+    return "taken" if isinstance(answer, bytes) else answer_text(answer)
+
+
+def _frames_text(can_id: int, frames: Sequence[str]) -> str:
+    if not frames:
+        return f"no {can_id & COB_ID:03X}"
+    shown = [f"{can_id & COB_ID:03X} {spaced(data)}".strip() for data in frames[:6]]
+    return "; ".join(shown) + (f" … ({len(frames)} frames)" if len(frames) > 6 else "")

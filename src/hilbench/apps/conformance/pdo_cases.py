@@ -1,0 +1,398 @@
+"""PDO cases (CiA 301, 7.2.2, 7.5.2.35 to 7.5.2.38): communication in every NMT state, and mapping."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from itertools import pairwise
+from typing import Final
+
+from hilbench.apps.conformance.description import Entry
+from hilbench.apps.conformance.dut import DeviceUnderTest, answers, multiplexed
+from hilbench.apps.conformance.process_data import (
+    RPDO,
+    TPDO,
+    Pdo,
+    change,
+    map_objects,
+    mapped,
+    receive_pdo,
+    set_up,
+    transmit_pdo,
+)
+from hilbench.apps.conformance.record import NotApplicableError
+from hilbench.apps.conformance.wire import ReceivedFrame, periods, steady
+from hilbench.can.frame import REMOTE_FLAG
+from hilbench.canopen.data_types import data_type
+from hilbench.canopen.identifiers import COB_ID, INVALID, MAPPING, NO_REMOTE_REQUEST, NmtCommand
+from hilbench.canopen.object_store import (
+    INVALID_VALUE,
+    NO_OBJECT,
+    NO_SUB_INDEX,
+    NOT_MAPPABLE,
+    PDO_LENGTH,
+    PRESENT_STATE,
+    READ_ONLY,
+    UNSUPPORTED_ACCESS,
+    VALUE_TOO_HIGH,
+    WRITE_ONLY,
+)
+
+#: "Sub-index can't be written, sub-index 0 must be 0 for write access" (CiA 301, table 22).
+_COUNT_NOT_ZERO: Final = 0x06010003
+_NOT_NOW: Final = (UNSUPPORTED_ACCESS, _COUNT_NOT_ZERO, PRESENT_STATE)
+_NOT_THERE: Final = (NOT_MAPPABLE, READ_ONLY, WRITE_ONLY, UNSUPPORTED_ACCESS)
+_INHIBIT_S, _EVENT_S = 0.1, 0.1
+_QUIET_S, _SOON_S = 0.3, 0.05
+_TOLERANCE_S: Final = 0.003
+_LARGEST_PDO: Final = 64
+
+
+def scan(dut: DeviceUnderTest, base: int) -> None:
+    """PDOs of the file are there, and the next one is not."""
+    numbers = dut.eds.pdos(base)
+    for number in numbers:
+        request = multiplexed(0x40, base + number, 1).hex()
+        dut.ask(f"read {base + number:04X}h:1", request, f"43 {request[2:8]} ????????")
+    absent = next(number for number in range(513) if number not in numbers)
+    request = multiplexed(0x40, base + absent, 1).hex()
+    dut.ask(f"read {base + absent:04X}h:1", request, f"80 {request[2:8]} {NO_OBJECT.to_bytes(4, 'little').hex()}")
+
+
+# -- communication in an NMT state -----------------------------------------------------------------------------
+
+
+def _any_data(pdo: Pdo) -> str:
+    return "??" * pdo.size
+
+
+def remote_request(dut: DeviceUnderTest, state: NmtCommand) -> None:
+    """A remote frame brings the TPDO in OPERATIONAL alone."""
+    pdo = transmit_pdo(dut)
+    forbidden = bool(dut.value(pdo.index, 1) & NO_REMOTE_REQUEST)
+    set_up(dut, pdo, 1, remote=True)
+    dut.nmt(state)
+    dut.forget()
+    dut.send(REMOTE_FLAG | pdo.cob_id, bytes(pdo.size))
+    found = [each for each in dut.receive(_SOON_S) if not each.can_id & REMOTE_FLAG]
+    if forbidden and not found and state is NmtCommand.START:
+        raise NotApplicableError(f"{pdo.index:04X}h:1 forbids remote requests; allowed by hand, none is answered")
+    wanted = [_any_data(pdo)] if state is NmtCommand.START else []
+    dut.frames("remote request", found, pdo.cob_id, *wanted)
+
+
+def event_driven(dut: DeviceUnderTest, state: NmtCommand) -> None:
+    """Sent on a change in OPERATIONAL, not without one, and not before the inhibit time is over."""
+    pdo = transmit_pdo(dut)
+    set_up(dut, pdo, 254)
+    dut.nmt(state)
+    if state is not NmtCommand.START:
+        if state is NmtCommand.ENTER_PRE_OPERATIONAL:
+            change(dut, pdo)
+        dut.silent("nothing is sent", dut.receive(_QUIET_S), pdo.cob_id)
+        return
+    dut.receive(_SOON_S)
+    dut.silent("nothing changes", dut.receive(_QUIET_S), pdo.cob_id)
+    change(dut, pdo)
+    found = dut.receive_id(pdo.cob_id, _SOON_S)
+    dut.check("a change", f"{pdo.cob_id:03X} with the new value", _frames(found), bool(found))
+    if dut.eds.can_write(pdo.index, 3):
+        _inhibit_time(dut, pdo)
+    else:
+        dut.notes.append(f"no inhibit time ({pdo.index:04X}h:3) in the EDS file")
+
+
+def _inhibit_time(dut: DeviceUnderTest, pdo: Pdo) -> None:
+    dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+    set_up(dut, pdo, 254, inhibit=round(_INHIBIT_S * 10_000))
+    dut.nmt(NmtCommand.START)
+    dut.receive(2.0 * _INHIBIT_S)
+    change(dut, pdo)
+    found = dut.receive_id(pdo.cob_id, 0.1 * _INHIBIT_S)
+    change(dut, pdo)
+    found += dut.receive_id(pdo.cob_id, 3.0 * _INHIBIT_S)
+    gaps = [later.at_s - earlier.at_s for earlier, later in pairwise(found)]
+    seen = ", ".join(f"{1000.0 * gap:.1f} ms" for gap in gaps) or f"{len(found)} frames"
+    ok = bool(gaps) and min(gaps) >= _INHIBIT_S - _TOLERANCE_S
+    dut.check("changes within the inhibit time", f"{1000.0 * _INHIBIT_S:g} ms between frames at least", seen, ok)
+
+
+def event_timer(dut: DeviceUnderTest, state: NmtCommand) -> None:
+    """Sent every 100 ms in OPERATIONAL without a change."""
+    pdo = transmit_pdo(dut)
+    set_up(dut, pdo, 254, event_ms=round(1000.0 * _EVENT_S))
+    dut.nmt(state)
+    dut.forget()
+    duration_s = 10.0 * _EVENT_S
+    found = dut.receive_id(pdo.cob_id, duration_s if state is NmtCommand.START else 3.0 * _EVENT_S)
+    if state is not NmtCommand.START:
+        dut.silent("nothing is sent", found, pdo.cob_id)
+        return
+    ok = 9 <= len(found) <= 11 and steady(found, _EVENT_S)
+    dut.check("event timer of 100 ms", "10 frames in 1 s, one each 100 ms", f"{len(found)} frames{periods(found)}", ok)
+
+
+def cyclic(dut: DeviceUnderTest, state: NmtCommand) -> None:
+    """Every third SYNC, whichever the device counts from: CiA 301 leaves that open without a SYNC counter."""
+    pdo = transmit_pdo(dut)
+    set_up(dut, pdo, 3)
+    dut.nmt(state)
+    came = [bool([each for each in dut.sync() if each.can_id == pdo.cob_id]) for _ in range(6)]
+    first = came.index(True) if any(came[:3]) else 2
+    wanted = [number % 3 == first for number in range(6)] if state is NmtCommand.START else [False] * 6
+    dut.check("six SYNCs, type 3", _marks(wanted), _marks(came), came == wanted)
+
+
+def acyclic(dut: DeviceUnderTest, state: NmtCommand) -> None:
+    """Type 0: with the SYNC after a change, and not with the next."""
+    pdo = transmit_pdo(dut)
+    set_up(dut, pdo, 0)
+    dut.nmt(state)
+    active = state is NmtCommand.START
+    dut.sync()
+    dut.silent("SYNC without a change", dut.sync(), pdo.cob_id)
+    if state is not NmtCommand.STOP:
+        change(dut, pdo)
+    dut.silent("a change before the SYNC", dut.receive(_SOON_S), pdo.cob_id)
+    dut.frames("SYNC after it", dut.sync(), pdo.cob_id, *([_any_data(pdo)] if active else []))
+    dut.silent("the next SYNC", dut.sync(), pdo.cob_id)
+
+
+def start_value(dut: DeviceUnderTest, state: NmtCommand) -> None:
+    """SYNC start value with the SYNC counter: every second one from 4 on.
+
+    4 counts as the first that is received; whether the first or the second of each two is answered is not decided.
+    """
+    pdo = transmit_pdo(dut)
+    dut.needs_to_write((0x1019, 0))
+    if dut.eds.can_write(0x1006) and dut.value(0x1006):
+        dut.write(0x1006, 0, 0)
+    dut.write(0x1019, 0, 10)
+    set_up(dut, pdo, 2, start=4)
+    dut.nmt(state)
+    came = [counter for counter in range(1, 11) if answers(dut.sync(bytes((counter,))), pdo.cob_id, lambda _: True)]
+    wanted = ([4, 6, 8, 10], [5, 7, 9]) if state is NmtCommand.START else ([],)
+    expected = f"{pdo.cob_id:03X} with {' or '.join(str(each or 'none') for each in wanted)}"
+    dut.check("SYNC 1 to 10", expected, f"with {came or 'none'}", came in wanted)
+
+
+def _frames(found: list[ReceivedFrame]) -> str:
+    return "; ".join(f"{each.can_id & COB_ID:03X} {each.data.hex(' ')}" for each in found[:4]) or "nothing"
+
+
+def _marks(came: list[bool]) -> str:
+    return " ".join("sent" if each else "-" for each in came)
+
+
+# -- mapping ---------------------------------------------------------------------------------------------------
+
+
+def default_mapping(dut: DeviceUnderTest) -> None:
+    """Mapped objects are in the file, as long as the mapping states."""
+    indices = [base + number for base in (RPDO, TPDO) for number in dut.eds.pdos(base)]
+    if not indices:
+        raise NotApplicableError("no PDO is in the EDS file")
+    for index in indices:
+        for entry in mapped(dut, index):
+            found, sub, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+            text = f"{found:04X}h:{sub} of {bits} bits"
+            if found < 0x1000:
+                dut.check(f"{index + MAPPING:04X}h maps", "an object or a placeholder", text, True)
+                continue
+            known = dut.eds.entry(found, sub) if dut.eds.has(found, sub) else None
+            ok = known is not None and known.mapping & 0xFF == bits
+            dut.check(f"{index + MAPPING:04X}h maps {text}", "an object of that length in the EDS file", str(known), ok)
+
+
+def _variable(dut: DeviceUnderTest, base: int) -> int:
+    """Index of a PDO whose mapping can be written."""
+    numbers = [
+        number
+        for number in dut.eds.pdos(base)
+        if dut.eds.can_write(base + number, 1) and dut.eds.can_write(base + number + MAPPING, 0)
+    ]
+    return base + dut.first(numbers, f"a mapping ({base + MAPPING:04X}h …) that can be written")
+
+
+def _opened(dut: DeviceUnderTest, base: int) -> int:
+    """PDO made invalid, with nothing mapped."""
+    index = _variable(dut, base)
+    remote = NO_REMOTE_REQUEST if base == TPDO else 0
+    cob_id = dut.value(index, 1) & COB_ID or (0x180 if base == TPDO else 0x200) + dut.node_id
+    dut.write(index, 1, INVALID | remote | cob_id)
+    dut.write(index + MAPPING, 0, 0)
+    return index
+
+
+def mapping_procedure(dut: DeviceUnderTest) -> None:
+    """An RPDO that is mapped anew acts on the object that it then carries."""
+    pdo = receive_pdo(dut)
+    _variable(dut, RPDO)
+    set_up(dut, pdo, 1)
+    dut.nmt(NmtCommand.START)
+    value = 0x06 if dut.eds.is_drive else dut.value(*pdo.carries.key) ^ 1
+    dut.touched.add(pdo.carries.key)
+    dut.send(pdo.cob_id, value.to_bytes(pdo.size, "little"))
+    dut.sync()
+    dut.reads(f"{pdo.carries} has what the RPDO carried", *pdo.carries.key, value)
+
+
+def _mapped_pdos(dut: DeviceUnderTest) -> list[int]:
+    """A PDO of each direction with something in it."""
+    found = []
+    for base in (RPDO, TPDO):
+        try:
+            carried = _carried(dut, base)[0]
+            index = _opened(dut, base)
+        except NotApplicableError as error:
+            dut.notes.append(str(error))
+            continue
+        map_objects(dut, index, [carried.mapping])
+        found.append(index)
+    if not found:
+        raise NotApplicableError(dut.notes[-1])
+    return found
+
+
+def _carried(dut: DeviceUnderTest, base: int) -> list[Entry]:
+    """Objects that a PDO may carry. Raises NotApplicableError for a device that has nothing of the kind."""
+    found = [entry for entry in dut.eds.entries(0x2000) if _may_carry(entry, base)]
+    if not found:
+        what = "an RPDO" if base == RPDO else "a TPDO"
+        raise NotApplicableError(f"no object from 2000h on may be mapped to {what} by the EDS file")
+    return found
+
+
+def _may_carry(entry: Entry, base: int) -> bool:
+    allowed = ("rw", "rww", "wo") if base == RPDO else ("rw", "rwr", "ro")
+    return bool(entry.variable.pdo_mappable) and entry.access in allowed and entry.mapping & 0xFF > 0
+
+
+def mapping_without_procedure(dut: DeviceUnderTest) -> None:
+    """An entry can't be written while the number of entries is not 0."""
+    for index in _mapped_pdos(dut):
+        entry = dut.value(index + MAPPING, 1)
+        dut.refuses("an entry, the number being 1", index + MAPPING, 1, entry.to_bytes(4, "little"), *_NOT_NOW)
+
+
+def mapping_of_valid_pdo(dut: DeviceUnderTest) -> None:
+    """Nor anything while the PDO is valid."""
+    for index in _mapped_pdos(dut):
+        dut.write(index, 1, dut.value(index, 1) & ~INVALID)
+        dut.refuses("the number of entries of a valid PDO", index + MAPPING, 0, b"\0", *_NOT_NOW)
+        entry = dut.value(index + MAPPING, 1)
+        dut.refuses("an entry of a valid PDO", index + MAPPING, 1, entry.to_bytes(4, "little"), *_NOT_NOW)
+
+
+def _each_opened(dut: DeviceUnderTest) -> list[int]:
+    found = []
+    for base in (RPDO, TPDO):
+        try:
+            found.append(_opened(dut, base))
+        except NotApplicableError as error:
+            dut.notes.append(str(error))
+    if not found:
+        raise NotApplicableError("no mapping can be written by the EDS file")
+    return found
+
+
+def too_many_objects(dut: DeviceUnderTest) -> None:
+    """One more than the device has places for."""
+    codes = (PDO_LENGTH, NOT_MAPPABLE, INVALID_VALUE, VALUE_TOO_HIGH)
+    for index in _each_opened(dut):
+        places = max(entry.sub for entry in dut.eds.entries(index + MAPPING, index + MAPPING))
+        dut.refuses(f"{places + 1} entries", index + MAPPING, 0, bytes((places + 1,)), *codes)
+        if places < _LARGEST_PDO:
+            dut.refuses("an entry more", index + MAPPING, places + 1, bytes(4), NO_SUB_INDEX)
+
+
+def objects_too_long(dut: DeviceUnderTest) -> None:
+    """More than eight bytes."""
+    examined = 0
+    for index in _each_opened(dut):
+        base = TPDO if index >= TPDO else RPDO
+        try:
+            longest = max(_carried(dut, base), key=lambda e: e.mapping & 0xFF)
+        except NotApplicableError as error:
+            dut.notes.append(str(error))
+            continue
+        needed = _LARGEST_PDO // (longest.mapping & 0xFF) + 1
+        places = max(entry.sub for entry in dut.eds.entries(index + MAPPING, index + MAPPING))
+        if places < needed:
+            dut.notes.append(f"{index + MAPPING:04X}h: {places} places are not enough for more than eight bytes")
+            continue
+        examined += 1
+        dut.touched.update((index + MAPPING, sub) for sub in range(needed + 1))
+        for sub in range(1, needed):
+            dut.write(index + MAPPING, sub, longest.mapping)
+        refused = dut.try_to_write(index + MAPPING, needed, longest.mapping.to_bytes(4, "little"))
+        if refused == b"":
+            dut.refuses(f"{needed} × {longest}", index + MAPPING, 0, bytes((needed,)), PDO_LENGTH)
+        else:
+            dut.check(
+                f"{needed} × {longest}", "refused", str(refused), str(refused).startswith(f"abort {PDO_LENGTH:08X}h")
+            )
+    if not examined:
+        raise NotApplicableError(dut.notes[-1])
+
+
+def maps(dut: DeviceUnderTest, base: int, kinds: tuple[str, ...], mappable: bool, taken: bool) -> None:
+    """Write an entry of objects of an access type; whether it is taken."""
+    found = [e for e in dut.eds.entries(0x1000) if e.access in kinds and bool(e.variable.pdo_mappable) is mappable]
+    found = [entry for entry in found if entry.mapping & 0xFF]
+    if not found:
+        may = "may" if mappable else "may not"
+        raise NotApplicableError(f"no object of access type {' or '.join(kinds)} {may} be mapped by the EDS file")
+    index = _opened(dut, base)
+    entry = max(found, key=lambda each: each.index >= 0x6000)  # the device's profile before its maker's
+    data = entry.mapping.to_bytes(4, "little")
+    if taken:
+        dut.takes(f"map {entry}", index + MAPPING, 1, entry.mapping)
+    else:
+        dut.refuses(f"map {entry}", index + MAPPING, 1, data, *_NOT_THERE)
+
+
+def placeholder(dut: DeviceUnderTest) -> None:
+    """A dummy takes its place in the frame, and the object after it what follows."""
+    dut.first(dut.eds.dummies, "a placeholder ([DummyUsage])")
+    dummy = max(dut.eds.dummies)
+    bits = data_type(dummy).pdo_bits or 0
+    pdo = receive_pdo(dut)
+    opened = _opened(dut, RPDO)
+    map_objects(dut, opened, [dummy << 16 | bits, pdo.carries.mapping])
+    dut.configure(opened, 2, 1, "transmission type 1")
+    dut.write(opened, 1, pdo.cob_id)
+    dut.nmt(NmtCommand.START)
+    value = 0x06 if dut.eds.is_drive else dut.value(*pdo.carries.key) ^ 1
+    dut.touched.add(pdo.carries.key)
+    dut.send(pdo.cob_id, b"\xff" * (bits // 8) + value.to_bytes(pdo.size, "little"))
+    dut.sync()
+    dut.reads(f"{pdo.carries} has what followed the placeholder", *pdo.carries.key, value)
+
+
+_STATES: Final = (NmtCommand.START, NmtCommand.STOP, NmtCommand.ENTER_PRE_OPERATIONAL)
+_IN_A_STATE: Final = (remote_request, event_driven, event_timer, cyclic, acyclic, start_value)
+_OUTPUT, _INPUT, _ANY = ("rww", "wo"), ("rwr", "ro"), ("ro", "rw", "rwr", "rww", "const", "wo")
+
+CASES: Final[Mapping[str, Callable[[DeviceUnderTest], None]]] = {
+    "PDO 1": lambda dut: scan(dut, RPDO),
+    "PDO 2": lambda dut: scan(dut, TPDO),
+    **{
+        f"PDO {3 + 6 * place + number}": partial(case, state=state)
+        for place, state in enumerate(_STATES)
+        for number, case in enumerate(_IN_A_STATE)
+    },
+    "PDO 21": default_mapping,
+    "PDO 22": mapping_procedure,
+    "PDO 23": mapping_without_procedure,
+    "PDO 24": mapping_of_valid_pdo,
+    "PDO 25": too_many_objects,
+    "PDO 26": objects_too_long,
+    "PDO 27": lambda dut: maps(dut, RPDO, (*_OUTPUT, "rw"), mappable=True, taken=True),
+    "PDO 28": lambda dut: maps(dut, RPDO, _INPUT, mappable=True, taken=False),
+    "PDO 29": lambda dut: maps(dut, RPDO, _ANY, mappable=False, taken=False),
+    "PDO 30": lambda dut: maps(dut, TPDO, _INPUT, mappable=True, taken=True),
+    "PDO 31": lambda dut: maps(dut, TPDO, _OUTPUT, mappable=True, taken=False),
+    "PDO 32": lambda dut: maps(dut, TPDO, _ANY, mappable=False, taken=False),
+    "PDO 33": placeholder,
+}

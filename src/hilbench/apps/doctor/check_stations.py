@@ -1,0 +1,133 @@
+"""Check that the nodes on the bus are those of the config: pure functions of what was received."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hilbench.apps.doctor.findings import Check, Finding, error, ok, warning
+from hilbench.apps.doctor.stations import ExpectedNode, MappedObject, NodeAnswers
+from hilbench.canopen.listening import Received, master_at_work
+from hilbench.canopen.sdo_client import Answer, Refusal
+
+_PROFILE_MASK = 0xFFFF  # 1000h: device profile number in the low half
+_WRITE_ONLY = 0x06010001
+
+
+def check_received(
+    received: Received, expected: Sequence[ExpectedNode], master_id: int, bus: str, claimed_by: str | None = None
+) -> list[Finding]:
+    """Findings on unsolicited frames; `claimed_by`: the program that has claimed to be the master."""
+    findings = []
+    master = master_at_work(received, claimed_by, master_id)
+    if master is not None:
+        advice = "end the other bench or master first; nodes are not asked meanwhile, so that nothing disturbs it"
+        findings.append(error(Check.OTHER_MASTER, bus, master, "no other master on the bus", advice))
+    else:
+        findings.append(ok(Check.OTHER_MASTER, bus, "none received"))
+    known = {node.node_id for node in expected} | {master_id}
+    strangers = {node_id: ids for node_id, ids in received.nodes.items() if node_id not in known}
+    if strangers:
+        found = "; ".join(
+            f"node {node_id} ({' '.join(f'{cob_id:03X}h' for cob_id in sorted(ids))})"
+            for node_id, ids in strangers.items()
+        )
+        advice = "give it its place under drives: or load_motors: in the config, or take it off the bus"
+        findings.append(warning(Check.STRANGERS, bus, found, "only the nodes of the config", advice))
+    else:
+        findings.append(ok(Check.STRANGERS, bus, "no node that is not in the config was received"))
+    return findings
+
+
+def check_node(node: ExpectedNode, answers: NodeAnswers) -> list[Finding]:
+    """Findings on one node that was asked."""
+    if answers.device_type is None:
+        return [_silent(node)]
+    return [
+        ok(Check.NODE_ANSWERS, node.subject, f"answers; 1000h is {_hex(answers.device_type)}"),
+        _identity(node, answers),
+        *_mapped(node, answers),
+    ]
+
+
+def _silent(node: ExpectedNode) -> Finding:
+    found = "no answer to an SDO read of 1000h"
+    if node.ours:
+        command = "twin" if node.part.startswith("virtual") else "simulate-hardware"
+        advice = f"start it: hilbench {command} CONFIG (or leave out --no-start, and end what runs of the others)"
+    else:
+        advice = f"check its power, node id {node.node_id}, bit rate and cable; listen: candump -t d INTERFACE"
+    return error(Check.NODE_ANSWERS, node.subject, found, "an answer", advice)
+
+
+def _identity(node: ExpectedNode, answers: NodeAnswers) -> Finding:
+    """1000h and 1018h against the EDS. Another revision may do; another maker, product or profile may not."""
+    checks = [
+        ("vendor id", answers.identity[0], node.identity[0], error),
+        ("product code", answers.identity[1], node.identity[1], error),
+        ("revision", answers.identity[2], node.identity[2], warning),
+    ]
+    if node.device_type and isinstance(answers.device_type, bytes):
+        found = int.from_bytes(answers.device_type, "little") & _PROFILE_MASK
+        if found != node.device_type & _PROFILE_MASK:
+            return error(
+                Check.IDENTITY,
+                node.subject,
+                f"device profile {found}",
+                f"{node.device_type & _PROFILE_MASK}, by 1000h of {node.eds.name}",
+                f"is this the device with node id {node.node_id}? Name its own EDS file in the config",
+            )
+    for name, answer, wanted, finding in checks:
+        if wanted and _number(answer) not in wanted:
+            return finding(
+                Check.IDENTITY,
+                node.subject,
+                f"{name} {_hex(answer)}",
+                f"{' or '.join(f'{value:08X}h' for value in sorted(wanted))}, by {node.eds.name}",
+                f"put the EDS file of this device and firmware in place of {node.eds.name} (eds: in the config)",
+            )
+    compared = [name for name, _, wanted, _ in checks if wanted]
+    text = " ".join(_hex(answer) for answer in answers.identity)
+    return ok(Check.IDENTITY, node.subject, f"1018h is {text}; {', '.join(compared) or 'nothing'} given by the EDS")
+
+
+def _mapped(node: ExpectedNode, answers: NodeAnswers) -> list[Finding]:
+    problems = [finding for item in node.mapped if (finding := _object(node, item, answers))]
+    if problems:
+        return problems
+    names = " ".join(_object_name(item) for item in node.mapped)
+    return [ok(Check.MAPPED_OBJECTS, node.subject, f"{names or 'none'}: there, as long as the EDS says")]
+
+
+def _object(node: ExpectedNode, item: MappedObject, answers: NodeAnswers) -> Finding | None:
+    answer = answers.mapped[item.index, item.sub]
+    if isinstance(answer, Refusal) and answer.code == _WRITE_ONLY:
+        return None  # it is there, and its length cannot be seen
+    if isinstance(answer, bytes) and 8 * len(answer) == item.bits:
+        return None
+    if answer is None:
+        found = "no answer"
+    elif isinstance(answer, Refusal):
+        found = str(answer)
+    else:
+        found = f"{8 * len(answer)} bits"
+    return error(
+        Check.MAPPED_OBJECTS,
+        node.subject,
+        f"{_object_name(item)} '{item.name}': {found}",
+        f"{item.bits} bits, by {node.eds.name}",
+        "use the EDS file of this firmware; a mode of operation that lacks it cannot be run on this device",
+    )
+
+
+def _object_name(item: MappedObject) -> str:
+    return f"{item.index:04X}h" + (f" sub {item.sub}" if item.sub else "")
+
+
+def _number(answer: Answer) -> int | None:
+    return int.from_bytes(answer, "little") if isinstance(answer, bytes) else None
+
+
+def _hex(answer: Answer) -> str:
+    if isinstance(answer, bytes):
+        return f"{int.from_bytes(answer, 'little'):08X}h"
+    return "no answer" if answer is None else str(answer)

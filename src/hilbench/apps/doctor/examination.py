@@ -1,0 +1,161 @@
+"""The examination: reads, measures, listens and asks, and hands everything to the judges.
+
+It writes nothing to any device and sends no NMT command, so that it can be run on a stand at any time. On a bus where
+something is wrong already, or another master is at work, it sends nothing at all.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hilbench.apps.doctor.check_interface import InterfaceNeeds, check_interface
+from hilbench.apps.doctor.check_machine import MachineNeeds, check_machine
+from hilbench.apps.doctor.check_stations import check_node, check_received
+from hilbench.apps.doctor.findings import Check, Finding, Level, error, ok, warning
+from hilbench.apps.doctor.interface import read_interface
+from hilbench.apps.doctor.machine import Lateness, measure_lateness, read_machine
+from hilbench.apps.doctor.stations import ExpectedNode, ask
+from hilbench.can.link import Link
+from hilbench.can.open import BusAddress, open_link, open_python_can
+from hilbench.canopen.listening import listen, present
+from hilbench.canopen.master_guard import master_of
+from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
+from hilbench.errors import BenchFaultError
+from hilbench.processes import ChildProcess
+
+_LISTEN_S = 1.0
+_MEASURE_S = 0.5
+#: For nodes of simulated hardware and twin that run already to answer.
+_PRESENT_S = 0.5
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Subject of an examination; the defaults are those of a bench config, for one without a config."""
+
+    bus: BusAddress | None  #: None: the machine alone
+    realtime: bool
+    cycle_s: float = 0.002
+    frames_per_cycle: int = 16
+    bitrate_source: str = "as bus: bitrate: in the config"
+    master_id: int = 127
+    sdo_timeout_s: float = 1.0
+    boot_timeout_s: float = 20.0
+    nodes: Sequence[ExpectedNode] = field(default=())
+
+    @classmethod
+    def of_bus(cls, bus: BusAddress | None) -> Subject:
+        """A bus of which nothing else is known, or none: this machine."""
+        return cls(
+            bus,
+            realtime=bus is not None and bus.interface != "embedded",
+            bitrate_source="which is a bench's when its config names none",
+        )
+
+
+@dataclass(frozen=True)
+class Examination:
+    """Result of an examination."""
+
+    findings: list[Finding]
+    lateness: Lateness
+
+    @property
+    def nodes_asked(self) -> int:
+        """Number of nodes that were asked; without any, nothing is known of them."""
+        return sum(finding.check is Check.NODE_ANSWERS for finding in self.findings)
+
+    @property
+    def passed(self) -> bool:
+        """No error was found."""
+        return not self.count(Level.ERROR)
+
+    def count(self, level: Level) -> int:
+        """Number of findings of this level."""
+        return sum(finding.level is level for finding in self.findings)
+
+
+Start = Callable[[Path], list[ChildProcess]]
+
+
+def examine(subject: Subject, *, start: Start | None, announce: Callable[[str], None]) -> Examination:
+    """Examine machine, interface and nodes. `start` starts the nodes that a run starts, when none of them is there."""
+    announce("measure the timer")
+    lateness = measure_lateness(subject.cycle_s, _MEASURE_S)
+    bus = subject.bus
+    on_socketcan = bus is not None and bus.interface == "socketcan"
+    machine = check_machine(read_machine(), lateness, MachineNeeds(subject.realtime, subject.cycle_s, on_socketcan))
+    if bus is None:
+        return Examination(machine, lateness)
+    if bus.interface != "socketcan":
+        what = "embedded" if bus.interface == "embedded" else f"python-can's {bus.interface}"
+        interface = [ok(Check.INTERFACE, str(bus), f"{what}: nothing to check")]
+        return Examination(machine + interface + _stations(subject, bus, start, announce), lateness)
+    needs = InterfaceNeeds(bus.bitrate, subject.frames_per_cycle, subject.bitrate_source)
+    before = read_interface(bus.channel)
+    interface = check_interface(before, before, needs)
+    if any(finding.level is Level.ERROR for finding in interface):
+        return Examination([*machine, *interface, _left_alone(bus)], lateness)
+    stations = _stations(subject, bus, start, announce)
+    interface = check_interface(before, read_interface(bus.channel), needs)
+    return Examination(machine + interface + stations, lateness)
+
+
+def _left_alone(bus: BusAddress) -> Finding:
+    advice = "put the interface right, then run hilbench doctor again"
+    return warning(Check.BUS, str(bus), "not used: its interface is not right", "findings on nodes", advice)
+
+
+def _stations(subject: Subject, bus: BusAddress, start: Start | None, announce: Callable[[str], None]) -> list[Finding]:
+    """Findings on the bus and those on it."""
+    try:
+        with ExitStack() as resources:
+            return _on_bus(subject, bus, start, announce, resources)
+    except BenchFaultError as fault:
+        advice = "the other findings may say why; else the command that the message names"
+        return [error(Check.BUS, str(bus), str(fault), "a bus that can be used", advice)]
+
+
+def _on_bus(
+    subject: Subject,
+    bus: BusAddress,
+    start: Start | None,
+    announce: Callable[[str], None],
+    resources: ExitStack,
+) -> list[Finding]:
+    link = open_link(bus)
+    resources.callback(link.close)
+    announce(f"listen on {bus}")
+    received = listen(link, _LISTEN_S)
+    findings = [ok(Check.BUS, str(bus), "opens")]
+    master = master_of(bus)
+    claimed_by = None if master is None else str(master)
+    findings += check_received(received, subject.nodes, subject.master_id, str(bus), claimed_by)
+    if not subject.nodes or claimed_by or received.signs_of_master(subject.master_id):
+        return findings
+    ours = [node.node_id for node in subject.nodes if node.ours]
+    if start is not None and ours and not present(link, ours, _PRESENT_S):
+        announce("start simulated hardware and twin")
+        folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="hilbench-")))
+        children = start(folder)
+        for child in children:
+            resources.callback(child.end)
+        _wait_for(link, ours, children, subject.boot_timeout_s)
+    announce("ask the nodes")
+    with SdoClient(open_python_can(bus, SDO_ANSWERS), subject.sdo_timeout_s) as reader:
+        for node in subject.nodes:
+            findings += check_node(node, ask(reader, node))
+    return findings
+
+
+def _wait_for(link: Link, node_ids: Sequence[int], children: Sequence[ChildProcess], timeout_s: float) -> None:
+    """Until all of them answer; those that don't are named when they are asked."""
+    deadline_s = time.monotonic() + timeout_s
+    while len(present(link, node_ids, _PRESENT_S)) < len(node_ids) and time.monotonic() < deadline_s:
+        for child in children:
+            child.check()

@@ -1,0 +1,187 @@
+"""What a run folder says of the machine: what the twin estimated, and what a diagnosis of its recording found.
+
+Only what was estimated from measurements enters, never a value that a config gives: of a twin, what it held when it was
+last in step with the machine; of a diagnosis, the parameters of the effects that it named, with the names of those that
+its data could not tell from them; of a commissioning all that it measured.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from hilbench.apps.history import servo_axis, web_line
+from hilbench.apps.history.store import COMMISSIONING, Entry, History, Quantity, history_of
+from hilbench.diagnosis.commissioning import Commissioned
+from hilbench.errors import UnusableInputError
+from hilbench.files import write_whole
+from hilbench.results.recording import Recording, read_recording
+from hilbench.results.result import Result
+from hilbench.results.run_folder import RunFolder
+from hilbench.runs.config import load
+from hilbench.topology.config import BenchConfig
+from hilbench.twin.virtual_io import TwinStatus
+
+TWIN: Final = "twin"
+DIAGNOSIS: Final = "diagnosis"
+_NORMAL_95: Final = 1.959964
+#: Parameters that say when or where in a turn, and not how much.
+_PLACES: Final = ("phase_rad", "time_s", "duration_s")
+
+
+def remember(folder: RunFolder) -> Path | None:
+    """Add a run's findings to the history of its stand; returns the file, None where nothing was found.
+
+    Raises UnusableInputError for a folder that can't be read, or a history that can't be written.
+    """
+    config = load(folder.config)[0]
+    found = list(entries_of(folder, config))
+    if not found:
+        return None
+    path = history_of(config, folder.path.resolve().parent)
+    History(path).add(*found)
+    return path
+
+
+def rebuild(path: Path, stand: str | None, runs: Path) -> tuple[int, list[str]]:
+    """Make a history, or one stand's part of it, from the run folders in `runs`.
+
+    Returns the number of its entries, and a line for each folder that could not be read. Raises UnusableInputError for
+    no folder `runs`.
+    """
+    if not runs.is_dir():
+        raise UnusableInputError(runs, "no such folder, expected that in which the run folders are")
+    entries: list[Entry] = []
+    problems = []
+    for config_file in sorted(runs.glob("*/config.yaml")):
+        folder = RunFolder(config_file.parent)
+        if not folder.recording.is_file():
+            continue
+        try:
+            config = load(folder.config)[0]
+            if stand is None or config.stand_name == stand:
+                entries += entries_of(folder, config)
+        except UnusableInputError as error:
+            problems.append(str(error))
+    History(path).replace_all(stand, entries)
+    return len(entries), problems
+
+
+def entries_of(folder: RunFolder, config: BenchConfig) -> Iterator[Entry]:
+    """Entries of a run: one for each source that found something. Raises UnusableInputError."""
+    recording = read_recording(folder.recording)
+    began = recording.start_time or datetime.fromtimestamp(folder.config.stat().st_mtime, UTC)
+    followed = list(_of_twin(recording))
+    # Of a twin that has never been in step with its machine nothing is believed.
+    sources = {
+        TWIN: [*followed, *(_beside(folder) if followed else ())],
+        DIAGNOSIS: list(_of_diagnosis(folder)),
+        COMMISSIONING: list(_of_commissioning(folder)),
+    }
+    for source, quantities in sources.items():
+        if quantities:
+            yield Entry(config.stand_name, folder.name, source, began, folder.path.resolve(), quantities)
+
+
+def keep_diagnosis(folder: RunFolder, diagnosis: Mapping[str, Any]) -> None:
+    """Put a diagnosis of a run's recording (the object of `diagnose --json`) into its folder, and into the history.
+
+    Raises UnusableInputError for what can't be written.
+    """
+    write_whole(folder.diagnosis, json.dumps(diagnosis, indent=2) + "\n")
+    remember(folder)
+
+
+def keep_commissioning(folder: RunFolder, found: Iterable[Commissioned]) -> list[Quantity]:
+    """Put what a commissioning has measured into its run folder, and into the history; returns the quantities.
+
+    Raises UnusableInputError for what can't be written.
+    """
+    quantities = [_quantity(one) for one in found]
+    data = {"quantities": [asdict(each) for each in quantities]}
+    write_whole(folder.commissioning, json.dumps(data, indent=2) + "\n")
+    remember(folder)
+    return quantities
+
+
+def _quantity(one: Commissioned) -> Quantity:
+    place = _place({"axis": one.axis, "span": one.section})
+    name = f"{place}.{one.effect}.{one.parameter}"
+    return Quantity(name, one.value, one.deviation, one.unit, ", ".join(one.tied_with))
+
+
+def _of_commissioning(folder: RunFolder) -> Iterator[Quantity]:
+    """Quantities measured by a commissioning, from its run folder."""
+    if not folder.commissioning.is_file():
+        return
+    try:
+        found = json.loads(folder.commissioning.read_text(encoding="utf-8"))
+        yield from (Quantity(**each) for each in found["quantities"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UnusableInputError(
+            folder.commissioning,
+            f"is no commissioning ({' '.join(str(error).split())}), expected what 'hilbench commission' has written",
+        ) from error
+
+
+def _of_twin(recording: Recording) -> Iterator[Quantity]:
+    """The estimates that the twin held when it was last synchronized."""
+    if "twin_status" not in recording:
+        return
+    status = np.asarray(recording["twin_status"]).astype(np.int64)
+    good = (status & int(TwinStatus.SYNCHRONIZED) != 0) & (
+        status & int(TwinStatus.NOT_SEPARABLE | TwinStatus.HOLDING) == 0
+    )
+    if not good.any():
+        return
+    last = int(np.flatnonzero(good)[-1])
+    for estimate in (*web_line.estimates(recording.channels), *servo_axis.estimates()):
+        if estimate.value not in recording or estimate.deviation not in recording:
+            continue
+        values = np.asarray(recording[estimate.value], np.float64)
+        sd = np.asarray(recording[estimate.deviation], np.float64)[last]
+        if np.isfinite(values[last]) and np.isfinite(sd) and np.ptp(values[good]) > 0.0:
+            yield Quantity(estimate.quantity, float(values[last]), float(sd), estimate.unit)
+
+
+def _beside(folder: RunFolder) -> Iterator[Quantity]:
+    """Errors of its model that the twin has found and could tell, from the result of a run."""
+    if not folder.result.is_file():
+        return
+    for each in Result.read(folder.result).estimated or ():
+        if each.separable:
+            sd = (each.ci95[1] - each.ci95[0]) / (2.0 * _NORMAL_95)
+            tied = ", ".join(each.tied_with)
+            yield Quantity(f"{each.place}.{each.effect}.{each.parameter}", each.value, sd, each.unit, tied)
+
+
+def _place(effect: Mapping[str, Any]) -> str:
+    """Place of an effect as a diagnosis writes it, in the path of a quantity."""
+    if effect["axis"]:
+        return f"axis{effect['axis']}"
+    return web_line.place(effect)
+
+
+def _of_diagnosis(folder: RunFolder) -> Iterator[Quantity]:
+    """The parameters of the effects that were named, from the diagnosis in a run folder."""
+    if not folder.diagnosis.is_file():
+        return
+    try:
+        found = json.loads(folder.diagnosis.read_text(encoding="utf-8"))
+        for effect in [*found["effects"], *found["nuisance"]]:
+            place, tied = _place(effect), ", ".join(effect["tied_with"])
+            for name, parameter in effect["parameters"].items():
+                low, high = parameter["ci95"]
+                sd, value = (float(high) - float(low)) / (2.0 * _NORMAL_95), float(parameter["value"])
+                if name not in _PLACES and np.isfinite([sd, value]).all() and sd >= 0.0:
+                    yield Quantity(f"{place}.{effect['effect']}.{name}", value, sd, str(parameter["unit"]), tied)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UnusableInputError(
+            folder.diagnosis, f"is no diagnosis ({' '.join(str(error).split())}), expected what diagnose has written"
+        ) from error

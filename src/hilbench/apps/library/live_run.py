@@ -1,0 +1,85 @@
+"""The folder of a run that goes on: found by the bus in its trace, read while it is written, and left alone."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Self
+
+from hilbench.apps.library.active_runs import continues
+from hilbench.canopen.identifiers import SYNC
+from hilbench.results.journal import JournalReader
+from hilbench.results.run_folder import RunFolder
+from hilbench.results.trace import open_part, parts_of
+
+#: Of so many folders, the newest, each is looked at.
+_LOOKED_AT: Final = 20
+_BLOCK: Final = 1 << 20
+_LINE: Final = 200
+#: What is farther apart is not of one clock.
+_NEAR_NS: Final = 2_000_000_000
+
+
+@dataclass(frozen=True)
+class LiveRun:
+    """A run that its bench still writes, or that is played as if it did."""
+
+    folder: RunFolder
+    journal: JournalReader
+    is_played: bool = False  #: it has ended, and is heard again from its trace
+
+    @classmethod
+    def on(cls, runs: Path, channel: str) -> Self | None:
+        """The run in a folder of runs whose bench is on that bus, by the name of its channel in a trace; None: none."""
+        newest = sorted(_folders(runs), key=lambda entry: entry[0], reverse=True)[:_LOOKED_AT]
+        for _, path in newest:
+            folder = RunFolder(path)
+            if continues(folder) and _channel(folder.trace) == channel and folder.journal.exists():
+                return cls(folder, JournalReader(folder.journal))
+        return None
+
+    @property
+    def continues(self) -> bool:
+        """Whether it still does."""
+        return continues(self.folder)
+
+    def cycles(self, sync_ns: int, cycle_ns: int) -> int:
+        """SYNCs before one that was heard at `sync_ns`, by its trace, which may be a little behind, or ahead."""
+        wanted, count, rest, tail = f" {SYNC:03X}#".encode(), 0, b"", b""
+        for part in parts_of(self.folder.trace):
+            with open_part(part) as file:
+                while block := file.read(_BLOCK):
+                    text = rest + block
+                    count += text.count(wanted)
+                    rest = text[-len(wanted) + 1 :]
+                    tail = tail[-_LINE:] + block
+        last = tail.rfind(wanted)
+        start = tail.rfind(b"(", 0, last)
+        if last < 0 or start < 0:
+            return count
+        last_ns = _nanoseconds(tail[start + 1 : tail.index(b")", start)])
+        ahead = round((sync_ns - last_ns) / cycle_ns)
+        return max(count - 1 + ahead, 0) if abs(ahead) * cycle_ns < _NEAR_NS else count
+
+
+def _nanoseconds(seconds: bytes) -> int:
+    whole, _, part = seconds.partition(b".")
+    return int(whole) * 1_000_000_000 + int(part.ljust(9, b"0"))
+
+
+def _folders(runs: Path) -> list[tuple[float, Path]]:
+    try:
+        return [(entry.stat().st_mtime, Path(entry.path)) for entry in os.scandir(runs) if entry.is_dir()]
+    except OSError:
+        return []
+
+
+def _channel(trace: Path) -> str:
+    """That of its first line."""
+    try:
+        with open(trace, "rb") as file:
+            words = file.readline(_BLOCK).split()
+    except OSError:
+        return ""
+    return words[1].decode("utf-8", "replace") if len(words) > 1 else ""

@@ -1,0 +1,113 @@
+"""Requirements by runs: which of them each run has verified, and which no criterion covers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from hilbench.apps.library.entry import RunEntry
+
+Cell = Literal["passed", "marginal", "failed", "error", "fault", ""]
+#: From the best to the worst: what several criteria of a run say together is what the worst of them says.
+_ORDER: Final[tuple[Cell, ...]] = ("", "passed", "marginal", "error", "fault", "failed")
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """Of a specification: its title may be "" where only its id is known."""
+
+    id: str
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A requirement: what each run says of it, "" where none of its criteria verifies it; `criteria`: their names."""
+
+    requirement: Requirement
+    cells: Sequence[Cell]
+    criteria: Sequence[str]
+
+    @property
+    def covered(self) -> bool:
+        """Whether any of the runs has a criterion that verifies it."""
+        return bool(self.criteria)
+
+    @property
+    def newest(self) -> Cell:
+        """Of the newest run that says something of it."""
+        return next((cell for cell in self.cells if cell), "")
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """`runs` are the columns, the newest first; `rows` the requirements, in the order of their specification, then
+    those that only criteria name."""
+
+    runs: Sequence[RunEntry]
+    rows: Sequence[Row]
+
+    @property
+    def not_covered(self) -> list[Requirement]:
+        """Those that no criterion of any run verifies."""
+        return [row.requirement for row in self.rows if not row.covered]
+
+    @property
+    def fulfilled(self) -> bool:
+        """Whether every requirement is covered, and passed when it was last looked at."""
+        return all(row.newest in ("passed", "marginal") for row in self.rows)
+
+    def as_data(self) -> dict[str, Any]:
+        """For a program."""
+        return {
+            "runs": [{"run": run.path, "result": run.state} for run in self.runs],
+            "requirements": [
+                {
+                    "id": row.requirement.id,
+                    "title": row.requirement.title,
+                    "covered": row.covered,
+                    "newest": row.newest or None,
+                    "criteria": list(row.criteria),
+                    "runs": {run.path: cell for run, cell in zip(self.runs, row.cells, strict=True) if cell},
+                }
+                for row in self.rows
+            ],
+        }
+
+
+def matrix_of(runs: Sequence[RunEntry], specified: Iterable[Requirement] = ()) -> Matrix:
+    """The matrix of these runs; requirements of the specification stand there whether any run verifies them or not.
+
+    A run that ended with a fault verifies nothing that it says passed: its bench was not what it should be.
+    """
+    requirements: dict[str, Requirement] = {each.id: each for each in specified}
+    criteria: dict[str, dict[str, None]] = {}
+    cells: dict[str, dict[str, Cell]] = {}
+    for run in runs:
+        for verdict in run.verdicts:
+            for name in verdict.verifies:
+                requirements.setdefault(name, Requirement(name))
+                criteria.setdefault(name, {})[verdict.criterion] = None
+                of_run = cells.setdefault(name, {})
+                of_run[run.path] = _worse(of_run.get(run.path, ""), _cell(run, verdict.verdict))
+    shown = [run for run in runs if any(run.path in found for found in cells.values())]
+    rows = [
+        Row(each, [_of(cells, name, run) for run in shown], list(criteria.get(name, ())))
+        for name, each in requirements.items()
+    ]
+    return Matrix(shown, rows)
+
+
+def _of(cells: Mapping[str, Mapping[str, Cell]], name: str, run: RunEntry) -> Cell:
+    return cells.get(name, {}).get(run.path, "")
+
+
+def _cell(run: RunEntry, verdict: str) -> Cell:
+    if run.state in ("fault", "interrupted") and verdict != "failed":
+        return "fault"
+    return next(cell for cell in _ORDER if cell == verdict)
+
+
+def _worse(one: Cell, other: Cell) -> Cell:
+    return max(one, other, key=_ORDER.index)

@@ -1,0 +1,215 @@
+"""Which runs one means: by name, bench, result, tag, time, and a condition on what is known of them."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, Final
+
+from hilbench.apps.library.active_runs import continues
+from hilbench.apps.library.entry import STATES, RunEntry, read_entry
+from hilbench.apps.library.index import Index
+from hilbench.apps.library.where import Condition, parse_condition
+from hilbench.did_you_mean import did_you_mean
+from hilbench.errors import UnusableInputError
+from hilbench.results.run_folder import RunFolder
+
+_AGE: Final = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|h|d|w)")
+_SECONDS: Final = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 7 * 86400.0}
+
+#: What a condition may ask of a run, beside its metrics and the keys of its settings.
+FIELDS: Final[dict[str, Callable[[RunEntry], Any]]] = {
+    "run": lambda run: run.path,
+    "name": lambda run: run.name,
+    "bench": lambda run: run.bench,
+    "began": lambda run: run.began,
+    "result": lambda run: run.state,
+    "criteria": lambda run: float(run.criteria),
+    "criteria_met": lambda run: float(run.met),
+    "duration_s": lambda run: run.duration_s,
+    "description": lambda run: run.description,
+    "stand": lambda run: run.stand,
+    "pace": lambda run: run.pace,
+    "seed": lambda run: None if run.seed is None else float(run.seed),
+    "config": lambda run: run.config,
+    "host": lambda run: run.host,
+    "commit": lambda run: run.commit,
+    "fault": lambda run: run.fault or None,
+    "size_bytes": lambda run: float(run.size_bytes),
+    "tags": lambda run: run.tags,
+    "notes": lambda run: "\n".join(run.notes),
+}
+
+
+@dataclass(frozen=True)
+class Query:
+    """What runs have to be like; None and empty: anything. `name` and `bench` with * and ?; times since 1970, s."""
+
+    name: str | None = None
+    bench: str | None = None
+    results: Sequence[str] = ()
+    tags: Sequence[str] = ()
+    since_s: float | None = None
+    until_s: float | None = None
+    where: Condition | None = None
+
+    @classmethod
+    def parse(
+        cls,
+        *,
+        name: str | None = None,
+        bench: str | None = None,
+        results: Sequence[str] = (),
+        tags: Sequence[str] = (),
+        since: str | None = None,
+        until: str | None = None,
+        where: str | None = None,
+        now_s: float | None = None,
+    ) -> Query:
+        """As one types it; `since` and `until`: a date, or an age (``7d``). Raises UnusableInputError."""
+        for result in results:
+            if result not in STATES:
+                raise UnusableInputError("--result", f"'{result}', expected one of {', '.join(STATES)}")
+        now_s = time.time() if now_s is None else now_s
+        return cls(
+            name,
+            bench,
+            results,
+            tags,
+            None if since is None else moment_s("--since", since, now_s),
+            None if until is None else moment_s("--until", until, now_s),
+            None if where is None else parse_condition(where),
+        )
+
+    @property
+    def asks(self) -> bool:
+        """Whether anything is asked of the runs at all."""
+        return self != Query()
+
+    def finds(self, run: RunEntry) -> bool:
+        """Whether a run is like that."""
+        return (
+            (self.name is None or fnmatchcase(run.name, self.name) or fnmatchcase(run.path, self.name))
+            and (self.bench is None or fnmatchcase(run.bench, self.bench))
+            and (not self.results or run.state in self.results)
+            and all(tag in run.tags for tag in self.tags)
+            and (self.since_s is None or run.began_s >= self.since_s)
+            and (self.until_s is None or run.began_s < self.until_s)
+            and (self.where is None or self.where.holds(values_of(run, self.where.names)))
+        )
+
+
+def find_run(run: str, base: Path, announce: Callable[[str], None] = lambda text: None) -> RunFolder:
+    """The folder of a run, by its path, or as `Library.find` has it. Raises UnusableInputError."""
+    path = Path(run)
+    if path.is_dir() or not base.is_dir():
+        return RunFolder.open(path)
+    return Library(base, announce).find(run)
+
+
+def entry_of(folder: RunFolder) -> RunEntry:
+    """What is known of one run, with all its metrics."""
+    path = folder.path.resolve()
+    return _as_it_is(path.parent, read_entry(path.parent, path.name))
+
+
+def values_of(run: RunEntry, names: Iterable[str]) -> dict[str, Any]:
+    """What is known of a run under these names."""
+    found = {}
+    for name in names:
+        if name in run.metrics:
+            found[name] = run.metrics[name]
+        elif name in FIELDS:
+            found[name] = FIELDS[name](run)
+        elif name in run.settings:
+            value = run.settings[name]
+            found[name] = float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+    return found
+
+
+def seconds_of(place: str, text: str) -> float:
+    """A time span such as ``90d``, ``12h``, ``30min``, s. Raises UnusableInputError."""
+    found = _AGE.fullmatch(text.strip())
+    if found is None:
+        raise UnusableInputError(place, f"'{text}', expected a time such as 90d, 12h, 30min or 2w")
+    return float(found[1]) * _SECONDS[found[2]]
+
+
+def moment_s(place: str, text: str, now_s: float) -> float:
+    """A date (``2026-11-01``, ``2026-11-01 14:30``, local time) or an age (``7d``), s since 1970."""
+    if _AGE.fullmatch(text.strip()):
+        return now_s - seconds_of(place, text)
+    try:
+        return datetime.fromisoformat(text.strip()).timestamp()
+    except ValueError:
+        raise UnusableInputError(place, f"'{text}', expected a date such as 2026-11-01, or an age such as 7d") from None
+
+
+class Library:
+    """The runs in a folder, through its index. `announce` gets a line when many folders are to be read."""
+
+    def __init__(self, base: Path, announce: Callable[[str], None] = lambda text: None) -> None:
+        self.base = base
+        self.index = Index(base)
+        self._announce = announce
+
+    def runs(self, query: Query | None = None, metrics: Iterable[str] | None = ()) -> list[RunEntry]:
+        """Those that are like that, the newest first, with these metrics (None: all of theirs) and those of the
+        condition.
+
+        Raises UnusableInputError for no folder, and for a name in the condition that nothing has.
+        """
+        query = query or Query()
+        asked = query.where.names if query.where is not None else frozenset[str]()
+        wanted = None if metrics is None else {*metrics, *asked}
+        runs = [_as_it_is(self.base, run) for run in self.index.runs(wanted, self._announce)]
+        if asked:
+            self._check(asked, runs)
+        return [run for run in runs if query.finds(run)]
+
+    def find(self, run: str) -> RunFolder:
+        """The folder of a run: its name in the library, or the only one that begins so; ``last``: the newest.
+
+        Raises UnusableInputError for one that is not there.
+        """
+        path = self.base / run
+        if (path / "config.yaml").is_file():
+            return RunFolder.open(path)
+        runs = self.index.runs((), self._announce)
+        if run == "last" and runs:
+            return RunFolder.open(self.base / runs[0].path)
+        meant = [each.path for each in runs if each.path.startswith(run) or each.name.startswith(run)]
+        if len(meant) == 1:
+            return RunFolder.open(self.base / meant[0])
+        if meant:
+            raise UnusableInputError(
+                run, f"begins the names of {len(meant)} runs, expected one: {', '.join(meant[:3])}…"
+            )
+        known = did_you_mean(run, [each.path for each in runs])
+        raise UnusableInputError(run, f"no run of that name in {self.base}, expected a run folder or its name{known}")
+
+    def known_names(self, runs: Iterable[RunEntry] = ()) -> set[str]:
+        """What a condition may ask for."""
+        return {*FIELDS, *self.index.metric_names(), *(key for run in runs for key in run.settings)}
+
+    def _check(self, names: Iterable[str], runs: Sequence[RunEntry]) -> None:
+        known = self.known_names(runs)
+        for name in sorted(names):
+            if name not in known and runs:
+                raise UnusableInputError(
+                    "--where",
+                    f"'{name}' is nothing that a run here has{did_you_mean(name, known) or ','} expected a metric, "
+                    f"a key that was set, or one of {', '.join(FIELDS)}",
+                )
+
+
+def _as_it_is(base: Path, run: RunEntry) -> RunEntry:
+    """A run without a result either goes on or was cut off; no file of its folder says which."""
+    if run.state != "unfinished" or not continues(RunFolder(base / run.path)):
+        return run
+    return replace(run, state="running")

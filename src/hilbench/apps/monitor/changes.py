@@ -1,0 +1,168 @@
+"""Asks a running bench to change a quantity, and what would come if: SDO transfers with its node
+(`hilbench.bench.operator.operator_objects`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from threading import Lock
+from typing import Any, Final, TypeVar
+
+from canopen import SdoAbortedError, SdoCommunicationError
+from hilbench.apps.monitor.web_line_switches import Switch, switches
+from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
+from hilbench.bench.operator.operator_objects import INDEX
+from hilbench.bench.prediction.create import foreseeable
+from hilbench.can.frame import Frame
+from hilbench.canopen.data_types import REAL32, data_type
+from hilbench.canopen.object_store import PRESENT_STATE, VALUE_TOO_HIGH, VALUE_TOO_LOW
+from hilbench.canopen.sdo_client import SdoClient
+from hilbench.errors import BusError, HilbenchError
+from hilbench.prediction.outlook import Outlook
+from hilbench.results.received import from_frames
+from hilbench.results.what_if import Question, what_if
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.main_quantities.of_kind import find_quantity
+from hilbench.topology.main_quantities.quantity import MainQuantity
+
+#: How long the bench may take, s; in lockstep it answers with its next cycle.
+PATIENCE_S: Final = 3.0
+#: Probability from which a crossing to come is told.
+_LIKELY: Final = 0.5
+#: Of all that is foreseen, tensions and torques are shown.
+SHOWN_UNITS: Final = ("N", "N·m")
+
+Answered = TypeVar("Answered", str, "Foreseen")
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """Predicted outcome of a change: in a line, and its forecasts where it can be predicted."""
+
+    text: str
+    outlook: Outlook | None = None
+
+    def __str__(self) -> str:
+        return self.text
+
+
+class ChangeRequests:
+    """Makes one request after the other, in a thread of its own; what each returns, and `ended`, says how it ended.
+
+    Looking ahead takes a moment, and is done in another thread: no change waits for it. The bus is joined, by
+    `open_client`, with the first request: until then a monitor only listens.
+    """
+
+    def __init__(self, config: BenchConfig, open_client: Callable[[], SdoClient]) -> None:
+        self._config = config
+        self._open_client = open_client
+        self._client: SdoClient | None = None
+        self._thread, self._ahead = ThreadPoolExecutor(1, "changes"), ThreadPoolExecutor(1, "ahead")
+        self._on_bus = Lock()  # one transfer at a time: both threads have the same channel to the bench
+        self._requests: list[Future[Any]] = []
+        self._ranges = operator_ranges(config)
+        known = map(find_quantity, self._ranges)
+        self.changeable = {quantity.key: quantity for quantity in known if quantity is not None}  #: by key
+        self.switches = {switch.key: switch for switch in switches(config)}  #: by key
+        #: Those whose futures can be looked at, by key.
+        self.foreseeable = {
+            key: quantity for key, quantity in self.changeable.items() if quantity.path in foreseeable(config)
+        }
+
+    def ask(self, quantity: MainQuantity, value: float) -> Future[str]:
+        """Ask for a value, in the quantity's unit, as soon as those before it have been answered."""
+        return self._submit(self._thread, self._change, quantity, value)
+
+    def send(self, switch: Switch, on: bool) -> Future[str]:
+        """Say yes or no, as soon as what was asked before has been answered."""
+        asked = f"{switch.title}: {'yes' if on else 'no'}"
+        return self._submit(self._thread, self._write, switch.path, asked, float(on), "0 or 1")
+
+    def look_ahead(self, quantity: MainQuantity, value: float, frames: Sequence[Frame]) -> Future[Foreseen]:
+        """Predict the outcome if the quantity went to a value, from the last frames received; nothing moves."""
+        return self._submit(self._ahead, self._looked_ahead, quantity, value, frames)
+
+    def _submit(self, thread: ThreadPoolExecutor, request: Callable[..., Answered], *values: Any) -> Future[Answered]:
+        future = thread.submit(request, *values)
+        self._requests.append(future)
+        return future
+
+    def ended(self) -> list[str]:
+        """A line for each request that has ended since the last call."""
+        done = [request for request in self._requests if request.done()]
+        self._requests = [request for request in self._requests if request not in done]
+        return [str(request.result()) for request in done if not request.cancelled()]
+
+    def range_of(self, quantity: MainQuantity) -> tuple[float, float]:
+        """Range that the bench accepts by its config, in the quantity's unit."""
+        low, high = self._ranges[quantity.path]
+        return low / quantity.si_per_shown, high / quantity.si_per_shown
+
+    def close(self) -> None:
+        """Leave the bus; what was not asked yet is not asked any more."""
+        for thread in (self._thread, self._ahead):
+            thread.shutdown(cancel_futures=True)
+        if self._client is not None:
+            self._client.close()
+
+    def _change(self, quantity: MainQuantity, value: float) -> str:
+        low, high = self.range_of(quantity)
+        asked, expected = f"{quantity.title} {value:g} {quantity.in_unit}", f"{low:g} to {high:g} {quantity.in_unit}"
+        return self._write(quantity.path, asked, value * quantity.si_per_shown, expected)
+
+    def _write(self, path: str, asked: str, value: float, expected: str) -> str:
+        """SI; `asked` and `expected`: how the value and what may be asked for are called."""
+        node_id, data = self._config.master.node_id, data_type(REAL32).encode(value)
+        try:
+            with self._on_bus:
+                self._joined().download(node_id, INDEX, OPERATOR_OBJECTS[path][0], data)
+        except SdoAbortedError as error:
+            return f"{asked}: refused, {_reason(error.code, expected)} (abort {error.code:08X}h)"
+        except SdoCommunicationError:
+            return f"{asked}: no answer from the bench (node {node_id})"
+        except BusError as error:
+            return f"{asked}: NOT SENT: {error}"
+        return f"{asked}: set"
+
+    def _looked_ahead(self, quantity: MainQuantity, value: float, frames: Sequence[Frame]) -> Foreseen:
+        asked = f"what if {quantity.title} {value:g} {quantity.in_unit}"
+        question = Question({quantity.path: value * quantity.si_per_shown})
+        try:
+            recording = from_frames(self._config, frames, self)
+            outlook = what_if(self._config, recording, question, "now").outlook
+        except HilbenchError as error:
+            return Foreseen(f"{asked}: {error}")
+        return Foreseen(f"{asked}: {wording(outlook)}", outlook)
+
+    def upload(self, node_id: int, index: int, sub: int) -> bytes:
+        """The content of an object (`hilbench.results.received.Reader`)."""
+        with self._on_bus:
+            return self._joined().upload(node_id, index, sub)
+
+    def _joined(self) -> SdoClient:
+        if self._client is None:
+            self._client = self._open_client()
+        return self._client
+
+
+def wording(outlook: Outlook) -> str:
+    """Tensions and torques to come, and the limits that are crossed more likely than not, in a line."""
+    seconds = outlook.times_s[-1] - outlook.now_s
+    parts = []
+    for place, watched in enumerate(outlook.watched):
+        if watched.unit in SHOWN_UNITS:
+            low, _, high = outlook.band(place)
+            parts.append(f"{watched.name} {low.min():.3g} to {high.max():.3g} {watched.unit}")
+    for crossing in outlook.crossings(_LIKELY):
+        when_s, chance = crossing.expected_s - outlook.now_s, 100 * crossing.probability
+        parts.append(f"{crossing} in {when_s:.1f} s, probability {chance:.0f} %")
+    return f"within {seconds:.3g} s {', '.join(parts)}"
+
+
+def _reason(code: int, expected: str) -> str:
+    if code in (VALUE_TOO_HIGH, VALUE_TOO_LOW):
+        return f"expected {expected}"
+    if code == PRESENT_STATE:
+        return "the experiment moves it just now, or does not run"
+    return str(SdoAbortedError.CODES.get(code, "unknown code"))

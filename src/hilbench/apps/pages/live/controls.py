@@ -1,0 +1,198 @@
+"""Requests of viewers to a bench: the same, in the same ranges, as the terminal's monitor makes."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any, Final, Literal, NamedTuple
+
+from pydantic import Field, FiniteFloat, StringConstraints, TypeAdapter, ValidationError
+
+from hilbench.apps.monitor.changes import Answered, ChangeRequests
+from hilbench.apps.pages.live.control_lock import ControlLock
+from hilbench.apps.pages.live.forecast_bands import courses
+from hilbench.apps.pages.live.listener import Listener
+from hilbench.block import Strict
+from hilbench.errors import HilbenchError
+from hilbench.pydantic_messages import expected
+
+_NAME: Final = r"^[^\x00-\x1f\x7f<>]{1,32}$"
+Name = Annotated[str, StringConstraints(pattern=_NAME, strip_whitespace=True)]
+Key = Annotated[str, Field(max_length=8)]
+Number = Annotated[FiniteFloat, Field(strict=True)]
+
+
+class Stop(Strict):
+    """Emergency stop; anybody who sees the page may."""
+
+    do: Literal["stop"]
+    name: Name
+
+
+class Take(Strict):
+    """Control, or hold it longer."""
+
+    do: Literal["take"]
+    name: Name
+
+
+class Give(Strict):
+    """Control back."""
+
+    do: Literal["give"]
+
+
+class Set(Strict):
+    """Another value of a quantity, in its unit."""
+
+    do: Literal["set"]
+    key: Key
+    value: Number
+
+
+class Answer(Strict):
+    """Yes or no to a probe or a proposed model."""
+
+    do: Literal["answer"]
+    key: Key
+    yes: bool
+
+
+class WhatIf(Strict):
+    """Request to predict the outcome of another value; moves nothing."""
+
+    do: Literal["what_if"]
+    key: Key
+    value: Number
+
+
+Action = Stop | Take | Give | Set | Answer | WhatIf
+_ACTION: Final[TypeAdapter[Action]] = TypeAdapter(Annotated[Action, Field(discriminator="do")])
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """Identity of a viewer: what only that viewer knows, and from where."""
+
+    secret: str
+    address: str
+
+    def named(self, name: str) -> str:
+        """Name of the viewer in the journal."""
+        return f"{name} ({self.address})"
+
+
+class ControlAnswer(NamedTuple):
+    """Result of a request: in a line, whether it was done, and forecasts."""
+
+    text: str
+    done: bool
+    courses: Sequence[dict[str, Any]] = ()
+
+
+class Controls:
+    """Execute viewers' requests, report the result, and write who it was into the journal."""
+
+    def __init__(self, listener: Listener, changes: ChangeRequests, control_lock: ControlLock | None = None) -> None:
+        self.control_lock = control_lock or ControlLock()
+        self._listener = listener
+        self._changes = changes
+        self._looking = asyncio.Lock()
+
+    def as_data(self) -> dict[str, Any]:
+        """Possible requests, as data for the page."""
+        quantities = []
+        for key, quantity in self._changes.changeable.items():
+            low, high = self._changes.range_of(quantity)
+            known = {
+                "key": key,
+                "title": quantity.title,
+                "unit": quantity.in_unit,
+                "signal": quantity.signal,
+                "scale": quantity.si_per_shown,
+            }
+            quantities.append({**known, "low": low, "high": high, "foreseeable": key in self._changes.foreseeable})
+        switches = [vars(switch) for switch in self._changes.switches.values()]
+        return {"quantities": quantities, "switches": switches}
+
+    async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> ControlAnswer:
+        """Execute a request and return its result."""
+        try:
+            action = _ACTION.validate_python(asked)
+        except ValidationError as error:
+            first = error.errors()[0]
+            return ControlAnswer(
+                f"not understood: {'.'.join(map(str, first['loc']))}: expected {expected(first)}", False
+            )
+        try:
+            return await self._do(viewer, action)
+        except HilbenchError as error:
+            return ControlAnswer(str(error), False)
+
+    async def _do(self, viewer: Viewer, action: Action) -> ControlAnswer:
+        if isinstance(action, Stop):
+            return await asyncio.to_thread(self._stop, viewer, action.name)
+        if isinstance(action, WhatIf):
+            return await self._look_ahead(action)
+        if isinstance(action, Take):
+            return self._take(viewer, action.name)
+        if isinstance(action, Give):
+            name = self.control_lock.name
+            if not self.control_lock.give_back(viewer.secret):
+                return ControlAnswer("control is not yours to give back", False)
+            self._listener.note(viewer.named(name), "control given back")
+            return ControlAnswer("control given back", True)
+        if not self.control_lock.use(viewer.secret):
+            return ControlAnswer(
+                f"control is with {self.control_lock.name}" if self.control_lock.name else "take control first", False
+            )
+        return await self._change(viewer.named(self.control_lock.name), action)
+
+    def _stop(self, viewer: Viewer, name: str) -> ControlAnswer:
+        try:
+            self._listener.stop_everything()
+        except HilbenchError as error:
+            return ControlAnswer(f"EMERGENCY STOP NOT SENT: {error}", False)
+        self._listener.note(viewer.named(name), "emergency stop")
+        return ControlAnswer("emergency stop sent", True)
+
+    def _take(self, viewer: Viewer, name: str) -> ControlAnswer:
+        held = self.control_lock.is_of(viewer.secret)
+        if not self.control_lock.take(viewer.secret, name):
+            return ControlAnswer(f"control is with {self.control_lock.name}", False)
+        if not held:
+            self._listener.note(viewer.named(name), "control taken")
+        return ControlAnswer("you control", True)
+
+    async def _change(self, who: str, action: Set | Answer) -> ControlAnswer:
+        known = self._changes.changeable if isinstance(action, Set) else self._changes.switches
+        if action.key not in known:
+            return ControlAnswer(f"'{action.key}', expected one of {', '.join(known)}", False)
+        if isinstance(action, Set):
+            future, value = self._changes.ask(self._changes.changeable[action.key], action.value), action.value
+        else:
+            future, value = self._changes.send(self._changes.switches[action.key], action.yes), float(action.yes)
+        future.add_done_callback(partial(self._note, who, value))  # also of who has left meanwhile
+        answer = await self._ended(future)
+        return ControlAnswer(answer, answer.endswith(": set"))
+
+    def _note(self, who: str, value: float, future: Future[str]) -> None:
+        if not future.cancelled():
+            self._listener.note(who, future.result(), value)
+
+    async def _look_ahead(self, action: WhatIf) -> ControlAnswer:
+        if action.key not in self._changes.foreseeable:
+            return ControlAnswer(f"'{action.key}', expected one of {', '.join(self._changes.foreseeable)}", False)
+        quantity = self._changes.foreseeable[action.key]
+        async with self._looking:  # who leaves before his turn has asked for nothing
+            asked = self._changes.look_ahead(quantity, action.value, self._listener.recent_frames())
+            foreseen = await self._ended(asked)
+        return ControlAnswer(foreseen.text, True, () if foreseen.outlook is None else courses(foreseen.outlook))
+
+    async def _ended(self, future: Future[Answered]) -> Answered:
+        answer = await asyncio.wrap_future(future)
+        self._changes.ended()  # each is answered to who has asked
+        return answer

@@ -1,0 +1,254 @@
+"""Listens to the bus of one bench in a thread of its own, and keeps what a page shows of it.
+
+It hears what the terminal's monitor hears, in the same picture (`hilbench.apps.monitor.picture`), and sends nothing.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from math import isfinite
+from typing import Any, Final
+
+from hilbench.apps.library.active_runs import continues
+from hilbench.apps.library.entry import read_entry
+from hilbench.apps.monitor.condition import Condition
+from hilbench.apps.monitor.frame_buffer import RecentFrames
+from hilbench.apps.monitor.picture import BusPicture
+from hilbench.apps.pages.live.events import Entry, Events, Weight
+from hilbench.apps.pages.live.history import History
+from hilbench.apps.pages.live.machines.kinds import panel_of
+from hilbench.apps.pages.live.samples import FindRun, LiveSamples
+from hilbench.bench.reports.change import Change
+from hilbench.can.frame import Frame
+from hilbench.can.link import Link
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP, send_emergency_stop
+from hilbench.canopen.identifiers import SYNC
+from hilbench.errors import BusError, HilbenchError
+from hilbench.results.journal import append_to_journal
+from hilbench.results.result import Result
+from hilbench.results.run_folder import RunFolder
+from hilbench.runs.events import EventLog
+from hilbench.topology.config import BenchConfig
+
+#: What comes within this time is one step of the picture. In between frames wait in their socket: a thread that woke up
+#: for each would take the processor from the bench many times in a cycle.
+_STEP_S: Final = 0.02
+#: A bus that is lost is tried again after this time, and a folder looked at again.
+_AGAIN_S: Final = 1.0
+
+
+class Listener:
+    """What is heard of a bench. Everything but `start` and `close` may be called from any thread.
+
+    `open_link` joins the bus; `find_run` has the run on a bus of that name, where its folder is on this machine;
+    `clock_s`: the clock by which a bus is silent.
+    """
+
+    def __init__(
+        self,
+        config: BenchConfig,
+        open_link: Callable[[], Link],
+        find_run: FindRun,
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.config = config
+        self.panel = panel_of(config)
+        self.history = History(self.panel.signals, config.cycle_time_s)
+        self.events = Events()
+        self.lock = threading.Lock()  #: of all that changes here
+        self._open_link = open_link
+        self._find_run = find_run
+        self._clock_s = clock_s
+        self._picture = BusPicture(config)
+        self._recent = RecentFrames()
+        self._link: Link | None = None
+        self._samples: LiveSamples | None = None
+        self._bus_problem = ""
+        self._noted_faults = 0
+        self._newest_ns = 0  # of the wall clock: when the last SYNC was received
+        self._folder: RunFolder | None = None  # of the run that is received, or was last
+        self._ended: dict[str, Any] | None = None  # what became of it
+        self._look_again_s = 0.0
+        self._generation = 0
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._listen, name="listener", daemon=True)
+
+    def start(self) -> None:
+        """Join the bus. Raises BusError where it can't be joined at first, nor a moment later: the timing of a bus
+        that is just being set up is not reliable yet."""
+        try:
+            self._join()
+        except BusError:
+            self._closing.wait(_AGAIN_S)
+            self._join()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._closing.set()
+        self._thread.join()
+        if self._link is not None:
+            self._link.close()
+
+    # -- the thread --------------------------------------------------------------------------------------
+
+    def _join(self) -> None:
+        self._link = self._open_link()
+        self._samples = LiveSamples(self.config, self.history, self._find_run, self._link.channel)
+
+    def _listen(self) -> None:
+        while not self._closing.is_set():
+            try:
+                if self._link is None:
+                    self._join()
+                assert self._link is not None
+                frames = self._link.receive(_STEP_S)
+                if frames:
+                    self._closing.wait(_STEP_S)
+                    frames += self._link.receive(0.0)
+            except BusError as error:
+                self._lose(str(error))
+                continue
+            with self.lock:
+                self._bus_problem = ""
+                self._take(frames)
+
+    def _lose(self, problem: str) -> None:
+        with self.lock:
+            self._bus_problem = problem
+            self._picture.take([], self._clock_s())
+        if self._link is not None:
+            with suppress(BusError):
+                self._link.close()
+            self._link = None
+        self._closing.wait(_AGAIN_S)
+
+    def _take(self, frames: list[Frame]) -> None:
+        assert self._samples is not None
+        self._picture.take(frames, self._clock_s())
+        self._recent.take(frames)
+        self._samples.take(frames)
+        self._newest_ns = next((frame.time_ns for frame in reversed(frames) if frame.can_id == SYNC), self._newest_ns)
+        if self.history.generation != self._generation:
+            self._generation = self.history.generation
+            self._folder = self._ended = None
+            self.events.add(Entry(None, "monitor", "a run is received"))
+        if self._samples.run is not None:
+            self._folder = self._samples.run.folder
+        self._note_faults()
+        self._note_journal(self._samples.log)
+        for t_s, change in self._samples.reported():
+            self.events.add(event_of(change, t_s))
+        if self._samples.problem and self._picture.condition is Condition.RUNNING:  # else a consequence of its end
+            problem = Entry(self._now_s(), "bench", self._samples.problem, "fault")
+            self.events.put(("problem", self._generation, problem.text), problem)
+        self._look_at_folder()
+
+    def _now_s(self) -> float | None:
+        return self.history.t_s if isfinite(self.history.t_s) else None
+
+    def _note_faults(self) -> None:
+        picture = self._picture
+        unseen = min(picture.fault_count - self._noted_faults, len(picture.faults))
+        self._noted_faults = picture.fault_count
+        for note in list(picture.faults)[len(picture.faults) - unseen :]:
+            self.events.add(Entry(self._now_s(), note.part, note.text, "fault"))
+
+    def _note_journal(self, log: EventLog) -> None:
+        for event in log.events():
+            key = (self._generation, event.start_s, event.changes[0].path if event.changes else event.text)
+            self.events.put(key, Entry(event.start_s, "bench", str(event)))
+
+    @property
+    def _has_report(self) -> bool:
+        """True if all is known of the end: the report is written after the result."""
+        return self._ended is not None and self._ended["report"] is not None
+
+    def _look_at_folder(self) -> None:
+        """Look for the result of a run that has ended."""
+        now_s = time.monotonic()
+        if self._folder is None or self._has_report or now_s < self._look_again_s:
+            return
+        if self._picture.condition is Condition.RUNNING:
+            return
+        self._look_again_s = now_s + _AGAIN_S
+        if self._folder.result.exists() and not continues(self._folder):
+            with suppress(HilbenchError):  # it is being written just now
+                result = Result.read(self._folder.result)
+                known, self._ended = self._ended, ended(self._folder, result)
+                for fault in result.faults if known is None else ():
+                    self.events.add(Entry(fault.time_s, fault.source, fault.text, "fault"))
+
+    # -- for others --------------------------------------------------------------------------------------
+
+    def note(self, who: str, text: str, value: float = 0.0) -> None:
+        """Somebody has done something: into the list, and into the journal of the run, where there is one."""
+        with self.lock:
+            folder, cycle = self._folder, self._samples.cycle if self._samples is not None else 0
+            if folder is None or self._ended is not None:
+                self.events.add(Entry(self._now_s(), who, text, "operator"))
+                return
+        append_to_journal(folder.journal, Change(cycle, "asked", text, value, who=who))  # and is read there
+
+    def stop_everything(self) -> None:
+        """Send the emergency stop on the link that listens. Raises BusError where it can't be sent."""
+        link = self._link
+        if link is None:
+            raise BusError(self._bus_problem or "the bus is not joined")
+        send_emergency_stop(link)
+        with self.lock:
+            self._picture.take(EMERGENCY_STOP)  # a link does not hear what it sends
+
+    def recent_frames(self) -> list[Frame]:
+        """Frames of the last cycles."""
+        with self.lock:
+            return self._recent.frames()
+
+    def state(self) -> dict[str, Any]:
+        """The picture as it is now."""
+        with self.lock:
+            picture, link = self._picture.as_data(), self._link
+            received = self._newest_ns > 0
+            return {
+                **{key: value for key, value in picture.items() if key != "faults"},
+                "running": self._picture.condition is Condition.RUNNING,
+                "lockstep": self.config.pace == "lockstep",
+                "t_s": self._now_s(),
+                "values": self.history.latest(),
+                "dropped": None if link is None else link.dropped,
+                "bus_problem": self._bus_problem,
+                "sync_s": self._newest_ns * 1e-9 if received else None,
+                "run": None if self._folder is None else self._folder.name,
+                "ended": self._ended,
+            }
+
+
+def event_of(change: Change, t_s: float) -> Entry:
+    """Page entry of a journal change other than a quantity that was set."""
+    words: dict[str, tuple[str, str, Weight]] = {
+        "enabled": ("bench", "drives enabled", "note"),
+        "stopping": ("bench", "the drives are brought to a stop", "note"),
+        "loop_open": ("controller", f"{change.path} open for long", "warning"),
+        "loop_closed": ("controller", f"{change.path} closed after long", "note"),
+        "predicted": ("prediction", f"{change.path} beyond {change.value:.6g} is expected", "warning"),
+        "gap_seen": ("live diagnosis", f"model and measurement part since t = {change.value:.3f} s", "warning"),
+        "model_proposed": ("live diagnosis", f"another model is proposed: {change.path}", "warning"),
+        "asked": (change.who or "somebody", change.path, "operator"),
+    }
+    return Entry(t_s, *words[change.what])
+
+
+def ended(folder: RunFolder, result: Result) -> dict[str, Any]:
+    """Page data of a run that is over."""
+    return {
+        "verdict": read_entry(folder.path.parent, folder.name).state,
+        "faults": [fault.text for fault in result.faults],
+        "criteria": [
+            {"name": each.name, "passed": each.passed, "value": each.value, "unit": each.unit, "limit": each.limit}
+            for each in result.criteria
+        ],
+        "report": f"/runs/{folder.name}/report" if folder.report.exists() else None,
+    }

@@ -1,0 +1,113 @@
+"""Ended runs in the page of a running bench: each viewer has a run of his own, from its trace and journal."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, ValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import BaseRoute, Route, WebSocketRoute
+from starlette.websockets import WebSocket
+
+from hilbench.apps.library.live_run import LiveRun
+from hilbench.apps.library.query import Library
+from hilbench.apps.pages.live.control_lock import ControlLock
+from hilbench.apps.pages.live.controls import ControlAnswer, Viewer
+from hilbench.apps.pages.live.listener import Listener
+from hilbench.apps.pages.live.replay import FAST, PlayedTrace
+from hilbench.apps.pages.live.viewer import Viewers
+from hilbench.apps.pages.templates_of import page
+from hilbench.block import Strict
+from hilbench.errors import HilbenchError, UnusableInputError
+from hilbench.results.journal import JournalReader
+from hilbench.results.run_folder import RunFolder
+from hilbench.runs.config import load
+
+#: Runs that are played at a time: each is decoded by itself.
+_MOST: Final = 4
+_LONGEST_REASON: Final = 120
+
+
+class Pace(Strict):
+    """Pace of a replay: multiple of the original pace; none: as fast as possible."""
+
+    do: Literal["pace"]
+    pace: Annotated[float, Field(ge=0.0, le=1000.0)] | None
+
+
+class Playing:
+    """Viewers' requests to a replay."""
+
+    def __init__(self, trace: PlayedTrace) -> None:
+        self.control_lock = ControlLock()
+        self._trace = trace
+
+    def as_data(self) -> dict[str, Any]:
+        """Possible requests, as data for the page."""
+        return {"quantities": [], "switches": [], "replay": self._trace.channel}
+
+    async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> ControlAnswer:
+        """Execute a request and return its result."""
+        try:
+            pace = Pace.model_validate(asked).pace
+        except ValidationError:
+            return ControlAnswer(f"{self._trace.channel} is played again: nothing of that reaches a machine", False)
+        self._trace.pace = FAST if pace is None else pace
+        return ControlAnswer("", True)
+
+
+def routes(base: Path) -> list[BaseRoute]:
+    """The pages of the ended runs in a folder."""
+    playing: set[Listener] = set()
+
+    def folder_of(name: str) -> RunFolder | None:
+        # By the names that are there: what is asked for never becomes a path.
+        try:
+            known = {run.path for run in Library(base).runs()}
+        except UnusableInputError:
+            known = set()
+        return RunFolder(base / name) if name in known else None
+
+    async def show(request: Request) -> Response:
+        if await asyncio.to_thread(folder_of, request.path_params["name"]) is None:
+            raise HTTPException(404, "no such run")
+        return page("front.html.j2", live=True, replay=True)
+
+    async def play(socket: WebSocket) -> None:
+        folder = await asyncio.to_thread(folder_of, socket.path_params["name"])
+        try:
+            if folder is None:
+                raise UnusableInputError("run", "no such run")
+            if len(playing) >= _MOST:
+                raise UnusableInputError("replay", f"{_MOST} runs are played, expected no more")
+            listener, controls = await asyncio.to_thread(_played, folder)
+        except HilbenchError as error:
+            await socket.accept()
+            await socket.close(1008, str(error)[-_LONGEST_REASON:])
+            return
+        playing.add(listener)
+        try:
+            await Viewers(listener, controls).serve(socket)
+        finally:
+            playing.discard(listener)
+            await asyncio.to_thread(listener.close)
+
+    return [Route("/replay/{name:path}", show), WebSocketRoute("/played/{name:path}", play)]
+
+
+def _played(folder: RunFolder) -> tuple[Listener, Playing]:
+    """Raises UnusableInputError for a run that has no trace or journal, or a config of another version."""
+    for file in (folder.trace, folder.journal):
+        if not file.is_file():
+            raise UnusableInputError(file.name, f"not in {folder.name}, expected that of an ended run")
+    config, _ = load(folder.config)
+    trace = PlayedTrace(folder, config.cycle_time_s)
+    run = LiveRun(folder, JournalReader(folder.journal), is_played=True)
+    listener = Listener(config, lambda: trace, lambda channel: run, trace.clock_s)
+    listener.start()
+    return listener, Playing(trace)

@@ -1,0 +1,82 @@
+"""The runs in a folder, as pages: the library's, and the report of each."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Final
+from urllib.parse import quote
+
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, Response
+from starlette.routing import BaseRoute, Route
+
+from hilbench.apps.library.entry import RunEntry
+from hilbench.apps.library.query import Library
+from hilbench.apps.report.live import Program, policy, scripts
+from hilbench.apps.report.page import write_page
+from hilbench.apps.report.runs_page import COLUMNS, page_data, row
+from hilbench.errors import UnusableInputError
+from hilbench.results.run_folder import RunFolder
+
+#: Beyond what the page of a report says itself: no script of another, and nothing may be done in the reader's name.
+_REPORT_POLICY: Final = "sandbox allow-scripts; frame-ancestors 'none'; img-src data:; "
+_LIST_POLICY: Final = "frame-ancestors 'none'; base-uri 'none'; form-action 'none'; "
+
+
+def routes(base: Path, *, replays: bool = False) -> list[BaseRoute]:
+    """The pages of the runs in a folder; `replays`: each can be played again (`hilbench.apps.pages.replay`)."""
+
+    def all_runs() -> Response:
+        try:
+            runs = Library(base).runs(metrics=None)
+        except UnusableInputError as error:
+            return PlainTextResponse(f"No runs: {error}", 404)
+        program = Program("runs.js", page_data(runs, _report, _replay if replays else None))
+        policies = {"Content-Security-Policy": _LIST_POLICY + policy(program.scripts())}
+        return HTMLResponse(_text(base, runs, program), headers=policies)
+
+    def report_of(name: str) -> Response:
+        try:
+            # By the names that are there: what is asked for never becomes a path.
+            known = {run.path for run in Library(base).runs()}
+        except UnusableInputError:
+            known = set()
+        folder = RunFolder(base / name)
+        if name not in known or not folder.report.is_file():
+            raise HTTPException(404, "no such report")
+        policies = {"Content-Security-Policy": _REPORT_POLICY + policy(scripts())}
+        return FileResponse(folder.report, media_type="text/html; charset=utf-8", headers=policies)
+
+    async def show_all(request: Request) -> Response:
+        return await run_in_threadpool(all_runs)
+
+    async def show_report(request: Request) -> Response:
+        return await run_in_threadpool(report_of, request.path_params["name"])
+
+    return [Route("/runs", show_all), Route("/runs/{name:path}/report", show_report)]
+
+
+def _report(run: RunEntry) -> str:
+    return f"/runs/{quote(run.path)}/report"
+
+
+def _replay(run: RunEntry) -> str:
+    return f"/replay/{quote(run.path)}"
+
+
+def _text(base: Path, runs: list[RunEntry], program: Program) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_page(
+            Path(folder) / "runs.html",
+            "runs",
+            program=program,
+            title="Runs",
+            count=len(runs),
+            folder=base.resolve().name,
+            columns=COLUMNS,
+            rows=[row(run) for run in runs],
+        )
+        return path.read_text(encoding="utf-8")

@@ -1,0 +1,127 @@
+"""The server of the pages: a process of its own, which has no part in what a bench does."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+from hilbench.apps.library.live_run import LiveRun
+from hilbench.apps.monitor.changes import PATIENCE_S, ChangeRequests
+from hilbench.apps.pages import replay
+from hilbench.apps.pages import runs as runs_pages
+from hilbench.apps.pages.access import Access
+from hilbench.apps.pages.live.controls import Controls
+from hilbench.apps.pages.live.listener import Listener
+from hilbench.apps.pages.live.viewer import Viewers
+from hilbench.apps.pages.site import site
+from hilbench.can.open import open_link, open_python_can
+from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
+from hilbench.errors import UnusableInputError
+from hilbench.topology.config import BenchConfig
+
+LOOPBACK: Final = "127.0.0.1"
+PORT: Final = 8321
+#: Bytes of a message of a viewer, and of the head of a request, at most.
+_LARGEST_MESSAGE, _LARGEST_HEAD = 4096, 16_384
+#: A viewer of whom nothing is heard for so long is gone, s.
+_PING_S: Final = 10.0
+#: Connections that are not a viewer's.
+_MOST_CONNECTIONS: Final = 128
+
+
+class _Connection(H11Protocol):
+    """A new connection; of more than `_MOST_CONNECTIONS` the oldest ends: silent ones block no others."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self.made_s = self.loop.time()
+        known = [connection for connection in self.connections if isinstance(connection, _Connection)]
+        if len(known) > _MOST_CONNECTIONS:
+            oldest = min(known, key=lambda connection: connection.made_s)
+            self.connections.discard(oldest)
+            oldest.transport.abort()
+
+
+class _ViewersConnection(WebSocketsSansIOProtocol):
+    """A viewer's connection, which ends when he is silent, also where he does not take what was sent."""
+
+    def keepalive_timeout(self) -> None:
+        self.transport.abort()
+
+
+def serve(config: BenchConfig | None, runs: Path, host: str, port: int, announce: Callable[[str], None]) -> None:
+    """Serve the pages of the runs in a folder and, with a config, of the bench that runs by it, until it is ended.
+
+    `port`: 0 for any that is free. `announce` gets the lines for who has started it: the address with the token.
+    Raises UnusableInputError where it can't listen there, BusError where the bus can't be joined.
+    """
+    with ExitStack() as resources:
+        listening = resources.enter_context(_listening(host, port))
+        access = Access(host, listening.getsockname()[1])
+        viewers = None if config is None else resources.enter_context(_bench(config, runs))
+        # Beside a bench nothing is played: it would take the processor from it, and could be taken for it.
+        rooms = (
+            runs_pages.routes(runs, replays=True) + replay.routes(runs) if config is None else runs_pages.routes(runs)
+        )
+        app = site(access, rooms, viewers)
+        shown = f"[{host}]" if ":" in host else host
+        announce(f"page: http://{shown}:{access.port}/#{access.token}")
+        if host != LOOPBACK:
+            announce(
+                "everyone with this address can stop the machine and change what it does; it is not encrypted: "
+                "expected in a network of your own, or at the end of a tunnel (ssh -L)"
+            )
+        server = uvicorn.Server(
+            uvicorn.Config(
+                app,
+                log_level="warning",
+                lifespan="off",
+                server_header=False,
+                ws=_ViewersConnection,
+                ws_per_message_deflate=False,  # a few kB a second, and most of what each viewer would cost
+                ws_max_size=_LARGEST_MESSAGE,
+                ws_ping_interval=_PING_S,
+                ws_ping_timeout=_PING_S,
+                http=_Connection,
+                h11_max_incomplete_event_size=_LARGEST_HEAD,
+                timeout_graceful_shutdown=1,
+            )
+        )
+        with suppress(KeyboardInterrupt):  # that is how it is ended
+            server.run(sockets=[listening])
+
+
+@contextmanager
+def _listening(host: str, port: int) -> Iterator[socket.socket]:
+    place = f"--host {host} --port {port}"
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        listening = socket.create_server((host, port), family=family, backlog=64)
+    except OSError as error:
+        raise UnusableInputError(
+            place, f"{error.strerror}, expected an address of this machine and a free port"
+        ) from error
+    with listening:
+        yield listening
+
+
+@contextmanager
+def _bench(config: BenchConfig, runs: Path) -> Iterator[Viewers]:
+    address = config.bus_address.as_it_runs  # asked each time: another run may have made the bus anew
+    listener = Listener(config, lambda: open_link(address()), partial(LiveRun.on, runs))
+    changes = ChangeRequests(config, lambda: SdoClient(open_python_can(address(), SDO_ANSWERS), PATIENCE_S))
+    listener.start()
+    try:
+        yield Viewers(listener, Controls(listener, changes))
+    finally:
+        changes.close()
+        listener.close()

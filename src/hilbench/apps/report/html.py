@@ -1,0 +1,259 @@
+"""`report.html`: one self-contained page of a run, for the screen and for paper."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from hilbench.apps.report.chart import Mark
+from hilbench.apps.report.found import COLUMNS, ESTIMATED_COLUMNS, estimated_rows, found_pictures, found_rows
+from hilbench.apps.report.machines.kinds import pictures_of
+from hilbench.apps.report.page import number, quantity, write_page
+from hilbench.apps.report.plots import ImageFormat, Picture, draw_histogram, run_pictures, zooms
+from hilbench.apps.report.web_line_drawing import line_picture
+from hilbench.errors import UnusableInputError
+from hilbench.files import make_folder, written_whole
+from hilbench.results.provenance import Provenance
+from hilbench.results.recording import Recording, read_recording
+from hilbench.results.result import Environment, EventRecord, Result, StepRecord, Timing
+from hilbench.results.run_folder import RunFolder
+from hilbench.runs.criteria import CriterionResult
+from hilbench.runs.events import find_events
+from hilbench.runs.metrics import METRICS, OF_RUNS, OF_STEPS, find_metric, kind_of_figures
+
+#: Steps that stand side by side in a table, and those in the list of them.
+_MOST_COLUMNS = 8
+_MOST_ROWS = 100
+
+
+def write_report(run_folder: RunFolder) -> Path:
+    """Write the report of a run from its config.yaml, result.json and recording.mf4; returns its path.
+
+    The same files give the same report. Raises UnusableInputError if one of them is missing or not readable,
+    or the report cannot be written.
+    """
+    recording, result = read_recording(run_folder.recording), Result.read(run_folder.result)
+    config = _read_text(run_folder.config)
+    shown = ReportPictures.of(run_folder, recording, result)
+    steps, timing = result.steps or [], result.timing
+    return write_page(
+        run_folder.report,
+        "report",
+        shown.run,
+        shown.marks,
+        name=run_folder.name,
+        result=result,
+        facts=_facts(result, recording),
+        summary=_summary(result),
+        reason_of=_reason,
+        faults=[(number(fault.time_s, 6), fault.source, fault.text) for fault in result.faults],
+        line=shown.line,
+        pictures=[*shown.run, *shown.zooms],
+        found_pictures=shown.found,
+        found_columns=COLUMNS,
+        found=found_rows(result),
+        estimated_columns=ESTIMATED_COLUMNS,
+        estimated=estimated_rows(result),
+        warnings=_warnings(result),
+        reasons_of=_reasons,
+        step_columns=("Metric", *(f">{_step_name(step)}" for step in steps[:_MOST_COLUMNS]), "Unit"),
+        step_metrics=[
+            (name, known.unit)
+            for name in {**METRICS, **result.metrics}
+            if any(name in step.figures for step in steps) and (known := find_metric(name))
+        ],
+        most_columns=_MOST_COLUMNS,
+        most_rows=_MOST_ROWS,
+        metrics=_metrics(result),
+        timing=_timing(timing),
+        histogram=shown.histogram,
+        provenance=_provenance(result.provenance),
+        versions=_versions(result.environment),
+        config=config,
+    )
+
+
+@dataclass(frozen=True)
+class ReportPictures:
+    """All pictures of a run's report, by the section in which they stand."""
+
+    line: Sequence[Picture]
+    found: Sequence[Picture]
+    run: Sequence[Picture]
+    zooms: Sequence[Picture]
+    histogram: Picture | None
+    marks: Sequence[Mark]
+
+    @classmethod
+    def of(cls, run_folder: RunFolder, recording: Recording, result: Result) -> Self:
+        """Of what was read from a run folder."""
+        marks = marks_of(result, recording)
+        run = run_pictures(recording, marks, pictures_of(recording).reference(run_folder.config, recording))
+        histogram = result.timing.jitter_histogram
+        return cls(
+            line_picture(run_folder.config, recording),
+            found_pictures(result),
+            run,
+            zooms(run, marks),
+            draw_histogram(histogram) if histogram else None,
+            marks,
+        )
+
+    def drawn(self) -> list[Picture]:
+        """Those whose signals are there."""
+        pictures = [*self.line, *self.found, *self.run, *self.zooms, *([self.histogram] if self.histogram else [])]
+        return [picture for picture in pictures if picture.drawing is not None]
+
+
+def write_pictures(run_folder: RunFolder, into: Path, form: ImageFormat) -> list[Path]:
+    """Write each picture of a run's report as a file of its own into the folder `into`, which is made.
+
+    Returns their paths. Raises UnusableInputError for what is missing in the run folder, or can't be written.
+    """
+    recording, result = read_recording(run_folder.recording), Result.read(run_folder.result)
+    make_folder(into)
+    written = []
+    for picture in ReportPictures.of(run_folder, recording, result).drawn():
+        path = into / f"{picture.name}.{form}"
+        with written_whole(path) as partial:
+            partial.write_bytes(picture.as_file(form))
+        written.append(path)
+    return written
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise UnusableInputError(path, f"cannot be read ({reason}), expected the run's config") from error
+
+
+def marks_of(result: Result | None, recording: Recording) -> list[Mark]:
+    """What is marked in the pictures: what the result says, or, of an older run, what the signals show."""
+    events = result.events if result is not None and result.events is not None else None
+    if events is None:
+        events = [EventRecord.of(event) for event in find_events(recording.channels)]
+    numbers = itertools.count(1)
+    return [
+        Mark(event.start_s, event.end_s, event.text, str(next(numbers)) if event.kind == "step" else "")
+        for event in events
+    ]
+
+
+def _facts(result: Result, recording: Recording) -> list[str]:
+    """What was run, in short."""
+    duration_s = recording.time_s[-1] - recording.time_s[0]
+    facts = [f"{duration_s:.1f} s of bus time", f"{recording.samples} cycles of {result.timing.cycle_us / 1000:g} ms"]
+    facts.append(f"pace {result.timing.pace}")
+    if recording.start_time is not None:
+        facts.insert(0, f"{recording.start_time:%Y-%m-%d %H:%M:%S} UTC")
+    if result.environment is not None and result.environment.seed is not None:
+        facts.append(f"seed {result.environment.seed}")
+    return facts
+
+
+def _summary(result: Result) -> str:
+    failed = sum(not criterion.passed for criterion in result.criteria)
+    parts = [{"passed": "Passed", "completed": "Completed, nothing judged"}.get(result.verdict, "Failed")]
+    if result.criteria:
+        parts.append(f"{len(result.criteria) - failed} of {len(result.criteria)} criteria met")
+    marginal = sum(criterion.marginal for criterion in result.criteria)
+    if marginal:
+        parts.append(f"{marginal} of them marginally")
+    if result.faults:
+        parts.append(f"{len(result.faults)} fault{'s' if len(result.faults) > 1 else ''}")
+    return ", ".join(parts)
+
+
+def _reason(criterion: CriterionResult) -> str:
+    """Beside the verdict: which step it is of, and what is to be said of it."""
+    parts = [f"step {criterion.step}"] if criterion.step and criterion.value is not None else []
+    return "; ".join([*parts, criterion.reason] if criterion.reason else parts)
+
+
+def _warnings(result: Result) -> list[tuple[str, ...]]:
+    """What the timing says of the whole run, then each kind of warning with its count."""
+    rows: list[tuple[str, ...]] = [("", "", text, "", "") for text in result.timing.warnings()]
+    for warning in result.warnings or []:
+        last = "" if warning.last_text in (None, warning.text) else f"; the last: {warning.last_text}"
+        times = number(warning.count, 12), number(warning.last_time_s, 6)
+        rows.append((number(warning.time_s, 6), warning.source, warning.text + last, *times))
+    return rows
+
+
+def _step_name(step: StepRecord) -> str:
+    return f"step {step.number}" if step.number else "working window"
+
+
+def _reasons(step: StepRecord) -> list[tuple[str, list[str]]]:
+    """Each reason why something was not judged once, with the metrics it is of."""
+    metrics: dict[str, list[str]] = {}
+    for metric, reason in step.reasons.items():
+        metrics.setdefault(reason, []).append(metric)
+    return list(metrics.items())
+
+
+def _metrics(result: Result) -> list[tuple[str, ...]]:
+    """Name, value, unit, and what it means or why it has no value."""
+    rows: list[tuple[str, ...]] = []
+    metrics = {**OF_STEPS[kind_of_figures(result.metrics)].metrics, **OF_RUNS}
+    for name, value in result.metrics.items():
+        known = metrics.get(name) or find_metric(name)
+        unit = known.unit if known else ""
+        why = (result.not_judged or {}).get(name) if value is None else None
+        meaning = [text for text in (known.description if known else None, why) if text]
+        rows.append((name, quantity(value, unit), unit, "; ".join(meaning)))
+    return rows
+
+
+def _timing(timing: Timing) -> list[tuple[str, str, str]]:
+    rows = [
+        ("pace", timing.pace, ""),
+        ("cycle", number(timing.cycle_us), "µs"),
+        ("cycles", number(timing.cycles, 12), ""),
+        ("cycles missed", number(timing.missed, 12), ""),
+        *([("cycles with late set points", number(timing.late_set_points, 12), "")] if timing.late_set_points else []),
+        ("bus time over wall time", number(timing.realtime_factor), ""),
+        ("bus load, mean", number(timing.bus_load_pct), "%"),
+        ("frames lost by the bench", _count(timing.lost_frames), ""),
+        *((f"frames lost by the {name}", _count(lost), "") for name, lost in (timing.lost_frames_of or {}).items()),
+        *(
+            (f"late samples of {name}, up to {late.oldest_cycles} cycle(s) old", number(late.share_pct), "%")
+            for name, late in (timing.late or {}).items()
+        ),
+    ]
+    if timing.jitter_us is not None:
+        late = timing.jitter_us
+        for label, value in (("median", late.p50), ("99 %", late.p99), ("99.9 %", late.p999), ("largest", late.max)):
+            rows.append((f"lateness of SYNC, {label}", number(value), "µs"))
+    return rows
+
+
+def _provenance(provenance: Provenance | None) -> list[tuple[str, str]]:
+    if provenance is None:
+        return []
+    commit = provenance.git
+    return [
+        ("config", provenance.config),
+        ("git commit", "none" if commit is None else commit.commit + (", with changes" if commit.changed else "")),
+        ("host", provenance.host),
+        ("simulated hardware and twin", provenance.participants),
+        *((f"{each.key}, by {each.option}", str(each.value)) for each in provenance.overridden),
+        *((f"EDS of {', '.join(each.nodes)}", f"{each.file} sha256 {each.sha256}") for each in provenance.eds),
+    ]
+
+
+def _versions(environment: Environment | None) -> list[tuple[str, str]]:
+    if environment is None:
+        return []
+    versions = {"hilbench": environment.hilbench, "Python": environment.python, "system": environment.platform}
+    seed = "none" if environment.seed is None else str(environment.seed)
+    return [*(versions | environment.libraries).items(), ("seed", seed)]
+
+
+def _count(value: int | None) -> str:
+    return "not known" if value is None else number(value, 12)

@@ -1,5 +1,0 @@
-"""Simulated CANopen drives for tests of other people's masters: any EDS file of a CiA-402 drive is one."""
-
-from hilbench.devices.drive import SimulatedDrive
-
-__all__ = ["SimulatedDrive"]
