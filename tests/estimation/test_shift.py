@@ -146,6 +146,14 @@ def test_beside_hidden_friction_the_interval_is_hardly_wider_than_it_must_be(bes
     assert beside_friction.ratio <= WIDER
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", ["ripple", "unbalance", "unbalance, ripple"])
+def test_what_turns_with_motor_or_roller_is_taken_neither_for_friction_nor_for_E(hidden: str) -> None:
+    (found,) = outcomes(ShiftCase("stops", "steps", hidden), methods_of("changepoint"), duration_s=MINUTES_5_S)
+    assert found.within_pct >= WITHIN_PCT
+    assert found.held_pct >= LEAST_HELD_PCT
+
+
 # -- benches -----------------------------------------------------------------------------------------------------------
 
 

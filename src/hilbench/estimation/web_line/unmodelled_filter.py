@@ -99,7 +99,7 @@ FILTER = np.dtype(
         ("mean_N", "f8"),  # the same over more of them
         ("regressor_N", "f8"),  # the tension at the reference E that regressors are formed with
         ("usual_web_N", "f8"),
-        ("web_swing_N2", "f8"),  # mean square deviation of the tension from its mean
+        ("web_swing_N2", "f8"),  # mean square deviation of the tension (`mean_N`) from its usual value
         ("lag_swing_N2", "f8"),  # the same from the mean over the previous blocks
         ("settled_s", "f8"),  # since the tension was in transition
         ("beyond_N", "f8"),
@@ -151,7 +151,8 @@ STRIBECK_M_S = 0.25
 #: Change of speed that changes friction as much as its time constant does, m/s.
 _OTHER_FRICTION_M_S = 3.0
 #: Time over which the tension of the blocks before is averaged, s: far above a block, below the span's transport; and
-#: where it is a regressor: of what turns with a roller (2.4 Hz at 3 m/s and 0.2 m) a quarter is left.
+#: where it is a regressor, and shows excitation: of what turns with a roller (2.4 Hz at 3 m/s and 0.2 m) a quarter is
+#: left, as an unbalance is no evidence of friction.
 _LAG_S, _REGRESSOR_S = 0.1, 0.3
 #: Relative change of E from which on strain errors are converted to forces anew.
 _OTHER_MODULUS = 0.02
@@ -214,7 +215,7 @@ def likely_deviation_N(f: Record) -> float:
 
 @compiled
 def forget(f: Record) -> None:
-    """Reset unmodelled effects to their prior; E keeps its mean, with the variance of a jump."""
+    """Reset unmodelled effects to their prior, none of them accepted; E keeps its mean, with the variance of a jump."""
     noinline()
     f.covariance[E, E] += _JUMP * _JUMP
     for i in range(STATES):
@@ -225,6 +226,8 @@ def forget(f: Record) -> None:
         for j in range(STATES):
             f.covariance[i, j] = f.covariance[j, i] = 0.0
         f.covariance[i, i] = f.prior[i]
+        f.target[i] = 0.0
+    f.evidence.accepted = 0
     f.excess = f.leaning = f.surprised = f.count = 0.0
 
 
@@ -415,7 +418,8 @@ def _block(f: Record, y_N: float, noise_N2: float, duration_s: float) -> None:
 def _look_for_excitation(f: Record, web_N: float, duration_s: float) -> None:
     """Detect excitation: changes of speed or tension beyond noise and their usual size; select the regressors' tension
     and speed, in quiet time means over seconds, which are free of a block's noise."""
-    apart_N = web_N - f.usual_web_N
+    f.mean_N += duration_s / (_REGRESSOR_S + duration_s) * (web_N - f.mean_N)
+    apart_N = f.mean_N - f.usual_web_N
     least_N2 = (_LEAST_CHANGE * f.tension_N / _FAR) ** 2
     swing_N2 = max(f.web_swing_N2, least_N2)
     tension_changes = abs(apart_N) > _FAR * sqrt(swing_N2) and abs(apart_N) > _LEAST_CHANGE * abs(web_N)
@@ -434,7 +438,6 @@ def _look_for_excitation(f: Record, web_N: float, duration_s: float) -> None:
     f.lag_swing_N2 += duration_s / _MEAN_S * (min(lag_N * lag_N, _MOST_SWING * lag_N2) - f.lag_swing_N2)
     f.excited = 1.0 if f.speeds_up_s > 0.0 or (tension_changes and f.settled_s > _SETTLES_S) else 0.0
     f.lagged_N += duration_s / (_LAG_S + duration_s) * (f.web_before_N - f.lagged_N)
-    f.mean_N += duration_s / (_REGRESSOR_S + duration_s) * (web_N - f.mean_N)
     f.web_before_N = web_N
     f.regressor_N = f.mean_N if tension_changes or f.speeds_up_s > 0.0 else f.usual_web_N
 
