@@ -21,7 +21,6 @@ from hilbench.exchange.addressing import drive_settings
 from hilbench.exchange.nodes import Nodes
 from hilbench.hardware import simulation
 from hilbench.plant.web_line.line_follower import LineFollower
-from hilbench.plant.web_line.span import SpanFollower
 from hilbench.runs.check import check_experiment
 from hilbench.runs.config import LoadedConfig, load_with_overrides
 from hilbench.topology.parts import Role
@@ -85,13 +84,13 @@ class Stand:
     def web(self, given: LoadedConfig) -> tuple[np.ndarray, np.ndarray]:
         """Tensions (n, K) and speeds at the web (n, N) that the true motion makes, at each of its steps."""
         model = given.config.web_line
-        follower = SpanFollower(emulated_web(model, given.config.load))
+        follower = LineFollower(emulated_web(model, given.config.load))
         per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, model.axis_count + 1)])
         tensions, speeds = [], []
         for duration_s, angles in self.motion:
             follower.follow(np.array(angles) / per_m, duration_s)
             tensions.append(follower.tension_N)
-            speeds.append(follower.speeds_m_s)
+            speeds.append(follower.v_m_s)
         return np.array(tensions), np.array(speeds)
 
     def line_with_stations(self, given: LoadedConfig) -> tuple[np.ndarray, np.ndarray]:

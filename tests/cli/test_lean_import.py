@@ -72,11 +72,11 @@ def test_the_first_compiled_call_does_not_import_scipy_and_a_product_of_matrices
     program = """if True:
         import sys
         import numba, numpy
-        from hilbench.plant.web_line.span import SpanFollower
+        from hilbench.plant.web_line.line_follower import LineFollower
         from hilbench.plant.web_line.parameters import ModelParameters
         web = {"youngs_modulus_Pa": 9e9, "width_m": 0.5, "thickness_m": 65e-6, "span_length_m": 1.0}
         data = {"web": web, "rollers": {"radius_m": 0.04, "inertia_kg_m2": 1e-3}}
-        SpanFollower(ModelParameters.model_validate(data))
+        LineFollower(ModelParameters.model_validate(data))
         assert "scipy.linalg" not in sys.modules
         product = numba.njit(lambda a, b: numpy.dot(a, b))(numpy.eye(2), numpy.ones((2, 2)))
         assert (product == 1.0).all()

@@ -25,8 +25,7 @@ from hilbench.errors import UnusableInputError
 from hilbench.plant.effects import STATION_EFFECTS, find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.emulation import Emulation
-from hilbench.plant.web_line.line_emulation import simulate_emulated_line
+from hilbench.plant.web_line.emulation import Emulation, simulate_emulated
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor
 from hilbench.results.recording import Recording, read_recording
@@ -64,7 +63,7 @@ def recorded(config: Path, entry: EffectEntry | None = None, seed: int = 1, dura
     told, sensors = commands(model.axis_count, duration_s), load(config)[0].load.measured
     boundary = np.tile([model.upstream_strain, model.boundary.downstream_tension_N], (len(told), 1))
     true = model if entry is None else model.with_effects(entry)
-    run = simulate_emulated_line(emulation(config), true, lay.pack(true), told, boundary, sensors)
+    run = simulate_emulated(emulation(config), true, lay.pack(true), told, boundary, sensors=sensors)
     channels = {"t_s": np.arange(len(told)) * CYCLE_S, "strain_prev": boundary[:, 0], "F_next_N": boundary[:, 1]}
     for k in range(model.axis_count):
         channels |= {f"v{k + 1}_cmd_m_s": told[:, k], f"v{k + 1}_m_s": run.v_m_s[:, k], f"x{k + 1}_m": run.x_m[:, k]}

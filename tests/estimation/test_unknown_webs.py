@@ -9,7 +9,7 @@ from tests.twin.beside_a_line import BesideALine, line_model
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.estimation.web_line.initial_strains import InitialStrains, initial_strains
 from hilbench.plant.parameters import EffectEntry
-from hilbench.plant.web_line.span import SpanFollower
+from hilbench.plant.web_line.line_follower import LineFollower
 
 LENGTHS_M = (1.0, 2.5, 1.5)
 CREEPS = [EffectEntry(effect="web_slip", span=span, parameters={"creep_per_N": 4e-6}) for span in (1, 3)]
@@ -20,7 +20,7 @@ SPEED_M_S, CYCLE_S = 2.0, 0.002
 @pytest.mark.parametrize("span", [0, 1, 2])
 def test_a_strain_that_is_off_goes_through_the_line_as_its_shares_say(span: int, effects: list[EffectEntry]) -> None:
     model = line_model(*LENGTHS_M, effects=[effect.model_dump() for effect in effects])
-    lines = [SpanFollower(model), SpanFollower(model)]  # as it is, and as it is believed to be
+    lines = [LineFollower(model), LineFollower(model)]  # as it is, and as it is believed to be
     strains = np.full(3, model.upstream_strain)
     off = np.where(np.arange(3) == span, 1e-6, 0.0)
     for line, more in zip(lines, (0.0, off), strict=True):

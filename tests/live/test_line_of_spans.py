@@ -12,7 +12,7 @@ from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import EXIT_PASSED
 from hilbench.live.watch import Watch
 from hilbench.live.web_line.machine import LiveLine
-from hilbench.plant.web_line.span import SpanFollower
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import LoadedConfig, load_with_overrides
@@ -75,10 +75,10 @@ def test_an_estimate_of_each_span_is_in_its_span() -> None:
     line, moduli_Pa = LiveLine(MODEL, None, CYCLE_S), np.array([8.0e9, 9.0e9, 10.0e9])
     assert line.estimated == ("E1_sim_Pa", "E2_sim_Pa", "E3_sim_Pa")
     changed = line.with_estimate(MODEL, moduli_Pa)
-    assert SpanFollower(changed).effective_moduli_Pa == pytest.approx(moduli_Pa)
+    assert LineFollower(changed).effective_moduli_Pa == pytest.approx(moduli_Pa)
     assert line.estimate_at(changed, 0.0) == pytest.approx(moduli_Pa)
     of_one = LiveLine(MODEL, None, CYCLE_S, [2]).with_estimate(changed, np.array([7.0e9]))
-    assert SpanFollower(of_one).effective_moduli_Pa == pytest.approx([8.0e9, 7.0e9, 10.0e9])
+    assert LineFollower(of_one).effective_moduli_Pa == pytest.approx([8.0e9, 7.0e9, 10.0e9])
 
 
 def test_what_was_found_can_be_bounded_by_its_span() -> None:

@@ -48,7 +48,7 @@ def segment(taken: Array, F_next_N: Array, late: Rows) -> Segment:
     told, noise = commands(), np.random.default_rng(4)
     boundary = np.column_stack([np.full(len(told), MODEL.upstream_strain), F_next_N])
     p = packed(MODEL)
-    run = simulate_emulated(emulation(), MODEL, p, start_state(p, MODEL), taken, boundary)
+    run = simulate_emulated(emulation(), MODEL, p, taken, boundary, state=start_state(p, MODEL))
     nominal_N = MODEL.boundary.downstream_tension_N
     channels = {"t_s": np.arange(len(told)) * CYCLE_S, "strain_prev": boundary[:, 0]}
     channels |= {

@@ -13,11 +13,10 @@ from hilbench.plant.web_line.emulation import lead_s
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, TestRig
-from hilbench.plant.web_line.span import SpanFollower
 
 
 def cycle_by_cycle(
-    web: SpanFollower | LineFollower,
+    web: LineFollower,
     parameters: ModelParameters,
     load_axes: Sequence[int],
     commands: np.ndarray,
@@ -54,3 +53,10 @@ def cycle_by_cycle(
         for name, values in inputs.items():
             web.set_input(name, values[number])
     return np.array(rows)
+
+
+def follow(parameters: ModelParameters, x_m: np.ndarray, boundary: np.ndarray, cycle_s: float) -> np.ndarray:
+    """Tensions (n, K) of the web on recorded positions x_m (n, N), between boundaries (n, 2), in one call."""
+    follower = LineFollower(parameters)
+    follower.reset(x_m[0])
+    return follower.follow_rows(x_m, boundary, cycle_s)

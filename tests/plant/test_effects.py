@@ -16,9 +16,9 @@ from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import offline
 from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
-from hilbench.plant.web_line.span import SpanFollower
 
 from .models import effect, line_of, lone_axis, model
 
@@ -302,7 +302,7 @@ def test_unbalance_of_a_geared_roller_is_the_ripple_of_the_motor_that_has_its_an
 
 
 def test_a_load_motor_emulates_unbalance_by_the_angle_of_the_roller() -> None:
-    plain, unbalanced = (SpanFollower(model(*entries)) for entries in ((), (effect("unbalance", 2, **UNBALANCE),)))
+    plain, unbalanced = (LineFollower(model(*entries)) for entries in ((), (effect("unbalance", 2, **UNBALANCE),)))
     for x_m in (0.03, 0.3, 0.9):
         torques = []
         for web in (plain, unbalanced):

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line import offline
 from hilbench.plant.web_line.emulation import Emulation, simulate_emulated
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor
-from hilbench.plant.web_line.span import SpanFollower
 
 from .cycles import cycle_by_cycle
 from .models import effect, line_of, model
@@ -36,8 +35,8 @@ def test_recording_in_one_call_is_what_the_bench_does_cycle_by_cycle(
     boundary = np.tile([parameters.upstream_strain, parameters.boundary.downstream_tension_N], (rows, 1))
     p = lay.pack(parameters)
     emulation = Emulation(CYCLE_S, tuple(CoupledMotor(axis=axis) for axis in load_axes))
-    found = simulate_emulated(emulation, parameters, p, offline.start_state(p, parameters), commands, boundary)
-    expected = cycle_by_cycle(SpanFollower(parameters), parameters, load_axes, commands, CYCLE_S)
+    found = simulate_emulated(emulation, parameters, p, commands, boundary)
+    expected = cycle_by_cycle(LineFollower(parameters), parameters, load_axes, commands, CYCLE_S)
     # Positions to rounding; a tension is E·S/L of that.
     np.testing.assert_allclose(found.x_m, expected[:, :n], rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.tau_Nm, expected[:, n : 2 * n], rtol=0, atol=1e-4)

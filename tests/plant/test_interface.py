@@ -22,9 +22,9 @@ from hilbench.plant.servo_axis.emulation import EmulatedShaft
 from hilbench.plant.servo_axis.parameters import ServoRigParameters
 from hilbench.plant.servo_axis.rig import ServoRig
 from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, TestRig
-from hilbench.plant.web_line.span import SpanFollower
 
 from .models import effect, line_of, lone_axis, model
 from .servo_axis import models as servo
@@ -69,8 +69,8 @@ PLANTS: dict[str, Callable[[], Plant]] = {
     "rig of a servo axis": servo_rig,
 }
 FOLLOWERS: dict[str, Callable[[], Follower]] = {
-    "span": lambda: SpanFollower(model(*SLIPS)),
-    "three spans": lambda: SpanFollower(line_of(4, *SLIPS)),
+    "span": lambda: LineFollower(model(*SLIPS)),
+    "three spans": lambda: LineFollower(line_of(4, *SLIPS)),
     "shaft": emulated_shaft,
 }
 MACHINES: dict[str, Callable[[], Machine]] = {**PLANTS, **FOLLOWERS}
@@ -84,7 +84,13 @@ def move(machine: Machine, speeds: Iterable[float]) -> list[dict[str, float]]:
     found = []
     for speed in speeds:
         shown: dict[str, float] = {}
-        if isinstance(machine, Plant):
+        if isinstance(machine, Follower):
+            unit, axes = machine.describe().position_unit, machine.describe().axes
+            outputs = machine.outputs()
+            at = [outputs[f"x{k}_{unit}"] + 0.01 * speed * (1.0 + 1e-5 * k) * CYCLE_S for k in range(1, axes + 1)]
+            machine.follow(at, CYCLE_S)
+            shown = dict(enumerate(machine.load_torques_Nm([1, axes], [speed] * axes, 0.004)))  # type: ignore[arg-type]
+        elif isinstance(machine, Plant):
             axes = machine.describe().axes
             for number, port in enumerate(machine.ports):
                 port.mode = MotorMode.VELOCITY if number < axes else MotorMode.TORQUE
@@ -92,12 +98,6 @@ def move(machine: Machine, speeds: Iterable[float]) -> list[dict[str, float]]:
             machine.step(CYCLE_S)
             for number, port in enumerate(machine.ports):
                 shown |= {f"port{number} {name}": getattr(port, name) for name in FEEDBACK}
-        elif isinstance(machine, Follower):
-            unit, axes = machine.describe().position_unit, machine.describe().axes
-            outputs = machine.outputs()
-            at = [outputs[f"x{k}_{unit}"] + 0.01 * speed * (1.0 + 1e-5 * k) * CYCLE_S for k in range(1, axes + 1)]
-            machine.follow(at, CYCLE_S)
-            shown = dict(enumerate(machine.load_torques_Nm([1, axes], [speed] * axes, 0.004)))  # type: ignore[arg-type]
         found.append({**machine.outputs(), **shown})
     return found
 

@@ -7,8 +7,9 @@ import pytest
 
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
-from hilbench.plant.web_line.span import SpanFollower, follow
+from hilbench.plant.web_line.line_follower import LineFollower
 
+from .cycles import follow
 from .models import effect, line_of, lone_axis, model
 
 STIFFNESS_N = 8.7e9 * 0.5 * 65e-6
@@ -159,7 +160,7 @@ def test_position_mode_follows_a_ramp_without_lag_and_holds() -> None:
 def test_follower_is_exact_for_constant_speeds() -> None:
     # Unstretched length w' = v1/(1 + strain_prev) - v2·w/L: an exponential.
     v1, v2, t = 2.9, 3.1, 0.05
-    follower = SpanFollower(model())
+    follower = LineFollower(model())
     follower.follow([v1 * t, v2 * t], t)
     rest = v1 / (1 + STRAIN_PREV) / v2
     w = rest + (1 / (1 + STRAIN_PREV) - rest) * np.exp(-v2 * t)
@@ -184,7 +185,7 @@ def test_follower_and_recorded_form_agree_and_find_the_lines_tension() -> None:
         tension.append(line.tension_N[0])
     boundary = np.tile([STRAIN_PREV, 70.0], (rows, 1))
     found = follow(model(*entries), np.array(x), boundary, 0.002)[:, 0]
-    one_by_one = SpanFollower(model(*entries))
+    one_by_one = LineFollower(model(*entries))
     again = [one_by_one.tension_N[0]]
     for row in x[1:]:
         one_by_one.follow(row, 0.002)
@@ -196,7 +197,7 @@ def test_follower_and_recorded_form_agree_and_find_the_lines_tension() -> None:
 
 
 def test_prediction_is_what_comes_when_the_speeds_stay() -> None:
-    follower, other = SpanFollower(model()), SpanFollower(model())
+    follower, other = LineFollower(model()), LineFollower(model())
     for each in (follower, other):
         each.follow([0.0060, 0.00602], 0.002)
     predicted = follower.predicted_tension_N(0.004)
@@ -206,20 +207,20 @@ def test_prediction_is_what_comes_when_the_speeds_stay() -> None:
 
 
 def test_web_torque_holds_tension_difference_and_emulated_friction() -> None:
-    follower = SpanFollower(model(web_load=[False, True]))
+    follower = LineFollower(model(web_load=[False, True]))
     assert follower.web_torque_Nm(1, 3.0) == 0.0
     assert follower.web_torque_Nm(2, 3.0) == pytest.approx((70.0 - 80.0) / RAD_PER_M)
     follower.set_effect("coulomb_friction", 2, force_N=4.0)
     follower.set_effect("viscous_friction", 2, coefficient_N_s_per_m=2.0)
     assert follower.web_torque_Nm(2, 3.0) == pytest.approx((70.0 - 80.0 - 4.0 - 6.0) / RAD_PER_M)
     assert follower.web_torque_Nm(2, 0.0) == pytest.approx((70.0 - 80.0) / RAD_PER_M)
-    both = SpanFollower(model())
+    both = LineFollower(model())
     assert both.web_torque_Nm(1, 3.0) == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("axis", [1, 2, 3, 4])
 def test_any_roller_feels_the_difference_of_the_spans_around_it_and_its_own_friction(axis: int) -> None:
-    follower = SpanFollower(line_of(4))
+    follower = LineFollower(line_of(4))
     follower.set_effect("viscous_friction", axis, coefficient_N_s_per_m=2.0)
     follower.set_input("F_next_N", 64.0)
     for k in range(1, 200):  # the rollers run apart by more and more: every span has a tension of its own
@@ -232,7 +233,7 @@ def test_any_roller_feels_the_difference_of_the_spans_around_it_and_its_own_fric
 
 
 def test_load_motors_of_several_rollers_get_the_tensions_of_one_later_instant() -> None:
-    follower, later = SpanFollower(line_of(4)), SpanFollower(line_of(4))
+    follower, later = LineFollower(line_of(4)), LineFollower(line_of(4))
     way = 0.004 * (1.0 + 2e-6 * np.arange(4) ** 2)
     for each in (follower, later):
         each.follow(way, 0.002)
@@ -244,7 +245,7 @@ def test_load_motors_of_several_rollers_get_the_tensions_of_one_later_instant() 
 
 
 def test_web_that_has_torn_pulls_no_more_until_it_is_whole_again() -> None:
-    follower = SpanFollower(model(web_load=[False, True]))
+    follower = LineFollower(model(web_load=[False, True]))
     whole = follower.outputs()
     follower.set_parameter("broken", 1.0)
     assert follower.outputs() == {**whole, "F1_N": 0.0, "strain1": 0.0}
@@ -254,6 +255,6 @@ def test_web_that_has_torn_pulls_no_more_until_it_is_whole_again() -> None:
 
 
 def test_effect_that_no_torque_can_emulate_is_refused() -> None:
-    follower = SpanFollower(model())
+    follower = LineFollower(model())
     with pytest.raises(ValueError, match="effect 'backlash' here, expected one of coulomb_friction"):
         follower.set_effect("backlash", 2, gap_rad=0.01)

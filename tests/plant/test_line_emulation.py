@@ -9,8 +9,7 @@ import pytest
 
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.emulation import Emulation
-from hilbench.plant.web_line.line_emulation import simulate_emulated_line
+from hilbench.plant.web_line.emulation import Emulation, simulate_emulated
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor
@@ -79,8 +78,8 @@ def test_recording_in_one_call_is_what_the_bench_does_cycle_by_cycle(
     commands = speeds(ROWS, n)
     boundary = np.tile([parameters.upstream_strain, parameters.boundary.downstream_tension_N], (ROWS, 1))
     emulation = Emulation(CYCLE_S, tuple(CoupledMotor(axis=axis) for axis in load_axes))
-    given = emulation, parameters, lay.pack(parameters), commands, boundary, list(sensors), forces_N
-    found = simulate_emulated_line(*given)
+    given = emulation, parameters, lay.pack(parameters), commands, boundary
+    found = simulate_emulated(*given, sensors=list(sensors), forces_N=forces_N)
     of_axes = [entry for entry in parameters.effects if entry.axis is not None]
     of_line = [entry for entry in parameters.effects if entry.axis is None]
     line = LineFollower(parameters.model_copy(update={"effects": tuple(of_line)}))

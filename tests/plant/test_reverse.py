@@ -16,8 +16,8 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import offline
 from hilbench.plant.web_line.line_inverse import required_torques
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.span import follow
 
+from .cycles import follow
 from .models import effect, line_of, model
 
 STIFFNESS_N = 8.7e9 * 0.5 * 65e-6

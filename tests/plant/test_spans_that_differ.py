@@ -16,9 +16,10 @@ from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import offline
 from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters, load_model
-from hilbench.plant.web_line.span import SpanFollower, follow
 
+from .cycles import follow
 from .models import DEMONSTRATOR, effect, line_of, model
 
 MODULI_PA, WIDTHS_M, LENGTHS_M = [8.7e9, 6.0e9, 9.5e9], [0.5, 0.5, 0.4], [1.0, 1.4, 0.8]
@@ -125,7 +126,7 @@ def test_an_effect_without_a_span_is_that_effect_in_every_span() -> None:
 
 
 def test_e_of_one_span_is_stepped_while_it_runs_and_its_strain_stays() -> None:
-    follower = SpanFollower(line_of(3))
+    follower = LineFollower(line_of(3))
     for row in range(1, 200):
         follower.follow((0.003 * row, 0.0030003 * row, 0.0030005 * row), 0.002)
     before, strain = follower.outputs(), follower.strain

@@ -11,8 +11,9 @@ from tests.tiers import slow
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import offline
 from hilbench.plant.web_line.line import Line
-from hilbench.plant.web_line.span import SpanFollower, follow
+from hilbench.plant.web_line.line_follower import LineFollower
 
+from .cycles import follow
 from .models import effect, line_of, model
 
 STEP_S = 0.0005
@@ -93,7 +94,7 @@ def test_the_moment_a_splice_comes_in_acts_continuously() -> None:
 
 def test_a_splice_that_is_asked_for_later_than_it_should_have_come_comes_at_once() -> None:
     """Injected by a step of an experiment: whenever its change is set, another one comes."""
-    follower = SpanFollower(model())
+    follower = LineFollower(model())
     x, found = 0.0, []
     for row in range(800):
         if row in (100, 700):
@@ -118,9 +119,9 @@ def test_a_line_from_which_a_splice_is_taken_is_as_it_was() -> None:
 
 @pytest.mark.slow
 def test_a_second_splice_leaves_the_first_on_its_way_through_the_spans() -> None:
-    follower, rows, second_s = SpanFollower(line_of(3)), 3600, 0.5
+    follower, rows, second_s = LineFollower(line_of(3)), 3600, 0.5
     found, plain = np.empty((rows, 2)), np.empty((rows, 2))
-    others = SpanFollower(line_of(3))
+    others = LineFollower(line_of(3))
     for row in range(rows):
         if row in (round(COMES_S / STEP_S), round(second_s / STEP_S)):
             change = 1.0 if row * STEP_S < second_s else -0.5
@@ -142,8 +143,8 @@ def test_a_second_splice_leaves_the_first_on_its_way_through_the_spans() -> None
 
 
 def test_pieces_beyond_what_is_kept_never_grow_the_state_and_those_that_left_are_forgotten() -> None:
-    follower = SpanFollower(line_of(3))
-    plain, x = SpanFollower(line_of(3)), 0.0
+    follower = LineFollower(line_of(3))
+    plain, x = LineFollower(line_of(3)), 0.0
     size = len(follower.get_state().memory.state)  # type: ignore[attr-defined]
     for row in range(10_000):
         if row < 1000 and row % 40 == 0:

@@ -18,8 +18,8 @@ from hilbench.plant.sampled_shaft import (
     spectral_radius_under,
 )
 from hilbench.plant.sensors import SensorNoise, SensorParameters
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, TestRig
-from hilbench.plant.web_line.span import SpanFollower
 from hilbench.plant.web_line.stability import largest_stiffness_Nm_per_rad, sampled_shaft, spectral_radius
 
 from .models import model
@@ -148,7 +148,7 @@ def emulate_web(lead_s: float) -> np.ndarray:
     parameters = model(web_load=[False, True])
     ports = [MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.TORQUE)]
     bench = TestRig(RigParameters.matching(parameters, [CoupledMotor(axis=2)]), ports)
-    web, tensions = SpanFollower(parameters), []
+    web, tensions = LineFollower(parameters), []
     for k in range(1500):
         if k:
             web.follow([port.position_rad / RAD_PER_M for port in ports[:2]], CYCLE_S)

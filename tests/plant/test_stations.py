@@ -14,12 +14,12 @@ from pydantic import ValidationError
 
 from hilbench.apps.cli.model_option import model_from
 from hilbench.errors import UnusableInputError
+from hilbench.plant.fmu.export.web_line import exported_load
 from hilbench.plant.model_file import write_model
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.modes import natural_frequencies_rad_s, needed_substeps
 from hilbench.plant.web_line.parameters import ModelParameters, load_model
-from hilbench.plant.web_line.span import SpanFollower
 
 from .line_equations import Carriage, LineEquations, Roller
 from .models import DEMONSTRATOR, effect
@@ -374,7 +374,7 @@ def test_a_line_that_no_web_can_run_over_is_refused(stations: list[Any], lengths
 def test_what_knows_driven_rollers_alone_refuses_a_line_of_stations_in_one_line(tmp_path: Path) -> None:
     line, _ = LINES["dancer on an arm"]
     with pytest.raises(ValueError, match="driven rollers alone"):
-        SpanFollower(line)
+        exported_load(line)
     write_model(tmp_path / "model.yaml", line)
     with pytest.raises(UnusableInputError, match=r"model\.yaml:\d+: a line with .*driven rollers alone"):
         model_from(tmp_path / "model.yaml")

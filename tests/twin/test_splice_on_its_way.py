@@ -13,7 +13,7 @@ from tests.twin.beside_a_line import Array, BesideALine, line_model
 
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.config import EstimationConfig
-from hilbench.plant.web_line.span import SpanFollower
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.runs.config import load_with_overrides
 
 CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
@@ -55,7 +55,7 @@ def error(told: dict[str, Array], span: int, from_s: float, until_s: float) -> f
 
 
 def test_e_of_a_span_with_a_joint_in_it_is_that_of_springs_in_series() -> None:
-    web = SpanFollower(model())
+    web = LineFollower(model())
     web.set_effect("splice", time_s=0.0, relative_change=0.25, length_m=ENDLESS_M)
     for cycle in range(1, 126):  # 0.25 m of the span of 1 m
         web.follow((0.002 * cycle, 0.002 * cycle), 0.001)

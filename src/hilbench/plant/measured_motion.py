@@ -151,8 +151,7 @@ class HasFollowed(Enum):
     """Result of a follower's cycle."""
 
     NOT = 0  #: unchanged, as there is nothing to follow
-    TORQUES = 1  #: followed, torques alone published
-    ALL = 2
+    ALL = 1
 
 
 class InStep(Protocol):

@@ -21,7 +21,7 @@ from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.servo_axis.axis import ServoAxis
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.web_line.line import Line
-from hilbench.plant.web_line.span import SpanFollower
+from hilbench.plant.web_line.line_follower import LineFollower
 
 pytestmark = needs_compiler
 CYCLE_S = 0.002
@@ -84,7 +84,7 @@ def test_an_exported_servo_axis_steps_as_the_kernel_does(tmp_path: Path, fmi: ar
 def test_an_exported_web_pulls_as_the_load_model_does(tmp_path: Path, fmi: archive.Fmi) -> None:
     path = tmp_path / "web.fmu"
     archive.write_fmu(web_line.exported_load(MODEL), fmi, path)
-    ours = SpanFollower(MODEL)
+    ours = LineFollower(MODEL)
     names = ("F1_N", "strain1", "E1_Pa")
     config = FmuLoadConfig.model_validate(
         {
@@ -108,7 +108,7 @@ def test_an_exported_web_pulls_as_the_load_model_does(tmp_path: Path, fmi: archi
         theirs.follow(x.tolist(), CYCLE_S)
         found, expected = theirs.outputs(), ours.outputs()
         np.testing.assert_allclose([found[name] for name in names], [expected[name] for name in names], rtol=1e-12)
-        speeds = ours.speeds_m_s.tolist()
+        speeds = ours.v_m_s.tolist()
         expected_Nm = ours.load_torques_Nm([1, 2], speeds, 0.0041)
         np.testing.assert_allclose(theirs.load_torques_Nm([1, 2], speeds, 0.0041), expected_Nm, rtol=1e-12, atol=1e-12)
 

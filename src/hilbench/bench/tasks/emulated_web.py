@@ -10,7 +10,7 @@ from hilbench.plant.fmu.follower import FmuFollower
 from hilbench.plant.interface import Follower
 from hilbench.plant.sample_coherence import play
 from hilbench.plant.web_line.emulation import lead_s
-from hilbench.plant.web_line.line_follower import follower_of
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.topology.blocks import LoadConfig
@@ -35,9 +35,9 @@ def web_load_model(config: BenchConfig, report: Callable[[str], None] = print) -
     model, cycle_s, load_axes = config.web_line, config.cycle_time_s, config.loaded_axes
     machine: Follower
     if config.load.fmu is None:
-        machine = follower_of(emulated_web(model, config.load))
+        machine = LineFollower(emulated_web(model, config.load))
     else:
-        truths = [quantity.name for quantity in follower_of(model).describe().outputs]
+        truths = [quantity.name for quantity in LineFollower(model).describe().outputs]
         kind, unit = config.machine_kind, model.position_unit
         machine = FmuFollower(config.load.fmu, kind, unit, model.axis_count, cycle_s, truths, report)
     least_m = least_travel_m(model, cycle_s)

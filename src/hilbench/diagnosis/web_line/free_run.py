@@ -21,12 +21,11 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.driving_force import driving_force_N
 from hilbench.plant.web_line.emulation import Emulation, simulate_emulated
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
-from hilbench.plant.web_line.line_emulation import simulate_emulated_line
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.offline import Simulation, simulate, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import section_model
 from hilbench.plant.web_line.sizes import machine_sizes
-from hilbench.plant.web_line.span import SpanFollower
 
 Array = NDArray[np.float64]
 
@@ -124,7 +123,7 @@ class FreeRun:
         self.narrower = None
         self._start = self._start_state(data)
         self._before, self._more_Nm = data.before, np.zeros(model.axis_count)
-        self._web_before = None if data.before is None else SpanFollower(model)
+        self._web_before = None if data.before is None else LineFollower(model)
         self._pushed = data.pushed
         self._pulled = [axis for axis in range(1, model.axis_count + 1) if model.carries_web_load(axis)]
         self._slow: dict[tuple[int, ...], tuple[Array, Array]] = {}  # by creep of each span, in steps
@@ -348,13 +347,11 @@ class FreeRun:
             boundary = np.repeat(boundary, whole, axis=0)
         if self.emulation is None:
             run = simulate(parameters, self._starts(parameters), commands, boundary, self._period_s / whole)
-        elif self._model.stations is None:
-            start = self._starts(parameters)
-            run = simulate_emulated(self.emulation, self._model, parameters, start, commands, boundary)
         else:
+            start = self._starts(parameters) if self._model.stations is None else None
             forces_N = {name: np.repeat(commanded_N, whole) for name, commanded_N in self._forces_N.items()}
-            given = self.emulation, self._model, parameters, commands, boundary, self._sensors, forces_N
-            run = simulate_emulated_line(*given)
+            given = self.emulation, self._model, parameters, commands, boundary
+            run = simulate_emulated(*given, state=start, sensors=self._sensors, forces_N=forces_N)
         if whole == 1:
             return run
         rows = {name: getattr(run, name)[..., ::whole, :] for name in ("x_m", "v_m_s", "tau_Nm", "F_N", "strain")}

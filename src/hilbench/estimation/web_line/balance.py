@@ -13,16 +13,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import compiled
+from hilbench.compiled import compiled, inlined
 from hilbench.plant.motor_laws import measured_direction
-from hilbench.plant.web_line import laws
+from hilbench.plant.web_line import laws, line_kernel, places, splice_laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.line_follower import LineFollower
+from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.span import SpanFollower
-from hilbench.plant.web_line.span_kernel import SpanVectors, follow_to, modulus_place, put_boundary
 
 _AXIS = 1  #: index of axis 2
+#: Of the measured web, a line of two driven rollers: offsets of their speeds in the state (`roller_speed_m_s`) and of
+#: the unstretched web between them; columns of its tension and strain in the outputs.
+_SPEED, _UNSTRETCHED = lay.S_Y + 2, lay.S_Y + 8
+_TENSION, STRAIN = 6, 7
 _CREEP = lay.place("web_slip", "creep_per_N")
 #: Relative change of E that is passed to the follower: its creep and damping depend on it.
 _WORTH_TELLING = 1e-4
@@ -42,14 +46,14 @@ class BalanceVectors(NamedTuple):
     """Vectors of a `MeasuredBalance`, for compiled callers."""
 
     p: Vector  #: parameters of the two rollers
-    web: SpanVectors
-    s: Vector  #: state: STARTED, BEFORE_M, and the last `BalanceSample`
+    web: LineVectors  #: held to the measured motion
+    s: Vector  #: state: STARTED to _F_NEXT_N, and the last `BalanceSample`
 
 
-# State of a balance: phase (_BEGUN: the web was placed in this cycle) and previous position; then the fields of a
-# `BalanceSample`.
-STARTED, _BEFORE_M, X2_M, FORCE_N, WEB_PER_PA, VELOCITY_M_S = range(6)
-_SIZE = 6
+# State of a balance: phase (_BEGUN: the web was placed in this cycle) and previous position; creep ratio at roller 1,
+# and tension after roller 2; then the fields of a `BalanceSample`.
+STARTED, _BEFORE_M, _CREEP_RATIO_PREV, _F_NEXT_N, X2_M, FORCE_N, WEB_PER_PA, VELOCITY_M_S = range(8)
+_SIZE = 8
 _NOT_STARTED, _BEGUN, _FOLLOWS = 0.0, 1.0, 2.0
 
 
@@ -65,6 +69,84 @@ def measured_force_N(p: Vector, torque_Nm: float, x_m: float, v_m_s: float, f_ne
     direction = measured_direction(v_m_s, laws.FRICTION_WIDTH_M_S)
     resistance = laws.measured_resistance_N(p, axis, x_m, v_m_s, direction)
     return float(laws.passed_on_N(p, axis, ratio * torque, direction) + f_next_N - resistance)
+
+
+@inlined
+def modulus_place(p: Vector) -> int:
+    """Parameter index of E of the first span."""
+    n, m, _ = places.counts(p)
+    return places.first_span(n, m) + lay.SP_MODULUS_PA
+
+
+@inlined
+def tension_N(balance: BalanceVectors) -> float:
+    """Tension of the web between the rollers."""
+    return float(balance.web.out[_TENSION])
+
+
+@inlined
+def strain(balance: BalanceVectors) -> float:
+    """Strain of the web between the rollers."""
+    return float(balance.web.out[STRAIN])
+
+
+@inlined
+def roller_speed_m_s(balance: BalanceVectors, roller: int) -> float:
+    """Speed of a roller, from 0, over the last cycle."""
+    return float(balance.web.s[_SPEED + roller])
+
+
+@compiled
+def spliced(balance: BalanceVectors) -> tuple[bool, float, float]:
+    """True if there are pieces of other web; their effect on the span (`SplicedSpan`)."""
+    p, s, u = balance.web.p, balance.web.s, balance.web.u
+    pieces = len(s) - lay.PIECES_SIZE
+    if not s[pieces + lay.PIECES_COUNT] > 0.0:
+        return False, 1.0, 1.0
+    time_s = s[lay.S_COUNT] * p[lay.W_SAMPLE_TIME_S]
+    stretch = 1.0 + laws.upstream_strain(p, u[lay.U_STRAIN_PREV], time_s)
+    travel_m, unstretched_m = s[lay.S_Y], s[_UNSTRETCHED]
+    factor = splice_laws.series_factor(s, pieces, travel_m, 0.0, unstretched_m, stretch)
+    at_end = 1.0 + splice_laws.change_at(s, pieces, travel_m, unstretched_m, stretch, lay.LEAST_BLUR_M)
+    return True, factor, at_end
+
+
+@compiled
+def _follow_to(balance: BalanceVectors, x1_m: float, x2_m: float, duration_s: float) -> None:
+    """Move the two rollers with web between to these positions, `duration_s` after the last call.
+
+    In reverse the web leaves over roller 1 at the creep ratio there.
+    """
+    p, s, u, w, out = balance.web
+    v1_m_s, v2_m_s = (x1_m - s[lay.S_Y]) / duration_s, (x2_m - s[lay.S_Y + 1]) / duration_s
+    leaving = 1.0 + balance.s[_CREEP_RATIO_PREV] if v1_m_s < 0.0 else 1.0
+    line_kernel.set_speed(p, s, 0, v1_m_s * leaving)
+    line_kernel.set_speed(p, s, 1, v2_m_s)
+    line_kernel.roll_on(p, s, u, w, duration_s, p[lay.W_SAMPLE_TIME_S], line_kernel.LONGEST_STEP_S)
+    line_kernel.observe(p, s, u, w, out)
+    line_kernel.set_speed(p, s, 0, v1_m_s)
+    line_kernel.set_position(p, s, 0, x1_m)  # exactly: no drift from adding up
+    line_kernel.set_position(p, s, 1, x2_m)
+
+
+@compiled
+def _put_boundary(
+    balance: BalanceVectors, strain_prev: float, f_next_N: float, strain_next: float, creep_ratio_prev: float
+) -> None:
+    """Set inlet strain, outlet tension and strain, and creep ratio at roller 1; recomputes the tension.
+
+    `creep_ratio_prev`: share by which the web before the line pulls the web back over the first roller. What enters has
+    that in its strain; in reverse so much more leaves than the roller turns.
+    """
+    p, s, u, w, out = balance.web
+    balance.s[_CREEP_RATIO_PREV] = creep_ratio_prev
+    changed = u[lay.U_STRAIN_PREV] != strain_prev or balance.s[_F_NEXT_N] != f_next_N
+    u[lay.U_STRAIN_PREV], balance.s[_F_NEXT_N] = strain_prev, f_next_N
+    # Strain of the web after roller 2 is its tension over its stiffness; without tension any force without effect does.
+    u[lay.U_F_NEXT_N] = f_next_N if f_next_N != 0.0 else strain_next
+    p[lay.W_DOWNSTREAM_STIFFNESS_N] = f_next_N / strain_next if f_next_N != 0.0 else 1.0
+    if changed:
+        line_kernel.observe(p, s, u, w, out)
 
 
 @compiled
@@ -98,18 +180,18 @@ def momentum_balance(
     motor.
 
     `behind_N`, `strain_next`: tension and strain of the web after roller 2; of several rollers as one the tension is
-    not `F_next_N`, which is after the last of them. `creep_ratio_prev`: as in `put_boundary`.
+    not `F_next_N`, which is after the last of them. `creep_ratio_prev`: as in `_put_boundary`.
     """
     s, velocity_m_s = balance.s, 0.0
     if s[STARTED] == _FOLLOWS:
-        follow_to(balance.web, x1_m, x2_m, duration_s)
+        _follow_to(balance, x1_m, x2_m, duration_s)
         velocity_m_s = (x2_m - s[_BEFORE_M]) / duration_s
-    put_boundary(balance.web, strain_prev, behind_N, strain_next, creep_ratio_prev)
+    _put_boundary(balance, strain_prev, behind_N, strain_next, creep_ratio_prev)
     s[STARTED] = _FOLLOWS
     s[_BEFORE_M] = x2_m
     s[X2_M] = x2_m
     s[FORCE_N] = measured_force_N(balance.p, torque_Nm, x2_m, velocity_m_s, F_next_N)
-    s[WEB_PER_PA] = balance.web.tension[0] / balance.web.p[modulus_place(balance.web.p)]
+    s[WEB_PER_PA] = tension_N(balance) / balance.web.p[modulus_place(balance.web.p)]
     s[VELOCITY_M_S] = velocity_m_s
 
 
@@ -130,7 +212,7 @@ class MeasuredBalance:
     def __init__(self, model: ModelParameters) -> None:
         if model.web is None or model.axis_count != 2:
             raise ValueError(f"a model of {model.axis_count} axes, expected two driven rollers with a web")
-        self.web = SpanFollower(model)
+        self.web = LineFollower(model)
         self._p = lay.pack(model)
         axis = Layout.of(self._p).axis_rows(self._p)[_AXIS]
         self.mass_kg = mass_at_web_kg(self._p)

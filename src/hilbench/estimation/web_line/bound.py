@@ -14,8 +14,8 @@ from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.web_line.balance import MeasuredBalance
 from hilbench.estimation.web_line.config import AlsoEstimated
 from hilbench.estimation.web_line.measurements import Measurements
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.span import SpanFollower
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,8 @@ def least_deviation_Pa(
     Infinite while there is no information. `also`: nuisance parameters estimated in addition to E, with their prior
     deviations.
     """
-    balance, web = MeasuredBalance(model), SpanFollower(model, data.x_m[0], [data.strain_prev[0]])
+    balance, web = MeasuredBalance(model), LineFollower(model)
+    web.reset(data.x_m[0], [data.strain_prev[0]])
     boundary = np.column_stack([data.strain_prev, data.F_next_N])
     per_Pa = web.follow_rows(data.x_m, boundary, data.cycle_s)[:, 0] / model.youngs_modulus_Pa(1)
     ratio = balance.force_per_torque_per_m

@@ -22,7 +22,7 @@ class MeasuredSpan:
     @property
     def strain(self) -> float:
         """Strain of the web in the span, by the encoders."""
-        return self._balance.web.first_strain
+        return self._balance.web.strain.item(0)
 
     @property
     def series_factor(self) -> float:

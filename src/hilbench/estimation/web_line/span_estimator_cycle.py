@@ -26,10 +26,9 @@ from hilbench.estimation.web_line.balance import BalanceVectors
 from hilbench.estimation.web_line.synchronizers import changepoint
 from hilbench.estimation.web_line.synchronizers.changepoint import BankVectors
 from hilbench.estimation.web_line.synchronizers.plant import InputVectors
-from hilbench.plant.web_line import laws, line_vectors, span_kernel
+from hilbench.plant.web_line import laws, line_vectors
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import LineVectors
-from hilbench.plant.web_line.span_kernel import SpanVectors
 
 #: Share of the tension from which on a sudden growth of the force correction restarts the change detectors.
 _ALL_AT_ONCE = 0.002
@@ -165,7 +164,7 @@ def compare(
     duration_s = t[CYCLE_S] + t[MISSED_S]
     around = strain_prev, F_next_N, behind_N, strain_next, creep_ratio_prev
     balance.momentum_balance(v.balance, x1_m, x2_m, torque_Nm, *around, duration_s)
-    t[CREEP_RATIO] = creep_per_N * (v.balance.web.tension[0] - behind_N) if creep_per_N != 0.0 else 0.0
+    t[CREEP_RATIO] = creep_per_N * (balance.tension_N(v.balance) - behind_N) if creep_per_N != 0.0 else 0.0
     if not isnan(centre_m):
         now[balance.X2_M] = centre_m
     force_N, web_per_Pa, velocity_m_s = now[balance.FORCE_N], now[balance.WEB_PER_PA], now[balance.VELOCITY_M_S]
@@ -177,7 +176,7 @@ def compare(
     t[MEASURED] = 1.0
     t[USED] = 0.0
     t[REBASED_PA] = 0.0
-    spliced, t[SERIES_FACTOR], t[END_FACTOR] = span_kernel.first_spliced(v.balance.web)
+    spliced, t[SERIES_FACTOR], t[END_FACTOR] = balance.spliced(v.balance)
     t[SPLICED] = 1.0 if spliced else 0.0
     t[NOW_N] = _without_errors(v, force_N)
     t[RESIDUAL_NM] = torque_Nm - torque_sim_Nm
@@ -336,7 +335,8 @@ def look_for_shift(v: SpanEstimatorVectors) -> int:
 @compiled
 def transfer(v: SpanEstimatorVectors) -> None:
     """Set E of the line and transfer plausible measured states to it; count cycles and travel of refused ones."""
-    t, line, web = v.t, v.line, v.balance.web
+    t, line = v.t, v.line
+    v1_m_s, v2_m_s = balance.roller_speed_m_s(v.balance, 0), balance.roller_speed_m_s(v.balance, 1)
     t[MOVED] = 0.0
     if t[BLACK_BOX] == 0.0:
         for i in range(v.moduli.shape[1]):
@@ -346,7 +346,7 @@ def transfer(v: SpanEstimatorVectors) -> None:
         return
     at, changed, refused = int(t[SPAN]), False, False
     if t[TRANSFERS_STRAIN] != 0.0 and t[BLACK_BOX] == 0.0:
-        measured = span_kernel.first_strain(web)
+        measured = balance.strain(v.balance)
         # No web strains as much: encoders get there at implausible speeds, and -1 would be a web of length 0.
         believable = abs(measured) <= LARGEST_STRAIN
         if believable and (t[FOUND] != 0.0 or abs(measured - line_vectors.strain(line, at)) <= t[STRAIN_LIMIT]):
@@ -356,16 +356,16 @@ def transfer(v: SpanEstimatorVectors) -> None:
             refused = True
     if t[TRANSFERS_AXES] != 0.0 or t[BLACK_BOX] != 0.0:
         if line_vectors.is_near(line, at, t[POSITION_1_M], t[POSITION_2_M], t[POSITION_LIMIT_M]) and (
-            line_vectors.is_as_fast(line, at, web.v[0], web.v[1], t[VELOCITY_LIMIT_M_S])
+            line_vectors.is_as_fast(line, at, v1_m_s, v2_m_s, t[VELOCITY_LIMIT_M_S])
         ):
-            line_vectors.put_motion(line, at, t[POSITION_1_M], web.v[0])
-            line_vectors.put_motion(line, at + 1, t[POSITION_2_M], web.v[1])
+            line_vectors.put_motion(line, at, t[POSITION_1_M], v1_m_s)
+            line_vectors.put_motion(line, at + 1, t[POSITION_2_M], v2_m_s)
             changed = True
             t[MOVED] = 1.0
         else:
             refused = True
     t[REFUSED] = t[REFUSED] + 1.0 if refused else 0.0
-    t[REFUSED_M] = t[REFUSED_M] + abs(web.v[0]) * t[CYCLE_S] if refused else 0.0
+    t[REFUSED_M] = t[REFUSED_M] + abs(v1_m_s) * t[CYCLE_S] if refused else 0.0
     if changed:
         line_vectors.show(line)
         if line_vectors.reports(line):
@@ -403,6 +403,12 @@ def run(
 
 
 @compiled
+def measured_strain(table: Places) -> float:
+    """Strain by the encoders, from the table of `flat`."""
+    return float(floats(table, WEB_ROW + 4, (1,))[balance.STRAIN])
+
+
+@compiled
 def outlet_strain(t: Vector, strain: float) -> float:
     """Inlet strain of the next span: measured strain × series factor / end factor, as all pieces carry the same
     tension, corrected for creep."""
@@ -428,11 +434,10 @@ def is_synchronized(t: Vector, most_pct: float) -> bool:
     return bool(known and t[OWN_DEVIATION_PA] <= 0.01 * most_pct * t[MODULUS_PA])
 
 
-#: Rows in the table of `flat`: the state; the shift detector's state; parameters and state of the measured web;
-#: parameters, state, inputs, scratch space and outputs of the line in a row; number of rows. Inputs, offsets and
-#: mixture of the bank.
-STATE_ROW, SHIFT_ROW, WEB_ROW, LINE_ROW, ROWS = 0, 3, 8, 29, 35
-BANK_INPUTS_ROW, BANK_PLACES_ROW, BANK_OUT_ROW = 16, 24, 26
+#: Rows in the table of `flat`: the state; the shift detector's state; parameters, state, inputs, scratch space and
+#: outputs of the measured web, and of the line, in a row; number of rows. Inputs, offsets and mixture of the bank.
+STATE_ROW, SHIFT_ROW, WEB_ROW, LINE_ROW, ROWS = 0, 3, 8, 28, 34
+BANK_INPUTS_ROW, BANK_PLACES_ROW, BANK_OUT_ROW = 15, 23, 25
 
 
 def flat(v: SpanEstimatorVectors) -> tuple[Array | Places, ...]:
@@ -448,35 +453,34 @@ INTERRUPT, SUSPEND, NEW_WEB = range(3)
 @entry_point(COUNT, reals(9), TABLE)
 def run_vectors(stage: int, values: tuple[float, ...], table: Places) -> int:
     """`run` on the vectors in a `table_of` the result of `flat`."""
-    web = SpanVectors(
+    web = LineVectors(
         floats(table, 8, (1,)),
         floats(table, 9, (1,)),
         floats(table, 10, (1,)),
         floats(table, 11, (1,)),
         floats(table, 12, (1,)),
-        floats(table, 13, (1,)),
     )
     inputs = InputVectors(
-        floats(table, 16, (1,)), floats(table, 17, (1,)), floats(table, 18, (1,)), floats(table, 19, (1,))
+        floats(table, 15, (1,)), floats(table, 16, (1,)), floats(table, 17, (1,)), floats(table, 18, (1,))
     )
     hypotheses = BankVectors(
         inputs,
-        floats(table, 20, (1, 2)),
-        floats(table, 21, (1, 2, 3)),
-        floats(table, 22, (1, 2)),
-        floats(table, 23, (1,)),
-        integers(table, 24, (1,)),
+        floats(table, 19, (1, 2)),
+        floats(table, 20, (1, 2, 3)),
+        floats(table, 21, (1, 2)),
+        floats(table, 22, (1,)),
+        integers(table, 23, (1,)),
+        floats(table, 24, (1, 2)),
         floats(table, 25, (1, 2)),
         floats(table, 26, (1, 2)),
-        floats(table, 27, (1, 2)),
-        floats(table, 28, (1,)),
+        floats(table, 27, (1,)),
     )
     line = LineVectors(
+        floats(table, 28, (1,)),
         floats(table, 29, (1,)),
         floats(table, 30, (1,)),
         floats(table, 31, (1,)),
         floats(table, 32, (1,)),
-        floats(table, 33, (1,)),
     )
     v = SpanEstimatorVectors(
         floats(table, 0, (1,)),
@@ -486,11 +490,11 @@ def run_vectors(stage: int, values: tuple[float, ...], table: Places) -> int:
         floats(table, 4, (1,)),
         floats(table, 5, (1,)),
         floats(table, 6, (1, 2)),
-        BalanceVectors(floats(table, 7, (1,)), web, floats(table, 14, (1,))),
-        floats(table, 15, (1,)),
+        BalanceVectors(floats(table, 7, (1,)), web, floats(table, 13, (1,))),
+        floats(table, 14, (1,)),
         hypotheses,
         line,
-        floats(table, 34, (1,)),
+        floats(table, 33, (1,)),
     )
     return run(v, stage, *values)
 

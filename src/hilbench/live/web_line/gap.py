@@ -2,7 +2,7 @@
 
     r_k = (i/r)·τ_k − R_k(v_k) + F_k − F_(k−1) − m_k·v_k'        (0 but for noise where the model is right)
 
-Motion and torques are measured, the tension follows from the measured motion by the model (`SpanFollower`), effects
+Motion and torques are measured, the tension follows from the measured motion by the model (`LineFollower`), effects
 included. The residual is averaged over `SHORT` cycles, whose accelerations are differences of positions.
 """
 
@@ -19,8 +19,8 @@ from hilbench.live.machine import SHORT
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.driving_force import driving_force_N
 from hilbench.plant.web_line.layout import Layout
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.span import SpanFollower
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
@@ -51,7 +51,7 @@ class ModelGap:
         self._mass_kg = (rows[:, lay.A_MOTOR_MASS_KG] + rows[:, lay.A_ROLLER_MASS_KG]) * more
         self._per_m = motors[: self._axes, lay.M_RAD_PER_M].copy()
         self._web_load = rows[:, lay.A_WEB_LOAD].copy()
-        self._follower = SpanFollower(model)
+        self._follower = LineFollower(model)
         several = model.span_count > 1
         self._moduli = [f"span{span}.youngs_modulus_Pa" if several else "youngs_modulus_Pa" for span in spans]
         self._exchanged_m = exchanged_m(model)

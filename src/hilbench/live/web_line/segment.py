@@ -17,8 +17,8 @@ from hilbench.live.web_line.models import numbered
 from hilbench.live.window import Window
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.emulation import Emulation
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.span import SpanFollower
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
@@ -126,7 +126,7 @@ def _before(window: Window, model: ModelParameters, begun: int, cycle: int, cycl
     split = max(len(rows) - shown, 0)
     strain = np.full(model.span_count, model.upstream_strain)
     if split > 1:
-        _, strain = SpanFollower(model).follow_on(packed(model), x[:split], boundary[:split], cycle_s, strain)
+        _, strain = LineFollower(model).follow_on(packed(model), x[:split], boundary[:split], cycle_s, strain)
     return Before(x[max(split - 1, 0) :], boundary[max(split - 1, 0) :], strain)
 
 

@@ -1,31 +1,36 @@
-"""Web emulation by load motors, whole recordings in one compiled call: the rig's mechanics under the load model.
+"""Emulation of a web line by load motors, whole recordings in one compiled call: the rig's mechanics under the load
+model.
 
-In each cycle, as on the bench (`hilbench.bench.tasks.load_model`): the web is followed on the rollers' positions at
-SYNC, its tension is predicted over the dead time of the emulation, and the load motor gets the torque with the next
-SYNC. Between them the axes turn under their drives and the load motor, without a web. Noise and resolution are left
-out.
+In each cycle, as on the bench (`hilbench.bench.tasks.load_model`): the line (`line_follower`) is followed on the
+positions of its driven rollers at SYNC, its tension is predicted over the dead time of the emulation, and the load
+motor gets the torque with the next SYNC. Between them the axes turn under their drives and the load motor, without a
+web. Noise and resolution are left out.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, CUBE, MATRIX, REAL, VECTOR, compiled, entry_point, inlined
+from hilbench.compiled import COUNT, CUBE, INDICES, MATRIX, REAL, VECTOR, compiled, entry_point, inlined
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.sampled_shaft import emulation_delay_s
 from hilbench.plant.sampling import on_all_cores, samples_per
-from hilbench.plant.web_line import kernel, laws
+from hilbench.plant.web_line import kernel, line_follower, line_kernel, places, reels
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line import span_kernel as spans
 from hilbench.plant.web_line.layout import Layout, Vector
-from hilbench.plant.web_line.offline import Simulation
+from hilbench.plant.web_line.offline import Simulation, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, pack_rig
 from hilbench.plant.web_line.stability import sampled_shaft
+from hilbench.plant.web_line.stations import station_name
+
+Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -64,109 +69,97 @@ def lead_s(model: ModelParameters, cycle_s: float) -> float:
 
 
 @inlined
-def _motor(n: int, j: int) -> int:
-    """Offset of motor row j in the parameters of a machine of n axes."""
-    return lay.W_SIZE + n * lay.A_SIZE + j * lay.M_SIZE
+def _show(p: Vector, s: Vector, sensors: Rows, out: Vector, at: int) -> None:
+    """Write the readings of `sensors` (rows of the line) to `out` from offset `at` on, m."""
+    for j in range(len(sensors)):
+        axis, x = places.axis(sensors[j]), s[lay.S_Y + sensors[j]]
+        out[at + j] = p[axis + lay.A_RADIUS_M] * reels.radius_ratio(p, axis, x) if reels.is_reel(p, axis) else x
 
 
 @compiled
-def _rows(
-    p: Vector,
-    s: Vector,
-    u: Vector,
-    w: Vector,
-    web: Vector,
-    follower: Vector,
-    guess: Vector,
-    v: Vector,
-    tension: Vector,
-    torques: Vector,
-    scratch: Vector,
-    commands: Vector,
-    boundary: Vector,
-    samples: int,
-    cycle_s: float,
-    lead_s: float,
-    out: Vector,
-    at: int,
-) -> None:
-    """Row by row observe the rig, follow the web on it, and advance.
+def _run(
+    p: Vector, s: Vector, u: Vector, w: Vector, web: Vector, line: Vector, line_u: Vector, line_w: Vector, rows: Rows,
+    sensors: Rows, pulls: Vector, guess: Vector, memory: Vector, further: Vector, loads: Vector, seen: Vector,
+    commands: Vector, boundary: Vector, samples: int, cycle_s: float, lead_s: float, pushed: Rows, forces: Vector,
+    more: Vector, out: Vector, at: int,
+) -> None:  # fmt: skip
+    """Row by row observe the rig, follow the line on it, and advance.
 
-    The rig of N axes and M motors: parameters `p` (P,), state `s` (S,), inputs `u`, scratch space `w`. The web of K
-    spans on it: parameters `web` of the whole line, `follower` as of `span_kernel.roll_on`, its `scratch` space; room
-    for `guess` (as `follower`), speeds `v` (N,), `tension` (K,) and the load motors' `torques` (M - N,), initially
-    those that act in the first row. `commands` (n, N) rad/s at the motors, `boundary` (n, 2) upstream strain and
-    downstream tension (N), a row of `samples` drive samples each. Rows of 3·M + 2·K columns go into `out` from offset
-    `at` on.
+    The rig of N axes and M motors: `p`, `s`, `u`, `w`; the line of K spans on it: parameters `web`, state `line`,
+    `line_u`, `line_w`, its driven rollers at `rows` (N,), their `memory` as of `line_kernel`; zero offsets `further`
+    (N,). Room for a `guess` of its state, for `loads` (N,) and for its outputs `seen`; `pulls` (N,): N·m at the motor
+    per N. `commands` (n, N) rad/s at the motors, `boundary` (n, 2) upstream strain and downstream tension (N), a row of
+    `samples` drive samples each. Carriages `pushed`, rows of the line, get `forces` (n, C), each of which acts to the
+    next row; `more` (C,): forces added by effects. Rows of 3·M + 2·K columns and the `sensors` go into `out` from
+    offset `at` on.
     """
     n, m, k = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(web[lay.W_SPANS])
-    columns, load = 3 * m + 2 * k, lay.U_MOTORS + n * lay.UM_SIZE + lay.UM_SETPOINT
+    count, first = len(rows), lay.U_MOTORS + lay.UM_SETPOINT
+    columns, step_s = 3 * m + 2 * k + len(sensors), memory[line_kernel.STEP_S]
+    sample_s = memory[line_kernel.SAMPLE_S]
+    a, v = memory[line_kernel.FIRST + count :], memory[line_kernel.FIRST + 2 * count :]
+    for i in range(len(memory) - line_kernel.FIRST):
+        memory[line_kernel.FIRST + i] = 0.0
+    memory[line_kernel.KNOWN] = memory[line_kernel.DURATION_S] = 0.0
+    for i in range(n):
+        loads[i] = 0.0
+    for j in range(n, m):  # of a line that runs
+        loads[int(p[places.motor(n, j) + lay.M_AXIS])] = s[places.motor_state(n, 0, j) + lay.SM_TORQUE_NM]
     kernel.enter(p, s, u, w)
     for row in range(commands.shape[0]):
         place = at + row * columns
         kernel.report(p, s, u, w, out, place)
-        before, duration = max(row - 1, 0), cycle_s if row > 0 else 0.0
+        before = max(row - 1, 0)
+        line_u[lay.U_STRAIN_PREV], line_u[lay.U_F_NEXT_N] = boundary[before, 0], boundary[before, 1]
         if row > 0:
-            for i in range(n):
-                v[i] = (out[place + i] - follower[1 + i]) / cycle_s
-        entering, f_next_N = boundary[before, 0], boundary[before, 1]
-        strain_next = laws.downstream_strain(web, f_next_N)
-        spans.roll_on(web, follower, scratch, v, entering, f_next_N, strain_next, duration, cycle_s, tension)
-        for j in range(k):
-            material = follower[1 + n + j]
-            out[place + 3 * m + j] = tension[j]
-            scale = laws.length_factor(web, lay.W_SIZE + n * (lay.A_SIZE + lay.M_SIZE) + j * lay.SP_SIZE)
-            out[place + 3 * m + k + j] = follower[1 + n + k + j] * scale / material - 1.0
-        for j in range(len(follower)):
-            guess[j] = follower[j]
-        guess[0] -= lead_s  # only the motion is predicted: the tension has the present E
-        entering, f_next_N = boundary[row, 0], boundary[row, 1]
-        strain_next = laws.downstream_strain(web, f_next_N)
-        spans.roll_on(web, guess, scratch, v, entering, f_next_N, strain_next, lead_s, cycle_s, tension)
+            for j in range(len(pushed)):
+                web[places.axis(pushed[j]) + lay.A_FORCE_N] = forces[before, j] + more[j]
+            x = out[place : place + n]
+            line_kernel.follow_to(web, line, line_u, line_w, memory, rows, x, further, cycle_s)
+        # Steps of E are spread over the next cycle, so that what is found is continuous in their times.
+        web[lay.W_SUBSTEPS] = sample_s / cycle_s
+        line_kernel.observe(web, line, line_u, line_w, seen)
+        for j in range(2 * k):
+            out[place + 3 * m + j] = seen[3 * int(web[lay.W_MOTORS]) + j]
+        _show(web, line, sensors, out, place + 3 * m + 2 * k)
+        line_u[lay.U_STRAIN_PREV], line_u[lay.U_F_NEXT_N] = boundary[row, 0], boundary[row, 1]
+        for j in range(len(line)):
+            guess[j] = line[j]
+        for i in range(n):
+            v[i] = line[lay.S_Y + int(web[lay.W_AXES]) + rows[i]]
+        line_kernel.turn(web, guess, line_u, line_w, rows, v, a, lead_s, sample_s, step_s)
+        line_kernel.observe(web, guess, line_u, line_w, seen)
         for j in range(n):
-            u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = commands[row, j]
-        for j in range(m - n):
-            u[load + j * lay.UM_SIZE] = torques[j]
+            u[first + j * lay.UM_SIZE] = commands[row, j]
+        for j in range(n, m):  # the torque for the measurement at the previous SYNC
+            u[first + j * lay.UM_SIZE] = loads[int(p[places.motor(n, j) + lay.M_AXIS])]
         kernel.go_on(p, s, u, w, samples)
-        # The torque for the measurement at this SYNC is sent with the next.
-        upstream_N = laws.upstream_strain(web, boundary[row, 0], follower[0]) * web[lay.W_UPSTREAM_STIFFNESS_N]
-        for j in range(m - n):
-            i = int(p[_motor(n, n + j) + lay.M_AXIS])
-            pull_Nm_per_N = web[lay.W_SIZE + i * lay.A_SIZE + lay.A_WEB_LOAD] / web[_motor(n, i) + lay.M_RAD_PER_M]
-            behind_N = tension[i] if i < k else boundary[row, 1]
-            torques[j] = (behind_N - (tension[i - 1] if i > 0 else upstream_N)) * pull_Nm_per_N
+        for i in range(n):
+            loads[i] = line_kernel.web_force_N(web, line, line_u, seen, rows[i]) * pulls[i]
 
 
-@entry_point(MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, MATRIX, MATRIX, COUNT, REAL, REAL, CUBE)
-def _simulate_rows(
-    p: Vector,
-    s: Vector,
-    u: Vector,
-    w: Vector,
-    web: Vector,
-    follower: Vector,
-    scratch: Vector,
-    commands: Vector,
-    boundary: Vector,
-    samples: int,
-    cycle_s: float,
-    lead_s: float,
-    out: Vector,
-) -> None:
-    flat, size = out.reshape(-1), out.shape[1] * out.shape[2]
-    n, m, k = int(p[0, lay.W_AXES]), int(p[0, lay.W_MOTORS]), int(web[0, lay.W_SPANS])
-    guess = np.zeros(follower.shape[1])
-    v, tension, torques = np.zeros(n), np.zeros(k), np.zeros(m - n)
-    first = u.copy()
+@entry_point(
+    MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, VECTOR, INDICES, INDICES, VECTOR, MATRIX, MATRIX, COUNT,
+    REAL, REAL, REAL, INDICES, MATRIX, VECTOR, CUBE,
+)  # fmt: skip
+def _simulate(
+    p: Vector, s: Vector, u: Vector, w: Vector, web: Vector, line: Vector, line_u: Vector, line_w: Vector,
+    rows: Rows, sensors: Rows, pulls: Vector, commands: Vector, boundary: Vector, samples: int, cycle_s: float,
+    lead_s: float, step_s: float, pushed: Rows, forces: Vector, bases: Vector, out: Vector,
+) -> None:  # fmt: skip
+    flat, size, count = out.reshape(-1), out.shape[1] * out.shape[2], len(rows)
+    guess, memory = np.zeros(line.shape[1]), np.zeros(line_kernel.FIRST + 3 * count)
+    memory[line_kernel.SAMPLE_S], memory[line_kernel.STEP_S] = web[0, lay.W_SAMPLE_TIME_S], step_s
+    further, loads = np.zeros(count), np.zeros(count)
+    seen = np.zeros(3 * int(web[0, lay.W_MOTORS]) + 2 * int(web[0, lay.W_SPANS]))
+    first, more = u.copy(), np.zeros(len(pushed))
     for b in range(p.shape[0]):
         u[:] = first
-        for i in range(n):
-            v[i] = commands[0, i] / p[b, lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE + lay.M_RAD_PER_M]
-        for j in range(m - n):
-            torques[j] = u[lay.U_MOTORS + (n + j) * lay.UM_SIZE + lay.UM_SETPOINT]
-        _rows(
-            p[b], s[b], u, w, web[b], follower[b], guess, v, tension, torques, scratch, commands, boundary, samples,
-            cycle_s, lead_s, flat, b * size,
+        for j in range(len(pushed)):
+            more[j] = web[b, places.axis(pushed[j]) + lay.A_FORCE_N] - bases[j]
+        _run(
+            p[b], s[b], u, w, web[b], line[b], line_u, line_w, rows, sensors, pulls, guess, memory, further, loads,
+            seen, commands, boundary, samples, cycle_s, lead_s, pushed, forces, more, flat, b * size,
         )  # fmt: skip
 
 
@@ -174,62 +167,74 @@ def simulate_emulated(
     emulation: Emulation,
     model: ModelParameters,
     parameters: Vector,
-    state: Vector,
     commands: NDArray[np.float64],
     boundary: NDArray[np.float64],
+    *,
+    state: Vector | None = None,
+    sensors: Sequence[str] = (),
+    forces_N: Mapping[str, NDArray[np.float64]] = MappingProxyType({}),
 ) -> Simulation:
-    """Simulate recorded velocity commands on the rig of a model of N axes and K spans, the web emulated by load motors.
+    """Simulate recorded velocity commands on the rig of a model of N axes, its line emulated by load motors.
 
     parameters: (P,) or (B, P) of the model from `layout.pack`, with effects: those of the axes are in the mechanics,
-    those of the web in what is emulated. state: (S,) or (B, S) of the model, not changed; its strains are the emulated
-    web's. commands (n, N) m/s at the web, boundary (n, 2) upstream strain and downstream tension (N), a row each cycle.
-    Torques and motion of the result are those of the axes; its `state` is the given one.
+    others in the emulation. commands (n, N) m/s at the web, boundary (n, 2) upstream strain and downstream tension (N),
+    a row each cycle. state: (S,) or (B, S) of the model, not changed; without one, at rest. `sensors`: stations by
+    name; `forces_N`: by station (n,), on carriages with a stated force. Motion and torques of the result are those of
+    the axes; its `state` is the line's.
     Raises ValueError for a cycle that is no multiple of the drives' sample time, or shapes that do not fit.
     """
-    many = np.atleast_2d(np.ascontiguousarray(parameters))
-    states = np.broadcast_to(np.atleast_2d(state), (len(many), np.shape(state)[-1]))
-    n = model.axis_count
+    many, n = np.array(np.atleast_2d(parameters)), model.axis_count
     if commands.ndim != 2 or commands.shape[1] != n or np.shape(boundary) != (len(commands), 2):
         raise ValueError(f"commands {commands.shape}, boundary {np.shape(boundary)}, expected (n, {n}) and (n, 2)")
-    rigs = rigs_of(emulation, model, many)
+    of_line = Layout.of(many[0])
+    if state is None:
+        lines = np.array([start_state(one, model) for one in many])
+    else:
+        lines = np.array(np.broadcast_to(np.atleast_2d(state), (len(many), of_line.state_size)), order="C")
+    rigs, rows = rigs_of(emulation, model, many), lay.driven_rows(many[0])
     layout = Layout.of(rigs[0])
-    starts, followers = _start(layout, rigs, many, states, boundary[0])
-    inputs = rig_inputs(layout, n, layout.motor_states(starts[0])[n:, lay.SM_TORQUE_NM])
-    rows = np.ascontiguousarray(commands * layout.motor_rows(rigs[0])[:n, lay.M_RAD_PER_M])
-    limits = np.ascontiguousarray(boundary, dtype=np.float64)
-    samples = samples_per(emulation.cycle_s, many[0, lay.W_SAMPLE_TIME_S])
-    of_rig, k = layout.output_size, Layout.of(many[0]).spans
-    out = np.empty((len(many), len(rows), of_rig + 2 * k))
-    lead = lead_s(model, emulation.cycle_s)
+    starts = _starts(layout, rigs, many, lines, boundary[0])
+    for one, line in zip(many, lines, strict=True):
+        line_follower.hold(one)
+        lay.refresh_modes(one, line)
+    axes = range(1, n + 1)
+    per_m = np.array([model.motor_rad_per_m(axis) for axis in axes])
+    pulls = np.array([float(model.carries_web_load(axis)) for axis in axes]) / per_m
+    sensor_rows = np.array(_rows_of(model, sensors), np.int64)
+    sample_s = many.item(0, lay.W_SAMPLE_TIME_S)
+    samples = samples_per(emulation.cycle_s, sample_s)
+    out = np.empty((len(many), len(commands), layout.output_size + 2 * of_line.spans + len(sensor_rows)))
+    at_motors, limits = np.ascontiguousarray(commands * per_m), np.ascontiguousarray(boundary, dtype=np.float64)
+    lead, longest_s = lead_s(model, emulation.cycle_s), line_follower.step_s(model)
+
+    stations = {each.station.name: each.station for each in model.carriages}
+    pushed, bases = np.array(_rows_of(model, [*forces_N]), np.int64), np.array([stations[k].force_N for k in forces_N])
+    forces = np.column_stack([*forces_N.values()]) if forces_N else np.empty((len(commands), 0))
 
     def run(share: slice) -> None:
-        _simulate_rows(
-            rigs[share], starts[share], inputs.copy(), layout.new_work(), many[share], followers[share],
-            spans.new_follower_work(Layout.of(many[0])), rows, limits, samples, emulation.cycle_s, lead, out[share],
+        _simulate(
+            rigs[share], starts[share], _rig_inputs(layout, n), layout.new_work(), many[share], lines[share],
+            of_line.new_inputs(), of_line.new_work(), np.array(rows, np.int64), sensor_rows, pulls, at_motors, limits,
+            samples, emulation.cycle_s, lead, longest_s, pushed, forces, bases, out[share],
         )  # fmt: skip
 
     on_all_cores(run, len(many))
     if np.ndim(parameters) == 1:
-        out = out[0]
-    x, v, tau = of_axes(layout, n, out)
-    tension, strain = out[..., of_rig : of_rig + k], out[..., of_rig + k :]
-    return Simulation(x_m=x, v_m_s=v, tau_Nm=tau, F_N=tension, strain=strain, state=np.asarray(state))
+        out, lines = out[0], lines[0]
+    of_rig, k = layout.output_size, of_line.spans
+    x, v, tau = (out[..., layout.columns[name]][..., :n] for name in ("x_m", "v_m_s", "tau_Nm"))
+    tension, strain = out[..., of_rig : of_rig + k], out[..., of_rig + k : of_rig + 2 * k]
+    sensors_m = out[..., of_rig + 2 * k :] if len(sensors) else None
+    return Simulation(x, v, tau, tension, strain, lines, sensors_m)
 
 
-def rig_inputs(layout: Layout, axes: int, load_Nm: Vector | float) -> Vector:
-    """Inputs of a rig: its `axes` in velocity mode, its load motors in torque mode, initially with `load_Nm`."""
+def _rig_inputs(layout: Layout, axes: int) -> Vector:
+    """Inputs of a rig: its `axes` in velocity mode, its load motors in torque mode."""
     inputs = layout.new_inputs()
     motors = layout.motor_inputs(inputs)
     motors[:axes, lay.UM_MODE] = MotorMode.VELOCITY
     motors[axes:, lay.UM_MODE] = MotorMode.TORQUE
-    motors[axes:, lay.UM_SETPOINT] = load_Nm
     return inputs
-
-
-def of_axes(layout: Layout, axes: int, out: Vector) -> tuple[Vector, Vector, Vector]:
-    """Positions (m), speeds (m/s) and torques (N·m) of a rig's axes, (..., N) each, from rows of outputs."""
-    x, v, tau = (out[..., layout.columns[name]][..., :axes] for name in ("x_m", "v_m_s", "tau_Nm"))
-    return x, v, tau
 
 
 def rigs_of(emulation: Emulation, model: ModelParameters, many: Vector) -> Vector:
@@ -251,28 +256,34 @@ def rigs_of(emulation: Emulation, model: ModelParameters, many: Vector) -> Vecto
     return rigs
 
 
-def _start(layout: Layout, rigs: Vector, many: Vector, states: Vector, boundary: Vector) -> tuple[Vector, Vector]:
-    """States (B, S) of the rigs and of the webs (as of `span_kernel.roll_on`), for states of the models.
-
-    `boundary` (2,): upstream strain and downstream tension (N) at the start.
-    """
+def _starts(layout: Layout, rigs: Vector, many: Vector, lines: Vector, boundary: Vector) -> Vector:
+    """States (B, S) of the rigs for states `lines` of the models. `boundary` (2,): upstream strain and downstream
+    tension (N) at the start."""
     of_model = Layout.of(many[0])
-    n, k = of_model.axes, of_model.spans
-    starts, followers = np.zeros((len(many), layout.state_size)), np.zeros((len(many), spans.follower_size(of_model)))
-    for stand, start, follower, parameters, state in zip(rigs, starts, followers, many, states, strict=True):
-        y = of_model.y(state)
-        layout.y(start)[:] = y[: 4 * n]
-        follower[1 : 1 + n], follower[1 + n : 1 + n + 2 * k] = y[:n], y[4 * n :]
+    rows = np.array(lay.driven_rows(many[0]))
+    n, axes, k = len(rows), of_model.axes, of_model.spans
+    starts = np.zeros((len(many), layout.state_size))
+    for stand, start, parameters, line in zip(rigs, starts, many, lines, strict=True):
+        y = of_model.y(line)
+        layout.y(start)[:] = y[: 4 * axes].reshape(4, axes)[:, rows].ravel()
         motors = layout.motor_states(start)
-        motors[:n] = of_model.motor_states(state)
-        if np.any(y[n : 2 * n]):  # running: the load motors already have torque
-            strain = y[4 * n + k :] / y[4 * n : 4 * n + k] - 1.0
+        motors[:n] = of_model.motor_states(line)[rows]
+        if np.any(y[axes : 2 * axes]):  # running: the load motors already have torque
+            strain = y[4 * axes + k :] / y[4 * axes : 4 * axes + k] - 1.0
             of_spans = of_model.span_rows(parameters)
             tension = strain * of_spans[:, lay.SP_MODULUS_PA] * of_spans[:, lay.SP_SECTION_M2]
             around = np.array([boundary[0] * parameters[lay.W_UPSTREAM_STIFFNESS_N], *tension, boundary[1]])
-            rows = layout.motor_rows(stand)[n:]
-            axes = rows[:, lay.M_AXIS].astype(int)
-            pull = (around[axes + 1] - around[axes]) / rows[:, lay.M_RAD_PER_M]
+            of_loads = layout.motor_rows(stand)[n:]
+            loaded = rows[of_loads[:, lay.M_AXIS].astype(int)]
+            pull = (around[loaded + 1] - around[loaded]) / of_loads[:, lay.M_RAD_PER_M]
             motors[n:, [lay.SM_TORQUE_NM, lay.SM_COMMAND_NM, lay.SM_INTEGRAL_NM]] = pull[:, np.newaxis]
         lay.refresh_modes(stand, start)
-    return starts, followers
+    return starts
+
+
+def _rows_of(model: ModelParameters, names: Sequence[str]) -> list[int]:
+    """Rows of carriages and reels among the axes of a line, by name."""
+    rollers = model.line_rollers
+    rows = {station_name(roller.station): row for row, roller in enumerate(rollers)}
+    rows |= {each.station.name: row for row, each in enumerate(model.carriages, len(rollers))}
+    return [rows[name] for name in names]

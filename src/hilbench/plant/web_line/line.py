@@ -31,7 +31,7 @@ from hilbench.plant.web_line.simulated import (
     moduli_by_name,
     modulus_names,
 )
-from hilbench.plant.web_line.splices import has_pieces, spliced_spans
+from hilbench.plant.web_line.splices import WHOLE, SplicedSpan, has_pieces, spliced_spans
 from hilbench.plant.web_line.stations import Reel, force_input, reel_name
 
 
@@ -148,12 +148,17 @@ class Line(SimulatedLine):
         sample_s, time_s, row = self._p[lay.W_SAMPLE_TIME_S], self.time_s, self._layout.first_span
         row += (span - 1) * lay.SP_SIZE
         factor = float(laws.elasticity_factor(self._p, row, time_s, laws.step_factor(self._p, row, time_s, sample_s)))
-        if not has_pieces(self._state):
-            return factor
+        return factor * self.spliced_spans[span - 1].factor
+
+    @property
+    def spliced_spans(self) -> list[SplicedSpan]:
+        """Effect of the pieces of other web on each span (K,)."""
         n, k, y = self._layout.axes, self._layout.spans, self._layout.y(self._state)
-        stretch = 1.0 + float(laws.upstream_strain(self._p, self._inputs[lay.U_STRAIN_PREV], time_s))
+        if not has_pieces(self._state):
+            return [WHOLE] * k
+        stretch = 1.0 + float(laws.upstream_strain(self._p, self._inputs[lay.U_STRAIN_PREV], self.time_s))
         travel_m = float(motion.web_travel_m(self._p, y[0]))
-        return factor * spliced_spans(self._state, travel_m, stretch, y[4 * n : 4 * n + k].tolist())[span - 1].factor
+        return spliced_spans(self._state, travel_m, stretch, y[4 * n : 4 * n + k].tolist())
 
     @property
     def tension_N(self) -> Vector:

@@ -1,5 +1,5 @@
-"""Compiled cycle of a line with stations emulated by load motors: time to follow, the line there, load torques of the
-predicted line, and true values. As `follower_cycle`, of a `LineFollower`."""
+"""Compiled cycle of a line emulated by load motors: time to follow, the line there, load torques of the predicted line,
+and true values."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ NOTHING, FOLLOWED = range(2)
 
 
 @compiled
-def _show(p: Vector, s: Vector, out: Vector, columns: Places, states: Places, rows: Places, shown: Vector) -> None:
+def _show(
+    p: Vector, s: Vector, u: Vector, out: Vector, columns: Places, states: Places, rows: Places, shown: Vector
+) -> None:
     """Write the outputs in the order of the follower's description."""
-    n, m, k = places.counts(p)
     at = 0
     for j in range(len(columns)):
         shown[at] = out[columns[j]]
@@ -40,9 +41,7 @@ def _show(p: Vector, s: Vector, out: Vector, columns: Places, states: Places, ro
     for j in range(len(rows)):
         shown[at] = p[places.axis(rows[j]) + lay.A_RADIUS_M] * line_kernel.ratio(p, s, rows[j])
         at += 1
-    for j in range(k):
-        shown[at] = p[places.first_span(n, m) + j * lay.SP_SIZE + lay.SP_MODULUS_PA]
-        at += 1
+    line_kernel.put_moduli(p, s, u, shown, at)
 
 
 #: follow(late-sample flag, table of the vectors in the order of these rows, the last are values and offsets in these):
@@ -60,9 +59,9 @@ def follow(late: int, table: Table) -> int:
         return NOTHING
     line_kernel.follow_alone(table, x, floats(table, _FURTHER, (1,)), duration_s)
     p, s = floats(table, line_kernel.P, (1,)), floats(table, line_kernel.STATE, (1,))
-    shown = floats(table, _SHOWN, (1,))
+    u, shown = floats(table, line_kernel.INPUTS, (1,)), floats(table, _SHOWN, (1,))
     _show(
-        p, s, floats(table, line_kernel.OUT, (1,)), integers(table, _COLUMNS, (1,)),
+        p, s, u, floats(table, line_kernel.OUT, (1,)), integers(table, _COLUMNS, (1,)),
         integers(table, _STATES, (1,)), integers(table, _REELS, (1,)), shown,
     )  # fmt: skip
     line_kernel.pull_alone(table, ahead_s(motion))

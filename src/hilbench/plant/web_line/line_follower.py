@@ -1,9 +1,10 @@
-"""Line with idlers, dancers, accumulators and reels on measured motion of its driven rollers: for load models.
+"""Web line on measured motion of its driven rollers: for load models, measured strains and diagnosis.
 
-Parts without a motor have an unmeasured motion of their own: it is simulated by the kernel of the closed line, with the
-driven rollers held to their measured motion. A driven roller turns at constant speed within a cycle, or, where the line
-accelerates in steps, along a parabola: parts without a motor need tension for their acceleration, all the time. Its
-simulated mass is too large to be moved, and no web loads it.
+Strains follow from mass conservation; parts without a motor (idlers, dancers, accumulators) have an unmeasured motion
+of their own. Both are simulated by the kernel of the closed line, with the driven rollers held to their measured
+motion. A driven roller turns at constant speed within a cycle, or, where a line with parts without a motor accelerates
+in steps, along a parabola: those need tension for their acceleration, all the time. Its simulated mass is too large to
+be moved, no web loads it, and its gear has no play.
 """
 
 from __future__ import annotations
@@ -28,23 +29,13 @@ from hilbench.plant.web_line.modes import needed_substeps
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.simulated import KIND
-from hilbench.plant.web_line.span import BROKEN, SpanFollower
+from hilbench.plant.web_line.splices import Piece, put_pieces
 from hilbench.plant.web_line.stations import Reel
 
-#: Mass of a held driven roller: 1 kN accelerates it to 1e-9 m/s in a second.
-_HELD_KG: Final = 1e12
-#: E·S of a broken web, as a share of the original: no tension.
-_TORN: Final = 1e-12
-#: Longest integration step unless a roller needs a shorter one, as of a web on driven rollers alone.
-LONGEST_STEP_S: Final = 0.001
+BROKEN = Quantity("broken", "1", "1: the web has torn and pulls no more; 0: it is whole")
 
-
-def follower_of(parameters: ModelParameters) -> SpanFollower | LineFollower:
-    """Follower of a web line: the web's for driven rollers alone, else that of all that the web runs over.
-
-    Raises ValueError for a model without a web.
-    """
-    return SpanFollower(parameters) if parameters.stations is None else LineFollower(parameters)
+#: Mass of a held driven roller: 1 kN accelerates it to 1e-15 m/s in a second.
+_HELD_KG: Final = 1e18
 
 
 def hold(p: Vector) -> None:
@@ -52,13 +43,13 @@ def hold(p: Vector) -> None:
     for row in lay.driven_rows(p):
         axis = lay.Layout.of(p).axis_rows(p)[row]
         axis[lay.A_MOTOR_MASS_KG], axis[lay.A_ROLLER_MASS_KG] = 0.0, _HELD_KG
-        axis[lay.A_WOUND_KG] = axis[lay.A_WEB_LOAD] = 0.0
+        axis[lay.A_WOUND_KG] = axis[lay.A_WEB_LOAD] = axis[lay.place("backlash", "gap_rad")] = 0.0
 
 
 def step_s(parameters: ModelParameters) -> float:
     """Longest integration step of a line on measured motion."""
     sample_s = float(lay.pack(parameters)[lay.W_SAMPLE_TIME_S])
-    return min(sample_s / needed_substeps(parameters), LONGEST_STEP_S)
+    return min(sample_s / needed_substeps(parameters), line_kernel.LONGEST_STEP_S)
 
 
 class PerturbedCopies:
@@ -181,6 +172,33 @@ class LineFollower(Line):
             raise ValueError(f"duration {duration_s!r} s, expected more than 0")
         self._alone.follow(positions, duration_s)
 
+    def follow_rows(self, x_m: NDArray[np.float64], boundary: NDArray[np.float64], cycle_s: float) -> Vector:
+        """Tensions (n, K) on positions (n, N) as `follow`; the first row is the present position. `boundary` (n, 2):
+        strain of the web that enters, tension after the line in N, each from its row on.
+
+        Raises ValueError for shapes that do not fit.
+        """
+        n = len(self._rows)
+        if x_m.shape != (len(x_m), n) or boundary.shape != (len(x_m), 2):
+            raise ValueError(f"positions {x_m.shape}, boundary {boundary.shape}, expected (n, {n}) and (n, 2)")
+        tensions = np.empty((len(x_m), self._layout.spans))
+        x, limits = np.ascontiguousarray(x_m, dtype=float), np.ascontiguousarray(boundary, dtype=float)
+        line_kernel.follow_rows(*self.vectors, self.memory, self._rows, x, limits, cycle_s, tensions)
+        return tensions
+
+    def follow_on(
+        self, p: Vector, x_m: NDArray[np.float64], boundary: NDArray[np.float64], cycle_s: float, strain: Vector
+    ) -> tuple[Vector, Vector]:
+        """`follow_rows` from the start, with strains `strain` (K,) at first; and the final strains (K,).
+
+        From now on the parameter vector is `p` (P,): the model's with other effects.
+        """
+        self._p[:] = p
+        hold(self._p)
+        self._state[lay.S_COUNT] = 0.0
+        self.reset(x_m[0], strain)
+        return self.follow_rows(x_m, boundary, cycle_s), self.strain
+
     @property
     def motion(self) -> Vector:
         """View of the integrated quantities (`Layout.y`): a change acts at once, `set_state` updates the outputs."""
@@ -226,9 +244,9 @@ class LineFollower(Line):
         return self._pull_of(tuple(axes)).kept
 
     @property
-    def fits_fast_path(self) -> bool:
-        """True if its web is not broken, and E of each span is the parameter."""
-        return self._torn_Pa is None and not self._elastic
+    def is_torn(self) -> bool:
+        """True if the web is broken."""
+        return self._torn_Pa is not None
 
     @property
     def places_of_outputs(self) -> tuple[NDArray[np.int64], ...]:
@@ -265,27 +283,39 @@ class LineFollower(Line):
     @property
     def tension_N(self) -> Vector:
         """Tension of each span (K,); 0 for a broken web."""
-        return np.zeros(self._layout.spans) if self._torn_Pa is not None else super().tension_N
+        return np.zeros(self._layout.spans) if self.is_torn else super().tension_N
 
     @property
     def effective_moduli_Pa(self) -> Vector:
-        """Present E of each span (K,), with effects."""
-        spans = range(1, self._layout.spans + 1)
-        moduli = self._layout.span_rows(self._p)[:, lay.SP_MODULUS_PA] if self._torn_Pa is None else self._torn_Pa
-        return np.array([self.elasticity_factor(span) for span in spans]) * moduli if self._elastic else moduli.copy()
+        """Present E of each span (K,), with effects, including a splice in it; of a broken web as if it were whole."""
+        torn, moduli_Pa = self.is_torn, np.zeros(self._layout.spans)
+        self._tear(False)
+        line_kernel.moduli(self._p, self._state, self._inputs, moduli_Pa)
+        self._tear(torn)
+        return moduli_Pa
+
+    @property
+    def strain(self) -> Vector:
+        """Strain of each span (K,); 0 for a broken web."""
+        return np.zeros(self._layout.spans) if self.is_torn else super().strain
+
+    def put_pieces(self, pieces: Sequence[Piece]) -> None:
+        """Set the pieces of other web, in the order in which they came in; the strains stay."""
+        put_pieces(self._state, pieces)
+        self._observe()
 
     def outputs(self) -> dict[str, float]:
         """Outputs of the closed line, and the effective E; tension and strain are 0 for a broken web."""
         spans, moduli = range(1, self._layout.spans + 1), self.effective_moduli_Pa.tolist()
         found = super().outputs() | {f"E{span}_Pa": moduli[span - 1] for span in spans}
-        if self._torn_Pa is not None:
+        if self.is_torn:
             found |= {name: 0.0 for span in spans for name in (f"F{span}_N", f"strain{span}")}
         return found
 
     def parameter(self, name: str) -> float:
         """Present value of a parameter. Raises ValueError for an unknown name."""
         checked_name("parameter", name, self._described.parameters)
-        torn = self._torn_Pa is not None
+        torn = self.is_torn
         if name == BROKEN.name:
             return float(torn)
         self._tear(False)
@@ -305,7 +335,7 @@ class LineFollower(Line):
                 raise ValueError(f"{name} = {value!r}, expected 0 or 1")
             self._tear(value != 0.0)
         else:
-            torn = self._torn_Pa is not None
+            torn = self.is_torn
             self._tear(False)
             super().set_parameter(name, value)
             self._tear(torn)
@@ -316,7 +346,7 @@ class LineFollower(Line):
         moduli = self._layout.span_rows(self._p)[:, lay.SP_MODULUS_PA]
         if torn and self._torn_Pa is None:
             self._torn_Pa = moduli.copy()
-            moduli *= _TORN
+            moduli[:] = 0.0
         elif not torn and self._torn_Pa is not None:
             moduli[:] = self._torn_Pa
             self._torn_Pa = None
@@ -336,8 +366,8 @@ class LineInStep(CompiledInStep):
 
     @property
     def usable(self) -> bool:
-        """True if the web is not broken, and E is the parameter."""
-        return self._line.fits_fast_path
+        """True if the web is not broken."""
+        return not self._line.is_torn
 
     @property
     def is_shown(self) -> bool:

@@ -395,7 +395,7 @@ class SimulatedLine:
         parameter.
         """
         strain = self._out[self._layout.columns["strain"]].copy()
-        set_effect(self._p, effect_id, axis, section, slot, parameters, self._description.effects)
+        set_effect(self._p, effect_id, axis, section, slot, parameters, self.describe().effects)
         if effect_id == "splice":
             lay.await_splice(self._state)
         lay.set_strain(self._p, self._state, strain)

@@ -29,9 +29,9 @@ from hilbench.estimation.web_line.unmodelled_effects import priors_behind
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.sample_coherence import IncrementCheck, SampleCoherence
 from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_travel_m
-from hilbench.plant.web_line.span import SpanFollower
 from hilbench.topology.signals import Shape
 from hilbench.twin.estimated_errors import EstimatedModelError
 from hilbench.twin.machines import web_line_cycle
@@ -446,7 +446,7 @@ class _OtherSpans:
     """
 
     def __init__(self, model: ModelParameters, spans: Sequence[int], strain_limit: float) -> None:
-        self._web = SpanFollower(model)
+        self._web = LineFollower(model)
         self._creeps_per_N, self._behind_N = creeps_per_N(model), model.boundary.downstream_tension_N
         self._spans = tuple(spans)
         self._limit = strain_limit
@@ -465,8 +465,7 @@ class _OtherSpans:
     def follow(self, positions_m: Sequence[float], strain_prev: float, F_next_N: float, cycle_s: float) -> None:
         """Follow the rollers to these positions (N,), a cycle after the last, with the stated boundary inputs."""
         web = self._web
-        web.set_input("strain_prev", strain_prev)
-        web.set_input("F_next_N", F_next_N)
+        web.set_boundary(strain_prev, F_next_N)
         self._behind_N = F_next_N
         if self._running:
             web.follow(positions_m, cycle_s)
@@ -513,8 +512,8 @@ class _OtherSpans:
                 states[f"strain{at}"] = measured[at - 1]
             else:
                 self.refused = True
-        for name in self._moduli:
-            self._web.set_parameter(name, line.parameter(name))
+        for span, name in enumerate(self._moduli, 1):
+            self._web.put_modulus(span, line.parameter(name))
         line.set_state(states)
 
 

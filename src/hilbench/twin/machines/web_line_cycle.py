@@ -26,7 +26,7 @@ from hilbench.estimation.web_line.synchronizers import changepoint
 from hilbench.plant import sample_coherence
 from hilbench.plant.sample_coherence import IncrementCheck, SampleCoherence, coherent, increments_steadily
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line import line_vectors, rig_cycle, span_kernel
+from hilbench.plant.web_line import line_vectors, rig_cycle
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import LineStep
 from hilbench.twin.machines import web_splice_tracker
@@ -138,7 +138,8 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
         if k > 0:
             before = table[_OWN + (k - 1) * cycle.ROWS :]
             t_before = floats(before, cycle.STATE_ROW, (1,))
-            strain_before, creep_ratio = cycle.outlet_strain(t_before, _strain(before)), t_before[cycle.CREEP_RATIO]
+            strain_before = cycle.outlet_strain(t_before, cycle.measured_strain(before))
+            creep_ratio = t_before[cycle.CREEP_RATIO]
             if t_before[cycle.MOVED] != 0.0:
                 _show(table)
         torque_Nm, centre_m = measured[_MEASURED_SIZE * (k + 1) + _TORQUE], nan
@@ -152,7 +153,8 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
         strain_behind = nan
         if k + 1 < len(spans):
             behind = table[_OWN + (k + 1) * cycle.ROWS :]
-            strain_behind = cycle.reverse_outlet_strain(floats(behind, cycle.STATE_ROW, (1,)), _strain(behind))
+            t_behind = floats(behind, cycle.STATE_ROW, (1,))
+            strain_behind = cycle.reverse_outlet_strain(t_behind, cycle.measured_strain(behind))
         around = strain_before, F_next_N, centre_m, strain_behind, creep_ratio
         compared = x_m[k], x_m[k + 1], torque_Nm, torque_sim_Nm, *around
         stage = run_vectors(cycle.COMPARE, compared, of_span)
@@ -162,16 +164,9 @@ def _compare(table: Places, first: int, strain_prev: float, F_next_N: float) -> 
     of_passage = floats(table, _OF_PASSAGE, (1,))
     if len(of_passage) > 0:
         block, t = floats(table, _OF_BLOCK, (1,)), floats(table, _OWN + cycle.STATE_ROW, (1,))
-        if not web_splice_tracker.passes(of_passage, block, t, _strain(table[_OWN:]), x_m[0]):
+        if not web_splice_tracker.passes(of_passage, block, t, cycle.measured_strain(table[_OWN:]), x_m[0]):
             return PASSAGE
     return _FINISH
-
-
-@compiled
-def _strain(of_span: Places) -> float:
-    """Measured strain of the web in a span."""
-    web = floats(of_span, cycle.WEB_ROW, (1,)), floats(of_span, cycle.WEB_ROW + 1, (1,))
-    return span_kernel.first_strain_of(web[0], web[1])
 
 
 @compiled

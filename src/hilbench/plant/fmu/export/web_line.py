@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import inf
 
-import numpy as np
-
 from hilbench.plant.fmu.export.machine import (
     FORGOTTEN,
     ExportedMachine,
@@ -20,15 +18,15 @@ from hilbench.plant.fmu.export.machine import (
     parameter,
 )
 from hilbench.plant.interface import Quantity
-from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.motor_port import MotorMode
-from hilbench.plant.web_line import kernel, laws, places, span_kernel
+from hilbench.plant.web_line import kernel, line_kernel, places
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.simulated import modulus_names
-from hilbench.plant.web_line.span import SpanFollower
+from hilbench.plant.web_line.stations import ONLY_DRIVEN
 
 
 def _go_line(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
@@ -42,31 +40,22 @@ def _go_line(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: i
 
 
 def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
-    """Step the web of driven rollers on their measured motion: state `s` as of `web_line.span_kernel.roll_on`.
+    """Step a web line of driven rollers on their measured motion.
 
-    `u`: speeds of the N rollers, strain of the web that enters, tension after the line. `out`: tension, strain and E of
-    the K spans, then the torque at each motor that emulates web and resistance (see `SpanFollower.web_torque_Nm`).
+    `u`: speeds of the N rollers, in place of set points of their motors, which are off. `out`: as of a line, then E of
+    the K spans, and the torque at each motor that emulates web and resistance (see `LineFollower.load_torques_Nm`).
     """
-    n, k = int(p[lay.W_AXES]), int(p[lay.W_SPANS])
-    strain_prev, f_next = u[n], u[n + 1]
-    strain_next = laws.downstream_strain(p, f_next)
-    span_kernel.roll_on(p, s, w, u, strain_prev, f_next, strain_next, duration, span_kernel.LONGEST_STEP_S, out)
-    first = places.first_span(n, int(p[lay.W_MOTORS]))
-    for j in range(k):
-        row = first + j * lay.SP_SIZE
-        factor = laws.step_factor(p, row, s[0], span_kernel.LONGEST_STEP_S)
-        out[k + j] = s[1 + n + k + j] * laws.length_factor(p, row) / s[1 + n + j] - 1.0
-        out[2 * k + j] = laws.stiffness_N(p, row, s[0], factor) / p[row + lay.SP_SECTION_M2]
-    upstream = laws.upstream_strain(p, strain_prev, s[0]) * p[lay.W_UPSTREAM_STIFFNESS_N]
+    (n, m, k), first, sample_s = places.counts(p), lay.U_MOTORS + lay.UM_SETPOINT, p[lay.W_SAMPLE_TIME_S]
     for i in range(n):
-        place, force = lay.W_SIZE + i * lay.A_SIZE, 0.0
-        if p[place + lay.A_WEB_LOAD] != 0.0:
-            before = out[i - 1] if i > 0 else upstream
-            behind = out[i] if i < k else f_next
-            force = behind - before
-        direction = measured_direction(u[i], laws.FRICTION_WIDTH_M_S)
-        force -= laws.measured_resistance_N(p, place, s[1 + i], u[i], direction)
-        out[3 * k + i] = force / p[places.motor(n, i) + lay.M_RAD_PER_M]
+        line_kernel.set_speed(p, s, i, u[first + i * lay.UM_SIZE])
+    if duration > 0.0:
+        line_kernel.roll_on(p, s, u, w, duration, sample_s, line_kernel.LONGEST_STEP_S)
+    line_kernel.observe(p, s, u, w, out)
+    line_kernel.put_moduli(p, s, u, out, 3 * m + 2 * k)
+    for i in range(n):
+        loaded, speed = p[places.axis(i) + lay.A_WEB_LOAD] != 0.0, u[first + i * lay.UM_SIZE]
+        rad_per_m = p[places.motor(n, i) + lay.M_RAD_PER_M]
+        out[3 * m + 3 * k + i] = line_kernel.web_torque_Nm(p, s, u, out, i, loaded, rad_per_m, speed)
 
 
 _LINE, _WEB = Kernel("line", _go_line), Kernel("web", _go_web)
@@ -125,34 +114,40 @@ def exported_load(model: ModelParameters) -> ExportedMachine:
 
     Raises ValueError for a model without a web, or with stations.
     """
-    follower = SpanFollower(model)
+    if model.stations is not None:
+        raise ValueError(f"a line with stations, expected {ONLY_DRIVEN}")
+    follower = LineFollower(model)
     p, layout = follower._p.copy(), follower._layout
-    n, k = layout.axes, layout.spans
-    u = [0.0] * n + [model.upstream_strain, model.boundary.downstream_tension_N]
+    n, m, k, rows = layout.axes, layout.motors, layout.spans, layout.axis_rows(p)
+    # The web may load held rollers: their mass is too large to be moved.
+    rows[:, lay.A_WEB_LOAD] = [model.carries_web_load(axis) for axis in range(1, n + 1)]
     variables = [
         ExportedVariable(
-            Quantity(f"v{axis}_m_s", "m/s", f"speed of roller {axis} in the step"), "input", (Place(U, axis - 1),)
+            Quantity(f"v{axis}_m_s", "m/s", f"speed of roller {axis} in the step"),
+            "input",
+            (Place(U, lay.U_MOTORS + (axis - 1) * lay.UM_SIZE + lay.UM_SETPOINT),),
         )
         for axis in range(1, n + 1)
     ]
-    variables += _boundary(n)
+    variables += _boundary()
     for place, (symbol, unit, what) in enumerate(
         (("F", "N", "tension"), ("strain", "1", "strain"), ("E", "Pa", "Young's modulus as it acts"))
     ):
         for number in range(1, k + 1):
             name = f"{symbol}{number}" + (f"_{unit}" if unit != "1" else "")
             variables.append(
-                output(Quantity(name, unit, f"{what} of the web in span {number}"), place * k + number - 1)
+                output(Quantity(name, unit, f"{what} of the web in span {number}"), 3 * m + place * k + number - 1)
             )
     for axis in range(1, n + 1):
         what = f"at the motor of axis {axis}: emulates the web and the roller's resistance"
-        variables.append(output(Quantity(f"tau_load{axis}_Nm", "N·m", what), 3 * k + axis - 1))
+        variables.append(output(Quantity(f"tau_load{axis}_Nm", "N·m", what), 3 * m + 3 * k + axis - 1))
     variables += _moduli(model, layout)
     return ExportedMachine(
         name="web",
         description=f"web of a line of {n} driven rollers on their motion, for load motors",
-        kernel=_WEB, p=p, s=follower._state.copy(), u=np.array(u), work=len(span_kernel.new_follower_work(layout)),
-        out=3 * k + n, variables=tuple(variables), forgotten=(), sample_s=0.0, time=(0, 1.0),
+        kernel=_WEB, p=p, s=follower._state.copy(), u=follower._inputs.copy(), work=len(layout.new_work()),
+        out=layout.output_size + k + n, variables=tuple(variables), forgotten=(), sample_s=0.0,
+        time=(lay.S_COUNT, 1.0 / float(p[lay.W_SAMPLE_TIME_S])),
     )  # fmt: skip
 
 
@@ -163,12 +158,12 @@ def _numbered(name: str) -> tuple[str, int]:
     return symbol.removesuffix(digits), int(digits) - 1
 
 
-def _boundary(first: int = lay.U_STRAIN_PREV) -> list[ExportedVariable]:
+def _boundary() -> list[ExportedVariable]:
     quantities: Sequence[Quantity] = (
         Quantity("strain_prev", "1", "strain of the web that enters"),
         Quantity("F_next_N", "N", "tension behind the last roller"),
     )
-    return [ExportedVariable(each, "input", (Place(U, first + at),)) for at, each in enumerate(quantities)]
+    return [ExportedVariable(each, "input", (Place(U, lay.U_STRAIN_PREV + at),)) for at, each in enumerate(quantities)]
 
 
 def _moduli(model: ModelParameters, layout: Layout) -> list[ExportedVariable]:
