@@ -10,13 +10,13 @@ from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import HTMLResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
 from hilbench.apps.pages.access import Access, Guard, session_opened
 from hilbench.apps.pages.live.viewer import Viewers
-from hilbench.apps.pages.templates_of import page
+from hilbench.apps.report.page import page_text
 
 #: Every file that there is to ask for, where it stands, and what it is.
 _FILES: Final = {
@@ -38,7 +38,7 @@ def site(access: Access, rooms: Sequence[BaseRoute], viewers: Viewers | None = N
     }
 
     async def front(request: Request) -> Response:
-        return page("front.html.j2", live=viewers is not None, replay=False)
+        return HTMLResponse(page_text("pages/front", live=viewers is not None, replay=False))
 
     async def file(request: Request) -> Response:
         if request.path_params["name"] not in files:
