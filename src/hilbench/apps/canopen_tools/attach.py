@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import canopen
 from hilbench.apps.canopen_tools.eds_match import find_eds
+from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import SDO_TIMEOUT_S
 from hilbench.can.open import BusAddress, open_python_can
 from hilbench.canopen.eds import load_eds
@@ -28,9 +29,8 @@ def config_and_bus(config: Path | None, bus: str | None) -> tuple[ExperimentConf
     """The config, where one is given, and the bus as it runs. Raises UnusableInputError."""
     if config is None:
         return None, BusAddress.parse(bus or "embedded").as_it_runs()
-    from hilbench.runs.config import load_with_overrides
 
-    loaded = load_with_overrides(config, bus=bus).config
+    loaded = load_config(config, bus=bus).config
     return loaded, loaded.bus_address.as_it_runs()
 
 

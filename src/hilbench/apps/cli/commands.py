@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from importlib.metadata import Distribution, EntryPoint, EntryPoints, PackageNotFoundError, entry_points
+from importlib.metadata import Distribution, EntryPoints, PackageNotFoundError, entry_points
 from typing import Any, Final
 
 from typer.core import TyperGroup
 
 from hilbench.crash_report import crash_report
+from hilbench.entry_points import loaded
 from hilbench.errors import HilbenchError, UnusableInputError
 
 GROUP: Final = "hilbench.commands"
@@ -70,14 +71,3 @@ def _own_commands() -> EntryPoints:
         text = f"what is installed lacks the command {missing[0]}, expected that of these sources: pip install it again"
         raise UnusableInputError("hilbench", text)
     return own
-
-
-def loaded(entry: EntryPoint) -> Any:
-    """Object of an entry point. Raises UnusableInputError, whatever its package raises when it is imported."""
-    try:
-        return entry.load()
-    except Exception as error:  # code of others
-        package = entry.dist.name if entry.dist else "a package"
-        problem = f"{entry.value} of {package} can't be loaded ({type(error).__name__}: {error})"
-        expected = "expected a package that is whole: pip install it again"
-        raise UnusableInputError(f"{entry.group} {entry.name}", f"{problem}, {expected}") from error

@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
-
-from hilbench.errors import UnusableInputError
-
-if TYPE_CHECKING:
-    from hilbench.runs.config import LoadedConfig
 
 ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="bench config (YAML)")]
 ConfigOption = Annotated[
@@ -53,17 +48,3 @@ TimeoutOption = Annotated[
     float, typer.Option("--timeout", metavar="S", min=0.01, help="for the answer to each SDO request")
 ]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="run folder")]
-
-
-def load_config(config: Path, **overrides: Any) -> LoadedConfig:
-    """The config with the values of options; an example that is not copied yet is named. Raises UnusableInputError."""
-    from hilbench.runs.config import load_with_overrides
-
-    try:
-        return load_with_overrides(config, **overrides)
-    except UnusableInputError as error:
-        from hilbench.runs.examples import names
-
-        if not config.exists() and config.stem in names():
-            error.add_note(f"`hilbench examples {config.stem}` copies the example of this name to bench_configs")
-        raise

@@ -8,15 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from hilbench.apps.cli.options import (
-    BusOption,
-    ConfigArgument,
-    JsonOption,
-    PacedByOption,
-    PaceOption,
-    SetOption,
-    load_config,
-)
+from hilbench.apps.cli.config_file import load_config
+from hilbench.apps.cli.options import BusOption, ConfigArgument, JsonOption, PacedByOption, PaceOption, SetOption
 
 
 def run(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import BusOption, ConfigArgument, ForceOption, JsonOption, PaceOption, SetOption
 from hilbench.errors import EXIT_INTERRUPTED, UnusableInputError
 
@@ -73,10 +74,9 @@ def commission(
     from hilbench.apps.cli.progress import ProgressDisplay
     from hilbench.apps.history.entries import keep_commissioning
     from hilbench.runs.commissioning import commissioning_plan
-    from hilbench.runs.config import load_with_overrides
     from hilbench.topology.parts import Role
 
-    loaded = load_with_overrides(config, bus=bus, pace=pace, changes=changes or ())
+    loaded = load_config(config, bus=bus, pace=pace, changes=changes or ())
     if loaded.config.stand is None:
         raise UnusableInputError(
             config, "no 'stand', expected the name that all configs of the stand share: --set stand=NAME"

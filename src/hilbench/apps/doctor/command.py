@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from hilbench.apps.cli.options import BusOption, PaceOption, SetOption, load_config
+from hilbench.apps.cli.config_file import load_config
+from hilbench.apps.cli.options import BusOption, PaceOption, SetOption
 from hilbench.errors import UnusableInputError
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import BusOption, ConfigArgument, JsonOption, SetOption
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, UnusableInputError
 
@@ -56,9 +57,8 @@ def drift(
     from hilbench.apps.doctor.drift import drifts
     from hilbench.bench.check import check_bench
     from hilbench.exchange.node_data import drives_of
-    from hilbench.runs.config import load_with_overrides
 
-    loaded = load_with_overrides(config, bus=bus, changes=changes or ())
+    loaded = load_config(config, bus=bus, changes=changes or ())
     bench = loaded.config
     check_bench(bench, loaded.document)
     if in_process and not start:

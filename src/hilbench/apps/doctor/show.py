@@ -24,15 +24,13 @@ _COLOURS = {Level.OK: "green", Level.WARNING: "yellow", Level.ERROR: "red"}
 
 def doctor_command(loaded: LoadedConfig | None, bus: BusAddress | None, *, start: bool, as_json: bool) -> int:
     """Examine a bench (or a bus, or this machine alone), show what was found, and return the exit code."""
-    console = Console(highlight=False)
+    console = Console(highlight=False, quiet=as_json)
     subject, start_nodes = (Subject.of_bus(bus), None) if loaded is None else _of_bench(loaded, start=start)
+    # Plain lines: what redraws itself meanwhile would disturb the measurement of the timer.
+    examination = examine(subject, start=start_nodes, announce=lambda text: console.print(f"{text} ..."))
+    show(console, examination)
     if as_json:
-        examination = examine(subject, start=start_nodes, announce=lambda text: None)
         print(json.dumps(as_data(examination), indent=2))
-    else:
-        # Plain lines: what redraws itself meanwhile would disturb the measurement of the timer.
-        examination = examine(subject, start=start_nodes, announce=lambda text: console.print(f"{text} ..."))
-        show(console, examination)
     return EXIT_PASSED if examination.passed else EXIT_CRITERION_FAILED
 
 

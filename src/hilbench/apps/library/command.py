@@ -75,22 +75,6 @@ def _library(folder: Path) -> Library:
     return Library(folder, _announce)
 
 
-def _query(
-    name: str | None,
-    bench: str | None,
-    result: Sequence[str] | None,
-    tag: Sequence[str] | None,
-    since: str | None,
-    until: str | None,
-    where: str | None,
-) -> Query:
-    from hilbench.apps.library.query import Query
-
-    return Query.parse(
-        name=name, bench=bench, results=result or (), tags=tag or (), since=since, until=until, where=where
-    )
-
-
 @app.command("list")
 def list_runs(
     runs: RunsOption = _DIR,
@@ -126,9 +110,9 @@ def list_runs(
 
     Example: hilbench runs list --bench 'web_*' --metric E_noise_pct --sort E_noise_pct --html runs.html
     """
-    from hilbench.apps.library.query import values_of
+    from hilbench.apps.library.query import Query, values_of
 
-    query = _query(name, bench, result, tag, since, until, where)
+    query = Query.parse(name, bench, result, tag, since, until, where)
     library = _library(runs)
     shown = [*(metric or ()), *_metrics_of(query)]
     every = html is not None or json
@@ -311,10 +295,11 @@ def trend(
     from dataclasses import asdict
     from json import dumps
 
+    from hilbench.apps.library.query import Query
     from hilbench.apps.library.runs_picture import points_of, summary_of, write_runs_picture
 
     library = _library(runs)
-    found = library.runs(_query(name, bench, result, tag, since, until, where), [metric, over])
+    found = library.runs(Query.parse(name, bench, result, tag, since, until, where), [metric, over])
     _check_names(library, [metric, over], found)
     points = points_of(found, metric, over)
     if not points:
@@ -390,9 +375,10 @@ def delete(
 
     Example: hilbench runs delete web_section_step-20260101-120000 --yes
     """
+    from hilbench.apps.library.query import Query
     from hilbench.apps.library.retention import check_deletable
 
-    query = _query(name, bench, result, tag, since, until, where)
+    query = Query.parse(name, bench, result, tag, since, until, where)
     if bool(run) == query.asks:
         raise UnusableInputError(
             "RUN", "expected either runs, or options that find some (--result, --until, --where …)"
@@ -482,13 +468,9 @@ def gc(
         deletions = [each for each in deletions if runs / each.run.path not in left]
     freed = sum(each.run.size_bytes for each in deletions)
     if json:
-        data = [{"run": each.run.path, "why": each.why, "size_bytes": each.run.size_bytes} for each in deletions]
-        print(
-            dumps(
-                {"deleted": not dry_run, "freed_bytes": freed, "kept": len(known) - len(deletions), "runs": data},
-                indent=2,
-            )
-        )
+        rows = [{"run": each.run.path, "why": each.why, "size_bytes": each.run.size_bytes} for each in deletions]
+        kept = len(known) - len(deletions)
+        print(dumps({"deleted": not dry_run, "freed_bytes": freed, "kept": kept, "runs": rows}, indent=2))
         if left:
             raise UnusableInputError.of([*left.values()])
         return
@@ -547,6 +529,7 @@ def matrix(
     from json import dumps
 
     from hilbench.apps.library.matrix import matrix_of
+    from hilbench.apps.library.query import Query
     from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
 
     specified = []
@@ -554,7 +537,7 @@ def matrix(
         from hilbench.apps.library.specification import read_reqif
 
         specified = read_reqif(reqif)
-    query = _query(name, bench, result, tag, since, until, where)
+    query = Query.parse(name, bench, result, tag, since, until, where)
     made = matrix_of([run for run in _library(runs).runs(query) if run.verifies][:last], specified)
     if html is not None:
         from hilbench.apps.library.matrix_page import write_matrix_page

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import BusOption, JsonOption
 
 if TYPE_CHECKING:
@@ -73,7 +74,6 @@ def monitor(
     from hilbench.apps.monitor.picture import BusPicture
     from hilbench.can.open import open_link, open_python_can
     from hilbench.errors import UnusableInputError
-    from hilbench.runs.config import load_with_overrides
 
     if browser:
         _serve(config, bus, pace, runs, host, port)
@@ -81,7 +81,7 @@ def monitor(
     _refuse_without_browser({"--host": host, "--port": port})
     if not json and not sys.stdout.isatty():
         raise UnusableInputError("standard output", "no terminal, expected one for the dashboard, or --json")
-    loaded = load_with_overrides(config, bus=bus, pace=pace).config
+    loaded = load_config(config, bus=bus, pace=pace).config
     picture, address = BusPicture(loaded), loaded.bus_address.as_it_runs()
     with ExitStack() as resources:
         link = open_link(address)
@@ -104,12 +104,11 @@ def _serve(
     config: Path, bus: str | None, pace: str | None, runs: Path | None, host: str | None, port: int | None
 ) -> None:
     from hilbench.apps.pages.server import LOOPBACK, PORT, serve
-    from hilbench.runs.config import load_with_overrides
 
     if config.is_dir():
         bench, base = None, config
     else:
-        bench, base = load_with_overrides(config, bus=bus, pace=pace).config, runs or Path("runs")
+        bench, base = load_config(config, bus=bus, pace=pace).config, runs or Path("runs")
     serve(bench, base, host or LOOPBACK, PORT if port is None else port, lambda line: print(line, flush=True))
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import BusOption, JsonOption
 
 if TYPE_CHECKING:
@@ -110,11 +111,10 @@ def _running(path: Path, bus: str | None, at_s: float | None) -> tuple[str, Expe
     from hilbench.errors import UnusableInputError
     from hilbench.results.received import received
     from hilbench.results.what_if import require_predictable
-    from hilbench.runs.config import load_with_overrides
 
     if at_s is not None:
         raise UnusableInputError("--at", f"{at_s:g} s of a bench that runs, expected none: it is asked now")
-    config = load_with_overrides(path, bus=bus).config
+    config = load_config(path, bus=bus).config
     require_predictable(config, str(path))
     address = config.bus_address.as_it_runs()
     with closing(open_link(address)) as link, SdoClient(open_python_can(address, SDO_ANSWERS), PATIENCE_S) as client:
