@@ -18,10 +18,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.apps.history.page import picture
 from hilbench.apps.history.quantities import SECONDS_PER_DAY, quantities_of
 from hilbench.apps.history.store import Quantity, Row
 from hilbench.apps.history.trend import Trend, trend
-from hilbench.apps.report.history_page import picture
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Write src/hilbench/apps/cli/needed_code.json: the compiled functions that runs of each kind call.
+"""Write src/hilbench/apps/commands/needed_code.json: the compiled functions that runs of each kind call.
 
 Each example is run on copies of the machine code that `hilbench compile` has left; what is read of them was needed.
 That goes by the time of access of the files, so that every process of a run counts.
@@ -18,11 +18,11 @@ from typing import Any
 
 from numba.core.caching import UserProvidedCacheLocator
 
-from hilbench.apps.cli.needed_code import Function
+from hilbench.apps.commands.needed_code import Function
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "hilbench"
-LIST = PACKAGE / "apps" / "cli" / "needed_code.json"
+LIST = PACKAGE / "apps" / "commands" / "needed_code.json"
 #: The examples of each kind of run.
 EXAMPLES = {
     "web_line": ("web_section_step",),

@@ -14,7 +14,7 @@ import typer
 from canopen.objectdictionary import ODVariable
 
 import canopen
-from hilbench.apps.cli.main import app
+from hilbench.apps.cli.main import command_line
 from hilbench.canopen import data_types
 from hilbench.canopen.eds import all_variables, load_eds
 from hilbench.canopen.eds import variable as find_variable
@@ -414,7 +414,7 @@ def commands_page() -> str:
         "in each case with the drives in the safe state.",
         "",
     ]
-    for name, command in _commands(typer.main.get_command(app), "hilbench"):
+    for name, command in _commands(typer.main.get_command(command_line()), "hilbench"):
         lines += [f"## {name}", "", *_command(name, command)]
     return "\n".join(lines)
 

@@ -15,7 +15,7 @@ import numpy as np
 from playwright.sync_api import sync_playwright
 
 from hilbench.apps.library.entry import RunEntry
-from hilbench.apps.report.runs_page import write_runs_page
+from hilbench.apps.library.runs_page import write_runs_page
 
 _RUNS = 900
 _BEGAN_S = 1_767_600_000.0

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 from tests.bench.whole_runs import SHORT, config, gone
 
-from hilbench.apps.cli.run import show_outcome
+from hilbench.apps.commands.run import show_outcome
 from hilbench.apps.report.html import write_report
 from hilbench.bench.lifecycle import startup
 from hilbench.can.confinement import ControllerState

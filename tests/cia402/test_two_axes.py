@@ -13,7 +13,7 @@ import pytest
 from tests.cia402.stand_in import StandingClock
 
 import canopen
-from hilbench.apps.devices import SimulatedDrive
+from hilbench import SimulatedDrive
 from hilbench.apps.devices.behaviour import Behaviour
 from hilbench.can.frame import Frame
 from hilbench.can.python_can import can

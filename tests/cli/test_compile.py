@@ -18,7 +18,7 @@ import pytest
 from tests.tiers import slow
 
 import hilbench
-from hilbench.apps.cli.compile import modules_by_room
+from hilbench.apps.commands.compile import modules_by_room
 from hilbench.code_cache import CodeCache
 from hilbench.compiled import entry_points
 from hilbench.plant.web_line import kernel
@@ -122,7 +122,7 @@ def test_machine_code_is_found_again_by_what_it_is_made_of() -> None:
     """In another process, with other hashes of strings; and not where a function that it calls, or a value, differs."""
     program = """if True:
         from importlib import import_module
-        from hilbench.apps.cli.compile import modules_by_room
+        from hilbench.apps.commands.compile import modules_by_room
         from hilbench.code_cache import made_of
         from hilbench.compiled import entry_points
         for modules in modules_by_room():

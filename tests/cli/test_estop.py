@@ -14,7 +14,7 @@ import pytest
 from tests.bench.whole_runs import SHORT, config
 from tests.cli.in_process import hilbench
 
-from hilbench.apps.cli import estop
+from hilbench.apps.commands import estop
 from hilbench.can import interfaces
 from hilbench.can.claims import MASTER, Holder, holders
 from hilbench.can.frame import Frame

@@ -11,7 +11,7 @@ import pytest
 import typer
 from tests.cli.in_process import hilbench
 
-from hilbench.apps.cli.main import app
+from hilbench.apps.cli.main import command_line
 
 
 def commands(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -20,7 +20,7 @@ def commands(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, .
         yield from commands(inner, (*words, name))
 
 
-ALL = list(commands(typer.main.get_command(app)))
+ALL = list(commands(typer.main.get_command(command_line())))
 
 
 @pytest.mark.parametrize("words", ALL, ids=" ".join)

@@ -13,7 +13,8 @@ from tests.tiers import slow
 _CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 _PROGRAM = """if True:
     import sys
-    import hilbench.bench.lifecycle.supervisor, hilbench.hardware.simulation, hilbench.twin.run, hilbench.apps.cli.run
+    import hilbench.bench.lifecycle.supervisor, hilbench.hardware.simulation
+    import hilbench.twin.run, hilbench.apps.commands.run
     early = {"pandas", "asammdf", "scipy.linalg"} & set(sys.modules)
     assert not early, early
     import asammdf  # a recording is still written with it
@@ -29,7 +30,7 @@ def test_a_bench_starts_without_the_libraries_of_recordings_and_of_its_check() -
 def test_a_command_that_runs_a_bench_with_processes_loads_neither_hardware_nor_what_one_process_runs_on() -> None:
     program = """if True:
         import sys
-        import hilbench.apps.cli.run
+        import hilbench.apps.commands.run
         rooms = ("hilbench.in_process_cycle", "hilbench.hardware.")
         early = sorted(name for name in sys.modules if name.startswith(rooms))
         assert not early, early
@@ -43,7 +44,7 @@ def test_the_check_before_a_run_imports_no_scipy_and_nothing_that_only_others_ne
     program = f"""if True:
         import sys
         from pathlib import Path
-        import hilbench.apps.cli.run
+        import hilbench.apps.commands.run
         from hilbench.bench.bench import Bench
         from hilbench.bench.lifecycle.participants import Participants
         from hilbench.bench.lifecycle.startup import copies_beside

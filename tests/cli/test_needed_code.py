@@ -13,7 +13,7 @@ import pytest
 from tools.needed_code import EXAMPLES, used_by
 
 import hilbench
-from hilbench.apps.cli.needed_code import needed
+from hilbench.apps.commands.needed_code import needed
 from hilbench.compiled import entry_points
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -41,7 +41,7 @@ def test_a_first_run_compiles_what_is_missing_and_says_how_far_it_is(tmp_path: P
     shutil.copytree(Path(str(hilbench.__file__)).parent, package, ignore=shutil.ignore_patterns("*.nb[ic]"))
     program = f"""if True:
         from pathlib import Path
-        from hilbench.apps.cli.needed_code import Function, compile_on_all_cores, missing, needed
+        from hilbench.apps.commands.needed_code import Function, compile_on_all_cores, missing, needed
         from hilbench.runs.config import load
         config, _ = load(Path({str(ROOT / "bench_configs" / "web_section_step.yaml")!r}))
         assert missing(config) == needed("web_line")
@@ -69,7 +69,7 @@ def test_where_nothing_can_be_kept_nothing_is_compiled_for_nobody(tmp_path: Path
         def refuse(self):
             raise PermissionError(13, "read-only")
         InTreeCacheLocator.ensure_cache_path = refuse
-        from hilbench.apps.cli.needed_code import missing
+        from hilbench.apps.commands.needed_code import missing
         from hilbench.runs.config import load
         print(missing(load(Path({str(ROOT / "bench_configs" / "web_section_step.yaml")!r}))[0]))
     """

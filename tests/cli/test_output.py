@@ -17,7 +17,7 @@ from tests.bench.whole_runs import config, run_folders
 from tests.tiers import slow
 from typer.main import get_command
 
-from hilbench.apps.cli.main import app, main
+from hilbench.apps.cli.main import command_line, main
 from hilbench.results.result import Result
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
@@ -42,7 +42,7 @@ def hilbench(*arguments: object, encoding: str = "utf-8", out: Path, typed: str 
 
 def commands() -> list[list[str]]:
     """Every command, as words."""
-    found, left = [], [([], get_command(app))]
+    found, left = [], [([], get_command(command_line()))]
     while left:
         words, command = left.pop()
         found.append(words)
@@ -203,7 +203,7 @@ def test_what_nobody_foresaw_in_a_command_is_one_line_with_its_traceback_kept(
 ) -> None:
     monkeypatch.setenv("HILBENCH_TRACEBACKS", str(tmp_path))
     for error in (KeyError("what"), BrokenPipeError(32, "Broken pipe"), OSError(24, "Too many open files")):
-        with patch("hilbench.apps.cli.check.check_experiment", side_effect=error):
+        with patch("hilbench.apps.commands.check.check_experiment", side_effect=error):
             code, said = hilbench("check", SHIPPED, out=tmp_path / "out")
         assert code == 3
         assert said.count("\n") == 1
@@ -211,7 +211,7 @@ def test_what_nobody_foresaw_in_a_command_is_one_line_with_its_traceback_kept(
         assert match is not None, said
         assert "check_experiment" in Path(match[1]).read_text()
     monkeypatch.setenv("HILBENCH_TRACEBACKS", str(tmp_path / "nowhere"))
-    with patch("hilbench.apps.cli.check.check_experiment", side_effect=KeyError("what")):
+    with patch("hilbench.apps.commands.check.check_experiment", side_effect=KeyError("what")):
         code, said = hilbench("check", SHIPPED, out=tmp_path / "out")
     assert (code, said.count("\n")) == (3, 1)
     assert "its traceback can't be kept (No such file or directory)" in said
@@ -225,7 +225,7 @@ def test_a_thread_that_nobody_foresaw_to_end_is_one_line(tmp_path: Path, monkeyp
         thread.start()
         thread.join()
 
-    with patch("hilbench.apps.cli.check.check_command", side_effect=with_thread):
+    with patch("hilbench.apps.commands.check.check_command", side_effect=with_thread):
         code, said = hilbench("check", SHIPPED, out=tmp_path / "out")
     assert code == 0
     assert re.fullmatch(r"hilbench: unexpected KeyError in .*: 'what'; traceback in .*\n", said)

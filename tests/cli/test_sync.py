@@ -13,7 +13,7 @@ from tests.cli.in_process import hilbench
 from tests.estimation.runs import NEW_PA, Array, measured, stepped, tracked
 from tests.plant.models import DEMONSTRATOR, model
 
-from hilbench.apps.report.sync_page import rows
+from hilbench.apps.sync.page import rows
 from hilbench.diagnosis.synchronization import (
     NEEDED,
     compare_methods,

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from tests.cia402.every_mode import eds_file
 
-from hilbench.apps.devices import SimulatedDrive
+from hilbench import SimulatedDrive
 from hilbench.can.python_can import can
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.master import Master

@@ -16,7 +16,7 @@ from tests.cia402.every_mode import INCREMENTS, eds_file, eds_text
 from tests.cia402.stand_in import EDS as OWN
 
 from canopen import Network
-from hilbench.apps.devices import SimulatedDrive
+from hilbench import SimulatedDrive
 from hilbench.apps.devices.behaviour import Behaviour
 from hilbench.can.python_can import can
 from hilbench.canopen.eds import load_eds

@@ -166,7 +166,7 @@ def test_two_repeats_of_a_web_machine_differ_in_nothing(worn: Recording) -> None
 def test_on_the_command_line_it_prints_the_changes_and_writes_one_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from hilbench.apps.cli.diagnose import diagnose_command
+    from hilbench.apps.diagnose.diagnose import diagnose_command
 
     before, after, out = tmp_path / "before.csv", tmp_path / "after.csv", tmp_path / "out"
     write_recording(recorded(*FRICTION, seed=1), before)

@@ -207,7 +207,7 @@ def test_until_clear_the_bench_runs_on_with_more_steps_each_time_and_three_times
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], clear_after: int, rounds: int
 ) -> None:
     """The bench and the search are stood in for: what is run in which order, and what is said of it."""
-    from hilbench.apps.cli import diagnose as command
+    from hilbench.apps.diagnose import diagnose as command
     from hilbench.diagnosis.live import LiveGap
     from hilbench.results.recording import Recording
 

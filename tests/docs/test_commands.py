@@ -8,10 +8,10 @@ import pytest
 import typer
 from tests.docs.shown import NOT_RUN, ROOT, Shown, shown
 
-from hilbench.apps.cli.main import app
+from hilbench.apps.cli.main import command_line
 
 LINES = shown()
-HILBENCH = typer.main.get_command(app)
+HILBENCH = typer.main.get_command(command_line())
 
 
 def test_the_pages_show_commands() -> None:

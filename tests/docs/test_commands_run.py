@@ -22,7 +22,7 @@ from tests.docs.shown import ROOT, shown
 from tests.simulated_recordings import hidden_recording
 from typer.testing import CliRunner
 
-from hilbench.apps.cli.main import app
+from hilbench.apps.cli.main import command_line
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.listening import present
 from hilbench.plant.model_file import write_model
@@ -157,7 +157,7 @@ def run_folder(stand: Stand) -> Path:
 
 
 def hilbench(*words: str) -> None:
-    result = CliRunner().invoke(app, list(words), input="\n" * 40)
+    result = CliRunner().invoke(command_line(words[0]), list(words), input="\n" * 40)
     # The commands before may have changed something on the stand.
     assert result.exit_code in ((0, 1) if words[0] == "drift" else (0,)), f"{result.output}\n{result.exception!r}"
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from hilbench.apps.canopen_tools.interface import InterfaceFacts, parse_ip_link, read_sysfs
 from hilbench.apps.doctor.check_interface import InterfaceNeeds, check_interface
 from hilbench.apps.doctor.findings import Check, Finding, Level
-from hilbench.apps.doctor.interface import InterfaceFacts, parse_ip_link, read_sysfs
 
 CAPTURED = Path(__file__).parent / "captured"
 NEEDS = InterfaceNeeds(bitrate=1_000_000, frames_per_cycle=13)

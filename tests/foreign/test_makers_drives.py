@@ -14,7 +14,7 @@ import pytest
 from tests.cia402.stand_in import EDS as OWN
 from tests.foreign.foreign_station import ForeignStation, foreign_station, with_node_id
 
-from hilbench.apps.devices import SimulatedDrive
+from hilbench import SimulatedDrive
 from hilbench.can.adapter import PythonCanLink
 from hilbench.can.python_can import can
 

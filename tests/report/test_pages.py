@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from tests.report.parsed import EVIL, parsed
 
+from hilbench.apps.compare.page import ComparedRun, write_compare_page
+from hilbench.apps.diagnose.page import write_diagnosis_page
 from hilbench.apps.report import live
-from hilbench.apps.report.compare_page import ComparedRun, write_compare_page
-from hilbench.apps.report.diagnosis_page import write_diagnosis_page
-from hilbench.apps.report.sync_page import write_comparison
+from hilbench.apps.sync.page import write_comparison
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Profile, Unobservable, Value
 from hilbench.diagnosis.live import LiveGap
 from hilbench.diagnosis.live_figure import LiveFigure

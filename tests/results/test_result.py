@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from hilbench.apps.cli.run import show_outcome
+from hilbench.apps.commands.run import show_outcome
 from hilbench.errors import UnusableInputError
 from hilbench.results.result import Environment, Fault, Histogram, Result, Timing, jitter
 from hilbench.results.run import RunOutcome

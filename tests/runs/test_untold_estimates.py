@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from hilbench.apps.cli.shown.web_line import shown
+from hilbench.apps.commands.shown.web_line import shown
 from hilbench.apps.monitor.picture import BusPicture
 from hilbench.apps.pages.live.machines.web_line import panel
 from hilbench.apps.report.chart import Chart

@@ -17,7 +17,7 @@ from distributed import LocalCluster
 from tests.bench.whole_runs import config
 from tests.cli.in_process import hilbench
 
-from hilbench.apps.scripts.sweep import Axis, Row, Sweep, parse_axis, points
+from hilbench.apps.sweep.sweep import Axis, Row, Sweep, parse_axis, points
 from hilbench.errors import UnusableInputError
 from hilbench.processes import ChildProcess
 
@@ -130,7 +130,7 @@ def test_the_runs_of_a_sweep_are_copies_of_it_that_load_nothing_anew(tmp_path: P
         from pathlib import Path
         from types import SimpleNamespace
         from hilbench import processes
-        from hilbench.apps.scripts.sweep import Sweep
+        from hilbench.apps.sweep.sweep import Sweep
         def new_interpreter(*_, **__):
             raise AssertionError("a new interpreter")
         processes.subprocess = SimpleNamespace(Popen=new_interpreter)
@@ -159,7 +159,7 @@ def test_whoever_ends_a_sweep_ends_the_runs_that_are_under_way(tmp_path: Path, m
         assert (row.number, row.exit_code) == (1, 0)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hilbench.apps.scripts.sweep.ChildProcess", Noted)
+    monkeypatch.setattr("hilbench.apps.sweep.sweep.ChildProcess", Noted)
     with pytest.raises(KeyboardInterrupt):
         made.run(2, interrupt)
     assert len(begun) == 2

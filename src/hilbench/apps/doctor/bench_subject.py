@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from math import ceil
 
-from hilbench.apps.doctor.eds_match import default, identity
+from hilbench.apps.canopen_tools.eds_match import default, identity
 from hilbench.apps.doctor.examination import Start, Subject
 from hilbench.apps.doctor.stations import ExpectedNode, MappedObject
 from hilbench.bench.lifecycle.startup import start_children

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from hilbench.apps.canopen_tools.interface import InterfaceFacts
 from hilbench.apps.doctor.findings import Check, Finding, Level, error, ok, warning
-from hilbench.apps.doctor.interface import InterfaceFacts
 
 #: From here on a controller says ERROR-WARNING (ISO 11898-1: limit 96).
 _WARNING_LIMIT = 96

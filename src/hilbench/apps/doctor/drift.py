@@ -13,7 +13,7 @@ from typing import Any, Final, Literal
 
 from canopen.objectdictionary import ObjectDictionary
 
-from hilbench.apps.doctor.eds_match import EdsFile
+from hilbench.apps.canopen_tools.eds_match import EdsFile
 from hilbench.canopen import eds
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.eds import shared_eds

@@ -61,26 +61,26 @@ class Query:
     @classmethod
     def parse(
         cls,
-        *,
         name: str | None = None,
         bench: str | None = None,
-        results: Sequence[str] = (),
-        tags: Sequence[str] = (),
+        results: Sequence[str] | None = None,
+        tags: Sequence[str] | None = None,
         since: str | None = None,
         until: str | None = None,
         where: str | None = None,
+        *,
         now_s: float | None = None,
     ) -> Query:
         """As one types it; `since` and `until`: a date, or an age (``7d``). Raises UnusableInputError."""
-        for result in results:
+        for result in results or ():
             if result not in STATES:
                 raise UnusableInputError("--result", f"'{result}', expected one of {', '.join(STATES)}")
         now_s = time.time() if now_s is None else now_s
         return cls(
             name,
             bench,
-            results,
-            tags,
+            results or (),
+            tags or (),
             None if since is None else moment_s("--since", since, now_s),
             None if until is None else moment_s("--until", until, now_s),
             None if where is None else parse_condition(where),

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hilbench.apps.doctor.scan import nmt_states
+from hilbench.apps.canopen_tools.bus_scan import nmt_states
 from hilbench.apps.monitor.condition import SILENCE_S, START_ALL, BenchWatch, Condition
 from hilbench.apps.monitor.trends import trends_of
 from hilbench.can.frame import EXTENDED_FLAG, Frame

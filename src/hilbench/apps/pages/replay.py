@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field, ValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import HTMLResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
@@ -21,7 +21,7 @@ from hilbench.apps.pages.live.controls import ControlAnswer, Viewer
 from hilbench.apps.pages.live.listener import Listener
 from hilbench.apps.pages.live.replay import FAST, PlayedTrace
 from hilbench.apps.pages.live.viewer import Viewers
-from hilbench.apps.pages.templates_of import page
+from hilbench.apps.report.page import page_text
 from hilbench.block import Strict
 from hilbench.errors import HilbenchError, UnusableInputError
 from hilbench.results.journal import JournalReader
@@ -76,7 +76,7 @@ def routes(base: Path) -> list[BaseRoute]:
     async def show(request: Request) -> Response:
         if await asyncio.to_thread(folder_of, request.path_params["name"]) is None:
             raise HTTPException(404, "no such run")
-        return page("front.html.j2", live=True, replay=True)
+        return HTMLResponse(page_text("pages/front", live=True, replay=True))
 
     async def play(socket: WebSocket) -> None:
         folder = await asyncio.to_thread(folder_of, socket.path_params["name"])

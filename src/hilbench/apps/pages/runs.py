@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Final
 from urllib.parse import quote
@@ -15,9 +14,8 @@ from starlette.routing import BaseRoute, Route
 
 from hilbench.apps.library.entry import RunEntry
 from hilbench.apps.library.query import Library
+from hilbench.apps.library.runs_page import page_data, runs_text
 from hilbench.apps.report.live import Program, policy, scripts
-from hilbench.apps.report.page import write_page
-from hilbench.apps.report.runs_page import COLUMNS, page_data, row
 from hilbench.errors import UnusableInputError
 from hilbench.results.run_folder import RunFolder
 
@@ -34,9 +32,9 @@ def routes(base: Path, *, replays: bool = False) -> list[BaseRoute]:
             runs = Library(base).runs(metrics=None)
         except UnusableInputError as error:
             return PlainTextResponse(f"No runs: {error}", 404)
-        program = Program("runs.js", page_data(runs, _report, _replay if replays else None))
+        program = Program("library/runs.js", page_data(runs, _report, _replay if replays else None))
         policies = {"Content-Security-Policy": _LIST_POLICY + policy(program.scripts())}
-        return HTMLResponse(_text(base, runs, program), headers=policies)
+        return HTMLResponse(runs_text(base, runs, runs, program), headers=policies)
 
     def report_of(name: str) -> Response:
         try:
@@ -65,18 +63,3 @@ def _report(run: RunEntry) -> str:
 
 def _replay(run: RunEntry) -> str:
     return f"/replay/{quote(run.path)}"
-
-
-def _text(base: Path, runs: list[RunEntry], program: Program) -> str:
-    with tempfile.TemporaryDirectory() as folder:
-        path = write_page(
-            Path(folder) / "runs.html",
-            "runs",
-            program=program,
-            title="Runs",
-            count=len(runs),
-            folder=base.resolve().name,
-            columns=COLUMNS,
-            rows=[row(run) for run in runs],
-        )
-        return path.read_text(encoding="utf-8")

@@ -10,35 +10,33 @@ from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import HTMLResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
 from hilbench.apps.pages.access import Access, Guard, session_opened
 from hilbench.apps.pages.live.viewer import Viewers
-from hilbench.apps.pages.templates_of import page
+from hilbench.apps.report.page import page_text
 
 #: Every file that there is to ask for, where it stands, and what it is.
 _FILES: Final = {
-    "live.js": ("hilbench.apps.pages", "static/live.js", "text/javascript"),
-    "session.js": ("hilbench.apps.pages", "static/session.js", "text/javascript"),
-    "icon.svg": ("hilbench.apps.pages", "static/icon.svg", "image/svg+xml"),
-    "live.css": ("hilbench.apps.pages", "static/live.css", "text/css"),
-    "page.css": ("hilbench.apps.report", "page.css", "text/css"),
-    "uPlot.js": ("hilbench.apps.report", "uplot/uPlot.iife.min.js", "text/javascript"),
-    "uPlot.css": ("hilbench.apps.report", "uplot/uPlot.min.css", "text/css"),
+    "live.js": ("pages/static/live.js", "text/javascript"),
+    "session.js": ("pages/static/session.js", "text/javascript"),
+    "icon.svg": ("pages/static/icon.svg", "image/svg+xml"),
+    "live.css": ("pages/static/live.css", "text/css"),
+    "page.css": ("report/page.css", "text/css"),
+    "uPlot.js": ("report/uplot/uPlot.iife.min.js", "text/javascript"),
+    "uPlot.css": ("report/uplot/uPlot.min.css", "text/css"),
 }
 
 
 def site(access: Access, rooms: Sequence[BaseRoute], viewers: Viewers | None = None) -> Starlette:
     """The pages: `rooms` are further ones, `viewers` those of a bench."""
-    files = {
-        name: (resources.files(package).joinpath(path).read_bytes(), kind)
-        for name, (package, path, kind) in _FILES.items()
-    }
+    apps = resources.files("hilbench.apps")
+    files = {name: (apps.joinpath(path).read_bytes(), kind) for name, (path, kind) in _FILES.items()}
 
     async def front(request: Request) -> Response:
-        return page("front.html.j2", live=viewers is not None, replay=False)
+        return HTMLResponse(page_text("pages/front", live=viewers is not None, replay=False))
 
     async def file(request: Request) -> Response:
         if request.path_params["name"] not in files:

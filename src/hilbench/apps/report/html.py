@@ -41,7 +41,7 @@ def write_report(run_folder: RunFolder) -> Path:
     steps, timing = result.steps or [], result.timing
     return write_page(
         run_folder.report,
-        "report",
+        "report/report",
         shown.run,
         shown.marks,
         name=run_folder.name,

@@ -61,14 +61,14 @@ def interactive(pictures: Sequence[Picture], marks: Sequence[Mark] = ()) -> str:
 
 @dataclass(frozen=True)
 class Program:
-    """A script of our own (a file beside this one), with its data, for a page that is more than pictures."""
+    """A script of our own (a file of the apps), with its data, for a page that is more than pictures."""
 
     file: str
     data: Any
 
     def scripts(self) -> tuple[str, ...]:
         """uPlot, and the script."""
-        return _read("uplot", "uPlot.iife.min.js"), _read(self.file)
+        return _read("report/uplot/uPlot.iife.min.js"), _read(self.file)
 
     def markup(self) -> str:
         """What stands at the end of the page."""
@@ -83,18 +83,18 @@ def _markup(data: Any, code: Sequence[str]) -> str:
 
 
 @cache
-def _read(*names: str) -> str:
-    return resources.files("hilbench.apps.report").joinpath(*names).read_text(encoding="utf-8")
+def _read(path: str) -> str:
+    return resources.files("hilbench.apps").joinpath(path).read_text(encoding="utf-8")
 
 
 def scripts() -> tuple[str, ...]:
     """The scripts of a page of pictures: uPlot as it was published, and what draws with it."""
-    return _read("uplot", "uPlot.iife.min.js"), _read("live.js")
+    return _read("report/uplot/uPlot.iife.min.js"), _read("report/live.js")
 
 
 def style() -> str:
     """uPlot's own style sheet."""
-    return _read("uplot", "uPlot.min.css")
+    return _read("report/uplot/uPlot.min.css")
 
 
 @cache

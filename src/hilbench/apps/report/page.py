@@ -1,4 +1,4 @@
-"""Pages from the templates in `templates/`: one file each, and nothing in it is loaded from elsewhere.
+"""Pages from the templates of the apps: one file each, and nothing in it is loaded from elsewhere.
 
 Whatever comes from a file is escaped by the templates; only pictures and scripts of our own are markup. The page's
 policy lets no other script run than those that make its pictures interactive.
@@ -28,35 +28,42 @@ _SUPERSCRIPT: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸�
 
 
 def write_page(
-    path: Path,
+    path: Path, template: str, zoomable: Sequence[Picture] = (), marks: Sequence[Mark] = (), **data: Any
+) -> Path:
+    """Write `page_text` to `path`, where the page appears complete or not at all; returns it.
+
+    Raises UnusableInputError if it cannot be written.
+    """
+    write_whole(path, page_text(template, zoomable, marks, **data))
+    return path
+
+
+def page_text(
     template: str,
     zoomable: Sequence[Picture] = (),
     marks: Sequence[Mark] = (),
     *,
     program: Program | None = None,
     **data: Any,
-) -> Path:
-    """Fill a template with `data`; the pictures `zoomable`, with their marks, become interactive, and `program` runs.
-
-    Returns `path`, where the page appears complete or not at all. Raises UnusableInputError if it cannot be written.
-    """
+) -> str:
+    """Fill the template ``APP/NAME`` with `data`; the pictures `zoomable`, with their marks, become interactive, and
+    `program` runs."""
     scripts = program.markup() if program else interactive(zoomable, marks)
     rules = policy(program.scripts() if program else reading_scripts())
-    text = _templates().get_template(f"{template}.html.j2").render(scripts=scripts, policy=rules, **data)
-    write_whole(path, text)
-    return path
+    app, name = template.split("/")
+    return _templates().get_template(f"{app}/templates/{name}.html.j2").render(scripts=scripts, policy=rules, **data)
 
 
 @cache
 def _templates() -> Environment:
     environment = Environment(
-        loader=PackageLoader("hilbench.apps.report"),
+        loader=PackageLoader("hilbench.apps", ""),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    own = resources.files("hilbench.apps.report").joinpath("page.css").read_text(encoding="utf-8")
+    own = resources.files("hilbench.apps").joinpath("report", "page.css").read_text(encoding="utf-8")
     environment.globals.update(style=f"{style()}\n{own}", zip=zip)
     environment.filters.update(number=number, quantity=quantity)
     return environment

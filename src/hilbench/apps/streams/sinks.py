@@ -7,11 +7,13 @@ import re
 import socket
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 from hilbench.apps.streams.messages import Group, groups_of, time_place
-from hilbench.apps.streams.target import Target
+from hilbench.apps.streams.target import SINKS, Target
+from hilbench.entry_points import loaded
 from hilbench.errors import UnusableInputError
 from hilbench.topology.signal_kinds import Signal
 
@@ -35,6 +37,8 @@ class Sink(Protocol):
 def open_sink(target: Target, signals: Sequence[Signal], bench: str, began_s: float) -> Sink:
     """Ready to take samples of a bench of this name; `began_s`: since 1970, to which the experiment time is added.
 
+    A sink of another package is made by its entry point, of: address, signals, bench, began_s.
+
     Raises UnusableInputError for what can't be opened, or needs a library that is not installed.
     """
     match target.kind:
@@ -46,6 +50,10 @@ def open_sink(target: Target, signals: Sequence[Signal], bench: str, began_s: fl
             return PlotJugglerSink(target, signals)
         case "mqtt":
             return MqttSink(target, signals, bench)
+        case _:
+            (entry, *_others) = entry_points(group=SINKS, name=target.kind)
+            sink: Sink = loaded(entry)(target.address, signals, bench, began_s)
+            return sink
 
 
 def _needs(package: str, target: object) -> UnusableInputError:

@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
 from operator import attrgetter
 from pathlib import Path
 from typing import Final
@@ -68,7 +69,7 @@ class Stream:
         away = [core for core in (cores.bench, cores.hardware, cores.twin) if core is not None]
         target = self.target
         asked = {
-            "target": {"kind": target.kind, "path": str(target.path), "host": target.host, "port": target.port},
+            "target": asdict(target) | {"path": str(target.path)},
             "bench": config.name,
             "began_s": time.time(),
             "leave": away if config.pace == "realtime" else None,

@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 from hilbench.errors import UnusableInputError
 
-Kind = Literal["mcap", "foxglove", "plotjuggler", "mqtt"]
-
+#: Entry points of the sinks of other packages, by kind.
+SINKS: Final = "hilbench.sinks"
 _LOOPBACK: Final = "127.0.0.1"
 #: The ports at which these tools look unless told otherwise.
-_PORTS: Final[dict[Kind, int]] = {"foxglove": 8765, "plotjuggler": 9870, "mqtt": 1883}
+_PORTS: Final = {"foxglove": 8765, "plotjuggler": 9870, "mqtt": 1883}
 _EXPECTED: Final = "expected FILE.mcap, foxglove, plotjuggler or mqtt, the last three with :HOST:PORT where need be"
 
 
 @dataclass(frozen=True)
 class Target:
-    """A file, or a host and port; without one named it is this machine alone."""
+    """A file, a host and port (without one named this machine alone), or the address of a sink of another package."""
 
-    kind: Kind
+    kind: str
     path: Path = Path()
     host: str = _LOOPBACK
     port: int = 0
+    address: str = ""  #: for a sink of another package, what stands behind the colon
 
     @property
     def may_wait(self) -> bool:
@@ -31,7 +33,9 @@ class Target:
         return self.kind == "mcap"
 
     def __str__(self) -> str:
-        return str(self.path) if self.kind == "mcap" else f"{self.kind} {self.host}:{self.port}"
+        if self.kind == "mcap":
+            return str(self.path)
+        return f"{self.kind} {self.host}:{self.port}" if self.kind in _PORTS else f"{self.kind} {self.address}".strip()
 
 
 def parse_target(text: str) -> Target:
@@ -42,10 +46,11 @@ def parse_target(text: str) -> Target:
     if text.lower().endswith(".mcap"):
         return Target("mcap", path=Path(text))
     given, _, address = text.partition(":")
-    for kind, usual in _PORTS.items():
-        if given == kind:
-            host, port = _address(address, text)
-            return Target(kind, host=host or _LOOPBACK, port=usual if port is None else port)
+    if given in _PORTS:
+        host, port = _address(address, text)
+        return Target(given, host=host or _LOOPBACK, port=_PORTS[given] if port is None else port)
+    if entry_points(group=SINKS, name=given):
+        return Target(given, address=address)
     raise UnusableInputError(f"--stream {text}", _EXPECTED)
 
 

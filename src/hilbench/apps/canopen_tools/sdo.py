@@ -1,0 +1,321 @@
+"""`hilbench sdo`: one object of one node, by index or name, with its unit; a whole configuration as a file."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hilbench.apps.canopen_tools import sdo_files
+from hilbench.apps.cli.options import (
+    SDO_TIMEOUT_S,
+    BusOption,
+    ConfigOption,
+    EdsOption,
+    ForceOption,
+    JsonOption,
+    NodeArgument,
+    TimeoutOption,
+)
+from hilbench.errors import BenchFaultError, UnusableInputError
+
+if TYPE_CHECKING:
+    from canopen.objectdictionary import ODVariable
+
+    from hilbench.canopen.master import Master
+    from hilbench.canopen.sdo_client import SdoClient
+
+ObjectArgument = Annotated[
+    str, typer.Argument(metavar="OBJECT", help="6041, 6041h, 0x1018sub1, 1018:1, or a name: target_velocity")
+]
+
+app = typer.Typer(help="Read or write objects of a node by SDO, one or all of them.", no_args_is_help=True)
+app.command()(sdo_files.dump)
+app.command()(sdo_files.load)
+app.command()(sdo_files.diff)
+
+_HEX_INDEX = re.compile(r"^(?:0x)?([0-9A-Fa-f]{4})h?(?:(?:sub|:)([0-9A-Fa-f]{1,2}))?$")
+_LONGEST_INTEGER = 8  # bytes
+_REAL32 = struct.Struct("<f")
+_LEAST_REAL, _LARGEST_REAL = 1e-6, 1e12
+_WITH_UNIT = re.compile(r"^\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([^\s0-9].*)$")
+
+
+@app.command("read")
+def read(
+    node: NodeArgument,
+    name: ObjectArgument,
+    config: ConfigOption = None,
+    bus: BusOption = None,
+    eds: EdsOption = Path("eds"),
+    timeout: TimeoutOption = SDO_TIMEOUT_S,
+    json: JsonOption = False,
+) -> None:
+    """Read an object; numbers in device units and, where the standard or the drive tells its unit, in SI (motor side).
+
+    By its index any object of any node can be read: one that no EDS file tells of is shown as bytes, and as the number
+    (little-endian) or the text that these could be.
+
+    Example: hilbench sdo read 1 velocity_actual_value --bus socketcan:can0
+
+    Example: hilbench sdo read axis2 1018:1 --config bench_configs/web_section_step.yaml
+    """
+    with _object(node, name, config, bus, eds, timeout, may_be_unknown=True) as found:
+        if isinstance(found, _UnknownObject):
+            _print_bytes(found, found.read(), as_json=json)
+        else:
+            _print(found, found.read(), as_json=json)
+
+
+@app.command("write")
+def write(
+    node: NodeArgument,
+    name: ObjectArgument,
+    value: Annotated[
+        str, typer.Argument(metavar="VALUE", help="number (0x1F too), text, or a number with its SI unit")
+    ],
+    config: ConfigOption = None,
+    bus: BusOption = None,
+    eds: EdsOption = Path("eds"),
+    timeout: TimeoutOption = SDO_TIMEOUT_S,
+    force: ForceOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Write an object and read it back; a value with a unit ("0.5 N·m", "10 rad/s") is converted to device units.
+
+    A bus with a master (a running bench, or one received) is left alone; what a bench itself has for its operator,
+    2200h of node "bench", can be written.
+
+    Example: hilbench sdo write 1 quick_stop_deceleration "75 rad/s²" --bus socketcan:can0
+
+    A negative value follows "--": hilbench sdo write 1 target_torque -- -20
+    """
+    with _object(node, name, config, bus, eds, timeout, writes=True, force=force) as found:
+        assert isinstance(found, _Object)
+        found.write(found.parse(value))
+        _print(found, found.read() if "r" in found.variable.access_type else None, as_json=json)
+
+
+@dataclass(frozen=True)
+class _Object:
+    """An object of a node on the bus."""
+
+    master: Master
+    node_id: int
+    node_name: str
+    variable: ODVariable
+    unit: tuple[float, str] | None
+
+    @property
+    def key(self) -> str:
+        return f"{self.variable.index:04X}h:{self.variable.subindex}"
+
+    def read(self) -> Any:
+        return self.master.sdo_read(self.node_id, self.variable.index, self.variable.subindex)
+
+    def write(self, value: Any) -> None:
+        self.master.sdo_write(self.node_id, self.variable.index, value, self.variable.subindex)
+
+    def parse(self, text: str) -> Any:
+        """A value as the object takes it. Raises UnusableInputError."""
+        from hilbench.canopen.data_types import data_type
+
+        kind = data_type(self.variable.data_type or 0)
+        plain = not kind.is_number or text.lower().startswith("0x") or _is_number(text)
+        given = None if plain else _WITH_UNIT.match(text)
+        if given is not None:
+            return self._from_si(float(given[1]), given[2].strip(), whole=kind.is_integer)
+        try:
+            return kind.parse(text, self.node_id)
+        except ValueError as error:
+            raise UnusableInputError(
+                "VALUE", f"'{text}', expected a value of {self.key} '{self.variable.name}'"
+            ) from error
+
+    def _from_si(self, number: float, unit: str, *, whole: bool) -> int | float:
+        plain = unit.replace("Nm", "N·m").replace("^2", "²").replace("s2", "s²")
+        if self.unit is None or plain != self.unit[1]:
+            expected = "none" if self.unit is None else self.unit[1]
+            raise UnusableInputError(
+                "VALUE", f"unit '{unit}' of {self.key} '{self.variable.name}', expected {expected}"
+            )
+        return round(number / self.unit[0]) if whole else number / self.unit[0]
+
+
+@dataclass(frozen=True)
+class _UnknownObject:
+    """An object of which no EDS file tells."""
+
+    reader: SdoClient
+    node_id: int
+    index: int
+    sub: int
+    why: str
+
+    @property
+    def key(self) -> str:
+        return f"{self.index:04X}h:{self.sub}"
+
+    def read(self) -> bytes:
+        from canopen import SdoAbortedError, SdoCommunicationError
+        from hilbench.canopen.sdo_client import Refusal, no_answer
+
+        try:
+            return self.reader.upload(self.node_id, self.index, self.sub)
+        except SdoAbortedError as error:
+            reason = str(Refusal(error.code))
+        except SdoCommunicationError as error:
+            reason = no_answer(error, self.reader.timeout_s)
+        raise BenchFaultError(f"node {self.node_id}, {self.key}: reading it: {reason}")
+
+
+@contextmanager
+def _object(
+    node: str,
+    name: str,
+    config: Path | None,
+    bus: str | None,
+    eds: Path,
+    timeout_s: float,
+    *,
+    writes: bool = False,
+    force: bool = False,
+    may_be_unknown: bool = False,
+) -> Iterator[_Object | _UnknownObject]:
+    from hilbench.apps.canopen_tools.attach import (
+        config_and_bus,
+        is_the_bench,
+        known_to_master,
+        node_and_eds,
+        node_on_bus,
+        only_master,
+    )
+    from hilbench.can.open import open_python_can
+    from hilbench.canopen.sdo_client import SdoClient
+    from hilbench.cia402.axis import axis_of
+    from hilbench.cia402.configuration import read_units
+    from hilbench.cia402.object_units import has_drive_unit, si_unit
+
+    bench, address = config_and_bus(config, bus)
+    with ExitStack() as resources:
+        if writes and not is_the_bench(node, bench):
+            resources.enter_context(only_master(address, bench, f"sdo write to node {node}", force=force))
+        index = _index(name) if may_be_unknown else None
+        if index is not None:
+            node_id, node_name, known = node_and_eds(node, bench, address, eds)
+            why = "no EDS file" if known is None else "not in its EDS"
+            if known is None or not _has(known, *index):
+                reader = resources.enter_context(SdoClient(open_python_can(address), timeout_s))
+                yield _UnknownObject(reader, node_id, *index, why)
+                return
+            od = known
+        else:
+            node_id, node_name, od = node_on_bus(node, bench, address, eds)
+        variable = _variable(od, name)
+        master = known_to_master(address, node_id, od, node_name, timeout_s)
+        resources.callback(master.close)
+        units = None
+        if has_drive_unit(variable.index):
+            with suppress(UnusableInputError):  # the value is shown without a unit
+                axis = axis_of(variable.index)
+                given = {} if bench is None else bench.units_of(node_id, axis)
+                units = read_units(master, node_id, od, given, node_name, axis)
+        yield _Object(master, node_id, node_name, variable, si_unit(variable.index, units))
+
+
+def _index(name: str) -> tuple[int, int] | None:
+    """Index and sub-index of an object that is named by them."""
+    match = _HEX_INDEX.match(name.strip())
+    return None if match is None else (int(match[1], 16), int(match[2] or "0", 16))
+
+
+def _has(od: Any, index: int, sub: int) -> bool:
+    from hilbench.canopen import eds as eds_files
+
+    try:
+        eds_files.variable(od, index, sub)
+    except KeyError:
+        return False
+    return True
+
+
+def _variable(od: Any, name: str) -> ODVariable:
+    from hilbench.canopen import eds as eds_files
+
+    index = _index(name)
+    try:
+        return eds_files.find(od, name) if index is None else eds_files.variable(od, *index)
+    except KeyError as error:
+        raise UnusableInputError(
+            "OBJECT", f"'{name}': {error.args[0]} in the EDS, expected an index or a name"
+        ) from None
+
+
+def _is_number(text: str) -> bool:
+    """Also with an exponent, which is no unit."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _looks_like(data: bytes) -> dict[str, int | float | str]:
+    """What bytes of an unknown type could be: integers of their length, a floating-point number, text."""
+    found: dict[str, int | float | str] = {}
+    if 1 <= len(data) <= _LONGEST_INTEGER:
+        found["unsigned"] = int.from_bytes(data, "little")
+        if data[-1] & 0x80:
+            found["signed"] = int.from_bytes(data, "little", signed=True)
+    if len(data) == _REAL32.size:
+        (number,) = _REAL32.unpack(data)
+        if _LEAST_REAL <= abs(number) < _LARGEST_REAL:  # integers look like numbers far below
+            found["REAL32"] = float(f"{number:.7g}")
+    text = data.rstrip(b"\0").decode("latin-1")
+    if text and text.isascii() and text.isprintable():
+        found["text"] = text
+    return found
+
+
+def _print_bytes(found: _UnknownObject, data: bytes, *, as_json: bool) -> None:
+    from json import dumps
+
+    like = _looks_like(data)
+    if as_json:
+        known = {"node": found.node_id, "object": found.key, "name": None, "value": data.hex()}
+        print(dumps(known | {"si": None, "si_unit": None, "looks_like": like}, indent=2, ensure_ascii=False))
+        return
+    words = [
+        f"{name} {value} ({value:X}h)" if name == "unsigned" else f"{name} {value}" for name, value in like.items()
+    ]
+    count = f"{len(data)} byte" if len(data) == 1 else f"{len(data)} bytes"
+    shown = f"{data.hex(' ')} ({count}, {found.why})" if data else f"empty ({found.why})"
+    print(f"node {found.node_id} {found.key}: " + "; as ".join([shown, *words]))
+
+
+def _print(found: _Object, value: Any, *, as_json: bool) -> None:
+    from json import dumps
+
+    si = value * found.unit[0] if found.unit is not None and isinstance(value, int | float) else None
+    if as_json:
+        data = {
+            "node": found.node_id,
+            "object": found.key,
+            "name": found.variable.name,
+            "value": value.hex() if isinstance(value, bytes) else value,
+            "si": si,
+            "si_unit": None if found.unit is None else found.unit[1],
+        }
+        print(dumps(data, indent=2, ensure_ascii=False))
+        return
+    shown = "written" if value is None else value.hex(" ") if isinstance(value, bytes) else str(value)
+    shown += f" ({value:X}h)" if isinstance(value, int) and value >= 0 else ""
+    unit = f" = {si:.6g} {found.unit[1]}" if si is not None and found.unit is not None else ""
+    place = f"{found.node_name} (node {found.node_id})" if found.node_name != "node" else f"node {found.node_id}"
+    print(f"{place} {found.key} {found.variable.name}: {shown}{unit}")

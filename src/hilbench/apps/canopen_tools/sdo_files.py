@@ -1,0 +1,243 @@
+"""`hilbench sdo dump|load|diff`: the whole configuration of a device as a file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hilbench.apps.cli.options import (
+    SDO_TIMEOUT_S,
+    BusOption,
+    ConfigOption,
+    EdsOption,
+    ForceOption,
+    JsonOption,
+    NodeArgument,
+    TimeoutOption,
+)
+from hilbench.errors import EXIT_CRITERION_FAILED, BenchFaultError, UnusableInputError
+
+if TYPE_CHECKING:
+    from hilbench.canopen.device_configuration import Configuration, Difference, Key
+    from hilbench.canopen.master import Master
+
+_SAVE = int.from_bytes(b"save", "little")
+_FILES = (".dcf", ".eds", ".bin", ".cdcf")
+
+
+def dump(
+    node: NodeArgument,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="DCF to write (.dcf), or concise DCF (.bin, .cdcf)")],
+    config: ConfigOption = None,
+    bus: BusOption = None,
+    eds: EdsOption = Path("eds"),
+    timeout: TimeoutOption = SDO_TIMEOUT_S,
+) -> None:
+    """Read all objects of a node and keep them as a DCF: its EDS file with the values (ParameterValue, CiA 306).
+
+    A concise DCF (CiA 302-3) has the settings alone, in the order in which a device accepts them. Objects that could
+    not be read are named with the reason; --timeout gives slow ones more time.
+
+    Example: hilbench sdo dump 1 axis1.dcf --bus socketcan:can0
+    """
+    from hilbench.canopen.device_configuration import is_concise, write_concise, write_dcf
+
+    with _device(node, config, bus, eds, "sdo dump", timeout_s=timeout) as (master, node_id, configuration):
+        found = _read(master, node_id, configuration)
+    (write_concise if is_concise(file) else write_dcf)(found, file)
+    print(f"{file}: {len(found.values)} objects of node {node_id}")
+    for key, why in found.refused.items():
+        print(f"not read: {found.name(key)}: {why}")
+
+
+def load(
+    node: NodeArgument,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="DCF (.dcf) or concise DCF (.bin, .cdcf)")],
+    config: ConfigOption = None,
+    bus: BusOption = None,
+    eds: EdsOption = Path("eds"),
+    store: Annotated[
+        bool, typer.Option("--store", help="let the device keep it over a loss of power (1010h sub 1)")
+    ] = False,
+    timeout: TimeoutOption = SDO_TIMEOUT_S,
+    force: ForceOption = False,
+) -> None:
+    """Write a configuration to a node, and read back what it has then; commands and set points are left out.
+
+    Of a DCF that was made for another node id, the COB-IDs that carry it get this node's.
+
+    Exit code: 0 all of it is there, 1 some objects were refused, kept another value or were not answered, or it could
+    not be stored, 3 the node does not answer.
+
+    Example: hilbench sdo load 1 axis1.dcf --bus socketcan:can0 --store
+    """
+    from hilbench.canopen.device_configuration import moved, node_of_file, write_device, writes_of_file
+
+    what, dcf = f"sdo load to node {node}", _description(file)
+    attached = _device(node, config, bus, eds, what, dcf, writes=True, force=force, timeout_s=timeout)
+    with attached as (master, node_id, known):
+        made_for = node_of_file(file)
+        writes, renamed = moved(writes_of_file(file, known.od), made_for or node_id, node_id)
+        with _progress(f"node {node_id}") as progress:
+            failed = write_device(master, node_id, writes, progress)
+        not_stored = _store(master, node_id, failed) if store else None
+    objects = len({write.key for write in writes})
+    print(f"node {node_id}: {objects - len(failed)} of {objects} objects as in {file}")
+    if renamed:
+        print(f"{len(renamed)} COB-IDs of node {made_for} became those of node {node_id}")
+    for key, why in failed.items():
+        print(f"{known.name(key)}: {why}")
+    if not_stored is not None:
+        print(f"not stored: {not_stored}")
+    if failed or not_stored is not None:
+        raise typer.Exit(EXIT_CRITERION_FAILED)
+
+
+def _store(master: Master, node_id: int, failed: Mapping[Key, str]) -> str | None:
+    """Why the device does not keep it; None: it does."""
+    if failed:
+        return "the device is not as the file has it"
+    if not master.has(node_id, 0x1010, 1):
+        return "its EDS file has no object 1010h sub 1, by which a device stores its parameters"
+    try:
+        master.sdo_write(node_id, 0x1010, _SAVE, 1)
+    except BenchFaultError as error:
+        return str(error)
+    return None
+
+
+def diff(
+    first: Annotated[str, typer.Argument(metavar="FIRST", help="node (id, or name with --config) or file")],
+    second: Annotated[str, typer.Argument(metavar="SECOND", help="node or file")],
+    config: ConfigOption = None,
+    bus: BusOption = None,
+    eds: EdsOption = Path("eds"),
+    everything: Annotated[
+        bool, typer.Option("--all", help="also objects that are no settings, and those that one side lacks")
+    ] = False,
+    timeout: TimeoutOption = SDO_TIMEOUT_S,
+    json: JsonOption = False,
+) -> None:
+    """Compare the settings of two devices, a device with a file, or two files.
+
+    Exit code: 0 no difference, 1 differences.
+
+    Example: hilbench sdo diff 1 axis1.dcf --bus socketcan:can0
+
+    Example: hilbench sdo diff axis1.dcf axis2.dcf
+    """
+    from json import dumps
+
+    from hilbench.canopen.device_configuration import differences
+
+    both = _both(first, second, config, bus, eds, timeout)
+    found = differences(*both, all_objects=everything)
+    if json:
+        rows = [{**asdict(row), "key": f"{row.key[0]:04X}h:{row.key[1]}"} for row in found]
+        print(dumps(rows, indent=2, ensure_ascii=False))
+    else:
+        _show(found, first, second)
+    raise typer.Exit(EXIT_CRITERION_FAILED if found else 0)
+
+
+def _both(
+    first: str, second: str, config: Path | None, bus: str | None, eds: Path, timeout_s: float
+) -> tuple[Configuration, Configuration]:
+    """The two sides; a concise DCF is read with the objects of the other side."""
+    from hilbench.canopen.device_configuration import is_concise, read_file
+    from hilbench.canopen.eds import load_eds
+
+    sides: dict[str, Configuration] = {}
+    files = [name for name in (first, second) if Path(name).suffix.lower() in _FILES]
+    dcf = next((found for name in files if (found := _description(Path(name)))), None)
+    for name in (first, second):
+        if name in files:
+            continue
+        with _device(name, config, bus, eds, "sdo diff", dcf, timeout_s=timeout_s) as (master, node_id, known):
+            sides[name] = _read(master, node_id, known)
+    for name in sorted(files, key=lambda name: is_concise(Path(name))):
+        if sides:
+            od = next(iter(sides.values())).od
+        elif is_concise(Path(name)):
+            raise UnusableInputError(name, "a concise DCF names no objects, expected a DCF or a node beside it")
+        else:
+            od = load_eds(Path(name), 0)
+        sides[name] = read_file(Path(name), od)
+    return sides[first], sides[second]
+
+
+def _description(file: Path) -> Path | None:
+    """The file, if it says what objects there are; a concise DCF has values alone."""
+    from hilbench.canopen.device_configuration import is_concise
+
+    return None if is_concise(file) or not file.is_file() else file
+
+
+@contextmanager
+def _device(
+    node: str,
+    config: Path | None,
+    bus: str | None,
+    eds: Path,
+    what: str,
+    dcf: Path | None = None,
+    *,
+    writes: bool = False,
+    force: bool = False,
+    timeout_s: float,
+) -> Iterator[tuple[Master, int, Configuration]]:
+    from hilbench.apps.canopen_tools.attach import config_and_bus, known_to_master, node_on_bus, only_master
+    from hilbench.canopen.device_configuration import Configuration
+
+    bench, address = config_and_bus(config, bus)
+    with ExitStack() as resources:
+        if writes:
+            resources.enter_context(only_master(address, bench, what, force=force))
+        node_id, name, od = node_on_bus(node, bench, address, eds, dcf)
+        master = known_to_master(address, node_id, od, name, timeout_s)
+        resources.callback(master.close)
+        yield master, node_id, Configuration(od)
+
+
+def _read(master: Master, node_id: int, known: Configuration) -> Configuration:
+    from hilbench.canopen.device_configuration import read_device
+
+    with _progress(f"node {node_id}") as progress:
+        found = read_device(master, node_id, known.od, progress)
+    if not found.values:
+        raise BenchFaultError(f"node {node_id}: none of its {len(found.refused)} objects could be read")
+    return found
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar on the terminal, where there is one."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what)
+        yield lambda done, count: bar.update(task, completed=done, total=count)
+
+
+def _show(found: Sequence[Difference], first: str, second: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    if not found:
+        console.print(f"{first} and {second} have the same settings", markup=False)
+        return
+    title = "1 object differs" if len(found) == 1 else f"{len(found)} objects differ"
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0))
+    for column in ("object", first, second):
+        table.add_column(column, overflow="fold")
+    for row in found:
+        table.add_row(row.name, row.first or "-", row.second or "-")
+    console.print(table)

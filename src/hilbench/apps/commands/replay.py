@@ -1,0 +1,162 @@
+"""`hilbench replay`: a trace back onto a bus, or the twin over a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hilbench.apps.cli.options import BusOption, ForceOption, JsonOption
+from hilbench.errors import UnusableInputError
+
+if TYPE_CHECKING:
+    from hilbench.results.recording import Recording
+    from hilbench.results.run_folder import RunFolder
+    from hilbench.runs.config import ExperimentConfig
+
+
+def replay(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="run folder, or a trace (.log, .asc, .blf, .trc)")],
+    bus: BusOption = None,
+    twin: Annotated[bool, typer.Option("--twin", help="run the twin over the recording instead")] = False,
+    method: Annotated[str | None, typer.Option("--method", help="--twin: another synchronizer than the run's")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="--twin: recording (.mf4, .csv) with the new twin's signals")
+    ] = None,
+    speed: Annotated[float, typer.Option("--speed", help="so many times as fast as it was")] = 1.0,
+    commands: Annotated[
+        bool, typer.Option("--commands/--no-commands", help="send NMT, SYNC, RPDOs and SDO requests too: nodes obey")
+    ] = False,
+    force: ForceOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Send a trace onto a bus in its own time, or let the twin work on a recording as if it were live.
+
+    Onto a bus goes what nodes said; what they were told only with --commands. A bus with a master (a bench that runs,
+    or one received) is left alone.
+
+    Example: hilbench replay runs/web_section_step-20260101-120000 --bus socketcan:vcan0
+
+    Example: hilbench replay runs/web_section_step-20260101-120000 --twin --method ekf --out again.mf4
+    """
+    data = _twin(run, method, out) if twin else _trace(run, bus, speed, commands=commands, force=force)
+    if json:
+        from json import dumps
+
+        print(dumps(data, indent=2))
+    else:
+        for name, value in data.items():
+            print(f"{name.replace('_', ' ')}: {value:.6g}" if isinstance(value, float) else f"{name}: {value}")
+
+
+def _trace(run: Path, bus: str | None, speed: float, *, commands: bool, force: bool) -> dict[str, Any]:
+    from contextlib import closing
+
+    from hilbench.apps.canopen_tools.attach import config_and_bus, only_master
+    from hilbench.can.open import open_link
+    from hilbench.results.replay import check_speed
+    from hilbench.results.replay import replay as replay_frames
+    from hilbench.results.run_folder import RunFolder
+    from hilbench.results.trace_files import read_trace
+
+    check_speed(speed)
+    path = RunFolder.open(run).trace if run.is_dir() else run
+    frames = read_trace(path)
+    _, address = config_and_bus(None, bus)
+    with only_master(address, None, f"replay of {run}", force=force), closing(open_link(address)) as link:
+        done = replay_frames(frames, link, speed=speed, commands=commands)
+    return {"frames": done.frames, "left_out": done.left_out, "largest_lateness_s": done.latest_s}
+
+
+def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
+    import numpy as np
+
+    from hilbench.apps.cli.columns import report_section
+    from hilbench.plant.effect import MachineKind
+    from hilbench.results.journal import read_journal
+    from hilbench.results.recording import Recording, read_section, write_recording
+    from hilbench.results.run_folder import RunFolder
+    from hilbench.runs.config import load
+    from hilbench.runs.events import journal_events
+    from hilbench.runs.metrics import evaluate_metrics
+
+    folder: RunFolder = RunFolder.open(run)
+    config, _ = load(folder.config)
+    recording = read_section(folder.recording)
+    report_section(recording, folder.recording)
+    of_kind = _of_a_shaft if config.machine_kind is MachineKind.SERVO_AXIS else _of_a_web
+    found = of_kind(config, folder.config, recording, folder.recording, method)
+    again = Recording({**recording.channels, **found.signals}, recording.start_time, recording.comment, recording.units)
+    if out is not None:
+        write_recording(again, out)
+
+    def rms_difference(name: str) -> float:
+        part = slice(len(recording) // 2, None)
+        return float(np.sqrt(np.mean((again[name][part] - recording[name][part]) ** 2)))
+
+    figures: dict[str, Any] = {"method": found.method, "cycles": len(again)}
+    for name in found.compared:
+        if name in recording:
+            figures[f"rms_difference_{name}"] = rms_difference(name)
+    changes = read_journal(folder.journal) if folder.journal.exists() else []
+    metrics = evaluate_metrics(again.channels, journal=journal_events(changes, config.cycle_time_s))
+    figures |= {name: value for name, value in metrics.items() if name.startswith(found.metrics)}
+    return figures
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What the twin of a kind of machine makes of a recording."""
+
+    method: str
+    signals: dict[str, Any]  #: channels (n,) by name
+    compared: tuple[str, ...]  #: those that are compared with what was recorded
+    metrics: tuple[str, ...]  #: how the names of its metrics begin
+
+
+def _of_a_web(
+    config: ExperimentConfig, config_path: Path, recording: Recording, place: Path, method: str | None
+) -> _Found:
+    from hilbench.apps.cli.model_option import machine_of
+    from hilbench.diagnosis.synchronization import measurements_of, methods_of, require_one_span
+    from hilbench.estimation.web_line.offline import run_offline
+
+    model = machine_of(config, config_path)
+    require_one_span(model, config_path)
+    twin = config.twin
+    if method is not None:
+        chosen = methods_of(method)
+        if len(chosen) != 1:
+            raise UnusableInputError("--method", f"'{method}', expected one method")
+        twin = twin.model_copy(update={"estimate": list(chosen.values())})
+    track = run_offline(model, twin, measurements_of(recording, place))
+    signals = {
+        "F_sim_N": track.F_sim_N,
+        "E_sim_Pa": track.E_Pa,
+        "E_sd_Pa": track.E_sd_Pa,
+        "tau2_residual_Nm": track.residual_Nm,
+    }
+    return _Found(twin.synchronizer.method, signals, ("F_sim_N", "E_sim_Pa"), ("E_",))
+
+
+def _of_a_shaft(
+    config: ExperimentConfig, config_path: Path, recording: Recording, place: Path, method: str | None
+) -> _Found:
+    import numpy as np
+
+    from hilbench.estimation.servo_axis.offline import ShaftRecording, track
+
+    settings = config.twin.inertia
+    if method not in (None, settings.method):
+        raise UnusableInputError("--method", f"'{method}', expected {settings.method}: a servo axis has no other")
+    needed = ("v1_cmd_rad_s", "x1_rad", "tau1_Nm")
+    recording.require(needed, place)
+    command, x, tau = (np.asarray(recording[name], np.float64) for name in needed)
+    found = track(config.servo_axis, settings, ShaftRecording(config.cycle_time_s, command, x, tau))
+    signals = {"J_sim_kg_m2": found.inertia_kg_m2, "J_sd_kg_m2": found.deviation_kg_m2}
+    friction = found.also.get("coulomb_friction_Nm")
+    if friction is not None:
+        signals["coulomb_sim_Nm"] = friction[0]
+    return _Found(settings.method, signals, tuple(signals), ("J_", "coulomb_"))

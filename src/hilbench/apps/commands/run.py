@@ -1,0 +1,299 @@
+"""`hilbench run`: live progress, the closing table of criteria, and where the report is."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+from rich.console import Console
+from rich.live import Live
+from rich.markup import escape
+from rich.table import Table
+
+from hilbench.apps.commands.shown import servo_axis, web_line
+from hilbench.apps.commands.shown.machine import Shown
+from hilbench.bench.bench import Bench
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.tasks.task import MANY, CompiledStages
+from hilbench.errors import EXIT_CRITERION_FAILED, UnusableInputError
+from hilbench.forked_workers import ForkedWorker
+from hilbench.processes import finishing
+from hilbench.results.commissioned import commissioned_text
+from hilbench.results.result import Result, StepRecord, Timing
+from hilbench.results.run import RunOutcome, Streamed, run_experiment
+from hilbench.runs.config import LoadedConfig
+from hilbench.runs.criteria import CriterionResult
+from hilbench.runs.machines.web_line import shape_of_figures
+from hilbench.runs.metrics import kind_of_figures
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.sample import CycleSample
+from hilbench.topology.signals import Shape
+
+_REFRESH_S = 0.2
+_TEXT_LINE_EVERY_S = 5.0
+#: What a signal waits for once a run has ended.
+_WRITING = "report and history are written"
+_COLOURS = {"passed": "green", "marginal": "yellow", "failed": "red", "error": "red"}
+
+
+def run_command(
+    loaded: LoadedConfig,
+    out: Path,
+    *,
+    participants: Participants,
+    with_report: bool,
+    as_json: bool,
+    beside: dict[str, ForkedWorker],
+    force: bool = False,
+    stream: Sequence[str] = (),
+    require_criteria: bool = False,
+) -> int:
+    """Run the experiment, show it, and return the exit code; `stream`: where its samples go while it runs; `beside`:
+    copies of this process for those that run beside the bench; `require_criteria`: a run that nothing judges fails."""
+    console = Console(highlight=False, quiet=as_json)
+    with _streams(stream, loaded.config) as streams:
+        alone = participants is Participants.IN_PROCESS
+        where = "in this process, on no bus: no monitor receives it" if alone else loaded.config.bus.address
+        console.print(f"[bold]{loaded.config.name}[/bold]  {where}; {loaded.config.pace}")
+        if (known := commissioned_text(loaded.config.twin.priors, datetime.now(UTC))) is not None:
+            console.print(known, soft_wrap=True, markup=False)
+        with Progress(console, loaded.config) as progress:
+            outcome = run_experiment(
+                loaded,
+                out,
+                observers=[] if as_json else [progress],
+                streams=streams,
+                participants=participants,
+                announce=progress.announce,
+                force=force,
+                beside=beside,
+            )
+            with finishing(_WRITING) as held:
+                if outcome.recorded and with_report:
+                    progress.announce("write report")
+                    _write_report(outcome)
+                progress.end()
+                show_outcome(console, outcome)
+                _remember(outcome)
+                outcome.end_if_asked(held)
+    if require_criteria and outcome.result.verdict == "completed":
+        outcome.exit_code = outcome.exit_code or EXIT_CRITERION_FAILED
+        print("hilbench: nothing was judged, expected at least one criterion (--require-criteria)", file=sys.stderr)
+    if as_json:
+        print(outcome.as_json())
+    return outcome.exit_code
+
+
+@contextmanager
+def _streams(targets: Sequence[str], config: BenchConfig) -> Iterator[Sequence[Streamed]]:
+    """None without a target: most runs need not load what streams do."""
+    if not targets:
+        yield []
+        return
+    from hilbench.apps.streams.stream import streams_to
+    from hilbench.apps.streams.target import parse_target
+
+    with streams_to([parse_target(each) for each in targets], config) as streams:
+        yield streams
+
+
+def _write_report(outcome: RunOutcome) -> None:
+    """Write it; where it can't be, the result is there all the same, and a run without a fault ends with its code."""
+    from hilbench.apps.report.html import write_report  # slow to import: not before the first SYNC
+
+    try:
+        write_report(outcome.folder)
+    except UnusableInputError as error:
+        Console(stderr=True, highlight=False).print(f"no report: {error}", soft_wrap=True, markup=False)
+        outcome.exit_code = outcome.exit_code or error.exit_code
+
+
+def _remember(outcome: RunOutcome) -> None:
+    """Add what the run has found to the history of its stand; a run is no worse for a history that can't be written."""
+    if outcome.recorded:
+        from hilbench.apps.history.entries import remember  # not before the first SYNC, too
+
+        try:
+            remember(outcome.folder)
+        except UnusableInputError as error:
+            Console(stderr=True, highlight=False).print(f"not in the history: {error}", soft_wrap=True, markup=False)
+
+
+class Progress:
+    """Observer that shows the state of the run: a live table on a terminal, a line now and then elsewhere."""
+
+    def __init__(self, console: Console, config: BenchConfig) -> None:
+        cycle_s, bitrate = config.cycle_time_s, config.bus.bitrate
+        self._shown = _shown(config.machine_kind, config.shape)
+        self._console = console
+        self._cycle_s = cycle_s
+        self._bits_per_cycle = bitrate * cycle_s
+        live = console.is_terminal and not console.quiet  # else it would keep back what others print
+        self._live = Live(console=console, auto_refresh=False, transient=True) if live else None
+        self._started_s = time.monotonic()
+        self._next_s = 0.0
+        self._phase = ""
+
+    def __enter__(self) -> Progress:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """Show nothing any more."""
+        if self._live is not None:
+            self._live.stop()
+
+    def announce(self, text: str) -> None:
+        """Say what the bench is doing now."""
+        self._phase = text
+        if self._live is None:
+            self._console.print(text)
+        else:
+            self._live.update(text, refresh=True)
+
+    def started(self, bench: Bench) -> None:
+        """The cyclic path runs from now on."""
+        self._started_s = time.monotonic()
+
+    def sample(self, sample: CycleSample) -> None:
+        """Show the sample when it is time to (by the wall clock on a terminal, by experiment time elsewhere)."""
+        if self._live is not None:
+            now_s = time.monotonic()
+            if now_s >= self._next_s:
+                self._next_s = now_s + _REFRESH_S
+                self._live.update(self._table(sample), refresh=True)
+        elif sample.t_s >= self._next_s:
+            self._next_s = sample.t_s + _TEXT_LINE_EVERY_S
+            self._console.print("  ".join(f"{name} {value}" for name, value in self._rows(sample)), soft_wrap=True)
+
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+        """Nothing is shown of cycles before it is time to."""
+
+        def cycles() -> int:
+            if self._live is not None:
+                return MANY if time.monotonic() < self._next_s else 0
+            return max(0, int((self._next_s - sample.t_s) / self._cycle_s) - 1)
+
+        return CompiledStages(cycles=cycles)
+
+    def _rows(self, sample: CycleSample) -> list[tuple[str, str]]:
+        factor = max(0.0, sample.t_s) / max(1e-3, time.monotonic() - self._started_s)
+        return [
+            ("t", f"{sample.t_s:6.2f} s (real-time factor {factor:.1f})"),
+            ("cycle", f"{sample.cycle:.0f}"),
+            *((row.heading(sample), row.text(sample)) for row in self._shown.live),
+            ("bus load", f"{100 * sample.bus_bits / self._bits_per_cycle:.0f} %"),
+        ]
+
+    def _table(self, sample: CycleSample) -> Table:
+        table = Table(show_header=False, box=None, title=self._phase, title_justify="left")
+        for name, value in self._rows(sample):
+            table.add_row(name, value)
+        return table
+
+
+def show_outcome(console: Console, outcome: RunOutcome) -> None:
+    """Print the criteria, the timing, the faults and where everything is."""
+    result = outcome.result
+    _show_criteria(console, result)
+    if result.steps and len(result.steps) > 1:
+        console.print(_steps_table(result.steps))
+    timing = result.timing
+    console.print(_timing_line(timing))
+    for warning in result.all_warnings():
+        console.print(f"[yellow]warning[/yellow] {warning}", soft_wrap=True)
+    for fault in result.faults:
+        console.print(f"[red]fault[/red] {fault.source}: {fault.text}", soft_wrap=True)
+    for stream in result.streams or []:
+        console.print(f"stream to {stream.to}: {stream.samples - stream.dropped} samples", soft_wrap=True, markup=False)
+    words = {"passed": "[green]passed[/]", "completed": "[yellow]completed, nothing judged[/]"}
+    verdict = words.get(result.verdict, "[red]not passed[/]")
+    folder = outcome.folder
+    left = f"report: {folder.report}" if folder.report.exists() else f"result: {folder.result}"
+    if not outcome.recorded:
+        left = f"no recording; {left}"
+    console.print(f"{verdict}   {left}", soft_wrap=True)
+
+
+def _show_criteria(console: Console, result: Result) -> None:
+    """Of a run that ended early, what nobody could judge is one line."""
+    left_out = [row for row in result.criteria if result.faults and row.value is None and not row.never]
+    rows = [row for row in result.criteria if row not in left_out]
+    if rows:
+        console.print(_criteria_table(rows))
+    for row in rows:
+        if row.reason:
+            line = f"[{_COLOURS[row.verdict]}]{row.verdict}[/] {escape(row.name)}: {escape(row.reason)}"
+            console.print(line, soft_wrap=True)
+    if left_out:
+        some = f"{len(left_out)} of {len(result.criteria)} criteria"
+        console.print(f"[red]error[/red] {some} could not be judged: the run ended by the fault below", soft_wrap=True)
+
+
+_MOST_STEPS = 20
+
+
+def _shown(kind: str, shape: Shape) -> Shown:
+    """What is shown of a machine."""
+    return servo_axis.SHOWN if kind == "servo_axis" else web_line.shown(shape)
+
+
+def _steps_table(steps: list[StepRecord]) -> Table:
+    judged = steps[0].figures | steps[0].reasons
+    of_steps = _shown(kind_of_figures(judged), shape_of_figures(judged)).of_steps
+    shown = steps[:_MOST_STEPS]
+    left_out = f", the first {_MOST_STEPS} of {len(steps)}" if len(steps) > _MOST_STEPS else ""
+    unknown = any(metric in step.reasons for step in shown for _, metric in of_steps)
+    table = Table(title=f"Steps{left_out}", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    if unknown:
+        table.caption, table.caption_justify = "?: never, or not judged; result.json and the report say why", "left"
+    for heading in ("", "at, s", "step", *(heading for heading, _ in of_steps)):
+        table.add_column(heading, justify="left" if heading == "step" else "right", no_wrap=heading != "step")
+    for step in shown:
+        figures = (_figure(step, metric) for _, metric in of_steps)
+        table.add_row(str(step.number), f"{step.time_s:.3f}", escape(step.text), *figures)
+    return table
+
+
+def _figure(step: StepRecord, metric: str) -> str:
+    value = step.figures.get(metric)
+    return f"{value:.3g}" if value is not None else "?" if metric in step.reasons else ""
+
+
+def _timing_line(timing: Timing) -> str:
+    parts = [f"{timing.cycles} cycles of {timing.cycle_us / 1000:g} ms, {timing.pace}"]
+    if timing.realtime_factor is not None:
+        parts.append(f"real-time factor {timing.realtime_factor:.1f}")
+    if timing.jitter_us is not None:
+        jitter = timing.jitter_us
+        if timing.late_set_points:
+            parts.append(f"{timing.late_set_points} with late set points")
+        parts.append(f"{timing.missed} missed, SYNC late by {jitter.p50:.0f} µs (p50), {jitter.p99:.0f} µs (p99)")
+    if timing.bus_load_pct is not None:
+        parts.append(f"bus load {timing.bus_load_pct:.0f} %")
+    if timing.lost_frames is not None:
+        parts.append(f"{timing.lost_frames} frames lost")
+    if timing.late:
+        late = ", ".join(f"{each.share_pct:.1f} % of {name}" for name, each in timing.late.items())
+        parts.append(f"late samples: {late}")
+    return ", ".join(parts)
+
+
+def _criteria_table(rows: Sequence[CriterionResult]) -> Table:
+    table = Table(title="Criteria", title_justify="left")
+    for heading in ("criterion", "value", "limit", "unit", ""):
+        table.add_column(heading, justify="right" if heading == "value" else "left")
+    for row in rows:
+        value = "-" if row.value is None else f"{row.value:.6g}"
+        colour = _COLOURS[row.verdict]
+        mark = f"[{colour}]{row.verdict}[/{colour}]"
+        table.add_row(row.name, value, str(row.limit), row.unit, mark)
+    return table

@@ -1,0 +1,193 @@
+"""`hilbench conformance`: a CANopen device against CiA 301, CiA 402 and its own EDS file."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hilbench.apps.cli.options import ForceOption, JsonOption
+from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, UnusableInputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hilbench.apps.conformance.record import CaseResult, Examination
+
+_FAILED_STEPS_SHOWN = 5
+
+
+def conformance(
+    bus: Annotated[str, typer.Option("--bus", help="embedded:NAME, socketcan:can0, or another interface:channel")],
+    node: Annotated[int, typer.Option("--node", min=1, max=127, help="node id of the device")],
+    eds: Annotated[Path, typer.Option("--eds", help="EDS or DCF file of the device")],
+    allow_motion: Annotated[
+        bool, typer.Option("--allow-motion", help="power stage on, motor at 60 rpm and less; outputs are written")
+    ] = False,
+    allow_store: Annotated[
+        bool, typer.Option("--allow-store", help="1010h and 1011h are used; what was stored is stored again afterwards")
+    ] = False,
+    only: Annotated[
+        list[str] | None, typer.Option("--only", metavar="GROUP", help="SDO, PDO, Option codes, …; repeatable")
+    ] = None,
+    junit: Annotated[
+        Path | None, typer.Option("--junit", metavar="FILE", help="write the verdicts as JUnit XML")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option("--html", metavar="FILE", help="write a page: each case, sent, expected and seen")
+    ] = None,
+    boot: Annotated[
+        float, typer.Option("--boot", metavar="S", min=0.1, help="longest time from a reset to the boot-up message")
+    ] = 10.0,
+    force: ForceOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Examine a CANopen device case by case: the 127 of CiA 301's conformance test, and those of CiA 402 for a drive.
+
+    The cases are made from the EDS file; what it lacks is not applicable. The device is reset more than once. Nothing
+    moves and nothing is stored unless allowed, and every parameter is written back.
+
+    Exit code: 0 no case failed, 1 some failed, 2 unusable input, 3 no answer or the bus is lost, 130 interrupted.
+
+    Example: hilbench conformance --bus socketcan:can0 --node 5 --eds eds/hilbench_servo.eds --html conformance.html
+
+    Example: hilbench conformance --bus embedded --node 1 --eds eds/hilbench_servo.eds --only SDO --junit verdicts.xml
+    """
+    from json import dumps
+
+    from rich.console import Console
+
+    from hilbench.apps.conformance.junit import write_junit
+
+    examination = _examined(bus, node, eds, allow_motion, allow_store, only or [], boot, force, quiet=json)
+    if junit is not None:
+        write_junit(examination, junit)
+    if html is not None:
+        from hilbench.apps.conformance.page import write_conformance_page
+
+        write_conformance_page(examination, html)
+    if json:
+        print(dumps(_as_data(examination), indent=2))
+    else:
+        _sum_up(Console(highlight=False), examination, [path for path in (junit, html) if path is not None])
+    raise typer.Exit(EXIT_CRITERION_FAILED if examination.failed else EXIT_PASSED)
+
+
+def _examined(
+    bus: str,
+    node: int,
+    eds: Path,
+    motion: bool,
+    store: bool,
+    only: list[str],
+    boot_s: float,
+    force: bool,
+    *,
+    quiet: bool,
+) -> Examination:
+    from rich.console import Console
+
+    from hilbench.apps.canopen_tools.attach import only_master
+    from hilbench.apps.conformance.description import Description
+    from hilbench.apps.conformance.dut import Allowed, DeviceUnderTest, Patience
+    from hilbench.apps.conformance.examine import examine
+    from hilbench.apps.conformance.listing import listed_cases
+    from hilbench.apps.conformance.record import Examination
+    from hilbench.apps.conformance.wire import LinkWire
+    from hilbench.can.open import BusAddress, open_link
+    from hilbench.processes import end_requests
+
+    groups = list(dict.fromkeys(case.group for case in listed_cases()))
+    unknown = [name for name in only if name not in groups]
+    if unknown:
+        raise UnusableInputError("--only", f"'{unknown[0]}', expected one of {', '.join(groups)}")
+    description = Description(eds, node)
+    address = BusAddress.parse(bus).as_it_runs()
+    display = _Display(Console(highlight=False), only or groups, quiet=quiet)
+    with only_master(address, None, f"conformance of node {node}", force=force):
+        link = open_link(address)
+        try:
+            with end_requests() as asked:
+                wire = LinkWire(link, asked)
+                dut = DeviceUnderTest(wire, node, description, Allowed(motion, store), Patience(boot_s=boot_s))
+                cases = examine(dut, only, display.on_result)
+        finally:
+            link.close()
+    name = description.od.device_information.product_name or eds.stem
+    return Examination(name, node, str(address), eds.name, cases)
+
+
+class _Display:
+    """A line a group as it ends, and below it what failed."""
+
+    def __init__(self, console: Console, groups: list[str], *, quiet: bool) -> None:
+        self._console = console
+        self._quiet = quiet
+        self._group: list[CaseResult] = []
+        self._width = max(len(group) for group in [*groups, "Afterwards"])
+
+    def on_result(self, result: CaseResult) -> None:
+        """One more case has ended."""
+        if self._quiet:
+            return
+        if self._group and self._group[0].group != result.group:
+            self._print()
+        self._group.append(result)
+        if sys.stderr.isatty():
+            print(f"\r{result.name:<40}", end="", file=sys.stderr, flush=True)
+        if result.group == "Afterwards":
+            self._print()
+
+    def _print(self) -> None:
+        from rich.markup import escape
+
+        from hilbench.apps.conformance.page import counted
+
+        if sys.stderr.isatty():
+            print(f"\r{'':<40}\r", end="", file=sys.stderr, flush=True)
+        cases, self._group = self._group, []
+        failed = [case for case in cases if case.verdict == "failed"]
+        colour = "red" if failed else "green"
+        counts = counted(case.verdict for case in cases)
+        self._console.print(f"[{colour}]{cases[0].group:<{self._width}}[/]  {counts}", soft_wrap=True)
+        for case in failed:
+            self._console.print(
+                f"  [red]{escape(case.name)}[/] {escape(case.title)} ({escape(case.clause)})", soft_wrap=True
+            )
+            wrong = [step for step in case.steps if not step.ok]
+            for step in wrong[:_FAILED_STEPS_SHOWN]:
+                text = f"    {step.what}: expected {step.expected}, seen {step.seen}"
+                self._console.print(escape(text + (f", sent {step.sent}" if step.sent else "")), soft_wrap=True)
+            if len(wrong) > _FAILED_STEPS_SHOWN:
+                self._console.print(f"    and {len(wrong) - _FAILED_STEPS_SHOWN} more", soft_wrap=True)
+
+
+def _sum_up(console: Console, examination: Examination, written: list[Path]) -> None:
+    from rich.markup import escape
+
+    from hilbench.apps.conformance.page import counted
+    from hilbench.apps.conformance.record import Verdict
+
+    verdict = "[red]failed[/]" if examination.failed else "[green]passed[/]"
+    counts = counted(case.verdict for case in examination.cases)
+    console.print(f"{verdict}  {escape(examination.device)}, node {examination.node_id}: {counts}", soft_wrap=True)
+    refused = {case.reason.rpartition(": ")[2] for case in examination.cases if case.verdict is Verdict.NOT_ALLOWED}
+    if refused:
+        console.print(f"more with {' and '.join(sorted(refused))}", soft_wrap=True)
+    for path in written:
+        console.print(escape(str(path)), soft_wrap=True)
+
+
+def _as_data(examination: Examination) -> dict[str, object]:
+    from dataclasses import asdict
+
+    return {
+        "device": examination.device,
+        "node_id": examination.node_id,
+        "bus": examination.bus,
+        "eds": examination.eds,
+        "counts": {str(verdict): count for verdict, count in examination.counts.items()},
+        "cases": [asdict(case) for case in examination.cases],
+    }

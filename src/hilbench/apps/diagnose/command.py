@@ -1,0 +1,83 @@
+"""`hilbench diagnose`: what a model lacks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hilbench.apps.cli.options import BusOption, SetOption
+
+
+def diagnose(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORDING",
+            help="recording (.mf4, .csv, .csv.gz) or run folder, or a bench config (.yaml) to run and diagnose",
+        ),
+    ],
+    model: Annotated[
+        Path | None,
+        typer.Option("--model", help="model file, or a bench config with the model in it (YAML); a bench has its own"),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            help="folder for the page, the extended model (model_extended.yaml) and bench (config_extended.yaml)",
+        ),
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(
+            "--against",
+            metavar="RECORDING",
+            help="recording of the same machine before: name what changed since; a lone axis needs no --model for that",
+        ),
+    ] = None,
+    next_experiment: Annotated[
+        Path | None,
+        typer.Option(
+            "--next-experiment",
+            metavar="FILE",
+            help="write steps of at most 30 s that would separate tied effects, or excite what was not (YAML)",
+        ),
+    ] = None,
+    until_clear: Annotated[
+        bool,
+        typer.Option("--until-clear", help="of a bench config: run on with such steps until nothing is tied"),
+    ] = False,
+    bus: BusOption = None,
+    changes: SetOption = None,
+    json: Annotated[bool, typer.Option("--json", help="print the diagnosis as JSON, nothing else")] = False,
+) -> None:
+    """Find where simulation and measurement disagree, name the missing effect, and add it to the model.
+
+    What is found in a run of a bench goes into its folder (diagnosis.json) and the history of its stand. --bus and
+    --set are those of hilbench run, for a bench config that is run.
+
+    Exit code: 0 diagnosed, whatever the verdict; 2 unusable input; 3 a run of the bench faulted, 130 interrupted.
+
+    Example: hilbench diagnose runs/web_section_step-20260101-120000/recording.mf4 --model model.yaml --out diagnosis
+
+    Example: hilbench diagnose bench_configs/hidden_friction.yaml --out found
+
+    Example: hilbench diagnose bench_configs/hidden_friction.yaml --until-clear --out found
+
+    Example: hilbench diagnose after.csv --against before.csv --out changed
+    """
+    from hilbench.apps.diagnose.diagnose import diagnose_command
+
+    diagnose_command(
+        source,
+        model,
+        out,
+        as_json=json,
+        against=against,
+        next_experiment=next_experiment,
+        until_clear=until_clear,
+        bus=bus,
+        changes=changes or (),
+    )

@@ -1,0 +1,144 @@
+"""`hilbench drift`: what has changed of a stand since its last run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hilbench.apps.cli.config_file import load_config
+from hilbench.apps.cli.options import BusOption, ConfigArgument, JsonOption, SetOption
+from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, UnusableInputError
+
+if TYPE_CHECKING:
+    from hilbench.apps.doctor.asked import LastRun
+    from hilbench.apps.doctor.drift import Drift
+
+
+def drift(
+    config: ConfigArgument,
+    bus: BusOption = None,
+    changes: SetOption = None,
+    runs: Annotated[Path, typer.Option("--runs", help="folder with the run folders of the stand")] = Path("runs"),
+    start: Annotated[
+        bool,
+        typer.Option("--start/--no-start", help="start simulated drives when none of them is there, as run does"),
+    ] = True,
+    in_process: Annotated[
+        bool, typer.Option("--in-process", help="simulated drives in this process, as run --in-process")
+    ] = False,
+    write: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--write", metavar="KEY", help="write a node's present value into the config, by its key; all; repeatable"
+        ),
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Compare config, EDS files and what the drives say with the last run of the stand, and with each other.
+
+    Writes nothing to any device. Of a stand without a run that kept it, drives and EDS files are compared.
+
+    Exit code: 0 nothing has drifted, 1 something has, 2 unusable input (nobody answers, another master is at work).
+
+    Example: hilbench drift bench_configs/web_section_step.yaml --in-process
+
+    Example: hilbench drift bench_configs/web_section_step.yaml --bus socketcan:can0 --json
+    """
+    from json import dumps
+
+    from rich.console import Console
+
+    from hilbench.apps.canopen_tools.attach import left_out
+    from hilbench.apps.canopen_tools.eds_match import eds_files
+    from hilbench.apps.doctor.asked import ask_stand, last_run
+    from hilbench.apps.doctor.drift import drifts
+    from hilbench.bench.check import check_bench
+    from hilbench.exchange.node_data import drives_of
+
+    loaded = load_config(config, bus=bus, changes=changes or ())
+    bench = loaded.config
+    check_bench(bench, loaded.document)
+    if in_process and not start:
+        raise typer.BadParameter("--in-process and --no-start exclude each other")
+    last, problems = last_run(runs, bench.stand_name)
+    console = Console(stderr=True, highlight=False)
+    answers, fresh = ask_stand(
+        bench,
+        start=start,
+        in_process=in_process,
+        announce=lambda text: None if json else console.print(f"{text} ...", markup=False),
+    )
+    folders = dict.fromkeys(part.node.eds.parent for part in drives_of(bench))
+    found = drifts(
+        bench,
+        answers,
+        None if last is None else last.data,
+        None if last is None else last.config,
+        fresh=fresh,
+        files=[file for folder in folders for file in eds_files(folder, left_out)],
+    )
+    written = _write(config, found, write or ())
+    if json:
+        print(dumps(_as_data(found, last, problems, written), indent=2))
+    else:
+        _show(found, last, problems, written)
+    raise typer.Exit(EXIT_CRITERION_FAILED if found else EXIT_PASSED)
+
+
+def _write(config: Path, found: Sequence[Drift], keys: Sequence[str]) -> list[str]:
+    """Write what was asked for; returns a line for each change."""
+    from hilbench.runs.config_edit import write_value
+
+    possible = {each.key: each for each in found if each.write}
+    for key in keys:
+        if key != "all" and key not in possible:
+            known = ", ".join(possible) or "none"
+            raise UnusableInputError(
+                "--write", f"'{key}' is nothing that can be written, expected one of: {known}, all"
+            )
+    changes = {
+        change.location: change.value
+        for each in (possible.values() if "all" in keys else [possible[key] for key in keys])
+        for change in each.write
+    }
+    return [
+        f"{write_value(config, location, value)}: {'.'.join(location)} is {value} now"
+        for location, value in changes.items()
+    ]
+
+
+def _as_data(
+    found: Sequence[Drift], last: LastRun | None, problems: Sequence[str], written: Sequence[str]
+) -> dict[str, Any]:
+    return {
+        "last_run": None if last is None else str(last.folder.path),
+        "drifted": bool(found),
+        "drifts": [
+            {
+                "kind": each.kind,
+                "key": each.key,
+                "what": each.what,
+                "now": each.now,
+                "last_run": each.before,
+                "eds": each.by_file,
+                "write": {".".join(change.location): change.value for change in each.write},
+            }
+            for each in found
+        ],
+        "written": list(written),
+        "notes": list(problems),
+    }
+
+
+def _show(found: Sequence[Drift], last: LastRun | None, problems: Sequence[str], written: Sequence[str]) -> None:
+    for problem in problems:
+        print(f"not read: {problem}")
+    print("no run to compare with" if last is None else f"compared with {last.folder.path}")
+    for each in found:
+        print(f"{each.kind:9} {each}" + (f"   (--write {each.key})" if each.write and not written else ""))
+    for line in written:
+        print(line)
+    print("nothing has drifted" if not found else f"{len(found)} drifted")

@@ -1,0 +1,84 @@
+"""`hilbench gateway`: programs that speak no CANopen talk to a bus by lines of text."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hilbench.apps.cli.options import BusOption, ConfigOption, ForceOption
+from hilbench.errors import UnusableInputError
+
+if TYPE_CHECKING:
+    from hilbench.apps.gateway.server import Gateway
+    from hilbench.apps.gateway.session import Session
+    from hilbench.can.open import BusAddress
+
+
+#: Port of a CiA 309 gateway in CANopenNode's and others' examples; no number is assigned.
+_PORT = 60000
+
+
+def gateway(
+    config: ConfigOption = None,
+    bus: BusOption = None,
+    host: Annotated[
+        str, typer.Option("--host", help="address to serve; every client that reaches it has its rights")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="0: a free one")] = _PORT,
+    read_only: Annotated[bool, typer.Option("--read-only", help="clients may read, and change nothing")] = False,
+    force: ForceOption = False,
+) -> None:
+    """Serve a bus to other programs (LabVIEW, MATLAB, a shell): CiA 309-3, the ASCII mapping, over TCP.
+
+    Beside a master (a running bench) clients may read; of the bench they may write what it has for its operator, its
+    node's objects. Boot-ups and EMCY are told to all.
+
+    Example: hilbench gateway --bus socketcan:can0
+    """
+    from hilbench.apps.canopen_tools.attach import MASTER_ID, config_and_bus
+    from hilbench.apps.gateway.network import GatewayNetwork
+    from hilbench.apps.gateway.session import Session
+    from hilbench.can.open import open_link
+    from hilbench.processes import stop_request
+
+    bench, address = config_and_bus(config, bus)
+    bench_id = MASTER_ID if bench is None else bench.master.node_id
+    stop = stop_request()
+    with ExitStack() as resources:
+        not_master = "the gateway is read-only" if read_only else _beside(address, resources, force=force)
+        network = resources.enter_context(GatewayNetwork(address, not_master, -1 if read_only else bench_id))
+        server = _listening(host, port, lambda: Session(network, network.lss))
+        resources.callback(server.server_close)
+        link = open_link(address)
+        resources.callback(link.close)
+        threading.Thread(target=server.serve_forever, name="gateway", daemon=True).start()
+        resources.callback(server.shutdown)
+        where = ":".join(map(str, server.server_address[:2]))
+        print(f"{address} is served at {where} (CiA 309-3); {not_master or 'clients may write'}", flush=True)
+        server.follow(link, stop)
+
+
+def _beside(address: BusAddress, resources: ExitStack, *, force: bool) -> str | None:
+    """Be the bus' master, or say why clients can't write."""
+    from hilbench.apps.canopen_tools.attach import only_master
+
+    try:
+        resources.enter_context(only_master(address, None, "gateway", force=force))
+    except UnusableInputError as error:
+        return f"clients may only read: {error}"
+    return None
+
+
+def _listening(host: str, port: int, new_session: Callable[[], Session]) -> Gateway:
+    from hilbench.apps.gateway.server import Gateway
+
+    try:
+        return Gateway((host, port), new_session)
+    except OSError as error:
+        raise UnusableInputError(
+            "--host, --port", f"{host}:{port} can't be served ({error.strerror}), expected an address of this machine"
+        ) from error

@@ -1,0 +1,1 @@
+"""Many runs of one config over values of its keys."""

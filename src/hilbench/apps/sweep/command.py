@@ -1,0 +1,141 @@
+"""`hilbench sweep`: many runs of one config."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hilbench.apps.cli.options import ConfigArgument, JsonOption, SetOption
+from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
+
+if TYPE_CHECKING:
+    from hilbench.apps.sweep.sweep import Row, Sweep
+
+
+def sweep(
+    config: ConfigArgument,
+    vary: Annotated[
+        list[str],
+        typer.Option(
+            "--vary",
+            metavar="KEY=VALUES",
+            help="a list 1,2,3; 1..3:5 for five values; 1..3 for a range to sample; repeatable: all combinations",
+        ),
+    ],
+    changes: SetOption = None,
+    samples: Annotated[int | None, typer.Option("--samples", min=1, help="points drawn from the ranges")] = None,
+    seed: Annotated[int, typer.Option("--seed", help="of the drawn points")] = 1,
+    out: Annotated[Path, typer.Option("--out", help="folder of the sweep; the same again resumes it")] = Path("sweep"),
+    jobs: Annotated[int | None, typer.Option("--jobs", min=1, help="runs at a time", show_default="all cores")] = None,
+    cluster: Annotated[
+        str | None, typer.Option("--cluster", metavar="ADDRESS", help="of a Dask scheduler whose workers do the runs")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Run a config over a grid or a sample of its values; one table of all metrics (OUT/results.csv and .parquet), and a
+    picture of those that are judged against what was varied (OUT/results.svg).
+
+    Every run is a process of its own, with its devices in it where that is possible (run --in-process): one that
+    fails leaves its row, and the others go on. What was done is not done again when the same sweep is started once
+    more. Runs on a real bus, or in real time, go one after the other.
+    The workers of a cluster need this hilbench, and CONFIG and OUT under the same paths.
+
+    Exit code: 0 all passed, or completed where nothing was judged, 1 some did not.
+
+    Example: hilbench sweep bench_configs/web_section_step.yaml --vary controllers.tension_control.bandwidth_rad_per_s=2..10:5
+
+    Example: hilbench sweep bench_configs/web_section_step.yaml --vary machine.web.youngs_modulus_Pa=8e9..9e9
+    --vary seed=1,2,3 --samples 20
+
+    Example: hilbench sweep bench_configs/web_section_step.yaml --vary seed=1..200:200 --cluster tcp://10.0.0.5:8786
+    """  # noqa: E501
+    from json import dumps
+
+    from hilbench.apps.sweep.sweep import Sweep, parse_axis, points
+
+    runs = points([parse_axis(text) for text in vary], samples, seed)
+    made = Sweep(config, changes or (), runs, out)
+    _run(made, jobs or os.cpu_count() or 1, cluster, quiet=json)
+    table = made.write_table()
+    made.write_parquet()
+    failed = sum(row.passed is False for row in made.rows.values())
+    unjudged = sum(row.passed is None for row in made.rows.values())
+    if json:
+        print(dumps({"table": str(table), "runs": made.as_data()}, indent=2))
+    else:
+        _show(made)
+        completed = f", {unjudged} completed, nothing judged" if unjudged else ""
+        drawn = _draw(made)
+        beside = f", {drawn}" if drawn is not None else ""
+        print(f"{len(made.rows)} runs, {failed} not passed{completed}: {table}{beside}")
+    raise typer.Exit(EXIT_CRITERION_FAILED if failed else EXIT_PASSED)
+
+
+_MOST_ROWS = 50
+
+
+def _show(made: Sweep) -> None:
+    """The table: what was varied, the verdict and the metrics that are judged."""
+    from rich.console import Console
+    from rich.table import Table
+
+    metrics, rows = made.shown_metrics(), [made.rows[number] for number in sorted(made.rows)]
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for heading in ("run", *made.varied, "", *metrics):
+        table.add_column(heading, overflow="fold", justify="left" if heading == "" else "right")
+    for row in rows[:_MOST_ROWS]:
+        verdict = {True: "passed", None: "completed"}.get(row.passed, f"exit code {row.exit_code}")
+        figures = [row.metrics.get(name) for name in metrics]
+        varied = [row.changes.get(name, "") for name in made.varied]
+        table.add_row(str(row.number), *varied, verdict, *("-" if each is None else f"{each:.4g}" for each in figures))
+    Console(highlight=False).print(table)
+    if len(rows) > _MOST_ROWS:
+        print(f"the first {_MOST_ROWS} of {len(rows)} runs")
+
+
+def _draw(made: Sweep) -> Path | None:
+    """The picture of the judged metrics against the numbers that were varied."""
+    from hilbench.apps.sweep.picture import write_sweep_picture
+
+    rows = [made.rows[number] for number in sorted(made.rows)]
+    varied = {name: [_number(row.changes.get(name, "")) for row in rows] for name in made.varied}
+    varied = {name: values for name, values in varied.items() if len({*values} - {None}) > 1}
+    metrics = {name: [row.metrics.get(name) for row in rows] for name in made.shown_metrics()}
+    metrics = {name: values for name, values in metrics.items() if any(value is not None for value in values)}
+    return write_sweep_picture(varied, metrics, [row.passed for row in rows], made.out / "results.svg")
+
+
+def _number(text: str) -> float | None:
+    from math import isfinite
+
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if isfinite(value) else None
+
+
+def _run(made: Sweep, jobs: int, cluster: str | None, *, quiet: bool) -> None:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True, highlight=False)
+    columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    hidden = quiet or not console.is_terminal
+    # Without a thread of its own: beside one a process is not copied.
+    with Progress(*columns, console=console, disable=hidden, auto_refresh=False) as progress:
+        task = progress.add_task("runs", total=len(made.runs), completed=len(made.rows))
+
+        def done(row: Row) -> None:
+            progress.advance(task)
+            progress.refresh()
+            if not quiet:
+                done = "passed" if row.passed else "completed, nothing judged"
+                word = done if row.passed is not False else f"exit code {row.exit_code} {row.said}".strip()
+                varied = ", ".join(f"{path}={value}" for path, value in row.changes.items())
+                progress.console.print(f"{row.number}: {varied}: {word}", soft_wrap=True)
+
+        made.run(jobs, done, cluster)

@@ -1,0 +1,1 @@
+"""Synchronizers compared, on a recording or on a bench."""

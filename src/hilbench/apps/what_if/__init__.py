@@ -1,0 +1,1 @@
+"""Futures of a running bench under changed set points."""

@@ -1,0 +1,211 @@
+"""`hilbench what-if`: what would come if something were asked of a machine, before it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hilbench.apps.cli.config_file import load_config
+from hilbench.apps.cli.options import BusOption, JsonOption
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from hilbench.results.recording import Recording
+    from hilbench.results.what_if import Answer
+    from hilbench.runs.config import ExperimentConfig
+
+
+def what_if(
+    run: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RUN",
+            help="run folder, of a run that has ended or still goes on; or the config (YAML) of a bench that runs",
+        ),
+    ],
+    asked: Annotated[
+        list[str],
+        typer.Option(
+            "--set",
+            metavar="PATH=VALUE",
+            help="what is asked for: line_speed_m_s, a set-point, E of the web; repeatable",
+        ),
+    ],
+    over: Annotated[
+        float | None,
+        typer.Option(
+            "--over",
+            metavar="S",
+            min=0.0,
+            help="reached within so long; else the speed as the bench moves it by itself",
+        ),
+    ] = None,
+    horizon: Annotated[float, typer.Option("--horizon", metavar="S", min=0.5, max=60.0, help="how far to look")] = 10.0,
+    at: Annotated[
+        float | None, typer.Option("--at", metavar="S", help="from this time of the run on; else from its end")
+    ] = None,
+    futures: Annotated[int, typer.Option("--futures", min=16, max=1024, help="how many to draw")] = 64,
+    out: Annotated[Path | None, typer.Option("--out", help="page with all courses (HTML)")] = None,
+    bus: BusOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Predict tension, torques and speeds by Monte Carlo if something were asked for, with bands; nothing is moved.
+
+    The futures start from what the run's recording has, or the trace of a run that still goes on; of a config, from
+    what is received on the bus of the bench that runs by it, whose folder may be elsewhere. The rest of the experiment
+    is not in them.
+
+    Exit code: 0 looked, whatever is seen; 2 unusable input.
+
+    Example: hilbench what-if runs/web_section_step-20260101-120000 --set line_speed_m_s=5 --horizon 10
+
+    Example: hilbench what-if runs/web_section_step-20260101-120000 --set line_speed_m_s=5 --out page.html
+
+    Example: hilbench what-if bench_configs/web_section_step.yaml --set line_speed_m_s=5
+    """
+    from hilbench.results.what_if import Question
+    from hilbench.results.what_if import what_if as answer_to
+
+    question = Question(dict(map(_asked, asked)), over, horizon, futures, at)
+    name, config, recording = _running(run, bus, at) if run.is_file() else _run(run, bus, at)
+    answer = answer_to(config, recording, question, str(run))
+    texts = lines(answer)
+    if out is not None:
+        from hilbench.apps.what_if.page import write_what_if_page
+
+        write_what_if_page(answer, texts, name, out)
+    if json:
+        from json import dumps
+
+        print(dumps(_as_object(answer), indent=2))
+        return
+    _print(answer, texts, "now" if run.is_file() else f"t = {answer.outlook.now_s:.3f} s")
+    if out is not None:
+        print(f"page: {out}")
+
+
+def _run(run: Path, bus: str | None, at: float | None) -> tuple[str, ExperimentConfig, Recording]:
+    """Name, config and recording of a run folder."""
+    from hilbench.errors import UnusableInputError
+    from hilbench.results.run_folder import RunFolder
+    from hilbench.results.what_if import recorded
+    from hilbench.runs.config import load
+
+    if bus is not None:
+        raise UnusableInputError("--bus", f"{bus} beside a run folder, expected the config of a bench that runs")
+    folder = RunFolder.open(run)
+    config, _ = load(folder.config)
+    return folder.name, config, recorded(folder, config, at)
+
+
+def _running(path: Path, bus: str | None, at_s: float | None) -> tuple[str, ExperimentConfig, Recording]:
+    """The same of a bench that runs, as it is received on its bus."""
+    from contextlib import closing
+
+    from hilbench.apps.monitor.changes import PATIENCE_S
+    from hilbench.can.open import open_link, open_python_can
+    from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
+    from hilbench.errors import UnusableInputError
+    from hilbench.results.received import received
+    from hilbench.results.what_if import require_predictable
+
+    if at_s is not None:
+        raise UnusableInputError("--at", f"{at_s:g} s of a bench that runs, expected none: it is asked now")
+    config = load_config(path, bus=bus).config
+    require_predictable(config, str(path))
+    address = config.bus_address.as_it_runs()
+    with closing(open_link(address)) as link, SdoClient(open_python_can(address, SDO_ANSWERS), PATIENCE_S) as client:
+        return config.name, config, received(config, link, client)
+
+
+def lines(answer: Answer) -> list[str]:
+    """What was asked, a text each."""
+    texts = []
+    for move in answer.moves:
+        lasts = f" within {move.end_s - move.start_s:.3g} s" if move.end_s > move.start_s else ""
+        texts.append(f"{move.path} {answer.before[move.path]:.6g} → {move.to:.6g}{lasts}")
+    return texts
+
+
+def _asked(text: str) -> tuple[str, float]:
+    from hilbench.errors import UnusableInputError
+
+    path, equals, value = text.partition("=")
+    try:
+        if equals:
+            return path.strip(), float(value)
+    except ValueError:
+        pass
+    raise UnusableInputError("--set", f"'{text}', expected PATH=NUMBER such as line_speed_m_s=5")
+
+
+def _print(answer: Answer, texts: Sequence[str], when: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from hilbench.apps.what_if.page import levels_of, rows_of
+    from hilbench.apps.what_if.text_chart import text_chart
+
+    outlook, console = answer.outlook, Console(highlight=False)
+    seconds = outlook.times_s[-1] - outlook.now_s
+    console.print(f"what if, from {when} on: {', '.join(texts)}", soft_wrap=True)
+    futures = outlook.rows.shape[1]
+    console.print(f"{seconds:.3g} s in {futures} futures; bands hold 90 % of what would be measured", soft_wrap=True)
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    table.add_column("quantity", no_wrap=True)
+    for heading in ("largest", "of 90 %", "at the end", "limits", "probability"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for watched, largest, end, probability in rows_of(outlook):
+        limits = " / ".join(f"{level:g}" for level in levels_of(watched))
+        between = f"{largest[1]:.4g} … {largest[2]:.4g}"
+        share = f"{100 * probability:.0f} %" if limits else ""
+        table.add_row(f"{watched.name}, {watched.unit}", f"{largest[0]:.4g}", between, f"{end[0]:.4g}", limits, share)
+    console.print(table)
+    for place, watched in enumerate(outlook.watched):
+        if watched.unit in ("N", "N·m"):
+            console.print(f"\n{watched.name}, {watched.unit}")
+            for line in text_chart(outlook.times_s, outlook.band(place), levels_of(watched)):
+                console.print(line, soft_wrap=True)
+    for crossing in outlook.crossings(0.5):
+        when_s, chance = crossing.expected_s - outlook.now_s, 100 * crossing.probability
+        console.print(f"{crossing} in {when_s:.1f} s, probability {chance:.0f} %", soft_wrap=True)
+
+
+def _as_object(answer: Answer) -> dict[str, Any]:
+    outlook = answer.outlook
+    courses = {}
+    for place, watched in enumerate(outlook.watched):
+        low, median, high = outlook.band(place)
+        courses[watched.signal] = {
+            "unit": watched.unit,
+            "median": median.tolist(),
+            "low": low.tolist(),
+            "high": high.tolist(),
+            "largest": float(outlook.largest[:, place].max()),
+        }
+    return {
+        "t_s": outlook.now_s,
+        "asked": [
+            {"path": move.path, "before": answer.before[move.path], "to": move.to, "end_s": move.end_s}
+            for move in answer.moves
+        ],
+        "times_s": outlook.times_s.tolist(),
+        "courses": courses,
+        "crossings": [
+            {
+                "signal": each.watched.signal,
+                "quantity": each.watched.name,
+                "level": each.level,
+                "limit": each.limit,
+                "unit": each.watched.unit,
+                "probability": each.probability,
+                "expected_s": each.expected_s,
+                "earliest_s": each.earliest_s,
+                "latest_s": each.latest_s,
+            }
+            for each in outlook.crossings()
+        ],
+    }

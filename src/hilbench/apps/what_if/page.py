@@ -1,0 +1,66 @@
+"""The page of a look ahead: tensions and torques to come, with bands and limits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hilbench.apps.report.chart import BLUE, VERMILLION, Band, Chart, Curve
+from hilbench.apps.report.page import quantity, write_page
+from hilbench.apps.report.plots import Picture, drawn
+from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
+from hilbench.results.what_if import Answer
+
+Summary = tuple[DiagnosisAnswer, list[float], list[float], float]
+
+
+def rows_of(outlook: Outlook) -> list[Summary]:
+    """Of each quantity: median, low and high (90 % of the futures) of its largest size, and of its value at the end;
+    the probability of the lowest level that it has."""
+    found: list[Summary] = []
+    for place, watched in enumerate(outlook.watched):
+        largest = np.quantile(outlook.largest[:, place], (0.5, 0.05, 0.95)).tolist()
+        end = np.quantile(outlook.rows[-1, :, place], (0.5, 0.05, 0.95)).tolist()
+        column = 0 if watched.warning is not None else 1
+        found.append((watched, largest, end, float(outlook.probability[place, column])))
+    return found
+
+
+def levels_of(watched: DiagnosisAnswer) -> list[float]:
+    """Its limits."""
+    return [level for level in (watched.warning, watched.trip) if level is not None]
+
+
+def write_what_if_page(answer: Answer, asked: Sequence[str], name: str, path: Path) -> Path:
+    """Write the page; returns its path. Raises UnusableInputError if it cannot be."""
+    pictures = [_picture(answer.outlook, place) for place in range(len(answer.outlook.watched))]
+    rows = [
+        (
+            watched.name,
+            quantity(largest[0], watched.unit),
+            f"{quantity(largest[1], watched.unit)} … {quantity(largest[2], watched.unit)}",
+            quantity(end[0], watched.unit),
+            watched.unit,
+            " / ".join(f"{level:g}" for level in levels_of(watched)),
+            f"{100 * probability:.0f} %",
+        )
+        for watched, largest, end, probability in rows_of(answer.outlook)
+    ]
+    columns = ("Quantity", ">largest", ">of 90 %", ">at the end", "Unit", ">limits", ">probability")
+    facts = [name, f"from t = {answer.outlook.now_s:.3f} s", *asked, f"{answer.outlook.rows.shape[1]} futures"]
+    return write_page(path, "what_if/what_if", pictures, facts=facts, columns=columns, rows=rows, pictures=pictures)
+
+
+def _picture(outlook: Outlook, place: int) -> Picture:
+    watched, times_s = outlook.watched[place], outlook.times_s
+    low, median, high = outlook.band(place)
+    curves = [Curve("median", times_s, median, BLUE)]
+    for label in ("warning", "trip"):
+        level = watched.warning if label == "warning" else watched.trip
+        if level is not None and level < 1.5 * float(np.max(np.abs([low, high]))):
+            curves.append(Curve(label, times_s, np.full(len(times_s), level), VERMILLION, 1.0, (4.0, 3.0)))
+    chart = Chart(f"{watched.name}, {watched.unit}", curves, [Band(times_s, low, high, BLUE, 0.25)])
+    caption = "Median of the futures, and the band in which 90 % of what would be measured lies."
+    return drawn(Picture(f"what-if-{watched.signal}", watched.name, caption, [chart]))
