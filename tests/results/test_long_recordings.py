@@ -25,7 +25,7 @@ from hilbench.results.recording import (
     write_recording,
 )
 from hilbench.results.run_folder import RunFolder
-from hilbench.results.spool import Spool, all_rows, read_under_way
+from hilbench.results.spool import Spool, all_rows, read_running
 from hilbench.runs.metrics import judge
 from hilbench.topology.signals import SMALLEST, signals_of
 
@@ -91,7 +91,7 @@ def test_what_a_run_has_by_now_is_read_while_it_goes_on(tmp_path: Path) -> None:
     rows = begin(tmp_path)
     for first in range(0, 3 * BLOCK_ROWS, 5000):
         fill(rows, first, 5000)
-        found = read_under_way(RunFolder(tmp_path), SIGNALS)
+        found = read_running(RunFolder(tmp_path), SIGNALS)
         assert np.array_equal(found.time_s, np.arange(first + 5000) * 0.002)
     rows.finish()
 

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from hilbench.errors import UnusableInputError
-from hilbench.results.recording import Recording, RecordingBuilder, read_recording, write_recording
+from hilbench.results.recording import Recording, read_recording, write_recording
+from hilbench.results.recording_builder import RecordingBuilder
 from hilbench.topology.signals import SMALLEST, signals_of
 
 FORMATS = ("recording.mf4", "recording.csv", "recording.csv.gz")

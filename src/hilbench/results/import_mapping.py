@@ -32,13 +32,11 @@ from hilbench.did_you_mean import did_you_mean, expected_one_of
 from hilbench.errors import UnusableInputError
 from hilbench.files import require_file
 from hilbench.results.recording import (
-    MOST_COLUMNS,
     Recording,
     check_recording,
-    open_text,
     read_recording,
-    rest_of_text,
 )
+from hilbench.results.text_table import MOST_COLUMNS, open_text, rest_of_text
 from hilbench.topology.signal_kinds import TIME
 from hilbench.topology.signals import example_names, find_signal, unit_of
 

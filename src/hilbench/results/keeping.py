@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hilbench.bench.tasks.task import CompiledStages
 from hilbench.compiled import COUNT, TABLE, entry_point, integers, table_of
 from hilbench.cycle_program import CONTINUE, CompiledStage, never
-from hilbench.results.recording import RecordingBuilder
+from hilbench.results.recording_builder import RecordingBuilder
 from hilbench.topology.sample import CycleSample
 
 

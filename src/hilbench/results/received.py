@@ -53,7 +53,7 @@ def from_frames(config: BenchConfig, frames: Sequence[Frame], reader: Reader) ->
     place = f"bus {config.bus.address}"
     if not any(frame.can_id == SYNC for frame in frames):
         raise UnusableInputError(place, f"no SYNC within {_LONGEST_S:g} s, expected a bench that runs")
-    return _with_asked(config, replay_frames(config, frames, None, place, under_way=True).recording, reader)
+    return _with_asked(config, replay_frames(config, frames, None, place, begun=True).recording, reader)
 
 
 def _with_asked(config: BenchConfig, recording: Recording, reader: Reader) -> Recording:

@@ -8,18 +8,9 @@ a section of it.
 
 from __future__ import annotations
 
-import gc
 import gzip
-import io
-import logging
-import os
-import struct
-import sys
-import warnings
-import zlib
 from collections import deque
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -33,9 +24,12 @@ from numpy.typing import NDArray
 from hilbench.did_you_mean import did_you_mean
 from hilbench.errors import UnusableInputError
 from hilbench.files import require_file, written_whole
+from hilbench.results.foreign_mdf import read_mdf
 from hilbench.results.journal import read_journal
 from hilbench.results.mdf import Column, MdfPieces, MdfWriter, is_ours
 from hilbench.results.reduction import GAP_S, MOST_VALUES, joined, reduced
+from hilbench.results.text_table import read_table
+from hilbench.results.unreadable import EXPECTED_FORMATS, check_unpacked, one_line
 from hilbench.runs.events import Event, journal_events
 from hilbench.topology.signal_kinds import TIME
 from hilbench.topology.signals import find_signal, unit_of
@@ -46,17 +40,8 @@ NO_START_TIME = datetime(2000, 1, 1, tzinfo=UTC)
 #: Samples from which on there is something to draw or to evaluate; a run that ended earlier leaves no recording.
 LEAST_SAMPLES = 2
 
-_FORMATS = "expected a recording: .mf4, .csv, .csv.gz or .parquet"
 #: Samples of a piece of a recording.
 BLOCK_ROWS = 8192
-#: Channels of a table as text, characters of the row that names them, and of all below it, at most.
-MOST_COLUMNS, _LONGEST_HEADER, _MOST_CHARACTERS = 4096, 500_000, 500_000_000
-#: The most that deflate can shrink data (RFC 1951: 258 bytes by two bits), and a little.
-_DEFLATE_MOST = 1040
-#: Values of all channels, and bytes of all texts, that are unpacked from MDF or Parquet, at most: 8 GB of values, which
-#: 40 channels at 500 Hz fill in 13 hours.
-_MOST_VALUES, _MOST_TEXT = 1_000_000_000, 1_000_000_000
-_MDF_HEAD_BYTES = 64 + 104  # identification block and header block (ASAM MDF 4: IDBLOCK, HDBLOCK)
 
 
 @dataclass(frozen=True)
@@ -141,69 +126,6 @@ class Recording:
                     f"channel {name} has {count} value(s) that are no finite number, the first in sample {first + 1}"
                     f" (t = {self.time_s[first]:g} s), expected none",
                 )
-
-
-class RecordingBuilder:
-    """Collects one row a cycle, cheaply and without ever copying what is there.
-
-    `names` are the channels in the order of a row; the first must be ``t_s``. Those that are `whole` are int64 in a
-    row, the others binary64. `expected_rows` are allocated and touched at once, so that a run of that length allocates
-    nothing; a longer run goes on in further blocks.
-    """
-
-    def __init__(self, names: Sequence[str], expected_rows: int = BLOCK_ROWS, whole: Container[str] = ()) -> None:
-        if not names or names[0] != TIME or len(set(names)) != len(names):
-            raise ValueError(f"channels {list(names)}: expected distinct names, {TIME} first")
-        self.names = tuple(names)
-        self.whole = [name in whole for name in names]  #: by name
-        self._row = struct.Struct("=" + "".join("q" if is_whole else "d" for is_whole in self.whole))
-        self._row_size = self._row.size
-        self._full: list[NDArray[np.float64]] = []
-        self.used = np.zeros(1, np.int64)  #: rows of the block
-        self._at = self.used.data  # one value goes faster through this
-        self._open_block(max(expected_rows, 1))
-
-    def _open_block(self, rows: int) -> None:
-        self.block = np.full((rows, len(self.names)), np.nan)  #: of rows: those so far, and room for more
-        self._bytes = self.block.data.cast("B")
-        self.used[0] = 0
-
-    def append(self, row: Sequence[float]) -> None:
-        """Add one sample: a value per channel. Raises struct.error if the row has another length."""
-        at = self._next_row()
-        self._row.pack_into(self._bytes, at, *row)
-        self._at[0] += 1
-
-    def append_packed(self, row: memoryview) -> None:
-        """The same of a row that is in memory already, as bytes. Raises ValueError if it has another length."""
-        at = self._next_row()
-        self._bytes[at : at + self._row_size] = row
-        self._at[0] += 1
-
-    def _next_row(self) -> int:
-        """Where it begins in the bytes of the block."""
-        if self._at[0] == len(self.block):
-            self.next_block()
-        return self._at[0] * self._row_size
-
-    def next_block(self) -> None:
-        """The block is full: go on in another one."""
-        self._full.append(self.block)
-        self._open_block(BLOCK_ROWS)
-
-    def __len__(self) -> int:
-        """Number of samples so far."""
-        return sum(map(len, self._full)) + self._at[0]
-
-    def build(self, start_time: datetime | None = None, comment: str = "") -> Recording:
-        """What was recorded so far, as a copy; counts and bit fields become integers where every sample is one."""
-        rows = np.concatenate([*self._full, self.block[: self._at[0]]])
-        whole = rows.view(np.int64)
-        channels = {
-            name: typed(name, np.ascontiguousarray((whole if is_whole else rows)[:, column], np.float64))
-            for column, (name, is_whole) in enumerate(zip(self.names, self.whole, strict=True))
-        }
-        return Recording(channels, start_time, comment)
 
 
 def typed(name: str, values: NDArray[np.float64]) -> NDArray[Any]:
@@ -421,7 +343,7 @@ def _kind(path: Path) -> str:
     for kind in _WRITERS:
         if suffixes.endswith(kind):
             return kind
-    raise UnusableInputError(path, f"file name '{path.name}', {_FORMATS}")
+    raise UnusableInputError(path, f"file name '{path.name}', {EXPECTED_FORMATS}")
 
 
 def _check_count(samples: int, path: Path) -> None:
@@ -444,14 +366,6 @@ def _check_time(time_s: NDArray[np.float64], path: Path) -> None:
             f"{TIME} goes from {time_s[at]:g} s to {time_s[at + 1]:g} s in sample {at + 2},"
             " expected a strictly increasing time",
         )
-
-
-def _mdf_library() -> Any:
-    """The MDF library, imported when first needed: it takes half a second."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import asammdf
-    return asammdf
 
 
 def _is_in_pieces(path: Path) -> bool:
@@ -497,145 +411,12 @@ def _events_beside(path: Path, cycle_time_s: float) -> list[Event]:
 def _read_mdf(path: Path) -> Recording:
     if _is_in_pieces(path):
         return _read_pieces(path)
-    _check_mdf_head(path)
-    asammdf = _mdf_library()
-    with _tracebacks_dropped():
-        try:
-            with asammdf.MDF(path) as mdf:
-                _check_mdf_blocks(mdf, path)
-                return _mdf_channels(mdf, path)
-        except (UnusableInputError, MemoryError):
-            raise
-        except Exception as error:  # asammdf raises whatever its parser stumbles over: struct.error, KeyError, …
-            found = _one_line(error)
-        gc.collect()  # what it had half made
-    raise UnusableInputError(path, f"not a readable MDF4 file ({found})")
-
-
-@contextmanager
-def _tracebacks_dropped() -> Iterator[None]:
-    """Of a damaged file asammdf prints tracebacks, too: on standard output, by its logger, and when half-made objects
-    are let go."""
-    logger, hook = logging.getLogger("asammdf"), sys.unraisablehook
-    logger.disabled, disabled = True, logger.disabled
-    sys.unraisablehook = lambda _: None
-    try:
-        with redirect_stdout(io.StringIO()):
-            yield
-    finally:
-        logger.disabled, sys.unraisablehook = disabled, hook
-
-
-def _check_mdf_head(path: Path) -> None:
-    """Refuse early what the library's destructor would answer with a traceback on standard error."""
-    try:
-        with open(path, "rb") as file:
-            head = file.read(_MDF_HEAD_BYTES)
-            size = os.fstat(file.fileno()).st_size
-    except OSError as error:
-        raise UnusableInputError(path, f"cannot be read ({error.strerror}), {_FORMATS}") from error
-    if not head.startswith(b"MDF     4.") or len(head) < _MDF_HEAD_BYTES:
-        raise UnusableInputError(path, f"not an MDF file of version 4, {_FORMATS}")
-    if any(link >= size for link in struct.unpack_from("<6Q", head, 64 + 24)):  # links of the header block
-        raise UnusableInputError(path, f"cut off after {size} bytes, expected a whole MDF file")
-    _check_mdf_lists(path, struct.unpack_from("<2Q", head, 64 + 24))
-
-
-def _check_mdf_lists(path: Path, first: Sequence[int]) -> None:
-    """Refuse lists of blocks that never end: the library follows a block's first link for ever.
-
-    `first`: the first data group and the first entry of the file history. Data groups lead to channel groups, and these
-    to channels, by their second link.
-    """
-    seen: set[int] = set()
-    waiting = list(first)
-    size = path.stat().st_size
-    with open(path, "rb") as file:
-        while waiting:
-            address = waiting.pop()
-            if address == 0:
-                continue
-            if address in seen:
-                raise UnusableInputError(
-                    path, f"a list of blocks comes back to byte {address}, expected a whole MDF file"
-                )
-            seen.add(address)
-            if address >= size:
-                continue  # the library says what is missing
-            file.seek(address)
-            block = file.read(24 + 16)
-            if len(block) == 24 + 16:
-                following, inner = struct.unpack_from("<2Q", block, 24)
-                waiting += [following, inner] if block[:4] in (b"##DG", b"##CG") else [following]
-
-
-def _check_mdf_blocks(mdf: Any, path: Path) -> None:
-    """Refuse sizes that can't be: the library's compiled part takes them as they are, and reads and writes by them."""
-    size = path.stat().st_size
-    _check_unpacked(sum(group.channel_group.cycles_nr * len(group.channels) for group in mdf.groups), path)
-    texts = sum(block.original_size for group in mdf.groups for kept in group.signal_data for block in kept or ())
-    if texts > _MOST_TEXT:
-        raise UnusableInputError(
-            path, f"texts of {texts / 1e6:.0f} MB when unpacked, expected at most {_MOST_TEXT / 1e6:.0f} MB"
-        )
-    for group in mdf.groups:
-        info = group.channel_group
-        record_bytes = info.samples_byte_nr + info.invalidation_bytes_nr
-        blocks = list(group.get_data_blocks())
-        if any(
-            block.address + block.compressed_size > size or block.original_size > _DEFLATE_MOST * block.compressed_size
-            for block in blocks
-        ):
-            raise UnusableInputError(path, "a data block is larger than the file, expected a whole MDF file")
-        if sum(block.original_size for block in blocks) != info.cycles_nr * record_bytes:
-            raise UnusableInputError(
-                path, f"the data are not those of {info.cycles_nr} samples, expected a whole MDF file"
-            )
-        for channel in group.channels:
-            if channel.byte_offset + (channel.bit_offset + channel.bit_count + 7) // 8 > record_bytes:
-                raise UnusableInputError(
-                    path, f"channel {channel.name} is outside its record, expected a whole MDF file"
-                )
-
-
-def _check_unpacked(values: int, path: Path) -> None:
-    """Refuse what small files can unpack to."""
-    if values > _MOST_VALUES:
-        raise UnusableInputError(
-            path, f"{values / 1e6:.0f} million values when unpacked, expected at most {_MOST_VALUES / 1e6:.0f} million"
-        )
-
-
-def _mdf_channels(mdf: Any, path: Path) -> Recording:
-    channels: dict[str, NDArray[Any]] = {}
-    units: dict[str, str] = {}
-    for signal in mdf.iter_channels(skip_master=True):
-        if signal.samples.ndim != 1 or signal.samples.dtype.kind not in "fiu":
-            continue  # text and structures are no channels of ours
-        if TIME not in channels:
-            channels[TIME] = np.array(signal.timestamps, np.float64)
-        elif not np.array_equal(channels[TIME], signal.timestamps):
-            raise UnusableInputError(path, f"channel {signal.name} has a time base of its own, expected one for all")
-        if signal.name in channels and signal.name != TIME:
-            raise UnusableInputError(path, f"channel {signal.name} is there twice, expected once")
-        if signal.name != TIME:
-            channels[signal.name] = np.array(signal.samples)
-            units[signal.name] = signal.unit
-    start = mdf.start_time.astimezone(UTC)
-    return Recording(channels, None if start == NO_START_TIME else start, mdf.header.description or "", units)
+    channels, units, start, comment = read_mdf(path)
+    return Recording(channels, None if start == NO_START_TIME else start, comment, units)
 
 
 def _read_csv(path: Path) -> Recording:
-    try:
-        with open_text(path) as file:
-            names = _header(path, file.readline(_LONGEST_HEADER))
-            rows = _rows(path, file, len(names))
-    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
-        if isinstance(error, OSError) and error.strerror:
-            reason = error.strerror
-        else:
-            reason = "not UTF-8 text" if isinstance(error, UnicodeDecodeError) else _one_line(error)
-        raise UnusableInputError(path, f"cannot be read ({reason}), {_FORMATS}") from error
+    names, rows = read_table(path)
     columns = {name: typed(name, np.ascontiguousarray(rows[:, index])) for index, name in enumerate(names)}
     ordered = {TIME: columns.pop(TIME), **columns} if TIME in columns else columns
     return Recording(ordered)
@@ -645,10 +426,10 @@ def _read_parquet(path: Path) -> Recording:
     pyarrow, parquet = _pyarrow(path)
     try:
         with open(path, "rb") as opened, parquet.ParquetFile(opened) as file:
-            _check_unpacked(file.metadata.num_rows * file.metadata.num_columns, path)
+            check_unpacked(file.metadata.num_rows * file.metadata.num_columns, path)
             return _parquet_channels(file.read(), pyarrow)
     except (OSError, ValueError, pyarrow.ArrowException) as error:
-        raise UnusableInputError(path, f"not a readable Parquet file ({_one_line(error)})") from error
+        raise UnusableInputError(path, f"not a readable Parquet file ({one_line(error)})") from error
 
 
 def _parquet_channels(table: Any, pyarrow: Any) -> Recording:
@@ -666,76 +447,6 @@ def _parquet_channels(table: Any, pyarrow: Any) -> Recording:
     about = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
     start = datetime.fromisoformat(about["start_time"]) if "start_time" in about else None
     return Recording(ordered, start, about.get("comment", ""), units)
-
-
-def open_text(path: Path, encoding: str = "utf-8-sig") -> IO[str]:
-    """A table as text, unpacked if it is packed."""
-    if path.suffix.lower() == ".gz":
-        return gzip.open(path, "rt", encoding=encoding, newline=None)
-    return open(path, encoding=encoding)
-
-
-def rest_of_text(path: Path, file: IO[str]) -> io.StringIO:
-    """What follows in a table as text. Raises UnusableInputError where it is more than can be read."""
-    text = file.read(_MOST_CHARACTERS + 1)
-    if len(text) > _MOST_CHARACTERS:
-        raise UnusableInputError(
-            path, f"more than {_MOST_CHARACTERS / 1e6:g} MB of text, expected fewer, or the same as MDF or Parquet"
-        )
-    return io.StringIO(text)
-
-
-def _header(path: Path, line: str) -> list[str]:
-    names = [name.strip().strip('"') for name in line.rstrip("\n").split(",")]
-    place = f"{path}:1"
-    if len(names) > MOST_COLUMNS:
-        raise UnusableInputError(place, f"more than {MOST_COLUMNS} columns, expected no more")
-    if any(not name or name[0].isdigit() or name[0] in "-+." for name in names):
-        raise UnusableInputError(place, f"'{line.strip()[:60]}', expected a row of channel names separated by commas")
-    for position, name in enumerate(names):
-        if name in names[:position]:
-            raise UnusableInputError(place, f"channel {name} is there twice, expected once")
-    return names
-
-
-def _rows(path: Path, file: IO[str], width: int) -> NDArray[np.float64]:
-    """The numbers below the header, shape (samples, width)."""
-    lines = rest_of_text(path, file).readlines()
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # "no data": said better by the check of the time
-            rows = np.loadtxt(lines, delimiter=",", ndmin=2, comments=None)
-    except ValueError as error:
-        raise UnusableInputError(*_bad_line(path, lines, width)) from error
-    if not rows.size:
-        return np.empty((0, width))
-    if rows.shape[1] != width:
-        raise UnusableInputError(f"{path}:2", f"{rows.shape[1]} values, expected {width} as in the header")
-    return np.asarray(rows, np.float64)
-
-
-def _bad_line(path: Path, lines: Sequence[str], width: int) -> tuple[str, str]:
-    for number, problem in _problems(lines, width):
-        return f"{path}:{number}", problem
-    return str(path), "not readable as numbers, expected a table separated by commas"
-
-
-def _problems(lines: Sequence[str], width: int) -> Iterator[tuple[int, str]]:
-    for number, line in enumerate(lines, start=2):
-        if not line.strip():
-            continue
-        fields = line.rstrip("\n").split(",")
-        if len(fields) != width:
-            yield number, f"{len(fields)} values, expected {width} as in the header"
-        for position, text in enumerate(fields):
-            try:
-                float(text)
-            except ValueError:
-                yield number, f"value {position + 1} is '{text.strip()[:40]}', expected a number"
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 _READERS = {".mf4": _read_mdf, ".csv": _read_csv, ".csv.gz": _read_csv, ".parquet": _read_parquet}

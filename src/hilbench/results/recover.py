@@ -4,7 +4,7 @@ Its samples are in its folder, to the last (`hilbench.results.spool`). Where the
 trace: it has every frame up to the last cycle or two, so what was measured and commanded is decoded from it as the
 bench did, by the same nodes, and the tasks of the machine run on it again: what the load motor emulated is computed
 anew from the measured motion. What no frame says (when the experiment began, set-points, changes of the emulated
-machine) is in the journal. Commands come back as the drives were told them, in their units' resolution; all else is
+machine) is in the journal. Commands come back in the resolution of the drives' units; all else is
 exactly what the run had.
 """
 
@@ -41,11 +41,11 @@ from hilbench.results.mdf import MdfPieces
 from hilbench.results.recording import (
     LEAST_SAMPLES,
     Recording,
-    RecordingBuilder,
     read_recording,
     write_pieces,
     write_recording,
 )
+from hilbench.results.recording_builder import RecordingBuilder
 from hilbench.results.result import Environment, Fault, Result, Timing
 from hilbench.results.run_folder import RunFolder
 from hilbench.results.spool import all_rows
@@ -202,11 +202,11 @@ def replay_frames(
     changes: list[Change] | None,
     place: str | Path,
     *,
-    under_way: bool = False,
+    begun: bool = False,
 ) -> Recovery:
     """Decode the frames of a bench, in the order in which it saw them.
 
-    `changes`: what no frame shows (None: not known); `under_way`: the first frames are not those of the start.
+    `changes`: what no frame shows (None: not known); `begun`: the first frames are not those of the start.
     Raises UnusableInputError, which names the `place`, for frames that show no two cycles.
     """
     nodes = Nodes(config)
@@ -216,7 +216,7 @@ def replay_frames(
         cycles = _run_by_the_bench(cycles, nodes)
     take_units(nodes, configuration.received)
     rows = RecordingBuilder([signal.name for signal in config.signals])
-    decoder = Decoder(config, nodes, changes, rows.append, under_way=under_way)
+    decoder = Decoder(config, nodes, changes, rows.append, begun=begun)
     bits, count, missed, last_ns, first_ns = 0, 0, 0, 0, 0
     fault = ""
     for cycle in _complete(cycles, nodes):
@@ -307,7 +307,7 @@ def _own_frames(nodes: Nodes) -> Iterator[tuple[int, str]]:
 
 
 def take_units(nodes: Nodes, frames: Iterable[Frame]) -> None:
-    """Units as the drives told them by SDO when they were configured (expedited uploads); else by their EDS."""
+    """Units as the drives stated them by SDO when they were configured (expedited uploads); else by their EDS."""
     values: dict[tuple[int, int, int], bytes] = {}
     for can_id, data, _ in frames:
         node_id = node_of(can_id, SDO_ANSWER)
@@ -341,7 +341,7 @@ class Decoder:
         changes: Sequence[Change] | None,
         keep: Callable[[Sequence[float]], None],
         *,
-        under_way: bool = False,
+        begun: bool = False,
         cycles: int = 0,
     ) -> None:
         names = [signal.name for signal in config.signals]
@@ -371,7 +371,7 @@ class Decoder:
             or (signal.group in ("command", "load") and not signal.integer and signal.name not in shown)
         ]
         self._first: int | None = None
-        self._joins_twin = under_way  # which counts SYNCs from before the first frame
+        self._joins_twin = begun  # which counts SYNCs from before the first frame
 
     def take(self, cycle: CycleFrames) -> int:
         """Decode one cycle; returns the bits on the bus. Raises BenchFaultError as the bench did."""
@@ -432,7 +432,7 @@ class Decoder:
                 owner.set(change.path, change.value)
 
     def _take_commands(self, sent: Iterable[Frame]) -> None:
-        """What the drives were told, which is what a command is in the end."""
+        """Commands as they were sent to the drives."""
         data = {frame.can_id: frame.data for frame in sent}
         for axis, name, units_per_rad in self._commands:
             content = data.get(axis.pdos.rpdo.cob_id)

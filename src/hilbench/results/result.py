@@ -88,7 +88,7 @@ class Late(Strict):
     oldest_cycles: Count
 
 
-#: Share of late samples, %, from which on they are told as a warning.
+#: Share of late samples, %, from which on there is a warning.
 _LATE_WARNING_PCT = 1.0
 
 
@@ -331,7 +331,7 @@ class EstimatedRecord(Strict):
     """A parameter of an effect as the twin found it while the machine ran, with its 95 % interval, and where.
 
     Not `separable`: the data of the run don't tell it; the interval is what was assumed before. `tied_with`: effects
-    that it can't be told from: the value is that where they are not there.
+    that it can't be distinguished from: the value is that where they are not there.
     """
 
     effect: str

@@ -38,7 +38,8 @@ from hilbench.results.journal import JournalWriter
 from hilbench.results.junit import write_junit
 from hilbench.results.keeping import Keeping
 from hilbench.results.provenance import AskedCommit, Provenance
-from hilbench.results.recording import Recording, RecordingBuilder, read_recording
+from hilbench.results.recording import Recording, read_recording
+from hilbench.results.recording_builder import RecordingBuilder
 from hilbench.results.result import (
     Environment,
     Fault,
@@ -334,7 +335,7 @@ class Ending:
             self._add(EXIT_INTERRUPTED, time_s, BY_OPERATOR, str(error) or f"interrupted {when}")
         elif isinstance(error, HilbenchError):
             self._add(EXIT_BENCH_FAULT, time_s, source, str(error))
-        else:  # nobody foresaw it: told like all the others, with its traceback for who mends it
+        else:  # unforeseen: reported like all others, with its traceback
             self._add(EXIT_BENCH_FAULT, time_s, source, crash_report(error, self._folder.traceback))
 
     def look_after_folder(self) -> None:

@@ -28,12 +28,12 @@ from hilbench.results.recording import (
     BLOCK_ROWS,
     LEAST_SAMPLES,
     Recording,
-    RecordingBuilder,
     column_of,
     read_rows,
     read_section,
     typed,
 )
+from hilbench.results.recording_builder import RecordingBuilder
 from hilbench.results.reduction import STRETCH_S, FullRate, Survey, thinned
 from hilbench.results.run_folder import RunFolder
 from hilbench.topology.signal_kinds import TIME, Signal
@@ -72,8 +72,8 @@ class _Block:
 class Spool(RecordingBuilder):
     """Rows of a run in its folder: `append` and `append_packed` as ever, `finish` once.
 
-    `around_events`: full rate only around what `event` and `alarms` tell (times, s), and what the rows show themselves.
-    `warn` is told, once, that the disk takes no more; the run goes on without recording then.
+    `around_events`: full rate only around what `event` and `alarms` give (times, s), and what the rows show themselves.
+    `warn` is called once, where the disk takes no more; the run goes on without recording then.
     Raises UnusableInputError where the files can't be made.
     """
 
@@ -92,7 +92,7 @@ class Spool(RecordingBuilder):
         self._free: SimpleQueue[_Block] = SimpleQueue()
         self._waiting: Queue[_Block | None] = Queue()
         self._rows_before = 0
-        self._problem, self._told = "", False
+        self._problem, self._has_warned = "", False
         self.warn: Callable[[str], None] = lambda text: None
         self.alarms: Callable[[], Sequence[float]] = tuple
         self._times = _Times(cycle_time_s, [signal.name for signal in signals]) if around_events else None
@@ -142,7 +142,7 @@ class Spool(RecordingBuilder):
             else:
                 self._folder.unfinished_recording.unlink(missing_ok=True)
         except OSError as error:
-            self._problem = self._problem or _told(self._folder.recording, error)
+            self._problem = self._problem or _cannot_write(self._folder.recording, error)
         finally:
             self._writer.close()
             for path in self._folder.waiting_rows():
@@ -174,13 +174,13 @@ class Spool(RecordingBuilder):
     def next_block(self) -> None:
         """The block is full: go on in another one."""
         self._hand_over()
-        if self._problem and not self._told:
-            self._told = True
+        if self._problem and not self._has_warned:
+            self._has_warned = True
             self.warn(f"{self._problem}; the run continues without a recording")
         try:
             self._open_block(BLOCK_ROWS)
         except OSError as error:  # no space for one more; those that are there come back
-            self._problem = self._problem or _told(self._folder.recording, error)
+            self._problem = self._problem or _cannot_write(self._folder.recording, error)
             self._take_free()
 
     def _hand_over(self) -> None:
@@ -213,7 +213,7 @@ class Spool(RecordingBuilder):
             try:
                 self._writer.append(columns if self._times is None else self._times.thinned(columns))
             except OSError as error:
-                self._problem = _told(self._folder.recording, error)
+                self._problem = _cannot_write(self._folder.recording, error)
         block.clear()
         self._free.put(block)
 
@@ -227,17 +227,17 @@ class _Times:
     def __init__(self, cycle_time_s: float, names: Sequence[str]) -> None:
         self._stretch = max(round(STRETCH_S / cycle_time_s), 3)
         self._survey = Survey(names)
-        self._told: set[float] = set()
+        self._events_s: set[float] = set()
 
     def add(self, time_s: float) -> None:
-        self._told.add(round(time_s / _EVENTS_S) * _EVENTS_S)
+        self._events_s.add(round(time_s / _EVENTS_S) * _EVENTS_S)
 
     def survey(self, columns: Mapping[str, NDArray[Any]]) -> None:
         if len(columns[TIME]):
             self._survey.take(columns)
 
     def thinned(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        return thinned(columns, FullRate.around((0.0, *tuple(self._told), *self._survey.times_s)), self._stretch)
+        return thinned(columns, FullRate.around((0.0, *tuple(self._events_s), *self._survey.times_s)), self._stretch)
 
 
 def columns_of(rows: NDArray[np.float64], names: Sequence[str], whole: Sequence[bool]) -> dict[str, NDArray[Any]]:
@@ -272,7 +272,7 @@ def all_rows(folder: RunFolder, signals: Sequence[Signal]) -> Iterator[Mapping[s
     yield from left_rows(folder, signals, last_s)
 
 
-def read_under_way(folder: RunFolder, signals: Sequence[Signal]) -> Recording:
+def read_running(folder: RunFolder, signals: Sequence[Signal]) -> Recording:
     """The last samples, until now, of a run that goes on: those that are in no piece of its recording yet, and the
     pieces before them as far as memory goes. Raises UnusableInputError."""
     while True:
@@ -292,5 +292,5 @@ def _together(written: Recording, left: Sequence[Mapping[str, NDArray[Any]]]) ->
     return replace(written, channels=channels)
 
 
-def _told(path: Path, error: OSError) -> str:
+def _cannot_write(path: Path, error: OSError) -> str:
     return f"{path}: the recording cannot be written ({error.strerror})"

@@ -58,7 +58,7 @@ class TraceWriter:
 
     `path` must not exist yet (a trace is never overwritten); `channel` is the bus name in every line. A file of
     `part` bytes is followed by another one, packed if asked for; where there are `keep` bytes of lines, or the disk
-    takes no more, the trace ends, and `warn` is told: the bench goes on.
+    takes no more, the trace ends, and `warn` is called: the bench goes on.
     Raises UnusableInputError if the file cannot be created or the channel is not one word.
     """
 

@@ -22,7 +22,7 @@ from hilbench.prediction.plan import Asked, Move, Plan
 from hilbench.results.recording import Recording, check_recording, read_section
 from hilbench.results.recover import replay
 from hilbench.results.run_folder import RunFolder
-from hilbench.results.spool import read_under_way
+from hilbench.results.spool import read_running
 from hilbench.topology import quantities
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample
@@ -56,7 +56,7 @@ def recorded(folder: RunFolder, config: BenchConfig, at_s: float | None) -> Reco
     Raises UnusableInputError for a run that has none of them.
     """
     if folder.unfinished_recording.exists():
-        return read_under_way(folder, config.signals)
+        return read_running(folder, config.signals)
     if not folder.recording.exists():
         return replay(config, folder).recording
     recording = read_section(folder.recording, inf if at_s is None else at_s)

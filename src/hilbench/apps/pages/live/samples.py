@@ -111,13 +111,13 @@ class LiveSamples:
         self._history.clear()
         self.run = self._find_run(self._channel)
         take_units(self._nodes, self._splitter.current.received)
-        changes, under_way = None if self.run is None else self._changes, not self._from_start
-        if under_way and self.run is not None:
+        changes, begun = None if self.run is None else self._changes, not self._from_start
+        if begun and self.run is not None:
             self._cycle = self.run.cycles(sync.time_ns, self._config.cycle_ns)
         self._read_journal()
         keep = self._rows.append
-        self._decoder = Decoder(self._config, self._nodes, changes, keep, under_way=under_way, cycles=self._cycle)
-        self._simulates_anew = under_way and any(change.what == "enabled" for change in self._changes)
+        self._decoder = Decoder(self._config, self._nodes, changes, keep, begun=begun, cycles=self._cycle)
+        self._simulates_anew = begun and any(change.what == "enabled" for change in self._changes)
 
     def _decode(self, cycle: CycleFrames) -> None:
         if cycle.sync is None or self._decoder is None or self.problem:

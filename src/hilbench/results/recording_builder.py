@@ -1,0 +1,76 @@
+"""A recording while it is made: a row a cycle."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Container, Sequence
+from datetime import datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.results.recording import BLOCK_ROWS, Recording, typed
+from hilbench.topology.signal_kinds import TIME
+
+
+class RecordingBuilder:
+    """Collects one row a cycle, cheaply and without ever copying what is there.
+
+    `names` are the channels in the order of a row; the first must be ``t_s``. Those that are `whole` are int64 in a
+    row, the others binary64. `expected_rows` are allocated and touched at once, so that a run of that length allocates
+    nothing; a longer run goes on in further blocks.
+    """
+
+    def __init__(self, names: Sequence[str], expected_rows: int = BLOCK_ROWS, whole: Container[str] = ()) -> None:
+        if not names or names[0] != TIME or len(set(names)) != len(names):
+            raise ValueError(f"channels {list(names)}: expected distinct names, {TIME} first")
+        self.names = tuple(names)
+        self.whole = [name in whole for name in names]  #: by name
+        self._row = struct.Struct("=" + "".join("q" if is_whole else "d" for is_whole in self.whole))
+        self._row_size = self._row.size
+        self._full: list[NDArray[np.float64]] = []
+        self.used = np.zeros(1, np.int64)  #: rows of the block
+        self._at = self.used.data  # one value goes faster through this
+        self._open_block(max(expected_rows, 1))
+
+    def _open_block(self, rows: int) -> None:
+        self.block = np.full((rows, len(self.names)), np.nan)  #: of rows: those so far, and room for more
+        self._bytes = self.block.data.cast("B")
+        self.used[0] = 0
+
+    def append(self, row: Sequence[float]) -> None:
+        """Add one sample: a value per channel. Raises struct.error if the row has another length."""
+        at = self._next_row()
+        self._row.pack_into(self._bytes, at, *row)
+        self._at[0] += 1
+
+    def append_packed(self, row: memoryview) -> None:
+        """The same of a row that is in memory already, as bytes. Raises ValueError if it has another length."""
+        at = self._next_row()
+        self._bytes[at : at + self._row_size] = row
+        self._at[0] += 1
+
+    def _next_row(self) -> int:
+        """Where it begins in the bytes of the block."""
+        if self._at[0] == len(self.block):
+            self.next_block()
+        return self._at[0] * self._row_size
+
+    def next_block(self) -> None:
+        """The block is full: go on in another one."""
+        self._full.append(self.block)
+        self._open_block(BLOCK_ROWS)
+
+    def __len__(self) -> int:
+        """Number of samples so far."""
+        return sum(map(len, self._full)) + self._at[0]
+
+    def build(self, start_time: datetime | None = None, comment: str = "") -> Recording:
+        """What was recorded so far, as a copy; counts and bit fields become integers where every sample is one."""
+        rows = np.concatenate([*self._full, self.block[: self._at[0]]])
+        whole = rows.view(np.int64)
+        channels = {
+            name: typed(name, np.ascontiguousarray((whole if is_whole else rows)[:, column], np.float64))
+            for column, (name, is_whole) in enumerate(zip(self.names, self.whole, strict=True))
+        }
+        return Recording(channels, start_time, comment)

@@ -1,0 +1,100 @@
+"""Tables as text: a header row of names, then rows of numbers separated by commas; `.gz` is unpacked."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import warnings
+import zlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.errors import UnusableInputError
+from hilbench.results.unreadable import EXPECTED_FORMATS, one_line
+
+#: Columns of a table, characters of the row that names them, and of all below it, at most.
+MOST_COLUMNS, _LONGEST_HEADER, _MOST_CHARACTERS = 4096, 500_000, 500_000_000
+
+
+def read_table(path: Path) -> tuple[list[str], NDArray[np.float64]]:
+    """Names and rows (samples, names) of a CSV file. Raises UnusableInputError."""
+    try:
+        with open_text(path) as file:
+            names = _header(path, file.readline(_LONGEST_HEADER))
+            return names, _rows(path, file, len(names))
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
+        if isinstance(error, OSError) and error.strerror:
+            reason = error.strerror
+        else:
+            reason = "not UTF-8 text" if isinstance(error, UnicodeDecodeError) else one_line(error)
+        raise UnusableInputError(path, f"cannot be read ({reason}), {EXPECTED_FORMATS}") from error
+
+
+def open_text(path: Path, encoding: str = "utf-8-sig") -> IO[str]:
+    """A table as text, unpacked if it is packed."""
+    if path.suffix.lower() == ".gz":
+        return gzip.open(path, "rt", encoding=encoding, newline=None)
+    return open(path, encoding=encoding)
+
+
+def rest_of_text(path: Path, file: IO[str]) -> io.StringIO:
+    """What follows in a table as text. Raises UnusableInputError where it is more than can be read."""
+    text = file.read(_MOST_CHARACTERS + 1)
+    if len(text) > _MOST_CHARACTERS:
+        raise UnusableInputError(
+            path, f"more than {_MOST_CHARACTERS / 1e6:g} MB of text, expected fewer, or the same as MDF or Parquet"
+        )
+    return io.StringIO(text)
+
+
+def _header(path: Path, line: str) -> list[str]:
+    names = [name.strip().strip('"') for name in line.rstrip("\n").split(",")]
+    place = f"{path}:1"
+    if len(names) > MOST_COLUMNS:
+        raise UnusableInputError(place, f"more than {MOST_COLUMNS} columns, expected no more")
+    if any(not name or name[0].isdigit() or name[0] in "-+." for name in names):
+        raise UnusableInputError(place, f"'{line.strip()[:60]}', expected a row of channel names separated by commas")
+    for position, name in enumerate(names):
+        if name in names[:position]:
+            raise UnusableInputError(place, f"channel {name} is there twice, expected once")
+    return names
+
+
+def _rows(path: Path, file: IO[str], width: int) -> NDArray[np.float64]:
+    """The numbers below the header, shape (samples, width)."""
+    lines = rest_of_text(path, file).readlines()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # "no data": said better by the check of the time
+            rows = np.loadtxt(lines, delimiter=",", ndmin=2, comments=None)
+    except ValueError as error:
+        raise UnusableInputError(*_bad_line(path, lines, width)) from error
+    if not rows.size:
+        return np.empty((0, width))
+    if rows.shape[1] != width:
+        raise UnusableInputError(f"{path}:2", f"{rows.shape[1]} values, expected {width} as in the header")
+    return np.asarray(rows, np.float64)
+
+
+def _bad_line(path: Path, lines: Sequence[str], width: int) -> tuple[str, str]:
+    for number, problem in _problems(lines, width):
+        return f"{path}:{number}", problem
+    return str(path), "not readable as numbers, expected a table separated by commas"
+
+
+def _problems(lines: Sequence[str], width: int) -> Iterator[tuple[int, str]]:
+    for number, line in enumerate(lines, start=2):
+        if not line.strip():
+            continue
+        fields = line.rstrip("\n").split(",")
+        if len(fields) != width:
+            yield number, f"{len(fields)} values, expected {width} as in the header"
+        for position, text in enumerate(fields):
+            try:
+                float(text)
+            except ValueError:
+                yield number, f"value {position + 1} is '{text.strip()[:40]}', expected a number"
