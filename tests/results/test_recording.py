@@ -14,10 +14,10 @@ import pytest
 
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording, RecordingBuilder, read_recording, write_recording
-from hilbench.topology.signals import SMALLEST, signals_of
+from hilbench.topology.signals import signals_of, smallest_shapes
 
 FORMATS = ("recording.mf4", "recording.csv", "recording.csv.gz")
-SIGNALS = signals_of("web_line", SMALLEST["web_line"])
+SIGNALS = signals_of("web_line", smallest_shapes()["web_line"])
 NAMES = tuple(signal.name for signal in SIGNALS)
 
 
