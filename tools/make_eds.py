@@ -14,11 +14,11 @@ from pathlib import Path
 from canopen.objectdictionary import ODRecord, ODVariable
 
 from hilbench.bench.operator import operator_objects
+from hilbench.machine_kinds import machine_part
 from hilbench.plant.effect import Effect, EffectPlace, MachineKind
 from hilbench.plant.effects import effects_of
-from hilbench.topology.process_data.of_kind import process_data
 from hilbench.topology.process_data.table import STATUS_TPDO
-from hilbench.topology.signals import SMALLEST, Shape
+from hilbench.topology.signals import Shape, smallest_shapes
 
 EDS_FOLDER = Path(__file__).resolve().parent.parent / "eds"
 
@@ -367,24 +367,28 @@ def virtual_io(kind: MachineKind, *, is_long: bool = False) -> DeviceDescription
     """The CiA-401-like device with the twin's answers as analogue inputs and the machine's boundary as outputs; its
     PDOs are at first those of the smallest machine of its kind."""
     name, product, device_type = "hilbench virtual I/O", 0x0401, 0x000C_0191
-    smallest = process_data(kind, SMALLEST[kind])
+    smallest = machine_part(kind, "topology").process_data(smallest_shapes()[kind])
     signals = {signal.sub: signal for signal in smallest.published}
     sensors = {signal.sub: signal for signal in smallest.boundary_inputs}
     tpdos = {number: Pdo() for number in range(1, 5)}
     if kind is MachineKind.WEB_LINE:
         most = MOST_SPANS_OF_LONG if is_long else MOST_SPANS
         spans = tuple(range(1, most + 1))
-        for signal in process_data(kind, Shape(most + 1, (), most, spans, spans)).published:
+        for signal in machine_part(kind, "topology").process_data(Shape(most + 1, (), most, spans, spans)).published:
             signals.setdefault(signal.sub, signal)
         names = tuple(f"{number}" for number in range(1, MOST_STATIONS + 1))
-        with_stations = process_data(kind, Shape(2, (), 1, (), (), carriages=names, measured=names, pushed=names))
+        with_stations = machine_part(kind, "topology").process_data(
+            Shape(2, (), 1, (), (), carriages=names, measured=names, pushed=names)
+        )
         signals |= {
             signal.sub: replace(signal, text=signal.text.replace("position", "position or radius"))
             for signal in with_stations.published
             if signal.sub not in signals
         }
         sensors = {signal.sub: signal for signal in with_stations.boundary_inputs}
-        longest = process_data(kind, Shape(most + 1, (), most, spans if is_long else (1,), spans))
+        longest = machine_part(kind, "topology").process_data(
+            Shape(most + 1, (), most, spans if is_long else (1,), spans)
+        )
         tpdos |= {pdo.number: Pdo() for pdo in longest.sent}
     tpdos |= {
         pdo.number: Pdo(True, pdo.every, tuple((signal.index, signal.sub, 32) for signal in pdo.signals))

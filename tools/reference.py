@@ -26,9 +26,9 @@ from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.config_text import json_schema
 from hilbench.runs.metrics import OF_RUNS, OF_STEPS
 from hilbench.runs.segment import Metric
-from hilbench.topology.quantities import SINGLE_PATHS, permitted
+from hilbench.topology.quantities import permitted, single_paths
 from hilbench.topology.signal_kinds import Signal
-from hilbench.topology.signals import SMALLEST, signals_of
+from hilbench.topology.signals import signals_of, smallest_shapes
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 
@@ -384,14 +384,15 @@ def signals_page() -> str:
         "The channels of `recording.mf4`, one value a cycle, in SI units. The group says who knows the value; *truth* "
         "only a simulated bench has, and diagnosis never reads it. Conditions (`wait_until:`) and expectations of a "
         "scenario table use the same names. What steps and tables can set: "
-        + ", ".join(f"`{path}` ({permitted(path)})" for path in SINGLE_PATHS)
+        + ", ".join(f"`{path}` ({permitted(path)})" for path in single_paths())
         + ", and every parameter of every [effect](effects.md) within its bounds.",
         "",
         *_signals_table(
-            "A web line of two axes and one span", signals_of(MachineKind.WEB_LINE, SMALLEST[MachineKind.WEB_LINE])
+            "A web line of two axes and one span",
+            signals_of(MachineKind.WEB_LINE, smallest_shapes()[MachineKind.WEB_LINE]),
         ),
         "",
-        *_signals_table("A servo axis", signals_of(MachineKind.SERVO_AXIS, SMALLEST[MachineKind.SERVO_AXIS])),
+        *_signals_table("A servo axis", signals_of(MachineKind.SERVO_AXIS, smallest_shapes()[MachineKind.SERVO_AXIS])),
     ]
     return "\n".join(lines)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hilbench.topology.sample import sample_type
-from hilbench.topology.signals import SMALLEST, signals_of
+from hilbench.topology.signals import signals_of, smallest_shapes
 
-SIGNALS = signals_of("web_line", SMALLEST["web_line"])
+SIGNALS = signals_of("web_line", smallest_shapes()["web_line"])
 sample_of_two_axes = sample_type(SIGNALS)

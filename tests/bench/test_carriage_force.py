@@ -16,12 +16,12 @@ from tests.plant.models import DEMONSTRATOR
 from hilbench.apps.report.machines.web_line import pictures_of
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.machines.kinds import machine_tasks
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.bench.tasks.web_carriage_force import CarriageForceTask
 from hilbench.bench.tasks.web_winding_control import ROUNDED, CarriageForce
 from hilbench.errors import UnusableInputError
+from hilbench.machine_kinds import machine_part
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import read_recording
 from hilbench.results.recover import recover_run
@@ -232,7 +232,8 @@ def test_a_cylinder_never_pulls(tmp_path: Path) -> None:
     given = line(tmp_path, "controllers.store_position.force={set_point_N: 10.0}").config
     sample = sample_type(given.signals)()
     state = BenchState(given.cycle_time_s, sample, lambda _: None, lambda _: None)
-    (task,) = (each for each in machine_tasks(given, state).control if isinstance(each, CarriageForceTask))
+    control = machine_part(given.machine.kind, "tasks")(given, state).control
+    (task,) = (each for each in control if isinstance(each, CarriageForceTask))
     (carriage,), (force,) = given.web_line.carriages, forces_ahead(given.controllers.values()).values()
     falling = CarriageForceTask(force, given.web_line, carriage, 1, Turns(0.0), Turns(SPEED_M_S), state)
     for each, expected_N in ((task, 40.0), (falling, 0.0)):

@@ -192,7 +192,7 @@ def test_a_machine_that_does_not_fit_its_fmu_is_one_line(tmp_path: Path, change:
 def test_a_machine_that_is_an_fmu_has_no_futures(tmp_path: Path) -> None:
     ended = hilbench("check", carriage(tmp_path), "--set", "twin.prediction={}")
     assert ended.returncode == 2
-    assert "no 'prediction:', which is of a twin of another kind of machine (this one is a servo_axis)" in ended.stderr
+    assert "no 'prediction:', which a machine of kind fmu does not bring" in ended.stderr
 
 
 @pytest.mark.slow

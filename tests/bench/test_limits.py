@@ -11,7 +11,7 @@ from hilbench.bench.tasks.limits import LimitTripError
 from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.safety import Limit, LimitsConfig
-from hilbench.topology.signals import SMALLEST
+from hilbench.topology.signals import smallest_shapes
 from hilbench.twin.virtual_io import TwinStatus
 
 CYCLE_S = 0.002
@@ -27,7 +27,7 @@ LEVELS = Limit(warning=2.0, trip=4.0)
 
 def watch(**limits: Limit) -> LimitWatch:
     none = {name: Limit() for name in LimitsConfig.model_fields}
-    return LimitWatch(LimitsConfig(**(none | limits)), MODEL, CYCLE_S, SMALLEST["web_line"])
+    return LimitWatch(LimitsConfig(**(none | limits)), MODEL, CYCLE_S, smallest_shapes()["web_line"])
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ from tests.bench.test_runs import config
 from hilbench.bench import bench as library
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.machines.kinds import machine_tasks
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.machines.web_line import BoundaryTask
 from hilbench.bench.state import BenchState
@@ -20,6 +19,7 @@ from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.watches import Watch
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Inputs
+from hilbench.machine_kinds import machine_part
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample
@@ -48,6 +48,8 @@ def spindle(monkeypatch: pytest.MonkeyPatch) -> list[Spindle]:
     """The demonstrator's nodes as another machine: no web, no tension loop, one axis that turns."""
     made: list[Spindle] = []
 
+    of_config = machine_part("web_line", "tasks")
+
     def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         reference = Reference("line_speed_m_s", config.safety.quick_stop_m_s2 * config.cycle_time_s)
         made.append(Spindle(reference))
@@ -58,14 +60,14 @@ def spindle(monkeypatch: pytest.MonkeyPatch) -> list[Spindle]:
             return [("fast", "the spindle is fast")] if sample.v2_m_s > 0.4 else []
 
         return replace(
-            machine_tasks(config, state),
+            of_config(config, state),
             reference=reference,
             quantities=(reference,),
             control=(BoundaryTask(0.0, 0.0, {}), made[-1]),
             watches=(Watch("spindle", too_fast, state.reports),),
         )
 
-    monkeypatch.setattr(library, "machine_tasks", tasks)
+    monkeypatch.setattr(library, "machine_part", lambda kind, name: tasks)
     return made
 
 

@@ -6,7 +6,7 @@ import pytest
 from tests.bench.samples import SIGNALS, sample_of_two_axes
 
 from hilbench.topology.sample import sample_type
-from hilbench.topology.signals import SMALLEST, Shape, signals_of
+from hilbench.topology.signals import Shape, signals_of, smallest_shapes
 
 
 def test_a_sample_has_exactly_the_recorded_signals_and_the_cycle():
@@ -40,7 +40,7 @@ def test_a_copy_stays_what_it_was(made):
 
 
 def test_benches_with_the_same_signals_share_a_class_and_others_have_their_own():
-    assert sample_type(signals_of("web_line", SMALLEST["web_line"])) is sample_of_two_axes
+    assert sample_type(signals_of("web_line", smallest_shapes()["web_line"])) is sample_of_two_axes
     larger = sample_type(signals_of("web_line", Shape(3, ("first", "second"), 2, (1, 2), (1, 2))))()
     larger.tau_second_Nm, larger.F2_sim_N = 1.0, 2.0
     assert not hasattr(sample_of_two_axes(), "F2_sim_N")

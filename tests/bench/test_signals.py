@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.bench.samples import SIGNALS
 
-from hilbench.topology.signals import SMALLEST, Shape, find_signal, signals_of, unit_of
+from hilbench.topology.signals import Shape, find_signal, signals_of, smallest_shapes, unit_of
 
 DESIGN = [
     "t_s",
@@ -49,7 +49,7 @@ def test_every_part_has_its_own_signals_in_recording_order() -> None:
 
 
 def test_a_servo_axis_has_the_signals_of_a_shaft_and_none_of_a_web() -> None:
-    signals = {signal.name: signal for signal in signals_of("servo_axis", SMALLEST["servo_axis"])}
+    signals = {signal.name: signal for signal in signals_of("servo_axis", smallest_shapes()["servo_axis"])}
     assert {"x1_rad", "v1_cmd_rad_s", "tau_load_Nm", "x_load_rad", "J_sim_kg_m2", "tau1_residual_Nm"} <= {*signals}
     assert {signals[name].unit for name in ("J_sim_kg_m2", "J_sd_kg_m2", "J_true_kg_m2")} == {"kg·m²"}
     assert all("web" not in signal.description and "roller" not in signal.description for signal in signals.values())
@@ -57,7 +57,7 @@ def test_a_servo_axis_has_the_signals_of_a_shaft_and_none_of_a_web() -> None:
 
 EVERY_PART = (
     *signals_of("web_line", Shape(3, ("first", "second"), 2, (1, 2), (1, 2))),
-    *signals_of("servo_axis", SMALLEST["servo_axis"]),
+    *signals_of("servo_axis", smallest_shapes()["servo_axis"]),
 )
 
 

@@ -23,15 +23,15 @@ from hilbench.runs.config import load
 from hilbench.runs.scenario import read_scenario
 from hilbench.topology.quantities import (
     LONGEST_S,
-    SINGLE_PATHS,
     all_paths,
     checked_path,
     checked_value,
     fast_path_places,
     permitted,
     settable_path,
+    single_paths,
 )
-from hilbench.topology.signals import SMALLEST
+from hilbench.topology.signals import smallest_shapes
 
 PATHS = list(all_paths())
 HUGE = 10**400
@@ -170,7 +170,7 @@ def test_where_nothing_is_alike_all_that_can_be_set_is_told() -> None:
     with pytest.raises(UnusableValueError) as refused:
         checked_path("xyz")
     loops = ("position_control.NAME.set_point_m", "position_control.NAME.feed", "load|hardware.effects.ID")
-    assert all(path in str(refused.value) for path in (*SINGLE_PATHS, *loops))
+    assert all(path in str(refused.value) for path in (*single_paths(), *loops))
 
 
 @pytest.mark.parametrize("key", ["duration_s", "rate_per_s"])
@@ -234,7 +234,7 @@ def test_the_shipped_configs_ask_for_nothing_that_can_not_be() -> None:
     "path",
     [
         "hardware.effects.friction_asymmetry.axis2.viscous_difference_N_s_per_m",  # drives itself on, beyond all bounds
-        *fast_path_places(MachineKind.WEB_LINE, SMALLEST["web_line"]),
+        *fast_path_places(MachineKind.WEB_LINE, smallest_shapes()["web_line"]),
         "hardware.effects.torque_scale.axis1.relative_change",
         "load.effects.span_length_error.relative_change",
         "load.effects.strain_offset.strain",

@@ -11,7 +11,7 @@ from tools.reference import pages, unit_of_key
 from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.metrics import METRICS
-from hilbench.topology.signals import SMALLEST, signals_of
+from hilbench.topology.signals import signals_of, smallest_shapes
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_effects_metrics_signals_and_objects_are_all_there(made: dict[str, str])
     shift = effects.partition("## elasticity_shift")[2].partition("## ")[0]
     assert rows(shift)["relative_change"][2:5] == ["0", "-0.95", "10"]
     assert set(METRICS) <= rows(made["reference/metrics.md"]).keys()
-    for kind, shape in SMALLEST.items():
+    for kind, shape in smallest_shapes().items():
         assert {signal.name for signal in signals_of(kind, shape)} <= rows(made["reference/signals.md"]).keys()
     objects = rows(made["reference/objects.md"])
     assert objects["6041h"][1:5] == ["Statusword", "UNSIGNED16", "ro", "yes"]

@@ -37,7 +37,7 @@ from hilbench.results.run_folder import RunFolder
 from hilbench.results.trace import TraceReader, TraceWriter
 from hilbench.runs.config import load, load_with_overrides
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.signals import SMALLEST, Shape
+from hilbench.topology.signals import Shape, smallest_shapes
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 
@@ -595,7 +595,7 @@ def test_of_a_line_the_trends_have_the_tension_of_every_span_controlled_or_not()
 
 
 def test_of_a_servo_axis_the_trends_are_its_inertia_and_friction() -> None:
-    inertia, friction = trends_of(MachineKind.SERVO_AXIS, SMALLEST["servo_axis"])
+    inertia, friction = trends_of(MachineKind.SERVO_AXIS, smallest_shapes()["servo_axis"])
     assert (inertia.signal, inertia.title, inertia.unit) == ("J_sim_kg_m2", "J", "kg·cm²")
     assert (friction.signal, friction.title, friction.unit) == ("coulomb_sim_Nm", "friction", "N·m")
     inertia.values.append(2.5e-3)

@@ -31,7 +31,7 @@ from hilbench.results.run_folder import RunFolder
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import Changed, Event
 from hilbench.runs.metrics import evaluate_metrics, judge
-from hilbench.topology.signals import SMALLEST, signals_of
+from hilbench.topology.signals import signals_of, smallest_shapes
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 E0, E1 = 8.7e9, 10.5e9
@@ -65,7 +65,7 @@ def recording(samples: int = 8000) -> Recording:
     }
     channels = {
         signal.name: known.get(signal.name, np.zeros(samples))
-        for signal in signals_of("web_line", SMALLEST["web_line"])
+        for signal in signals_of("web_line", smallest_shapes()["web_line"])
     }
     return Recording(channels, datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC))
 

@@ -27,9 +27,9 @@ from hilbench.results.recording import (
 from hilbench.results.run_folder import RunFolder
 from hilbench.results.spool import Spool, all_rows, read_running
 from hilbench.runs.metrics import judge
-from hilbench.topology.signals import SMALLEST, signals_of
+from hilbench.topology.signals import signals_of, smallest_shapes
 
-SIGNALS = signals_of("web_line", SMALLEST["web_line"])
+SIGNALS = signals_of("web_line", smallest_shapes()["web_line"])
 STARTED = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
 ROW = [0.0] * len(SIGNALS)
 

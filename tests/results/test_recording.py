@@ -11,14 +11,14 @@ from pathlib import Path
 import asammdf
 import numpy as np
 import pytest
+from hilbench.results.recording_builder import RecordingBuilder
 
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording, read_recording, write_recording
-from hilbench.results.recording_builder import RecordingBuilder
-from hilbench.topology.signals import SMALLEST, signals_of
+from hilbench.topology.signals import signals_of, smallest_shapes
 
 FORMATS = ("recording.mf4", "recording.csv", "recording.csv.gz")
-SIGNALS = signals_of("web_line", SMALLEST["web_line"])
+SIGNALS = signals_of("web_line", smallest_shapes()["web_line"])
 NAMES = tuple(signal.name for signal in SIGNALS)
 
 

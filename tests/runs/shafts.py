@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.results.recording import Recording
-from hilbench.topology.signals import SMALLEST, signals_of
+from hilbench.topology.signals import signals_of, smallest_shapes
 
 DT_S = 0.002
 J0_kg_m2, COULOMB_Nm, STEP_S = 2e-3, 0.05, 8.0
@@ -44,6 +44,6 @@ def recorded_shaft(duration_s: float = 20.0, share: float = 0.25, seed: int = 1)
     }
     channels: dict[str, NDArray[np.float64]] = {
         signal.name: known.get(signal.name, np.zeros_like(t))
-        for signal in signals_of("servo_axis", SMALLEST["servo_axis"])
+        for signal in signals_of("servo_axis", smallest_shapes()["servo_axis"])
     }
     return Recording(channels)

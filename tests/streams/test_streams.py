@@ -32,9 +32,9 @@ from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import sample_type
-from hilbench.topology.signals import SMALLEST, find_signal, signals_of
+from hilbench.topology.signals import find_signal, signals_of, smallest_shapes
 
-SIGNALS = signals_of("web_line", SMALLEST["web_line"])
+SIGNALS = signals_of("web_line", smallest_shapes()["web_line"])
 
 
 class Listener:

@@ -14,7 +14,8 @@ from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.twin.machines.web_line import WebLineTwin, boundary
+from hilbench.topology.web_line import SMALLEST, boundary
+from hilbench.twin.machines.web_line import WebLineTwin
 
 Array = NDArray[np.float64]
 CYCLE_S = 0.003
@@ -42,7 +43,7 @@ class BesideALine:
         line: IndependentSpans | None = None,
         torque_noise_Nm: float = _TORQUE_NOISE_NM,
     ) -> None:
-        around = boundary(model)
+        around = boundary(model, SMALLEST)
         self.model = model
         self.twin = WebLineTwin(model, config or EstimationConfig(), CYCLE_S, around.__getitem__)
         self.line: Any = line or Line(model, [type(port)() for port in self.twin.ports])

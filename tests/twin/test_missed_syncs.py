@@ -16,14 +16,13 @@ from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.balance import MeasuredBalance
-from hilbench.plant.effect import MachineKind
 from hilbench.plant.motor_port import MotorMode
 from hilbench.runs.config import load_with_overrides
-from hilbench.topology.process_data.of_kind import process_data
+from hilbench.topology.process_data.web_line import process_data
+from hilbench.topology.web_line import SMALLEST, boundary
 from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.machines.kinds import new_machine
 from hilbench.twin.machines.machine import TwinMachine
-from hilbench.twin.machines.web_line import boundary
 from hilbench.twin.model_switch import ModelSwitcher
 from hilbench.twin.process import TwinApplication
 from hilbench.twin.process import twin as make_twin
@@ -60,7 +59,7 @@ def motion(time_s: float, tension_N: float = TENSION_N) -> list[tuple[float, flo
 def driven_machine() -> TwinMachine:
     """Of the twin, with its motors under way."""
     setup = twin_setup(CONFIG)
-    around = boundary(MODEL)
+    around = boundary(MODEL, SMALLEST)
     machine = new_machine(MODEL, setup.twin, setup.shape, CYCLE_S, lambda name: around[name])
     for port in machine.ports:
         port.mode, port.torque_limit_Nm = MotorMode.VELOCITY, 9.0
@@ -97,7 +96,7 @@ class OnTheBus:
         setup = replace(twin_setup(CONFIG), clock=self.clock, cycle_s=cycle_s)
         node = setup.virtual_io
         self.device = Device(load_eds(node.eds, node.node_id), node.node_id, self.clock)
-        virtual_io = VirtualIo(self.device, process_data(MachineKind(MODEL.kind), setup.shape), boundary(MODEL))
+        virtual_io = VirtualIo(self.device, process_data(setup.shape), boundary(MODEL, SMALLEST))
         self.machine = ModelSwitcher(
             lambda _: lambda: new_machine(MODEL, setup.twin, setup.shape, cycle_s, virtual_io.boundary_inputs), cycle_s
         )
@@ -197,8 +196,8 @@ def test_until_the_bench_says_what_is_around_the_web_a_twin_that_was_reset_holds
     application, virtual_io = hosted.application, hosted.devices[-1]
     assert isinstance(application, TwinApplication)
     virtual_io.reset_node()
-    told = {name: application.io.boundary_inputs(name) for name in boundary(MODEL)}
-    assert told == pytest.approx(boundary(MODEL), rel=1e-6)
+    told = {name: application.io.boundary_inputs(name) for name in boundary(MODEL, SMALLEST)}
+    assert told == pytest.approx(boundary(MODEL, SMALLEST), rel=1e-6)
 
 
 #: Cycles that the drives have gone too far from one on: they took a SYNC that was late for the next one.

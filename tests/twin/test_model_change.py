@@ -11,9 +11,9 @@ import pytest
 
 from hilbench.plant.motor_port import MotorMode
 from hilbench.runs.config import load_with_overrides
+from hilbench.topology.web_line import SMALLEST, boundary
 from hilbench.twin.machines.kinds import new_machine
 from hilbench.twin.machines.machine import TwinMachine
-from hilbench.twin.machines.web_line import boundary
 from hilbench.twin.model_switch import HAND_OVER_S, Make, ModelSwitcher, PendingModel, with_effects
 
 CONFIG = load_with_overrides(Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml").config
@@ -25,7 +25,7 @@ RAD_PER_M = MODEL.motor_rad_per_m(2)
 
 
 def machine(beside: Callable[[Make], PendingModel] | None = None) -> ModelSwitcher:
-    told = boundary(MODEL)
+    told = boundary(MODEL, SMALLEST)
 
     def make(effects: str) -> Make:
         changed = with_effects(MODEL, effects)

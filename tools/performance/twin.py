@@ -14,8 +14,9 @@ from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.fast_path.layout import PORT_SIZE
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.topology.web_line import SMALLEST, boundary
 from hilbench.twin.machines.machine import InVectors, MachineVectors
-from hilbench.twin.machines.web_line import WebLineTwin, boundary
+from hilbench.twin.machines.web_line import WebLineTwin
 from performance.table import Section
 
 _CYCLE_S, _RUNS = 0.002, 5
@@ -63,7 +64,7 @@ class _Inputs:
 def _run(model: ModelParameters, twins: int, cycles: Callable[[list[WebLineTwin], _Inputs, int], None]) -> float:
     """Seconds of a cycle of so many twins."""
     count = _CYCLES if twins == 1 else _CYCLES // 10
-    inputs, told = _Inputs(model, _BEFORE + count), boundary(model).__getitem__
+    inputs, told = _Inputs(model, _BEFORE + count), boundary(model, SMALLEST).__getitem__
     machines = [WebLineTwin(model, EstimationConfig(), _CYCLE_S, told) for _ in range(twins)]
     for port in (port for machine in machines for port in machine.ports):
         port.mode, port.slope = MotorMode.VELOCITY, inf
@@ -105,7 +106,7 @@ def _in_vectors(machines: list[WebLineTwin], inputs: _Inputs, count: int) -> Non
 
 def _begun(model: ModelParameters, machine: WebLineTwin, measured: Rows, asked: Rows, shown: Rows) -> InVectors:
     """The machine in vectors of its own; number and status of the SYNC are the only whole numbers."""
-    told, published = boundary(model), len(machine.published())
+    told, published = boundary(model, SMALLEST), len(machine.published())
     values = np.array([*told.values(), *[0.0] * published])
     places = dict(zip(told, range(len(told)), strict=True))
     behind = range(len(told), len(values))

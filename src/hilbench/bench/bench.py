@@ -18,7 +18,7 @@ from hilbench.bench.lifecycle import idle
 from hilbench.bench.lifecycle.drives import Drives
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.startup import TWIN, StartedBench, bring_up, held_bus
-from hilbench.bench.machines.kinds import machine_tasks
+from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.model_changes.process import LiveProcess
 from hilbench.bench.model_changes.task import ModelChanges
 from hilbench.bench.observer import CycleObserver
@@ -34,14 +34,13 @@ from hilbench.bench.tasks.watches import ControllerWatch, EmergencyWatch, Latene
 from hilbench.crash_report import TRACEBACK_FILE, crash_report
 from hilbench.did_you_mean import expected_one_of
 from hilbench.errors import BenchFaultError, NoAnswerError, UnusableValueError
-from hilbench.estimation.web_line.config import METHODS
 from hilbench.exchange import measured
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.timeliness import Timeliness
 from hilbench.forked_workers import ForkedWorker
-from hilbench.plant.effect import MachineKind
+from hilbench.machine_kinds import machine_part
 from hilbench.prediction.plan import Asked, Move, Plan
 from hilbench.processes import ChildProcess, finishing
 from hilbench.topology import quantities
@@ -117,7 +116,7 @@ class Bench:
         self._may_idle = may_idle and idle.may_idle(config)
         self._resources = ExitStack()
         self._state = BenchState(config.cycle_time_s, sample_type(config.signals)(), announce, journal, warn=warn)
-        self._machine = machine_tasks(config, self._state)
+        self._machine: MachineTasks = machine_part(config.machine.kind, "tasks")(config, self._state)
         self._quantities = list(self._machine.quantities)
         self._operator = Operator(config, self._state, self._machine.reference, self._quantities)
         self._plan = Plan()
@@ -504,10 +503,11 @@ class Bench:
 
         Raises UnusableValueError for an unknown one, and for a machine whose twin has one method.
         """
-        kind = self.config.machine_kind
-        if kind is MachineKind.SERVO_AXIS:
+        kind = self.config.machine.kind
+        methods = list(machine_part(kind, "topology").METHODS)
+        if not methods:
             raise UnusableValueError(f"method {method!r}, expected none: the twin of a {kind} has one method")
-        if method not in METHODS:
-            raise UnusableValueError(f"method {method!r}{expected_one_of(str(method), METHODS)}")
+        if method not in methods:
+            raise UnusableValueError(f"method {method!r}{expected_one_of(str(method), methods)}")
         self._state.running()
-        self.nodes.use_synchronizer(list(METHODS).index(method) + 1)
+        self.nodes.use_synchronizer(methods.index(method) + 1)

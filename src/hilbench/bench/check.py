@@ -8,7 +8,6 @@ from math import isclose
 from hilbench.bench.bus_options import BusOptions, bus_options
 from hilbench.bench.fmu_check import fmu_findings
 from hilbench.bench.schedule import Slot, schedule
-from hilbench.bench.web_line_check import check_web_line
 from hilbench.can.load import BusLoad, cycle_load
 from hilbench.canopen.eds import shared_eds
 from hilbench.cia402.axis import axes, object_of, of_first_axis
@@ -17,7 +16,7 @@ from hilbench.cia402.objects import CONTROLWORD
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.addressing import declared_units, drive_settings
 from hilbench.exchange.nodes import Nodes
-from hilbench.plant.effect import MachineKind
+from hilbench.machine_kinds import machine_part
 from hilbench.strict_yaml import Document
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
@@ -80,12 +79,7 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
             f"the PDO set takes {100 * load.fraction:.0f} % of a cycle at worst: set points or answers may come too "
             f"late in real time, expected a cycle of {least_s * 1e3:g} ms or more"
         )
-    if config.machine_kind is MachineKind.SERVO_AXIS:
-        from hilbench.bench.servo_axis_check import check_servo_axis  # machine code that no web line needs
-
-        check_servo_axis(config, document)
-    else:
-        notes += check_web_line(config, document, nodes)
+    notes += machine_part(config.machine.kind, "check")(config, document, nodes)
     slots = schedule(frames, config.cycle_time_s, config.bus.bitrate)
     return CheckedBench(load, sum(frame.per_cycle for frame in frames), notes, options, fmu_findings(config), slots)
 

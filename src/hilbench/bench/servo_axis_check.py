@@ -3,15 +3,32 @@
 from __future__ import annotations
 
 from hilbench.errors import UnusableInputError
+from hilbench.exchange.nodes import Nodes
 from hilbench.plant.servo_axis.stability import imitable_inertia_kg_m2, sampled_shaft
 from hilbench.strict_yaml import Document, Location
 from hilbench.topology.config import BenchConfig
+from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SPEED
+
+#: What the inertia may be off the model's by where the config sets no limit.
+_LARGEST_RATIO = 1e3
 
 
-def check_servo_axis(config: BenchConfig, document: Document) -> None:
-    """Raise UnusableInputError when the loop of emulated inertia, shaft and bus is unstable from the start."""
+def ranges(config: BenchConfig) -> dict[str, tuple[float, float]]:
+    """Speed (rad/s), inertia (kg·m²) and dry friction (N·m) of the emulated shaft."""
+    limits, model = config.safety.limits, config.servo_axis
+    speed_rad_s, ratio = limits.speed_rad_s.highest, min(limits.estimate_ratio.highest, _LARGEST_RATIO)
+    return {
+        SPEED: (-speed_rad_s, speed_rad_s),
+        SHAFT_INERTIA: (model.inertia_kg_m2 / ratio, model.inertia_kg_m2 * ratio),
+        SHAFT_COULOMB_FRICTION: (0.0, limits.torque_Nm.highest),
+    }
+
+
+def check_servo_axis(config: BenchConfig, document: Document, nodes: Nodes) -> list[str]:
+    """No notes. Raises UnusableInputError when the loop of emulated inertia, shaft and bus is unstable."""
     location: Location = ("load", "shaft", "inertia_kg_m2") if config.load.shaft.inertia_kg_m2 else ("machine", "shaft")
     check_emulated_inertia(config, document, config.emulated_shaft().inertia_kg_m2, location)
+    return []
 
 
 def imitable_inertias_kg_m2(config: BenchConfig) -> tuple[float, float]:

@@ -75,10 +75,8 @@ def propose(found: Diagnosis, reach: AxisReach) -> NextExperiment | None:
 
     The torque of each is that which its motion needs by the model that was found, with and without what is asked.
     """
-    model = found.model
-    questions = list(
-        questions_of(found, lambda axis: machines.sizes(model, axis, reach.top, reach.torque_Nm, _PERIOD_S))
-    )
+    model, kind = found.model, machines.of_kind(found.model)
+    questions = list(questions_of(found, lambda axis: kind.sizes(model, axis, reach.top, reach.torque_Nm, _PERIOD_S)))
     exact = found.emulation is not None
     noise_Nm = found.gap.noise_floor if exact else max(found.gap.noise_floor, found.gap.after)
     every = 1 if exact else round(_APART_S / _PERIOD_S)
@@ -90,7 +88,7 @@ def propose(found: Diagnosis, reach: AxisReach) -> NextExperiment | None:
         def predicted(question: Question) -> Array:
             torques = np.empty((len(question.models), len(v)))
             for one, out in zip(question.models, torques, strict=True):
-                machines.required_Nm(one, machines.pack(one), x, v, a, _PERIOD_S, out)
+                kind.required_torque_Nm(kind.pack(one), x, v, a, _PERIOD_S, out)
             return np.asarray(torques[:, rows] / max(noise_Nm, 1e-300))
 
         return np.array([question.is_identified(predicted(question)) for question in questions])

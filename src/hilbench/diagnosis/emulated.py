@@ -9,9 +9,7 @@ from hilbench.canopen.eds import shared_eds
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.addressing import declared_units
-from hilbench.plant.effect import MachineKind
-from hilbench.plant.servo_axis.emulated_run import ShaftEmulation
-from hilbench.plant.web_line.emulation import Emulation
+from hilbench.machine_kinds import machine_part
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load
 from hilbench.topology.config import BenchConfig
@@ -24,12 +22,8 @@ def emulation_of(config: BenchConfig) -> AnyEmulation | None:
     resolution = None
     with suppress(UnusableInputError):  # a run folder that was brought here from another machine
         resolution = tuple(_resolution(config, axis) for axis in range(1, len(config.drives) + 1))
-    if config.machine_kind is MachineKind.WEB_LINE:
-        return Emulation(config.cycle_time_s, config.rig_parameters().load_motors, resolution)
-    if not config.load_motors:
-        return None
-    stand = config.servo_rig_parameters(effects=())
-    return ShaftEmulation(config.cycle_time_s, stand, None if resolution is None else resolution[0])
+    found: AnyEmulation | None = machine_part(config.machine.kind, "diagnosis").emulation(config, resolution)
+    return found
 
 
 def _resolution(config: BenchConfig, axis: int) -> float:

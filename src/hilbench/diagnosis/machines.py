@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.plant.effect import Domain, Effect, MachineKind, MachineSizes, Section
+from hilbench.machine_kinds import machine_part
+from hilbench.plant.effect import Domain, Effect, MachineKind, Section
 from hilbench.plant.effects import STATION_EFFECTS, effects_of, find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.servo_axis import layout as shaft_layout
-from hilbench.plant.servo_axis import sizes as shaft_sizes
-from hilbench.plant.servo_axis.effects import ShaftEffect
 from hilbench.plant.servo_axis.emulated_run import ShaftEmulation
-from hilbench.plant.servo_axis.inverse import required_torque_Nm as shaft_torque_Nm
-from hilbench.plant.servo_axis.parameters import ServoAxisParameters
-from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.emulation import Emulation
-from hilbench.plant.web_line.inverse import required_torque_Nm
-from hilbench.plant.web_line.sizes import machine_sizes
 
 Array = NDArray[np.float64]
 #: How a bench emulated a machine with its load motors.
@@ -29,6 +23,12 @@ AnyEmulation = Emulation | ShaftEmulation
 
 #: The unit of a speed, in a channel's name and as a person writes it, by that of the position.
 _RATES: Final = {"m": ("m_s", "m/s"), "rad": ("rad_s", "rad/s")}
+
+
+def of_kind(model: Machine) -> Any:
+    """Description of its kind to the diagnosis: a module as `hilbench.diagnosis.servo_axis`. Raises UnusableInputError
+    for a kind that brings none."""
+    return machine_part(model.kind, "diagnosis")
 
 
 def is_lone(model: Machine) -> bool:
@@ -48,7 +48,7 @@ def vocabulary(model: Machine) -> tuple[Effect, ...]:
 
 def has_stations(model: Machine) -> bool:
     """True if it has stations in addition to driven axes and spans."""
-    return not isinstance(model, ServoAxisParameters) and model.stations is not None
+    return getattr(model, "stations", None) is not None
 
 
 def position_channel(model: Machine, axis: int) -> str:
@@ -66,36 +66,6 @@ def speed_unit(model: Machine) -> str:
     return _RATES[model.position_unit][1]
 
 
-def pack(model: Machine) -> Array:
-    """The kernel's parameter vector."""
-    return shaft_layout.pack(model) if isinstance(model, ServoAxisParameters) else lay.pack(model)
-
-
-def write_effect(
-    model: Machine,
-    parameters: Array,
-    effect: Effect,
-    axis: int | None,
-    slot: int,
-    values: dict[str, float],
-    *,
-    section: Section | None = None,
-) -> None:
-    """Write an effect's values, by name, into a parameter vector of the machine's kernel; others stay.
-
-    section: None for all of them.
-    """
-    if isinstance(model, ServoAxisParameters):
-        for number, parameter in enumerate(effect.parameters):
-            if parameter.name in values:
-                parameters[shaft_layout.place(effect.id, number, slot)] = values[parameter.name]
-        return
-    if isinstance(section, str):
-        lay.write_station_effect(parameters, model, effect.id, section, values)
-    else:
-        lay.write_effect(parameters, effect.id, axis, slot, values, span=section)
-
-
 def with_effects(model: Machine, entries: Sequence[EffectEntry]) -> Machine:
     """The model with these effects instead of its own, validated. Raises pydantic.ValidationError."""
     data = model.model_dump()
@@ -107,7 +77,7 @@ def entry(
     model: Machine, effect_id: str, axis: int | None, parameters: Mapping[str, float], section: Section | None = None
 ) -> EffectEntry:
     """Entry of an effect in the model's file."""
-    made = ShaftEffect if isinstance(model, ServoAxisParameters) else EffectEntry
+    made: type[EffectEntry] = of_kind(model).ENTRY
     if isinstance(section, str):
         return made(effect=effect_id, station=section, parameters=dict(parameters))
     return made(effect=effect_id, axis=axis, span=section, parameters=dict(parameters))
@@ -122,7 +92,7 @@ def places(model: Machine, effect: Effect) -> list[tuple[int | None, Section | N
     if effect.per_axis:
         return [(axis, None) for axis in range(1, model.axis_count + 1)]
     if effect.stations:
-        stations = {} if isinstance(model, ServoAxisParameters) else model.station_types
+        stations: dict[str, str] = getattr(model, "station_types", {})
         return [(None, name) for name, kind in stations.items() if kind in effect.stations]
     if not effect.per_section or model.span_count < 2:
         return [(None, None)]
@@ -146,17 +116,6 @@ def effect_of(model: Machine, effect_id: str) -> Effect:
     return find_effect(effect_id, kind_of(model))
 
 
-def sizes(
-    model: Machine, axis: int | None, top_speed: float, torque_Nm: float, sample_time_s: float | None
-) -> MachineSizes:
-    """Usual sizes at an axis; `top_speed` in the machine's unit."""
-    if isinstance(model, ServoAxisParameters):
-        return shaft_sizes.machine_sizes(
-            model, top_speed_rad_s=top_speed, torque_Nm=torque_Nm, sample_time_s=sample_time_s
-        )
-    return machine_sizes(model, axis, top_speed_m_s=top_speed, torque_Nm=torque_Nm, sample_time_s=sample_time_s)
-
-
 def without_unbalance(parameters: Array) -> Array:
     """The parameter vector of a servo axis with nothing unbalanced."""
     balanced = parameters.copy()
@@ -164,35 +123,6 @@ def without_unbalance(parameters: Array) -> Array:
     return balanced
 
 
-def turns_apart(model: Machine, axis: int) -> bool:
-    """True if a play can be between motor and roller: with a web there has to be inertia on both sides of it."""
-    if isinstance(model, ServoAxisParameters):
-        return False
-    if is_lone(model):
-        return True
-    return model.motor_mass_kg(axis) > 0.0 and model.roller_mass_kg(axis) > 0.0
-
-
 def Nm_per_acceleration(model: Machine, axis: int) -> float:
     """Torque at the motor that accelerates an axis with what it drives, per m/s² (rad/s² of a rotary machine)."""
-    if isinstance(model, ServoAxisParameters):
-        return model.inertia_kg_m2
-    return (model.motor_mass_kg(axis) + model.roller_mass_kg(axis)) / model.motor_rad_per_m(axis)
-
-
-def required_Nm(
-    model: Machine,
-    parameters: Array,
-    x: Array,
-    v: Array,
-    a: Array,
-    period_s: float,
-    out: Array,
-    presliding: float = 0.0,
-) -> None:
-    """Torque (n,) that a motion (n,) of a lone axis needs, into `out`: as its drive reports it.
-
-    presliding: displacement over which dry friction turns over after a reversal, in the machine's unit.
-    """
-    law = shaft_torque_Nm if isinstance(model, ServoAxisParameters) else required_torque_Nm
-    law(parameters, x, v, a, period_s, out, presliding)
+    return float(of_kind(model).Nm_per_acceleration(model, axis))

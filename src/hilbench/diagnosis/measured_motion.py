@@ -423,8 +423,8 @@ class OnMeasuredMotion:
     def _write_required(self, vector: Array, x: Array, out: Array) -> None:
         presliding_travel = self.presliding.presliding_travel if self.presliding is not None else 0.0
         driving = self._driving
-        machines.required_Nm(
-            self._model, vector, x, driving.speed, driving.acceleration, self._period_s, out, presliding_travel
+        machines.of_kind(self._model).required_torque_Nm(
+            vector, x, driving.speed, driving.acceleration, self._period_s, out, presliding_travel
         )
 
     def _gravity_moved(self, vector: Array) -> Array:

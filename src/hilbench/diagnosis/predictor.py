@@ -8,23 +8,17 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.axis_free_run import AxisFreeRun
-from hilbench.diagnosis.coupling import Arm
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured
-from hilbench.diagnosis.measured_motion import OnMeasuredMotion, coupled_motion
 from hilbench.diagnosis.residual_analysis import Condition
-from hilbench.diagnosis.web_line.free_run import FreeRun
 from hilbench.diagnosis.web_line.loop_check import Loop
-from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion
+from hilbench.machine_kinds import machine_part
 from hilbench.plant.model_file import Machine
-from hilbench.plant.servo_axis.emulated_run import ShaftEmulation
-from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
-from hilbench.plant.web_line.emulation import Emulation
-from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
 
+#: Basis of a free run.
+RECORDED_COMMANDS: Final = "the recorded commands"
 #: Share of a cycle by which a row of a bench's recording may be off the cycles.
 _UNEVEN_CYCLES: Final = 1e-6
 
@@ -91,55 +85,13 @@ def choice(model: Machine, data: Measured, emulation: AnyEmulation | None = None
     a load motor the web was emulated: as `emulation` says, or as benches do it by default, by one load motor at the
     last roller. What happened in its cycles can't be told from rows between them.
     """
-    commands = "the recorded commands"
-    if isinstance(model, ServoAxisParameters):
-        shaft = emulation if isinstance(emulation, ShaftEmulation) else None
-        if not data.emulated and (beside := coupled_motion(model, data)) is not None and beside.arm is not None:
-            gravity = "; gravity goes with the angles of both" if beside.arm is Arm.CARRIED else ""
-            return Choice(beside, f"measured motion of an axis {beside.arm}, below {beside.corner_hz:.2g} Hz{gravity}")
-        if not data.emulated or not data.commands_m_s.size:
-            return Choice(OnMeasuredMotion(model, data), "measured motion of a lone axis")
-        shaft = shaft or ShaftEmulation(data.period_s, ServoRigParameters.matching(model))
-        if not _is_cycle(data.period_s / shaft.cycle_s) or round(data.period_s / shaft.cycle_s) != 1:
-            return Choice(OnMeasuredMotion(model, data), "measured motion: there is not a row each cycle")
-        return Choice(AxisFreeRun(model, data, shaft), commands)
-    if model.web is None:
-        return Choice(OnMeasuredMotion(model, data), "measured motion of a lone axis")
-    return _web_choice(model, data, emulation if isinstance(emulation, Emulation) else None)
+    found: Choice = machine_part(model.kind, "diagnosis").choice(model, data, emulation)
+    return found
 
 
-def _is_cycle(cycles: float) -> bool:
+def is_cycle(cycles: float) -> bool:
     """True if a row of a bench's recording is whole cycles after the one before."""
     return cycles > 0.5 and abs(cycles - round(cycles)) <= _UNEVEN_CYCLES
-
-
-def _web_choice(model: ModelParameters, data: Measured, emulation: Emulation | None) -> Choice:
-    commands = "the recorded commands"
-    if data.emulated:
-        emulation = emulation or Emulation.usual(model, data.period_s)
-        if not _is_cycle(data.period_s / emulation.cycle_s):
-            return Choice(FreeRun(model, data), commands)
-        return Choice(FreeRun(model, data, emulation), commands)
-    if not set(data.x_m) | set(data.v_m_s) >= set(range(1, model.axis_count + 1)):
-        return Choice(FreeRun(model, data), commands)
-    motion = LineOnMeasuredMotion(model, data)
-    loops = motion.loops()
-    if not data.commands_m_s.size:
-        return Choice(motion, f"measured motion: there are no commands{_blind(motion)}")
-    if loops and all(loop.is_known for loop in loops):
-        return Choice(FreeRun(model, data), commands, loops)
-    why = "the drives' loops are not those of the model" if loops else "the drives' loops are not identifiable"
-    if motion.knows_strain or len(data.tau_Nm) == model.axis_count:
-        # A torque that is recorded late looks like a lag of its loop; what moves by the model's loops has them.
-        only_late = bool(loops) and all(loop.is_known or loop.is_only_late(model) for loop in loops)
-        simpler = Choice(FreeRun(model, data), commands) if only_late else None
-        return Choice(motion, f"measured motion: {why}{_blind(motion)}", loops, simpler)
-    others = [loop for loop in loops if loop.is_understood and not loop.is_known]
-    return Choice(FreeRun(model, data, loops=others), f"{commands}, with the loops that the drives show", loops)
-
-
-def _blind(motion: LineOnMeasuredMotion) -> str:
-    return "" if motion.knows_strain else "; without positions the strain is not observable, nor what acts on it"
 
 
 def predictor_for(model: Machine, data: Measured, emulation: AnyEmulation | None = None) -> Predictor:

@@ -83,7 +83,9 @@ class Proposer:
 
     def sizes(self, axis: int | None) -> MachineSizes:
         """Usual sizes at an axis of the machine (None: the first), by its model and how it ran."""
-        return machines.sizes(self._model, axis, self._top_m_s, self._torque_Nm, self._data.period_s)
+        usual = self._top_m_s, self._torque_Nm, self._data.period_s
+        found: MachineSizes = machines.of_kind(self._model).sizes(self._model, axis, *usual)
+        return found
 
     def waves(self, orders: Sequence[float]) -> dict[Place, list[Term]]:
         """Terms of each effect with an order, at these orders, for each axis whose torque is recorded."""
@@ -189,7 +191,7 @@ class Proposer:
                 return False
         if not effect.needs_gear or axis is None:
             return True
-        return machines.turns_apart(self._model, axis)
+        return bool(machines.of_kind(self._model).turns_apart(self._model, axis))
 
     def _differs(self, effect: Effect, section: Section | None) -> bool:
         """True if an effect of all spans is one that the model has in some of them already."""

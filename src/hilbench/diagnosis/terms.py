@@ -231,9 +231,10 @@ class Term:
 
 def pack_with(model: Machine, terms: list[Term]) -> Array:
     """The kernel's parameter vector of a model with these terms."""
-    parameters = machines.pack(model)
+    kind = machines.of_kind(model)
+    parameters: Array = kind.pack(model)
     for term in sorted(terms, key=_of_all_first):
-        machines.write_effect(model, parameters, term.effect, term.axis, term.slot, term.own, section=term.section)
+        kind.write_effect(model, parameters, term.effect, term.axis, term.slot, term.own, term.section)
     return parameters
 
 

@@ -13,9 +13,9 @@ from hilbench.cia402.axis import object_of, rpdo_identifier
 from hilbench.cia402.configuration import DriveSettings, RpdoCopy, default_reader
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.units import DriveUnits
+from hilbench.machine_kinds import machine_part
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
-from hilbench.topology.process_data.of_kind import process_data
 from hilbench.topology.process_data.table import PER_PDO, STATUS_TPDO, IoPdo, ProcessData
 
 _ABORT_BY_QUICK_STOP = 3
@@ -36,7 +36,7 @@ class IoMaps:
     @classmethod
     def of(cls, config: BenchConfig, od: canopen.ObjectDictionary) -> IoMaps:
         """The maps by the EDS of the virtual I/O. Raises KeyError or ValueError for what it lacks."""
-        data = process_data(config.machine_kind, config.shape)
+        data = machine_part(config.machine.kind, "topology").process_data(config.shape)
 
         def pdo_map(cob_id: int, pdo: IoPdo) -> PdoMap:
             names = [f"0x{signal.index:04X}sub{signal.sub:X}" for signal in pdo.signals]

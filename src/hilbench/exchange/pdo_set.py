@@ -11,9 +11,9 @@ from hilbench.cia402.object_units import si_unit
 from hilbench.cia402.units import DriveUnits
 from hilbench.exchange.addressing import declared_units
 from hilbench.exchange.nodes import Nodes
+from hilbench.machine_kinds import machine_part
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
-from hilbench.topology.process_data.of_kind import process_data
 from hilbench.topology.signal_kinds import Signal
 
 _MASTER = "bench"
@@ -41,7 +41,7 @@ def pdo_set_dbc(config: BenchConfig) -> str:
 def _process_data(config: BenchConfig) -> dict[tuple[int, int], Signal]:
     """Signals of the virtual I/O's objects on a machine of this kind, by index and sub-index."""
     known = {signal.name: signal for signal in config.signals}
-    data = process_data(config.machine_kind, config.shape)
+    data = machine_part(config.machine.kind, "topology").process_data(config.shape)
     return {
         (each.index, each.sub): known[each.name]
         for each in (*data.published, *data.boundary_inputs)

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from hilbench import strict_yaml
-from hilbench.did_you_mean import did_you_mean
+from hilbench.did_you_mean import expected_one_of
 from hilbench.errors import UnusableInputError
 from hilbench.files import write_whole
-from hilbench.plant.effect import MachineKind
+from hilbench.machine_kinds import DEFAULT, kinds, machine_part
 from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.web_line.parameters import ModelParameters, load_model
@@ -27,12 +27,10 @@ def load_machine(path: str | Path) -> Machine:
     if not isinstance(document.data, Mapping) or "kind" not in document.data:
         return load_model(path)
     kind = document.data["kind"]
-    if kind == MachineKind.WEB_LINE:
-        return load_model(path)
-    if kind != MachineKind.SERVO_AXIS:
-        hint = did_you_mean(kind, MachineKind) if isinstance(kind, str) else ""
-        raise UnusableInputError(document.place(("kind",)), f"{kind!r}, expected {' or '.join(MachineKind)}{hint}")
-    return strict_yaml.validate(document, ServoAxisParameters)
+    if kind not in kinds():
+        raise UnusableInputError(document.place(("kind",)), f"{kind!r}{expected_one_of(str(kind), kinds())}")
+    model: Machine = strict_yaml.validate(document, machine_part(kind, "parameters"))
+    return model
 
 
 def write_model(path: str | Path, parameters: Machine) -> None:
@@ -40,7 +38,7 @@ def write_model(path: str | Path, parameters: Machine) -> None:
     if isinstance(parameters, FmuAxisParameters):
         parameters = parameters.as_servo_axis()  # the estimate is outside the FMU's file, which can't be changed
     data: dict[str, Any] = parameters.model_dump(mode="json", exclude_none=True, exclude_unset=True)
-    if isinstance(parameters, ServoAxisParameters):  # a file without `kind` is a web line's
+    if parameters.kind != DEFAULT:
         data = {"kind": parameters.kind, **data}
     data["effects"] = [entry.model_dump(mode="json", exclude_none=True) for entry in parameters.effects]
     write_whole(path, strict_yaml.text_of(data))

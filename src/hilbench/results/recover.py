@@ -22,7 +22,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.machines.kinds import machine_tasks
+from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.task import Outputs
@@ -35,6 +35,7 @@ from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.exchange.master_node import answer_id
 from hilbench.exchange.nodes import Nodes
+from hilbench.machine_kinds import machine_part
 from hilbench.results.journal import read_journal
 from hilbench.results.junit import write_junit
 from hilbench.results.mdf import MdfPieces
@@ -354,7 +355,7 @@ class Decoder:
         self._next_change = 0
         self._state = BenchState(config.cycle_time_s, sample_type(config.signals)(), _nobody, _nobody)
         self._state.sample.cycle = cycles
-        self._machine = machine_tasks(config, self._state)
+        self._machine: MachineTasks = machine_part(config.machine.kind, "tasks")(config, self._state)
         self._machine.warm_up()
         self._watches = list(self._machine.watches)
         unit = config.machine.position_unit

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import inf, isfinite
+from math import isfinite
 
 from hilbench.bench.check import CheckedBench, check_bench
 from hilbench.bench.prediction.create import foreseeable
-from hilbench.bench.tasks.tension_loop import Margins, OperatingPoint, TensionLoop
-from hilbench.bench.web_line_check import check_stability, operating_point_text, stiffness_reserves
+from hilbench.bench.tasks.tension_loop import Margins, OperatingPoint
+from hilbench.bench.web_line_check import operating_point_text
 from hilbench.did_you_mean import expected_one_of
 from hilbench.errors import UnusableInputError, UnusableValueError
 from hilbench.exchange.effect_objects import effect_place
-from hilbench.plant.effect import MachineKind
-from hilbench.runs.config import ExperimentConfig, LoadedConfig
+from hilbench.machine_kinds import machine_part
+from hilbench.runs.config import LoadedConfig
 from hilbench.runs.drive_check import drive_warnings
 from hilbench.runs.estimated_errors import find_metric as find_found_metric
 from hilbench.runs.metrics import OF_RUNS, metrics_of
 from hilbench.runs.set_point_schedule import Move, moves
-from hilbench.runs.web_line_check import operating_points, step_warnings, stiffness_of
-
-#: Margins below which a loop is noted.
-_LEAST_GAIN, _LEAST_PHASE_DEG = 2.0, 30.0
 
 
 @dataclass(frozen=True)
@@ -68,13 +64,8 @@ def check_experiment(loaded: LoadedConfig, *, with_margins: bool = False) -> Che
     _check_criteria(loaded)
     _check_methods(loaded)
     _check_predictions(loaded)
-    if config.machine_kind is MachineKind.SERVO_AXIS:
-        from hilbench.runs.servo_axis_check import check_shaft  # machine code that no web line needs
-
-        warnings, reserve = check_shaft(loaded, asked)
-        found = CheckedExperiment(bench, None, None, warnings, list(bench.notes), inertia_reserve=reserve)
-    else:
-        found = _check_web(loaded, bench, asked, with_margins=with_margins)
+    check_steps = machine_part(config.machine.kind, "check_steps")
+    found: CheckedExperiment = check_steps(loaded, bench, asked, with_margins=with_margins)
     found.warnings.extend(drive_warnings(loaded, asked))
     for number, step in enumerate(config.steps):
         if step.python is not None:
@@ -101,10 +92,10 @@ def _check_paths(loaded: LoadedConfig, asked: list[Move]) -> None:
 
 
 def _check_methods(loaded: LoadedConfig) -> None:
-    """The twin of a shaft has one method."""
-    kind = loaded.config.machine_kind
+    """A twin may have one method."""
+    kind = loaded.config.machine.kind
     for number, step in enumerate(loaded.config.steps):
-        if step.synchronizer is not None and kind is MachineKind.SERVO_AXIS:
+        if step.synchronizer is not None and not machine_part(kind, "topology").METHODS:
             place = loaded.document.place(("steps", number, "synchronizer"))
             raise UnusableInputError(
                 place, f"a change of the twin's method, expected none: the twin of a {kind} has one method"
@@ -134,7 +125,7 @@ def _check_predictions(loaded: LoadedConfig) -> None:
 def _check_criteria(loaded: LoadedConfig) -> None:
     """Every metric that a criterion bounds is one that a run of this machine may have."""
     config = loaded.config
-    known = {**metrics_of(config.machine_kind, config.shape).metrics, **OF_RUNS}
+    known = {**metrics_of(config.machine.kind, config.shape).metrics, **OF_RUNS}
     for number, criterion in enumerate(config.criteria):
         if find_found_metric(criterion.metric, (config.machine_kind,)) is not None:
             if config.twin.live_diagnosis is None:
@@ -149,43 +140,3 @@ def _check_criteria(loaded: LoadedConfig) -> None:
                 loaded.document.place(("criteria", number, "metric")),
                 f"metric '{criterion.metric}' is none of this machine{expected_one_of(criterion.metric, known)}",
             )
-
-
-def _check_web(
-    loaded: LoadedConfig, bench: CheckedBench, asked: list[Move], *, with_margins: bool
-) -> CheckedExperiment:
-    """Web, drives, bus and twin are stable wherever the steps bring them."""
-    config, document = loaded.config, loaded.document
-    places = operating_points(config, asked)
-    for point, place in places.items():
-        check_stability(config, document, point, place if len(place) > 1 else ("machine", "web"))
-    reserves = stiffness_reserves(config, max(places, key=stiffness_of))
-    reserve = min(reserves.values(), default=inf)
-    stations = config.shape.has_stations
-    worst = _worst(config, list(places)) if with_margins and not stations else None
-    warnings = list(step_warnings(loaded, asked))
-    notes = list(bench.notes)
-    if worst is not None and (worst.margins.gain < _LEAST_GAIN or worst.margins.phase_deg < _LEAST_PHASE_DEG):
-        warnings.append(
-            f"the tension loop rings: {worst}, expected at least {_LEAST_GAIN:g} and {_LEAST_PHASE_DEG:g}°, by a "
-            f"smaller bandwidth_rad_per_s of the controllers, more swing_damping_ratio or a shorter cycle"
-        )
-    if stations:
-        notes.append(
-            "how stable the tension loops are is not looked at: idlers, dancers and accumulators swing beside the "
-            "driven rollers"
-        )
-    if reserve < 1.0:
-        notes.append(
-            "the load motor emulates so stiff a web only with the active damping of axis 1 (swing_damping_ratio)"
-        )
-    named = {config.load_motor_of(axis): value for axis, value in reserves.items()}
-    return CheckedExperiment(bench, reserve, worst, warnings, notes, stiffness_reserves=named)
-
-
-# -- stability ---------------------------------------------------------------------------------------------------------
-
-
-def _worst(config: ExperimentConfig, points: list[OperatingPoint]) -> Worst:
-    found = [Worst(point, TensionLoop(config, point).margins) for point in points]
-    return min(found, key=lambda one: min(one.margins.gain / _LEAST_GAIN, one.margins.phase_deg / _LEAST_PHASE_DEG))

@@ -14,12 +14,11 @@ from typing import Any, Final
 
 from hilbench.bench.machines.ranges import operator_ranges
 from hilbench.errors import UnusableInputError
-from hilbench.plant.effect import MachineKind
+from hilbench.machine_kinds import machine_part
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.reach import GENTLE, HOLD_S, OF_LIMIT, SLOW, STEEP, Reach, highest_of_steps
 from hilbench.runs.steps import ExperimentStep
-from hilbench.runs.web_line_reach import reach_of_line
 from hilbench.topology.quantities import SPEED
 
 #: Longest process time of a commissioning, s.
@@ -49,7 +48,7 @@ def commissioning_plan(config: ExperimentConfig, place: Path, *, forward_only: b
 
     Raises UnusableInputError, one line, for a machine that can't be commissioned, or within too tight limits.
     """
-    reach = _of_shaft(config, place) if config.machine_kind is MachineKind.SERVO_AXIS else reach_of_line(config, place)
+    reach: Reach = machine_part(config.machine.kind, "commissioning")(config, place)
     directions = (1.0,) if forward_only else (1.0, -1.0)
     steps = [*(step for sign in directions for step in _one_way(reach, sign))]
     duration_s = sum(each.get("duration_s", 0.0) for step in steps for each in step.values())
@@ -93,7 +92,8 @@ def _one_way(reach: Reach, sign: float) -> Iterator[dict[str, Any]]:
     yield from to(0.0, reach.gentle, 0.5)
 
 
-def _of_shaft(config: ExperimentConfig, place: Path) -> Reach:
+def reach_of_shaft(config: ExperimentConfig, place: Path) -> Reach:
+    """Range of the commissioning of a servo axis."""
     model = config.servo_axis
     if model.drives is None:
         raise UnusableInputError(place, "a machine without drives, expected a servo axis to commission")

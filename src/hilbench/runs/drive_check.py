@@ -11,12 +11,11 @@ from hilbench.cia402 import objects
 from hilbench.cia402.configuration import default_reader
 from hilbench.cia402.units import RPM
 from hilbench.exchange.addressing import declared_units
-from hilbench.plant.effect import MachineKind
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
+from hilbench.runs.metrics import metrics_of
 from hilbench.runs.set_point_schedule import Move
 from hilbench.topology.parts import Part, Role
-from hilbench.topology.quantities import LINE_SPEED, SPEED
 from hilbench.topology.safety import Limit
 
 
@@ -36,7 +35,8 @@ def drive_warnings(loaded: LoadedConfig, asked: list[Move]) -> Iterator[str]:
     allowed = [_allowed(config, part) for part in config.parts if part.role is not Role.VIRTUAL_IO]
     slowest = min(allowed, key=lambda drive: drive.speed)
     laziest = min(allowed, key=lambda drive: drive.acceleration)
-    path, unit = (SPEED, "rad/s") if config.machine_kind is MachineKind.SERVO_AXIS else (LINE_SPEED, "m/s")
+    speed = metrics_of(config.machine.kind, config.shape).speed
+    path, unit = speed.path, speed.unit
     for move in asked:
         before, after = move.before.values[path], move.after.values[path]
         if before == after:

@@ -17,18 +17,18 @@ from typing import Final
 
 import numpy as np
 
+from hilbench.machine_kinds import machine_part, recorded
 from hilbench.runs import estimated_errors
 from hilbench.runs.events import Event, find_events, of_open_loop
 from hilbench.runs.figures import finite_or_none, working_window
-from hilbench.runs.machines import servo_axis, web_line
+from hilbench.runs.machines import web_line
 from hilbench.runs.machines.machine import MachineMetrics
 from hilbench.runs.segment import Array, Channels, Figure, Metric, Segment, UnknownFigureError
-from hilbench.topology.signals import SMALLEST, Shape, kind_of, shape_of
+from hilbench.topology.signals import Shape, kind_of, shape_of, smallest_shapes
 
 #: What the smallest machine of each kind has of its steps.
 OF_STEPS: Final[Mapping[str, MachineMetrics]] = {
-    "web_line": web_line.metrics_of(SMALLEST["web_line"]),
-    "servo_axis": servo_axis.METRICS,
+    kind: recorded("metrics")[kind](shape) for kind, shape in smallest_shapes().items() if kind in recorded("metrics")
 }
 FIRST_KIND: Final = next(iter(OF_STEPS))
 _NUMBERED: Final = re.compile(r"[A-Za-z]+([1-9]\d{0,2})_\w+")
@@ -83,7 +83,8 @@ _MOST_REASONS: Final = 3
 
 def metrics_of(kind: str, shape: Shape) -> MachineMetrics:
     """Step metrics of a kind of machine."""
-    return web_line.metrics_of(shape) if kind == "web_line" else OF_STEPS[kind]
+    metrics: MachineMetrics = machine_part(kind, "metrics")(shape)
+    return metrics
 
 
 @cache

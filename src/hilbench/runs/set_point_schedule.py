@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from hilbench.plant.effect import MachineKind
+from hilbench.machine_kinds import machine_part
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.runs import web_line_values
@@ -59,24 +59,9 @@ class Move:
     duration_s: float
 
 
-def _start_values(config: ExperimentConfig) -> dict[str, float]:
-    if config.machine_kind is MachineKind.SERVO_AXIS:
-        shaft = config.emulated_shaft()
-        return {
-            quantities.SPEED: 0.0,
-            quantities.SHAFT_INERTIA: shaft.inertia_kg_m2,
-            quantities.SHAFT_COULOMB_FRICTION: shaft.shaft.coulomb_friction_Nm,
-        }
-    set_points = {
-        quantities.tension_set_point(config.shape.numbered(span)): control.set_point_N
-        for span, control in config.set_point_controls.items()
-    }
-    return {quantities.LINE_SPEED: 0.0, **set_points, **web_line_values.start_moduli_Pa(config)}
-
-
 def start_of(config: ExperimentConfig) -> State:
     """The state in which the drives are enabled."""
-    values = _start_values(config)
+    values: dict[str, float] = machine_part(config.machine.kind, "start_values")(config)
     others: list[EffectEntry] = []
     for number, entry in enumerate(config.load.effects):
         place = (entry.effect, entry.axis, entry.section)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from math import copysign, expm1, inf, isfinite, nan, prod
 
-from hilbench.bench.tasks.tension_loop import Moduli, OperatingPoint
-from hilbench.bench.web_line_check import alike
+from hilbench.bench.check import CheckedBench
+from hilbench.bench.tasks.tension_loop import Moduli, OperatingPoint, TensionLoop
+from hilbench.bench.web_line_check import alike, check_stability, stiffness_reserves
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import per_item
+from hilbench.runs.check import CheckedExperiment, Worst
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.drive_check import beyond, torque_limit_Nm
 from hilbench.runs.set_point_schedule import Move, State, start_of
@@ -22,6 +24,45 @@ from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_spa
 _SAME_SPEED_M_S = 0.05
 #: So many operating points are looked at; of more those with extreme values.
 _MOST_POINTS = 24
+#: Margins below which a loop is noted.
+_LEAST_GAIN, _LEAST_PHASE_DEG = 2.0, 30.0
+
+
+def check_steps(
+    loaded: LoadedConfig, bench: CheckedBench, asked: list[Move], *, with_margins: bool
+) -> CheckedExperiment:
+    """Web, drives, bus and twin are stable wherever the steps bring them."""
+    config, document = loaded.config, loaded.document
+    places = operating_points(config, asked)
+    for point, place in places.items():
+        check_stability(config, document, point, place if len(place) > 1 else ("machine", "web"))
+    reserves = stiffness_reserves(config, max(places, key=stiffness_of))
+    reserve = min(reserves.values(), default=inf)
+    stations = config.shape.has_stations
+    worst = _worst(config, list(places)) if with_margins and not stations else None
+    warnings = list(step_warnings(loaded, asked))
+    notes = list(bench.notes)
+    if worst is not None and (worst.margins.gain < _LEAST_GAIN or worst.margins.phase_deg < _LEAST_PHASE_DEG):
+        warnings.append(
+            f"the tension loop rings: {worst}, expected at least {_LEAST_GAIN:g} and {_LEAST_PHASE_DEG:g}°, by a "
+            f"smaller bandwidth_rad_per_s of the controllers, more swing_damping_ratio or a shorter cycle"
+        )
+    if stations:
+        notes.append(
+            "how stable the tension loops are is not looked at: idlers, dancers and accumulators swing beside the "
+            "driven rollers"
+        )
+    if reserve < 1.0:
+        notes.append(
+            "the load motor emulates so stiff a web only with the active damping of axis 1 (swing_damping_ratio)"
+        )
+    named = {config.load_motor_of(axis): value for axis, value in reserves.items()}
+    return CheckedExperiment(bench, reserve, worst, warnings, notes, stiffness_reserves=named)
+
+
+def _worst(config: ExperimentConfig, points: list[OperatingPoint]) -> Worst:
+    found = [Worst(point, TensionLoop(config, point).margins) for point in points]
+    return min(found, key=lambda one: min(one.margins.gain / _LEAST_GAIN, one.margins.phase_deg / _LEAST_PHASE_DEG))
 
 
 def operating_points(config: ExperimentConfig, asked: list[Move]) -> dict[OperatingPoint, Location]:

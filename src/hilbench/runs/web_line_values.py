@@ -6,7 +6,17 @@ from collections.abc import Mapping
 
 from hilbench.bench.tasks.emulated_web import emulated_web
 from hilbench.runs.config import ExperimentConfig
+from hilbench.topology.quantities import LINE_SPEED, tension_set_point
 from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, is_modulus, moduli
+
+
+def start_values(config: ExperimentConfig) -> dict[str, float]:
+    """Values of the quantities of a line at the start, by path."""
+    set_points = {
+        tension_set_point(config.shape.numbered(span)): control.set_point_N
+        for span, control in config.set_point_controls.items()
+    }
+    return {LINE_SPEED: 0.0, **set_points, **start_moduli_Pa(config)}
 
 
 def start_moduli_Pa(config: ExperimentConfig) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Union
 
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
@@ -12,14 +12,14 @@ from hilbench.can.open import BusAddress
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.servo_axis.config import InertiaConfig
 from hilbench.estimation.web_line.config import EstimationConfig
+from hilbench.machine_kinds import DEFAULT, importable, kinds, problems
 from hilbench.plant.effect import EffectPlace, MachineKind
 from hilbench.plant.effects import effect_problem, find_effect
-from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.fmu.config import FmuLoadConfig
+from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry, NotNegative, Positive
 from hilbench.plant.sensors import SensorParameters
-from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParameters
-from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.servo_axis.parameters import ShaftParameters
 from hilbench.prediction.config import PredictionConfig
 from hilbench.topology.live_config import LiveDiagnosisConfig
 from hilbench.topology.parts import NodeConfig
@@ -29,18 +29,18 @@ from hilbench.topology.web_line_config import LoadWebConfig
 Pace = Literal["lockstep", "realtime"]
 Mirroring = Literal["listen", "copy"]
 #: The machine, by its `kind`; without one it is a web line.
-MachineParameters = Annotated[
-    Annotated[ModelParameters, Tag("web_line")]
-    | Annotated[ServoAxisParameters, Tag("servo_axis")]
-    | Annotated[FmuAxisParameters, Tag("fmu")],
-    Discriminator(
-        lambda value: (
-            value.get("kind", "web_line") if isinstance(value, Mapping) else getattr(value, "kind", "web_line")
+if TYPE_CHECKING:
+    MachineParameters = Machine
+else:
+    *_others, _last = kinds()
+    MachineParameters = Annotated[
+        Union[tuple(Annotated[block, Tag(kind)] for kind, block in importable("parameters").items())],  # noqa: UP007
+        Discriminator(
+            lambda value: value.get("kind", DEFAULT) if isinstance(value, Mapping) else getattr(value, "kind", DEFAULT),
+            custom_error_type="kind",
+            custom_error_message="; ".join([f"kind: {', '.join(_others)} or {_last}", *problems()]),
         ),
-        custom_error_type="kind",
-        custom_error_message="kind: web_line, servo_axis or fmu",
-    ),
-]
+    ]
 
 
 class BusConfig(Block):

@@ -14,6 +14,7 @@ from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_
 from hilbench.block import Block, problem_at
 from hilbench.can.open import BusAddress
 from hilbench.errors import UnusableInputError
+from hilbench.machine_kinds import machine_part
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
 from hilbench.plant.sampling import samples_per
@@ -50,7 +51,6 @@ from hilbench.topology.web_line_config import (
     tension_loops,
     torqued_reels,
 )
-from hilbench.topology.web_line_shape import web_line_shape
 
 #: Share of a drive's torque limit that a quick stop may take: the rest is for friction and the pull of the web.
 _STOPPING_SHARE = 0.8
@@ -152,15 +152,11 @@ class BenchConfig(Block):
 
     @model_validator(mode="after")
     def _fits_the_machine(self) -> BenchConfig:
-        machine, controllers = self.machine, self.controllers.values()
-        found = whole_misfits(machine, self.drives, self.load_motors, controllers, self.load, self.twin)
-        problem = next(found, None)
+        machine = self.machine
+        problem = next(whole_misfits(self), None)
         if problem:
             raise ValueError(problem)
-        if isinstance(machine, ModelParameters):
-            self.rig_parameters()  # raises ValueError for a load motor that is too heavy
-        else:
-            self.servo_rig_parameters(), self.emulated_shaft()  # raise ValueError for what can't be built
+        machine_part(machine.kind, "topology").build(self)  # raises ValueError for what can't be built
         samples_per(self.cycle_time_s, self.drive_parameters.sample_time_s)  # raises ValueError for what is no multiple
         return self
 
@@ -173,7 +169,7 @@ class BenchConfig(Block):
 
     @property
     def machine_kind(self) -> MachineKind:
-        """Kind of machine."""
+        """Kind of machine by whose effects it goes."""
         return self.machine.machine_kind
 
     @property
@@ -204,7 +200,7 @@ class BenchConfig(Block):
         rates tear the web.
         """
         machine = self.machine
-        if not isinstance(machine, ModelParameters):
+        if machine.position_unit == "rad":
             return self.safety.quick_stop_rad_s2
         if not self.stops_together:
             return self.safety.quick_stop_m_s2
@@ -214,7 +210,7 @@ class BenchConfig(Block):
     @property
     def stops_together(self) -> bool:
         """True if the axes are brought to rest in the ratio of their speeds."""
-        return isinstance(self.machine, ModelParameters) and self.machine.span_count > 1
+        return self.machine.span_count > 1
 
     def fastest_m_s2(self, axis: int) -> float:
         """Largest acceleration of the drive of a web line's axis, by its torque limit and all that it turns."""
@@ -296,15 +292,13 @@ class BenchConfig(Block):
     @property
     def shape(self) -> Shape:
         """Multiplicities of the machine's parts."""
-        machine, motors = self.machine, tuple(self.load_motors)
-        if not isinstance(machine, ModelParameters):
-            return Shape(machine.axis_count, motors)
-        return web_line_shape(machine, motors, self.twin, self.controllers.values(), self.load.measured)
+        shape: Shape = machine_part(self.machine.kind, "topology").shape(self)
+        return shape
 
     @property
     def signals(self) -> tuple[Signal, ...]:
         """Signals of a sample of this bench, in recording order."""
-        return signals_of(self.machine_kind, self.shape)
+        return signals_of(self.machine.kind, self.shape)
 
     @property
     def loaded_axes(self) -> tuple[int, ...]:
@@ -340,7 +334,7 @@ class BenchConfig(Block):
     @property
     def fast_path_places(self) -> tuple[str, ...]:
         """The quantities of this bench that can be set, without those of effects."""
-        known = fast_path_places(self.machine_kind, self.shape)
+        known = fast_path_places(self.machine.kind, self.shape)
         return tuple(path for path in known if self.path_problem(path) is None)
 
     def path_problem(self, path: str) -> str | None:
@@ -349,7 +343,7 @@ class BenchConfig(Block):
             return f"'twin: {{live_diagnosis: {{}}}}' for '{path}': nothing proposes changes of the model"
         if path == TENSION_PROBE and self.reel_controls and not self.tension_controls:
             return f"a loop by speeds for '{path}': loops of torques are not probed"
-        problem = path_problem(path, self.machine_kind, self.shape, self.loaded_axes)
+        problem = path_problem(path, self.machine, self.shape, self.loaded_axes)
         if problem or not path.startswith("hardware."):
             return problem
         axis = parse_effect_path(path, self.machine_kind).axis

@@ -5,65 +5,42 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
+from hilbench.machine_kinds import has, machine_part
 from hilbench.plant.effect import EffectPlace, MachineKind
 from hilbench.plant.effects import effect_problem, find_effect
 from hilbench.plant.fmu.axis import FmuAxisParameters
-from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.topology.blocks import LoadConfig, LoadShaftConfig, MachineParameters, TwinConfig
-from hilbench.topology.parts import DeviceConfig, LoadMotorConfig, Part
-from hilbench.topology.web_line_config import (
-    ControllerConfig,
-    LoadWebConfig,
-    controller_misfits,
-    estimate_misfits,
-    line_misfits,
-    rest_misfit,
-)
+from hilbench.topology.blocks import LoadConfig, TwinConfig
+from hilbench.topology.parts import DeviceConfig, Part
 
-#: Keys of `twin:` that every kind of machine has, and those of machines whose equations are known; the others say how
-#: one kind finds what it estimates.
-_OF_EVERY_TWIN = {"node", "synchronized_pct", "behind", "virtual_tpdo_every"}
-_OF_EQUATIONS = {"prediction", "live_diagnosis"}
-_OF_THE_SHAFT = {"inertia"}
+#: Parts that a kind of machine may lack, which are keys of `twin:`.
+_OPTIONAL = ("prediction", "live_diagnosis")
 
 
 def misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None) -> Iterator[str]:
     """Why the value of a key can't be that of a bench with this machine, and load motors on the shafts of the axes
     `loaded` (None: that is not known)."""
     kind: MachineKind = machine.machine_kind
-    of_servo = kind is MachineKind.SERVO_AXIS
-    if key == "load_motors" and of_servo and len(value) != 1:
-        yield "one load motor: a servo axis has one shaft"
-    if key == "controllers" and bool(value) is of_servo:
-        yield "none: a servo axis follows its reference" if of_servo else "at least one"
-    if key == "controllers" and not of_servo:
-        yield from controller_misfits(value.values(), machine.span_count)
-    if key == "twin" and not of_servo:
-        yield from estimate_misfits(value, machine)
-    sections = 0 if of_servo else machine.span_count
-    if key == "load" and not of_servo:
-        yield from value.web.misfits(sections)
+    of_kind = machine_part(machine.kind, "topology")
+    yield from of_kind.misfits(key, value, machine)
     if key == "load" and value.fmu is not None:
         yield from _fmu_misfits(value, machine, None if loaded is None else len(loaded))
-    if key == "load" and value.web != LoadWebConfig() and of_servo:
-        yield "'shaft:' for a servo axis"
-    if not of_servo and ((key == "load" and value.shaft != LoadShaftConfig()) or (key == "hardware" and value.shaft)):
-        yield "no 'shaft:', which is of a servo axis (machine: {kind: servo_axis})"
     if key == "twin":
-        default, names = TwinConfig(node=value.node), set(TwinConfig.model_fields) - _OF_EVERY_TWIN
-        names -= set() if isinstance(machine, FmuAxisParameters) else _OF_EQUATIONS
-        for name in sorted(names - _OF_THE_SHAFT if of_servo else _OF_THE_SHAFT):
-            if getattr(value, name) != getattr(default, name):
-                yield f"no '{name}:', which is of a twin of another kind of machine (this one is a {kind})"
+        default = TwinConfig(node=value.node)
+        for name in sorted(set(TwinConfig.model_fields) - set(of_kind.TWIN_KEYS)):
+            if getattr(value, name) == getattr(default, name) or (name in _OPTIONAL and has(machine.kind, name)):
+                continue
+            if name in _OPTIONAL:
+                yield f"no '{name}:', which a machine of kind {machine.kind} does not bring"
+            yield f"no '{name}:', which is of a twin of another kind of machine (this one is a {machine.kind})"
     if key == "hardware" and isinstance(machine, FmuAxisParameters) and value.effects:
         yield "no 'effects:': what an FMU does is in its own equations"
     if key in ("hardware", "load"):
         for entry in value.effects:
             place = effect_problem(
                 entry.effect, entry.axis, EffectPlace(key), machine.axis_count, loaded, kind,
-                section=entry.section, sections=sections,
+                section=entry.section, sections=machine.span_count,
             )  # fmt: skip
-            stations = {} if of_servo else machine.station_types
+            stations = getattr(machine, "station_types", {})
             of_station = find_effect(entry.effect, kind).station_problem(entry.section, stations) if not place else None
             yield from filter(None, [entry.problem(kind), place, of_station])
 
@@ -85,24 +62,10 @@ def one_node_misfit(part: Part, beside: Mapping[int, Part]) -> tuple[str, str]:
     return "", ""
 
 
-def whole_misfits(
-    machine: MachineParameters,
-    drives: Collection[str],
-    load_motors: Mapping[str, LoadMotorConfig],
-    controllers: Collection[ControllerConfig],
-    load: LoadConfig,
-    twin: TwinConfig,
-) -> Iterator[str]:
-    """Why a machine can't have all these together: `drives` by their names, load motors by theirs."""
-    if isinstance(machine, ModelParameters):
-        ahead = [key for key in ("prediction", "live_diagnosis", "splices") if getattr(twin, key)]
-        names = {*drives, *load_motors}
-        yield from line_misfits(machine, controllers, load.measured, "".join(ahead[:1]), names)
-        yield from filter(None, [rest_misfit(twin, machine, controllers, load.measured)])
-    elif machine.drives is None:
-        yield "a machine with 'drives:'"
-    elif load.measured:
-        yield "no 'load.measured' on a servo axis, whose encoder is measured anyway"
+def whole_misfits(config: Any) -> Iterator[str]:
+    """Why a bench can't have all that it has together."""
+    machine, drives, load_motors = config.machine, config.drives, config.load_motors
+    yield from machine_part(machine.kind, "topology").whole_misfits(config)
     if machine.axis_count != len(drives):
         axes = "driven rollers" if machine.position_unit == "m" else "axes"
         yield (

@@ -19,7 +19,7 @@ bench is less (`hilbench.bench.operator.operator_objects`), and `safety: limits`
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -28,11 +28,12 @@ from numbers import Real
 
 from hilbench.did_you_mean import closest, did_you_mean
 from hilbench.errors import UnusableValueError
+from hilbench.machine_kinds import machine_part, recorded
 from hilbench.plant.effect import EffectPlace, MachineKind
 from hilbench.plant.effects import effect_problem, effects_of, find_effect
-from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
+from hilbench.plant.model_file import Machine
 from hilbench.topology import web_line_quantities as numbered
-from hilbench.topology.signals import Shape
+from hilbench.topology.signals import Shape, smallest_shapes
 from hilbench.topology.web_line_positions import FEED, FORCE_SET_POINT, SET_POINT, position_quantity, positions
 
 LINE_SPEED = "line_speed_m_s"
@@ -85,24 +86,12 @@ def _number(value: object, *, truth: bool) -> float | None:
     return number if isfinite(number) else None
 
 
-_SINGLE_OF = {
-    MachineKind.WEB_LINE: {
-        LINE_SPEED: Permitted(-100.0, 100.0, "m/s"),
-        TENSION_SET_POINT: Permitted(0.0, 1e5, "N"),
-        numbered.YOUNGS_MODULUS: Permitted(LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa, "Pa"),
-        WEB_BROKEN: Permitted(0.0, 1.0, "1", only_ends=True),
-        TENSION_PROBE: Permitted(0.0, 1.0, "1", only_ends=True),
-        MODEL_CHANGE: Permitted(0.0, 1.0, "1", only_ends=True),
-    },
-    MachineKind.SERVO_AXIS: {
-        SPEED: Permitted(-1e4, 1e4, "rad/s"),
-        SHAFT_INERTIA: Permitted(1e-9, 1e6, "kg·m²"),
-        SHAFT_COULOMB_FRICTION: Permitted(0.0, 1e5, "N·m"),
-        SHAFT_VISCOUS_FRICTION: Permitted(0.0, 1e5, "N·m·s/rad"),
-    },
-}
-_SINGLE = {path: values for of_kind in _SINGLE_OF.values() for path, values in of_kind.items()}
-SINGLE_PATHS = tuple(_SINGLE)
+@cache
+def single_paths() -> Mapping[str, Permitted]:
+    """The quantities of all kinds of machine by path, but for those with the number or name of a part."""
+    return {path: values for each in recorded("topology").values() for path, values in each.QUANTITIES.items()}
+
+
 _NUMBERED_SET_POINT = re.compile(r"tension_control\.span([1-9]\d{0,3})\.set_point_N")
 _OF_POSITIONS = {
     SET_POINT: Permitted(-100.0, 100.0, "m"),
@@ -112,9 +101,6 @@ _OF_POSITIONS = {
 #: So many quantities are told that are like a misspelt one.
 _MOST_NEAR = 3
 _PART = re.compile(r"([a-z]+)([1-9]\d{0,3})")
-
-#: Axes of the smallest machine of each kind, and those on whose shaft a load motor is.
-_SMALLEST = {MachineKind.WEB_LINE: (2, (2,)), MachineKind.SERVO_AXIS: (1, (1,))}
 
 
 def tension_set_point(number: str) -> str:
@@ -130,7 +116,7 @@ def span_of_set_point(path: str) -> str | None:
 
 def is_simple_path(path: str) -> bool:
     """True if a quantity is none of an effect, on any machine."""
-    if path in _SINGLE or _NUMBERED_SET_POINT.fullmatch(path) is not None:
+    if path in single_paths() or _NUMBERED_SET_POINT.fullmatch(path) is not None:
         return True
     return numbered.is_modulus(path) or position_quantity(path) != ""
 
@@ -199,31 +185,34 @@ def _expected(text: str) -> str:
     """Text of what is expected in place of one that is no path: the nearest path, else all paths."""
     station = text.split(".")[1] if re.fullmatch(r"position_control\.[A-Za-z]\w*(\..*)?", text) else "NAME"
     further = positions((station,), (station,))
-    near = closest(text, [*SINGLE_PATHS, *further, *all_paths()], _MOST_NEAR)
+    near = closest(text, [*single_paths(), *further, *all_paths()], _MOST_NEAR)
     if near:
         return f"one of {', '.join(near)}, …, did you mean '{near[0]}'?"
-    known = ", ".join([*SINGLE_PATHS, *further])
+    known = ", ".join([*single_paths(), *further])
     return f"one of {known}, or load|hardware.effects.ID[.axisN|.spanN].PARAMETER"
 
 
-def fast_path_places(kind: MachineKind, shape: Shape) -> tuple[str, ...]:
+def fast_path_places(kind: str, shape: Shape) -> tuple[str, ...]:
     """The quantities of a machine, without those of its effects."""
     several = {
         TENSION_SET_POINT: [tension_set_point(shape.numbered(span)) for span in shape.controlled],
         numbered.YOUNGS_MODULUS: [numbered.YOUNGS_MODULUS, *numbered.moduli(shape)],
     }
-    paths_of_kind = [path for known in _SINGLE_OF[kind] for path in several.get(known, [known])]
+    paths_of_kind = [
+        path for known in machine_part(kind, "topology").QUANTITIES for path in several.get(known, [known])
+    ]
     return (*paths_of_kind, *positions(shape.positioned, shape.pushed))
 
 
-def path_problem(path: str, kind: MachineKind, shape: Shape, loaded: Collection[int]) -> str | None:
+def path_problem(path: str, machine: Machine, shape: Shape, loaded: Collection[int]) -> str | None:
     """Why a machine has no such quantity, in one line, or None; `loaded`: axes on whose shaft a load motor is."""
-    known = fast_path_places(kind, shape)
+    kind, known = machine.machine_kind, fast_path_places(machine.kind, shape)
     if path in known:
         return None
     if is_simple_path(path):
-        other = "another kind of machine" if path in _SINGLE and path not in _SINGLE_OF[kind] else "another machine"
-        return f"a quantity of a {kind} ({', '.join(known)}), '{path}' is of {other}"
+        of_kind = machine_part(machine.kind, "topology").QUANTITIES
+        other = "another kind of machine" if path in single_paths() and path not in of_kind else "another machine"
+        return f"a quantity of a {machine.kind} ({', '.join(known)}), '{path}' is of {other}"
     try:
         of = parse_effect_path(path, kind)
     except ValueError as error:
@@ -234,11 +223,11 @@ def path_problem(path: str, kind: MachineKind, shape: Shape, loaded: Collection[
 
 def all_paths() -> Iterator[str]:
     """Every path that can be set on the smallest machine of each kind."""
-    yield from SINGLE_PATHS
+    yield from single_paths()
     for kind, effect in ((each, effect) for each in MachineKind for effect in effects_of(each)):
-        axes, loaded = _SMALLEST[kind]
+        axes = smallest_shapes()[kind].axes
         for place, axis in product(EffectPlace, range(1, axes + 1) if effect.per_axis else (None,)):
-            if not effect_problem(effect.id, axis, place, axes, loaded, kind):
+            if not effect_problem(effect.id, axis, place, axes, (axes,), kind):
                 at = f"{place}.effects.{effect.id}." + ("" if axis is None else f"axis{axis}.")
                 yield from (at + parameter.name for parameter in effect.parameters)
 
@@ -268,7 +257,8 @@ def permitted(path: str) -> Permitted:
     if is_simple_path(path):
         if position := position_quantity(path):
             return _OF_POSITIONS[position]
-        return _SINGLE.get(path, _SINGLE[numbered.YOUNGS_MODULUS if numbered.is_modulus(path) else TENSION_SET_POINT])
+        like = numbered.YOUNGS_MODULUS if numbered.is_modulus(path) else TENSION_SET_POINT
+        return single_paths().get(path) or single_paths()[like]
     of = parse_effect_path(path)
     parameter = find_effect(of.effect, of.kind).parameter(of.parameter)
     return Permitted(parameter.lower, parameter.upper, parameter.unit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, model_validator
@@ -18,6 +19,11 @@ class Limit(Block):
         default=None, description="noted once until the quantity has fallen below 95 % of it"
     )
     trip: PositiveFloat | None = Field(default=None, description="the bench goes to the safe state")
+
+    @property
+    def highest(self) -> float:
+        """Value up to which nothing is noted; inf without a level."""
+        return self.warning or self.trip or inf
 
     @model_validator(mode="after")
     def _warning_comes_first(self) -> Limit:

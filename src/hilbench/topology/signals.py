@@ -14,50 +14,10 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Final
 
+from hilbench.machine_kinds import machine_part, recorded
 from hilbench.plant.unit_names import unit_of_name
-from hilbench.topology.signal_kinds import (
-    BUS_SIGNALS,
-    TIME_SIGNALS,
-    TWIN_SIGNALS,
-    Per,
-    Signal,
-    SignalKind,
-    axes_signals,
-    load_motor_signals,
-)
-from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL, WEB_LINE
-
-_SERVO_AXIS: Final = (
-    *TIME_SIGNALS,
-    *axes_signals("rad", ", at the motor shaft", "the motor shaft of axis {axis}"),
-    *load_motor_signals("rad", "its shaft"),
-    SignalKind("J_sim_kg_m2", "kg·m²", "inertia of the shaft estimated by the twin", "twin"),
-    SignalKind("J_sd_kg_m2", "kg·m²", "standard deviation of the inertia, as the twin states it", "twin"),
-    SignalKind("coulomb_sim_Nm", "N·m", "dry friction of the shaft estimated by the twin", "twin"),
-    SignalKind("coulomb_sd_Nm", "N·m", "standard deviation of the dry friction; 0 where it is the model's", "twin"),
-    SignalKind("viscous_sim_Nm_s_per_rad", "N·m·s/rad", "viscous friction of the shaft estimated by the twin", "twin"),
-    SignalKind(
-        "viscous_sd_Nm_s_per_rad",
-        "N·m·s/rad",
-        "standard deviation of the viscous friction; 0 where it is the model's",
-        "twin",
-    ),
-    SignalKind("tau{axis}_sim_Nm", "N·m", "torque of axis {axis} simulated by the twin, motor side", "twin", Per.AXIS),
-    SignalKind(
-        "tau{axis}_residual_Nm",
-        "N·m",
-        "torque of axis {axis}, measured minus simulated, as the twin reports it",
-        "twin",
-        Per.AXIS,
-    ),
-    *TWIN_SIGNALS,
-    SignalKind("J_true_kg_m2", "kg·m²", "inertia of the emulated shaft", "truth"),
-    SignalKind("coulomb_true_Nm", "N·m", "dry friction of the emulated shaft", "truth"),
-    *BUS_SIGNALS,
-)
-
-#: What each kind of machine declares, in recording order.
-DECLARATIONS: Final[dict[str, tuple[SignalKind, ...]]] = {"web_line": WEB_LINE, "servo_axis": _SERVO_AXIS}
+from hilbench.topology.signal_kinds import Per, Signal, SignalKind
+from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,14 +128,15 @@ class Shape:
 
 
 def signals_of(kind: str, shape: Shape) -> tuple[Signal, ...]:
-    """The signals of a bench in recording order. Raises KeyError for an unknown kind of machine."""
-    return tuple(signal for each in DECLARATIONS[kind] for signal in shape.instances(each))
+    """The signals of a bench in recording order. Raises UnusableInputError for an unknown kind of machine."""
+    return tuple(signal for each in machine_part(kind, "topology").SIGNALS for signal in shape.instances(each))
 
 
 @cache
 def find_signal(name: str) -> Signal | None:
     """Signal declared under a name, whatever the bench; None for a name that no kind of part has."""
-    found = [kind for kinds in DECLARATIONS.values() for kind in kinds if _pattern(kind).fullmatch(name)]
+    topologies = recorded("topology").values()
+    found = [kind for each in topologies for kind in each.SIGNALS if _pattern(kind).fullmatch(name)]
     # `tau_load_cmd_Nm` is the command of a motor `load` before it is the torque of a motor `load_cmd`.
     found.sort(key=lambda kind: len(kind.name), reverse=True)
     return _named(found[0], name) if found else None
@@ -210,16 +171,15 @@ def _part(kind: SignalKind, found: re.Match[str]) -> str:
     return parts.get(kind.per.placeholder) or (str(int(parts["next"]) - 1) if parts.get("next") else "1")
 
 
-#: The smallest bench of each kind of machine.
-SMALLEST: Final = {
-    "web_line": Shape(2, ("load",), 1, (1,), (1,)),
-    "servo_axis": Shape(1, ("load",)),
-}
+@cache
+def smallest_shapes() -> Mapping[str, Shape]:
+    """The smallest bench of each kind of machine with recordings of its own."""
+    return {kind: each.SMALLEST for kind, each in recorded("topology").items()}
 
 
 def example_names() -> list[str]:
     """The names that the smallest bench of each kind of machine has: what a misspelt name is compared with."""
-    smallest = (signals_of(kind, shape) for kind, shape in SMALLEST.items())
+    smallest = (signals_of(kind, shape) for kind, shape in smallest_shapes().items())
     return list(dict.fromkeys(signal.name for signals in smallest for signal in signals))
 
 
@@ -233,7 +193,7 @@ def shape_of(names: Iterable[str]) -> Shape:
     found: dict[Per, set[int]] = {per: set() for per in Per}
     named: dict[Per, dict[str, None]] = {per: {} for per in Per}
     before: set[int] = set()  # axes before what is estimated
-    for kind in DECLARATIONS[kind_of(given)]:
+    for kind in recorded("topology")[kind_of(given)].SIGNALS:
         parts = [_part(kind, match) for match in map(_pattern(kind).fullmatch, given) if match is not None]
         if not kind.per.is_counted:
             named[kind.per] |= dict.fromkeys(parts)
@@ -263,12 +223,12 @@ def shape_of(names: Iterable[str]) -> Shape:
 def kind_of(names: Iterable[str]) -> str:
     """Which kind of machine has most of the signals with these names, the first of them where several have."""
     given = list(names)
-    return max(DECLARATIONS, key=lambda kind: sum(_has(kind, name) for name in given))
+    return max(recorded("topology"), key=lambda kind: sum(_has(kind, name) for name in given))
 
 
 @cache
 def _has(kind: str, name: str) -> bool:
-    return any(_pattern(each).fullmatch(name) for each in DECLARATIONS[kind])
+    return any(_pattern(each).fullmatch(name) for each in recorded("topology")[kind].SIGNALS)
 
 
 def unit_of(name: str) -> str:

@@ -17,12 +17,12 @@ from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.identifiers import NmtState
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.cycle_program import CompiledStage
+from hilbench.machine_kinds import machine_part
 from hilbench.plant.interface import Steps
 from hilbench.plant.motor_port import MotorMode
 from hilbench.processes import log
 from hilbench.real_time import ProcessSettings, right_behind
 from hilbench.topology.blocks import MachineParameters, TwinConfig
-from hilbench.topology.process_data.of_kind import process_data
 from hilbench.topology.signals import Shape
 from hilbench.twin import virtual_io
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
@@ -30,14 +30,7 @@ from hilbench.twin.bus_clock import BusClock
 from hilbench.twin.cycle_count_from_position import CycleCountFromPosition
 from hilbench.twin.estimated_errors import as_text
 from hilbench.twin.machines.kinds import boundary, new_machine, warm_up
-from hilbench.twin.machines.machine import (
-    LOOK,
-    MISSED,
-    InVectors,
-    MachineVectors,
-    Measured,
-    VectorMachine,
-)
+from hilbench.twin.machines.machine import LOOK, MISSED, InVectors, MachineVectors, Measured, VectorMachine
 from hilbench.twin.model_switch import Make, ModelSwitcher, PendingModel, with_effects
 from hilbench.twin.reports import Reports
 from hilbench.twin.virtual_io import VirtualIo
@@ -497,7 +490,9 @@ def twin(setup: TwinSetup) -> HostedDevices:
     devices = [Device(shared_eds(node.eds, node.node_id), node.node_id, setup.clock) for node in setup.virtual_axes]
     io_node = setup.virtual_io
     io_device = Device(shared_eds(io_node.eds, io_node.node_id), io_node.node_id, setup.clock)
-    virtual_io = VirtualIo(io_device, process_data(model.machine_kind, setup.shape), boundary(model, setup.shape))
+    virtual_io = VirtualIo(
+        io_device, machine_part(model.kind, "topology").process_data(setup.shape), boundary(model, setup.shape)
+    )
 
     def make(effects: str) -> Make:
         changed = with_effects(model, effects)

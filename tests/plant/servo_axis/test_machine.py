@@ -191,7 +191,7 @@ def test_model_file_says_by_its_kind_which_machine_it_is(tmp_path: Path) -> None
     file.write_text("kind: web_line\nrollers: {radius_m: 0.2, inertia_kg_m2: 1.0}\n")
     assert load_machine(file).axis_count == 1
     file.write_text("kind: servo_axes\nshaft: {inertia_kg_m2: 0.05}\n")
-    with pytest.raises(UnusableInputError, match=r"axis\.yaml:1.*'servo_axes', expected web_line or servo_axis"):
+    with pytest.raises(UnusableInputError, match=r"axis\.yaml:1.*'servo_axes', did you mean 'servo_axis'\?"):
         load_machine(file)
     file.write_text("kind: servo_axis\nshaft:\n  inertia_kg_m2: 0.05\n  coulomb_friction_N: 0.1\n")
     with pytest.raises(UnusableInputError, match=r"axis\.yaml:4.*coulomb_friction_N"):

@@ -289,7 +289,7 @@ def _allowed(bench: ExperimentConfig | None) -> Limits:
     if bench is None:
         return Limits()
     limits = bench.safety.limits
-    speed = limits.speed_rad_s.trip if bench.machine.kind == "servo_axis" else None
+    speed = limits.speed_rad_s.trip if bench.machine.position_unit == "rad" else None
     torque = limits.torque_Nm.trip
     return Limits(
         speed_rad_s=inf if speed is None else speed,

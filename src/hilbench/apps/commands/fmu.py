@@ -49,15 +49,16 @@ def export(
 
 def _exported(path: Path, *, drive: bool, load: bool) -> ExportedMachine:
     from hilbench.apps.cli.model_option import config_from
-    from hilbench.plant.fmu.export.of_kind import exported
+    from hilbench.machine_kinds import machine_part
     from hilbench.plant.model_file import load_machine
 
     config = config_from(path)
     machine = load_machine(path) if config is None else config.machine
     try:
-        return exported(machine, drives=drive, load=load)
+        exported: ExportedMachine = machine_part(machine.kind, "fmu_export")(machine, drives=drive, load=load)
     except ValueError as error:
         raise UnusableInputError(path, f"the machine is a {machine.kind}, expected {error}") from None
+    return exported
 
 
 @app.command()

@@ -10,6 +10,7 @@ import typer
 
 from hilbench.apps.cli.options import BusOption, ForceOption, JsonOption
 from hilbench.errors import UnusableInputError
+from hilbench.machine_kinds import DEFAULT
 
 if TYPE_CHECKING:
     from hilbench.results.recording import Recording
@@ -74,7 +75,7 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
     import numpy as np
 
     from hilbench.apps.cli.columns import report_section
-    from hilbench.plant.effect import MachineKind
+    from hilbench.machine_kinds import description
     from hilbench.results.journal import read_journal
     from hilbench.results.recording import Recording, read_section, write_recording
     from hilbench.results.run_folder import RunFolder
@@ -86,8 +87,10 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
     config, _ = load(folder.config)
     recording = read_section(folder.recording)
     report_section(recording, folder.recording)
-    of_kind = _of_a_shaft if config.machine_kind is MachineKind.SERVO_AXIS else _of_a_web
-    found = of_kind(config, folder.config, recording, folder.recording, method)
+    kind = description(config.machine.kind).recorded_as or config.machine.kind
+    if kind not in _OF_KIND:
+        raise UnusableInputError(folder.config, f"machine of kind {kind}, expected one of {', '.join(_OF_KIND)}")
+    found = _OF_KIND[kind](config, folder.config, recording, folder.recording, method)
     again = Recording({**recording.channels, **found.signals}, recording.start_time, recording.comment, recording.units)
     if out is not None:
         write_recording(again, out)
@@ -160,3 +163,6 @@ def _of_a_shaft(
     if friction is not None:
         signals["coulomb_sim_Nm"] = friction[0]
     return _Found(settings.method, signals, tuple(signals), ("J_", "coulomb_"))
+
+
+_OF_KIND = {DEFAULT: _of_a_web, "servo_axis": _of_a_shaft}

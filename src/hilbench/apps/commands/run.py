@@ -14,13 +14,13 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from hilbench.apps.commands.shown import servo_axis, web_line
 from hilbench.apps.commands.shown.machine import Shown
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.tasks.task import MANY, CompiledStages
 from hilbench.errors import EXIT_CRITERION_FAILED, UnusableInputError
 from hilbench.forked_workers import ForkedWorker
+from hilbench.machine_kinds import machine_part
 from hilbench.processes import finishing
 from hilbench.results.commissioned import commissioned_text
 from hilbench.results.result import Result, StepRecord, Timing
@@ -128,7 +128,7 @@ class Progress:
 
     def __init__(self, console: Console, config: BenchConfig) -> None:
         cycle_s, bitrate = config.cycle_time_s, config.bus.bitrate
-        self._shown = _shown(config.machine_kind, config.shape)
+        self._shown = _shown(config.machine.kind, config.shape)
         self._console = console
         self._cycle_s = cycle_s
         self._bits_per_cycle = bitrate * cycle_s
@@ -243,7 +243,8 @@ _MOST_STEPS = 20
 
 def _shown(kind: str, shape: Shape) -> Shown:
     """What is shown of a machine."""
-    return servo_axis.SHOWN if kind == "servo_axis" else web_line.shown(shape)
+    shown: Shown = machine_part(kind, "terminal")(shape)
+    return shown
 
 
 def _steps_table(steps: list[StepRecord]) -> Table:

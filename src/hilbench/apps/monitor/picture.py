@@ -93,7 +93,7 @@ class BusPicture:
 
     def __post_init__(self) -> None:
         nodes = Nodes(self.config)
-        self.trends = trends_of(self.config.machine_kind, self.config.shape)  #: what the twin says
+        self.trends = trends_of(self.config.machine.kind, self.config.shape)  #: what the twin says
         self._states = {pdo.cob_id: pdo for pdo in nodes.io.sent if pdo.period == 1}
         contents = zip(nodes.io.sent, nodes.io.data.sent, strict=True)
         #: How sure that is: PDOs that come seldom, and the names of what they carry.

@@ -6,10 +6,9 @@ from collections import deque
 from dataclasses import dataclass, field
 from math import isinf, nan
 
-from hilbench.plant.effect import MachineKind
+from hilbench.machine_kinds import machine_part
 from hilbench.topology.main_quantities.of_kind import main_quantities
 from hilbench.topology.main_quantities.quantity import OF_THE_MODEL
-from hilbench.topology.process_data.of_kind import process_data
 from hilbench.topology.signals import Shape, unit_of
 
 _POINTS = 240
@@ -43,11 +42,11 @@ class Trend:
         return [value / self.si_per_unit for value in self.values]
 
 
-def trends_of(kind: MachineKind, shape: Shape) -> list[Trend]:
+def trends_of(kind: str, shape: Shape) -> list[Trend]:
     """Trends of the signals that a machine's twin sends with every SYNC, in the order of its PDOs."""
     known = {each.twin_signal: each for each in main_quantities(kind, shape) if each.twin_signal}
     trends = []
-    for carried in process_data(kind, shape).state:
+    for carried in machine_part(kind, "topology").process_data(shape).state:
         name, quantity = carried.name, known.get(carried.name)
         if quantity is None:
             trends.append(Trend(name, name, unit_of(name)))

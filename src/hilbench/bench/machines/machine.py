@@ -11,7 +11,7 @@ from hilbench.bench.tasks.task import CyclicTask, SettableQuantity
 
 @dataclass(frozen=True)
 class MachineTasks:
-    """Tasks and quantities of a kind of machine (`hilbench.bench.machines.kinds` chooses the kind)."""
+    """Tasks and quantities of a kind of machine (`tasks` of `hilbench.machine_kinds.MachineDescription`)."""
 
     reference: Reference  #: brought to zero before the drives are disabled; has the rate at which it may be moved
     quantities: Sequence[SettableQuantity]  #: settable by path, in addition to effects in the simulated hardware

@@ -33,13 +33,15 @@ _TWIN_AGE_LIMIT_CYCLES = 10
 _LEAST_TRAVEL_RAD = 1e-4
 
 
-def shaft_load_model(config: BenchConfig, report: Callable[[str], None] = print) -> LoadModel:
+def shaft_load_model(
+    config: BenchConfig, report: Callable[[str], None] = print, emulated: type[EmulatedShaft] = EmulatedShaft
+) -> LoadModel:
     """The load model of a config's servo axis; it does not know hidden effects of the stand.
 
-    `report` gets the log messages of an FMU in it.
+    `report` gets the log messages of an FMU in it; `emulated`: follower of the machine.
     """
     real, cycle_s = config.servo_rig_parameters(effects=()), config.cycle_time_s
-    machine: Follower = EmulatedShaft(config.emulated_shaft(), real, cycle_s)
+    machine: Follower = emulated(config.emulated_shaft(), real, cycle_s)
     if config.load.fmu is not None:
         truths = [quantity.name for quantity in machine.describe().outputs]
         machine = FmuFollower(config.load.fmu, config.machine_kind, "rad", 1, cycle_s, truths, report)
@@ -50,10 +52,15 @@ def shaft_load_model(config: BenchConfig, report: Callable[[str], None] = print)
 
 def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     """The tasks of the config's servo axis."""
+    model = shaft_load_model(config, partial(state.reports.note, "load model"))
+    return tasks_with(config, state, ShaftLoadTask(list(config.load_motors), model))
+
+
+def tasks_with(config: BenchConfig, state: BenchState, load: LoadTask) -> MachineTasks:
+    """The tasks of an axis that follows its speed, with this task of the load motor."""
     (drive,) = config.drives
     (motor,) = config.load_motors
     speed = Reference(SPEED, config.quick_stop_per_s2 * config.cycle_time_s)
-    load = ShaftLoadTask([motor], shaft_load_model(config, partial(state.reports.note, "load model")))
     return MachineTasks(
         reference=speed,
         quantities=(speed, load),

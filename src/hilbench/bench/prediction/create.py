@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping
 from hilbench.bench.prediction.task import LimitReading, Prediction
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.reference import Reference
-from hilbench.plant.fmu.axis import FmuAxisParameters
-from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.machine_kinds import has, machine_part
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.plan import Asked
 from hilbench.topology.config import BenchConfig
@@ -35,24 +34,12 @@ def prediction_task(
 
 def look_of(config: BenchConfig, prediction: PredictionConfig) -> LimitReading:
     """Prediction model of a config's machine, which must be `foreseeable`."""
-    if isinstance(config.machine, ServoAxisParameters):
-        from hilbench.bench.prediction.servo_axis import ShaftLook
-
-        return ShaftLook(config, prediction)
-    from hilbench.bench.prediction.web_line import LineLook
-
-    return LineLook(config, prediction)
+    look: LimitReading = machine_part(config.machine.kind, "prediction").look(config, prediction)
+    return look
 
 
 def foreseeable(config: BenchConfig) -> Mapping[str, str]:
     """Quantities whose trajectories predictions follow, by path, each with its signal; empty for a machine
     that can't be predicted."""
-    if isinstance(config.machine, FmuAxisParameters):
-        return {}
-    if isinstance(config.machine, ServoAxisParameters):
-        from hilbench.bench.prediction.servo_axis import FORESEEN
-
-        return FORESEEN
-    from hilbench.bench.prediction.web_line import foreseen
-
-    return foreseen(config)
+    kind = config.machine.kind
+    return machine_part(kind, "prediction").foreseen(config) if has(kind, "prediction") else {}

@@ -145,3 +145,11 @@ def _courses(speed_rad_s: float, to_find: float, present: ShaftPresent, asked: A
         to_find * inertia / asked.present.get(SHAFT_INERTIA, present.inertia_kg_m2),
         dry - asked.present.get(SHAFT_COULOMB_FRICTION, present.dry_friction_Nm),
     )
+
+
+look = ShaftLook
+
+
+def foreseen(config: BenchConfig) -> dict[str, str]:
+    """The quantities whose courses futures follow, by path, each with the signal that shows it."""
+    return FORESEEN

@@ -217,3 +217,6 @@ def _leads(config: BenchConfig, step_s: float) -> Array:
             pulled = float(model.carries_web_load(axis))
             leads[axis - 1] = (*RollerForces.of_model(model, axis, step_s).figures, pulled)
     return leads
+
+
+look = LineLook

@@ -10,16 +10,30 @@ import numpy as np
 
 from hilbench.bench.reports.diagnosis_updates import CHUNK_CYCLES, Samples
 from hilbench.diagnosis.diagnosis import diagnosed
+from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.measured import SHORTEST_S
 from hilbench.errors import UnusableInputError
 from hilbench.live.servo_axis.machine import LiveShaft
 from hilbench.live.session import Session
 from hilbench.live.watch import ROW
 from hilbench.live.window import Window
+from hilbench.plant.servo_axis.emulated_run import ShaftEmulation
+from hilbench.topology.config import BenchConfig
 from hilbench.topology.live_config import LiveDiagnosisConfig
 
 #: A shaft that swings, rad/s, once in so many s; noise of its torque, N·m.
 _MEAN_RAD_S, _SWING_RAD_S, _PERIOD_S, _NOISE_Nm = 20.0, 10.0, 2.0, 0.05
+
+
+def session(config: BenchConfig) -> Session:
+    """Session of a config that asks for one, with all that it runs compiled and loaded."""
+    live, cycle_s = config.twin.live_diagnosis, config.cycle_time_s
+    assert live is not None, "it is started where there is one"
+    emulation = emulation_of(config) if config.load_motors else None
+    assert emulation is None or isinstance(emulation, ShaftEmulation), "of this machine"
+    machine, names = LiveShaft(config.servo_axis, emulation, cycle_s), [signal.name for signal in config.signals]
+    warm_up(names, machine, live, cycle_s)
+    return Session(names, machine, live, cycle_s)
 
 
 def warm_up(names: Sequence[str], machine: LiveShaft, config: LiveDiagnosisConfig, cycle_s: float) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.bench.reports.diagnosis_updates import CHUNK_CYCLES, Samples
+from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.measured import SHORTEST_S
 from hilbench.errors import UnusableInputError
 from hilbench.live.segment import Segment
@@ -18,6 +19,8 @@ from hilbench.live.watch import ROW
 from hilbench.live.web_line.gap import exchanged_m
 from hilbench.live.web_line.machine import LiveLine
 from hilbench.live.window import Window
+from hilbench.plant.web_line.emulation import Emulation
+from hilbench.topology.config import BenchConfig
 from hilbench.topology.live_config import LiveDiagnosisConfig
 
 Array = NDArray[np.float64]
@@ -26,6 +29,20 @@ Array = NDArray[np.float64]
 _NOISE_Nm = 0.05
 #: What the line did before the segment that is diagnosed, and that, s.
 _BEFORE_S, _STRETCH_S = 2.0, SHORTEST_S + 0.5
+
+
+def session(config: BenchConfig) -> Session:
+    """Session of a config that asks for one, with all that it runs compiled and loaded."""
+    live, cycle_s = config.twin.live_diagnosis, config.cycle_time_s
+    assert live is not None, "it is started where there is one"
+    emulation = emulation_of(config) if config.load_motors else None
+    assert emulation is None or isinstance(emulation, Emulation), "of this machine"
+    machine, names = (
+        LiveLine(config.web_line, emulation, cycle_s, config.shape.estimated),
+        [signal.name for signal in config.signals],
+    )
+    warm_up(names, machine, live, cycle_s)
+    return Session(names, machine, live, cycle_s)
 
 
 def warm_up(names: Sequence[str], machine: LiveLine, config: LiveDiagnosisConfig, cycle_s: float) -> None:

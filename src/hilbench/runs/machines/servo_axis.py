@@ -7,6 +7,7 @@ from typing import Final
 from hilbench.runs.machines.machine import Estimate, MachineMetrics, nothing_to_judge, speed_metrics
 from hilbench.runs.segment import Array, Metric, Segment
 from hilbench.topology.main_quantities.servo_axis import FRICTION, INERTIA, SPEED
+from hilbench.topology.signals import Shape
 
 _NOTHING: Final = nothing_to_judge("shaft")
 
@@ -43,3 +44,8 @@ METRICS: Final = MachineMetrics(
     },
     moves_always=True,
 )
+
+
+def metrics_of(shape: Shape) -> MachineMetrics:
+    """Metrics of a shaft."""
+    return METRICS

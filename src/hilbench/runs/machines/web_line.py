@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from hilbench.runs.figures import SPEED_BAND, mean_velocity
 from hilbench.runs.machines.machine import NO_STEP, Estimate, MachineMetrics, nothing_to_judge, speed_metrics
 from hilbench.runs.segment import Array, Figure, Metric, Segment, UnknownFigureError, after_a_step, after_a_step_of
-from hilbench.topology.main_quantities.web_line import line_speed, modulus, set_point
-from hilbench.topology.signals import SMALLEST, Shape
+from hilbench.topology.main_quantities.web_line import SMALLEST, line_speed, modulus, set_point
+from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_signals import tension_loop_words
 
 Number = TypeVar("Number", float, NDArray[np.float64])
@@ -158,7 +158,7 @@ def metrics_of(shape: Shape) -> MachineMetrics:
     Of one span all are looked for, whatever is recorded: a run then reports what it lacks.
     """
     if shape.spans < 2:
-        shape = SMALLEST["web_line"]
+        shape = SMALLEST
     speed, metrics, together = line_speed(shape), dict[str, Metric](), list[tuple[str, ...]]()
     for span in shape.estimated:
         metrics |= Estimate(modulus(shape.numbered(span)), "line").metrics()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from hilbench.topology.main_quantities.quantity import MainQuantity
+from hilbench.topology.signals import Shape
 
 SPEED: Final = MainQuantity("speed_rad_s", "speed of the shaft", "speed", "rad/s", "v1_cmd_rad_s", "v")
 INERTIA: Final = MainQuantity(
@@ -30,4 +31,8 @@ FRICTION: Final = MainQuantity(
     "coulomb_sim_Nm",
     emulated=True,
 )
-QUANTITIES: Final = (INERTIA, FRICTION, SPEED)
+
+
+def main_quantities(shape: Shape) -> tuple[MainQuantity, ...]:
+    """Quantities of any servo axis."""
+    return INERTIA, FRICTION, SPEED

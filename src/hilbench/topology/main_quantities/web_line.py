@@ -6,7 +6,7 @@ from typing import Final
 
 from hilbench.topology.main_quantities.quantity import MainQuantity
 from hilbench.topology.quantities import LINE_SPEED, span_of_set_point, tension_set_point
-from hilbench.topology.signals import SMALLEST, Shape
+from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span, span_of_modulus
 from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
@@ -59,7 +59,7 @@ def numbered(path: str) -> MainQuantity | None:
     return modulus(span) if span else None
 
 
-def quantities(shape: Shape) -> tuple[MainQuantity, ...]:
+def main_quantities(shape: Shape) -> tuple[MainQuantity, ...]:
     """Quantities of a line: E as it is estimated (of a recording without estimates: as it was), set-points, speed."""
     return (
         *(modulus(shape.numbered(span)) for span in shape.estimated or (1,)),
@@ -70,4 +70,6 @@ def quantities(shape: Shape) -> tuple[MainQuantity, ...]:
 
 MODULUS: Final = modulus()
 SET_POINT: Final = set_point()
-SPEED: Final = line_speed(SMALLEST["web_line"])
+#: The smallest bench with a web line.
+SMALLEST: Final = Shape(2, ("load",), 1, (1,), (1,))
+SPEED: Final = line_speed(SMALLEST)

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from hilbench.topology.process_data.table import (
-    INPUTS,
-    QUALITY_EVERY,
-    IoPdo,
-    IoSignal,
-    ProcessData,
-    SimulatedTorque,
-)
+from hilbench.topology.process_data.table import INPUTS, QUALITY_EVERY, IoPdo, IoSignal, ProcessData, SimulatedTorque
+from hilbench.topology.signals import Shape
 
 
-def process_data() -> ProcessData:
+def process_data(shape: Shape) -> ProcessData:
     """Process data of any servo axis."""
     inertia, friction, deviation, torque, residual, friction_sd, viscous, viscous_sd = (
         IoSignal(name, INPUTS, sub, text)

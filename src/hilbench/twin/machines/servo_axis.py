@@ -18,6 +18,7 @@ from hilbench.plant.servo_axis.layout import Vector
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.processes import log
 from hilbench.topology.blocks import TwinConfig
+from hilbench.topology.signals import Shape
 from hilbench.twin.estimated_errors import EstimatedModelError
 from hilbench.twin.machines import servo_axis_cycle as cycle
 from hilbench.twin.machines.machine import BoundaryInputs, MachineVectors, Measured
@@ -28,6 +29,15 @@ _MOVES_RAD_S = 0.02
 _COULOMB, _VISCOUS = "coulomb_friction_Nm", "viscous_friction_Nm_s_per_rad"
 
 
+def twin(
+    model: ServoAxisParameters, config: TwinConfig, shape: Shape, cycle_s: float, boundary_inputs: BoundaryInputs
+) -> ServoAxisTwin:
+    """Twin of a servo axis."""
+    ports = (MotorPort(),)
+    plant = FmuAxis(model, ports, log) if isinstance(model, FmuAxisParameters) else ServoAxis(model, ports)
+    return ServoAxisTwin(model, config, cycle_s, plant)
+
+
 class ServoAxisTwin:
     """`TwinMachine` with one axis. The model gets the estimated inertia and friction in every cycle."""
 
@@ -35,16 +45,19 @@ class ServoAxisTwin:
     torque_shift_Nm = 0.0
     torque_undecided = False
 
-    def __init__(self, model: ServoAxisParameters, config: TwinConfig, cycle_s: float, stated: BoundaryInputs) -> None:
-        self.ports = (MotorPort(),)
-        self.plant: ServoAxis = (
-            FmuAxis(model, self.ports, log) if isinstance(model, FmuAxisParameters) else ServoAxis(model, self.ports)
-        )
+    def __init__(self, model: ServoAxisParameters, config: TwinConfig, cycle_s: float, plant: ServoAxis) -> None:
+        """`plant`: closed model of `model`, with one port."""
+        self.ports, self.plant = plant.ports, plant
         self._model = model
         self._config = config
         self._cycle_s, self._frozen = cycle_s, False
         self._limit_Nm = per_item(model.drives.torque_limit_Nm, 1) if model.drives else inf
         self.reset()
+
+    @property
+    def other_Nm(self) -> float:
+        """Torque that the plant takes beside inertia and friction, which the estimator is not shown."""
+        return 0.0
 
     @property
     def synchronized(self) -> bool:
@@ -131,7 +144,8 @@ class ServoAxisTwin:
         if self._torque_before_Nm is not None:
             ripple_Nm = self.plant.outputs()["tau1_mean_Nm"] - 0.5 * (self._torque_before_Nm + simulated_Nm)
         self._torque_before_Nm = simulated_Nm
-        self._estimate = self._estimator.update(ShaftSample(self._cycle_s, position_rad, torque_Nm, ripple_Nm))
+        shaft_Nm = torque_Nm - self.other_Nm
+        self._estimate = self._estimator.update(ShaftSample(self._cycle_s, position_rad, shaft_Nm, ripple_Nm))
         self._found |= {found.name: found.value for found in self._estimate.also if found.name in self._found}
         self._simulate(self._estimate.inertia_kg_m2)
         # The angle of an unbalance is the encoder's: the simulated drive follows its speed, and drifts.
@@ -151,8 +165,8 @@ class ServoAxisTwin:
 
     @property
     def runs_in_vectors(self) -> bool:
-        """True if `in_vectors` covers all of a cycle: not with an FMU, which is foreign code."""
-        return not isinstance(self.plant, FmuAxis)
+        """True if `in_vectors` covers all of a cycle: not with a plant whose steps are other code."""
+        return type(self.plant) is ServoAxis
 
     def warm_up_in_vectors(self) -> None:
         """Compile, or load, the functions for running in vectors."""

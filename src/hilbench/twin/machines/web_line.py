@@ -18,12 +18,7 @@ from hilbench.estimation.web_line.config import (
 )
 from hilbench.estimation.web_line.initial_strains import InitialStrains, creeps_per_N, initial_strains
 from hilbench.estimation.web_line.rollers import Rollers
-from hilbench.estimation.web_line.span_estimator import (
-    UNKNOWN_AT_REST,
-    UNKNOWN_STRAIN,
-    Known,
-    SpanEstimator,
-)
+from hilbench.estimation.web_line.span_estimator import UNKNOWN_AT_REST, UNKNOWN_STRAIN, Known, SpanEstimator
 from hilbench.estimation.web_line.span_estimator_cycle import DIVERGED_S, LARGEST_STRAIN, equivalent_strain
 from hilbench.estimation.web_line.unmodelled_effects import priors_behind
 from hilbench.plant.motor_port import MotorPort
@@ -47,11 +42,6 @@ _LARGEST_STEP = 0.005
 #: SYNC in a ramp it is below its mean by half of that share. Between two tests: at 0.13 (the demonstrator at 4 ms) the
 #: correction costs E 1 % for a while where the period changes, at 0.73 a light web is broken without it.
 _RIPPLES_FROM = 0.2
-
-
-def boundary(model: ModelParameters) -> dict[str, float]:
-    """Initial boundary inputs of the web."""
-    return {"strain_prev": model.upstream_strain, "F_next_N": model.boundary.downstream_tension_N}
 
 
 class WebLineTwin:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from hilbench.apps.commands.shown.machine import LiveRow, Shown
+from hilbench.topology.signals import Shape
 
 SHOWN: Final = Shown(
     live=(
@@ -19,3 +20,8 @@ SHOWN: Final = Shown(
         ("speed rms, rad/s", "speed_rms_error_rad_s"),
     ),
 )
+
+
+def shown(shape: Shape) -> Shown:
+    """Of one shaft."""
+    return SHOWN

@@ -18,6 +18,7 @@ from hilbench.apps.report.machines.picture import (
 )
 from hilbench.runs.figures import ESTIMATE_BAND
 from hilbench.topology.main_quantities.servo_axis import FRICTION, INERTIA
+from hilbench.topology.signals import Shape
 
 _BAND: Final = f"with a band of ±{100 * ESTIMATE_BAND:g} % (grey)"
 
@@ -98,3 +99,8 @@ PICTURES: Final = MachinePictures(
         ComparedSignal("speed", "Speed of the shaft", "speed in rad/s", ("v1_rad_s",)),
     ),
 )
+
+
+def pictures_of(shape: Shape) -> MachinePictures:
+    """The pictures of a shaft."""
+    return PICTURES

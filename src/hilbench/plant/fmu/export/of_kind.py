@@ -1,4 +1,7 @@
-"""Export definition of a machine of any kind."""
+"""Export definitions by kind of machine, with the loops of its drives, or without; or (`load`) of the emulated load.
+
+Raise ValueError with the expected kind for a machine that can't be exported.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,13 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.web_line.parameters import ModelParameters
 
 
-def exported(machine: ModelParameters | ServoAxisParameters, *, drives: bool, load: bool) -> ExportedMachine:
-    """Export definition with the loops of its drives, or without; or (`load`) of the emulated load, on measured motion.
+def of_axis(machine: ServoAxisParameters, *, drives: bool, load: bool) -> ExportedMachine:
+    """Export definition of a servo axis."""
+    if load:
+        raise ValueError("another kind for --load: what load motors emulate of a shaft is no machine by itself")
+    return servo_axis.exported_axis(machine, drives=drives)
 
-    Raises ValueError with the expected kind for a machine that can't be exported.
-    """
-    if isinstance(machine, ServoAxisParameters):
-        if load:
-            raise ValueError("another kind for --load: what load motors emulate of a shaft is no machine by itself")
-        return servo_axis.exported_axis(machine, drives=drives)
+
+def of_line(machine: ModelParameters, *, drives: bool, load: bool) -> ExportedMachine:
+    """Export definition of a line; of its load on measured motion."""
     return line.exported_load(machine) if load else line.exported_line(machine, drives=drives)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
+from hilbench.apps.pages.live.history import Array
 from hilbench.apps.pages.live.machines import svg
 from hilbench.apps.pages.live.machines.panel import Panel, Plot, Spread, Trace
 from hilbench.apps.report.chart import BLUE, BROWN, INK, VERMILLION
@@ -49,6 +50,11 @@ def panel(config: BenchConfig) -> Panel:
         Plot("residual", "Residual of the torque", "N·m", (Trace("tau1_residual_Nm", "residual", BLUE, 0.9),)),
     )
     return Panel(plots, svg.picture(_WIDTH, _HEIGHT, "The shaft", _shapes(config)))
+
+
+def settled(config: BenchConfig, names: Sequence[str], first: Array, last: Array) -> bool:
+    """True: the shaft has no memory."""
+    return True
 
 
 def _shapes(config: BenchConfig) -> Iterator[str]:
