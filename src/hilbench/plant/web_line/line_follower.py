@@ -3,14 +3,14 @@
 Strains follow from mass conservation; parts without a motor (idlers, dancers, accumulators) have an unmeasured motion
 of their own. Both are simulated by the kernel of the closed line, with the driven rollers held to their measured
 motion. A driven roller turns at constant speed within a cycle, or, where a line with parts without a motor accelerates
-in steps, along a parabola: those need tension for their acceleration, all the time. Its simulated mass is too large to
-be moved, no web loads it, and its gear has no play.
+in steps, along a parabola: those need tension for their acceleration, all the time. Its simulated mass is infinite, and
+its gear has no play.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,16 +34,13 @@ from hilbench.plant.web_line.stations import Reel
 
 BROKEN = Quantity("broken", "1", "1: the web has torn and pulls no more; 0: it is whole")
 
-#: Mass of a held driven roller: 1 kN accelerates it to 1e-15 m/s in a second.
-_HELD_KG: Final = 1e18
-
 
 def hold(p: Vector) -> None:
     """Make the driven rollers of a line immovable, in its parameters (P,), except by measured motion."""
     for row in lay.driven_rows(p):
         axis = lay.Layout.of(p).axis_rows(p)[row]
-        axis[lay.A_MOTOR_MASS_KG], axis[lay.A_ROLLER_MASS_KG] = 0.0, _HELD_KG
-        axis[lay.A_WOUND_KG] = axis[lay.A_WEB_LOAD] = axis[lay.place("backlash", "gap_rad")] = 0.0
+        axis[lay.A_MOTOR_MASS_KG], axis[lay.A_ROLLER_MASS_KG] = 0.0, np.inf
+        axis[lay.A_WOUND_KG] = axis[lay.place("backlash", "gap_rad")] = 0.0
 
 
 def step_s(parameters: ModelParameters) -> float:

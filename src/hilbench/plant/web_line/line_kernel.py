@@ -57,12 +57,11 @@ def gained_m_s(a_m_s2: float, duration_s: float) -> float:
 
 @inlined
 def set_speed(p: Vector, s: Vector, row: int, v_m_s: float) -> None:
-    """Set the speed of a driven roller; dry friction follows its motion."""
+    """Set the speed of a driven roller; it never sticks."""
     n, _, k = places.counts(p)
     s[lay.S_Y + n + row] = v_m_s
     s[lay.S_Y + 3 * n + row] = v_m_s
-    direction = 1.0 if v_m_s > 0.0 else -1.0 if v_m_s < 0.0 else 0.0
-    s[places.axis_state(n, k, row) + lay.SA_DIRECTION] = direction
+    s[places.axis_state(n, k, row) + lay.SA_DIRECTION] = -1.0 if v_m_s < 0.0 else 1.0
 
 
 @inlined

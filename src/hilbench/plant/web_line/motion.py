@@ -203,8 +203,8 @@ def _go_axis(
     ahead: float,
     slides: bool,
 ) -> None:
-    """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play; it may stick, and a
-    carriage be at a stop.
+    """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play; it may stick, a
+    carriage be at a stop, and a roller without 1/mass keeps its speed.
 
     `weight`, `ahead` (s): of this stage of the Runge-Kutta step. `slides`: compile-time constant, true if no gear has
     play, no roller sticks and no rare force acts, which saves the checks.
@@ -212,6 +212,12 @@ def _go_axis(
     size, y = places.block(n, k, 1), places.block(n, k, lay.STAGE)
     v = w[y + n + i]
     of_mass = w[places.part(n, m, k, lay.PER_MASS) + i] if slides else per_mass(p, w, n, m, k, i, y)
+    if of_mass == 0.0:
+        _go(w, size, i, v, weight, ahead)
+        _go(w, size, n + i, 0.0, weight, ahead)
+        _go(w, size, 2 * n + i, v, weight, ahead)
+        _go(w, size, 3 * n + i, 0.0, weight, ahead)
+        return
     drive = motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i], slides)
     own = own_force_N(p, w, n, m, k, i, y, slides)
     pull = web_force_N(p, u, w, n, m, k, i, y, strain_prev, slides)

@@ -118,9 +118,7 @@ def exported_load(model: ModelParameters) -> ExportedMachine:
         raise ValueError(f"a line with stations, expected {ONLY_DRIVEN}")
     follower = LineFollower(model)
     p, layout = follower._p.copy(), follower._layout
-    n, m, k, rows = layout.axes, layout.motors, layout.spans, layout.axis_rows(p)
-    # The web may load held rollers: their mass is too large to be moved.
-    rows[:, lay.A_WEB_LOAD] = [model.carries_web_load(axis) for axis in range(1, n + 1)]
+    n, m, k = layout.axes, layout.motors, layout.spans
     variables = [
         ExportedVariable(
             Quantity(f"v{axis}_m_s", "m/s", f"speed of roller {axis} in the step"),
