@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, untold_beside
 from hilbench.diagnosis.data_cleaning import Repair
-from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_profile
+from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_interval_s
 from hilbench.diagnosis.fit_with_residual_noise import stated_uncertainty, weights
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
@@ -470,7 +470,7 @@ def _moments(
         times = around(here, half_s / 30.0, 0.5 * space.period_s)
         while True:
             times = np.union1d(times, around(here, half_s, half_s / 30.0))
-            low, high = time_profile(space, white, terms, place, times).interval_s(rise)
+            low, high = time_interval_s(space, white, terms, place, times, rise)
             if (times[0] < low and high < times[-1]) or half_s > space.duration_s:
                 break
             half_s, times = 3.0 * half_s, np.array([here])

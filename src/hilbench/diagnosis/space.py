@@ -37,6 +37,8 @@ _CALM: Final = 4.0
 _SHORTEST_BLOCK_S: Final = 1.5
 _EMBARGO_S: Final = 1.0
 _LEAST_BLOCKS_OF_ONE_AXIS: Final = 6
+#: Runs of the model that are held in memory at once: more than a machine has cores, less than its cache and pages.
+_AT_ONCE: Final = 16
 
 
 @dataclass(frozen=True)
@@ -213,9 +215,13 @@ class Space:
         """(variants, signals, n)."""
         self.simulations += len(variants)
         parameters = np.array([pack_with(self.model, terms) for terms in variants])
-        with np.errstate(over="ignore", invalid="ignore"):  # a model far off may run away; fits see that
-            predicted = self.predictor.predict(parameters)
-        return np.asarray(self.predictor.measured - self._quick - predicted, np.float64)
+        known = self.predictor.measured - self._quick
+        found = np.empty((len(variants), *known.shape))
+        for first in range(0, len(variants), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            with np.errstate(over="ignore", invalid="ignore"):  # a model far off may run away; fits see that
+                np.subtract(known, self.predictor.predict(parameters[part]), out=found[part])
+        return found
 
     def settle(self, terms: list[Term]) -> bool:
         """From now on let the model with these terms say what the quick part of a measured motion needs; whether there

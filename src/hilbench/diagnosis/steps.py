@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.fit import Fit, fit, sums, with_best_time
+from hilbench.diagnosis.fit import Fit, OnsetResponses, fit, sums, with_best_time
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_analysis import largest_ratio
@@ -52,7 +52,7 @@ TIED: Final = 6.0
 MARGIN: Final = 60.0
 #: How often, and at which shares of their distance, the best times of a step are looked at more closely; how many are
 #: proposed, and how many of the distances they are apart.
-_TIME_LEVELS: Final = 3
+_TIME_LEVELS: Final = 5
 _CLOSER: Final = np.linspace(-0.75, 0.75, 7)
 _STEP_PEAKS, _APART = 2, 2.5
 #: How often the ends of what grows over a while are looked for more closely, and among how many times. The mean of
@@ -206,48 +206,44 @@ class Steps:
         What it explains has a narrow peak at the right time. A fit started beside it runs into another minimum, and
         simulating every time would cost thousands of runs.
         """
+        terms = self.proposer.onsets(effect, np.append(times, 0.0), current.terms, section)
+        if not terms:  # the model can't have one more of it
+            return []
+        *responses, always = (response[0] for response in self.space.strengths(current.terms, current.residual, terms))
+        known = OnsetResponses(times, np.array(responses), always, self.space.period_s * self._every)
         found, gradual = list[Term](), list[Term]()
         for level in range(_TIME_LEVELS):
             terms = self.proposer.onsets(effect, times, current.terms, section)
-            if not terms:  # the model can't have one more of it
-                break
-            responses, along = self._seen(current, white, terms)
+            seen, along = self._seen(current, white, known, times)
             if level == 0 and self.proposer.gradual(effect, 0.0, 1.0, current.terms, section):
-                gradual = self._gradual(effect, current, white, times, responses, along, section)
-            found = _apart(terms, along**2 / np.maximum(np.sum(responses**2, axis=1), 1e-300), _APART * apart_s)
+                gradual = self._gradual(effect, current, white, known, section)
+            found = _apart(terms, along**2 / np.maximum(np.sum(seen**2, axis=1), 1e-300), _APART * apart_s)
             times = np.concatenate([t.time_s + apart_s * _CLOSER for t in found]) if found else times
             apart_s *= float(_CLOSER[1] - _CLOSER[0])
         return [*found, *gradual]
 
-    def _seen(self, current: Fit, white: Whitening, terms: list[Term]) -> tuple[Array, Array]:
-        """Whitened responses of the terms (T, signals·n), and their products (T,) with the residual."""
-        responses = self._observable(white, self.space.strengths(current.terms, current.residual, terms))
+    def _seen(self, current: Fit, white: Whitening, known: OnsetResponses, times_s: Array) -> tuple[Array, Array]:
+        """Whitened responses (T, signals·n) of what sets in at these times, and their products (T,) with the
+        residual."""
+        responses = self._observable(white, [known.at(float(time))[None] for time in times_s])
         return responses, responses @ self._observable(white, [current.residual[None]])[0]
 
     def _gradual(
-        self,
-        effect: Effect,
-        current: Fit,
-        white: Whitening,
-        times_s: Array,
-        responses: Array,
-        along: Array,
-        section: Section | None,
+        self, effect: Effect, current: Fit, white: Whitening, known: OnsetResponses, section: Section | None
     ) -> list[Term]:
-        """What grows between two of the times (T,), those that would explain most; then between closer ones.
+        """What grows between two of the known times, those that would explain most; then between closer ones.
 
-        responses (T, signals·n) are those of the sudden effect at each time, along (T,) their products with the
-        residual. The response of a ramp is the mean of those of the steps within it, so no ramp need be simulated.
+        The response of a ramp is the mean of those of the steps within it, so no ramp need be simulated.
         """
+        times_s = known.times_s
         first_s, last_s = float(times_s[0]), float(times_s[-1])
-        begin_s, end_s, gain = _best_while(times_s, responses, along)
+        begin_s, end_s, gain = _best_while(times_s, *self._seen(current, white, known, times_s))
         for _ in range(_RAMP_LEVELS):
             if gain < float(np.log(self.samples)):  # nothing that could be named
                 break
             apart_s = float(times_s[1] - times_s[0])
             times_s = np.linspace(max(begin_s - apart_s, first_s), min(end_s + apart_s, last_s), _RAMP_TIMES)
-            terms = self.proposer.onsets(effect, times_s, current.terms, section)
-            begin_s, end_s, gain = _best_while(times_s, *self._seen(current, white, terms))
+            begin_s, end_s, gain = _best_while(times_s, *self._seen(current, white, known, times_s))
         return self.proposer.gradual(effect, begin_s, end_s - begin_s, current.terms, section)
 
     def _observable(self, white: Whitening, responses: list[Array]) -> Array:
