@@ -167,7 +167,7 @@ class MeasuredSearch:
             responses = self._space.strengths(current.terms, current.residual, terms)
             for term, response in zip(terms, responses, strict=True):
                 masked = self._masked(apply(response))
-                found.append(self._proposer.tuned(term, left, masked, self._space.predictor.every))
+                found.append(self._proposer.tuned(term, left, masked, self._space.predictor.every)[0])
         found = [term for term in found if not is_near_present(self._space, self._proposer, term, current)]
         return found + [whole for term in found for whole in self._proposer.at_whole_orders(term)]
 

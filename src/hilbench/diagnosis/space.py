@@ -304,17 +304,12 @@ class Space:
 
 
 class Linear:
-    """A linear least-squares problem of whitened columns (J, signals, n), by blocks."""
+    """A linear least-squares problem of whitened columns (J, signals, n) on the rows that fits see."""
 
     def __init__(self, residual: Array, columns: Array, split: Split) -> None:
-        count, j = len(split.held_out), len(columns)
-        self.gram, self.cross = np.zeros((count, j, j)), np.zeros((count, j))
-        for b in range(count):
-            rows = split.block == b
-            c, r = columns[:, :, rows].reshape(j, -1), residual[:, rows].reshape(-1)
-            self.gram[b], self.cross[b] = c @ c.T, c @ r
-        train = ~split.held_out
-        self._gram, self._cross = self.gram[train].sum(0), self.cross[train].sum(0)
+        rows = split.train
+        c, r = columns[:, :, rows].reshape(len(columns), -1), residual[:, rows].ravel()
+        self._gram, self._cross = c @ c.T, c @ r
 
     def information(self, column: int) -> float:
         """Information of the training blocks about one coordinate, if it were the only one."""

@@ -30,6 +30,12 @@ Array = NDArray[np.float64]
 _CONTENDERS, _PAIRS = 4, 2
 #: How many more are, each by itself, where none of those explains all at the first step.
 _NEXT: Final = 4
+#: How far above its price a candidate has to promise to explain to be fitted, a promise being that of a linear model, and
+#: to be simulated anew at another model: below it explains hardly more than one of pure noise.
+_PROMISING, _FAR_FROM_PROMISING = -5.0, -15.0
+#: Shares of its price, and of what the best candidate explains, that an order or frequency has to explain to be looked
+#: at more closely.
+_OF_ITS_PRICE, _OF_THE_BEST = 0.5, 0.1
 #: By how much the promises of two candidates differ that are not the same.
 _SAME_PROMISE: Final = 0.5
 #: Singles from which pairs are made.
@@ -143,15 +149,16 @@ class Steps:
         """Selection criterion of a fit on all rows."""
         return found.train + found.test + price(found.terms, self.samples)
 
-    def candidates(self, current: Fit) -> CandidateSet:
+    def candidates(self, current: Fit, known: CandidateSet | None = None) -> CandidateSet:
         """All candidates at a model, each with its response.
 
         Searched ones need to know the noise first, which is seen when every plain candidate has had its say; then the
-        noise is seen once more, beside all of them.
+        noise is seen once more, beside all of them. known: a set at another model (`carried_over`); of its plain
+        candidates those that are far from promising anything keep their responses.
         """
         space = self.space
         plain = [t for t in self.proposer.plain() if not any(map(t.overlaps, current.terms))]
-        responses = space.strengths(current.terms, current.residual, plain)
+        responses = self._responses(current, plain, known)
         own = space.point(current.terms, current.residual).derivatives
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         whitened = self._counted(white.apply(current.residual))
@@ -160,12 +167,28 @@ class Steps:
         searched += self._changes(current, white)
         searched += self._passages(current, white, named)
         more = space.strengths(current.terms, current.residual, searched)
-        responses = responses + self._tune(current, white, searched, more)
-        whole = self._at_whole_orders(searched)
-        searched = searched + whole
+        tuned = self._tune(current, white, searched, more, responses)
+        whole = self._at_whole_orders([searched[k] for k in tuned])
+        searched, responses = searched + whole, responses + more
         responses = responses + space.strengths(current.terms, current.residual, whole)
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         return CandidateSet(white, current.residual, own, plain + searched, responses)
+
+    def _responses(self, current: Fit, plain: list[Term], known: CandidateSet | None) -> list[Array]:
+        """Responses of plain candidates; of those that are far from promising anything as they are known."""
+        if known is None:
+            return self.space.strengths(current.terms, current.residual, plain)
+        promising = self.ranked(known, known.residual, known.own, len(known.candidates), _FAR_FROM_PROMISING)
+        places = {term.place for terms in promising for term in terms}
+        by_term = {
+            (t.key, t.probe, *t.values.items()): response
+            for t, response in zip(known.candidates, known.responses, strict=True)
+            if t.place not in places
+        }
+        found = [by_term.get((t.key, t.probe, *t.values.items())) for t in plain]
+        new = [t for t, response in zip(plain, found, strict=True) if response is None]
+        anew = iter(self.space.strengths(current.terms, current.residual, new))
+        return [next(anew) if response is None else response for response in found]
 
     def _changes(self, current: Fit, white: Whitening) -> list[Term]:
         """Terms of each sudden effect at the times at which it would explain most, and gradual ones over a while."""
@@ -250,23 +273,35 @@ class Steps:
         """Whitened responses (1, signals, n) each, zero where rows do not count, as rows of (responses, signals·n)."""
         return np.array([self._counted(white.apply(response)).ravel() for response in responses])
 
-    def _tune(self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array]) -> list[Array]:
-        """Put orders and frequencies where responses fit best, and simulate those anew that moved.
+    def _tune(
+        self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array], plain: list[Array]
+    ) -> list[int]:
+        """Put orders and frequencies, in place, where responses fit best, and simulate those anew that moved; the places
+        of those that were looked at.
 
-        responses: raw, (1 or 2, signals, n) each. The peak of a spectrum is beside the right order where the machine
-        answers more strongly at another speed; a fit started there ends in a minimum beside it.
+        responses, plain: raw, (1 or 2, signals, n) each, of the searched and the other candidates. The peak of a
+        spectrum is beside the right order where the machine answers more strongly at another speed; a fit started there
+        ends in a minimum beside it. One that explains little, or far less than something else does, is none of the next
+        to be added, and its order or frequency may come from what that one leaves: it is not looked at.
         """
         residual = self.trained(white.apply(current.residual))
-        moved = []
+        gains = [0.0]
+        for column in (column for response in [*plain, *responses] for column in response):
+            whitened = self.trained(white.apply(column))
+            gains.append(float(np.vdot(whitened, residual)) ** 2 / max(float(np.vdot(whitened, whitened)), 1e-300))
+        looked_at, moved = [], []
         for k, response in enumerate(responses):
-            tuned = self.proposer.tuned(searched[k], residual, self.trained(white.apply(response)), self._every)
+            tuned, gain = self.proposer.tuned(searched[k], residual, self.trained(white.apply(response)), self._every)
+            if gain < max(_OF_ITS_PRICE * price([tuned], self.samples), _OF_THE_BEST * max(gains)):
+                continue
+            looked_at.append(k)
             if tuned != searched[k]:
                 searched[k] = tuned
                 moved.append(k)
         anew = self.space.strengths(current.terms, current.residual, [searched[k] for k in moved])
         for k, response in zip(moved, anew, strict=True):
             responses[k] = response
-        return responses
+        return looked_at
 
     def _at_whole_orders(self, searched: list[Term]) -> list[Term]:
         """The searched orders at the nearest whole ones as well, from where a fit may go on.
@@ -391,8 +426,10 @@ class Steps:
         gain = before - after
         return gain > 0.0 and gain > _HELD_OUT_ERRORS * 2.0 * float(np.sqrt(max(gain, 0.0)))
 
-    def ranked(self, offered: CandidateSet, residual: Array, own: Array, most: int | None = None) -> list[list[Term]]:
-        """Candidates, and pairs, that promise most; with start values.
+    def ranked(
+        self, offered: CandidateSet, residual: Array, own: Array, most: int | None = None, least: float = _PROMISING
+    ) -> list[list[Term]]:
+        """Candidates, and pairs, that promise most, and by `least` more than their price; with start values.
 
         residual: raw (signals, n); own: raw columns (J, signals, n) of the terms that are there; most: so many single
         ones. By default a few, of those that promise the same the first: what these data can't tell apart at all would
@@ -412,7 +449,7 @@ class Steps:
         places: set[Place] = set()
         promised: list[float] = []
         for score, _, terms in singles:
-            if score <= -5.0 or len(chosen) >= (_CONTENDERS if most is None else most):
+            if score <= least or len(chosen) >= (_CONTENDERS if most is None else most):
                 break
             place = terms[0].place
             alike = most is None and any(abs(score - other) < _SAME_PROMISE for other in promised)
