@@ -27,7 +27,7 @@ _GRID: Final = 25
 _SEARCH: Final = 12
 #: How far from where it was proposed a time is looked for, and the steps of the first look, s: a step of E lets the web
 #: ring at some 20 Hz, and each period of it is a minimum.
-_TIME_SEARCH: Final = (0.3, 0.01)
+TIME_SEARCH: Final = (0.3, 0.01)
 #: How often it is looked on from a better time; the minima, by the response at the last, that are simulated each time,
 #: and how many steps the last search within a row takes.
 _MOVES: Final = 5
@@ -200,7 +200,7 @@ def with_best_time(space: Space, white: Whitening, terms: list[Term], place: int
     """The term at `place` put at the time near its own at which it explains most, with the strength for it."""
     term = terms[place]
     search, here, half_step_s = TimeSearch(space, white, terms, place), term.time_s, 0.5 * space.period_s
-    for half_s, step_s in (_TIME_SEARCH, (_TIME_SEARCH[1], half_step_s)):
+    for half_s, step_s in (TIME_SEARCH, (TIME_SEARCH[1], half_step_s)):
         for _ in range(_MOVES):
             times = around(here, half_s, step_s)
             tried = np.append(times[_lowest(search.nearly(times, here))], here)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.fit import Fit, OnsetResponses, fit, sums, with_best_time
+from hilbench.diagnosis.fit import TIME_SEARCH, Fit, OnsetResponses, fit, sums, with_best_time
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_analysis import largest_ratio
@@ -30,8 +30,8 @@ Array = NDArray[np.float64]
 _CONTENDERS, _PAIRS = 4, 2
 #: How many more are, each by itself, where none of those explains all at the first step.
 _NEXT: Final = 4
-#: How far above its price a candidate has to promise to explain to be fitted, a promise being that of a linear model, and
-#: to be simulated anew at another model: below it explains hardly more than one of pure noise.
+#: How far above its price a candidate has to promise to explain to be fitted, a promise being that of a linear model,
+#: and to be simulated anew at another model: below it explains hardly more than one of pure noise.
 _PROMISING, _FAR_FROM_PROMISING = -5.0, -15.0
 #: Shares of its price, and of what the best candidate explains, that an order or frequency has to explain to be looked
 #: at more closely.
@@ -276,8 +276,8 @@ class Steps:
     def _tune(
         self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array], plain: list[Array]
     ) -> list[int]:
-        """Put orders and frequencies, in place, where responses fit best, and simulate those anew that moved; the places
-        of those that were looked at.
+        """Put orders and frequencies, in place, where responses fit best, and simulate those anew that moved; return
+        the places of those that were looked at.
 
         responses, plain: raw, (1 or 2, signals, n) each, of the searched and the other candidates. The peak of a
         spectrum is beside the right order where the machine answers more strongly at another speed; a fit started there
@@ -383,10 +383,10 @@ class Steps:
         """
         train, test = sums(self.space, offered.whitening, current.residual)
         before = train + price(current.terms, self.samples)
-        fits = []
+        fits: list[Fit] = []
         least = before
         for chosen in additions:
-            terms = [*current.terms, *chosen]
+            terms = [*current.terms, *(self._aimed(term, fits) for term in chosen)]
             cost = price(terms, self.samples)
             found = fit(self.space, offered.whitening, terms, worth=least + MARGIN - cost)
             fits.append(found)
@@ -397,6 +397,16 @@ class Steps:
             if better and self._is_confirmed(offered.whitening, current, test, found):
                 return found
         return None
+
+    @staticmethod
+    def _aimed(term: Term, fits: list[Fit]) -> Term:
+        """The term at the time that one of the fits has found for it, if it was looked for near its own."""
+        for found in fits:
+            for other in found.terms:
+                if other.aimed and other.key == term.key and abs(other.time_s - term.time_s) < TIME_SEARCH[0]:
+                    shape = other.coordinates()[other.linear :]
+                    return other.at(np.concatenate([term.coordinates()[: term.linear], shape]))
+        return term
 
     def _is_confirmed(self, white: Whitening, current: Fit, test: float, found: Fit) -> bool:
         """Whether rows that no fit has seen speak for an addition, too.
