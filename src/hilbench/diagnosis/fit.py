@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.space import Point, Space
-from hilbench.diagnosis.terms import Term
+from hilbench.diagnosis.terms import Term, parts, strength_parts
 
 Array = NDArray[np.float64]
 
@@ -45,6 +45,11 @@ class Fit:
     train: float
     test: float
     covariance: Array  #: (J, J) of all coordinates, in the order of the terms
+
+    def wald(self, k: int) -> float:
+        """Wald's statistic of the strength of term k against its neutral value."""
+        part, moved = strength_parts(self.terms)[k], self.terms[k].moved
+        return float(moved @ np.linalg.pinv(self.covariance[part, part]) @ moved)
 
 
 def sums(space: Space, white: Whitening, residual: Array) -> tuple[float, float]:
@@ -146,7 +151,7 @@ class OnsetResponses:
         n = self.always.shape[-1]
         first = min(int(np.ceil(self.times_s[nearest] / self.row_s)), n)
         shift = int(np.clip(round((time_s - float(self.times_s[nearest])) / self.row_s), -n, n))
-        passing = self.responses[nearest].copy()
+        passing: Array = self.responses[nearest].copy()
         passing[:, first:] -= self.always[:, first:]
         found = np.zeros_like(passing)
         found[:, max(shift, 0) : n + min(shift, 0)] = passing[:, max(-shift, 0) : n - max(shift, 0)]
@@ -171,7 +176,7 @@ class TimeSearch:
         return [*self._terms[: self._place], term, *self._terms[self._place + 1 :]]
 
     def _counted(self, values: Array) -> Array:
-        return self._white.apply(values)[:, self._space.predictor.rows].ravel()
+        return np.asarray(self._white.apply(values)[:, self._space.predictor.rows].ravel())
 
     def _square(self, response: Array) -> tuple[float, float]:
         whitened = self._counted(response)
@@ -183,8 +188,9 @@ class TimeSearch:
         """Sums of squares (T,), and by which factors (T,) of the strength."""
         term = self._terms[self._place]
         new = [float(time) for time in times_s if float(time) not in self._known]
-        residuals = self._space.residuals([self._with(term.moved_to(time)) for time in new]) if new else []
-        self._known |= {time: self._neutral - residual for time, residual in zip(new, residuals, strict=True)}
+        if new:
+            residuals = self._space.residuals([self._with(term.moved_to(time)) for time in new])
+            self._known |= dict(zip(new, self._neutral - residuals, strict=True))
         squares, scales = zip(*(self._square(self._known[float(time)]) for time in times_s), strict=True)
         return np.array(squares), np.array(scales)
 
@@ -323,9 +329,4 @@ def _flat(columns: Array) -> Array:
 
 
 def _moved(terms: list[Term], step: Array) -> list[Term]:
-    moved, at = [], 0
-    for term in terms:
-        here = term.coordinates()
-        moved.append(term.at(here + step[at : at + len(here)]))
-        at += len(here)
-    return moved
+    return [term.at(term.coordinates() + step[part]) for term, part in zip(terms, parts(terms), strict=True)]

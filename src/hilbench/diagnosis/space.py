@@ -1,7 +1,4 @@
-"""Residuals and sensitivities at one model, whitened, with the stretches that a fit sees and those it doesn't.
-
-From the columns' Gram matrix any subset of candidates is fitted at the cost of a small linear system.
-"""
+"""Residuals and sensitivities at one model, whitened, with the stretches that a fit sees and those it doesn't."""
 
 from __future__ import annotations
 
@@ -301,42 +298,6 @@ class Space:
             result.append((residual - found[at : at + count]) / steps)
             at += count
         return result
-
-
-class Linear:
-    """A linear least-squares problem of whitened columns (J, signals, n) on the rows that fits see."""
-
-    def __init__(self, residual: Array, columns: Array, split: Split) -> None:
-        rows = split.train
-        c, r = columns[:, :, rows].reshape(len(columns), -1), residual[:, rows].ravel()
-        self._gram, self._cross = c @ c.T, c @ r
-
-    def information(self, column: int) -> float:
-        """Information of the training blocks about one coordinate, if it were the only one."""
-        return float(self._gram[column, column])
-
-    def own_share(self, column: int, beside: list[int]) -> float:
-        """Share of a column's square on the training blocks that these others leave of it."""
-        gram, cross = self._gram[np.ix_(beside, beside)], self._gram[column, beside]
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        normal = gram / np.outer(scale, scale) + 1e-10 * np.eye(len(beside))
-        explained = cross / scale @ np.linalg.solve(normal, cross / scale)
-        return 1.0 - float(explained) / max(self.information(column), 1e-300)
-
-    def gain(self, chosen: list[int]) -> tuple[float, Array]:
-        """Fall of the training blocks' sum of squares by these columns, and their coordinates."""
-        if not chosen:
-            return 0.0, np.empty(0)
-        gram, cross = self._gram[np.ix_(chosen, chosen)], self._cross[chosen]
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        normal = gram / np.outer(scale, scale) + 1e-10 * np.eye(len(chosen))
-        theta = np.linalg.solve(normal, cross / scale) / scale
-        return float(2.0 * theta @ cross - theta @ gram @ theta), theta
-
-    def gain_at(self, chosen: list[int], theta: Array) -> float:
-        """Gain at given coordinates."""
-        gram, cross = self._gram[np.ix_(chosen, chosen)], self._cross[chosen]
-        return float(2.0 * theta @ cross - theta @ gram @ theta)
 
 
 def finest(space: Space) -> Whitening | None:

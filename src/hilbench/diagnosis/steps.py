@@ -9,7 +9,7 @@ stretches agree.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Final
 
 import numpy as np
@@ -20,7 +20,8 @@ from hilbench.diagnosis.fit import TIME_SEARCH, Fit, OnsetResponses, fit, sums, 
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_analysis import largest_ratio
-from hilbench.diagnosis.space import Linear, Space, noise_model
+from hilbench.diagnosis.space import Space, noise_model
+from hilbench.diagnosis.stretched_problem import StretchedProblem
 from hilbench.diagnosis.terms import Key, Place, Term
 from hilbench.plant.effect import Effect, Section
 
@@ -68,6 +69,8 @@ _RAMP_LEVELS, _RAMP_TIMES = 2, 24
 _LEAST_INFORMATION: Final = 1e-6
 #: Share of a response that the rest leaves of it, below which two effects added together are one for these data.
 _OWN_SHARE: Final = 0.005
+#: Ridge of the linear problem, as a share of each column's square.
+_RIDGE: Final = 1e-10
 
 
 def price(terms: list[Term], samples: float) -> float:
@@ -85,6 +88,11 @@ class CandidateSet:
     own: Array  #: raw columns of the terms that are there
     candidates: list[Term]
     responses: list[Array]  #: raw, (1 or 2, signals, n) each
+
+    def groups(self, own: int) -> list[list[int]]:
+        """Columns of each candidate, behind so many others."""
+        edges = np.cumsum([own, *map(len, self.responses)])
+        return [list(range(low, high)) for low, high in pairwise(edges)]
 
 
 def _apart(terms: list[Term], gains: Array, least_s: float) -> list[Term]:
@@ -348,16 +356,12 @@ class Steps:
         """Values (…, n) with zeros in the rows that do not count."""
         return np.where(self.space.split.block >= 0, values, 0.0)
 
-    def _linear(self, offered: CandidateSet, residual: Array, own: Array) -> tuple[Linear, list[list[int]]]:
+    def _linear(self, offered: CandidateSet, residual: Array, own: Array) -> StretchedProblem:
         """The linear problem of a raw residual (signals, n) in the terms' own columns (J, signals, n) and those of the
-        candidates; of each candidate which columns are its own."""
-        columns = offered.whitening.apply(np.concatenate([own, *offered.responses]))
-        problem = Linear(offered.whitening.apply(residual), columns, self.space.split)
-        groups, at = [], len(own)
-        for response in offered.responses:
-            groups.append(list(range(at, at + len(response))))
-            at += len(response)
-        return problem, groups
+        candidates, on the rows that fits see."""
+        columns, train = offered.whitening.apply(np.concatenate([own, *offered.responses])), self.space.split.train
+        whitened = offered.whitening.apply(residual)[:, train]
+        return StretchedProblem.of(whitened, columns[:, :, train], ridge=_RIDGE)
 
     # -- additions ---------------------------------------------------------------------------------------
 
@@ -445,15 +449,14 @@ class Steps:
         ones. By default a few, of those that promise the same the first: what these data can't tell apart at all would
         fill all seats, and is looked at among the alternatives.
         """
-        problem, groups = self._linear(offered, residual, own)
-        mine = list(range(len(own)))
-        base = problem.gain(mine)[0]
+        problem, mine = self._linear(offered, residual, own), list(range(len(own)))
+        base, _ = problem.left(mine)
         singles = []
-        for k in range(len(groups)):
-            started = self._started(offered, problem, mine, [k], groups)
+        for k in range(len(offered.candidates)):
+            started = self._started(offered, problem, mine, [k])
             if started is not None:
-                gain, terms = started
-                singles.append((gain - base - price(terms, self.samples), k, terms))
+                left, terms = started
+                singles.append((base - left - price(terms, self.samples), k, terms))
         singles.sort(key=lambda item: -item[0])
         chosen: list[list[Term]] = []
         places: set[Place] = set()
@@ -471,10 +474,10 @@ class Steps:
         pairs = []
         for a, b in combinations([k for _, k, _ in singles[:_PAIRED_FROM]], 2):
             if offered.candidates[a].key != offered.candidates[b].key:
-                started = self._started(offered, problem, mine, [a, b], groups)
+                started = self._started(offered, problem, mine, [a, b])
                 if started is not None:
-                    gain, terms = started
-                    pairs.append((gain - base - price(terms, self.samples), terms))
+                    left, terms = started
+                    pairs.append((base - left - price(terms, self.samples), terms))
         pairs.sort(key=lambda item: -item[0])
         best = max((score for score, _, _ in singles), default=0.0)
         # Here, too, variants of two effects at their places would fill all seats.
@@ -485,15 +488,15 @@ class Steps:
         return chosen + list(together.values())[:_PAIRS]
 
     def _started(
-        self, offered: CandidateSet, problem: Linear, mine: list[int], members: list[int], groups: list[list[int]]
+        self, offered: CandidateSet, problem: StretchedProblem, mine: list[int], members: list[int]
     ) -> tuple[float, list[Term]] | None:
-        """Gain and start values of some candidates together; None where a bound forbids their sign.
+        """What some candidates leave together, and their start values; None where a bound forbids their sign.
 
-        mine: columns of the terms that are there; members: candidates that are added, by number; groups: columns of
-        each candidate.
+        mine: columns of the terms that are there; members: candidates that are added, by number.
         """
+        groups = offered.groups(len(mine))
         columns = [c for k in members for c in groups[k]]
-        if any(problem.information(c) < _LEAST_INFORMATION for c in columns):
+        if any(problem.raw[c] < _LEAST_INFORMATION for c in columns):
             return None
         if len(members) > 1 and any(
             problem.own_share(c, [*mine, *(other for other in columns if other not in groups[k])]) < _OWN_SHARE
@@ -501,7 +504,7 @@ class Steps:
             for c in groups[k]
         ):
             return None
-        _, theta = problem.gain([*mine, *columns])
+        _, theta = problem.left([*mine, *columns])
         at, terms = len(mine), []
         for k in members:
             candidate = offered.candidates[k]
@@ -514,7 +517,7 @@ class Steps:
             if not candidate.allowed(float(strength[0])):
                 return None
             terms.append(candidate.at(np.concatenate([strength, here[candidate.linear :]])))
-        return problem.gain_at([*mine, *columns], theta), terms
+        return problem.left_with([], [*mine, *columns], theta), terms
 
     # -- earlier choices ---------------------------------------------------------------------------------
 
@@ -539,9 +542,4 @@ class Steps:
 
         The statistic is that of the linearized model, so it is believed with a factor of four to spare.
         """
-        at = sum(len(t.coordinates()) for t in current.terms[:k])
-        term = current.terms[k]
-        part = slice(at, at + term.linear)
-        moved = term.coordinates()[: term.linear] - term.neutral().coordinates()[: term.linear]
-        wald = float(moved @ np.linalg.pinv(current.covariance[part, part]) @ moved)
-        return wald < 4.0 * price([term], self.samples)
+        return current.wald(k) < 4.0 * price([current.terms[k]], self.samples)
