@@ -1,9 +1,9 @@
 """What the steps of the search do: candidates at a model, which of them to add, and what has become superfluous.
 
-At each step every candidate's response is simulated once; the Gram matrix then says what any one or two of them would
-explain. The best few are fitted in full, jointly with what is there. A term stays when the criterion (sum of squares of
-whitened residuals plus a price for every parameter and every variant that was searched) falls, and the held-out
-stretches agree.
+Every candidate's response is simulated once, at a later step only that of one which may matter there; the Gram matrix
+then says what any one or two of them would explain. The best few are fitted in full, jointly with what is there. A term
+stays when the criterion (sum of squares of whitened residuals plus a price for every parameter and every variant that
+was searched) falls, and the held-out stretches agree.
 """
 
 from __future__ import annotations
@@ -235,7 +235,7 @@ class Steps:
         """One sudden effect: a coarse grid of times, then ever closer ones around the best.
 
         What it explains has a narrow peak at the right time. A fit started beside it runs into another minimum, and
-        simulating every time would cost thousands of runs.
+        simulating every time would cost thousands of runs: responses at the closer times follow from those of the grid.
         """
         terms = self.proposer.onsets(effect, np.append(times, 0.0), current.terms, section)
         if not terms:  # the model can't have one more of it
@@ -359,9 +359,10 @@ class Steps:
     def _linear(self, offered: CandidateSet, residual: Array, own: Array) -> StretchedProblem:
         """The linear problem of a raw residual (signals, n) in the terms' own columns (J, signals, n) and those of the
         candidates, on the rows that fits see."""
-        columns, train = offered.whitening.apply(np.concatenate([own, *offered.responses])), self.space.split.train
+        train = self.space.split.train
+        columns = np.concatenate([own[..., train], *(response[..., train] for response in offered.responses)])
         whitened = offered.whitening.apply(residual)[:, train]
-        return StretchedProblem.of(whitened, columns[:, :, train], ridge=_RIDGE)
+        return StretchedProblem.of(whitened, offered.whitening.apply(columns), ridge=_RIDGE)
 
     # -- additions ---------------------------------------------------------------------------------------
 
