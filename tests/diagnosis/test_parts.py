@@ -15,7 +15,8 @@ from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.noise import floor, repeats, whitening
 from hilbench.diagnosis.proposals import Proposer, peaks
 from hilbench.diagnosis.residual_analysis import Condition, largest_ratio, located, misfits
-from hilbench.diagnosis.space import Linear, Split
+from hilbench.diagnosis.space import Split
+from hilbench.diagnosis.stretched_problem import StretchedProblem
 from hilbench.diagnosis.terms import Term, extended, pack_with
 from hilbench.diagnosis.web_line.free_run import FreeRun, between
 from hilbench.plant.effect import MachineKind
@@ -130,12 +131,14 @@ def test_the_linear_problem_gives_least_squares_of_the_training_blocks() -> None
     split = Split.of(np.ones(12000, bool), 0.002)
     assert 0.2 < np.mean(split.test) < 0.35
     assert not np.any(split.train & split.test)
-    gain, theta = Linear(residual, columns, split).gain([0, 2])
+    problem = StretchedProblem.of(residual[:, split.train], columns[:, :, split.train])
+    left, theta = problem.left([0, 2])
     a = columns[[0, 2]][:, :, split.train].reshape(2, -1)
     b = residual[:, split.train].reshape(-1)
-    expected, left, _, _ = np.linalg.lstsq(a.T, b, rcond=None)
+    expected, least, _, _ = np.linalg.lstsq(a.T, b, rcond=None)
     assert theta == pytest.approx(expected, rel=1e-6)
-    assert gain == pytest.approx(b @ b - left[0], rel=1e-6)
+    assert left == pytest.approx(least[0], rel=1e-6)
+    assert problem.left_with([], [0, 2], theta) == pytest.approx(left, rel=1e-6)
 
 
 def test_the_stretch_in_which_a_signal_changes_is_not_held_out() -> None:

@@ -13,7 +13,7 @@ from hilbench.diagnosis.fit import Fit, around, fit, sums
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.space import finest
 from hilbench.diagnosis.steps import MARGIN, TIED, CandidateSet, Steps, price
-from hilbench.diagnosis.terms import Key, Place, Term
+from hilbench.diagnosis.terms import Key, Place, Term, parts
 from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
 
 Array = NDArray[np.float64]
@@ -195,7 +195,4 @@ class Alternatives:
     @staticmethod
     def _own_without(offered: CandidateSet, terms: list[Term], k: int) -> Array:
         """The raw columns (J, signals, n) of the terms without those of term k."""
-        sizes = [len(term.coordinates()) for term in terms]
-        keep = np.ones(sum(sizes), bool)
-        keep[sum(sizes[:k]) : sum(sizes[: k + 1])] = False
-        return offered.own[keep]
+        return np.delete(offered.own, parts(terms)[k], axis=0)

@@ -24,6 +24,7 @@ from hilbench.diagnosis.predictor import Predictor, predictor_for
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_analysis import located
 from hilbench.diagnosis.space import Space
+from hilbench.diagnosis.stretched_problem import basis
 from hilbench.diagnosis.terms import Term, extended, pack_with
 from hilbench.plant.effect import Domain
 from hilbench.plant.effects import EFFECTS
@@ -138,7 +139,7 @@ class _Problem:
             ]
         )
         self._friction = np.concatenate([now.friction[rows_now], then.friction[then.rows]])
-        self._basis = _basis(self._shared)
+        self._basis = basis(self._shared)
         self._fixed: tuple[list[int], Array] = [], self._basis
 
     def columns_of(self, chosen: list[int]) -> list[int]:
@@ -178,7 +179,7 @@ class _Problem:
     def gain(self, without: _Solved, chosen: list[int], one: int) -> float:
         """By how much the sum of squares falls when one more term may differ."""
         if chosen != self._fixed[0]:  # many are asked for beside the same ones, and a basis takes its time
-            self._fixed = list(chosen), _basis(np.concatenate([self._shared, self._differing(chosen)]))
+            self._fixed = list(chosen), basis(np.concatenate([self._shared, self._differing(chosen)]))
         fixed = self._fixed[1]
         free = self._differing([one])
         free = free - (free @ fixed.T) @ fixed
@@ -219,13 +220,6 @@ class _Problem:
         """Rms of what is left in the later recording and in the one before, N·m."""
         now, then = solved.residual[: self._n], solved.residual[self._n :]
         return float(np.sqrt(np.mean(now**2))), float(np.sqrt(np.mean(then**2)))
-
-
-def _basis(rows: Array) -> Array:
-    """Orthonormal rows that span the same."""
-    scaled = rows / np.maximum(np.linalg.norm(rows, axis=1), 1e-300)[:, None]
-    _, sizes, vectors = np.linalg.svd(scaled, full_matrices=False)
-    return np.asarray(vectors[sizes > 1e-6])
 
 
 def changes(model: Machine, now: Measured, then: Measured, announce: Announce) -> Diagnosis:

@@ -35,8 +35,7 @@ class Offer:
     @property
     def sizes(self) -> float:
         """Distance from neutral, in units of the term's usual size."""
-        moved = self.term.coordinates()[: self.term.linear] - self.term.neutral().coordinates()[: self.term.linear]
-        return float(np.linalg.norm(moved)) / self.term.size
+        return float(np.linalg.norm(self.term.moved)) / self.term.size
 
 
 def in_order(offers: list[Offer], as_simple: Collection[str] = ()) -> list[Offer]:

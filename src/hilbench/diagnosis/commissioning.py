@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.fit_with_residual_noise import firsts, weights
+from hilbench.diagnosis.fit_with_residual_noise import weights
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.noise import Whitening
@@ -26,7 +26,7 @@ from hilbench.diagnosis.predictor import choice
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_noise import Uncertainty, uncertainty
 from hilbench.diagnosis.space import Space, noise_model
-from hilbench.diagnosis.terms import Place, Term
+from hilbench.diagnosis.terms import Place, Term, strength_parts
 from hilbench.diagnosis.web_line.commissioning import WIDE, believed_sizes, has_own
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.config import ModelErrorsConfig
@@ -239,8 +239,7 @@ class _Fitted:
         return Commissioned(*what, value, deviation, parameter.unit, self._tied(term), order)
 
     def _part(self, term: Term) -> slice:
-        first = firsts(self.terms)[self.terms.index(term)]
-        return slice(first, first + term.linear)
+        return strength_parts(self.terms)[self.terms.index(term)]
 
     def _strength(self, term: Term) -> tuple[float, float]:
         at = self._part(term).start

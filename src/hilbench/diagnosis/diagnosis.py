@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, untold_beside
 from hilbench.diagnosis.data_cleaning import Repair
-from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_profile
+from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_interval_s
 from hilbench.diagnosis.fit_with_residual_noise import stated_uncertainty, weights
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
@@ -35,7 +35,7 @@ from hilbench.diagnosis.select import Search, Selection
 from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
-from hilbench.diagnosis.terms import Place, Term, extended, pack_with
+from hilbench.diagnosis.terms import Place, Term, extended, pack_with, parts
 from hilbench.diagnosis.torsional_mode import untold, with_torsional_mode
 from hilbench.diagnosis.unseen_resonance import first_unseen
 from hilbench.diagnosis.web_line.loop_check import nuisance_of
@@ -429,13 +429,7 @@ def _perhaps_neutral(found: Fit, quantile: float) -> int | None:
 
     quantile: half the interval in standard deviations. The rows that the search held out may have brought a term there.
     """
-    sure, at = [], 0
-    for term in found.terms:
-        part = slice(at, at + term.linear)
-        at += len(term.coordinates())
-        moved = term.coordinates()[: term.linear] - term.neutral().coordinates()[: term.linear]
-        wald = float(moved @ np.linalg.pinv(found.covariance[part, part]) @ moved)
-        sure.append(wald**0.5 if wald > 0.0 else 0.0)
+    sure = [max(found.wald(k), 0.0) ** 0.5 for k in range(len(found.terms))]
     if not sure or min(sure) > quantile:
         return None
     return int(np.argmin(sure))
@@ -460,9 +454,8 @@ def _moments(
 
     What else than noise makes a time uncertain is in the fit's covariance alone: no interval is shorter than by that.
     """
-    found, terms, at = {}, final.terms, 0
-    for place, term in enumerate(terms):
-        first, at = at, at + len(term.coordinates())
+    found, terms = {}, final.terms
+    for place, (term, part) in enumerate(zip(terms, parts(terms), strict=True)):
         if not term.is_sudden:
             continue
         here, half_s = term.time_s, _PROFILE_S
@@ -470,11 +463,11 @@ def _moments(
         times = around(here, half_s / 30.0, 0.5 * space.period_s)
         while True:
             times = np.union1d(times, around(here, half_s, half_s / 30.0))
-            low, high = time_profile(space, white, terms, place, times).interval_s(rise)
+            low, high = time_interval_s(space, white, terms, place, times, rise)
             if (times[0] < low and high < times[-1]) or half_s > space.duration_s:
                 break
             half_s, times = 3.0 * half_s, np.array([here])
-        k = first + term.free().index(term.onset)
+        k = part.start + term.free().index(term.onset)
         variance = float(final.covariance[k, k])
         # No recording has the time within a cycle at which it happened.
         least_s = max(space.period_s, NORMAL_95 * inflation * max(variance, 0.0) ** 0.5)
@@ -483,11 +476,8 @@ def _moments(
 
 
 def _named(model: Machine, terms: list[Term], judged: _Judged, selection: Selection) -> list[NamedEffect]:
-    result, at = [], 0
-    for place, term in enumerate(terms):
-        size = len(term.coordinates())
-        part = slice(at, at + size)
-        at += size
+    result = []
+    for place, (term, part) in enumerate(zip(terms, parts(terms), strict=True)):
         gradient = term.gradient() * judged.quantiles[part]
         halves = np.sqrt(np.maximum(np.diag(gradient @ judged.covariance[part, part] @ gradient.T), 0.0))
         half_of = dict(zip(term.free(), map(float, halves), strict=True))

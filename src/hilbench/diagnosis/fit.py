@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.space import Point, Space
-from hilbench.diagnosis.terms import Term
+from hilbench.diagnosis.terms import Term, parts, strength_parts
 
 Array = NDArray[np.float64]
 
@@ -27,9 +27,13 @@ _GRID: Final = 25
 _SEARCH: Final = 12
 #: How far from where it was proposed a time is looked for, and the steps of the first look, s: a step of E lets the web
 #: ring at some 20 Hz, and each period of it is a minimum.
-_TIME_SEARCH: Final = (0.3, 0.01)
-#: How often it is looked further on where the best time is at an end of that.
+TIME_SEARCH: Final = (0.3, 0.01)
+#: How often it is looked on from a better time; the minima, by the response at the last, that are simulated each time,
+#: and how many steps the last search within a row takes.
 _MOVES: Final = 5
+_LIKELY, _CLOSEST = 4, 10
+#: How much larger than looked for the rise of a sum of squares has to be by the response at another time to be larger.
+_SURELY: Final = 10.0
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,11 @@ class Fit:
     train: float
     test: float
     covariance: Array  #: (J, J) of all coordinates, in the order of the terms
+
+    def wald(self, k: int) -> float:
+        """Wald's statistic of the strength of term k against its neutral value."""
+        part, moved = strength_parts(self.terms)[k], self.terms[k].moved
+        return float(moved @ np.linalg.pinv(self.covariance[part, part]) @ moved)
 
 
 def sums(space: Space, white: Whitening, residual: Array) -> tuple[float, float]:
@@ -127,49 +136,119 @@ def _searched(space: Space, white: Whitening, terms: list[Term], rows: NDArray[n
 
 
 @dataclass(frozen=True)
-class TimeProfile:
-    """Least sum of squares at each time of a term, its strength fitted to each."""
+class OnsetResponses:
+    """Responses of what sets in at once at some times, from which those at other times follow: what lasts begins there,
+    and what passes moves along, as it does in a machine that runs on as before."""
 
-    times_s: Array
-    squares: Array
-    scales: Array  #: of the strength
+    times_s: Array  #: (T,)
+    responses: Array  #: (T, signals, n)
+    always: Array  #: (signals, n): of what has been there from the beginning
+    row_s: float
 
-    def interval_s(self, rise: float) -> tuple[float, float]:
-        """The times up to which the sum of squares is within `rise` of its least; those next to them."""
-        within = np.flatnonzero(self.squares <= np.min(self.squares) + rise)
-        first, last = max(int(within[0]) - 1, 0), min(int(within[-1]) + 1, len(self.times_s) - 1)
-        return float(self.times_s[first]), float(self.times_s[last])
+    def at(self, time_s: float) -> Array:
+        """Response (signals, n) of what sets in at a time, to the nearest row."""
+        nearest = int(np.argmin(np.abs(self.times_s - time_s)))
+        n = self.always.shape[-1]
+        first = min(int(np.ceil(self.times_s[nearest] / self.row_s)), n)
+        shift = int(np.clip(round((time_s - float(self.times_s[nearest])) / self.row_s), -n, n))
+        passing: Array = self.responses[nearest].copy()
+        passing[:, first:] -= self.always[:, first:]
+        found = np.zeros_like(passing)
+        found[:, max(shift, 0) : n + min(shift, 0)] = passing[:, max(-shift, 0) : n - max(shift, 0)]
+        start = max(first + shift, 0)
+        found[:, start:] += self.always[:, start:]
+        return found
 
 
-def time_profile(space: Space, white: Whitening, terms: list[Term], place: int, times_s: Array) -> TimeProfile:
-    """The profile of the term at `place` over times_s (T,), the other terms as they are, on all rows that count."""
-    rows, term = space.predictor.rows, terms[place]
-    variants = [[*terms[:place], term.neutral(), *terms[place + 1 :]]]
-    variants += [[*terms[:place], term.moved_to(float(time)), *terms[place + 1 :]] for time in times_s]
-    residuals = white.apply(space.residuals(variants))[:, :, rows].reshape(len(variants), -1)
-    without, responses = residuals[0], residuals[0] - residuals[1:]
-    along, square = responses @ without, np.einsum("ij,ij->i", responses, responses)
-    scales = along / np.maximum(square, 1e-300)
-    return TimeProfile(times_s, float(without @ without) - along * scales, scales)
+class TimeSearch:
+    """The sum of squares by the time of the term at `place`, its strength fitted to each, the other terms as they are,
+    on all rows that count."""
+
+    def __init__(self, space: Space, white: Whitening, terms: list[Term], place: int) -> None:
+        self._space, self._white, self._terms, self._place = space, white, terms, place
+        term = terms[place]
+        neutral, always = space.residuals([self._with(term.neutral()), self._with(term.moved_to(0.0))])
+        self._neutral, self._always = neutral, neutral - always
+        self._without = self._counted(neutral)
+        self._known: dict[float, Array] = {}
+
+    def _with(self, term: Term) -> list[Term]:
+        return [*self._terms[: self._place], term, *self._terms[self._place + 1 :]]
+
+    def _counted(self, values: Array) -> Array:
+        return np.asarray(self._white.apply(values)[:, self._space.predictor.rows].ravel())
+
+    def _square(self, response: Array) -> tuple[float, float]:
+        whitened = self._counted(response)
+        along, square = float(whitened @ self._without), float(whitened @ whitened)
+        scale = along / max(square, 1e-300)
+        return float(self._without @ self._without) - along * scale, scale
+
+    def exactly(self, times_s: Array) -> tuple[Array, Array]:
+        """Sums of squares (T,), and by which factors (T,) of the strength."""
+        term = self._terms[self._place]
+        new = [float(time) for time in times_s if float(time) not in self._known]
+        if new:
+            residuals = self._space.residuals([self._with(term.moved_to(time)) for time in new])
+            self._known |= dict(zip(new, self._neutral - residuals, strict=True))
+        squares, scales = zip(*(self._square(self._known[float(time)]) for time in times_s), strict=True)
+        return np.array(squares), np.array(scales)
+
+    def nearly(self, times_s: Array, known_s: float) -> Array:
+        """Sums of squares (T,), to the nearest row, from the response at a time near them."""
+        self.exactly(np.array([known_s]))
+        row_s = self._space.period_s * self._space.predictor.every
+        known = OnsetResponses(np.array([known_s]), self._known[known_s][None], self._always, row_s)
+        return np.array([self._square(known.at(float(time)))[0] for time in times_s])
 
 
 def with_best_time(space: Space, white: Whitening, terms: list[Term], place: int) -> list[Term]:
     """The term at `place` put at the time near its own at which it explains most, with the strength for it."""
-    term, scale = terms[place], 1.0
-    for _ in range(_MOVES):
-        profile = time_profile(space, white, terms, place, around(term.time_s, *_TIME_SEARCH))
-        best = int(np.argmin(profile.squares))
-        term = term.moved_to(float(profile.times_s[best]))
-        if 0 < best < len(profile.times_s) - 1:
-            break
-    closer = (_TIME_SEARCH[1], 0.5 * space.period_s), (0.5 * space.period_s, 0.05 * space.period_s)
-    for half_s, step_s in closer:
-        profile = time_profile(space, white, terms, place, around(term.time_s, half_s, step_s))
-        best = int(np.argmin(profile.squares))
-        term, scale = term.moved_to(float(profile.times_s[best])), float(profile.scales[best])
+    term = terms[place]
+    search, here, half_step_s = TimeSearch(space, white, terms, place), term.time_s, 0.5 * space.period_s
+    for half_s, step_s in (TIME_SEARCH, (TIME_SEARCH[1], half_step_s)):
+        for _ in range(_MOVES):
+            times = around(here, half_s, step_s)
+            tried = np.append(times[_lowest(search.nearly(times, here))], here)
+            best = float(tried[int(np.argmin(search.exactly(tried)[0]))])
+            if best == here:
+                break
+            here = best
+    found = minimize_scalar(
+        lambda time: float(search.exactly(np.array([time]))[0][0]),
+        bounds=(max(here - half_step_s, 0.0), here + half_step_s),
+        method="bounded",
+        options={"maxiter": _CLOSEST, "xatol": 0.05 * space.period_s},
+    )
+    tried = np.array([here, float(found.x)])
+    squares, scales = search.exactly(tried)
+    best = int(np.argmin(squares))
+    term, scale = term.moved_to(float(tried[best])), float(scales[best])
     strength, *shape = term.coordinates()
-    found = term.at(np.array([strength * scale, *shape])) if term.allowed(strength * scale) else term
-    return [*terms[:place], replace(found, aimed=True), *terms[place + 1 :]]
+    aimed = term.at(np.array([strength * scale, *shape])) if term.allowed(strength * scale) else term
+    return [*terms[:place], replace(aimed, aimed=True), *terms[place + 1 :]]
+
+
+def _lowest(squares: Array) -> Array:
+    """Places of the lowest minima."""
+    padded = np.concatenate([[np.inf], squares, [np.inf]])
+    minima = np.flatnonzero((squares <= padded[:-2]) & (squares <= padded[2:]))
+    return np.asarray(minima[np.argsort(squares[minima], kind="stable")][:_LIKELY])
+
+
+def time_interval_s(
+    space: Space, white: Whitening, terms: list[Term], place: int, times_s: Array, rise: float
+) -> tuple[float, float]:
+    """The times among times_s (T,) up to which the sum of squares is within `rise` of its least; those next to them."""
+    search, here = TimeSearch(space, white, terms, place), terms[place].time_s
+    nearly = search.nearly(times_s, here)
+    near = np.abs(times_s - here) <= 2.0 * space.period_s * space.predictor.every
+    likely = near | (nearly <= np.min(nearly) + _SURELY * rise)
+    squares = np.full(len(times_s), np.inf)
+    squares[likely] = search.exactly(times_s[likely])[0]
+    within = np.flatnonzero(squares <= np.min(squares) + rise)
+    first, last = max(int(within[0]) - 1, 0), min(int(within[-1]) + 1, len(times_s) - 1)
+    return float(times_s[first]), float(times_s[last])
 
 
 def around(time_s: float, half_s: float, step_s: float) -> Array:
@@ -250,9 +329,4 @@ def _flat(columns: Array) -> Array:
 
 
 def _moved(terms: list[Term], step: Array) -> list[Term]:
-    moved, at = [], 0
-    for term in terms:
-        here = term.coordinates()
-        moved.append(term.at(here + step[at : at + len(here)]))
-        at += len(here)
-    return moved
+    return [term.at(term.coordinates() + step[part]) for term, part in zip(terms, parts(terms), strict=True)]

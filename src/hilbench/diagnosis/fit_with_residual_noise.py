@@ -86,8 +86,3 @@ def _on_one_sine(space: Space, found: Fit, predictor: OnMeasuredMotion, waves: A
     shapes = predictor.doubt_of_turning(pack_with(space.model, found.terms))
     rows = predictor.rows
     return by_waves(derivatives[:, 0, rows], found.residual[0, rows], shapes[:, 0, rows], waves[:, rows])
-
-
-def firsts(terms: list[Term]) -> list[int]:
-    """The first coordinate of each term among those of all."""
-    return [int(first) for first in np.cumsum([0, *(len(term.coordinates()) for term in terms)])[:-1]]

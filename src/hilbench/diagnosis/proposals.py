@@ -227,8 +227,9 @@ class Proposer:
         torque = self._data.tau_Nm[axis][::every] / max(self._torque_Nm, 1e-300)
         return {name: values * torque for name, values in whitened.items()}
 
-    def tuned(self, term: Term, residual: Array, response: Array, every: int) -> Term:
-        """The term with the order or frequency near its own at which its response fits best.
+    def tuned(self, term: Term, residual: Array, response: Array, every: int) -> tuple[Term, float]:
+        """The term with the order or frequency near its own at which its response fits best, and the fall of the sum of
+        squares there; as it is, and infinite, of a term without one.
 
         residual (signals, n) and response (2, signals, n) whitened, zero where rows do not count. How strongly and how
         late a machine answers changes with its speed, which moves a spectrum's peak; the response knows of it, and
@@ -236,21 +237,27 @@ class Proposer:
         """
         name, angle = self.searched_angle_rad(term, every)
         if name is None:
-            return term
+            return term, float("inf")
         sine, cosine = response
-        shifts = np.arange(-_NEAR, _NEAR + 1) * _NEAR_STEP * _TURN / float(np.ptp(angle))
-        turn = np.exp(1j * shifts[:, None] * angle[None, :])
-        forward, across = np.sum(sine * residual, axis=0), np.sum(cosine * residual, axis=0)
-        b = turn @ (across + 1j * forward)  # along the turned cosine and sine
+        step = _NEAR_STEP * _TURN / float(np.ptp(angle))
+        shifts = np.arange(-_NEAR, _NEAR + 1) * step
+        # Along the turned cosine and sine, and what a turn of both makes of their squares.
+        along = np.sum(cosine * residual, axis=0) + 1j * np.sum(sine * residual, axis=0)
+        uneven = 0.5 * np.sum(cosine**2 - sine**2, axis=0) + 1j * np.sum(sine * cosine, axis=0)
         even = 0.5 * float(np.sum(sine**2 + cosine**2))
-        odd = turn**2 @ (0.5 * np.sum(cosine**2 - sine**2, axis=0) + 1j * np.sum(sine * cosine, axis=0))
+        b, odd = np.empty(len(shifts), complex), np.empty(len(shifts), complex)
+        turn, further = np.exp(1j * shifts[0] * angle), np.exp(1j * step * angle)
+        for k in range(len(shifts)):
+            b[k], odd[k] = turn @ along, turn**2 @ uneven
+            turn *= further
         a11, a22, a12 = even + odd.real, even - odd.real, odd.imag
         possible = term.values[name] + shifts >= term.least[name]
         gain = (a22 * b.real**2 - 2.0 * a12 * b.real * b.imag + a11 * b.imag**2) / np.maximum(
             a11 * a22 - a12**2, 1e-12 * even**2 + 1e-300
         )
         best = int(np.argmax(np.where(possible, gain, -np.inf)))
-        return replace(term, values={**term.values, name: term.values[name] + float(shifts[best])})
+        found = replace(term, values={**term.values, name: term.values[name] + float(shifts[best])})
+        return found, float(gain[best])
 
     def searched_angle_rad(self, term: Term, every: int) -> tuple[str | None, Array]:
         """Phase that the searched shape of a term multiplies, for each row; None for a term without one."""

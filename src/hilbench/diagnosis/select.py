@@ -75,7 +75,7 @@ class Search:
             if not (unseen or steps.promises(offered)):
                 break
             current = steps.again(current, offered.whitening)
-            offered = steps.candidates(current)
+            offered = steps.candidates(current, steps.carried_over(current, offered))
         # What is not explained would be spread over the alternatives of every term: they would all seem tied.
         if steps.is_rough(current):
             return Selection(current, offered, steps.samples)

@@ -34,7 +34,7 @@ from hilbench.diagnosis.candidate_ranking import (
     least_share,
 )
 from hilbench.diagnosis.fit import Fit
-from hilbench.diagnosis.fit_with_residual_noise import firsts, fitted, stated_uncertainty, uncertainty_of
+from hilbench.diagnosis.fit_with_residual_noise import fitted, stated_uncertainty, uncertainty_of
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_noise import Uncertainty
@@ -45,7 +45,7 @@ from hilbench.diagnosis.space import Space, noise_model
 from hilbench.diagnosis.stationarity import in_both_halves, in_every_band
 from hilbench.diagnosis.steps import CandidateSet
 from hilbench.diagnosis.stretched_problem import StretchedProblem, basis, without
-from hilbench.diagnosis.terms import Key, Place, Term
+from hilbench.diagnosis.terms import Key, Place, Term, parts, strength_parts
 
 Array = NDArray[np.float64]
 Announce = Callable[[str, float], None]
@@ -167,7 +167,7 @@ class MeasuredSearch:
             responses = self._space.strengths(current.terms, current.residual, terms)
             for term, response in zip(terms, responses, strict=True):
                 masked = self._masked(apply(response))
-                found.append(self._proposer.tuned(term, left, masked, self._space.predictor.every))
+                found.append(self._proposer.tuned(term, left, masked, self._space.predictor.every)[0])
         found = [term for term in found if not is_near_present(self._space, self._proposer, term, current)]
         return found + [whole for term in found for whole in self._proposer.at_whole_orders(term)]
 
@@ -183,8 +183,8 @@ class MeasuredSearch:
 
     def _linear(
         self, residual: Array, own: Array, offered: CandidateSet, beside: Array | None = None
-    ) -> tuple[StretchedProblem, list[list[int]]]:
-        """Linear problem of the terms' own columns and of the candidates; which columns are each candidate's.
+    ) -> StretchedProblem:
+        """Linear problem of the terms' own columns and of the candidates.
 
         beside: columns (J, signals, n) of which nothing is looked at: projected out of all the others beforehand,
         because their amounts in one stretch do not hold in the others.
@@ -195,18 +195,14 @@ class MeasuredSearch:
         if beside is not None and len(beside):
             known = basis(self._counted(beside).reshape(len(beside), -1))
             columns, counted = without(columns, known), without(counted[None], known)[0]
-        groups, at = [], len(own)
-        for response in offered.responses:
-            groups.append(list(range(at, at + len(response))))
-            at += len(response)
-        return StretchedProblem.of(counted, columns, raw), groups
+        return StretchedProblem.of(counted, columns, raw)
 
     # -- additions ---------------------------------------------------------------------------------------
 
     def _with_one_more(self, current: Fit, offered: CandidateSet) -> Fit | None:
         """The fit with the candidate that explains most of those that are certain; the simple ones go first."""
-        problem, groups = self._linear(offered.residual, offered.own, offered, self._side_bands(current))
-        mine = list(range(len(offered.own)))
+        problem = self._linear(offered.residual, offered.own, offered, self._side_bands(current))
+        mine, groups = list(range(len(offered.own))), offered.groups(len(offered.own))
         simple = [
             column
             for term, group in zip(offered.candidates, groups, strict=True)
@@ -302,12 +298,7 @@ class MeasuredSearch:
         """Probability for each term that it is neutral and was found by chance; known: by default with the residual
         as noise."""
         known = uncertainty_of(self._space, found) if known is None else known
-        at, chances = 0, []
-        for term in found.terms:
-            moved = term.coordinates()[: term.linear] - term.neutral().coordinates()[: term.linear]
-            chances.append(known.chance(slice(at, at + term.linear), moved))
-            at += len(term.coordinates())
-        return chances
+        return [known.chance(part, t.moved) for t, part in zip(found.terms, strength_parts(found.terms), strict=True)]
 
     # -- earlier choices ---------------------------------------------------------------------------------
 
@@ -335,14 +326,12 @@ class MeasuredSearch:
         point = self._space.point(current.terms, current.residual)
         bands = self._side_bands(current)
         shares = []
-        for k, first in enumerate(firsts(current.terms)):
-            term = current.terms[k]
-            own = list(range(first, first + len(term.coordinates())))
-            moved = term.coordinates()[: term.linear] - term.neutral().coordinates()[: term.linear]
+        for term, part in zip(current.terms, parts(current.terms), strict=True):
+            own = range(part.start, part.stop)
             columns = point.derivatives if term.has_phase else np.concatenate([point.derivatives, bands])
             counted = self._counted(columns)
             here = StretchedProblem.of(self._counted(current.residual), counted).left(list(range(len(columns))))[0]
-            back = self._counted(current.residual + np.tensordot(moved, point.derivatives[own[: term.linear]], 1))
+            back = self._counted(current.residual + np.tensordot(term.moved, point.derivatives[part][: term.linear], 1))
             without = StretchedProblem.of(back, counted).left([c for c in range(len(columns)) if c not in own])[0]
             shares.append(1.0 - here / max(without, 1e-300))
         return shares
@@ -351,15 +340,13 @@ class MeasuredSearch:
         """Alternatives to each term that leave as little, but for those on which no two bands agree."""
         tied: dict[Key, list[Place]] = {}
         count = len(offered.own)
-        problem, groups = self._linear(current.residual, offered.own, offered)
+        problem, groups = self._linear(current.residual, offered.own, offered), offered.groups(count)
         here = problem.left(list(range(count)))[0]
-        for term, first in zip(current.terms, firsts(current.terms), strict=True):
-            own = range(first, first + len(term.coordinates()))
-            mine = [c for c in range(count) if c not in own]
-            moved = term.coordinates()[: term.linear] - term.neutral().coordinates()[: term.linear]
+        for term, part in zip(current.terms, parts(current.terms), strict=True):
+            mine = [c for c in range(count) if c not in range(part.start, part.stop)]
             # The residual without the term, as far as it is linear in it.
-            back = np.tensordot(moved, offered.own[first : first + term.linear], 1)
-            without, _ = self._linear(current.residual + back, offered.own, offered)
+            back = np.tensordot(term.moved, offered.own[part][: term.linear], 1)
+            without = self._linear(current.residual + back, offered.own, offered)
             tied[term.key] = []
             for other, group in zip(offered.candidates, groups, strict=True):
                 if other.place in {term.place, *wandering, *tied[term.key]}:

@@ -1,7 +1,4 @@
-"""Residuals and sensitivities at one model, whitened, with the stretches that a fit sees and those it doesn't.
-
-From the columns' Gram matrix any subset of candidates is fitted at the cost of a small linear system.
-"""
+"""Residuals and sensitivities at one model, whitened, with the stretches that a fit sees and those it doesn't."""
 
 from __future__ import annotations
 
@@ -37,6 +34,8 @@ _CALM: Final = 4.0
 _SHORTEST_BLOCK_S: Final = 1.5
 _EMBARGO_S: Final = 1.0
 _LEAST_BLOCKS_OF_ONE_AXIS: Final = 6
+#: Runs of the model that are held in memory at once: more than a machine has cores, less than its cache and pages.
+_AT_ONCE: Final = 16
 
 
 @dataclass(frozen=True)
@@ -213,9 +212,13 @@ class Space:
         """(variants, signals, n)."""
         self.simulations += len(variants)
         parameters = np.array([pack_with(self.model, terms) for terms in variants])
-        with np.errstate(over="ignore", invalid="ignore"):  # a model far off may run away; fits see that
-            predicted = self.predictor.predict(parameters)
-        return np.asarray(self.predictor.measured - self._quick - predicted, np.float64)
+        known = self.predictor.measured - self._quick
+        found = np.empty((len(variants), *known.shape))
+        for first in range(0, len(variants), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            with np.errstate(over="ignore", invalid="ignore"):  # a model far off may run away; fits see that
+                np.subtract(known, self.predictor.predict(parameters[part]), out=found[part])
+        return found
 
     def settle(self, terms: list[Term]) -> bool:
         """From now on let the model with these terms say what the quick part of a measured motion needs; whether there
@@ -295,47 +298,6 @@ class Space:
             result.append((residual - found[at : at + count]) / steps)
             at += count
         return result
-
-
-class Linear:
-    """A linear least-squares problem of whitened columns (J, signals, n), by blocks."""
-
-    def __init__(self, residual: Array, columns: Array, split: Split) -> None:
-        count, j = len(split.held_out), len(columns)
-        self.gram, self.cross = np.zeros((count, j, j)), np.zeros((count, j))
-        for b in range(count):
-            rows = split.block == b
-            c, r = columns[:, :, rows].reshape(j, -1), residual[:, rows].reshape(-1)
-            self.gram[b], self.cross[b] = c @ c.T, c @ r
-        train = ~split.held_out
-        self._gram, self._cross = self.gram[train].sum(0), self.cross[train].sum(0)
-
-    def information(self, column: int) -> float:
-        """Information of the training blocks about one coordinate, if it were the only one."""
-        return float(self._gram[column, column])
-
-    def own_share(self, column: int, beside: list[int]) -> float:
-        """Share of a column's square on the training blocks that these others leave of it."""
-        gram, cross = self._gram[np.ix_(beside, beside)], self._gram[column, beside]
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        normal = gram / np.outer(scale, scale) + 1e-10 * np.eye(len(beside))
-        explained = cross / scale @ np.linalg.solve(normal, cross / scale)
-        return 1.0 - float(explained) / max(self.information(column), 1e-300)
-
-    def gain(self, chosen: list[int]) -> tuple[float, Array]:
-        """Fall of the training blocks' sum of squares by these columns, and their coordinates."""
-        if not chosen:
-            return 0.0, np.empty(0)
-        gram, cross = self._gram[np.ix_(chosen, chosen)], self._cross[chosen]
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        normal = gram / np.outer(scale, scale) + 1e-10 * np.eye(len(chosen))
-        theta = np.linalg.solve(normal, cross / scale) / scale
-        return float(2.0 * theta @ cross - theta @ gram @ theta), theta
-
-    def gain_at(self, chosen: list[int], theta: Array) -> float:
-        """Gain at given coordinates."""
-        gram, cross = self._gram[np.ix_(chosen, chosen)], self._cross[chosen]
-        return float(2.0 * theta @ cross - theta @ gram @ theta)
 
 
 def finest(space: Space) -> Whitening | None:

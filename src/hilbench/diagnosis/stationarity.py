@@ -9,10 +9,11 @@ from typing import Final
 import numpy as np
 
 from hilbench.diagnosis.fit import Fit, fit
-from hilbench.diagnosis.fit_with_residual_noise import firsts, fitted, uncertainty_of, weights
+from hilbench.diagnosis.fit_with_residual_noise import fitted, uncertainty_of, weights
 from hilbench.diagnosis.residual_noise import Uncertainty
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.stretched_problem import STRETCHES
+from hilbench.diagnosis.terms import parts
 from hilbench.plant.effect import Domain
 
 #: Standard deviations by which what a narrower band finds may differ.
@@ -76,10 +77,10 @@ def _apart(one: Fit, other: Fit, sure: Uncertainty, other_sure: Uncertainty) -> 
     that makes no other effect of it; 0 of a wave, or what swings at a frequency of its own."""
     deviations = np.maximum(np.hypot(sure.deviations, other_sure.deviations), 1e-300)
     found = []
-    for a, b, k in zip(one.terms, other.terms, firsts(one.terms), strict=True):
+    for a, b, part in zip(one.terms, other.terms, parts(one.terms), strict=True):
         here, there, neutral = (float(term.coordinates()[0]) for term in (a, b, a.neutral()))
         # What a filter rounds of an inertia is a share of all of it, not of what it differs by.
         whole = 1.0 + here if a.effect.domain is Domain.INERTIA else here - neutral
         beyond = abs(here - there) - _SAME_SIZE * abs(whole)
-        found.append(0.0 if a.is_of_a_frequency else max(beyond, 0.0) / float(deviations[k]))
+        found.append(0.0 if a.is_of_a_frequency else max(beyond, 0.0) / float(deviations[part.start]))
     return found

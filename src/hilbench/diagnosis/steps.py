@@ -1,26 +1,27 @@
 """What the steps of the search do: candidates at a model, which of them to add, and what has become superfluous.
 
-At each step every candidate's response is simulated once; the Gram matrix then says what any one or two of them would
-explain. The best few are fitted in full, jointly with what is there. A term stays when the criterion (sum of squares of
-whitened residuals plus a price for every parameter and every variant that was searched) falls, and the held-out
-stretches agree.
+Every candidate's response is simulated once, at a later step only that of one which may matter there; the Gram matrix
+then says what any one or two of them would explain. The best few are fitted in full, jointly with what is there. A term
+stays when the criterion (sum of squares of whitened residuals plus a price for every parameter and every variant that
+was searched) falls, and the held-out stretches agree.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.fit import Fit, fit, sums, with_best_time
+from hilbench.diagnosis.fit import TIME_SEARCH, Fit, OnsetResponses, fit, sums, with_best_time
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_analysis import largest_ratio
-from hilbench.diagnosis.space import Linear, Space, noise_model
+from hilbench.diagnosis.space import Space, noise_model
+from hilbench.diagnosis.stretched_problem import StretchedProblem
 from hilbench.diagnosis.terms import Key, Place, Term
 from hilbench.plant.effect import Effect, Section
 
@@ -30,6 +31,12 @@ Array = NDArray[np.float64]
 _CONTENDERS, _PAIRS = 4, 2
 #: How many more are, each by itself, where none of those explains all at the first step.
 _NEXT: Final = 4
+#: How far above its price a candidate has to promise to explain to be fitted, a promise being that of a linear model,
+#: and to be simulated anew at another model: below it explains hardly more than one of pure noise.
+_PROMISING, _FAR_FROM_PROMISING = -5.0, -15.0
+#: Shares of its price, and of what the best candidate explains, that an order or frequency has to explain to be looked
+#: at more closely.
+_OF_ITS_PRICE, _OF_THE_BEST = 0.5, 0.1
 #: By how much the promises of two candidates differ that are not the same.
 _SAME_PROMISE: Final = 0.5
 #: Singles from which pairs are made.
@@ -52,7 +59,7 @@ TIED: Final = 6.0
 MARGIN: Final = 60.0
 #: How often, and at which shares of their distance, the best times of a step are looked at more closely; how many are
 #: proposed, and how many of the distances they are apart.
-_TIME_LEVELS: Final = 3
+_TIME_LEVELS: Final = 5
 _CLOSER: Final = np.linspace(-0.75, 0.75, 7)
 _STEP_PEAKS, _APART = 2, 2.5
 #: How often the ends of what grows over a while are looked for more closely, and among how many times. The mean of
@@ -62,6 +69,8 @@ _RAMP_LEVELS, _RAMP_TIMES = 2, 24
 _LEAST_INFORMATION: Final = 1e-6
 #: Share of a response that the rest leaves of it, below which two effects added together are one for these data.
 _OWN_SHARE: Final = 0.005
+#: Ridge of the linear problem, as a share of each column's square.
+_RIDGE: Final = 1e-10
 
 
 def price(terms: list[Term], samples: float) -> float:
@@ -79,6 +88,11 @@ class CandidateSet:
     own: Array  #: raw columns of the terms that are there
     candidates: list[Term]
     responses: list[Array]  #: raw, (1 or 2, signals, n) each
+
+    def groups(self, own: int) -> list[list[int]]:
+        """Columns of each candidate, behind so many others."""
+        edges = np.cumsum([own, *map(len, self.responses)])
+        return [list(range(low, high)) for low, high in pairwise(edges)]
 
 
 def _apart(terms: list[Term], gains: Array, least_s: float) -> list[Term]:
@@ -143,15 +157,16 @@ class Steps:
         """Selection criterion of a fit on all rows."""
         return found.train + found.test + price(found.terms, self.samples)
 
-    def candidates(self, current: Fit) -> CandidateSet:
+    def candidates(self, current: Fit, known: CandidateSet | None = None) -> CandidateSet:
         """All candidates at a model, each with its response.
 
         Searched ones need to know the noise first, which is seen when every plain candidate has had its say; then the
-        noise is seen once more, beside all of them.
+        noise is seen once more, beside all of them. known: a set at another model (`carried_over`); of its plain
+        candidates those that are far from promising anything keep their responses.
         """
         space = self.space
         plain = [t for t in self.proposer.plain() if not any(map(t.overlaps, current.terms))]
-        responses = space.strengths(current.terms, current.residual, plain)
+        responses = self._responses(current, plain, known)
         own = space.point(current.terms, current.residual).derivatives
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         whitened = self._counted(white.apply(current.residual))
@@ -160,12 +175,28 @@ class Steps:
         searched += self._changes(current, white)
         searched += self._passages(current, white, named)
         more = space.strengths(current.terms, current.residual, searched)
-        responses = responses + self._tune(current, white, searched, more)
-        whole = self._at_whole_orders(searched)
-        searched = searched + whole
+        tuned = self._tune(current, white, searched, more, responses)
+        whole = self._at_whole_orders([searched[k] for k in tuned])
+        searched, responses = searched + whole, responses + more
         responses = responses + space.strengths(current.terms, current.residual, whole)
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         return CandidateSet(white, current.residual, own, plain + searched, responses)
+
+    def _responses(self, current: Fit, plain: list[Term], known: CandidateSet | None) -> list[Array]:
+        """Responses of plain candidates; of those that are far from promising anything as they are known."""
+        if known is None:
+            return self.space.strengths(current.terms, current.residual, plain)
+        promising = self.ranked(known, known.residual, known.own, len(known.candidates), _FAR_FROM_PROMISING)
+        places = {term.place for terms in promising for term in terms}
+        by_term = {
+            (t.key, t.probe, *t.values.items()): response
+            for t, response in zip(known.candidates, known.responses, strict=True)
+            if t.place not in places
+        }
+        found = [by_term.get((t.key, t.probe, *t.values.items())) for t in plain]
+        new = [t for t, response in zip(plain, found, strict=True) if response is None]
+        anew = iter(self.space.strengths(current.terms, current.residual, new))
+        return [next(anew) if response is None else response for response in found]
 
     def _changes(self, current: Fit, white: Whitening) -> list[Term]:
         """Terms of each sudden effect at the times at which it would explain most, and gradual ones over a while."""
@@ -204,73 +235,81 @@ class Steps:
         """One sudden effect: a coarse grid of times, then ever closer ones around the best.
 
         What it explains has a narrow peak at the right time. A fit started beside it runs into another minimum, and
-        simulating every time would cost thousands of runs.
+        simulating every time would cost thousands of runs: responses at the closer times follow from those of the grid.
         """
+        terms = self.proposer.onsets(effect, np.append(times, 0.0), current.terms, section)
+        if not terms:  # the model can't have one more of it
+            return []
+        *responses, always = (response[0] for response in self.space.strengths(current.terms, current.residual, terms))
+        known = OnsetResponses(times, np.array(responses), always, self.space.period_s * self._every)
         found, gradual = list[Term](), list[Term]()
         for level in range(_TIME_LEVELS):
             terms = self.proposer.onsets(effect, times, current.terms, section)
-            if not terms:  # the model can't have one more of it
-                break
-            responses, along = self._seen(current, white, terms)
+            seen, along = self._seen(current, white, known, times)
             if level == 0 and self.proposer.gradual(effect, 0.0, 1.0, current.terms, section):
-                gradual = self._gradual(effect, current, white, times, responses, along, section)
-            found = _apart(terms, along**2 / np.maximum(np.sum(responses**2, axis=1), 1e-300), _APART * apart_s)
+                gradual = self._gradual(effect, current, white, known, section)
+            found = _apart(terms, along**2 / np.maximum(np.sum(seen**2, axis=1), 1e-300), _APART * apart_s)
             times = np.concatenate([t.time_s + apart_s * _CLOSER for t in found]) if found else times
             apart_s *= float(_CLOSER[1] - _CLOSER[0])
         return [*found, *gradual]
 
-    def _seen(self, current: Fit, white: Whitening, terms: list[Term]) -> tuple[Array, Array]:
-        """Whitened responses of the terms (T, signals·n), and their products (T,) with the residual."""
-        responses = self._observable(white, self.space.strengths(current.terms, current.residual, terms))
+    def _seen(self, current: Fit, white: Whitening, known: OnsetResponses, times_s: Array) -> tuple[Array, Array]:
+        """Whitened responses (T, signals·n) of what sets in at these times, and their products (T,) with the
+        residual."""
+        responses = self._observable(white, [known.at(float(time))[None] for time in times_s])
         return responses, responses @ self._observable(white, [current.residual[None]])[0]
 
     def _gradual(
-        self,
-        effect: Effect,
-        current: Fit,
-        white: Whitening,
-        times_s: Array,
-        responses: Array,
-        along: Array,
-        section: Section | None,
+        self, effect: Effect, current: Fit, white: Whitening, known: OnsetResponses, section: Section | None
     ) -> list[Term]:
-        """What grows between two of the times (T,), those that would explain most; then between closer ones.
+        """What grows between two of the known times, those that would explain most; then between closer ones.
 
-        responses (T, signals·n) are those of the sudden effect at each time, along (T,) their products with the
-        residual. The response of a ramp is the mean of those of the steps within it, so no ramp need be simulated.
+        The response of a ramp is the mean of those of the steps within it, so no ramp need be simulated.
         """
+        times_s = known.times_s
         first_s, last_s = float(times_s[0]), float(times_s[-1])
-        begin_s, end_s, gain = _best_while(times_s, responses, along)
+        begin_s, end_s, gain = _best_while(times_s, *self._seen(current, white, known, times_s))
         for _ in range(_RAMP_LEVELS):
             if gain < float(np.log(self.samples)):  # nothing that could be named
                 break
             apart_s = float(times_s[1] - times_s[0])
             times_s = np.linspace(max(begin_s - apart_s, first_s), min(end_s + apart_s, last_s), _RAMP_TIMES)
-            terms = self.proposer.onsets(effect, times_s, current.terms, section)
-            begin_s, end_s, gain = _best_while(times_s, *self._seen(current, white, terms))
+            begin_s, end_s, gain = _best_while(times_s, *self._seen(current, white, known, times_s))
         return self.proposer.gradual(effect, begin_s, end_s - begin_s, current.terms, section)
 
     def _observable(self, white: Whitening, responses: list[Array]) -> Array:
         """Whitened responses (1, signals, n) each, zero where rows do not count, as rows of (responses, signals·n)."""
         return np.array([self._counted(white.apply(response)).ravel() for response in responses])
 
-    def _tune(self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array]) -> list[Array]:
-        """Put orders and frequencies where responses fit best, and simulate those anew that moved.
+    def _tune(
+        self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array], plain: list[Array]
+    ) -> list[int]:
+        """Put orders and frequencies, in place, where responses fit best, and simulate those anew that moved; return
+        the places of those that were looked at.
 
-        responses: raw, (1 or 2, signals, n) each. The peak of a spectrum is beside the right order where the machine
-        answers more strongly at another speed; a fit started there ends in a minimum beside it.
+        responses, plain: raw, (1 or 2, signals, n) each, of the searched and the other candidates. The peak of a
+        spectrum is beside the right order where the machine answers more strongly at another speed; a fit started there
+        ends in a minimum beside it. One that explains little, or far less than something else does, is none of the next
+        to be added, and its order or frequency may come from what that one leaves: it is not looked at.
         """
         residual = self.trained(white.apply(current.residual))
-        moved = []
+        gains = [0.0]
+        for column in (column for response in [*plain, *responses] for column in response):
+            whitened = self.trained(white.apply(column))
+            gains.append(float(np.vdot(whitened, residual)) ** 2 / max(float(np.vdot(whitened, whitened)), 1e-300))
+        looked_at, moved = [], []
         for k, response in enumerate(responses):
-            tuned = self.proposer.tuned(searched[k], residual, self.trained(white.apply(response)), self._every)
+            tuned, gain = self.proposer.tuned(searched[k], residual, self.trained(white.apply(response)), self._every)
+            if gain < max(_OF_ITS_PRICE * price([tuned], self.samples), _OF_THE_BEST * max(gains)):
+                continue
+            looked_at.append(k)
             if tuned != searched[k]:
                 searched[k] = tuned
                 moved.append(k)
         anew = self.space.strengths(current.terms, current.residual, [searched[k] for k in moved])
         for k, response in zip(moved, anew, strict=True):
             responses[k] = response
-        return responses
+        return looked_at
 
     def _at_whole_orders(self, searched: list[Term]) -> list[Term]:
         """The searched orders at the nearest whole ones as well, from where a fit may go on.
@@ -317,16 +356,13 @@ class Steps:
         """Values (…, n) with zeros in the rows that do not count."""
         return np.where(self.space.split.block >= 0, values, 0.0)
 
-    def _linear(self, offered: CandidateSet, residual: Array, own: Array) -> tuple[Linear, list[list[int]]]:
+    def _linear(self, offered: CandidateSet, residual: Array, own: Array) -> StretchedProblem:
         """The linear problem of a raw residual (signals, n) in the terms' own columns (J, signals, n) and those of the
-        candidates; of each candidate which columns are its own."""
-        columns = offered.whitening.apply(np.concatenate([own, *offered.responses]))
-        problem = Linear(offered.whitening.apply(residual), columns, self.space.split)
-        groups, at = [], len(own)
-        for response in offered.responses:
-            groups.append(list(range(at, at + len(response))))
-            at += len(response)
-        return problem, groups
+        candidates, on the rows that fits see."""
+        train = self.space.split.train
+        columns = np.concatenate([own[..., train], *(response[..., train] for response in offered.responses)])
+        whitened = offered.whitening.apply(residual)[:, train]
+        return StretchedProblem.of(whitened, offered.whitening.apply(columns), ridge=_RIDGE)
 
     # -- additions ---------------------------------------------------------------------------------------
 
@@ -352,10 +388,10 @@ class Steps:
         """
         train, test = sums(self.space, offered.whitening, current.residual)
         before = train + price(current.terms, self.samples)
-        fits = []
+        fits: list[Fit] = []
         least = before
         for chosen in additions:
-            terms = [*current.terms, *chosen]
+            terms = [*current.terms, *(self._aimed(term, fits) for term in chosen)]
             cost = price(terms, self.samples)
             found = fit(self.space, offered.whitening, terms, worth=least + MARGIN - cost)
             fits.append(found)
@@ -366,6 +402,16 @@ class Steps:
             if better and self._is_confirmed(offered.whitening, current, test, found):
                 return found
         return None
+
+    @staticmethod
+    def _aimed(term: Term, fits: list[Fit]) -> Term:
+        """The term at the time that one of the fits has found for it, if it was looked for near its own."""
+        for found in fits:
+            for other in found.terms:
+                if other.aimed and other.key == term.key and abs(other.time_s - term.time_s) < TIME_SEARCH[0]:
+                    shape = other.coordinates()[other.linear :]
+                    return other.at(np.concatenate([term.coordinates()[: term.linear], shape]))
+        return term
 
     def _is_confirmed(self, white: Whitening, current: Fit, test: float, found: Fit) -> bool:
         """Whether rows that no fit has seen speak for an addition, too.
@@ -395,28 +441,29 @@ class Steps:
         gain = before - after
         return gain > 0.0 and gain > _HELD_OUT_ERRORS * 2.0 * float(np.sqrt(max(gain, 0.0)))
 
-    def ranked(self, offered: CandidateSet, residual: Array, own: Array, most: int | None = None) -> list[list[Term]]:
-        """Candidates, and pairs, that promise most; with start values.
+    def ranked(
+        self, offered: CandidateSet, residual: Array, own: Array, most: int | None = None, least: float = _PROMISING
+    ) -> list[list[Term]]:
+        """Candidates, and pairs, that promise most, and by `least` more than their price; with start values.
 
         residual: raw (signals, n); own: raw columns (J, signals, n) of the terms that are there; most: so many single
         ones. By default a few, of those that promise the same the first: what these data can't tell apart at all would
         fill all seats, and is looked at among the alternatives.
         """
-        problem, groups = self._linear(offered, residual, own)
-        mine = list(range(len(own)))
-        base = problem.gain(mine)[0]
+        problem, mine = self._linear(offered, residual, own), list(range(len(own)))
+        base, _ = problem.left(mine)
         singles = []
-        for k in range(len(groups)):
-            started = self._started(offered, problem, mine, [k], groups)
+        for k in range(len(offered.candidates)):
+            started = self._started(offered, problem, mine, [k])
             if started is not None:
-                gain, terms = started
-                singles.append((gain - base - price(terms, self.samples), k, terms))
+                left, terms = started
+                singles.append((base - left - price(terms, self.samples), k, terms))
         singles.sort(key=lambda item: -item[0])
         chosen: list[list[Term]] = []
         places: set[Place] = set()
         promised: list[float] = []
         for score, _, terms in singles:
-            if score <= -5.0 or len(chosen) >= (_CONTENDERS if most is None else most):
+            if score <= least or len(chosen) >= (_CONTENDERS if most is None else most):
                 break
             place = terms[0].place
             alike = most is None and any(abs(score - other) < _SAME_PROMISE for other in promised)
@@ -428,10 +475,10 @@ class Steps:
         pairs = []
         for a, b in combinations([k for _, k, _ in singles[:_PAIRED_FROM]], 2):
             if offered.candidates[a].key != offered.candidates[b].key:
-                started = self._started(offered, problem, mine, [a, b], groups)
+                started = self._started(offered, problem, mine, [a, b])
                 if started is not None:
-                    gain, terms = started
-                    pairs.append((gain - base - price(terms, self.samples), terms))
+                    left, terms = started
+                    pairs.append((base - left - price(terms, self.samples), terms))
         pairs.sort(key=lambda item: -item[0])
         best = max((score for score, _, _ in singles), default=0.0)
         # Here, too, variants of two effects at their places would fill all seats.
@@ -442,15 +489,15 @@ class Steps:
         return chosen + list(together.values())[:_PAIRS]
 
     def _started(
-        self, offered: CandidateSet, problem: Linear, mine: list[int], members: list[int], groups: list[list[int]]
+        self, offered: CandidateSet, problem: StretchedProblem, mine: list[int], members: list[int]
     ) -> tuple[float, list[Term]] | None:
-        """Gain and start values of some candidates together; None where a bound forbids their sign.
+        """What some candidates leave together, and their start values; None where a bound forbids their sign.
 
-        mine: columns of the terms that are there; members: candidates that are added, by number; groups: columns of
-        each candidate.
+        mine: columns of the terms that are there; members: candidates that are added, by number.
         """
+        groups = offered.groups(len(mine))
         columns = [c for k in members for c in groups[k]]
-        if any(problem.information(c) < _LEAST_INFORMATION for c in columns):
+        if any(problem.raw[c] < _LEAST_INFORMATION for c in columns):
             return None
         if len(members) > 1 and any(
             problem.own_share(c, [*mine, *(other for other in columns if other not in groups[k])]) < _OWN_SHARE
@@ -458,7 +505,7 @@ class Steps:
             for c in groups[k]
         ):
             return None
-        _, theta = problem.gain([*mine, *columns])
+        _, theta = problem.left([*mine, *columns])
         at, terms = len(mine), []
         for k in members:
             candidate = offered.candidates[k]
@@ -471,7 +518,7 @@ class Steps:
             if not candidate.allowed(float(strength[0])):
                 return None
             terms.append(candidate.at(np.concatenate([strength, here[candidate.linear :]])))
-        return problem.gain_at([*mine, *columns], theta), terms
+        return problem.left_with([], [*mine, *columns], theta), terms
 
     # -- earlier choices ---------------------------------------------------------------------------------
 
@@ -496,9 +543,4 @@ class Steps:
 
         The statistic is that of the linearized model, so it is believed with a factor of four to spare.
         """
-        at = sum(len(t.coordinates()) for t in current.terms[:k])
-        term = current.terms[k]
-        part = slice(at, at + term.linear)
-        moved = term.coordinates()[: term.linear] - term.neutral().coordinates()[: term.linear]
-        wald = float(moved @ np.linalg.pinv(current.covariance[part, part]) @ moved)
-        return wald < 4.0 * price([term], self.samples)
+        return current.wald(k) < 4.0 * price([current.terms[k]], self.samples)

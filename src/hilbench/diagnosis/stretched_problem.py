@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 
 #: Contiguous stretches, each of which is predicted from the others.
 STRETCHES: Final = 8
+_RIDGE: Final = 1e-9
 
 
 @dataclass(frozen=True)
@@ -23,9 +24,10 @@ class StretchedProblem:
     cross: Array
     square: Array
     raw: Array  #: (J,) squares of the columns, as they are without all that is beside them
+    ridge: float  #: of the normal equations, as a share of each column's square
 
     @classmethod
-    def of(cls, residual: Array, columns: Array, raw: Array | None = None) -> StretchedProblem:
+    def of(cls, residual: Array, columns: Array, raw: Array | None = None, ridge: float = _RIDGE) -> StretchedProblem:
         """residual (signals, n), columns (J, signals, n), rows that count only; raw: by default their squares."""
         edges = np.linspace(0, residual.shape[-1], STRETCHES + 1).astype(int)
         gram, cross, square = [], [], []
@@ -36,11 +38,11 @@ class StretchedProblem:
             cross.append(c @ r)
             square.append(float(r @ r))
         whole = np.sum(columns**2, axis=(1, 2)) if raw is None else raw
-        return cls(np.array(gram), np.array(cross), np.array(square), whole)
+        return cls(np.array(gram), np.array(cross), np.array(square), whole, ridge)
 
     def left(self, chosen: list[int]) -> tuple[float, Array]:
         """Sum of squares that is left by these columns, and their coordinates."""
-        theta = _solved(self.gram.sum(0), self.cross.sum(0), chosen)
+        theta = self._solved(self.gram.sum(0), self.cross.sum(0), chosen)
         return float(self.square.sum() - theta @ self.cross.sum(0)[chosen]), theta
 
     def left_with(self, chosen: list[int], more: list[int], known: Array) -> float:
@@ -48,13 +50,13 @@ class StretchedProblem:
         gram, cross = self.gram.sum(0), self.cross.sum(0)
         square = float(self.square.sum() - 2.0 * known @ cross[more] + known @ gram[np.ix_(more, more)] @ known)
         beside = cross - gram[:, more] @ known
-        return float(square - _solved(gram, beside, chosen) @ beside[chosen])
+        return float(square - self._solved(gram, beside, chosen) @ beside[chosen])
 
     def left_unseen(self, chosen: list[int]) -> float:
         """Residual sum of squares, each stretch predicted from the others."""
         gram, cross, total = self.gram.sum(0), self.cross.sum(0), 0.0
         for g, c, s in zip(self.gram, self.cross, self.square, strict=True):
-            theta = _solved(gram - g, cross - c, chosen)
+            theta = self._solved(gram - g, cross - c, chosen)
             total += float(s - 2.0 * theta @ c[chosen] + theta @ g[np.ix_(chosen, chosen)] @ theta)
         return total
 
@@ -67,7 +69,7 @@ class StretchedProblem:
         gain = 0.0
         for g, c in zip(self.gram, self.cross, strict=True):
             along = c - g[:, mine] @ theta
-            gain += float(_solved(g, along, group) @ along[group])
+            gain += float(self._solved(g, along, group) @ along[group])
         return gain
 
     def gain_unseen_in_phase(self, mine: list[int], group: list[int]) -> float:
@@ -75,10 +77,10 @@ class StretchedProblem:
         phase is a state of the machine only the amplitude can be predicted."""
         gram, cross, gain = self.gram.sum(0), self.cross.sum(0), 0.0
         for g, c in zip(self.gram, self.cross, strict=True):
-            others = _solved(gram - g, cross - c, [*mine, *group])
+            others = self._solved(gram - g, cross - c, [*mine, *group])
             amplitude = float(np.linalg.norm(others[len(mine) :]))
             along = c - g[:, mine] @ others[: len(mine)]
-            here = _solved(g, along, group)
+            here = self._solved(g, along, group)
             here *= amplitude / max(float(np.linalg.norm(here)), 1e-300)
             gain += float(2.0 * here @ along[group] - here @ g[np.ix_(group, group)] @ here)
         return gain
@@ -89,8 +91,16 @@ class StretchedProblem:
         whole = float(self.raw[column])
         if whole <= 0.0:
             return 0.0
-        explained = _solved(gram, gram[column], beside) @ gram[column][beside]
+        explained = self._solved(gram, gram[column], beside) @ gram[column][beside]
         return (float(gram[column, column]) - float(explained)) / whole
+
+    def _solved(self, gram: Array, cross: Array, chosen: list[int]) -> Array:
+        if not chosen:
+            return np.empty(0)
+        part = gram[np.ix_(chosen, chosen)]
+        scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
+        normal = part / np.outer(scale, scale) + self.ridge * np.eye(len(chosen))
+        return np.asarray(np.linalg.solve(normal, cross[chosen] / scale) / scale)
 
 
 def basis(columns: Array) -> Array:
@@ -104,12 +114,3 @@ def without(columns: Array, basis: Array) -> Array:
     """Columns (J, signals, n) without what they have of the rows of a basis (B, signals·n)."""
     flat = columns.reshape(len(columns), -1)
     return np.asarray((flat - (flat @ basis.T) @ basis).reshape(columns.shape))
-
-
-def _solved(gram: Array, cross: Array, chosen: list[int]) -> Array:
-    if not chosen:
-        return np.empty(0)
-    part = gram[np.ix_(chosen, chosen)]
-    scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
-    normal = part / np.outer(scale, scale) + 1e-9 * np.eye(len(chosen))
-    return np.asarray(np.linalg.solve(normal, cross[chosen] / scale) / scale)

@@ -6,8 +6,9 @@ is, its parameters, units, bounds and step sizes stand in `hilbench.plant.effect
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from math import atan2, cos, hypot, sin
 from typing import NamedTuple
 
@@ -200,6 +201,11 @@ class Term:
             values[_PHASE] = self.base[_PHASE]
         return replace(self, values=values)
 
+    @property
+    def moved(self) -> Array:
+        """Strength (or its two components) less that of the diagnosed model."""
+        return self.coordinates()[: self.linear] - self.neutral().coordinates()[: self.linear]
+
     def probes(self) -> Array:
         """Steps of the coordinates in which the model is nearly linear, with which a response is looked at."""
         return self.steps()[: self.linear] if self.probe is None else np.full(self.linear, self.probe)
@@ -227,6 +233,17 @@ class Term:
             matrix[0, :2] = cos(phase), sin(phase)
             matrix[1, :2] = -sin(phase) / amplitude, cos(phase) / amplitude
         return matrix
+
+
+def parts(terms: Sequence[Term]) -> list[slice]:
+    """The coordinates of each term among those of all."""
+    edges = np.cumsum([0, *(len(term.coordinates()) for term in terms)])
+    return [slice(int(low), int(high)) for low, high in pairwise(edges)]
+
+
+def strength_parts(terms: Sequence[Term]) -> list[slice]:
+    """Those of each term in which the model is nearly linear."""
+    return [slice(part.start, part.start + term.linear) for term, part in zip(terms, parts(terms), strict=True)]
 
 
 def pack_with(model: Machine, terms: list[Term]) -> Array:

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import Fit
-from hilbench.diagnosis.fit_with_residual_noise import firsts
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.space import Space
-from hilbench.diagnosis.terms import Term, pack_with
+from hilbench.diagnosis.terms import Term, pack_with, parts
 
 Array = NDArray[np.float64]
 
@@ -50,9 +49,9 @@ def untold(space: Space, found: Fit) -> list[Term]:
     or friction may make up for each other in each of them."""
     rows, result = space.predictor.rows, []
     derivatives = space.point(found.terms, found.residual).derivatives
-    for term, first in zip(found.terms, firsts(found.terms), strict=True):
+    for term, part in zip(found.terms, parts(found.terms), strict=True):
         # Rows are not cut out: the sine that goes on behind a gap with another phase would be another line.
-        if term.swings and _lines(np.where(rows, derivatives[first], 0.0)) < _LEAST_LINES:
+        if term.swings and _lines(np.where(rows, derivatives[part.start], 0.0)) < _LEAST_LINES:
             result.append(term)
     return result
 

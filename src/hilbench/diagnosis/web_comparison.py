@@ -6,7 +6,7 @@ which gives the size of each change and its interval.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -21,7 +21,7 @@ from hilbench.diagnosis.predictor import Choice, choice
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.select import Search, Selection
 from hilbench.diagnosis.space import Space
-from hilbench.diagnosis.terms import Key, Term, extended
+from hilbench.diagnosis.terms import Key, Term, extended, parts
 from hilbench.plant.effect import ProbeOver
 from hilbench.plant.model_file import Machine
 
@@ -124,7 +124,8 @@ class _Joint:
         anew = {term.key for term in after.terms}
         shared = [t for t in before.terms if kept and t.key not in anew and not _by_the_clock(t)]
         own = [term for term in before.terms if term not in shared]
-        columns = list(_placed([*shared, *own, *after.terms]))
+        everything = [*shared, *own, *after.terms]
+        columns = [(t, np.arange(part.start, part.stop)) for t, part in zip(everything, parts(everything), strict=True)]
         count = sum(len(at) for _, at in columns)
         gram, along, square, samples = np.zeros((count, count)), np.zeros(count), 0.0, 0
         first = len(shared) + len(own)
@@ -188,12 +189,3 @@ class _Joint:
             if (when, key) in self.places:
                 weights[np.arange(linear), self.places[when, key][:linear]] = sign
         return np.asarray(weights @ self.covariance @ weights.T)
-
-
-def _placed(terms: list[Term]) -> Iterator[tuple[Term, Rows]]:
-    """Each term with the places of its coordinates, one after the other."""
-    at = 0
-    for term in terms:
-        size = len(term.coordinates())
-        yield term, np.arange(at, at + size)
-        at += size

@@ -199,6 +199,12 @@ def _advance_one_span(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) 
 
 
 @compiled
+def _advance_rig_of_two(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
+    noinline()
+    advance_line(p, s, u, w, 2, 3, 0, samples, True)
+
+
+@compiled
 def _advance_any(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
     noinline()
     n, m, k = places.counts(p)
@@ -210,6 +216,8 @@ def go_on(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
     """Advance by `samples` drive samples, between `enter` and `leave`; counts are constants for one span."""
     if places.is_one_span(p):
         _advance_one_span(p, s, u, w, samples)
+    elif places.is_rig_of_two(p):
+        _advance_rig_of_two(p, s, u, w, samples)
     else:
         _advance_any(p, s, u, w, samples)
 
