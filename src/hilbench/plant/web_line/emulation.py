@@ -125,6 +125,7 @@ def _run(
         line_u[lay.U_STRAIN_PREV], line_u[lay.U_F_NEXT_N] = boundary[row, 0], boundary[row, 1]
         for j in range(len(line)):
             guess[j] = line[j]
+        guess[lay.S_COUNT] -= lead_s / sample_s  # only the motion is predicted: the tension has the present E
         for i in range(n):
             v[i] = line[lay.S_Y + int(web[lay.W_AXES]) + rows[i]]
         line_kernel.turn(web, guess, line_u, line_w, rows, v, a, lead_s, sample_s, step_s)
