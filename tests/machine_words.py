@@ -17,14 +17,12 @@ from pathlib import Path
 
 SOURCES = Path(__file__).resolve().parents[1] / "src" / "hilbench"
 WORDS = re.compile(r"tensions?|spans?|youngs|webs?|axis[12]")
-#: What is the web line's own (plant, controllers, estimator) says so in its path, by one of the words; this does not.
-ITS_OWN = ("bench/tasks/swing_damping.py",)
 _PARTS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+[0-9]*")
 
 
 def is_its_own(path: Path) -> bool:
-    """Whether a module, by its path below the sources, belongs to the web line."""
-    return path.as_posix() in ITS_OWN or any(map(is_word, words_in("/".join(path.with_suffix("").parts))))
+    """Whether a module belongs to the web line, which it says in its path below the sources by one of the words."""
+    return any(map(is_word, words_in("/".join(path.with_suffix("").parts))))
 
 
 def is_word(word: str) -> bool:

@@ -34,7 +34,7 @@ def pull(axis1, F_simTension_N):
     ("path", "own"),
     [
         ("plant/web_line/kernel.py", True),
-        ("bench/tasks/tension_control.py", True),
+        ("bench/tasks/tension_cycle.py", True),
         ("bench/tasks/limits.py", False),
         ("apps/cli/website.py", False),
     ],

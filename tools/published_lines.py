@@ -24,11 +24,12 @@ from numpy.typing import NDArray
 from hilbench.apps.report.web_line_drawing import LineNotes, drawing
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.tension_control import TensionController, control
 from hilbench.bench.tasks.tension_cycle import LOOP, MODULUS_PA, SET_POINT_N
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
-from hilbench.bench.tasks.web_strain_trajectory import StrainTrajectory
 from hilbench.bench.tasks.web_winding_control import ROUNDED, CarriageForce, ReelMechanics, ReelTension, eased
+from hilbench.compiled import record_at
+from hilbench.control.web_line.strain_trajectory import TRAJECTORY, velocity_before
+from hilbench.control.web_line.tension import CONTROLLER, control, tension_controller
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.line import Line
@@ -255,15 +256,13 @@ def film(duration_s: float = 2.0, *, feed_forward: bool = True, modulus_error: f
     moduli = {span: model.youngs_modulus_Pa(span) * (1.0 + modulus_error) for span in spans}
     configs = {span: TensionControlConfig.model_validate(FILM_LOOP | {"span": span}) for span in spans}
     strains = model.upstream_strain, model.downstream_strain
-    controllers = {span: TensionController.of_model(configs[span], model, strains) for span in spans}
-    ways = {
-        span: StrainTrajectory(
-            configs[span].set_point_rise_s, FILM_CYCLE_S, model.span_length_m(span), model.section_m2(span)
-        )
-        for span in spans
+    controllers = {
+        span: tension_controller(each.bandwidth_rad_per_s, each.correction_limit_m_s, model, span, strains)
+        for span, each in configs.items()
     }
     loops = {span: KnownTension(FILM_N, moduli[span]) for span in spans}
-    plan = FeedForwardTask(model, FILM_CYCLE_S, line_speed, loops, ways)
+    rises_s = {span: configs[span].set_point_rise_s for span in spans}
+    plan = FeedForwardTask(model, FILM_CYCLE_S, line_speed, loops, rises_s)
     line_speed.set(LINE_SPEED, 1.0)
     plan.rest(nothing, {})
     commands = dict.fromkeys(range(1, model.axis_count + 1), 1.0)
@@ -278,10 +277,11 @@ def film(duration_s: float = 2.0, *, feed_forward: bool = True, modulus_error: f
         commands = {model.axis_count: speed_m_s + leads[model.axis_count]}
         for span in reversed(spans):
             entering = model.upstream_strain if span == 1 else now[f"strain{span - 1}"]
-            around = ways[span].velocity(speed_m_s, entering) if feed_forward else nan
+            trajectory = record_at(plan.trajectory(span), TRAJECTORY)
+            around = velocity_before(trajectory, speed_m_s, entering) if feed_forward else nan
             tension_N = now[f"F{span}_N"] * (1.0 + modulus_error)
-            of_loop = controllers[span].figures, controllers[span].state
-            speed_m_s = control(*of_loop, True, speed_m_s, FILM_N, tension_N, moduli[span], FILM_CYCLE_S, around)
+            controller = record_at(controllers[span], CONTROLLER)
+            speed_m_s = control(controller, True, speed_m_s, FILM_N, tension_N, moduli[span], FILM_CYCLE_S, around)
             commands[span] = speed_m_s + leads[span]
         stand.step()
     return stand.course()

@@ -27,6 +27,7 @@ ROOMS: Final = {
     "cia402": (BUS, "drive objects, simulated drive"),
     "estimation": (MACHINE, "balances, filters, detectors"),
     "prediction": (MACHINE, "futures, limits to come"),
+    "control": (MACHINE, "control laws of bench and prediction"),
     "canopen": (BUS, "device runtime, master, PDO codec"),
     "plant": (MACHINE, "machines, effects, motors, sensors"),
     "can": (BUS, "embedded bus, SocketCAN, python-can"),

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hilbench.code_cache import CodeCache
 
 Function = TypeVar("Function", bound=Callable[..., object])
+Vector = NDArray[np.float64]
 
 #: Types of arguments of an entry point: a float, an int, a bool; arrays of float64 with one to three dimensions and of
 #: int64 with one and two, in one piece; tuples of so many floats.
@@ -195,6 +196,16 @@ def table_of(arrays: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
             raise ValueError(f"an array of {array.dtype} {array.shape}, expected float64 or int64 in one piece")
         row[: 1 + array.ndim] = (array.ctypes.data, *array.shape)
     return table
+
+
+def record_type(*names: str) -> np.dtype[Any]:
+    """Type of a record of floats: a vector's elements by their names."""
+    return np.dtype([(name, np.float64) for name in names])
+
+
+def record_at(vector: Vector, kind: np.dtype[Any]) -> Any:
+    """Record at the start of a vector, with its fields as attributes; in compiled code `viewed(vector, kind)[0]`."""
+    return vector[: kind.itemsize // 8].view(kind).view(np.recarray)[0]
 
 
 def address_of(function: Callable[[int, NDArray[np.int64]], int]) -> int:

@@ -1,10 +1,13 @@
 """The tension controller on the span's own differential equation, written out here."""
 
 import math
+from typing import Any
 
+import numpy as np
 import pytest
 
-from hilbench.bench.tasks.tension_control import TensionController, control
+from hilbench.compiled import record_at
+from hilbench.control.web_line.tension import CONTROLLER, control, gains_at
 from hilbench.topology.web_line_config import TensionControlConfig
 
 STIFFNESS_N = 8.7e9 * 0.5 * 65e-6
@@ -13,20 +16,22 @@ STRAIN_PREV, STRAIN_NEXT = 80.0 / STIFFNESS_N, 70.0 / STIFFNESS_N
 CYCLE_S = 0.002
 
 
-def controller_of(config: TensionControlConfig, roller_stiffness_N_per_m: float = math.inf) -> TensionController:
-    return TensionController(config, LENGTH_M, 0.5 * 65e-6, roller_stiffness_N_per_m, (STRAIN_PREV, STRAIN_NEXT))
+def controller_of(config: TensionControlConfig, roller_stiffness_N_per_m: float = math.inf) -> Any:
+    c = record_at(np.zeros(CONTROLLER.itemsize // 8), CONTROLLER)
+    c.bandwidth_rad_per_s, c.limit_m_s = config.bandwidth_rad_per_s, config.correction_limit_m_s
+    c.length_m, c.section_m2, c.roller_N_per_m = LENGTH_M, 0.5 * 65e-6, roller_stiffness_N_per_m
+    c.upstream_strain, c.downstream_strain = STRAIN_PREV, STRAIN_NEXT
+    return c
 
 
-def velocity(controller: TensionController, line_m_s: float, set_point_N: float, tension_N: float) -> float:
+def velocity(controller: Any, line_m_s: float, set_point_N: float, tension_N: float) -> float:
     """A cycle of the closed loop."""
-    now = line_m_s, set_point_N, tension_N, 8.7e9, CYCLE_S, math.nan
-    return control(controller.figures, controller.state, True, *now)
+    return control(controller, True, line_m_s, set_point_N, tension_N, 8.7e9, CYCLE_S, math.nan)
 
 
-def hold(controller: TensionController, line_m_s: float, set_point_N: float) -> float:
+def hold(controller: Any, line_m_s: float, set_point_N: float) -> float:
     """A cycle of the open loop."""
-    now = line_m_s, set_point_N, 0.0, 0.0, CYCLE_S, math.nan
-    return control(controller.figures, controller.state, False, *now)
+    return control(controller, False, line_m_s, set_point_N, 0.0, 0.0, CYCLE_S, math.nan)
 
 
 def run(speed_m_s: float, set_point_N: float, duration_s: float, bandwidth: float = 3.0) -> list[float]:
@@ -121,7 +126,7 @@ def test_an_open_loop_goes_without_a_bump_to_the_ratio_of_the_set_point_and_clos
 @pytest.mark.parametrize("speed_m_s", [0.05, 3.0, -3.0])
 def test_gains_are_those_that_the_loop_goes_by(speed_m_s):
     controller = controller_of(TensionControlConfig(correction_limit_m_s=1.0), 18750.0)
-    kp, ki = controller.gains(speed_m_s, 8.7e9)
+    kp, ki = gains_at(controller, speed_m_s, 8.7e9)
     velocity(controller, speed_m_s, 80.0, 80.0)
     corrections = [speed_m_s - velocity(controller, speed_m_s, 80.0, 79.0) for _ in range(3)]
     assert corrections == pytest.approx([kp + k * ki * CYCLE_S for k in (1, 2, 3)], rel=1e-9)

@@ -16,7 +16,7 @@ from hilbench.estimation.web_line.offline import Track
 from hilbench.plant.web_line.parameters import ModelParameters
 
 PROBE_S = 4.0
-#: Roller 2 gives way to the web: κ of `hilbench.bench.tasks.tension_control`, by which the span answers more slowly.
+#: Roller 2 gives way to the web: κ of `hilbench.control.web_line.tension`, by which the span answers more slowly.
 SLOWER = 16.0
 
 

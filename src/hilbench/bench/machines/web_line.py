@@ -20,9 +20,7 @@ from hilbench.bench.tasks.emulated_web import emulated_web, web_load_model
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
-from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
 from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, PerSample
-from hilbench.bench.tasks.tension_control import TensionController, strains_around
 from hilbench.bench.tasks.tension_cycle import SPEEDS
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_probing import Probing
@@ -31,14 +29,16 @@ from hilbench.bench.tasks.tension_trust import VirtualSensorSupervision
 from hilbench.bench.tasks.tension_watch import TensionWatch, watched_loops
 from hilbench.bench.tasks.watches import QuietWatch
 from hilbench.bench.tasks.web_carriage_force import CarriageForceTask
+from hilbench.bench.tasks.web_entering_strain import EnteringStrain, strains_around
 from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.bench.tasks.web_positions import CarriageStops, PositionTask
 from hilbench.bench.tasks.web_reel_torque import LoadCells, ReelTorqueTask
 from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelTravel
 from hilbench.bench.tasks.web_standstill_excitation import StandstillExcitation, excitation_amplitudes_m
-from hilbench.bench.tasks.web_strain_trajectory import EnteringStrain, StrainTrajectory
 from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.compiled import table_of
+from hilbench.control.web_line.swing_damping import SwingDamping, SwingPlant
+from hilbench.control.web_line.tension import tension_controller
 from hilbench.cycle_program import CompiledStage, Function, never
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.problems import Problem
@@ -72,16 +72,9 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         for carriage in model.carriages
         if carriage.station.name in config.position_controls
     }
-    sections = section_model(model)
-    trajectories = {
-        axis: StrainTrajectory(
-            control.set_point_rise_s, cycle_s, sections.span_length_m(axis), sections.section_m2(axis)
-        )
-        for axis, control in by_axis.items()
-        if control.feed_forward == "twin"
-    }
+    rises_s = {axis: each.set_point_rise_s for axis, each in by_axis.items() if each.feed_forward == "twin"}
     loops: dict[int, TensionTask] = {}
-    plan = FeedForwardTask(sections, cycle_s, line_speed, loops, trajectories) if trajectories else None
+    plan = FeedForwardTask(section_model(model), cycle_s, line_speed, loops, rises_s) if rises_s else None
     torqued = config.reel_controls
     leads = max(axis for axis in range(1, model.axis_count + 1) if axis not in torqued)
     leading = LeadingAxis(drives[leads - 1], leads, line_speed)
@@ -109,8 +102,8 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         names = LoopNames.of(drives[axis - 1], control.span, config.shape)
         trusts.append(VirtualSensorSupervision(control, limits.tension_N.trip or inf, cycle_s, names.twin))
         ahead = None
-        if plan is not None and axis in trajectories:
-            ahead = FeedForward(trajectories[axis], *neighbour_strains(config, axis), plan)
+        if plan is not None and axis in rises_s:
+            ahead = FeedForward(*neighbour_strains(config, axis), plan)
         loops[axis] = _tension_task(config, state, control, names, axes[-1], trusts[-1], ahead)
         axes.append(loops[axis])
     of_spans = {loop.span: loop for loop in loops.values()}
@@ -210,7 +203,7 @@ def _tension_task(
         names,
         leader,
         control.set_point_N,
-        TensionController.of_model(control.model_copy(update={"span": section}), model, strains),
+        tension_controller(control.bandwidth_rad_per_s, control.correction_limit_m_s, model, section, strains),
         SwingDamping(swing, control.swing_damping_ratio, model.youngs_modulus_Pa(section)),
         trust,
         state.twin,

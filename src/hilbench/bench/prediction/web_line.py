@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from math import exp
 from operator import attrgetter
 
 import numpy as np
@@ -14,17 +13,17 @@ from numpy.typing import NDArray
 from hilbench.bench.prediction.hindsight import Hindsight
 from hilbench.bench.prediction.window import Reading, Window
 from hilbench.bench.tasks.limits import is_synchronized
-from hilbench.bench.tasks.swing_damping import SwingPlant, damping_gains
-from hilbench.bench.tasks.tension_control import TensionController, strains_around
-from hilbench.bench.tasks.tension_feed_forward import RollerForces
+from hilbench.bench.tasks.web_entering_strain import strains_around
 from hilbench.bench.tasks.web_limits import limited
-from hilbench.bench.tasks.web_strain_trajectory import trajectory_per_s
+from hilbench.control.web_line.feed_forward import ROLLER, rollers_of
+from hilbench.control.web_line.strain_trajectory import strain_trajectory
+from hilbench.control.web_line.swing_damping import SwingDamping, SwingPlant
+from hilbench.control.web_line.tension import tension_controller
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
 from hilbench.prediction.plan import Asked, Move
 from hilbench.prediction.tally import Offsets
-from hilbench.prediction.web_line import kernel
-from hilbench.prediction.web_line.futures import LineCourses, LineFutures, LinePresent
+from hilbench.prediction.web_line.futures import LineControl, LineCourses, LineFutures, LinePresent
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED, tension_set_point
 from hilbench.topology.sample import CycleSample
@@ -97,19 +96,14 @@ class LineLook:
         self._noisy = np.array([k for k, each in enumerate(self.watched) if each.unit != "N"])
         self.futures = LineFutures(
             model,
-            self._gains(config),
+            partial(_control, config),
             self.watched,
             config.loaded_axes,
             span=shape.estimated[0],
             cycle_s=config.cycle_time_s,
             horizon_s=prediction.horizon_s,
             futures=prediction.futures,
-            leads=partial(_leads, config),
         )
-        self._controllers = {
-            span: TensionController.of_model(control, model, strains_around(config, span))
-            for span, control in config.tension_controls.items()
-        }
 
     def warm_up(self) -> None:
         """Compile, or load, what a look runs."""
@@ -178,45 +172,27 @@ class LineLook:
         factors = [course(path, 1.0) / asked.present.get(path, 1.0) for path in self._moduli]
         return LineCourses(course(LINE_SPEED, present.line_speed_m_s), set_points, np.stack(factors, axis=1))
 
-    def _gains(self, config: BenchConfig) -> Callable[[float], Array]:
-        model, spans = config.web_line, config.shape.spans
-        damped = {
-            span: SwingPlant.of_model(model, config.cycle_time_s, span, strains_around(config, span))
-            for span in config.tension_controls
-        }
 
-        def gains(modulus_Pa: float) -> Array:
-            step_s, found = self.futures.step_s, np.zeros((spans, kernel.G_SIZE))
-            for span, control in config.tension_controls.items():
-                # What a future knows of a strain at the start of a step acts in that step, and is that of the step
-                # before in the mean; its drives act on the motion at the same instant.
-                plant = replace(damped[span], cycle_s=step_s, sample_time_s=0.0, delay_cycles=0)
-                damping = damping_gains(plant, control.swing_damping_ratio, modulus_Pa)
-                kp, length_m, least_per_s = self._controllers[span].schedule(modulus_Pa)
-                row = found[span - 1]
-                row[kernel.G_KP], row[kernel.G_POLE_LENGTH_M], row[kernel.G_LEAST_PER_S] = kp, length_m, least_per_s
-                row[kernel.G_LIMIT_M_S] = control.correction_limit_m_s
-                row[kernel.G_RATE], row[kernel.G_ELONGATION_PER_S] = damping.rate, damping.elongation_per_s
-                row[kernel.G_FADES] = exp(-damping.washout_per_s * step_s)
-                row[kernel.G_SENT] = sum(damping.pending)
-                row[kernel.G_DAMPING_LIMIT_M_S] = plant.limit_m_s
-                row[kernel.G_LENGTH_M] = model.span_length_m(span)
-                if control.feed_forward == "twin":
-                    row[kernel.G_TRAJECTORY_PER_S] = trajectory_per_s(control.set_point_rise_s)
-            return found
-
-        return gains
-
-
-def _leads(config: BenchConfig, step_s: float) -> Array:
-    """Feed-forward of the rollers (N, `kernel.LEAD_SIZE`), as `FeedForwardTask` has it; 0 where there is none."""
-    model = config.web_line
-    leads = np.zeros((model.axis_count, kernel.LEAD_SIZE))
-    if any(control.feed_forward == "twin" for control in config.tension_controls.values()):
-        for axis in range(1, model.axis_count + 1):
-            pulled = float(model.carries_web_load(axis))
-            leads[axis - 1] = (*RollerForces.of_model(model, axis, step_s).figures, pulled)
-    return leads
+def _control(config: BenchConfig, step_s: float) -> LineControl:
+    """The bench's controllers at a step of futures."""
+    model, cycle_s, loops = config.web_line, config.cycle_time_s, {}
+    for span, control in config.tension_controls.items():
+        strains = strains_around(config, span)
+        # What a future knows of a strain at the start of a step acts in that step, and is that of the step before in
+        # the mean; its drives act on the motion at the same instant.
+        plant = SwingPlant.of_model(model, cycle_s, span, strains)
+        plant = replace(plant, cycle_s=step_s, sample_time_s=0.0, delay_cycles=0)
+        of_web, trajectory = (model.span_length_m(span), model.section_m2(span)), None
+        if control.feed_forward == "twin":
+            trajectory = strain_trajectory(control.set_point_rise_s, step_s, *of_web)
+        loops[span] = (
+            tension_controller(control.bandwidth_rad_per_s, control.correction_limit_m_s, model, span, strains),
+            SwingDamping(plant, control.swing_damping_ratio, model.youngs_modulus_Pa(span)).vector,
+            trajectory,
+        )
+    has_leads = any(control.feed_forward == "twin" for control in config.tension_controls.values())
+    nothing = [np.zeros(ROLLER.itemsize // 8)] * model.axis_count
+    return LineControl(rollers_of(model, step_s) if has_leads else nothing, loops)
 
 
 look = LineLook

@@ -1,8 +1,8 @@
 """Compiled cycle of a tension loop: decides if it may be closed on the twin, then the controller's velocity, and
 the damping of the swing.
 
-It runs in stages: on a rare event (the loop opens or closes, the damping's gains follow another E) it returns,
-the interpreter does its part, and calls it again from the next stage.
+It runs in stages: on a rare event (the loop opens or closes) it returns, the interpreter does its part, and calls it
+again from the next stage.
 """
 
 from __future__ import annotations
@@ -13,35 +13,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.tasks.swing_damping import damp, has_changed
-from hilbench.bench.tasks.tension_control import control
 from hilbench.bench.tasks.tension_trust import REPORTED, TRUSTED, judged
-from hilbench.bench.tasks.web_strain_trajectory import (
-    entering_strain,
-    shown_m_s,
-    trajectory_tension_N,
-    trajectory_velocity,
-)
-from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, compiled, entry_point, floats, integers
+from hilbench.bench.tasks.web_entering_strain import entering_strain
+from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, Vector, compiled, entry_point, floats, integers, viewed
+from hilbench.control.web_line.strain_trajectory import TRAJECTORY, velocity_before, wanted_tension_N
+from hilbench.control.web_line.swing_damping import damp_measured, follow_modulus
+from hilbench.control.web_line.tension import CONTROLLER, control
 from hilbench.cycle_program import CONTINUE
 
 Table = NDArray[np.int64]
-Vector = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 #: Where a cycle begins, and behind what is to be decided.
 JUDGE, CONTROL = range(2)
-#: Events for the interpreter: the twin's data are of before it was lost; its trust has changed; E differs from
-#: that of the damping's gains. Below them the findings of `judged`.
-STALE, CHANGED, OTHER_MODULUS = range(16, 19)
+#: Events for the interpreter: the twin's data are of before it was lost; its trust has changed. Below them the findings
+#: of `judged`.
+STALE, CHANGED = range(16, 18)
 # Rows of the table.
 (
     _CONTROLLER,
-    _CONTROLLED,
-    _PLANT,
-    _GAINS,
-    _PAIRED,
-    _DAMPED_STATE,
+    _DAMPING,
+    _COHERENCE,
     _POSITIONS,
     _LOOP,
     _LEADER,
@@ -55,7 +47,7 @@ STALE, CHANGED, OTHER_MODULUS = range(16, 19)
     _ENTERING,
     _ENTERING_AT,
     _LEADS,
-) = range(19)
+) = range(16)
 #: Of a loop: set-point, what a probe shifts it by, E as it was known last; what the axis is to turn at without and with
 #: the damping; the cycle whose twin data the controller has had, -1: none; whether it is closed, NEVER: it was not yet;
 #: whether the twin's data are of now; a cycle, s; positions of the axes before and behind the span where no signal
@@ -85,7 +77,8 @@ def _since_controlled_s(loop: Vector, words: Places, at: Places) -> float:
 @compiled
 def _control(table: Table, loop: Vector, values: Vector, words: Places, at: Places) -> None:
     """Velocity of the axis from the last sample."""
-    leader, trajectory = floats(table, _LEADER, (1,)), floats(table, _TRAJECTORY, (1,))
+    leader, of_trajectory = floats(table, _LEADER, (1,)), floats(table, _TRAJECTORY, (1,))
+    damping = floats(table, _DAMPING, (1,))
     closed = loop[CLOSED] == 1.0
     words[at[_CLOSED_AT]] = 1 if closed else 0
     since_s, set_point_N, around_m_s = (
@@ -97,19 +90,20 @@ def _control(table: Table, loop: Vector, values: Vector, words: Places, at: Plac
     if closed:
         tension_N = values[at[_TENSION_AT]]
         modulus_Pa = loop[MODULUS_PA] = values[at[_MODULUS_AT]]
+        follow_modulus(damping, modulus_Pa)
     else:
         since_s = loop[CYCLE_S]
-    if len(trajectory) > 0:
+    if len(of_trajectory) > 0:
+        trajectory = viewed(of_trajectory, TRAJECTORY)[0]
         behind_m_s, entering = leader[LEADS_DAMPED_BY], floats(table, _ENTERING, (1,))
         strain = entering_strain(
             entering, integers(table, _ENTERING_AT, (1,)), values, behind_m_s >= 0.0, loop[FRESH] != 0.0
         )
-        set_point_N = trajectory_tension_N(trajectory, loop[MODULUS_PA])
-        around_m_s, planned_m_s = trajectory_velocity(trajectory, behind_m_s, strain), shown_m_s(trajectory)
+        set_point_N = wanted_tension_N(trajectory, loop[MODULUS_PA])
+        around_m_s, planned_m_s = velocity_before(trajectory, behind_m_s, strain), trajectory.shown_m_s
         lead_m_s = floats(table, _LEADS, (1,))[0]
     loop[SPEED_M_S] = control(
-        floats(table, _CONTROLLER, (1,)),
-        floats(table, _CONTROLLED, (1,)),
+        viewed(floats(table, _CONTROLLER, (1,)), CONTROLLER)[0],
         closed,
         leader[LEADS_BY],
         set_point_N,
@@ -118,14 +112,11 @@ def _control(table: Table, loop: Vector, values: Vector, words: Places, at: Plac
         since_s,
         around_m_s,
     )
-    positions_m, gains = floats(table, _POSITIONS, (1,)), floats(table, _GAINS, (1,))
+    positions_m, coherence = floats(table, _POSITIONS, (1,)), floats(table, _COHERENCE, (1,))
     positions_m[0] = loop[BEFORE_M] if at[_BEFORE_AT] == NOWHERE else values[at[_BEFORE_AT]]
     positions_m[1] = loop[BEHIND_M] if at[_BEHIND_AT] == NOWHERE else values[at[_BEHIND_AT]]
-    plant, coherence, s = floats(table, _PLANT, (1,)), floats(table, _PAIRED, (1,)), floats(table, _DAMPED_STATE, (1,))
-    loop[DAMPED_M_S], pull_m_s = (
-        loop[SPEED_M_S] + damp(plant, gains, coherence, s, positions_m, planned_m_s),
-        loop[PULL_M_S],
-    )
+    loop[DAMPED_M_S] = loop[SPEED_M_S] + damp_measured(damping, coherence, positions_m, planned_m_s)
+    pull_m_s = loop[PULL_M_S]
     if np.isnan(pull_m_s):
         values[at[_COMMAND_AT]] = loop[DAMPED_M_S] + lead_m_s
     else:  # what is damped would take the pull back
@@ -149,8 +140,6 @@ def run(stage: int, table: Table) -> int:
             return found
         if (state[REPORTED] != 0.0) != (loop[CLOSED] == 1.0):
             return CHANGED
-        if loop[CLOSED] == 1.0 and has_changed(floats(table, _PLANT, (1,)), values[at[_MODULUS_AT]]):
-            return OTHER_MODULUS
     _control(table, loop, values, words, at)
     return CONTINUE
 
@@ -161,7 +150,7 @@ def warm_up() -> None:
 
 
 def in_order(
-    controller: Sequence[Vector],
+    controller: Vector,
     damping: Sequence[Vector],
     loop: Vector,
     leader: Vector,
@@ -169,8 +158,8 @@ def in_order(
     trust: Sequence[NDArray[Any]],
     ahead: Sequence[NDArray[Any]] | None,
 ) -> tuple[NDArray[Any], ...]:
-    """The vectors of the table: figures and state of `control`, those of `damp`, the loop, `SPEEDS` of the axis after
+    """The vectors of the table: `CONTROLLER`, those of `damp_measured`, the loop, `SPEEDS` of the axis after
     the span, a sample as `reals` and `wholes` with the places in it, figures, state and places of `judged`; of a loop
-    with a feed-forward `web_strain_trajectory`, the strain that enters with its places, and the axis' lead."""
+    with a feed-forward `TRAJECTORY`, the strain that enters with its places, and the axis' lead."""
     nothing = np.zeros(0)
-    return (*controller, *damping, loop, leader, *sample, *trust, *(ahead or (nothing, nothing, nothing, nothing)))
+    return (controller, *damping, loop, leader, *sample, *trust, *(ahead or (nothing, nothing, nothing, nothing)))

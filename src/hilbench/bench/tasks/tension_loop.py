@@ -18,8 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.bench.tasks.emulated_web import emulated_web
-from hilbench.bench.tasks.swing_damping import DampingGains, SwingPlant, damping_gains
-from hilbench.bench.tasks.tension_control import TensionController, strains_around
+from hilbench.bench.tasks.web_entering_strain import strains_around
+from hilbench.compiled import record_at
+from hilbench.control.web_line.swing_damping import SwingDamping, SwingPlant
+from hilbench.control.web_line.tension import CONTROLLER, gains_at, tension_controller
 from hilbench.plant.matrix_exponential import matrix_exponential
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.emulation import lead_s
@@ -106,7 +108,7 @@ class TensionLoop:
     _places: dict[str, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        names = state_names(self.config, {span: len(gains.pending) for span, gains in self._damping.items()})
+        names = state_names(self.config, {span: len(each.pending) // 2 for span, each in self._damping.items()})
         object.__setattr__(self, "_places", {name: n for n, name in enumerate(names)})
 
     @cached_property
@@ -162,12 +164,12 @@ class TensionLoop:
         return self.point.moduli_Pa[span - 1] * self.config.web_line.section_m2(span) / self._lengths_m[span]
 
     @cached_property
-    def _damping(self) -> dict[int, DampingGains]:
-        """Damping gains by controlled span."""
+    def _damping(self) -> dict[int, SwingDamping]:
+        """Damping by controlled span."""
         config, found = self.config, {}
         for span, control in config.tension_controls.items():
             plant = SwingPlant.of_model(config.web_line, config.cycle_time_s, span, strains_around(config, span))
-            found[span] = damping_gains(plant, control.swing_damping_ratio, self.point.estimates_Pa[span - 1])
+            found[span] = SwingDamping(plant, control.swing_damping_ratio, self.point.estimates_Pa[span - 1])
         return found
 
     def _unit(self, name: str) -> Matrix:
@@ -269,22 +271,23 @@ class TensionLoop:
         speed = command = np.zeros(len(self._places))
         for j in range(config.shape.spans, 0, -1):
             if j in controls:
-                damping = np.zeros(len(self._places))
-                gains = self._damping[j]
+                gains, pending = self._damping[j].record, self._damping[j].pending[::2]
                 rate = (webs[j] - self._unit(f"web{j}")) / (cycle_s * self._stiffness_N_per_m(j))
                 elongation = exp(-gains.washout_per_s * cycle_s) * self._unit(f"elongation{j}") + rate * cycle_s
                 damping = gains.rate * rate + gains.elongation_per_s * elongation
-                for n, gain in enumerate(gains.pending):
+                for n, gain in enumerate(pending):
                     damping = damping + gain * self._unit(f"sent{j}_{n}")
                 rows[f"elongation{j}"] = elongation
-                for n in range(len(gains.pending)):
+                for n in range(len(pending)):
                     rows[f"sent{j}_{n}"] = self._unit(f"sent{j}_{n - 1}") if n else damping
             ahead = j in controls and controls[j].feed_forward == "twin"
             if ahead:
                 speed = command + self._by_entering_strain(j)
             if j in controls and self.closed:
-                controller = TensionController.of_model(controls[j], config.web_line, strains_around(config, j))
-                kp, ki = controller.gains(self.point.line_speed_m_s, self.point.estimates_Pa[j - 1])
+                of = controls[j].bandwidth_rad_per_s, controls[j].correction_limit_m_s
+                controller = tension_controller(*of, config.web_line, j, strains_around(config, j))
+                c = record_at(controller, CONTROLLER)
+                kp, ki = gains_at(c, self.point.line_speed_m_s, self.point.estimates_Pa[j - 1])
                 error = -self._unit(f"web{j}_sim")
                 rows[f"integral{j}"] = self._unit(f"integral{j}") + ki * cycle_s * error
                 speed = speed - kp * error - rows[f"integral{j}"]

@@ -9,25 +9,22 @@ from math import inf
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.bench.state import Reports, TwinState
 from hilbench.bench.tasks import tension_cycle as cycle
-from hilbench.bench.tasks.swing_damping import SwingDamping
 from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, PerSample
-from hilbench.bench.tasks.tension_control import TensionController
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_trust import TwinSignals, VirtualSensorSupervision
-from hilbench.bench.tasks.web_strain_trajectory import EnteringStrain, StrainTrajectory, entering_vectors
-from hilbench.compiled import table_of
+from hilbench.bench.tasks.web_entering_strain import EnteringStrain, entering_vectors
+from hilbench.compiled import Vector, record_at, table_of
+from hilbench.control.web_line.swing_damping import SwingDamping
+from hilbench.control.web_line.tension import CONTROLLER
 from hilbench.cycle_program import CompiledStage
 from hilbench.exchange.exchange import Inputs
 from hilbench.topology.quantities import tension_set_point
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_signals import tension_loop_words
-
-Vector = NDArray[np.float64]
 
 
 class Leader(Protocol):
@@ -47,12 +44,11 @@ class Leader(Protocol):
 
 @dataclass(frozen=True)
 class FeedForward:
-    """Feed-forward of a loop; strains: of the web around the span; `leads`: of the rollers."""
+    """Feed-forward of a loop; strains: of the web around the span; `plan`: of the cycle."""
 
-    trajectory: StrainTrajectory
     strain_before: EnteringStrain
     strain_behind: EnteringStrain
-    leads: FeedForwardTask
+    plan: FeedForwardTask
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +99,7 @@ class TensionTask(CyclicTask):
         names: LoopNames,
         leader: Leader,
         set_point_N: float,
-        controller: TensionController,
+        controller: Vector,
         damping: SwingDamping,
         trust: VirtualSensorSupervision,
         twin: TwinState,
@@ -142,10 +138,11 @@ class TensionTask(CyclicTask):
         at += kind.places(["twin_age_cycles", "cycle"]).tolist()
         if self._ahead is not None:
             of_strains = entering_vectors(kind, (self._ahead.strain_before, self._ahead.strain_behind))
-            ahead = self._ahead.trajectory.vector, *of_strains, self._ahead.leads.lead(names.axis)
+            plan = self._ahead.plan
+            ahead = plan.trajectory(names.axis), *of_strains, plan.lead(names.axis)
         kept = cycle.in_order(
-            (self._controller.figures, self._controller.state),
-            self._damping.vectors,
+            self._controller,
+            (self._damping.vector, self._damping.coherence, self._damping.positions_m),
             self.loop,
             self._leader.speeds,
             (sample.reals, sample.wholes, np.array(at, np.int64)),
@@ -210,7 +207,7 @@ class TensionTask(CyclicTask):
     def assume_modulus(self, modulus_Pa: float) -> None:
         """Set E for the ratio of speeds of an open loop, in place of the twin's."""
         self._at[cycle.MODULUS_PA] = modulus_Pa
-        self._controller.assume_modulus(modulus_Pa)
+        record_at(self._controller, CONTROLLER).modulus_Pa = modulus_Pa
 
     @property
     def doubt(self) -> str:
@@ -273,8 +270,6 @@ class TensionTask(CyclicTask):
         elif code < cycle.STALE:
             self._trust.doubts(code, sample)
         self._look_whether_closed()
-        if self.closed:
-            self._damping.use_modulus(getattr(sample, self._names.twin.modulus))
         piece = self._piece(sample)
         piece.function(cycle.CONTROL, piece.table)
         return True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
 from typing import Final
@@ -10,7 +10,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import interpreted
+from hilbench.compiled import interpreted, record_at, table_of
+from hilbench.control.web_line.strain_trajectory import TRAJECTORY
+from hilbench.control.web_line.swing_damping import DAMPING
+from hilbench.control.web_line.tension import CONTROLLER, gains_at
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
@@ -23,8 +26,6 @@ from hilbench.prediction.tally import Offsets, Tally, whole_step_s
 from hilbench.prediction.web_line import kernel
 
 Array = NDArray[np.float64]
-#: Gains (K, `kernel.G_SIZE`) of the controllers at an E (Pa) by the twin.
-Gains = Callable[[float], Array]
 
 #: Longest step, s: the drives' loops act once in it, and with more the torques where a ramp begins are off by more than
 #: 2 % of the control action.
@@ -37,8 +38,6 @@ _UNSEEN_CYCLES: Final = 4
 _SOON_SHARE: Final = 0.8
 _SOON_CYCLES: Final = 15
 _LATER_S: Final = 0.15
-#: Resolution of gains over E, in steps per E.
-_GAINS_PER_MODULUS: Final = 50
 #: Least E of a future, as a share of the estimate.
 _LEAST_MODULUS_SHARE: Final = 0.05
 
@@ -78,6 +77,32 @@ class LineCourses:
     modulus_factor: Array
 
 
+class LineControl:
+    """Controllers of a line of N axes at a step: rows of zeros where there is none, and the pairs behind a `DAMPING` as
+    many as the longest has. `loops`: controller, damping and trajectory by span."""
+
+    def __init__(self, rollers: Sequence[Array], loops: Mapping[int, tuple[Array, Array, Array | None]]) -> None:
+        spans = len(rollers) - 1
+        damping = max((len(of_span[1]) for of_span in loops.values()), default=DAMPING.itemsize // 8)
+        sizes = CONTROLLER.itemsize // 8, damping, TRAJECTORY.itemsize // 8
+        self.vector = np.zeros(spans * sum(sizes) + sum(map(len, rollers)))
+        ends = np.cumsum([spans * size for size in sizes])
+        *of_spans, self.rollers = np.split(self.vector, ends)
+        self.tensions, self.dampings, self.trajectories = (
+            part.reshape(spans, size) for part, size in zip(of_spans, sizes, strict=True)
+        )
+        self.rollers[:] = np.concatenate(rollers)
+        for span, given in loops.items():
+            for rows, vector in zip((self.tensions, self.dampings, self.trajectories), given, strict=True):
+                if vector is not None:
+                    rows[span - 1, : len(vector)] = vector
+
+    @property
+    def table(self) -> NDArray[np.int64]:
+        """Table of `kernel.run_futures`."""
+        return table_of([self.tensions.reshape(-1), self.dampings, self.trajectories.reshape(-1), self.rollers])
+
+
 def step_s(model: ModelParameters, horizon_s: float) -> float:
     """Step of futures: as long as the fastest motion of the line allows, and a whole part of the horizon.
 
@@ -98,16 +123,15 @@ def step_s(model: ModelParameters, horizon_s: float) -> float:
 class LineFutures(Futures[LinePresent, LineCourses]):
     """Futures of one line, drawn and simulated.
 
-    `leads` (N, `kernel.LEAD_SIZE`) at a step, s: feed-forward of the rollers, None for none; `watched`: its quantities
-    in the kernel's order; `load_axes`: axis (from 1) of each load motor; `span`: that of the twin's estimate of E, the
-    others follow it by the model; `cycle_s`: between two measurements. The result of `prepare` may be run by any
-    thread, one at a time.
+    `control`: controllers at a step, s; `watched`: its quantities in the kernel's order; `load_axes`: axis (from 1) of
+    each load motor; `span`: that of the twin's estimate of E, the others follow it by the model; `cycle_s`: between two
+    measurements. The result of `prepare` may be run by any thread, one at a time.
     """
 
     def __init__(
         self,
         model: ModelParameters,
-        gains: Gains,
+        control: Callable[[float], LineControl],
         watched: Sequence[DiagnosisAnswer],
         load_axes: Sequence[int],
         *,
@@ -115,12 +139,12 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         cycle_s: float,
         horizon_s: float,
         futures: int,
-        leads: Callable[[float], Array] | None = None,
     ) -> None:
         super().__init__(watched)
         self.step_s = step_s(model, horizon_s)
         self.steps = round(horizon_s / self.step_s)
-        self._model, self._gains, self._futures, self._span = model, gains, futures, span
+        self._model, self._futures, self._span = model, futures, span
+        self._start_control, self._control = control(self.step_s), control(self.step_s)
         self._p = lay.pack(model)
         self._p[lay.W_SAMPLE_TIME_S] = self.step_s
         self._layout = lay.Layout.of(self._p)
@@ -130,7 +154,6 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         self._load_axes = np.array([axis - 1 for axis in load_axes], np.int64)
         self._samples = self.step_s / cycle_s
         self._found = _found_after(self.step_s, self.steps, cycle_s, model)
-        self._leads = np.zeros((model.axis_count, kernel.LEAD_SIZE)) if leads is None else leads(self.step_s)
         self._work, self._state = self._layout.new_work(), np.zeros(self._layout.state_size)
         self._inputs = self._layout.new_inputs()
         self._layout.motor_inputs(self._inputs)[:, lay.UM_MODE] = MotorMode.VELOCITY
@@ -143,29 +166,26 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         self, present: LinePresent, courses: LineCourses, offsets: Offsets, *key: int
     ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
         """Prepare a prediction; see `Futures`."""
-        n, k, q = self._layout.axes, self._layout.spans, self.quantities
+        n, q = self._layout.axes, self.quantities
         z = normal_draws(self._futures, 1 + n + q, *key)
         scale = np.maximum(1.0 + present.modulus_sd_Pa / present.modulus_Pa * z[:, 0], _LEAST_MODULUS_SHARE)
         start = self._start(present, z[:, 1 : 1 + n])
         moduli = present.modulus_Pa * self._moduli
         factor = self._as_found(courses.modulus_factor)
         known = np.ascontiguousarray(moduli * self._sections_m2 * factor)
-        # All controllers use the same stated E of the twin.
-        near = np.round(_GAINS_PER_MODULUS * factor[:, self._span - 1]) / _GAINS_PER_MODULUS
-        seen, row_of = np.unique(present.modulus_Pa * near, return_inverse=True)
-        gains = np.concatenate([self._gains(float(modulus)) for modulus in seen])
-        controllers = self._controllers(present, gains[row_of[0] * k : (row_of[0] + 1) * k])
+        stated_Pa = present.modulus_Pa * factor[:, self._span - 1]  # all controllers use the same one
+        control = self._controllers(present)
         tally = Tally.of(self.watched, offsets, z[:, 1 + n :], self.step_s, self.steps)
         u = self._inputs.copy()
         u[lay.U_STRAIN_PREV], u[lay.U_F_NEXT_N] = present.upstream_strain, present.downstream_tension_N
 
         def run() -> None:
             kernel.run_futures(
-                self._p.copy(), start, moduli, scale, self._state, u, self._work, controllers,
-                np.zeros(controllers.shape[1]), np.zeros(q),
+                self._p.copy(), start, moduli, scale, self._state, u, self._work,
+                control, self._control.vector, self._control.table, np.zeros(q),
                 np.ascontiguousarray(courses.line_speed_m_s), np.ascontiguousarray(courses.set_points_N),
-                np.ascontiguousarray(courses.modulus_factor), known, gains, row_of.astype(np.int64),
-                self._leads, present.line_speed_before_m_s, np.zeros(k + 1), self._load_axes,
+                np.ascontiguousarray(courses.modulus_factor), known, stated_Pa,
+                present.line_speed_before_m_s, np.zeros(n), self._load_axes,
                 tally.table, self._samples, tally.every,
             )  # fmt: skip
 
@@ -214,24 +234,29 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         states[:, lay.S_Y + n : lay.S_Y + 2 * n] = states[:, lay.S_Y + 3 * n : lay.S_Y + 4 * n] = speeds
         return states
 
-    def _controllers(self, present: LinePresent, gains: Array) -> Array:
-        """Controller states (B, 4·K): the integrals are those of the present commands."""
-        k = self._layout.spans
-        kept = np.zeros((k, kernel.C_SIZE))
-        error_N, strains = present.set_points_N - present.tensions_N, self._strains(present)
+    def _controllers(self, present: LinePresent) -> Array:
+        """State of the controllers: the integrals are those of the present commands."""
+        control, strains = self._start_control, self._strains(present)
+        error_N = present.set_points_N - present.tensions_N
         commands = np.append(present.commands_m_s[:-1], present.line_speed_m_s)
         around = commands[1:].copy()
-        ahead = gains[:, kernel.G_TRAJECTORY_PER_S] > 0.0
+        ahead = control.trajectories.view(TRAJECTORY)["per_s"][:, 0] > 0.0
         # On a set point's trajectory it is taken as reached: its progress is not known otherwise.
         error_N[ahead] = 0.0
+        wanted = present.tensions_N / (present.modulus_Pa * self._sections_m2)
         entering = np.concatenate(([present.upstream_strain], strains[:-1]))
         entering_back = interpreted(laws.downstream_strain)(self._p, present.downstream_tension_N)
         behind = np.append(strains[1:], entering_back)
-        ratios = np.where(around >= 0.0, (1.0 + entering) / (1.0 + strains), (1.0 + strains) / (1.0 + behind))
+        ratios = np.where(around >= 0.0, (1.0 + entering) / (1.0 + wanted), (1.0 + wanted) / (1.0 + behind))
         around[ahead] *= ratios[ahead]
-        kept[:, kernel.C_INTEGRAL_M_S] = around - commands[:-1] - gains[:, kernel.G_KP] * error_N
-        kept[:, kernel.C_STRAIN] = kept[:, kernel.C_TRAJECTORY_STRAIN] = strains
-        return np.tile(np.append(kept.reshape(-1), np.full(k + 1, np.nan)), (self._futures, 1))
+        for span, speed_m_s in enumerate(commands[1:]):
+            c = record_at(control.tensions[span], CONTROLLER)
+            if c.bandwidth_rad_per_s > 0.0:
+                kp, _ = gains_at(c, speed_m_s, present.modulus_Pa)
+                c.integral_m_s = around[span] - commands[span] - kp * error_N[span]
+                record_at(control.dampings[span], DAMPING).strain = strains[span]
+                record_at(control.trajectories[span], TRAJECTORY).strain = wanted[span]
+        return control.vector.copy()
 
     def _strains(self, present: LinePresent) -> Array:
         """Strains of the spans (K,), which the twin transfers from the axes."""

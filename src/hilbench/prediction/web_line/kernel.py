@@ -1,8 +1,8 @@
 """Futures of a web line: the plant's kernel with the tension controllers around it, compiled.
 
-The closed loop of plant, drives and controllers at one coarse step: the drives' loops sample and the controllers act
-once per step, the mechanics are integrated by the plant's own kernel, with every effect of the model. The error of a
-coarse step is small against the uncertainty: docs/prediction.md has the figures.
+The closed loop of plant, drives and the bench's controllers at one coarse step: the drives' loops sample and the
+controllers act once per step, the mechanics are integrated by the plant's own kernel, with every effect of the model.
+The error of a coarse step is small against the uncertainty: docs/prediction.md has the figures.
 
 Vectors as in `hilbench.plant.web_line.layout`. B futures, T steps, N axes, K spans, L load motors; the watched
 quantities, Q = K + N + L + N, in this order: tensions (N), torques of the axes' motors and of the load motors (N·m),
@@ -11,8 +11,8 @@ speeds of the axes at the web (m/s).
 
 from __future__ import annotations
 
-from math import exp, isnan
-from typing import Final
+from math import nan
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,16 @@ from hilbench.compiled import (
     VECTOR,
     compiled,
     entry_point,
+    floats,
     inlined,
     merged,
     noinline,
+    viewed,
 )
-from hilbench.plant import drive_loops as loops
+from hilbench.control.web_line.feed_forward import ROLLER, plan_leads
+from hilbench.control.web_line.strain_trajectory import TRAJECTORY, advance, velocity_before
+from hilbench.control.web_line.swing_damping import DAMPING, damp, follow_modulus
+from hilbench.control.web_line.tension import CONTROLLER, control
 from hilbench.plant.web_line import kernel, laws, places
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
@@ -39,40 +44,24 @@ from hilbench.prediction.judging import TallyVectors, keep, of_table, see
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Columns of a controller's gains at one E.
-G_KP: Final = 0  #: m/s per N; 0: the span has no controller
-G_POLE_LENGTH_M: Final = 1
-G_LEAST_PER_S: Final = 2  #: of the integral: inverse of the longest integral time
-G_LIMIT_M_S: Final = 3
-G_RATE: Final = 4  #: of the damping
-G_ELONGATION_PER_S: Final = 5
-G_FADES: Final = 6  #: remaining share of the elongation after a step
-G_SENT: Final = 7  #: of the damping's last command
-G_DAMPING_LIMIT_M_S: Final = 8
-G_TRAJECTORY_PER_S: Final = 9  #: rate of the poles of a set point's trajectory (feed-forward); 0: none
-G_LENGTH_M: Final = 10  #: of the span
-_G_TRAJECTORY_LEFT: Final = 11  # remaining share of the trajectory after a step
-G_SIZE: Final = 12
 
-# State of a span's controller, from C_SIZE times its number (from 0) on; after those of all spans the force that each
-# driven roller's drive has taken up, N (NaN: unknown yet).
-C_INTEGRAL_M_S: Final = 0
-C_ELONGATION_M: Final = 1
-C_STRAIN: Final = 2  #: in the last step
-C_DAMPING_M_S: Final = 3  #: last command of the damping
-C_TRAJECTORY_STRAIN: Final = 4  #: on the set point's trajectory, with its first and second derivative
-C_TRAJECTORY_PER_S: Final = 5
-C_TRAJECTORY_PER_S2: Final = 6
-C_SHOWN_M_S: Final = 7  #: intended growth rate of the span in the last step
-C_SIZE: Final = 8
+class LineControl(NamedTuple):
+    """Controllers of a line, as of `hilbench.control.web_line`, zero where there is none."""
 
-# Columns of a roller's feed-forward (N, `LEAD_SIZE`): at the web.
-LEAD_MASS_KG: Final = 0
-LEAD_KP_N_S_PER_M: Final = 1  #: 0: none
-LEAD_SHARE: Final = 2  #: share of the force not yet taken up that a step takes up
-LEAD_LIMIT_N: Final = 3
-LEAD_PULLED: Final = 4  #: 1: the web loads the roller
-LEAD_SIZE: Final = 5
+    tensions: Any  #: (K,) `CONTROLLER`
+    dampings: Matrix  #: (K, …): a `DAMPING` each, and the pairs behind it
+    trajectories: Any  #: (K,) `TRAJECTORY`
+    rollers: Any  #: (N,) `ROLLER`
+
+
+@merged
+def _control_of(table: Indices) -> LineControl:
+    return LineControl(
+        viewed(floats(table, 0, (1,)), CONTROLLER),
+        floats(table, 1, (1, 2)),
+        viewed(floats(table, 2, (1,)), TRAJECTORY),
+        viewed(floats(table, 3, (1,)), ROLLER),
+    )
 
 
 @inlined
@@ -80,103 +69,6 @@ def _strain(p: Vector, w: Vector, n: int, m: int, k: int, j: int) -> float:
     """Strain of span j, from the present quantities."""
     scale = laws.length_factor(p, places.first_span(n, m) + j * lay.SP_SIZE)
     return w[4 * n + k + j] * scale / w[4 * n + j] - 1.0
-
-
-@inlined
-def _follow_trajectory(c: Vector, at: int, rate_per_s: float, left: float, goal: float, h: float) -> None:
-    """Advance the wanted strain of a span by a step on its trajectory to `goal`: three equal poles, with `left`
-    remaining after it."""
-    off = c[at + C_TRAJECTORY_STRAIN] - goal
-    slope = c[at + C_TRAJECTORY_PER_S] + rate_per_s * off
-    bend = 0.5 * (
-        c[at + C_TRAJECTORY_PER_S2] + 2.0 * rate_per_s * c[at + C_TRAJECTORY_PER_S] + rate_per_s * rate_per_s * off
-    )
-    off = (off + (slope + bend * h) * h) * left
-    sloping = (slope + 2.0 * bend * h) * left
-    c[at + C_TRAJECTORY_STRAIN] = goal + off
-    c[at + C_TRAJECTORY_PER_S] = sloping - rate_per_s * off
-    c[at + C_TRAJECTORY_PER_S2] = 2.0 * bend * left - 2.0 * rate_per_s * sloping + rate_per_s * rate_per_s * off
-
-
-@inlined
-def _lead(leads: Matrix, i: int, c: Vector, held: int, acceleration: float, pull_N: float) -> float:
-    """Feed-forward of roller i's command over its planned speed, m/s; c[held]: force taken up by its drive, N."""
-    kp = leads[i, LEAD_KP_N_S_PER_M]
-    if kp <= 0.0:
-        return 0.0
-    wanted_N = leads[i, LEAD_MASS_KG] * acceleration + leads[i, LEAD_PULLED] * pull_N
-    held_N = wanted_N if isnan(c[held]) else c[held]
-    ahead_N = loops.clip(wanted_N - held_N, leads[i, LEAD_LIMIT_N])
-    c[held] = held_N + leads[i, LEAD_SHARE] * (wanted_N - held_N)
-    return ahead_N / kp
-
-
-@merged
-def _plan(
-    k: int,
-    c: Vector,
-    g: Matrix,
-    row: int,
-    acceleration: float,
-    set_point: Matrix,
-    i: int,
-    known: Matrix,
-    leads: Matrix,
-    h: float,
-    ahead: Vector,
-) -> None:
-    """Advance the set points' trajectories in step i, and write each roller's feed-forward to `ahead` (K + 1,), m/s.
-
-    `acceleration`: of the line, m/s². As `hilbench.bench.tasks.tension_feed_forward`.
-    """
-    pull_N = 0.0  # of the web after a roller
-    for j in range(k, -1, -1):
-        here_N = 0.0  # of the web before it
-        if j < k and g[row * k + j, G_TRAJECTORY_PER_S] > 0.0:
-            acceleration -= g[row * k + j, G_LENGTH_M] * c[C_SIZE * j + C_TRAJECTORY_PER_S2]
-        if j > 0 and g[row * k + j - 1, G_TRAJECTORY_PER_S] > 0.0:
-            at = C_SIZE * (j - 1)
-            rate_per_s, left = g[row * k + j - 1, G_TRAJECTORY_PER_S], g[row * k + j - 1, _G_TRAJECTORY_LEFT]
-            _follow_trajectory(c, at, rate_per_s, left, set_point[i, j - 1] / known[i, j - 1], h)
-            here_N = c[at + C_TRAJECTORY_STRAIN] * known[i, j - 1]
-        ahead[j] = _lead(leads, j, c, C_SIZE * k + j, acceleration, here_N - pull_N)
-        pull_N = here_N
-    for j in range(k + 1):
-        ahead[j] -= ahead[k] if j < k else 0.0
-    ahead[k] = 0.0
-
-
-@inlined
-def _command(
-    c: Vector,
-    at: int,
-    g: Matrix,
-    row: int,
-    lead: float,
-    around: float,
-    error_N: float,
-    strain: float,
-    length_m: float,
-    h: float,
-) -> tuple[float, float]:
-    """Speed of the axis before a span, m/s, without and with the damping.
-
-    c: controller state from `at` on; `lead`: speed of the axis after the span, `around`: speed to be corrected.
-    """
-    kp = g[row, G_KP]
-    ki = kp * max(abs(lead) / g[row, G_POLE_LENGTH_M], g[row, G_LEAST_PER_S])
-    integral = c[at] + ki * error_N * h
-    correction, limit = kp * error_N + integral, g[row, G_LIMIT_M_S]
-    if abs(correction) <= limit:
-        c[at] = integral
-    correction = loops.clip(correction, limit)
-    rate = length_m * (strain - c[at + C_STRAIN]) / h - c[at + C_SHOWN_M_S]
-    elongation_m = c[at + C_ELONGATION_M] * g[row, G_FADES] + rate * h
-    c[at + C_ELONGATION_M] = elongation_m
-    damping = g[row, G_RATE] * rate + g[row, G_ELONGATION_PER_S] * elongation_m + g[row, G_SENT] * c[at + C_DAMPING_M_S]
-    damping = loops.clip(damping, g[row, G_DAMPING_LIMIT_M_S])
-    c[at + C_STRAIN], c[at + C_DAMPING_M_S] = strain, damping
-    return around - correction, around - correction + damping
 
 
 @merged
@@ -187,38 +79,42 @@ def _set_points(
     p: Vector,
     u: Vector,
     w: Vector,
-    c: Vector,
-    g: Matrix,
-    row: int,
+    of: LineControl,
     lead: float,
+    acceleration: float,
     set_point: Matrix,
     i: int,
     known: Matrix,
+    stated_Pa: float,
     ahead: Vector,
 ) -> None:
-    """Set velocities of all axes for step i, from the last one on; `known` (T, K): E·S by the twin, N; `ahead` (K +
-    1,): feed-forward of each roller, m/s."""
+    """Set velocities of all axes for step i, from the last one on, at an acceleration of the line. `known` (T, K): E·S
+    by the twin, N; `stated_Pa`: E that the controllers use; `ahead` (N,): room for the leads of the rollers, m/s."""
     h = p[lay.W_SAMPLE_TIME_S]
+    for j in range(k):
+        if of.trajectories[j].per_s > 0.0:
+            advance(of.trajectories[j], set_point[i, j], stated_Pa)
+    plan_leads(of.rollers, of.trajectories, acceleration, ahead)
     speed = command = lead
     for j in range(k, -1, -1):
-        if j < k and g[row * k + j, G_KP] != 0.0:
-            at = C_SIZE * j
-            strain, around, goal_N = _strain(p, w, n, m, k, j), speed, set_point[i, j]
-            if g[row * k + j, G_TRAJECTORY_PER_S] > 0.0:
-                wanted, goal_N = 1.0 + c[at + C_TRAJECTORY_STRAIN], c[at + C_TRAJECTORY_STRAIN] * known[i, j]
-                lengthening = g[row * k + j, G_LENGTH_M] * c[at + C_TRAJECTORY_PER_S]
+        if j < k and of.tensions[j].bandwidth_rad_per_s > 0.0:
+            trajectory, damping = of.trajectories[j], of.dampings[j]
+            strain, around, goal_N = _strain(p, w, n, m, k, j), nan, set_point[i, j]
+            if trajectory.per_s > 0.0:
                 if command >= 0.0:
                     entering = _strain(p, w, n, m, k, j - 1) if j > 0 else u[lay.U_STRAIN_PREV]
-                    around = (command - lengthening / wanted) * (1.0 + entering) / wanted
                 else:
                     entering = laws.downstream_strain(p, u[lay.U_F_NEXT_N])
                     if j + 1 < k:
                         entering = _strain(p, w, n, m, k, j + 1)
-                    around = command * wanted / (1.0 + entering) - lengthening / wanted
-            error_N = goal_N - known[i, j] * strain
-            speed, command = _command(c, at, g, row * k + j, speed, around, error_N, strain, w[4 * n + k + j], h)
-            if g[row * k + j, G_TRAJECTORY_PER_S] > 0.0:
-                c[at + C_SHOWN_M_S] = g[row * k + j, G_LENGTH_M] * c[at + C_TRAJECTORY_PER_S]
+                around, goal_N = velocity_before(trajectory, command, entering), trajectory.tension_N
+            speed = control(of.tensions[j], True, speed, goal_N, known[i, j] * strain, stated_Pa, h, around)
+            follow_modulus(damping, stated_Pa)
+            # The strain is known here; the bench has its rate from the encoders.
+            state = viewed(damping, DAMPING)[0]
+            rate = w[4 * n + k + j] * (strain - state.strain) / h - trajectory.shown_m_s
+            state.strain = strain
+            command = speed + damp(damping, rate, 1.0)
         ratio = p[places.motor(n, j) + lay.M_RAD_PER_M]
         u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = (command + ahead[j]) * ratio
 
@@ -270,7 +166,7 @@ def _run(
     s: Vector,
     u: Vector,
     w: Vector,
-    c: Vector,
+    of: LineControl,
     q: Vector,
     moduli: Vector,
     scale: float,
@@ -278,9 +174,7 @@ def _run(
     set_point: Matrix,
     factor: Matrix,
     known: Matrix,
-    g: Matrix,
-    row_of: Indices,
-    leads: Matrix,
+    stated_Pa: Vector,
     before: float,
     ahead: Vector,
     load_axes: Indices,
@@ -290,16 +184,14 @@ def _run(
     b: int,
 ) -> None:
     """Run future b to its end; `before`: the line speed until now, m/s."""
-    leading, h = leads[0, LEAD_KP_N_S_PER_M] > 0.0, p[lay.W_SAMPLE_TIME_S]
+    h = p[lay.W_SAMPLE_TIME_S]
     _change_moduli(n, m, k, p, moduli, scale, factor, 0)
     kernel.enter(p, s, u, w)
     row, until_row = 0, every
     for i in range(lead.shape[0]):
         changed = i > 0 and _change_moduli(n, m, k, p, moduli, scale, factor, i)
-        if leading:
-            acceleration = (lead[i] - (lead[i - 1] if i else before)) / h
-            _plan(k, c, g, row_of[i], acceleration, set_point, i, known, leads, h, ahead)
-        _set_points(n, m, k, p, u, w, c, g, row_of[i], lead[i], set_point, i, known, ahead)
+        acceleration = (lead[i] - (lead[i - 1] if i else before)) / h
+        _set_points(n, m, k, p, u, w, of, lead[i], acceleration, set_point, i, known, stated_Pa[i], ahead)
         if changed:  # the tension jumps with E, and the rollers yield within a step
             _watched(n, m, k, p, s, u, w, load_axes, q)
             see(tally, q, 1.0, b, i - 1)
@@ -321,7 +213,7 @@ def _run_counted(
     s: Vector,
     u: Vector,
     w: Vector,
-    c: Vector,
+    of: LineControl,
     q: Vector,
     moduli: Vector,
     scale: float,
@@ -329,9 +221,7 @@ def _run_counted(
     set_point: Matrix,
     factor: Matrix,
     known: Matrix,
-    g: Matrix,
-    row_of: Indices,
-    leads: Matrix,
+    stated_Pa: Vector,
     before: float,
     ahead: Vector,
     load_axes: Indices,
@@ -344,17 +234,17 @@ def _run_counted(
     n, m, k = places.counts(p)
     if (n, m, k) == (2, 2, 1):
         _run(
-            2, 2, 1, p, s, u, w, c, q, moduli, scale, lead, set_point, factor, known, g, row_of, leads, before, ahead,
+            2, 2, 1, p, s, u, w, of, q, moduli, scale, lead, set_point, factor, known, stated_Pa, before, ahead,
             load_axes, tally, samples, every, b,
         )  # fmt: skip
     elif (n, m, k) == (3, 3, 2):
         _run(
-            3, 3, 2, p, s, u, w, c, q, moduli, scale, lead, set_point, factor, known, g, row_of, leads, before, ahead,
+            3, 3, 2, p, s, u, w, of, q, moduli, scale, lead, set_point, factor, known, stated_Pa, before, ahead,
             load_axes, tally, samples, every, b,
         )  # fmt: skip
     else:
         _run(
-            n, m, k, p, s, u, w, c, q, moduli, scale, lead, set_point, factor, known, g, row_of, leads, before, ahead,
+            n, m, k, p, s, u, w, of, q, moduli, scale, lead, set_point, factor, known, stated_Pa, before, ahead,
             load_axes, tally, samples, every, b,
         )  # fmt: skip
 
@@ -362,12 +252,11 @@ def _run_counted(
 @entry_point(
     VECTOR,
     MATRIX,
-    *[VECTOR] * 5,
-    MATRIX,
-    *[VECTOR] * 3,
-    *[MATRIX] * 4,
-    INDICES,
-    MATRIX,
+    *[VECTOR] * 7,
+    TABLE,
+    *[VECTOR] * 2,
+    *[MATRIX] * 3,
+    VECTOR,
     REAL,
     VECTOR,
     INDICES,
@@ -383,16 +272,15 @@ def run_futures(
     s: Vector,
     u: Vector,
     w: Vector,
-    integrals: Matrix,
-    c: Vector,
+    control_start: Vector,
+    control_state: Vector,
+    control_table: Indices,
     q: Vector,
     lead: Vector,
     set_point: Matrix,
     factor: Matrix,
     known: Matrix,
-    g: Matrix,
-    row_of: Indices,
-    leads: Matrix,
+    stated_Pa: Vector,
     before: float,
     ahead: Vector,
     load_axes: Indices,
@@ -400,13 +288,11 @@ def run_futures(
     samples: float,
     every: int,
 ) -> None:
-    tally = of_table(table)
-    for row in range(g.shape[0]):
-        g[row, _G_TRAJECTORY_LEFT] = exp(-g[row, G_TRAJECTORY_PER_S] * p[lay.W_SAMPLE_TIME_S])
+    tally, of = of_table(table), _control_of(control_table)
     for b in range(start.shape[0]):
         s[:] = start[b]
-        c[:] = integrals[b]
+        control_state[:] = control_start
         _run_counted(
-            p, s, u, w, c, q, moduli, scale[b], lead, set_point, factor, known, g, row_of, leads, before, ahead,
+            p, s, u, w, of, q, moduli, scale[b], lead, set_point, factor, known, stated_Pa, before, ahead,
             load_axes, tally, samples, every, b,
         )  # fmt: skip
