@@ -9,7 +9,7 @@ import pytest
 from tests.diagnosis.analytic import NOISE, Axis, Bent, Ringing
 from tests.plant.models import effect
 
-from hilbench.diagnosis.select import Search, Selection
+from hilbench.diagnosis.select import Selection, search
 from hilbench.diagnosis.steps import Steps, price
 from hilbench.diagnosis.terms import Place
 
@@ -17,7 +17,7 @@ SMOOTH = ("coulomb_friction", "viscous_friction", "friction_asymmetry", "torque_
 
 
 def searched(axis: Axis, *vocabulary: str) -> Selection:
-    return Search(axis.space, axis.proposer(*(vocabulary or SMOOTH)), lambda text, share: None).run()
+    return search(axis.space, axis.proposer(*(vocabulary or SMOOTH)), lambda text, share: None)
 
 
 def named(selection: Selection) -> list[str]:
@@ -120,7 +120,7 @@ def test_every_parameter_and_every_variant_that_was_searched_has_its_price() -> 
 @pytest.mark.parametrize(("time_s", "within_s"), [(6.3, 3.0), (14.6, 5.0)])
 def test_what_grows_over_a_while_is_found_though_a_step_of_it_would_ring(time_s: float, within_s: float) -> None:
     web = Ringing(time_s, 9.0, within_s, ringing=0.5)
-    found = Search(web.space, web.proposer(), lambda text, share: None).run()
+    found = search(web.space, web.proposer(), lambda text, share: None)
     assert named(found) == ["elasticity_ramp"]
     values = found.fit.terms[0].values
     assert values["time_s"] == pytest.approx(time_s, abs=0.11)  # two periods of the ringing

@@ -17,7 +17,7 @@ from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.predictor import choice, predictor_for
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.select import Search, Selection
+from hilbench.diagnosis.select import Selection, search
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Place
 from hilbench.diagnosis.web_line.bench_figures import figures_of_line
@@ -87,7 +87,7 @@ def searched(config: Path, data: Measured) -> Selection:
     others = [find_effect(name) for name in ("coulomb_friction", "viscous_friction", "inertia_mismatch")]
     predictor = choice(model, data, emulation(config)).predictor
     space = Space(model, predictor, data.period_s)
-    return Search(space, Proposer(model, data, [*others, *STATION_EFFECTS]), lambda _text, _share: None).run()
+    return search(space, Proposer(model, data, [*others, *STATION_EFFECTS]), lambda _text, _share: None)
 
 
 @pytest.mark.parametrize("config", [DANCER, WINDING], ids=["dancer", "winding"])

@@ -49,17 +49,9 @@ class Alternatives:
     def __init__(self, steps: Steps) -> None:
         self._steps, self._space, self._proposer, self._samples = steps, steps.space, steps.proposer, steps.samples
 
-    def _spares_a_term(self, found: Fit, white: Whitening) -> bool:
-        """True if with an equally good explanation another term is superfluous: two effects replace three."""
-        return len(self._steps.pruned(found, white).terms) < len(found.terms)
-
     def tested(
         self, current: Fit, offered: CandidateSet
-    ) -> tuple[
-        Fit,
-        dict[Key, list[Place]],
-        dict[Key, dict[str, float]],
-    ]:
+    ) -> tuple[Fit, dict[Key, list[Place]], dict[Key, dict[str, float]]]:
         """Test each term against its alternatives: the fit, what is tied with each term, and the evidence.
 
         When a term turns out to be superfluous, or something else explains more, everything is tested again from there:
@@ -87,7 +79,8 @@ class Alternatives:
                 return self.tested(current, replace(offered, own=own))
             # The others as they are: fitted without the term they may have run far off.
             left = self._space.residual(rest)
-            others = self._steps.ranked(offered, left, self._own_without(offered, current.terms, k), _ALTERNATIVES)
+            own = np.delete(offered.own, parts(current.terms)[k], axis=0)
+            others = self._steps.ranked(offered, left, own, _ALTERNATIVES)
             tied[term.key] = []
             # What was proposed beside a gradual change says nothing of a sudden one in its middle. A wave that was
             # searched for among all orders has its price; once a turn is no more far-fetched than the term.
@@ -107,7 +100,11 @@ class Alternatives:
                     difference = max(found.train + found.test + cost - close.train - close.test, -TIED)
                 simpler = abs(difference) <= TIED and _RANK[terms[0].effect.id] < _RANK[term.effect.id]
                 better = difference < -TIED or simpler
-                if better or (abs(difference) < TIED and self._spares_a_term(found, offered.whitening)):
+                # With an equally good explanation another term may be superfluous: two effects replace three.
+                if better or (
+                    abs(difference) < TIED
+                    and len(self._steps.pruned(found, offered.whitening).terms) < len(found.terms)
+                ):
                     in_place = [*found.terms[:k], found.terms[-1], *found.terms[k:-1]]
                     current = self._steps.pruned(fit(self._space, offered.whitening, in_place), offered.whitening)
                     offered = self._steps.candidates(current)
@@ -191,8 +188,3 @@ class Alternatives:
             (strength,) = other.coordinates()
             half *= 2.0 / (_CLOSEST_STEPS - 1)
         return [*rest, other]
-
-    @staticmethod
-    def _own_without(offered: CandidateSet, terms: list[Term], k: int) -> Array:
-        """The raw columns (J, signals, n) of the terms without those of term k."""
-        return np.delete(offered.own, parts(terms)[k], axis=0)

@@ -238,7 +238,7 @@ def _prepared(model: Machine, now: Measured, then: Measured) -> tuple[tuple[_Sid
     """Both sides at a model with what is simple of the one before; those simple terms; all that may differ."""
     spaces = [Space(model, predictor_for(model, data), data.period_s) for data in (now, then)]
     proposer = Proposer(model, then)
-    plain = [term for term in proposer.plain() if _is_linear(term)]
+    plain = [term for term in proposer.plain() if term.probe is None]  # others answer another strength in another way
     simple = [term for term in plain if not term.effect.removable or term.effect.domain is Domain.INERTIA]
     neutral = [space.residual([]) for space in spaces]
     start = [np.concatenate(s.strengths([], r, simple))[:, 0, :] for s, r in zip(spaces, neutral, strict=True)]
@@ -283,11 +283,6 @@ def _moving(predictor: Predictor, data: Measured) -> Rows:
     sos = butter(2, min(_CORNER_HZ, 0.5 * nyquist) / nyquist, output="sos")
     speed = np.abs(np.gradient(sosfiltfilt(sos, data.x_m[1])))[:: predictor.every]
     return np.asarray(predictor.rows & (speed > _STANDSTILL * float(np.max(speed))))
-
-
-def _is_linear(term: Term) -> bool:
-    """True if one evaluation of its response holds for other strengths as well."""
-    return term.probe is None
 
 
 def _ripples(
@@ -403,11 +398,7 @@ class _Found:
 
 
 def _concluded(
-    model: Machine,
-    sides: tuple[_Side, _Side],
-    base: list[Term],
-    judge: _Judge,
-    chosen: list[int],
+    model: Machine, sides: tuple[_Side, _Side], base: list[Term], judge: _Judge, chosen: list[int]
 ) -> Diagnosis:
     now, then = sides
     problem, terms = judge.problem, judge.terms

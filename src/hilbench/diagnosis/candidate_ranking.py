@@ -44,8 +44,7 @@ def in_order(offers: list[Offer], as_simple: Collection[str] = ()) -> list[Offer
     as_simple: effects that are as simple in this recording.
     """
     waiting = sorted(
-        offers,
-        key=lambda offer: (offer.term.effect.removable and offer.term.effect.id not in as_simple, offer.left),
+        offers, key=lambda offer: (offer.term.effect.removable and offer.term.effect.id not in as_simple, offer.left)
     )
     ordered = []
     while waiting:

@@ -195,8 +195,7 @@ def _in_order(table: _Table, place: str | Path) -> _Table:
         )
     if other > _CROWDED * len(steps):
         raise UnusableInputError(
-            place,
-            f"{other} row(s) have the time of the row before and other values, expected one row for each time",
+            place, f"{other} row(s) have the time of the row before and other values, expected one row for each time"
         )
     count = int(np.count_nonzero(again))
     if count == 0:

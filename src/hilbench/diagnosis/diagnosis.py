@@ -31,7 +31,7 @@ from hilbench.diagnosis.residual_analysis import (
     misfits,
     ratios,
 )
-from hilbench.diagnosis.select import Search, Selection
+from hilbench.diagnosis.select import Selection, search
 from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
@@ -208,10 +208,7 @@ def diagnose(
 
 
 def diagnosed(
-    data: Measured,
-    model: Machine,
-    announce: Announce = lambda text, share: None,
-    emulation: AnyEmulation | None = None,
+    data: Measured, model: Machine, announce: Announce = lambda text, share: None, emulation: AnyEmulation | None = None
 ) -> Diagnosis:
     """Diagnose what was taken from a recording."""
     chosen = choice(model, data, emulation)
@@ -227,7 +224,7 @@ def _predicted_by(chosen: Choice, model: Machine, data: Measured, announce: Anno
     space = Space(model, predictor, data.period_s)
     proposer = proposer_for(predictor, model, data)
     if predictor.exact:
-        selection = Search(space, proposer, announce, predictor.every).run()
+        selection = search(space, proposer, announce, predictor.every)
     else:
         as_simple = simple_beside(predictor)
         selection = MeasuredSearch(space, proposer, announce, as_simple).run()
@@ -294,7 +291,9 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         profiles=_profiles(found, after, floor_of, max(gaps, key=_size).signal),
         unexplained=unexplained,
         unobservable=[
-            *_all_unobservable(space, proposer, selection),
+            *_unobservable(selection),
+            *_waves_too_fast(space, proposer, selection),
+            *_unseen_resonances(space, proposer, selection),
             *map(_asked, [*too_few, *selection.untold]),
             *(_without_other(effect) for effect in untold_beside(predictor, space.model)),
         ],
@@ -539,11 +538,6 @@ def _profiles(before: list[Misfit], after: list[Misfit], floors: dict[str, float
         mean_after = np.array(now[m.condition].points)[:, 1]
         result.append(Profile(signal, m.condition, m.unit, at, mean * floors[signal], mean_after * floors[signal]))
     return result
-
-
-def _all_unobservable(space: Space, proposer: Proposer, selection: Selection) -> list[Unobservable]:
-    found = _unobservable(selection) + _waves_too_fast(space, proposer, selection)
-    return found + _unseen_resonances(space, proposer, selection)
 
 
 def _unobservable(selection: Selection) -> list[Unobservable]:

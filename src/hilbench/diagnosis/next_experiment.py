@@ -83,11 +83,7 @@ def hold(duration_s: float) -> Step:
 
 
 def through(
-    path: str,
-    top: float,
-    steepest: float,
-    levels: Sequence[tuple[float, float, float]],
-    last: Sequence[Step] = (),
+    path: str, top: float, steepest: float, levels: Sequence[tuple[float, float, float]], last: Sequence[Step] = ()
 ) -> list[Step]:
     """Steps through levels of a speed to standstill: share of the top speed, least time to it, time at it, s.
 
@@ -100,10 +96,7 @@ def through(
         if share == 0.0:
             steps += last
         takes_s = max(least_s, STEEP_S, abs(to - speed) / steepest)
-        steps += [
-            {"ramp": {"path": path, "to": round(to, 4), "duration_s": round(takes_s + 5e-4, 3)}},
-            hold(stay_s),
-        ]
+        steps += [{"ramp": {"path": path, "to": round(to, 4), "duration_s": round(takes_s + 5e-4, 3)}}, hold(stay_s)]
         speed = to
     return steps
 
@@ -191,10 +184,7 @@ def _other(name: str, effect: NamedEffect, model: Machine) -> Place | None:
 
 
 def _tries(
-    place: Place,
-    model: Machine,
-    sizes: Callable[[int | None], MachineSizes],
-    like: EffectEntry | None,
+    place: Place, model: Machine, sizes: Callable[[int | None], MachineSizes], like: EffectEntry | None
 ) -> list[EffectEntry]:
     """Some of an effect at its usual size; of a wave at two phases; shaped as `like` where that has the same shape."""
     effect, axis = machines.effect_of(model, place.effect), place.axis

@@ -43,44 +43,38 @@ class Selection:
     of_too_few: list[Term] = field(default_factory=list)  #: that explain, by too few frequencies to be named
 
 
-class Search:
-    """The search over one space."""
+def search(space: Space, proposer: Proposer, announce: Announce, every: int = 1) -> Selection:
+    """Add terms while that pays, then test again what is there.
 
-    def __init__(self, space: Space, proposer: Proposer, announce: Announce, every: int = 1) -> None:
-        self._steps, self._announce = Steps(space, proposer, every), announce
-
-    def run(self) -> Selection:
-        """Add terms while that pays, then test again what is there.
-
-        It ends early where nothing is left that a candidate promises to explain, and nothing that none can.
-        """
-        steps = self._steps
-        current = steps.fit_of([])
-        offered = steps.candidates(current)
-        for depth in range(_MOST_TERMS):
-            self._announce(f"step {depth + 1}: {len(offered.candidates)} candidates", 0.1 + 0.7 * depth / _MOST_TERMS)
-            best = steps.best_addition(current, offered)
-            if best is None:
-                break
-            # An early term may have stood for two others that came later: it goes before the next is looked for.
-            pruned = steps.pruned(best, offered.whitening)
-            if len(pruned.terms) > _MOST_TERMS:
-                return Selection(current, offered, steps.samples, exhausted=True)
-            current = pruned
-            if steps.space.settle(current.terms):
-                current = steps.again(current, offered.whitening)
-            # Responses hardly change by a term more. Only where they promise something are they simulated anew.
-            offered = steps.carried_over(current, offered)
-            unseen = steps.space.split_again(current.residual)
-            if not (unseen or steps.promises(offered)):
-                break
+    It ends early where nothing is left that a candidate promises to explain, and nothing that none can.
+    """
+    steps = Steps(space, proposer, every)
+    current = steps.fit_of([])
+    offered = steps.candidates(current)
+    for depth in range(_MOST_TERMS):
+        announce(f"step {depth + 1}: {len(offered.candidates)} candidates", 0.1 + 0.7 * depth / _MOST_TERMS)
+        best = steps.best_addition(current, offered)
+        if best is None:
+            break
+        # An early term may have stood for two others that came later: it goes before the next is looked for.
+        pruned = steps.pruned(best, offered.whitening)
+        if len(pruned.terms) > _MOST_TERMS:
+            return Selection(current, offered, steps.samples, exhausted=True)
+        current = pruned
+        if steps.space.settle(current.terms):
             current = steps.again(current, offered.whitening)
-            offered = steps.candidates(current, steps.carried_over(current, offered))
-        # What is not explained would be spread over the alternatives of every term: they would all seem tied.
-        if steps.is_rough(current):
-            return Selection(current, offered, steps.samples)
-        self._announce("what else could explain it", 0.85)
-        alternatives = Alternatives(steps)
-        current, tied, evidence = alternatives.tested(current, offered)
-        better = alternatives.against_forces(current, offered, tied)
-        return Selection(current, offered, steps.samples, tied, evidence, better=better)
+        # Responses hardly change by a term more. Only where they promise something are they simulated anew.
+        offered = steps.carried_over(current, offered)
+        unseen = steps.space.split_again(current.residual)
+        if not (unseen or steps.promises(offered)):
+            break
+        current = steps.again(current, offered.whitening)
+        offered = steps.candidates(current, steps.carried_over(current, offered))
+    # What is not explained would be spread over the alternatives of every term: they would all seem tied.
+    if steps.is_rough(current):
+        return Selection(current, offered, steps.samples)
+    announce("what else could explain it", 0.85)
+    alternatives = Alternatives(steps)
+    current, tied, evidence = alternatives.tested(current, offered)
+    better = alternatives.against_forces(current, offered, tied)
+    return Selection(current, offered, steps.samples, tied, evidence, better=better)

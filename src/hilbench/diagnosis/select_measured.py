@@ -84,7 +84,7 @@ class MeasuredSearch:
 
         With a gross error of the model nothing is certain, so that comes last.
         """
-        current = self._fitted([])
+        current = fitted(self._space, [])
         offered = self._offered(current)
         for depth in range(_MOST_TERMS):
             self._announce(f"step {depth + 1}: {len(offered.candidates)} candidates", 0.1 + 0.7 * depth / _MOST_TERMS)
@@ -114,20 +114,14 @@ class MeasuredSearch:
 
     # -- fits ----------------------------------------------------------------------------------------------
 
-    def _fitted(self, terms: list[Term]) -> Fit:
-        return fitted(self._space, terms)
-
     def _counted(self, values: Array) -> Array:
         """Rows of (…, signals, n) that count."""
         return values[..., self._rows]
 
     def _left_beside(self, found: Fit, current: Fit) -> float:
         """Sum of squares without the side bands of what was there before."""
-        beside = without_side_bands(self._space, found, self._side_bands(current))
+        beside = without_side_bands(self._space, found, side_bands(self._space, self._proposer, current))
         return float(np.sum(self._counted(beside) ** 2))
-
-    def _side_bands(self, current: Fit) -> Array:
-        return side_bands(self._space, self._proposer, current)
 
     # -- candidates ----------------------------------------------------------------------------------------
 
@@ -159,7 +153,7 @@ class MeasuredSearch:
         orders, and a drive's loop that answers in another phase in each direction splits their peak.
         """
         found: list[Term] = []
-        beside = without_side_bands(self._space, current, self._side_bands(current))
+        beside = without_side_bands(self._space, current, side_bands(self._space, self._proposer, current))
         for apply in (lambda values: values, white.apply):
             left = self._masked(apply(beside))
             named = dict(zip(self._space.predictor.names, left, strict=True))
@@ -201,7 +195,7 @@ class MeasuredSearch:
 
     def _with_one_more(self, current: Fit, offered: CandidateSet) -> Fit | None:
         """The fit with the candidate that explains most of those that are certain; the simple ones go first."""
-        problem = self._linear(offered.residual, offered.own, offered, self._side_bands(current))
+        problem = self._linear(offered.residual, offered.own, offered, side_bands(self._space, self._proposer, current))
         mine, groups = list(range(len(offered.own))), offered.groups(len(offered.own))
         simple = [
             column
@@ -243,7 +237,7 @@ class MeasuredSearch:
             offers.append(Offer(started[1], started[0], problem.own_share(group[0], mine), free))
         offers = [offer for offer in offers if not is_beside_a_whole_order(offer, whole)]
         for offer in in_order(offers, self._as_simple)[:_CONTENDERS]:
-            found = self._fitted([*current.terms, offer.term])
+            found = fitted(self._space, [*current.terms, offer.term])
             if self._left_beside(found, current) < (1.0 - least_share(offer.term)) * before:
                 return found
         return None
@@ -312,7 +306,7 @@ class MeasuredSearch:
                 least = _STAYING_SHARE / LEAST_SHARE * least_share(term)
                 chance = _CHANCE / term.multiplicity * min(1.0, shares[k] / _LARGE_SHARE)
                 if chances[k] > chance or shares[k] < least or stated[k] > _NEUTRAL_IN_INTERVAL:
-                    current = self._fitted([*current.terms[:k], *current.terms[k + 1 :]])
+                    current = fitted(self._space, [*current.terms[:k], *current.terms[k + 1 :]])
                     break
             else:
                 break
@@ -324,7 +318,7 @@ class MeasuredSearch:
         Of what is no wave beside the side bands of the waves: a delay makes up for a phase that changes with the speed.
         """
         point = self._space.point(current.terms, current.residual)
-        bands = self._side_bands(current)
+        bands = side_bands(self._space, self._proposer, current)
         shares = []
         for term, part in zip(current.terms, parts(current.terms), strict=True):
             own = range(part.start, part.stop)
@@ -375,7 +369,7 @@ class MeasuredSearch:
                 continue
             if other.has_phase or not other.effect.is_alike(term.effect):
                 continue
-            instead = self._counted(self._fitted([*rest, other]).residual)
+            instead = self._counted(fitted(self._space, [*rest, other]).residual)
             if float(np.sum(instead**2)) < (1.0 + TIED) * left:
                 known.add(other.place)
                 yield other.place
@@ -392,7 +386,7 @@ class MeasuredSearch:
             ]
             if instead:
                 first = min(instead, key=lambda other: RANK[other.effect.id])
-                found = self._fitted([first if one is term else one for one in current.terms])
+                found = fitted(self._space, [first if one is term else one for one in current.terms])
                 return self._with_first_of_alike(found, {one.key: [] for one in found.terms} | tied, offered)
         return current
 

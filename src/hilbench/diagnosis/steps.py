@@ -529,7 +529,8 @@ class Steps:
             fewer = []
             for k in range(len(current.terms)):
                 rest = current.terms[:k] + current.terms[k + 1 :]
-                if self._removable(current, k):
+                # Only then a fit without it is worth its time; linearized, so believed with a factor of four to spare.
+                if current.wald(k) < 4.0 * price([current.terms[k]], self.samples):
                     found = fit(self.space, white, rest, worth=here - price(rest, self.samples))
                     fewer.append((found.train + price(rest, self.samples), found))
             better = min(fewer, key=lambda item: item[0], default=None)
@@ -537,10 +538,3 @@ class Steps:
                 break
             current = better[1]
         return current
-
-    def _removable(self, current: Fit, k: int) -> bool:
-        """Whether term k may be superfluous, by Wald's statistic: only then a fit without it is worth its time.
-
-        The statistic is that of the linearized model, so it is believed with a factor of four to spare.
-        """
-        return current.wald(k) < 4.0 * price([current.terms[k]], self.samples)

@@ -19,7 +19,7 @@ from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.noise import NORMAL_95
 from hilbench.diagnosis.predictor import Choice, choice
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.select import Search, Selection
+from hilbench.diagnosis.select import Selection, search
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Key, Term, extended, parts
 from hilbench.plant.effect import ProbeOver
@@ -46,8 +46,7 @@ class _Side:
     def of(cls, model: Machine, data: Measured, emulation: AnyEmulation | None, announce: Announce) -> _Side:
         chosen = choice(model, data, emulation)
         space = Space(model, chosen.predictor, data.period_s)
-        search = Search(space, Proposer(model, data), announce, space.predictor.every)
-        return cls(space, chosen, data, search.run())
+        return cls(space, chosen, data, search(space, Proposer(model, data), announce, space.predictor.every))
 
     @property
     def terms(self) -> list[Term]:

@@ -30,11 +30,7 @@ class LiveLine:
     moves = 0.05  #: m/s
 
     def __init__(
-        self,
-        model: ModelParameters,
-        emulation: Emulation | None,
-        cycle_s: float,
-        spans: Sequence[int] | None = None,
+        self, model: ModelParameters, emulation: Emulation | None, cycle_s: float, spans: Sequence[int] | None = None
     ) -> None:
         self.configured, self.emulation = model, emulation
         self._spans = tuple(range(1, model.span_count + 1) if spans is None else spans)

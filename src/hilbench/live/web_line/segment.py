@@ -60,11 +60,7 @@ def quiet_cycle(window: Window, model: ModelParameters, first: int, end: int, cy
 
 
 def data_of(
-    window: Window,
-    model: ModelParameters,
-    emulation: Emulation | None,
-    cycles: tuple[int, int, int],
-    cycle_s: float,
+    window: Window, model: ModelParameters, emulation: Emulation | None, cycles: tuple[int, int, int], cycle_s: float
 ) -> Measured:
     """Measured data of cycles: that in which the effect began, the first one and the one after the last one used.
     Raises UnusableInputError for what can't be diagnosed."""

@@ -214,9 +214,9 @@ def _advance_any(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> No
 @merged
 def go_on(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
     """Advance by `samples` drive samples, between `enter` and `leave`; counts are constants for one span."""
-    if places.is_one_span(p):
+    if places.has_counts(p, 2, 2, 1):
         _advance_one_span(p, s, u, w, samples)
-    elif places.is_rig_of_two(p):
+    elif places.has_counts(p, 2, 3, 0):
         _advance_rig_of_two(p, s, u, w, samples)
     else:
         _advance_any(p, s, u, w, samples)
@@ -296,11 +296,6 @@ def _report_line(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: 
         out[at + 3 * m + k + j] = w[4 * n + k + j] * scale / w[4 * n + j] - 1.0
 
 
-@merged
-def _report_one_span(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
-    _report_line(p, s, u, w, 2, 2, 1, out, at)
-
-
 @compiled
 def _report_any(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
     noinline()
@@ -311,8 +306,8 @@ def _report_any(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int
 @merged
 def report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
     """Write measured and true values now to `out` from offset `at` on; between `enter` and `leave`."""
-    if places.is_one_span(p):
-        _report_one_span(p, s, u, w, out, at)
+    if places.has_counts(p, 2, 2, 1):
+        _report_line(p, s, u, w, 2, 2, 1, out, at)
     else:
         _report_any(p, s, u, w, out, at)
 

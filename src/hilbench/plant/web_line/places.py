@@ -71,12 +71,6 @@ def counts(p: Vector) -> tuple[int, int, int]:
 
 
 @inlined
-def is_one_span(p: Vector) -> bool:
-    """True for the line most often simulated, whose step is compiled with constant offsets."""
-    return p[lay.W_AXES] == 2.0 and p[lay.W_MOTORS] == 2.0 and p[lay.W_SPANS] == 1.0
-
-
-@inlined
-def is_rig_of_two(p: Vector) -> bool:
-    """True for its rig: two axes and a load motor, without a web."""
-    return p[lay.W_AXES] == 2.0 and p[lay.W_MOTORS] == 3.0 and p[lay.W_SPANS] == 0.0
+def has_counts(p: Vector, n: int, m: int, k: int) -> bool:
+    """True for so many axes, motors and spans: lines most often simulated are compiled with constant offsets."""
+    return p[lay.W_AXES] == n and p[lay.W_MOTORS] == m and p[lay.W_SPANS] == k
