@@ -64,6 +64,29 @@ def _control_of(table: Indices) -> LineControl:
     )
 
 
+class Look(NamedTuple):
+    """Vectors and figures that all futures of a prediction share; p, s, u, w: of the plant's kernel."""
+
+    p: Vector
+    s: Vector
+    u: Vector
+    w: Vector
+    control: LineControl
+    q: Vector  #: (Q,): present quantities
+    moduli: Vector  #: (K,): E of the spans by the twin, Pa
+    lead: Vector  #: (T,): line speed, m/s
+    set_point: Matrix  #: (T, K)
+    factor: Matrix  #: (T, K): of E
+    known: Matrix  #: (T, K): E·S by the twin, N
+    stated_Pa: Vector  #: (T,): E that the controllers use
+    before: float  #: line speed until now, m/s
+    ahead: Vector  #: (N,): leads of the rollers, m/s
+    load_axes: Indices
+    tally: TallyVectors
+    samples: float
+    every: int
+
+
 @inlined
 def _strain(p: Vector, w: Vector, n: int, m: int, k: int, j: int) -> float:
     """Strain of span j, from the present quantities."""
@@ -72,34 +95,20 @@ def _strain(p: Vector, w: Vector, n: int, m: int, k: int, j: int) -> float:
 
 
 @merged
-def _set_points(
-    n: int,
-    m: int,
-    k: int,
-    p: Vector,
-    u: Vector,
-    w: Vector,
-    of: LineControl,
-    lead: float,
-    acceleration: float,
-    set_point: Matrix,
-    i: int,
-    known: Matrix,
-    stated_Pa: float,
-    ahead: Vector,
-) -> None:
-    """Set velocities of all axes for step i, from the last one on, at an acceleration of the line. `known` (T, K): E·S
-    by the twin, N; `stated_Pa`: E that the controllers use; `ahead` (N,): room for the leads of the rollers, m/s."""
+def _set_points(n: int, m: int, k: int, look: Look, i: int) -> None:
+    """Set velocities of all axes for step i, from the last one on."""
+    p, u, w, of, known, stated_Pa = look.p, look.u, look.w, look.control, look.known, look.stated_Pa[i]
     h = p[lay.W_SAMPLE_TIME_S]
     for j in range(k):
         if of.trajectories[j].per_s > 0.0:
-            advance(of.trajectories[j], set_point[i, j], stated_Pa)
-    plan_leads(of.rollers, of.trajectories, acceleration, ahead)
-    speed = command = lead
+            advance(of.trajectories[j], look.set_point[i, j], stated_Pa)
+    acceleration = (look.lead[i] - (look.lead[i - 1] if i else look.before)) / h
+    plan_leads(of.rollers, of.trajectories, acceleration, look.ahead)
+    speed = command = look.lead[i]
     for j in range(k, -1, -1):
         if j < k and of.tensions[j].bandwidth_rad_per_s > 0.0:
             trajectory, damping = of.trajectories[j], of.dampings[j]
-            strain, around, goal_N = _strain(p, w, n, m, k, j), nan, set_point[i, j]
+            strain, around, goal_N = _strain(p, w, n, m, k, j), nan, look.set_point[i, j]
             if trajectory.per_s > 0.0:
                 if command >= 0.0:
                     entering = _strain(p, w, n, m, k, j - 1) if j > 0 else u[lay.U_STRAIN_PREV]
@@ -116,12 +125,13 @@ def _set_points(
             state.strain = strain
             command = speed + damp(damping, rate, 1.0)
         ratio = p[places.motor(n, j) + lay.M_RAD_PER_M]
-        u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = (command + ahead[j]) * ratio
+        u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = (command + look.ahead[j]) * ratio
 
 
 @inlined
-def _watched(n: int, m: int, k: int, p: Vector, s: Vector, u: Vector, w: Vector, load_axes: Indices, q: Vector) -> None:
-    """Write the present quantities to q (Q,)."""
+def _watch(n: int, m: int, k: int, look: Look, samples: float, b: int, step: int) -> None:
+    """Note the present quantities of future b after a step, with so many samples."""
+    p, s, u, w, load_axes, q = look.p, look.s, look.u, look.w, look.load_axes, look.q
     loads, now_s = load_axes.shape[0], s[lay.S_COUNT] * p[lay.W_SAMPLE_TIME_S]
     for j in range(k):
         span = places.first_span(n, m) + j * lay.SP_SIZE
@@ -136,15 +146,17 @@ def _watched(n: int, m: int, k: int, p: Vector, s: Vector, u: Vector, w: Vector,
         before = q[i - 1] if i > 0 else u[lay.U_STRAIN_PREV] * p[lay.W_UPSTREAM_STIFFNESS_N]
         pulls = p[places.axis(i) + lay.A_WEB_LOAD]
         q[k + n + load] = pulls * (behind - before) / p[places.motor(n, i) + lay.M_RAD_PER_M]
+    see(look.tally, q, samples, b, step)
 
 
 @inlined
-def _change_moduli(n: int, m: int, k: int, p: Vector, moduli: Vector, scale: float, factor: Matrix, i: int) -> bool:
+def _change_moduli(n: int, m: int, k: int, look: Look, scale: float, i: int) -> bool:
     """Set E of all spans in step i; True if it has changed."""
+    p = look.p
     changed = False
     for j in range(k):
         at = places.first_span(n, m) + j * lay.SP_SIZE + lay.SP_MODULUS_PA
-        modulus = moduli[j] * scale * factor[i, j]
+        modulus = look.moduli[j] * scale * look.factor[i, j]
         changed |= modulus != p[at]
         p[at] = modulus
     return changed
@@ -158,95 +170,38 @@ def _go_on_two_spans(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
 
 
 @merged
-def _run(
-    n: int,
-    m: int,
-    k: int,
-    p: Vector,
-    s: Vector,
-    u: Vector,
-    w: Vector,
-    of: LineControl,
-    q: Vector,
-    moduli: Vector,
-    scale: float,
-    lead: Vector,
-    set_point: Matrix,
-    factor: Matrix,
-    known: Matrix,
-    stated_Pa: Vector,
-    before: float,
-    ahead: Vector,
-    load_axes: Indices,
-    tally: TallyVectors,
-    samples: float,
-    every: int,
-    b: int,
-) -> None:
-    """Run future b to its end; `before`: the line speed until now, m/s."""
-    h = p[lay.W_SAMPLE_TIME_S]
-    _change_moduli(n, m, k, p, moduli, scale, factor, 0)
+def _run(n: int, m: int, k: int, look: Look, scale: float, b: int) -> None:
+    """Run future b to its end, with E by `scale` of the twin's."""
+    p, s, u, w = look.p, look.s, look.u, look.w
+    _change_moduli(n, m, k, look, scale, 0)
     kernel.enter(p, s, u, w)
-    row, until_row = 0, every
-    for i in range(lead.shape[0]):
-        changed = i > 0 and _change_moduli(n, m, k, p, moduli, scale, factor, i)
-        acceleration = (lead[i] - (lead[i - 1] if i else before)) / h
-        _set_points(n, m, k, p, u, w, of, lead[i], acceleration, set_point, i, known, stated_Pa[i], ahead)
+    row, until_row = 0, look.every
+    for i in range(look.lead.shape[0]):
+        changed = i > 0 and _change_moduli(n, m, k, look, scale, i)
+        _set_points(n, m, k, look, i)
         if changed:  # the tension jumps with E, and the rollers yield within a step
-            _watched(n, m, k, p, s, u, w, load_axes, q)
-            see(tally, q, 1.0, b, i - 1)
+            _watch(n, m, k, look, 1.0, b, i - 1)
         if k == 2 and m == 3 and n == 3:
             _go_on_two_spans(p, s, u, w)
         else:
             kernel.go_on(p, s, u, w, 1)
-        _watched(n, m, k, p, s, u, w, load_axes, q)
-        see(tally, q, samples, b, i)
+        _watch(n, m, k, look, look.samples, b, i)
         until_row -= 1
         if until_row == 0:
-            keep(tally, q, b, row)
-            row, until_row = row + 1, every
+            keep(look.tally, look.q, b, row)
+            row, until_row = row + 1, look.every
 
 
 @compiled
-def _run_counted(
-    p: Vector,
-    s: Vector,
-    u: Vector,
-    w: Vector,
-    of: LineControl,
-    q: Vector,
-    moduli: Vector,
-    scale: float,
-    lead: Vector,
-    set_point: Matrix,
-    factor: Matrix,
-    known: Matrix,
-    stated_Pa: Vector,
-    before: float,
-    ahead: Vector,
-    load_axes: Indices,
-    tally: TallyVectors,
-    samples: float,
-    every: int,
-    b: int,
-) -> None:
+def _run_counted(look: Look, scale: float, b: int) -> None:
     """`_run` with the counts of a line of one or two spans as constants, or with any."""
-    n, m, k = places.counts(p)
+    n, m, k = places.counts(look.p)
     if (n, m, k) == (2, 2, 1):
-        _run(
-            2, 2, 1, p, s, u, w, of, q, moduli, scale, lead, set_point, factor, known, stated_Pa, before, ahead,
-            load_axes, tally, samples, every, b,
-        )  # fmt: skip
+        _run(2, 2, 1, look, scale, b)
     elif (n, m, k) == (3, 3, 2):
-        _run(
-            3, 3, 2, p, s, u, w, of, q, moduli, scale, lead, set_point, factor, known, stated_Pa, before, ahead,
-            load_axes, tally, samples, every, b,
-        )  # fmt: skip
+        _run(3, 3, 2, look, scale, b)
     else:
-        _run(
-            n, m, k, p, s, u, w, of, q, moduli, scale, lead, set_point, factor, known, stated_Pa, before, ahead,
-            load_axes, tally, samples, every, b,
-        )  # fmt: skip
+        _run(n, m, k, look, scale, b)
 
 
 @entry_point(
@@ -288,11 +243,11 @@ def run_futures(
     samples: float,
     every: int,
 ) -> None:
-    tally, of = of_table(table), _control_of(control_table)
+    look = Look(
+        p, s, u, w, _control_of(control_table), q, moduli, lead, set_point, factor, known, stated_Pa, before, ahead,
+        load_axes, of_table(table), samples, every,
+    )  # fmt: skip
     for b in range(start.shape[0]):
         s[:] = start[b]
         control_state[:] = control_start
-        _run_counted(
-            p, s, u, w, of, q, moduli, scale[b], lead, set_point, factor, known, stated_Pa, before, ahead,
-            load_axes, tally, samples, every, b,
-        )  # fmt: skip
+        _run_counted(look, scale[b], b)
