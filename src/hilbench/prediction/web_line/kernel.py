@@ -101,7 +101,7 @@ def _set_points(n: int, m: int, k: int, look: Look, i: int) -> None:
     h = p[lay.W_SAMPLE_TIME_S]
     for j in range(k):
         if of.trajectories[j].per_s > 0.0:
-            advance(of.trajectories[j], look.set_point[i, j], stated_Pa)
+            advance(of.trajectories[j], look.set_point[i, j], known[i, j] / of.trajectories[j].section_m2)
     acceleration = (look.lead[i] - (look.lead[i - 1] if i else look.before)) / h
     plan_leads(of.rollers, of.trajectories, acceleration, look.ahead)
     speed = command = look.lead[i]
