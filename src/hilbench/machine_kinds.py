@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Final
 
@@ -90,9 +89,8 @@ def has(kind: str, name: str) -> bool:
 
 
 def _imported(kind: str, place: str) -> Any:
-    module, _, name = place.partition(":")
     try:
-        return getattr(import_module(module), name) if name else import_module(module)
+        return EntryPoint(kind, place, GROUP).load()
     except Exception as error:  # whatever another package raises
         package = kinds()[kind].dist
         raise UnusableInputError(

@@ -8,15 +8,13 @@ from hilbench.plant.servo_axis.stability import imitable_inertia_kg_m2, sampled_
 from hilbench.strict_yaml import Document, Location
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SPEED
-
-#: What the inertia may be off the model's by where the config sets no limit.
-_LARGEST_RATIO = 1e3
+from hilbench.topology.safety import LARGEST_RATIO
 
 
 def ranges(config: BenchConfig) -> dict[str, tuple[float, float]]:
     """Speed (rad/s), inertia (kg·m²) and dry friction (N·m) of the emulated shaft."""
     limits, model = config.safety.limits, config.servo_axis
-    speed_rad_s, ratio = limits.speed_rad_s.highest, min(limits.estimate_ratio.highest, _LARGEST_RATIO)
+    speed_rad_s, ratio = limits.speed_rad_s.highest, min(limits.estimate_ratio.highest, LARGEST_RATIO)
     return {
         SPEED: (-speed_rad_s, speed_rad_s),
         SHAFT_INERTIA: (model.inertia_kg_m2 / ratio, model.inertia_kg_m2 * ratio),

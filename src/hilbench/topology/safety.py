@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from math import inf
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field, PositiveFloat, model_validator
 
 from hilbench.block import Block
 
 TimeOut = Annotated[float, Field(gt=0.0, le=3600.0)]
+
+#: What an estimate may be off the model's by where the config sets no limit.
+LARGEST_RATIO: Final = 1e3
 
 
 class Limit(Block):

@@ -19,6 +19,7 @@ from hilbench.code_cache import is_kept
 if TYPE_CHECKING:
     from hilbench.topology.config import BenchConfig
 
+_PACKAGE = Path(__file__).resolve().parents[2]
 #: A room that calls most of another one: the cycle of the twin is that of its estimator, and more.
 _WITH = {"twin": "estimation"}
 #: How often it is looked how much has been compiled, s.
@@ -37,7 +38,7 @@ class Function(NamedTuple):
     @property
     def source(self) -> Path:
         """Its file."""
-        return Path(__file__).resolve().parents[2].joinpath(*self.module.split(".")[1:]).with_suffix(".py")
+        return _PACKAGE.joinpath(*self.module.split(".")[1:]).with_suffix(".py")
 
 
 def kind_of(config: BenchConfig) -> str:

@@ -40,4 +40,5 @@ def operator_ranges(config: BenchConfig) -> dict[str, tuple[float, float]]:
     return {
         path: (max(low, permitted(path).lower), min(high, permitted(path).upper))
         for path, (low, high) in ranges.items()
+        if path in OPERATOR_OBJECTS
     }

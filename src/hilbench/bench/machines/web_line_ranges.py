@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Final
 
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.quantities import LINE_SPEED, MODEL_CHANGE, TENSION_PROBE, TENSION_SET_POINT, tension_set_point
+from hilbench.topology.quantities import LINE_SPEED, MODEL_CHANGE, TENSION_PROBE, tension_set_point
+from hilbench.topology.safety import LARGEST_RATIO
 from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span
 
 _FIRST_SET_POINT: Final = 15  #: sub-index of 2200h before that of span 1 on a line of several spans
 _FIRST_MODULUS: Final = 31  #: sub-index before that of E of span 1
-_LARGEST_RATIO: Final = 1e3  #: of E and the model's, where the config sets no limit
 _MOST_SPANS: Final = 16  #: of how many spans there is an object of each
 
 #: Sub-index of 2200h, given once and for all, and name in the EDS file, by path.
@@ -36,13 +36,12 @@ def moduli_Pa(config: BenchConfig) -> dict[str, float]:
 def ranges(config: BenchConfig) -> dict[str, tuple[float, float]]:
     """Line speed (m/s), tension set-point (N), Young's modulus of the emulated web (Pa)."""
     limits, moduli = config.safety.limits, moduli_Pa(config)
-    speed_m_s, ratio = limits.speed_m_s.highest, min(limits.estimate_ratio.highest, _LARGEST_RATIO)
+    speed_m_s, ratio = limits.speed_m_s.highest, min(limits.estimate_ratio.highest, LARGEST_RATIO)
     set_points = [tension_set_point(config.shape.numbered(span)) for span in config.set_point_controls]
-    has_object = {TENSION_SET_POINT, YOUNGS_MODULUS, *OF_EACH_SPAN}
     return {
         **({} if config.twin.live_diagnosis is None else {MODEL_CHANGE: (0.0, 1.0)}),
         LINE_SPEED: (-speed_m_s, speed_m_s),
-        **{path: (0.0, limits.tension_N.highest) for path in set_points if path in has_object},
-        **{path: (E / ratio, E * ratio) for path, E in moduli.items() if path in has_object},
+        **dict.fromkeys(set_points, (0.0, limits.tension_N.highest)),
+        **{path: (E / ratio, E * ratio) for path, E in moduli.items()},
         **({TENSION_PROBE: (0.0, 1.0)} if config.tension_controls else {}),
     }
