@@ -38,7 +38,7 @@ class MachineDescription:
     terminal: str  #: `hilbench.apps.commands.shown.machine.Shown`: (shape)
     prediction: str = ""  #: with `look` and `foreseen`, as of `hilbench.bench.prediction.servo_axis`
     diagnosis: str = ""  #: with the names of `hilbench.diagnosis.servo_axis`
-    live_diagnosis: str = ""  #: `hilbench.live.session.Session`: (config)
+    live_diagnosis: str = ""  #: with `machine` and `warm_up`, as of `hilbench.live.servo_axis.warm_up`
     commissioning: str = ""  #: `hilbench.runs.reach.Reach`: (config, place)
     fmu_export: str = ""  #: `hilbench.plant.fmu.export.machine.ExportedMachine`: (machine, drives=…, load=…)
     #: Kind whose signals its recordings have, if not its own.

@@ -9,7 +9,7 @@ from typing import get_args
 from hilbench.bench.reports.diagnosis_updates import ProposalOutcome, Ready, Samples
 from hilbench.cpu_throttle import throttle_cpu
 from hilbench.exit_status import ended
-from hilbench.machine_kinds import machine_part
+from hilbench.live.session import session_of
 from hilbench.real_time import give_way
 from hilbench.topology.blocks import Pace
 from hilbench.topology.config import BenchConfig
@@ -30,7 +30,7 @@ def main() -> None:
 
 def answer(connection: Connection, config: BenchConfig) -> None:
     """Answer messages until the connection is closed."""
-    session = machine_part(config.machine.kind, "live_diagnosis")(config)
+    session = session_of(config)
     if config.pace == "realtime":
         cores = config.realtime.cores
         taken = {core for core in (cores.bench, cores.hardware, cores.twin) if core is not None}

@@ -36,7 +36,9 @@ from hilbench.live.machine import SHORT, LiveMachine
 from hilbench.live.segment import Segment, shows_in_torque
 from hilbench.live.watch import ROW, Piece, Watch
 from hilbench.live.window import Window
+from hilbench.machine_kinds import machine_part
 from hilbench.plant.model_file import Machine
+from hilbench.topology.config import BenchConfig
 from hilbench.topology.live_config import LiveDiagnosisConfig
 from hilbench.twin.model_switch import with_effects
 
@@ -398,3 +400,13 @@ def _place(effect: FoundEffect) -> str:
 def _text(effect: FoundEffect) -> str:
     sizes = (f"{name} {value.value:.4g}" for name, value in effect.parameters.items())
     return f"{_place(effect)} ({', '.join(sizes)})"
+
+
+def session_of(config: BenchConfig) -> Session:
+    """Session of a config that asks for one, with all that it runs compiled and loaded."""
+    live, cycle_s = config.twin.live_diagnosis, config.cycle_time_s
+    assert live is not None, "it is started where there is one"
+    of_kind = machine_part(config.machine.kind, "live_diagnosis")
+    given = [signal.name for signal in config.signals], of_kind.machine(config), live, cycle_s
+    of_kind.warm_up(*given)
+    return Session(*given)

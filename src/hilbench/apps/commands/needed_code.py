@@ -19,14 +19,13 @@ from hilbench.code_cache import is_kept
 if TYPE_CHECKING:
     from hilbench.topology.config import BenchConfig
 
-_PACKAGE = Path(__file__).resolve().parents[2]
 #: A room that calls most of another one: the cycle of the twin is that of its estimator, and more.
 _WITH = {"twin": "estimation"}
 #: How often it is looked how much has been compiled, s.
 _LOOK_EVERY_S = 1.0
 #: Some take longer than others: so often it is said all the same how far it is, s.
 _WORD_EVERY_S = 10.0
-_LIST = Path(__file__).with_name("needed_code.json")
+_LIST, _PACKAGE = Path(__file__).with_name("needed_code.json"), Path(__file__).resolve().parents[2]
 
 
 class Function(NamedTuple):

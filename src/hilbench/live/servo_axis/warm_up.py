@@ -25,15 +25,11 @@ from hilbench.topology.live_config import LiveDiagnosisConfig
 _MEAN_RAD_S, _SWING_RAD_S, _PERIOD_S, _NOISE_Nm = 20.0, 10.0, 2.0, 0.05
 
 
-def session(config: BenchConfig) -> Session:
-    """Session of a config that asks for one, with all that it runs compiled and loaded."""
-    live, cycle_s = config.twin.live_diagnosis, config.cycle_time_s
-    assert live is not None, "it is started where there is one"
+def machine(config: BenchConfig) -> LiveShaft:
+    """What a session diagnoses."""
     emulation = emulation_of(config) if config.load_motors else None
     assert emulation is None or isinstance(emulation, ShaftEmulation), "of this machine"
-    machine, names = LiveShaft(config.servo_axis, emulation, cycle_s), [signal.name for signal in config.signals]
-    warm_up(names, machine, live, cycle_s)
-    return Session(names, machine, live, cycle_s)
+    return LiveShaft(config.servo_axis, emulation, config.cycle_time_s)
 
 
 def warm_up(names: Sequence[str], machine: LiveShaft, config: LiveDiagnosisConfig, cycle_s: float) -> None:

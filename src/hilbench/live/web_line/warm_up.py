@@ -31,18 +31,11 @@ _NOISE_Nm = 0.05
 _BEFORE_S, _STRETCH_S = 2.0, SHORTEST_S + 0.5
 
 
-def session(config: BenchConfig) -> Session:
-    """Session of a config that asks for one, with all that it runs compiled and loaded."""
-    live, cycle_s = config.twin.live_diagnosis, config.cycle_time_s
-    assert live is not None, "it is started where there is one"
+def machine(config: BenchConfig) -> LiveLine:
+    """What a session diagnoses."""
     emulation = emulation_of(config) if config.load_motors else None
     assert emulation is None or isinstance(emulation, Emulation), "of this machine"
-    machine, names = (
-        LiveLine(config.web_line, emulation, cycle_s, config.shape.estimated),
-        [signal.name for signal in config.signals],
-    )
-    warm_up(names, machine, live, cycle_s)
-    return Session(names, machine, live, cycle_s)
+    return LiveLine(config.web_line, emulation, config.cycle_time_s, config.shape.estimated)
 
 
 def warm_up(names: Sequence[str], machine: LiveLine, config: LiveDiagnosisConfig, cycle_s: float) -> None:

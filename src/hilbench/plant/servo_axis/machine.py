@@ -23,7 +23,7 @@ SERVO_AXIS: Final = MachineDescription(
     terminal="hilbench.apps.commands.shown.servo_axis:shown",
     prediction="hilbench.bench.prediction.servo_axis",
     diagnosis="hilbench.diagnosis.servo_axis",
-    live_diagnosis="hilbench.live.servo_axis.warm_up:session",
+    live_diagnosis="hilbench.live.servo_axis.warm_up",
     commissioning="hilbench.runs.commissioning:reach_of_shaft",
     fmu_export="hilbench.plant.fmu.export.of_kind:of_axis",
 )

@@ -22,7 +22,7 @@ WEB_LINE: Final = MachineDescription(
     terminal="hilbench.apps.commands.shown.web_line:shown",
     prediction="hilbench.bench.prediction.web_line",
     diagnosis="hilbench.diagnosis.web_line_machine",
-    live_diagnosis="hilbench.live.web_line.warm_up:session",
+    live_diagnosis="hilbench.live.web_line.warm_up",
     commissioning="hilbench.runs.web_line_reach:reach_of_line",
     fmu_export="hilbench.plant.fmu.export.of_kind:of_line",
 )
