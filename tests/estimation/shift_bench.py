@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hilbench.results.recording_builder import RecordingBuilder
 from numpy.typing import NDArray
 from tests.estimation.shift_score import (
     AFTER_STEP_S,
@@ -33,6 +32,7 @@ from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.tasks.task import CompiledStages
 from hilbench.errors import BenchFaultError
 from hilbench.results.keeping import Keeping
+from hilbench.results.recording_builder import RecordingBuilder
 from hilbench.runs.config import ExperimentConfig, load_with_overrides
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape

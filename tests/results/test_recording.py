@@ -11,10 +11,10 @@ from pathlib import Path
 import asammdf
 import numpy as np
 import pytest
-from hilbench.results.recording_builder import RecordingBuilder
 
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording, read_recording, write_recording
+from hilbench.results.recording_builder import RecordingBuilder
 from hilbench.topology.signals import signals_of, smallest_shapes
 
 FORMATS = ("recording.mf4", "recording.csv", "recording.csv.gz")
