@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from types import ModuleType
+from functools import cached_property, partial
+from types import ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numba
 import numpy as np
 from numba import types
 from numba.core import cgutils
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 from numpy.typing import NDArray
@@ -78,14 +81,50 @@ if TYPE_CHECKING:
         raise NotImplementedError
 
 else:
+
+    class _LinkedLibrary(JITCodeLibrary):
+        """Code of a function that is only linked into its compiled callers: optimised, and made machine code, as part
+        of theirs. numba does both for each function by itself, too, which takes as long as all the rest."""
+
+        codegen = SimpleNamespace(set_env=lambda name, environment: None)  # there is no code to give it to
+
+        def get_pointer_to_function(self, name):
+            return 0
+
+        def _optimize_final_module(self):
+            pass
+
+        def _finalize_final_module(self):
+            self._finalized = True
+
+    class _LinkedCompiler(Compiler):
+        def _compile_core(self):
+            name = self.state.func_id.func_qualname
+            self.state.library = _LinkedLibrary(self.state.targetctx.codegen(), name)
+            return super()._compile_core()
+
+    class _Linked(CPUDispatcher):
+        """Function that is linked into its compiled callers; when Python calls it, it is compiled by itself."""
+
+        @cached_property
+        def _by_itself(self):
+            return numba.njit(**_OPTIONS)(self.py_func)
+
+        def __call__(self, *arguments):
+            return self._by_itself(*arguments)
+
     # Division as in numpy and C (no check for zero); no fastmath: equal results on every machine.
     # Without NRT, numba's runtime, there are no reference counts: with them a step of the model takes ten times as
     # long, because numba counts an array at every call. What allocates does not compile then.
-    # A callee would take over its caller's `forceinline` unless it says otherwise.
     # They are never called by a C function's address: the wrapper for that would be compiled for nothing.
-    compiled = numba.njit(error_model="numpy", _nrt=False, forceinline=False, no_cfunc_wrapper=True)
-    inlined = numba.njit(error_model="numpy", _nrt=False, forceinline=True, no_cfunc_wrapper=True)
-    merged = numba.njit(error_model="numpy", _nrt=False, inline="always", no_cfunc_wrapper=True)
+    _OPTIONS = {"error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
+
+    # A callee would take over its caller's `forceinline` unless it says otherwise.
+    _LINKED = _OPTIONS | {"nopython": True, "no_cpython_wrapper": True}
+    compiled, inlined, merged = (
+        partial(_Linked, targetoptions=_LINKED | each, pipeline_class=_LinkedCompiler)
+        for each in ({"forceinline": False}, {"forceinline": True}, {"inline": "always"})
+    )
 
     def entry_point(*arguments):
         def decorate(function):
