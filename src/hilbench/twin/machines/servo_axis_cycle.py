@@ -178,7 +178,9 @@ class ShaftInVectors:
         """Update the table after a change of the estimator's vectors."""
         self._of = self._estimator.table
         self._table = np.concatenate([table_of(self._own), self._of])
-        self.piece = CompiledStage(_run, _COMPARE, self._table, continues=_DONE, fallback=self._fallback)
+        self.piece = CompiledStage(
+            _run, _COMPARE, self._own, continues=_DONE, fallback=self._fallback, table=self._table
+        )
 
     def has_ended(self, code: int) -> bool:
         """True if the cycle was completed; see `machine.InVectors`."""

@@ -332,7 +332,9 @@ class LineInVectors:
         if not len(self._table) or any(now is not then for now, then in zip(tables, self._of, strict=True)):
             self._of = tables
             self._table = np.concatenate([table_of(self._own), *tables])
-            self.piece = CompiledStage(_run, cycle.COMPARE, self._table, continues=_DONE, fallback=self._fallback)
+            self.piece = CompiledStage(
+                _run, cycle.COMPARE, self._own, continues=_DONE, fallback=self._fallback, table=self._table
+            )
         self._figures[_INPUT_STRAIN] = self._estimated[0].tracking.input_strain
         self._spans[:, _SEPARABLE] = [each.tracking.separable for each in self._estimated]
 
