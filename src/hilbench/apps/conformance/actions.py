@@ -11,18 +11,14 @@ from collections.abc import Callable, Mapping
 from enum import EnumType
 from functools import cache
 from inspect import Parameter, signature
-from typing import TYPE_CHECKING, Annotated, Any, Concatenate, Final, ParamSpec, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, create_model
 
 from hilbench.block import Strict
 from hilbench.canopen import object_store
 
-if TYPE_CHECKING:
-    from hilbench.apps.conformance.dut import DeviceUnderTest
-
-_Arguments = ParamSpec("_Arguments")
-_Result = TypeVar("_Result")
+_Function = TypeVar("_Function", bound=Callable[..., object])
 #: Abort codes (CiA 301, table 22) by name; two that the simulated device never sends: the length does not match, in
 #: either direction, and "sub-index can't be written, sub-index 0 must be 0 for write access".
 ABORT_CODES: Final[Mapping[str, int]] = {
@@ -55,10 +51,8 @@ AbortCode = Annotated[int, BeforeValidator(lambda name: ABORT_CODES.get(name, na
 Digits = Annotated[bytes, BeforeValidator(lambda digits: bytes.fromhex(str(digits)))]
 
 
-def action(
-    function: Callable[Concatenate[DeviceUnderTest, _Arguments], _Result],
-) -> Callable[Concatenate[DeviceUnderTest, _Arguments], _Result]:
-    """A function that cases name."""
+def action(function: _Function) -> _Function:
+    """A function of the device under test that cases name."""
     ACTIONS[function.__name__] = function
     return function
 
@@ -76,7 +70,7 @@ def _arguments(name: str) -> type[BaseModel]:
     return create_model(name, __base__=Strict, **fields)
 
 
-def _bound(given: object) -> Callable[[DeviceUnderTest], object]:
+def _bound(given: object) -> Callable[[object], object]:
     """An action with its arguments, as a case has it."""
     name, value = next(iter(given.items())) if isinstance(given, dict) and len(given) == 1 else (given, {})
     if not isinstance(name, str) or name not in ACTIONS:
@@ -84,7 +78,7 @@ def _bound(given: object) -> Callable[[DeviceUnderTest], object]:
     model = _arguments(name)
     known = model.model_fields
     if not isinstance(value, dict) or not known.keys() >= value.keys():
-        value = {next(iter(known)): value}
+        value = {next(iter(known), name): value}
     found = model.model_validate(value)
     positional: list[Any] = []
     keywords: dict[str, Any] = {}

@@ -36,7 +36,7 @@ _FOLDER: Final = Path(__file__).parent / "cases"
 _FILES: Final = ("eds", "sdo", "pdo", "od", "emcy", "sync", "heartbeat", "store", "nmt", "drive")
 
 
-class _Case(Strict):
+class Entry(Strict):
     """One case in its file: where the standard asks for it, what the device has to have for it, what is done."""
 
     title: str
@@ -45,11 +45,11 @@ class _Case(Strict):
     do: tuple[Action, ...]
 
 
-class _Group(Strict):
+class Group(Strict):
     """Cases of one group by number."""
 
     of_drives: bool = False  #: each axis is examined, if it is a drive of CiA 402
-    cases: dict[int, _Case]
+    cases: dict[int, Entry]
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,6 @@ def listed_cases() -> tuple[Case, ...]:
     return tuple(
         Case(name, number, case.title, case.clause, group.of_drives, (*case.needs, *case.do))
         for document in (load(_FOLDER / f"{file}.yaml") for file in _FILES)
-        for name, group in ((name, validate(document, _Group, (name,))) for name in document.data)
+        for name, group in ((name, validate(document, Group, (name,))) for name in document.data)
         for number, case in group.cases.items()
     )
