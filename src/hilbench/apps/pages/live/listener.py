@@ -13,7 +13,6 @@ from math import isfinite
 from typing import Any, Final
 
 from hilbench.apps.library.active_runs import continues
-from hilbench.apps.library.entry import read_entry
 from hilbench.apps.monitor.condition import Condition
 from hilbench.apps.monitor.frame_buffer import RecentFrames
 from hilbench.apps.monitor.picture import BusPicture
@@ -244,7 +243,7 @@ def event_of(change: Change, t_s: float) -> Entry:
 def ended(folder: RunFolder, result: Result) -> dict[str, Any]:
     """Page data of a run that is over."""
     return {
-        "verdict": read_entry(folder.path.parent, folder.name).state,
+        "verdict": result.verdict,
         "faults": [fault.text for fault in result.faults],
         "criteria": [
             {"name": each.name, "passed": each.passed, "value": each.value, "unit": each.unit, "limit": each.limit}
