@@ -20,9 +20,9 @@ from hilbench.diagnosis.servo_axis import *  # noqa: F403  # what is not given b
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.interface import PlantDescription, Quantity
 from hilbench.plant.motor_port import MotorPort
-from hilbench.plant.servo_axis.axis import ServoAxis
 from hilbench.plant.servo_axis.emulation import EmulatedShaft
 from hilbench.plant.servo_axis.parameters import ServoRigParameters
+from hilbench.plant.servo_axis.shaft import ServoAxis
 from hilbench.runs import servo_axis_check
 from hilbench.runs.config import ExperimentConfig
 from hilbench.topology.blocks import TwinConfig
