@@ -107,8 +107,8 @@ def _examined(
     with only_master(address, None, f"conformance of node {node}", force=force):
         link = open_link(address)
         try:
-            with end_requests() as asked:
-                wire = LinkWire(link, asked)
+            with end_requests() as end_if_requested:
+                wire = LinkWire(link, end_if_requested)
                 dut = DeviceUnderTest(wire, node, description, Allowed(motion, store), Patience(boot_s=boot_s))
                 cases = examine(dut, only, display.on_result)
         finally:
