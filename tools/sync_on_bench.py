@@ -1,6 +1,6 @@
 """Every synchronizer on the running bench, as a table.
 
-    sync_on_bench.py [--jobs N] [--write docs/synchronization.md]
+    sync_on_bench.py [--jobs N] [--write docs/compare_methods.md]
 
 What `hilbench sync bench_configs/synchronizers.yaml` says: a run with each method, the tension loop closed on its twin.
 `--write` puts the table between the marker lines of the page.
