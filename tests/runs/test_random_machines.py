@@ -1,4 +1,4 @@
-"""`check` of a random machine beside its run (tools/random_machines.py); all of them stand in docs/faults.md."""
+"""`check` of a random machine beside its run (tools/random_machines.py); all of them stand in docs/fault_tests.md."""
 
 from __future__ import annotations
 
