@@ -93,13 +93,13 @@ test-vcan: compiled $(if $(shell command -v npm),$(STATION)/.installed)
 
 # The docs as a site in build/site (a warning is an error), and every command that they show, run.
 docs: compiled
-	$(BIN)/mkdocs build --quiet
+	$(BIN)/mkdocs build
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal -m docs tests/docs
 
-# Beside scipy, plain Python, canopen and a bare timer loop; rewrites the tables of docs/performance.md.
+# Beside scipy, plain Python, canopen and a bare timer loop; rewrites docs/tables/performance.csv and docs/performance.md.
 SECONDS ?= 60
 bench: compiled
-	$(BIN)/python tools/bench.py --seconds $(SECONDS) --json performance.json --page docs/performance.md
+	$(BIN)/python tools/bench.py --seconds $(SECONDS) --json performance.json --write
 
 # Runs what the first pages claim, and writes CLAIMS.md from what the runs left.
 claims: setup

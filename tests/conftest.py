@@ -5,7 +5,9 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -18,6 +20,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # tests start.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Tools import what lies beside them.
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tools"))
 
 from tests.bench.whole_runs import STARTED
 from tests.buses import Bus, KernelBus

@@ -1,7 +1,7 @@
 """Malformed files, and clients that mean no good, against the readers, the page and the gateway of hilbench.
 
     python tools/attacks.py            prints the table
-    python tools/attacks.py --write    puts it into docs/faults.md, too
+    python tools/attacks.py --write    writes docs/tables/attacks.csv, and a summary into docs/fault_tests.md
 
 A file is read by a command of its own: what holds is an exit code of its kind, a line or two that say what is wrong,
 and memory that is bounded. Page and gateway hold when another client is served afterwards as before, without a
@@ -36,7 +36,6 @@ from tests.pages.page_server import Server  # noqa: E402
 from tests.pages.test_bounds import Site  # noqa: E402
 
 HILBENCH: Final = [sys.executable, "-m", "hilbench"]
-PAGE: Final = ROOT / "docs" / "faults.md"
 #: What a command may take, MB and s, lines that it may say; memory from which on it is shown.
 MOST_MB, MOST_S, MOST_LINES, SHOWN_MB = 1500, 120, 3, 300
 #: What a server may have more afterwards, MB.
@@ -150,7 +149,7 @@ def read(command: str, name: str, attack: str, write: Callable[[Path], None]) ->
     what = lines[-1].removeprefix("hilbench: ") if lines else "nothing said"
     held = process.returncode in (0, 1, 2) and len(lines) <= MOST_LINES and "unexpected" not in what
     came = f"exit {process.returncode}{f', {memory_mb:.0f} MB' if memory_mb > SHOWN_MB else ''}: {what}"
-    return Tried(f"`{command}` {name}", attack, came, held and memory_mb < MOST_MB)
+    return Tried(f"{command} {name}", attack, came, held and memory_mb < MOST_MB)
 
 
 def hold_silent(site: Site, stack: ExitStack) -> None:
@@ -266,27 +265,38 @@ def request() -> Iterator[Tried]:
             yield Tried("gateway", attack, f"{said[:60]}; {'others are served' if serves else 'nobody is'}", serves)
 
 
-def table(tried: list[Tried]) -> str:
-    """One row an attack."""
+def cells(tried: Tried) -> list[str]:
+    """A row of the table."""
+    came = tried.came if len(tried.came) <= 170 else f"{tried.came[:169]}…"
+    return [tried.on, tried.attack, came, "✓" if tried.held else "✗"]
 
-    def cell(said: str) -> str:
-        return (said if len(said) <= 170 else f"{said[:169]}…").replace("|", "\\|").replace("<", "&lt;")
 
-    rows = [f"| {each.on} | {each.attack} | {cell(each.came)} | {'✓' if each.held else '✗'} |" for each in tried]
-    return "\n".join(["| on | attack | what came | |", "|---|---|---|---|", *rows])
+def summary(rows: list[docs_page.Row]) -> str:
+    """Attacks by what they are on, and the most memory that a file took."""
+    found = []
+    for on in dict.fromkeys(row["on"].split()[0] for row in rows):
+        of = [row for row in rows if row["on"].split()[0] == on]
+        memory = [int(size) for row in of for size in re.findall(r"(\d+) MB(?=:| more)", row["what came"])]
+        held = sum(row["held"] == "✓" for row in of)
+        shown = f"{max(memory)} MB" if memory else "–"
+        found.append((f"`{on}`" if of[0]["on"] != on else on, str(len(of)), str(held), shown))
+    return docs_page.markdown(("on", "attacks", "held", "most memory"), found)
+
+
+TABLE: Final = docs_page.Table("attacks", "fault_tests.md", ("on", "attack", "what came", "held"), summary)
 
 
 def main() -> None:
     """Try all, print, and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", action="store_true", help="put the table into docs/faults.md")
+    parser.add_argument("--write", action="store_true", help="write docs/tables/attacks.csv and docs/fault_tests.md")
     write = parser.parse_args().write
     tried = []
     for each in chain((read(*row) for row in FILES), visit(), request()):
         tried.append(each)
         print(f"{'held' if each.held else 'FAILED':7}{each.on}: {each.attack}: {each.came}", flush=True)
     if write:
-        docs_page.put(PAGE, "attacks", table(tried))
+        TABLE.write(map(cells, tried))
     sys.exit(not all(each.held for each in tried))
 
 

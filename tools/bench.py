@@ -1,8 +1,9 @@
 """How fast hilbench is beside what one would use instead.
 
-    bench.py [CONFIG] [--only PART,...] [--seconds S] [--json FILE] [--page FILE]
+    bench.py [CONFIG] [--only PART,...] [--seconds S] [--json FILE] [--write]
 
-Prints tables, writes them as JSON, and with --page into its place on a page; with --only the other tables there stay.
+Prints tables, writes them as JSON, and with --write into docs/tables, with a summary on the page; with --only the
+other sections there stay.
 What counts are the ratios: both sides of each were measured in the same run on the same machine.
 """
 
@@ -20,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # simulated data lie with th
 
 import docs_page
 from performance import cyclic_path, model_kernel, real_time, recordings, running, streams, twin
-from performance.table import Section, machine, markdown, renewed
+from performance.table import TABLE, Section, machine, machine_table, renewed, rows
 
 from hilbench.runs.config import load_with_overrides
 
@@ -64,7 +65,7 @@ def main() -> None:
     parser.add_argument("--only", help=f"parts, by commas: {PARTS}")
     parser.add_argument("--seconds", type=float, default=60.0, help="of lockstep, jitter and fast")
     parser.add_argument("--json", type=Path, default=Path("performance.json"), help="where the figures go")
-    parser.add_argument("--page", type=Path, help="page whose tables are written anew: all, or those of --only")
+    parser.add_argument("--write", action="store_true", help=f"write {TABLE.file.name} and docs/{TABLE.page}")
     options = parser.parse_args()
     known = parts(options.config, options.seconds)
     chosen = options.only.split(",") if options.only else list(known)
@@ -75,15 +76,14 @@ def main() -> None:
     for name in chosen:
         print(f"{name} …", flush=True)
         sections += known[name]()
-        print(markdown(sections[-1:], {}), flush=True)
+        print(docs_page.markdown(("what", "", "ratio"), [row[2:5] for row in rows(sections[-1:])]), flush=True)
     on["load average before and after"] += f", {os.getloadavg()[0]:.1f}"
-    text = markdown(sections, on)
-    print(text)
+    print(machine_table(on))
     figures = {"machine": on, "sections": [asdict(section) for section in sections]}
     options.json.write_text(json.dumps(figures, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    if options.page:
-        text = renewed(docs_page.between(options.page, "figures"), text) if options.only else text
-        docs_page.put(options.page, "figures", f"\n{text.rstrip()}\n")
+    if options.write:
+        TABLE.write(renewed(TABLE.rows(), rows(sections)) if options.only else rows(sections))
+        docs_page.put(docs_page.DOCS / TABLE.page, "machine", machine_table(on))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Examine the simulated drive and write the table: ``python tools/conformance_table.py --write docs/conformance.md``.
+"""Examine the simulated drive and write the table: ``python tools/conformance_table.py --write``.
 
 The drive is that of ``eds/hilbench_servo.eds``, examined in one thread with time that is counted. It has no write-only
 object: SDO 4 and OD 4 are examined on a test device with the same runtime. Nothing is written when a case fails.
@@ -9,9 +9,12 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
+
+import docs_page
 
 from hilbench.apps.conformance.examine import AFTERWARDS, examine
 from hilbench.apps.conformance.record import CaseResult, Verdict
@@ -22,7 +25,6 @@ sys.path.insert(0, str(ROOT))  # the tests' helpers are imported from there
 from tests.canopen.device_under_test import SECTIONS, eds_text  # noqa: E402
 from tests.conformance.virtual_bus import VirtualBus, under_test  # noqa: E402
 
-BEGIN, END = "<!-- table: tools/conformance_table.py -->\n", "<!-- end of table -->\n"
 _ON_THE_TEST_DEVICE = ("SDO 4", "OD 4")
 
 
@@ -40,42 +42,51 @@ def examined() -> list[CaseResult]:
     ]
 
 
-def table(results: Sequence[CaseResult]) -> str:
-    """What stands between the marker lines. Raises ValueError when a case has failed."""
+def rows(results: Sequence[CaseResult]) -> list[list[str]]:
+    """Of the table, a row a case. Raises ValueError when a case has failed."""
     failed = [result.name for result in results if result.verdict not in (Verdict.PASSED, Verdict.NOT_APPLICABLE)]
     if failed:
         raise ValueError(f"{', '.join(failed)}: expected all to pass")
-    passed = sum(result.verdict is Verdict.PASSED for result in results)
-    lines = [f"{len(results)} cases: {passed} passed, {len(results) - passed} not applicable.\n"]
-    for group, members in groupby(results, key=lambda result: result.group):
-        lines += [f"\n### {group}\n", "\n| | case | clause | result |\n", "|---|---|---|---|\n"]
-        lines += [f"| {one.number} | {one.title} | {one.clause} | {_result(one)} |\n" for one in members]
-    return "".join(lines)
+    return [[one.group, str(one.number), one.title, one.clause, one.verdict, one.reason] for one in results]
 
 
-def _result(one: CaseResult) -> str:
-    return one.verdict if one.verdict is Verdict.PASSED else f"{one.verdict}: {one.reason}"
+def summary(rows: list[docs_page.Row]) -> str:
+    """Cases by group, and why some are not applicable."""
+    passed = sum(row["result"] == Verdict.PASSED for row in rows)
+    lines, reasons = [], Counter[str]()
+    for group, members in groupby(rows, key=lambda row: row["group"]):
+        found = list(members)
+        out = [row for row in found if row["result"] != Verdict.PASSED]
+        reasons.update(row["reason"] for row in out)
+        numbers = ", ".join(row["case"] for row in out) or "–"
+        lines.append((group, str(len(found)), str(len(found) - len(out)), numbers))
+    return "\n".join(
+        [
+            f"{len(rows)} cases: {passed} passed, {len(rows) - passed} not applicable.",
+            "",
+            docs_page.markdown(("group", "cases", "passed", "not applicable"), lines),
+            "",
+            "Not applicable, because",
+            "",
+            *(f"- {reason} ({count})" for reason, count in reasons.most_common()),
+        ]
+    )
 
 
-def with_table(page: str, text: str) -> str:
-    """The page with `text` between its marker lines. Raises ValueError when they are missing."""
-    before, begin, rest = page.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ValueError(f"the page lacks the lines '{BEGIN.strip()}' and '{END.strip()}'")
-    return f"{before}{begin}{text}{end}{after}"
+TABLE = docs_page.Table(
+    "conformance", "conformance.md", ("group", "case", "title", "clause", "result", "reason"), summary
+)
 
 
 def main() -> int:
     """Exit code 0."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
-    parser.add_argument("--write", type=Path, metavar="PAGE", help="bring the table of this page up to date")
-    arguments = parser.parse_args()
-    text = table(examined())
-    if arguments.write is None:
-        print(text, end="")
+    parser.add_argument("--write", action="store_true", help=f"write {TABLE.file.name} and docs/{TABLE.page}")
+    found = rows(examined())
+    if parser.parse_args().write:
+        TABLE.write(found)
     else:
-        arguments.write.write_text(with_table(arguments.write.read_text(encoding="utf-8"), text), encoding="utf-8")
+        print(docs_page.markdown(TABLE.columns, found))
     return 0
 
 

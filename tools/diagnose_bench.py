@@ -1,9 +1,9 @@
 """What `hilbench diagnose` finds on benches that hide something: every `bench_configs/hidden_*.yaml`, as a table.
 
-    diagnose_bench.py [--docs FILE] [CONFIG …]
+    diagnose_bench.py [--write] [CONFIG …]
 
 Each config is run, diagnosed, and run again with the extended model; that takes about a minute each.
-`--docs` writes the table into the page.
+`--write` writes the table, and its summary on the page.
 """
 
 from __future__ import annotations
@@ -21,12 +21,6 @@ import docs_page
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
-HEAD = (
-    "| config | hidden | found (95 %) | torque residual, N·m | simulated less true tension, N, or friction, N·m |"
-    " bias of E, or of the inertia, % |\n"
-    "|---|---|---|---|---|---|"
-)
-
 #: What is shown of a run, by whichever of these its machine has.
 FIGURES = (
     ("torque_residual_rms_Nm",),
@@ -56,8 +50,8 @@ def place(effect: dict[str, Any]) -> str:
     return str(effect["effect"]) + (f" (axis {effect['axis']})" if effect.get("axis") else "")
 
 
-def row(config: Path) -> str:
-    """One line of the table."""
+def row(config: Path) -> list[str]:
+    """Of the table."""
     there = "; ".join(f"{place(e)} {', '.join(f'{v:g}' for v in e['parameters'].values())}" for e in hidden(config))
     result = diagnosed(config)
     found = []
@@ -68,22 +62,38 @@ def row(config: Path) -> str:
     live = []
     for names in FIGURES:
         live.append(" → ".join(f"{run[name]:.3g}" for run in result["live"] for name in names if name in run))
-    return f"| {config.stem} | {there} | {'; '.join(found) or result['verdict']} | {' | '.join(live)} |"
+    return [config.stem, there, "; ".join(found) or result["verdict"], *live]
+
+
+def summary(rows: list[docs_page.Row]) -> str:
+    """What was hidden, whether it was named, and the bias on the running bench."""
+    named = [row for row in rows if row["hidden"].split()[0] in row["found (95 %)"]]
+    columns = ("hidden", "simulated less true tension, N", "bias of E, %")
+    lines = [[row["hidden"], row[TENSION], row[BIAS]] for row in rows]
+    return f"Named: {len(named)} of {len(rows)}.\n\n{docs_page.markdown(columns, lines)}"
+
+
+TENSION, BIAS = "simulated less true tension, N, or friction, N·m", "bias of E, or of the inertia, %"
+TABLE = docs_page.Table(
+    "hidden_benches",
+    "diagnosis_method.md",
+    ("config", "hidden", "found (95 %)", "torque residual, N·m", TENSION, BIAS),
+    summary,
+)
 
 
 def main() -> None:
     """Run all and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("configs", nargs="*", type=Path, default=sorted((ROOT / "bench_configs").glob("hidden_*.yaml")))
-    parser.add_argument("--docs", type=Path, help="page that gets the table")
+    parser.add_argument("--write", action="store_true", help=f"write {TABLE.file.name} and docs/{TABLE.page}")
     options = parser.parse_args()
-    print(HEAD, flush=True)
-    lines = [HEAD]
+    rows = []
     for config in options.configs:
-        lines.append(row(config))
-        print(lines[-1], flush=True)
-    if options.docs is not None:
-        docs_page.put(options.docs, "bench", "\n".join(lines))
+        rows.append(row(config))
+        print(*rows[-1], sep=" | ", flush=True)
+    if options.write:
+        TABLE.write(rows)
 
 
 if __name__ == "__main__":

@@ -247,15 +247,25 @@ def false_names(case: Recorded) -> int:
     return wrong
 
 
-def summary(done: list[Recorded]) -> str:
-    """Shares by condition or kind, coverage, and what was wrong."""
-    lines: list[str] = []
-    for name in CONDITIONS:
-        _row(lines, name, [case for case in done if case.condition == name])
+def rows(done: list[Recorded]) -> list[list[str]]:
+    """Counts by condition or kind."""
+    of = {name: [case for case in done if case.condition == name] for name in CONDITIONS}
     for kind in ("single", "pair", "nothing", "unknown"):
-        _row(lines, f"drawn: {kind}", [case for case in done if case.condition == "drawn" and case.kind == kind])
-    if lines:
-        lines[:0] = ["| recorded | cases | visible | right | false names |", "|---|--:|--:|--:|--:|"]
+        of[f"drawn: {kind}"] = [case for case in done if case.condition == "drawn" and case.kind == kind]
+    return [[name, *map(str, _counts(mine))] for name, mine in of.items() if mine]
+
+
+TABLE = docs_page.Table(
+    "diagnosis_independent",
+    "diagnosis_method.md",
+    ("recorded", "cases", "visible", "right", "false names"),
+    lambda rows: docs_page.gathered(rows, lambda row: row["visible"] == row["right"] and row["false names"] == "0"),
+)
+
+
+def text(done: list[Recorded]) -> str:
+    """Coverage, and what was wrong."""
+    lines: list[str] = []
     # Under the conditions all have the noise of one seed.
     for condition, of in {"drawn": "of what was named right", **_KNOWN}.items():
         mine = [case for case in done if case.condition == condition and (right(case) or condition in _KNOWN)]
@@ -280,11 +290,9 @@ def _short(values: Iterable[float]) -> list[float]:
     return [float(f"{value:.3g}") for value in values]
 
 
-def _row(lines: list[str], name: str, mine: list[Recorded]) -> None:
-    if mine:
-        seen = [case for case in mine if is_visible(case)]
-        false = sum(map(false_names, mine))
-        lines.append(f"| {name} | {len(mine)} | {len(seen)} | {sum(map(right, seen))} | {false} |")
+def _counts(mine: list[Recorded]) -> tuple[int, int, int, int]:
+    seen = [case for case in mine if is_visible(case)]
+    return len(mine), len(seen), sum(map(right, seen)), sum(map(false_names, mine))
 
 
 def main() -> None:
@@ -296,7 +304,7 @@ def main() -> None:
     parser.add_argument("--interval-seeds", type=int, help="of `intervals`, by default as many as --seeds")
     parser.add_argument("--jobs", type=int)
     parser.add_argument("--cases", type=Path, help="file of finished cases, a line each")
-    parser.add_argument("--docs", type=Path, help="page that gets the tables")
+    parser.add_argument("--write", action="store_true", help=f"write {TABLE.file.name} and docs/{TABLE.page}")
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     asked = under_conditions(5) if "conditions" in options.what else []
@@ -310,10 +318,11 @@ def main() -> None:
         for case in finished_cases.finish(known, run, options.cases, options.jobs):
             asked += [] if all(case.covered) else with_other_noises(case)
     done = finished_cases.finish(asked, run, options.cases, options.jobs)
-    table = summary(sorted(done, key=lambda case: (case.condition, case.name)))
-    print(table)
-    if options.docs is not None:
-        docs_page.put(options.docs, "independent", table)
+    done.sort(key=lambda case: (case.condition, case.name))
+    print(docs_page.markdown(TABLE.columns, rows(done)), text(done), sep="\n\n")
+    if options.write:
+        TABLE.write(rows(done))
+        docs_page.put(docs_page.DOCS / TABLE.page, "independent", text(done))
 
 
 if __name__ == "__main__":

@@ -180,19 +180,33 @@ def has_false_name(case: Case) -> bool:
     return any(not _options(found) & places for found in case.found)
 
 
-def summary(done: list[Case]) -> str:
-    """Shares by effect, coverage, and what was wrong."""
-    lines = ["| hidden | cases | right | said not to show | false names |", "|---|--:|--:|--:|--:|"]
+def rows(done: list[Case]) -> list[list[str]]:
+    """Counts by effect."""
     groups = [(name, [c for c in done if c.hidden and c.hidden[0]["effect"] == name]) for name in HIDDEN]
-    groups += [("all", [c for c in done if c.hidden]), ("nothing", [c for c in done if not c.hidden])]
+    groups.append(("nothing", [c for c in done if not c.hidden]))
+    found = []
     for name, mine in groups:
         if mine:
             false = sum(map(has_false_name, mine))
             unseen = sum(map(is_said_to_be_hidden, (case for case in mine if case.hidden)))
-            lines.append(f"| {name} | {len(mine)} | {sum(map(is_right, mine))} | {unseen} | {false} |")
+            found.append([name, *map(str, (len(mine), sum(map(is_right, mine)), unseen, false))])
+    return found
+
+
+TABLE = docs_page.Table(
+    "diagnosis_lines",
+    "diagnosis_method.md",
+    ("hidden", "cases", "right", "said not to show", "false names"),
+    lambda rows: docs_page.gathered(rows, lambda row: row["cases"] == row["right"] and row["false names"] == "0"),
+)
+
+
+def text(done: list[Case]) -> str:
+    """Coverage, and what was wrong."""
+    lines: list[str] = []
     covered = [each for case in done if is_right(case) for each in case.covered]
     if covered:
-        lines += ["", f"95 % intervals hold the true value in {100.0 * np.mean(covered):.1f} % of {len(covered)}"]
+        lines += [f"95 % intervals hold the true value in {100.0 * np.mean(covered):.1f} % of {len(covered)}"]
     if done:
         lines.append(f"CPU time of a diagnosis, median: {np.median([case.seconds for case in done]):.0f} s")
     for case in done:
@@ -211,14 +225,15 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--jobs", type=int)
     parser.add_argument("--cases", type=Path, help="file of finished cases, a line each")
-    parser.add_argument("--docs", type=Path, help="page that gets the table")
+    parser.add_argument("--write", action="store_true", help=f"write {TABLE.file.name} and docs/{TABLE.page}")
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     done = finished_cases.finish(asked_for(options.what.split(","), seeds), run, options.cases, options.jobs)
-    table = summary(sorted(done, key=lambda case: case.name))
-    print(table)
-    if options.docs is not None:
-        docs_page.put(options.docs, "lines", table)
+    done.sort(key=lambda case: case.name)
+    print(docs_page.markdown(TABLE.columns, rows(done)), text(done), sep="\n\n")
+    if options.write:
+        TABLE.write(rows(done))
+        docs_page.put(docs_page.DOCS / TABLE.page, "lines", text(done))
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
 """What the diagnosis finds on recordings of real axes, beside what is known of them.
 
-    diagnose_rigs.py FOLDER [--only NAME] [--docs FILE]
+    diagnose_rigs.py FOLDER [--only NAME] [--write]
 
 FOLDER holds one folder a rig (`servo`, `emps`, `motor_pair`, `friction_damper`, `double_pendulum`, `torque_ripple`,
 `robot_joint`), in it gzip CSV as their sources have published them; none of it is kept in this repository. Of rotary
-axes an angle stands for the position: with a radius of 1 m and no gear N·m are N. `--docs` writes the table, and what
-is wrong, into the page.
+axes an angle stands for the position: with a radius of 1 m and no gear N·m are N. `--write` writes the table, with
+what is wrong, and its summary on the page.
 
 A joint of an arm is a `servo_axis` (rad), and the other joint's angle stands beside it.
 """
@@ -165,32 +165,45 @@ def _said(found: Diagnosis) -> str:
     return "; ".join(words) or "nothing"
 
 
+def summary(rows: list[docs_page.Row]) -> str:
+    """By rig: verdicts, the least and the most that is left, what is known; and what is wrong."""
+    lines = []
+    for rig in dict.fromkeys(row["rig"] for row in rows):
+        of = [row for row in rows if row["rig"] == rig]
+        verdicts = ", ".join(dict.fromkeys(row["verdict"] for row in of))
+        left = sorted((row["left, %"] for row in of), key=float)
+        between = left[0] if len(of) == 1 else f"{left[0]} to {left[-1]}"
+        lines.append((rig, str(len(of)), verdicts, between, of[0]["known"]))
+    table = docs_page.markdown(("rig", "recordings", "verdict", "left, %", "known"), lines)
+    wrong = [f"- wrong: {row['rig']}, {row['recording']}: {row['wrong']}" for row in rows if row["wrong"]]
+    return "\n".join([table, "", *wrong]).strip()
+
+
+TABLE = docs_page.Table(
+    "rigs",
+    "diagnosis_method.md",
+    ("rig", "recording", "verdict", "found (first parameter, 95 %)", "left, %", "known", "wrong"),
+    summary,
+)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", default="", help="rigs whose name has this")
-    parser.add_argument("--docs", type=Path)
+    parser.add_argument("--write", action="store_true", help=f"write {TABLE.file.name} and docs/{TABLE.page}")
     options = parser.parse_args()
-    rows, wrong = [], []
+    rows = []
     for rig in (rig for rig in RIGS if options.only in rig.name):
         for path in sorted(options.folder.glob(f"{rig.files}.csv.gz")):
             data, began = recording(path, rig), time.monotonic()
             found = diagnose(data, model(rig), path)
             share = 100.0 * found.gap.after / float(np.std(np.asarray(data["tau1_Nm"])))
-            said = (
-                f"| {rig.name} | {path.name.removesuffix('.csv.gz')} | {found.verdict} | {_said(found)} | {share:.1f} |"
-            )
-            rows.append(f"{said} {rig.known} |")
-            print(rows[-1], f"{time.monotonic() - began:.0f} s", flush=True)
-            wrong += [f"{rig.name}, {path.name}: {problem}" for problem in problems(rig, found)]
-    head = [
-        "| rig | recording | verdict | found (first parameter, 95 %) | left, % | known |",
-        "|---|---|---|---|--:|---|",
-    ]
-    text = "\n".join([*head, *rows, "", *(f"- wrong: {one}" for one in wrong)])
-    print("\n".join(wrong) or "nothing is wrong")
-    if options.docs is not None:
-        docs_page.put(options.docs, "rigs", text)
+            name, wrong = path.name.removesuffix(".csv.gz"), "; ".join(problems(rig, found))
+            rows.append([rig.name, name, found.verdict, _said(found), f"{share:.1f}", rig.known, wrong])
+            print(*rows[-1], f"{time.monotonic() - began:.0f} s", sep=" | ", flush=True)
+    if options.write:
+        TABLE.write(rows)
 
 
 if __name__ == "__main__":

@@ -147,12 +147,9 @@ def _note(case: Case, found: Diagnosis) -> None:
         case.problem = "; ".join(f"{m.signal} {m.condition} {m.detail}" for m in found.unexplained[:3])
 
 
-def table(done: list[Case]) -> str:
-    """Shares by size of the step and by speed, and what was wrong."""
-    lines = [
-        "| steps of E | cases | right | largest error of the time, ms | of the change, % |",
-        "|---|--:|--:|--:|--:|",
-    ]
+def rows(done: list[Case]) -> list[list[str]]:
+    """Counts and largest errors by size of the step and by speed."""
+    found = []
     groups = [(f"±{size:g} %", [c for c in done if abs(c.change_pct) == size]) for size in (2, 5, 10, 20, 40)]
     groups += [(f"at {v:g} m/s", [c for c in done if c.speed_m_s == v]) for v in SPEEDS_M_S]
     groups += [("in a ramp of the speed", [c for c in done if c.in_ramp])]
@@ -162,8 +159,27 @@ def table(done: list[Case]) -> str:
         if mine:
             times = max((abs(c.named_time_s[0] - c.time_s) for c in right), default=0.0)
             changes = max((abs(100.0 * c.named_change[0] - c.change_pct) for c in right), default=0.0)
-            lines.append(f"| {name} | {len(mine)} | {len(right)} | {1e3 * times:.1f} | {changes:.2f} |")
-    lines.append(f"\n{len(done)} cases, {100.0 * np.mean([c.right for c in done]):.1f} % right")
+            found.append([name, str(len(mine)), str(len(right)), f"{1e3 * times:.1f}", f"{changes:.2f}"])
+    return found
+
+
+def summary(rows: list[docs_page.Row]) -> str:
+    """Of all, and of those that are not all right."""
+    shown = [row for row in rows if row["cases"] != row["right"] or row["steps of E"] == "all"]
+    return docs_page.markdown(TABLE.columns, [list(row.values()) for row in shown])
+
+
+TABLE = docs_page.Table(
+    "diagnosis_steps",
+    "diagnosis_method.md",
+    ("steps of E", "cases", "right", "largest error of the time, ms", "of the change, %"),
+    summary,
+)
+
+
+def text(done: list[Case]) -> str:
+    """The share, and what was wrong."""
+    lines = [f"{len(done)} cases, {100.0 * np.mean([c.right for c in done]):.1f} % right"]
     for case in done:
         if not case.right:
             where = f"{case.change_pct:+g} % at {case.speed_m_s:g} m/s, held {case.hold_s:g} s, seed {case.seed}"
@@ -178,15 +194,16 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="take each N-th case")
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
     parser.add_argument("--cases", type=Path, help="file of finished cases, a line each")
-    parser.add_argument("--docs", type=Path, help="page that gets the table")
+    parser.add_argument("--write", action="store_true", help=f"write {TABLE.file.name} and docs/{TABLE.page}")
     options = parser.parse_args()
     asked = cases()[:: options.every]
     done = finished_cases.finish(asked, run, options.cases, options.jobs)
     order = [case.name for case in asked]
-    text = table(sorted(done, key=lambda case: order.index(case.name)))
-    print(text)
-    if options.docs is not None:
-        docs_page.put(options.docs, "steps", text)
+    done.sort(key=lambda case: order.index(case.name))
+    print(docs_page.markdown(TABLE.columns, rows(done)), text(done), sep="\n\n")
+    if options.write:
+        TABLE.write(rows(done))
+        docs_page.put(docs_page.DOCS / TABLE.page, "steps", text(done))
 
 
 if __name__ == "__main__":

@@ -1,13 +1,13 @@
 """What a twin makes of a step of E whose model lacks something: a table.
 
-    hidden_beside_a_step.py [--jobs N] [--write docs/synchronization.md]
-    hidden_beside_a_step.py --drawn 60 [--first-seed N] [--jobs N] [--write docs/synchronization.md]
-    hidden_beside_a_step.py --inertia 60 [--first-seed N] [--jobs N] [--write docs/history.md]
+    hidden_beside_a_step.py [--jobs N] [--write]
+    hidden_beside_a_step.py --drawn 60 [--first-seed N] [--jobs N] [--write]
+    hidden_beside_a_step.py --inertia 60 [--first-seed N] [--jobs N] [--write]
 
 Lines of other equations than the product's (`tests/independent_line`), run through a production profile: a ramp,
 constant speed, E +20.7 % at 23 s. `--drawn` draws so many cases instead: what is hidden and its size, machine, speed,
 profile, rows, noise, and the step. `--inertia` draws inertia, scale of the torque and friction in such machines: what
-the twin tells of the inertia. `--write` puts the table between the marker lines of the page.
+the twin tells of the inertia. `--write` puts the table into docs/tables and a summary into the page.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from statistics import median
@@ -50,42 +49,70 @@ def run_drawn(seed: int) -> tuple[Drawn, Outcome]:
     return case, outcome_of(case.line, ChangepointConfig(), case.profile, seed=seed, duration_s=case.duration_s)
 
 
-def table(outcomes: dict[str, Outcome]) -> str:
-    """In Markdown."""
-    lines = [
-        "| hidden beside the step | to 1 % in s | overshoot in % | end of run | 95 % holds in % |",
-        "|---|--:|--:|--:|--:|",
-    ]
-    for name, found in outcomes.items():
-        time_s = "–" if found.time_to_1pct_s is None else f"{found.time_to_1pct_s:.3g}"
-        over = "–" if found.overshoot_pct is None else f"{found.overshoot_pct:.2g}"
-        end = f"{found.end_pct:.2f} % ± {found.stated_pct:.1f}".replace("-", "−")
-        lines.append(f"| {name} | {time_s} | {over} | {end} | {100.0 * found.covered:.1f} |")
-    return "\n".join(lines)
+def rows(outcomes: dict[str, Outcome]) -> list[list[str]]:
+    """Of the table, a row a case."""
+    found = []
+    for name, of in outcomes.items():
+        time_s = "–" if of.time_to_1pct_s is None else f"{of.time_to_1pct_s:.3g}"
+        over = "–" if of.overshoot_pct is None else f"{of.overshoot_pct:.2g}"
+        found.append([name, time_s, over, _end(of), f"{100.0 * of.covered:.1f}"])
+    return found
 
 
-def drawn_table(first_seed: int, found: list[tuple[Drawn, Outcome]]) -> str:
-    """How many are right, by what is hidden, and those that are not."""
+def _end(of: Outcome) -> str:
+    return f"{of.end_pct:.2f} % ± {of.stated_pct:.1f}".replace("-", "−")
+
+
+def summary(rows: list[docs_page.Row]) -> str:
+    """Cases within 1 %, and those that are more than 3 % off at the end."""
+    within = [f"{row[HIDDEN]} ({row['to 1 % in s']} s)" for row in rows if row["to 1 % in s"] != "–"]
+    off = [row for row in rows if abs(float(row[END].split()[0].replace("−", "-"))) > 3.0]
+    shown = (HIDDEN, END, "95 % holds in %")
+    table = docs_page.markdown(shown, [[row[title] for title in shown] for row in off])
+    return f"Within 1 % for good: {'; '.join(within)}. At the end more than 3 % off:\n\n{table}"
+
+
+HIDDEN, END = "hidden beside the step", "end of run"
+TABLE = docs_page.Table(
+    "hidden_beside_a_step",
+    "compare_methods.md",
+    (HIDDEN, "to 1 % in s", "overshoot in %", END, "95 % holds in %"),
+    summary,
+)
+
+
+def drawn_text(first_seed: int, found: list[tuple[Drawn, Outcome]]) -> str:
+    """How many are right, by what is hidden."""
     of, right = Counter[str](), Counter[str]()
     for case, ended in found:
         for name in {str(hidden["effect"]) for hidden in case.hidden} or {"nothing"}:
             of[name] += 1
             right[name] += ended.right
     total, held = sum(ended.right for _, ended in found), sum(ended.covered for _, ended in found) / len(found)
-    lines = [
+    wrong = [f"{name} {right[name]} of {of[name]}" for name in sorted(of) if right[name] < of[name]]
+    return (
         f"Seeds {first_seed} to {first_seed + len(found) - 1}: {total} of {len(found)} right, the interval holds in "
-        f"{100.0 * held:.1f} % of all cycles. By what was hidden: "
-        + ", ".join(f"{name} {right[name]} of {of[name]}" for name in sorted(of))
-        + ".",
-        "",
-        "| not right: seed, hidden | end of run | 95 % holds in % |",
-        "|---|--:|--:|",
-    ]
-    for case, ended in found:
-        if not ended.right:
-            end = f"{ended.end_pct:.2f} % ± {ended.stated_pct:.1f}".replace("-", "−")
-            lines.append(f"| {case.seed}: {case} | {end} | {100.0 * ended.covered:.1f} |")
-    return "\n".join(lines)
+        f"{100.0 * held:.1f} % of all cycles. Not always right: {', '.join(wrong) or 'none'}."
+    )
+
+
+def drawn_rows(found: list[tuple[Drawn, Outcome]]) -> list[list[str]]:
+    """Of those that are not right."""
+    wrong = [(case, ended) for case, ended in found if not ended.right]
+    return [[f"{case.seed}: {case}", _end(ended), f"{100.0 * ended.covered:.1f}"] for case, ended in wrong]
+
+
+def drawn_summary(rows: list[docs_page.Row]) -> str:
+    """Seeds, and where the interval holds least."""
+    least = min((row["95 % holds in %"] for row in rows), key=float, default="100.0")
+    seeds = ", ".join(row[DRAWN].partition(":")[0] for row in rows)
+    return f"Not right: seeds {seeds}, where the interval holds in {least} % of the cycles at least."
+
+
+DRAWN = "not right: seed, hidden"
+DRAWN_TABLE = docs_page.Table(
+    "drawn_beside_a_step", "compare_methods.md", (DRAWN, END, "95 % holds in %"), drawn_summary
+)
 
 
 def inertia_table(first_seed: int, found: list[Accelerated]) -> str:
@@ -107,29 +134,32 @@ def inertia_table(first_seed: int, found: list[Accelerated]) -> str:
 
 
 def main() -> None:
-    """Run and print, or write into the page."""
+    """Run, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--drawn", type=int, metavar="N")
     parser.add_argument("--inertia", type=int, metavar="N")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--write", type=Path)
+    parser.add_argument("--write", action="store_true", help="into docs/tables and the page")
     options = parser.parse_args()
-    make: Callable[[ProcessPoolExecutor], str]
-    if options.drawn:
-        seeds = range(options.first_seed, options.first_seed + options.drawn)
-        mark, make = "drawn", lambda pool: drawn_table(options.first_seed, list(pool.map(run_drawn, seeds)))
-    elif options.inertia:
-        seeds = range(options.first_seed, options.first_seed + options.inertia)
-        mark, make = "inertia", lambda pool: inertia_table(options.first_seed, list(pool.map(accelerated, seeds)))
-    else:
-        mark, make = "hidden", lambda pool: table(dict(zip(CASES, pool.map(run, CASES), strict=True)))
+    seeds = range(options.first_seed, options.first_seed + (options.drawn or options.inertia or 0))
     with ProcessPoolExecutor(options.jobs) as pool:
-        found = make(pool)
-    if options.write is None:
-        print(found)
-    else:
-        docs_page.put(options.write, mark, found)
+        if options.drawn:
+            found = list(pool.map(run_drawn, seeds))
+            print(drawn_text(options.first_seed, found), docs_page.markdown(DRAWN_TABLE.columns, drawn_rows(found)))
+            if options.write:
+                docs_page.put(docs_page.DOCS / DRAWN_TABLE.page, "drawn", drawn_text(options.first_seed, found))
+                DRAWN_TABLE.write(drawn_rows(found))
+        elif options.inertia:
+            text = inertia_table(options.first_seed, list(pool.map(accelerated, seeds)))
+            print(text)
+            if options.write:
+                docs_page.put(docs_page.DOCS / "history.md", "inertia", text)
+        else:
+            table = rows(dict(zip(CASES, pool.map(run, CASES), strict=True)))
+            print(docs_page.markdown(TABLE.columns, table))
+            if options.write:
+                TABLE.write(table)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """How well the probabilities of predicted limits are calibrated: seeded runs of a shipped bench, one forecast each.
 
-    python tools/prediction_calibration.py [--runs 200] [--first 1] [--machine web_line]
+    python tools/prediction_calibration.py [--runs 200] [--first 1] [--machine web_line] [--write]
 
 Each run is drawn from its seed: a speed, the true E of the web (the twin starts from the model's), an experiment (a
 step of E, of the tension set-point, or a faster or slower ramp), what is hidden from the model (dry friction, a torque
@@ -8,22 +8,22 @@ scale, or nothing), and a warning level around what the experiment will reach (s
 N·m of a torque). Of a servo axis: the inertia, dry and viscous friction of the emulated shaft (the twin starts from the
 model's), a ramp of the speed, one behind a step of the inertia, or one that reverses, and a level of the torque. Of a
 line of two spans: as of one, in either span (a ramp: of the last roller's torque), with another E in each. The
-forecast is the last one a second before the experiment moves; the run says whether the level was
-crossed within the horizon. Printed are the Brier score (Brier, Monthly Weather Review 78(1), 1950), that of a forecast
-that always says the share of crossings, and what came of the forecasts of each probability. Deterministic: lockstep,
-one process.
+forecast is the last one a second before the experiment moves; the run says whether the level was crossed within the
+horizon. The table has the Brier score (Brier, Monthly Weather Review 78(1), 1950), that of a forecast that always says
+the share of crossings, and what came of the forecasts of each probability. Deterministic: lockstep, one process.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import docs_page
 import numpy as np
 
 from hilbench.bench.bench import Bench
@@ -243,25 +243,43 @@ def reliability(cases: Sequence[Case]) -> list[tuple[float, float, int, float, f
     return rows
 
 
-def table(cases: Sequence[Case]) -> str:
-    """For a page, in Markdown."""
+def rows(machine: str, cases: Sequence[Case]) -> list[list[str]]:
+    """Of the table: all, by forecast, by experiment, by what was hidden."""
     share = float(np.mean([case.crossed for case in cases]))
-    lines = [
-        f"{len(cases)} runs, {100 * share:.0f} % crossed; Brier score {brier(cases):.4f} "
-        f"(always saying {share:.2f}: {share * (1 - share):.4f})",
-        "",
-        "| forecast | runs | mean forecast | came true |",
-        "|---|---|---|---|",
-    ]
+    mean = float(np.mean([case.probability for case in cases]))
+    found = [[ALL, str(len(cases)), _pct(mean), _pct(share), f"{brier(cases):.4f}", f"{share * (1 - share):.4f}"]]
     for low, high, count, said, came in reliability(cases):
-        lines.append(f"| {100 * low:.0f} to {100 * high:.0f} % | {count} | {100 * said:.1f} % | {100 * came:.1f} % |")
-    return "\n".join([*lines, "", *_by("experiment", cases), *_by("hidden", cases)])
+        found.append([f"{FORECAST} {100 * low:.0f} to {100 * high:.0f} %", str(count), _pct(said), _pct(came), "", ""])
+    for what in ("experiment", "hidden"):
+        for value in sorted({getattr(case, what) for case in cases}):
+            of = [case for case in cases if getattr(case, what) == value]
+            found.append([f"{what} {value}", str(len(of)), "", "", f"{brier(of):.4f}", ""])
+    return [[machine, *row] for row in found]
 
 
-def _by(what: str, cases: Sequence[Case]) -> Iterable[str]:
-    for value in sorted({getattr(case, what) for case in cases}):
-        of = [case for case in cases if getattr(case, what) == value]
-        yield f"{what} {value}: {len(of)} runs, Brier score {brier(of):.4f}"
+def _pct(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+def summary(rows: list[docs_page.Row]) -> str:
+    """Of each machine how many crossed, with the Brier scores; then what came of each class of forecasts."""
+    machines = list(dict.fromkeys(row["machine"] for row in rows))
+    titles = ("machine", "runs", "came true", "Brier score", "of the share")
+    alls = docs_page.markdown(titles, [[row[title] for title in titles] for row in rows if row["of"] == ALL])
+    lines = []
+    for kind in dict.fromkeys(row["of"] for row in rows if row["of"].startswith(FORECAST)):
+        of = {row["machine"]: row["came true"] for row in rows if row["of"] == kind}
+        lines.append([kind.removeprefix(f"{FORECAST} "), *(of.get(machine, "–") for machine in machines)])
+    return f"{alls}\n\n{docs_page.markdown(['forecast; came true of', *machines], lines)}"
+
+
+ALL, FORECAST = "all", "forecast"
+TABLE = docs_page.Table(
+    "prediction_calibration",
+    "prediction.md",
+    ("machine", "of", "runs", "mean forecast", "came true", "Brier score", "of the share"),
+    summary,
+)
 
 
 def main() -> None:
@@ -271,6 +289,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=1, help="the first one")
     parser.add_argument("--machine", choices=DRAWN, default="web_line", help="which bench")
     parser.add_argument("--out", type=Path, help="JSON lines, one a run")
+    parser.add_argument("--write", action="store_true", help="write its rows, and a summary on the page")
     options = parser.parse_args()
     cases = []
     for seed in range(options.first, options.first + options.runs):
@@ -278,7 +297,13 @@ def main() -> None:
         if options.out:
             with open(options.out, "a", encoding="utf-8") as file:
                 file.write(json.dumps(asdict(cases[-1])) + "\n")
-    print(table(cases))
+    found = rows(options.machine, cases)
+    print(docs_page.markdown(TABLE.columns, found))
+    if options.write:
+        others = [list(row.values()) for row in TABLE.rows()]
+        kept = {machine: [row for row in others if row[0] == machine] for machine in DRAWN}
+        kept[options.machine] = found
+        TABLE.write(row for of in kept.values() for row in of)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """What docs/prediction.md shows of the shipped benches: how near predictions come, what they cost, and a picture.
 
     python tools/prediction_figures.py                                          print the tables
-    python tools/prediction_figures.py --write docs/prediction.md               write them into the page
+    python tools/prediction_figures.py --write                             write them into docs/tables and the page
     python tools/prediction_figures.py --picture docs/images/prediction.svg     draw the picture
 
 The runs are those of bench_configs/predicted_limit.yaml and servo_predicted_limit.yaml in one process; the outlooks are
@@ -72,12 +72,9 @@ def run(path: Path) -> tuple[Recording, list[Outlook]]:
     return recorder.recording(datetime.now(UTC), ""), outlooks.found
 
 
-def errors(recording: Recording, outlooks: Sequence[Outlook]) -> str:
-    """A table: by quantity and lead, how far the median was off (root mean square), and how often the band held."""
-    lines = [
-        "| quantity | lead | median off by, rms | 95 % of the time within | band of 90 % held |",
-        "|---|---|---|---|---|",
-    ]
+def errors(recording: Recording, outlooks: Sequence[Outlook]) -> list[list[str]]:
+    """Rows: by quantity and lead, how far the median was off (root mean square), and how often the band held."""
+    rows = []
     time_s = recording.time_s
     for place, watched in enumerate(outlooks[0].watched):
         values = recording[watched.signal]
@@ -93,11 +90,27 @@ def errors(recording: Recording, outlooks: Sequence[Outlook]) -> str:
                 off.append(median - came)
                 held.append(low <= came <= high)
             sizes = np.abs(off)
-            lines.append(
-                f"| {watched.name} | {lead_s:g} s | {np.sqrt(np.mean(sizes**2)):.2g} {watched.unit} | "
-                f"{np.quantile(sizes, 0.95):.2g} {watched.unit} | {100 * np.mean(held):.0f} % |"
-            )
-    return "\n".join(lines)
+            within = (np.sqrt(np.mean(sizes**2)), np.quantile(sizes, 0.95))
+            cells = [f"{value:.2g} {watched.unit}" for value in within]
+            rows.append([watched.name, f"{lead_s:g} s", *cells, f"{100 * np.mean(held):.0f} %"])
+    return rows
+
+
+def summary(rows: list[docs_page.Row]) -> str:
+    """By quantity: the errors at each lead, and the least share that the band held."""
+    lines = []
+    leads = list(dict.fromkeys(row["lead"] for row in rows))
+    for quantity in dict.fromkeys(row["quantity"] for row in rows):
+        of = [row for row in rows if row["quantity"] == quantity]
+        held = min((row[HELD] for row in of), key=lambda share: float(share.split()[0]))
+        lines.append([quantity, *(row[OFF] for row in of), held])
+    return docs_page.markdown(["median off by, rms", *(f"{lead} ahead" for lead in leads), "band held, least"], lines)
+
+
+OFF, HELD = "median off by, rms", "band of 90 % held"
+COLUMNS = ("quantity", "lead", OFF, "95 % of the time within", HELD)
+LINE_TABLE = docs_page.Table("prediction_errors", "prediction.md", COLUMNS, summary)
+SERVO_TABLE = docs_page.Table("prediction_errors_servo", "prediction.md", COLUMNS, summary)
 
 
 def look_at_rest(look: LineLook | ShaftLook) -> tuple[Callable[[], None], Callable[[], Outlook]]:
@@ -153,15 +166,18 @@ def picture(recording: Recording, outlooks: Sequence[Outlook]) -> bytes:
 def main() -> None:
     """Measure, and put it where it was asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", type=Path, metavar="PAGE", help="put the tables there")
+    parser.add_argument("--write", action="store_true", help="write prediction_errors*.csv and docs/prediction.md")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the picture there (SVG)")
     options = parser.parse_args()
     recording, outlooks = run(CONFIG)
-    tables = {"errors": errors(recording, outlooks), "servo_errors": errors(*run(SERVO)), "cost": cost()}
-    for name, text in tables.items():
+    costs = cost()
+    print(costs)
+    for table, rows in ((LINE_TABLE, errors(recording, outlooks)), (SERVO_TABLE, errors(*run(SERVO)))):
+        print(docs_page.markdown(table.columns, rows))
         if options.write:
-            docs_page.put(options.write, name, text)
-        print(text)
+            table.write(rows)
+    if options.write:
+        docs_page.put(docs_page.DOCS / LINE_TABLE.page, "cost", costs)
     if options.picture:
         options.picture.write_bytes(picture(recording, outlooks))
 

@@ -1,7 +1,7 @@
 """Published web lines, with the controllers of their papers and with feed-forward from the twin's model.
 
     python tools/published_lines.py                        print the table
-    python tools/published_lines.py --write docs/lines.md  write it into the page
+    python tools/published_lines.py --write                write it into docs/tables, a summary into docs/lines.md
     python tools/published_lines.py --pictures docs/images drawings of the lines
 
 The lines are the models in bench_configs/published, stepped by `hilbench.plant`, and the benches of the same names in
@@ -18,6 +18,7 @@ from math import copysign, exp, inf, nan
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import docs_page
 import numpy as np
 from numpy.typing import NDArray
 
@@ -406,7 +407,7 @@ def bench_rows() -> list[tuple[str, str, str, float]]:
 # -- the table -------------------------------------------------------------------------------------------
 
 
-def table() -> str:
+def table() -> list[list[str]]:
     """Published deviations beside those of the same line here, % of the set-point."""
     pid, ahead = koc_pid(), koc_feed_forward()
     cells = ((1, 2), (3, 4))
@@ -432,27 +433,41 @@ def table() -> str:
         what = f"before and behind, shared, in {ramp_s:g} s, standing {stands_s:g} s"
         rows.append(("", what, "–", max(map(shared.changed_pct, (1, shared.tensions_N.shape[1])))))
     rows += bench_rows()
-    lines = ["| line | tension | published, % | here, % |", "|---|---|--:|--:|"]
-    lines += [f"| {line} | {what} | {published} | {found:.2g} |" for line, what, published, found in rows]
-    return "\n".join(lines)
+    lines, name = [], ""
+    for line, what, published, found in rows:
+        name = line or name
+        lines.append([name, what, published, f"{found:.2g}"])
+    return lines
+
+
+def summary(rows: list[docs_page.Row]) -> str:
+    """Those of which the papers have a figure."""
+    shown, name = [], ""
+    for row in rows:
+        if row["published, %"] != "–":
+            shown.append(["" if row["line"] == name else row["line"], *list(row.values())[1:]])
+            name = row["line"]
+    return docs_page.markdown(TABLE.columns, shown)
+
+
+TABLE = docs_page.Table("published_lines", "lines.md", ("line", "tension", "published, %", "here, %"), summary)
 
 
 def main() -> None:
     """Print the table, write it into a page, or draw the lines."""
-    import docs_page  # beside this file
-
     parser = argparse.ArgumentParser(description="published web lines here")
-    parser.add_argument("--write", type=Path, metavar="PAGE", help="page into which the table goes")
+    parser.add_argument("--write", action="store_true", help=f"write {TABLE.file.name} and docs/{TABLE.page}")
     parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="draw the lines there instead")
     given = parser.parse_args()
     if given.pictures is not None:
         for name in ("koc_2002", "giannoccaro_2016", "kuhm_2012"):
             line = drawing(load_model(FOLDER / f"{name}.yaml"), LineNotes())
             given.pictures.joinpath(f"{name}.svg").write_bytes(line.as_file("svg"))
-    elif given.write is not None:
-        docs_page.put(given.write, "published", table())
-    else:
-        print(table())
+        return
+    rows = table()
+    print(docs_page.markdown(TABLE.columns, rows))
+    if given.write:
+        TABLE.write(rows)
 
 
 if __name__ == "__main__":

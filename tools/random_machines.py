@@ -1,7 +1,7 @@
 """Random web lines: what `check` says of each, beside what a short run of it then shows.
 
     python tools/random_machines.py                     40 machines, the table of their outcomes
-    python tools/random_machines.py --count 200 --write write it into docs/faults.md too
+    python tools/random_machines.py --count 200 --write write docs/tables/random_machines.csv and docs/fault_tests.md
     python tools/random_machines.py --only 17           one machine, with its config and all that was said
     python tools/random_machines.py --kept FILE         go on where an ended tool left off
 
@@ -25,8 +25,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import docs_page
 import numpy as np
 import yaml
+from finished_cases import finish
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.cia402.units import RPM
@@ -38,7 +40,7 @@ from hilbench.runs.check import check_experiment
 from hilbench.runs.config import load_with_overrides
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE, EDS = ROOT / "docs" / "faults.md", ROOT / "eds"
+EDS = ROOT / "eds"
 #: What a tension may be off its set-point, and a speed, at the end of a hold.
 TENSION_SHARE, SPEED_SHARE = 0.05, 0.01
 #: A hold lasts until a tension has settled, within these: six time constants of web and loop.
@@ -274,7 +276,7 @@ def in_short(document: dict[str, Any]) -> str:
 
 
 def table(cases: list[Case]) -> str:
-    """How many came to what, and those where `check` and run disagree."""
+    """How many came to what."""
     ran = [case for case in cases if not case.refused]
     agree = sum(case.agrees for case in ran)
     alarms = [case for case in ran if case.alarm]
@@ -282,24 +284,36 @@ def table(cases: list[Case]) -> str:
         "machines": len(cases),
         "refused by `check`": len(cases) - len(ran),
         "run": len(ran),
-        "nothing told, nothing happened": sum(case.agrees and not case.happened for case in ran),
-        "told, and happened": sum(case.agrees and bool(case.happened) for case in ran),
-        "told, did not happen": sum(bool(case.warned) and not case.happened for case in ran),
-        "not told, happened": sum(not case.agrees and bool(case.happened) for case in ran),
+        "nothing announced, nothing happened": sum(case.agrees and not case.happened for case in ran),
+        "announced, and happened": sum(case.agrees and bool(case.happened) for case in ran),
+        "announced, did not happen": sum(bool(case.warned) and not case.happened for case in ran),
+        "not announced, happened": sum(not case.agrees and bool(case.happened) for case in ran),
         "`check` and run agree": f"{100 * agree / len(ran):.1f} %" if ran else "–",
-        "margins told": sum(bool(case.margins) for case in ran),
+        "small margins reported": sum(bool(case.margins) for case in ran),
         "false alarms of break, slip, slack web or shift": len(alarms),
         "a tension loop open at the end of a hold": sum(bool(case.open_loop) for case in ran),
     }
-    lines = ["| random machines | |", "|---|--:|", *(f"| {what} | {count} |" for what, count in counts.items())]
-    odd = [case for case in sorted(ran, key=lambda case: int(case.name)) if not case.agrees or case.alarm]
-    if odd:
-        lines += ["", "| seed | machine | told by `check` | in the run |", "|--:|---|---|---|"]
-        for case in odd:
-            happened = "; ".join(filter(None, (case.happened, case.alarm)))
-            cells = (_cut(case.warned), _cut(happened))
-            lines.append(f"| {case.name} | {case.drawn} | {cells[0]} | {cells[1]} |")
-    return "\n".join(lines)
+    return docs_page.markdown(("random machines", ""), [(what, str(count)) for what, count in counts.items()])
+
+
+def odd(cases: list[Case]) -> list[list[str]]:
+    """Rows of those where `check` and run disagree, or an alarm is false."""
+    ran = sorted((case for case in cases if not case.refused), key=lambda case: int(case.name))
+    return [
+        [case.name, case.drawn, _cut(case.warned), _cut("; ".join(filter(None, (case.happened, case.alarm))))]
+        for case in ran
+        if not case.agrees or case.alarm
+    ]
+
+
+def summary(rows: list[docs_page.Row]) -> str:
+    """Their seeds."""
+    return f"Disagreements and false alarms: seeds {', '.join(row['seed'] for row in rows)}."
+
+
+TABLE = docs_page.Table(
+    "random_machines", "fault_tests.md", ("seed", "machine", "announced by check", "in the run"), summary
+)
 
 
 def _cut(text: str) -> str:
@@ -309,15 +323,12 @@ def _cut(text: str) -> str:
 
 def main() -> int:
     """Draw, check, run, print."""
-    import docs_page  # beside this file: not there for who imports this from elsewhere
-    from finished_cases import finish
-
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=40, help="machines, of the seeds from 1 on")
     parser.add_argument("--only", type=int, metavar="SEED", help="the machine of this seed alone")
     parser.add_argument("--kept", type=Path, metavar="FILE", help="finished machines stand here, one a line")
     parser.add_argument("--jobs", type=int, default=1, help="machines at a time")
-    parser.add_argument("--write", action="store_true", help="write the table into docs/faults.md too")
+    parser.add_argument("--write", action="store_true", help="write random_machines.csv and docs/fault_tests.md")
     options = parser.parse_args()
     if options.only is not None:
         document = drawn(options.only)
@@ -325,10 +336,11 @@ def main() -> int:
         return 0
     asked = [Case(str(seed), in_short(drawn(seed))) for seed in range(1, options.count + 1)]
     cases = finish(asked, tried, options.kept, options.jobs)
-    print(table(cases))
+    print(table(cases), docs_page.markdown(TABLE.columns, odd(cases)), sep="\n\n")
     print(Counter(case.refused[:60] for case in cases if case.refused).most_common(), file=sys.stderr)
     if options.write:
-        docs_page.put(PAGE, "random machines", table(cases))
+        docs_page.put(docs_page.DOCS / TABLE.page, "counts of random machines", table(cases))
+        TABLE.write(odd(cases))
     return 0
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -56,6 +57,7 @@ def pages() -> dict[str, str]:
         "metrics": metrics_page,
         "signals": signals_page,
         "commands": commands_page,
+        "packages": packages_page,
     }
     return {f"reference/{name}.md": maker() for name, maker in makers.items()}
 
@@ -456,3 +458,43 @@ def _parameter_row(parameter: Any, context: Any) -> tuple[str, ...]:
     else:
         shown = f"`{str(default).lower() if isinstance(default, bool) else default}`"
     return f"`{given}`", text, shown
+
+
+# -- packages ----------------------------------------------------------------------------------------------------------
+
+
+def packages_page() -> str:
+    """Every module of the code by its package, with the first sentence of its docstring."""
+    sources = ROOT / "src" / "hilbench"
+    found: dict[str, list[Path]] = {}
+    for path in sorted(sources.rglob("*.py")):
+        inside = path.relative_to(sources).parts[:-1]
+        found.setdefault(".".join(inside[: 2 if inside[:1] == ("apps",) else 1]), []).append(path)
+    lines = [
+        "# Packages",
+        "",
+        "What each module of `src/hilbench` is, by its docstring. How they belong together: "
+        "[Architecture](../architecture.md).",
+        "",
+    ]
+    for package, paths in found.items():
+        lines += [f"## {package or 'Single modules'}", ""]
+        own = sources.joinpath(*package.split("."), "__init__.py") if package else None
+        if own in paths:
+            lines += [_first_sentence(own), ""]
+        modules = [path for path in paths if path.name[0] != "_"]
+        if modules:
+            lines += _table(
+                ("module", "is"), ((_module(path, sources, package), _first_sentence(path)) for path in modules)
+            )
+    return "\n".join(lines)
+
+
+def _module(path: Path, sources: Path, package: str) -> str:
+    name = ".".join(path.relative_to(sources).with_suffix("").parts)
+    return f"`{name.removeprefix(f'{package}.')}`"
+
+
+def _first_sentence(path: Path) -> str:
+    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    return " ".join(text.partition("\n\n")[0].split())

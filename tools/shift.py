@@ -6,7 +6,7 @@
     shift.py --method all                       every synchronizer (offline, and the bench of one span)
     shift.py --jobs 2 --results shift.jsonl     keeps what is finished: an ended tool goes on there
     shift.py --results shift.jsonl --table      the tables of what is kept, nothing is run
-    shift.py --write                            puts the tables into docs/synchronization.md
+    shift.py --write                            writes docs/tables/shift_*.csv and docs/compare_methods.md
     shift.py --part bench --hours 8 --only winding_line --picture    draws it into docs/images
 
 Offline: a quarter of an hour of `tests/independent_line`, whose tension is kept by its own sensor, so that nothing but
@@ -38,7 +38,6 @@ from tests.independent_line.shift import SHIFT_S
 from hilbench.diagnosis.synchronization import methods_of
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "synchronization.md"
 IMAGES = ROOT / "docs" / "images"
 
 
@@ -167,26 +166,50 @@ def _number(value: float | None) -> str:
     return "–" if value is None else f"{value:.3g}".replace("-", "−")
 
 
-def table(part: str, cases: Sequence[Case]) -> str:
-    """Of one part, in Markdown."""
-    columns = COLUMNS[part]
-    lines = [f"| shift | method | {' | '.join(columns)} |", f"|---|---|{'--:|' * len(columns)}"]
-    for case in cases:
-        cells = [show(case.figures) for show in columns.values()]
-        lines.append(f"| {case.case} | `{case.method}` | {' | '.join(cells)} |")
-    return "\n".join(lines)
+def rows(part: str, cases: Sequence[Case]) -> list[list[str]]:
+    """Of the table of one part."""
+    return [[case.case, case.method, *(show(case.figures) for show in COLUMNS[part].values())] for case in cases]
 
 
-def tables(cases: Sequence[Case]) -> dict[str, str]:
-    """By part, those that have cases."""
-    return {part: table(part, of) for part in COLUMNS if (of := [case for case in cases if case.part == part])}
+def summary(*titles: str) -> Callable[[list[docs_page.Row]], str]:
+    """These columns of all rows, the method where it is not always the same; how often the interval holds at least."""
+
+    def made(rows: list[docs_page.Row]) -> str:
+        several = ["method"] if len({row["method"] for row in rows}) > 1 else []
+        columns = ["shift", *several, *titles]
+        held = min((row["95 % holds in %"] for row in rows), key=float)
+        table = docs_page.markdown(columns, [[row[title] for title in columns] for row in rows])
+        return f"The 95 % interval holds in at least {held} % of the cycles.\n\n{table}"
+
+    return made
+
+
+TABLES = {
+    "bench": docs_page.Table(
+        "shift_bench",
+        "compare_methods.md",
+        ("shift", "method", *BENCH),
+        summary("h", "worst in %", "tension, worst in N"),
+    ),
+    "offline": docs_page.Table(
+        "shift_offline",
+        "compare_methods.md",
+        ("shift", "method", *OFFLINE),
+        summary("worst in %", "half width in %", "best possible in %"),
+    ),
+}
+
+
+def by_part(cases: Sequence[Case]) -> dict[str, list[list[str]]]:
+    """Rows of the parts that have cases."""
+    return {part: rows(part, of) for part in COLUMNS if (of := [case for case in cases if case.part == part])}
 
 
 # -- command line ------------------------------------------------------------------------------------------------------
 
 
 def main() -> None:
-    """Run and print, or write into the page."""
+    """Run, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--part", choices=list(COLUMNS), help="both where it is not given")
     parser.add_argument("--only", default="", metavar="TEXT", help="cases with this in their names")
@@ -198,7 +221,7 @@ def main() -> None:
     parser.add_argument("--results", type=Path, metavar="FILE", help="JSON, a line a case")
     parser.add_argument("--list", action="store_true", help="print the cases' names alone")
     parser.add_argument("--table", action="store_true", help="run nothing: tables of what is in --results")
-    parser.add_argument("--write", action="store_true", help=f"put the tables into {PAGE.relative_to(ROOT)}")
+    parser.add_argument("--write", action="store_true", help="write shift_*.csv and docs/compare_methods.md")
     options = parser.parse_args()
     methods = list(methods_of(options.method))
     asked = [case for case in (*bench_cases(methods), *offline_cases(methods)) if options.only in case.name]
@@ -212,10 +235,10 @@ def main() -> None:
         act = partial(run, minutes=options.minutes, hours=options.hours, picture=options.picture)
         done = finished_cases.finish(asked, act, options.results, options.jobs)
     order = {case.name: number for number, case in enumerate(asked)}
-    for part, text in tables(sorted(done, key=lambda case: order[case.name])).items():
-        print(f"{part}\n\n{text}\n")
+    for part, found in by_part(sorted(done, key=lambda case: order[case.name])).items():
+        print(f"{part}\n\n{docs_page.markdown(TABLES[part].columns, found)}\n")
         if options.write:
-            docs_page.put(PAGE, f"shift-{part}", text)
+            TABLES[part].write(found)
 
 
 if __name__ == "__main__":

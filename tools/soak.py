@@ -3,7 +3,7 @@
     python tools/soak.py                     an hour, the table on the terminal
     python tools/soak.py --hours 0.1         shorter
     python tools/soak.py --within 45         as far as it gets in so many minutes of wall time
-    python tools/soak.py --write             puts the table into docs/faults.md too
+    python tools/soak.py --write             puts the table into docs/fault_tests.md too
 
 Most of the time is one run: disturbed frames, hostile frames of a foreign station, steps of E, changes of the
 synchronizer, resets of the twin. What a process holds must not grow there. The rest is many short runs in the same
@@ -42,7 +42,7 @@ from hilbench.runs.config import load_with_overrides
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "bench_configs" / "web_section_step.yaml"
-PAGE = ROOT / "docs" / "faults.md"
+PAGE = ROOT / "docs" / "fault_tests.md"
 #: Simulated time between two looks at the processes, between two faults of the long run, and of a short run.
 LOOK_S, FAULT_S, SHORT_S = 10.0, 4.0, 6.0
 #: Part of the time that is one long run.
@@ -277,7 +277,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hours", type=float, default=1.0, help="simulated time")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--write", action="store_true", help="write the table into docs/faults.md")
+    parser.add_argument("--write", action="store_true", help="write the table into docs/fault_tests.md")
     parser.add_argument("--within", type=float, default=inf, metavar="MIN", help="end after so much wall time")
     options = parser.parse_args()
     began_s = time.monotonic()

@@ -1,9 +1,9 @@
 """Every synchronizer in every scenario, and how honest the deviations are, as two tables.
 
-    sync_scenarios.py [--seeds N] [--coverage-seeds N] [--write docs/synchronization.md]
+    sync_scenarios.py [--seeds N] [--coverage-seeds N] [--write]
 
 The demonstrator's web section with torque noise 0.05 N·m per 2 ms sample unless a scenario says otherwise; medians over
-the seeds. `--write` puts the tables between the marker lines of the page.
+the seeds. `--write` puts them into the page, the first as a summary.
 """
 
 from __future__ import annotations
@@ -119,13 +119,9 @@ def median(values: list[float | None], digits: int = 3) -> str:
     return f"{np.median(known):.{digits}g}"
 
 
-def table(outcomes: list[tuple[int, list[tuple[str, MethodResult]], float | None, float]]) -> str:
-    """The table in Markdown."""
-    lines = [
-        "| scenario | method | to 1 % in s | overshoot in % | noise in % | bias in % | largest error in % "
-        "| 95 % holds in % | µs |",
-        "|---|---|--:|--:|--:|--:|--:|--:|--:|",
-    ]
+def rows(outcomes: list[tuple[int, list[tuple[str, MethodResult]], float | None, float]]) -> list[list[str]]:
+    """Of the table, a row a method in a scenario, and one of the bound."""
+    found = []
     for number, scenario in enumerate(SCENARIOS):
         mine = [outcome for outcome in outcomes if outcome[0] == number]
         for place, (name, _) in enumerate(mine[0][1]):
@@ -139,10 +135,42 @@ def table(outcomes: list[tuple[int, list[tuple[str, MethodResult]], float | None
                 median([None if r.covered is None else 100.0 * r.covered for r in seeds]),
                 median([r.cpu_us for r in seeds], 2),
             ]
-            lines.append(f"| {scenario.name} | `{name}` | " + " | ".join(cells) + " |")
+            found.append([scenario.name, name, *cells])
         bound = [median([o[2] for o in mine]), "–", f"{np.median([o[3] for o in mine]):.2g}", "–", "–", "–", "–"]
-        lines.append(f"| {scenario.name} | *Cramér–Rao bound* | " + " | ".join(bound) + " |")
-    return "\n".join(lines)
+        found.append([scenario.name, BOUND, *bound])
+    return found
+
+
+def summary(rows: list[docs_page.Row]) -> str:
+    """Time to 1 % in s (largest error in the settled part in %) by scenario and method; the median cost."""
+    methods = [name for name in dict.fromkeys(row["method"] for row in rows) if "," not in name and name != BOUND]
+    lines = []
+    for scenario in dict.fromkeys(row["scenario"] for row in rows):
+        of = {row["method"]: row for row in rows if row["scenario"] == scenario}
+        cells = [f"{of[name]['to 1 % in s']} ({of[name]['largest error in %']})" for name in methods]
+        lines.append([scenario, *cells, of[BOUND]["to 1 % in s"]])
+    costs = [[float(row["µs"]) for row in rows if row["method"] == name] for name in methods]
+    lines.append(["µs a cycle, median", *(f"{np.median(cost):.2g}" for cost in costs), "–"])
+    return docs_page.markdown(["scenario", *(f"`{name}`" for name in methods), "bound"], lines)
+
+
+BOUND = "Cramér–Rao bound"
+TABLE = docs_page.Table(
+    "scenarios",
+    "compare_methods.md",
+    (
+        "scenario",
+        "method",
+        "to 1 % in s",
+        "overshoot in %",
+        "noise in %",
+        "bias in %",
+        "largest error in %",
+        "95 % holds in %",
+        "µs",
+    ),
+    summary,
+)
 
 
 @dataclass(frozen=True)
@@ -197,22 +225,21 @@ def coverage_table(outcomes: list[tuple[int, list[float], list[float]]]) -> str:
 
 
 def main() -> None:
-    """Run and print, or write into the page."""
+    """Run, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--coverage-seeds", type=int, default=200)
-    parser.add_argument("--write", type=Path)
+    parser.add_argument("--write", action="store_true", help=f"write {TABLE.file.name} and docs/{TABLE.page}")
     options = parser.parse_args()
     with ProcessPoolExecutor(2) as pool:
         tasks = [(number, seed) for number in range(len(SCENARIOS)) for seed in range(options.seeds)]
-        scenarios = table(list(pool.map(run, tasks)))
+        scenarios = rows(list(pool.map(run, tasks)))
         tasks = [(number, seed) for number in range(len(HONESTY)) for seed in range(options.coverage_seeds)]
         honesty = coverage_table(list(pool.map(coverage, tasks, chunksize=4)))
-    if options.write is None:
-        print(scenarios, honesty, sep="\n\n")
-        return
-    docs_page.put(options.write, "scenarios", scenarios)
-    docs_page.put(options.write, "honesty", honesty)
+    print(docs_page.markdown(TABLE.columns, scenarios), honesty, sep="\n\n")
+    if options.write:
+        TABLE.write(scenarios)
+        docs_page.put(docs_page.DOCS / TABLE.page, "honesty", honesty)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The swing of roller 2 against the web after steps of E, with and without active damping, and the loop's margins.
 
-    python tools/tension_swing.py                             print the tables
-    python tools/tension_swing.py --write docs/theory.md      write them into the page
+    python tools/tension_swing.py              print the tables
+    python tools/tension_swing.py --write      write them into docs/tables, a summary into docs/theory.md
 
 The runs are those of bench_configs/web_section_step.yaml in one process: line speed, 2 s at rest, the step. "Other
 side": how far the true tension goes beyond its set-point after the step has pushed it the other way. "Swing": the
@@ -11,6 +11,7 @@ tension less its mean over 0.1 s, from 0.15 s after the step on. "Within 1 N": f
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 import docs_page
@@ -54,24 +55,21 @@ def run(share: float, speed_m_s: float, *changes: str) -> list[float | None]:
     ]
 
 
-def swing_table() -> str:
+def swing_rows() -> list[list[str]]:
     """Both ways of each step and speed."""
-    lines = [
-        "| step of E | m/s | other side, N | swing, N | within 1 N, s | E to 1 %, s | noise, N |",
-        "|--:|--:|--:|--:|--:|--:|--:|",
-    ]
+    found = []
     for share in STEPS:
         for speed_m_s in SPEEDS_M_S:
             pairs = zip(run(share, speed_m_s, UNDAMPED), run(share, speed_m_s), strict=True)
             cells = [" → ".join("–" if value is None else f"{value:.2g}" for value in pair) for pair in pairs]
-            lines.append(f"| {100 * share:+g} % | {speed_m_s:g} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+            found.append([f"{100 * share:+g} %", f"{speed_m_s:g}", *cells])
+    return found
 
 
-def margin_table() -> str:
+def margin_rows() -> list[list[str]]:
     """Margins at axis 1's command, for E as true and for the old E that the twin believes just after a step."""
     undamped, damped = (load_with_overrides(CONFIG, changes=changes).config for changes in ([UNDAMPED], []))
-    lines = ["| E | m/s | gain, E known | phase, ° | gain, old E | phase, ° |", "|--:|--:|--:|--:|--:|--:|"]
+    found = []
     for share in (-0.4, 0.0, 0.4):
         for speed_m_s in SPEEDS_M_S:
             cells = []
@@ -80,21 +78,40 @@ def margin_table() -> str:
                 before, after = (TensionLoop(config, point).margins for config in (undamped, damped))
                 cells.append(f"{before.gain:.2f} → {after.gain:.2f}")
                 cells.append(f"{before.phase_deg:.0f} → {after.phase_deg:.0f}")
-            lines.append(f"| {100 * share:+g} % | {speed_m_s:g} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+            found.append([f"{100 * share:+g} %", f"{speed_m_s:g}", *cells])
+    return found
+
+
+def at_3_m_s(*titles: str) -> Callable[[list[docs_page.Row]], str]:
+    """These columns of the rows of 3 m/s."""
+    return lambda rows: docs_page.markdown(
+        titles, [[row[title] for title in titles] for row in rows if row["m/s"] == "3"]
+    )
+
+
+MARGINS = docs_page.Table(
+    "margins",
+    "theory.md",
+    ("E", "m/s", "gain, E known", "phase, °", "gain, old E", "phase, old E, °"),
+    at_3_m_s("E", "gain, E known", "phase, °", "gain, old E", "phase, old E, °"),
+)
+SWING = docs_page.Table(
+    "swing",
+    "theory.md",
+    ("step of E", "m/s", "other side, N", "swing, N", "within 1 N, s", "E to 1 %, s", "noise, N"),
+    at_3_m_s("step of E", "other side, N", "swing, N", "within 1 N, s"),
+)
 
 
 def main() -> None:
-    """Run and print, or write into the page."""
+    """Run, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", type=Path)
-    page = parser.parse_args().write
-    tables = {"margins": margin_table(), "swing": swing_table()}
-    if page is None:
-        print(*tables.values(), sep="\n\n")
-        return
-    for name, table in tables.items():
-        docs_page.put(page, name, table)
+    parser.add_argument("--write", action="store_true", help="write swing.csv, margins.csv and docs/theory.md")
+    write = parser.parse_args().write
+    for table, rows in ((MARGINS, margin_rows()), (SWING, swing_rows())):
+        print(docs_page.markdown(table.columns, rows), end="\n\n")
+        if write:
+            table.write(rows)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from tools.docs_hook import on_page_content
-from tools.reference import pages, unit_of_key
+from tools.reference import ROOT, pages, unit_of_key
 
 from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
 from hilbench.runs.config import ExperimentConfig
@@ -82,6 +82,15 @@ def test_every_command_is_there_with_its_options_and_examples(made: dict[str, st
         assert f"## hilbench {command.split(' CONFIG')[0]}\n" in page
     assert "    hilbench run bench_configs/web_section_step.yaml --seed 7\n" in page
     assert rows(page)["--out <path>"]
+
+
+def test_every_module_is_there_with_what_it_is(made: dict[str, str]) -> None:
+    page = made["reference/packages.md"]
+    assert "## apps.doctor\n" in page
+    assert rows(page)["web_line.kernel"][1].endswith(".")
+    modules = [path for path in (ROOT / "src" / "hilbench").rglob("*.py") if path.name[0] != "_"]
+    assert sum(line.startswith("| `") for line in page.splitlines()) == len(modules)
+    assert [line for line in page.splitlines() if line.startswith("| `") and line.endswith("|  |")] == []
 
 
 def test_equations_become_mathml_and_code_stays_code() -> None:

@@ -110,7 +110,7 @@ def test_the_stated_deviation_covers_the_truth_where_there_is_only_noise(config:
         track = tracked(measured(true, seed=100 + seed), config, unmodelled_torque_Nm=0.0)
         after = settled(track)
         inside.append(np.abs(track.E_Pa - true)[after] <= 1.96 * track.E_sd_Pa[after])
-    # 12 seeds hold some tens of independent estimates; 200 seeds are in docs/synchronization.md.
+    # 12 seeds hold some tens of independent estimates; 200 seeds are in docs/compare_methods.md.
     assert 0.86 <= np.mean(inside) <= 0.999
 
 

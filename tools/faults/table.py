@@ -1,48 +1,69 @@
-"""The table in docs/faults.md: one row a fault, and how it went on each bus."""
+"""The table of faults: one row a fault, and how it went on each bus."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 import docs_page
 
 from faults.outcome import Row
 from faults.run import Fault
 
-PLACE = "table"
-HEAD = ["| fault | expected | exit | to safe state | kept | embedded | vcan |", "|---|---|---|---|---|---|---|"]
+COLUMNS = ("fault", "expected", "exit", "to safe state", "kept", "embedded", "vcan")
 
 
-def line(row: Row, bus: str | None) -> str:
-    """A row of the table in Markdown, its mark in the column of the bus."""
+def summary(rows: list[docs_page.Row]) -> str:
+    """Rows by exit code, and the longest ways to the safe state."""
+    lines = []
+    for bus in ("embedded", "vcan"):
+        marks = [row[bus] for row in rows if row[bus] != "–"]
+        others = "".join(f", {count} {mark}" for mark, count in Counter(marks).items() if mark != "✓")
+        lines.append(f"{marks.count('✓')} of {len(marks)} rows pass on {bus}{others}")
+    by_exit = {code: [row for row in rows if row["exit"] == code] for code in dict.fromkeys(r["exit"] for r in rows)}
+    counts = [
+        (code, str(len(of)), max((row["to safe state"] for row in of), key=_cycles), _outcomes(of))
+        for code, of in sorted(by_exit.items(), key=lambda each: -len(each[1]))
+    ]
+    table = docs_page.markdown(("exit", "rows", "to safe state, longest", "expected, most often"), counts)
+    return f"{'; '.join(lines)}.\n\n{table}"
+
+
+def _cycles(cell: str) -> int:
+    return int(cell.split()[0]) if cell != "–" else -1
+
+
+def _outcomes(rows: list[docs_page.Row]) -> str:
+    return "; ".join(what for what, _ in Counter(row["expected"] for row in rows).most_common(3))
+
+
+TABLE = docs_page.Table("faults", "fault_tests.md", COLUMNS, summary)
+
+
+def cells(row: Row, bus: str | None) -> list[str]:
+    """A row of the table, its mark in the column of the bus."""
     cycles = "–" if row.cycles is None else f"{row.cycles} cycles"
     mark = "✓" if row.passed else "busy" if row.busy else "✗"
-    marks = f"{mark} | –" if bus is None else f"– | {mark}"
-    return f"| {row.fault.name} | {row.fault.expected} | {row.code} | {cycles} | {row.kept} | {marks} |"
+    marks = [mark, "–"] if bus is None else ["–", mark]
+    return [row.fault.name, row.fault.expected, str(row.code), cycles, row.kept, *marks]
 
 
-def write(page: Path, made: Iterable[str], faults: Sequence[Fault]) -> None:
-    """Put rows into the page. Of those that were made on another bus the mark alone; the other rows stay."""
-    there = docs_page.between(page, PLACE).splitlines()
-    rows = {cells[0]: cells for cells in map(_cells, there)}
-    for cells in map(_cells, made):
-        name, *_, embedded, vcan = cells
+def write(made: Iterable[Sequence[str]], faults: Sequence[Fault]) -> None:
+    """Put rows into the table. Of those that were made on another bus the mark alone; the other rows stay."""
+    rows = {row["fault"]: list(row.values()) for row in TABLE.rows()}
+    for name, *rest in made:
+        *_, embedded, vcan = rest
         known = rows.get(name)
         if embedded != "–":
-            rows[name] = [*cells[:-1], known[-1] if known else "–"]
+            rows[name] = [name, *rest[:-1], known[-1] if known else "–"]
         elif known:
             rows[name] = [*known[:-1], vcan]
-    names = [fault.name for fault in faults if fault.name in rows]
-    docs_page.put(page, PLACE, "\n".join([*HEAD, *("| " + " | ".join(rows[name]) + " |" for name in names)]))
+    TABLE.write(rows[fault.name] for fault in faults if fault.name in rows)
 
 
-def printed(text: str, faults: Sequence[Fault]) -> list[str]:
+def printed(text: str, faults: Sequence[Fault]) -> list[list[str]]:
     """The rows of a table in what was printed, whatever stands before them in their lines."""
     names = {fault.name for fault in faults}
-    found = ["|" + text.partition("|")[2] for text in text.splitlines() if text.rstrip().endswith("|")]
-    return [text for text in found if _cells(text)[0] in names]
-
-
-def _cells(text: str) -> list[str]:
-    return [cell.strip() for cell in text.strip().strip("|").split("|")]
+    found = [text.partition("|")[2] for text in text.splitlines() if text.rstrip().endswith("|")]
+    rows = [[cell.strip() for cell in text.strip().strip("|").split("|")] for text in found]
+    return [row for row in rows if row[0] in names]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 
-_HEAD = "### "
+import docs_page
+
 LIBRARIES = ("numba", "numpy", "scipy", "canopen", "python-can")
 
 
@@ -68,30 +69,67 @@ def machine() -> dict[str, str]:
     }
 
 
-def markdown(sections: list[Section], on: dict[str, str]) -> str:
-    """Tables and machine, for the page of the docs; each table says when it was made."""
-    lines = ["| machine | |", "|---|---|", *(f"| {name} | {value} |" for name, value in on.items())]
+COLUMNS = ("section", "how it is measured", "what", "value", "ratio", "date")
+#: What the page shows of each section.
+SHOWN = {
+    "Model kernel, one span": ("kernel", "plain Python", "scipy solve_ivp"),
+    "Model kernel, effects": ("all effects",),
+    "Model kernel, spans": ("100 spans",),
+    "PDO path per cycle": ("codec", "canopen's PDO objects", "the bench's whole path"),
+    "Streams": ("a sample handed to a stream",),
+    "The twin, one span": ("a plain cycle", "a cycle by objects"),
+    "Lockstep, the demo": ("speed", "speed with --in-process"),
+    "Other machines, in one process": (
+        "line_three_spans",
+        "line_with_dancer",
+        "winding_line",
+        "kuhm_2012",
+        "servo_axis",
+    ),
+    "Real time at 2 ms": ("bench, p99.9",),
+    "Real time at 2 ms, priority 20": ("bench, p50", "bench, p99.9", "the wire, at worst"),
+    "Real time at 1 ms, priority 20, 5 TPDOs of 3 drives": ("answers that came too late",),
+    "Real time at 1 ms, priority 20, 3 TPDOs of 3 drives": ("answers that came too late",),
+    "Synchronizers against length of recording": ("48 s",),
+    "Diagnosis against length of recording": ("48 s",),
+    "Start-up": ("hilbench --help", "hilbench run to first SYNC, warm", "hilbench compile"),
+}
+
+
+def machine_table(on: dict[str, str]) -> str:
+    """On which machine, in Markdown."""
+    return docs_page.markdown(("machine", ""), on.items())
+
+
+def rows(sections: list[Section]) -> list[list[str]]:
+    """A row a figure; each says when it was made."""
     today = time.strftime("%Y-%m-%d", time.gmtime())
+    found = []
     for section in sections:
-        lines += [
-            "",
-            f"{_HEAD}{section.title}",
-            "",
-            f"{section.how} ({today})",
-            "",
-            "| what | | ratio |",
-            "|---|--:|---|",
-        ]
         for row in section.rows:
             ratio = "" if row.ratio is None else f"{_number(row.ratio)} × {row.against}"
-            lines.append(f"| {row.what} | {_number(row.value)} {row.unit} | {ratio} |")
-    return "\n".join(lines)
+            found.append([section.title, section.how, row.what, f"{_number(row.value)} {row.unit}", ratio, today])
+    return found
 
 
-def renewed(there: str, now: str) -> str:
-    """Tables as they stand on a page with those that were measured now in their places; one that is new comes behind
-    the one before it. The machine is that of now."""
-    (_, old), (head, new) = _by_title(there), _by_title(now)
+def summary(rows: list[docs_page.Row]) -> str:
+    """The most telling figures of each section."""
+    shown, last = [], ""
+    for row in rows:
+        title = row["section"]
+        if any(row["what"].partition(" (")[0] == what for what in SHOWN.get(title, ())):
+            shown.append(["" if title == last else title, row["what"], row["value"], row["ratio"]])
+            last = title
+    return docs_page.markdown(("section", "what", "value", "ratio"), shown)
+
+
+TABLE = docs_page.Table("performance", "performance.md", COLUMNS, summary)
+
+
+def renewed(there: Sequence[docs_page.Row], now: list[list[str]]) -> list[list[str]]:
+    """Rows as they are with the sections that were measured now in their places; one that is new comes behind the one
+    before it."""
+    old, new = _by_section([list(row.values()) for row in there]), _by_section(now)
     titles, last = list(old), -1
     for title in new:
         if title in titles:
@@ -99,14 +137,11 @@ def renewed(there: str, now: str) -> str:
         else:
             last += 1
             titles.insert(last, title)
-    tables = [f"{_HEAD}{title}\n{(old | new)[title]}" for title in titles]
-    return "\n".join([head, *tables])
+    return [row for title in titles for row in (old | new)[title]]
 
 
-def _by_title(text: str) -> tuple[str, dict[str, str]]:
-    head, *tables = text.strip("\n").split(f"\n{_HEAD}")
-    parts = [table.partition("\n") for table in tables]
-    return head.rstrip("\n") + "\n", {title: body.rstrip("\n") + "\n" for title, _, body in parts}
+def _by_section(rows: list[list[str]]) -> dict[str, list[list[str]]]:
+    return {title: [row for row in rows if row[0] == title] for title in dict.fromkeys(row[0] for row in rows)}
 
 
 def _number(value: float) -> str:

@@ -3,7 +3,7 @@
 Residuals are scaled by the noise floor, so that under noise alone each statistic is chi-square; `excess` is what it has
 beyond its degrees of freedom. A misfit is significant when the excess is beyond what the many looks bring by chance.
 
-How often that is right: tools/diagnose_scoreboard.py, docs/diagnosis.md.
+How often that is right: tools/diagnose_scoreboard.py, docs/diagnosis_method.md.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ lacks. A coordinate is as uncertain as the rest is strong at the frequencies at 
 estimated in bands, each corrected for what the fit itself has taken out of it (as in restricted maximum likelihood,
 Patterson and Thompson 1971); its uncertainty gives the degrees of freedom of each error (Satterthwaite 1946).
 
-How often the intervals hold: tests/diagnosis/test_measured_axis.py, docs/diagnosis.md.
+How often the intervals hold: tests/diagnosis/test_measured_axis.py, docs/diagnosis_method.md.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ Stepwise, earlier choices tested again, judged on stretches that no fit has seen
 Terms are added while that pays (`steps`). Then each must show that the model is worse without it, and that no other
 explains the same as well (`alternatives`).
 
-How often that is right: tools/diagnose_scoreboard.py, docs/diagnosis.md.
+How often that is right: tools/diagnose_scoreboard.py, docs/diagnosis_method.md.
 """
 
 from __future__ import annotations

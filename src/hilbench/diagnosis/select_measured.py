@@ -11,7 +11,7 @@ term is certain when
 
 The simple effects come first (marginality, Nelder 1977): a law of higher order is read beside those that it is made of.
 
-How often that is right: tools/diagnose_rigs.py, docs/diagnosis.md.
+How often that is right: tools/diagnose_rigs.py, docs/diagnosis_method.md.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ from hilbench.plant.sample_coherence import IncrementCheck, SampleCoherence, coh
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import line_vectors, rig_cycle
 from hilbench.plant.web_line.layout import Vector
-from hilbench.plant.web_line.line import LineStep
+from hilbench.plant.web_line.simulated import LineStep
 from hilbench.twin.machines import web_splice_tracker
 from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, MachineVectors
 from hilbench.twin.machines.web_section import WebSection
