@@ -293,6 +293,10 @@ else:
 TABLE_WIDTH = 4
 
 
+#: Types of fields that are no NamedTuple themselves.
+_KINDS = (np.dtype, types.Array)
+
+
 def _fields(kind: type[tuple[Any, ...]]) -> tuple[Any, ...]:
     """Types of the fields of a NamedTuple of arrays: numba's of an array, numpy's of a record, another NamedTuple."""
     hints = get_type_hints(kind, include_extras=True).values()
@@ -316,7 +320,7 @@ def table_of(arrays: Sequence[Any]) -> NDArray[np.int64]:
     Raises ValueError for an array that is not of float64 or int64, in one piece, with one to three dimensions; of a
     NamedTuple of arrays for one that is not as its field says.
     """
-    if hasattr(arrays, "_fields"):
+    if hasattr(arrays, "_fields") and any(isinstance(each, _KINDS) for each in _fields(type(arrays))):
         return _table_of_fields(arrays)  # type: ignore[arg-type]
     if arrays and all(hasattr(each, "_fields") for each in arrays):
         return np.concatenate([table_of(each) for each in arrays])
