@@ -320,8 +320,9 @@ def table_of(arrays: Sequence[Any]) -> NDArray[np.int64]:
     Raises ValueError for an array that is not of float64 or int64, in one piece, with one to three dimensions; of a
     NamedTuple of arrays for one that is not as its field says.
     """
-    if hasattr(arrays, "_fields") and any(isinstance(each, _KINDS) for each in _fields(type(arrays))):
-        return _table_of_fields(arrays)  # type: ignore[arg-type]
+    if isinstance(arrays, tuple) and hasattr(arrays, "_fields"):
+        if any(isinstance(each, _KINDS) for each in _fields(type(arrays))):
+            return _table_of_fields(arrays)
     if arrays and all(hasattr(each, "_fields") for each in arrays):
         return np.concatenate([table_of(each) for each in arrays])
     table = np.zeros((len(arrays), TABLE_WIDTH), np.int64)
