@@ -16,7 +16,7 @@ from canopen.objectdictionary import ODVariable
 
 import canopen
 from hilbench.apps.cli.main import command_line
-from hilbench.canopen import data_types
+from hilbench.canopen.data_types import DataType
 from hilbench.canopen.eds import all_variables, load_eds
 from hilbench.canopen.eds import variable as find_variable
 from hilbench.cia402.object_units import has_drive_unit, si_unit
@@ -253,13 +253,6 @@ def objects_page() -> str:
     return "\n".join(lines)
 
 
-_TYPE_NAMES: Final = {
-    code: name
-    for name, code in vars(data_types).items()
-    if name.isupper() and not name.startswith("_") and isinstance(code, int)
-}
-
-
 def _object_row(od: canopen.ObjectDictionary, other: canopen.ObjectDictionary, variable: ODVariable) -> tuple[str, ...]:
     parent = od[variable.index]
     name = variable.name if parent is variable else f"{parent.name}: {variable.name}"
@@ -268,7 +261,7 @@ def _object_row(od: canopen.ObjectDictionary, other: canopen.ObjectDictionary, v
     unit = si_unit(variable.index, None)
     unit_text = "drive" if has_drive_unit(variable.index) else f"{unit[0]:g} {unit[1]}" if unit else ""
     mapped = "yes" if variable.pdo_mappable else ""
-    return address, name, _TYPE_NAMES[variable.data_type or 0], variable.access_type, mapped, default, unit_text
+    return address, name, DataType(variable.data_type or 0).name, variable.access_type, mapped, default, unit_text
 
 
 def _default_of_object(variable: ODVariable, other: canopen.ObjectDictionary) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 import canopen
 from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.canopen.clock import Clock
-from hilbench.canopen.data_types import UNSIGNED32
+from hilbench.canopen.data_types import DataType
 from hilbench.canopen.device_pdo import RPDO_TIMED_OUT, Rpdo, Tpdo
 from hilbench.canopen.emcy import COMMUNICATION_ERROR, EmergencyProducer
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
@@ -348,7 +348,7 @@ class Device:
     # -- SYNC objects ------------------------------------------------------------------------------------
 
     def _restrict_sync_objects(self) -> None:
-        self._sync_cob = self._store.conditional(0x1005, UNSIGNED32, SYNC)
+        self._sync_cob = self._store.conditional(0x1005, DataType.UNSIGNED32, SYNC)
         self._sync_counter = self.cell(0x1019) if self.has(0x1019) else None
         self._sync_cob.on_write = self._check_sync_cob
         if self._sync_counter is not None:

@@ -17,7 +17,7 @@ from canopen.objectdictionary import ODVariable
 
 import canopen
 from hilbench.canopen import concise_dcf, eds
-from hilbench.canopen.data_types import Value, data_type
+from hilbench.canopen.data_types import DataType, Value, data_type
 from hilbench.canopen.identifiers import MAPPING, NODE_ID, RPDO_INDICES, TPDO_INDICES
 from hilbench.canopen.master import Master
 from hilbench.canopen.object_store import NO_DATA
@@ -32,8 +32,6 @@ Key = tuple[int, int]
 _READABLE: Final = ("ro", "rw", "rwr", "rww", "const")
 _WRITABLE: Final = ("rw", "rwr", "rww")
 _EMERGENCY_COB_ID: Final = 0x1014
-#: Contents of DOMAIN objects are programs and files, not settings.
-_DOMAIN: Final = 0x0F
 _TRIES: Final = 3
 
 
@@ -91,7 +89,8 @@ def read_device(
     Raises BenchFaultError when the device does not answer.
     """
     found = Configuration(od)
-    wanted = [v for v in eds.all_variables(od) if v.access_type in _READABLE and v.data_type != _DOMAIN]
+    # Contents of DOMAIN objects are programs and files, not settings.
+    wanted = [v for v in eds.all_variables(od) if v.access_type in _READABLE and v.data_type != DataType.DOMAIN]
     for number, variable in enumerate(wanted, 1):
         key = variable.index, variable.subindex
         answer = master.read(node_id, *key)

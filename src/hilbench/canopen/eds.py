@@ -15,22 +15,7 @@ from pathlib import Path
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
 import canopen
-from hilbench.canopen.data_types import (
-    BOOLEAN,
-    DOMAIN,
-    INTEGER64,
-    NODE_ID,
-    UNSIGNED8,
-    UNSIGNED16,
-    UNSIGNED24,
-    UNSIGNED32,
-    UNSIGNED40,
-    UNSIGNED48,
-    UNSIGNED56,
-    UNSIGNED64,
-    Value,
-    data_type,
-)
+from hilbench.canopen.data_types import NODE_ID, DataType, Value, data_type
 from hilbench.canopen.identifiers import MAPPING, RPDO_INDICES, TPDO_INDICES
 from hilbench.errors import UnusableInputError
 from hilbench.files import content
@@ -46,10 +31,7 @@ _DOMAIN = 0x2
 _DEFTYPE = 0x5
 _NO_VALUE = (0x0, _DEFTYPE, 0x6)  # ObjectType NULL, DEFTYPE, DEFSTRUCT: nothing to read or write
 #: Data types of a length in bits, in the place of a maker's own that are only defined by it.
-_OF_LENGTH = {
-    1: BOOLEAN, 8: UNSIGNED8, 16: UNSIGNED16, 24: UNSIGNED24, 32: UNSIGNED32,
-    40: UNSIGNED40, 48: UNSIGNED48, 56: UNSIGNED56, 64: UNSIGNED64,
-}  # fmt: skip
+_OF_LENGTH = {each.pdo_bits: each for each in DataType if each.kind == "unsigned"}
 _ACCESS_TYPES = {"ro", "wo", "rw", "rwr", "rww", "const"}
 _OBJECT = re.compile(r"^([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?$", re.IGNORECASE)
 _INDEX_KEY = re.compile(r"^(?:0x)?([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?$", re.IGNORECASE)
@@ -153,11 +135,11 @@ def undefined_types(path: Path) -> dict[tuple[int, int], int]:
     """
     objects = _object_sections(path, _sections(path, _as_of(path)))
     codes = {
-        (index, sub or 0): _integer(path, section, "DataType", DOMAIN)
+        (index, sub or 0): _integer(path, section, "DataType", DataType.DOMAIN)
         for (index, sub), section in objects.items()
         if "DataType" in section.options
     }
-    return {key: code for key, code in codes.items() if data_type(code).code != code}
+    return {key: code for key, code in codes.items() if data_type(code) != code}
 
 
 def _read(path: Path, sections: dict[str, _Section], objects: _Objects) -> canopen.ObjectDictionary:
@@ -325,7 +307,7 @@ def _defined_types(path: Path, objects: _Objects) -> dict[int, str]:
     for (index, sub), section in objects.items():
         if sub is None and _integer(path, section, "ObjectType", _VAR) == _DEFTYPE:
             code = _integer(path, section, "DataType", 0)
-            if code == UNSIGNED32:
+            if code == DataType.UNSIGNED32:
                 code = _OF_LENGTH.get(_integer(path, section, "DefaultValue", 0), 0)
             if code:
                 types[index] = str(code)
@@ -423,7 +405,7 @@ def _fill_device_information(path: Path, sections: dict[str, _Section], od: cano
 def _variable_of(path: Path, section: _Section, index: int, sub: int) -> ODVariable:
     """Variable of a section that `_check_hierarchy` has passed; unknown data types are raw bytes."""
     found = ODVariable(section.options["ParameterName"], index, sub)
-    found.data_type = data_type(_integer(path, section, "DataType", 0)).code
+    found.data_type = int(data_type(_integer(path, section, "DataType", 0)))
     found.access_type = section.options["AccessType"].lower()
     found.pdo_mappable = bool(_integer(path, section, "PDOMapping", 0))
     if not _depends_on_node(path, section):
@@ -455,14 +437,14 @@ def _take_values(path: Path, section: _Section, target: ODVariable, node_id: int
                 continue  # beyond the type's range, such as 65536 of an UNSIGNED16: it limits nothing
             place = f"{path}:{section.lines.get(key, section.line)}"
             raise UnusableInputError(
-                place, f"{key} of [{section.name}] is '{text}', expected a value of data type {kind.code:04X}h"
+                place, f"{key} of [{section.name}] is '{text}', expected a value of data type {kind:04X}h"
             ) from None
         setattr(target, attribute, value)
 
 
 def _is_number(text: str, node_id: int) -> bool:
     try:
-        data_type(INTEGER64).parse(text, node_id)
+        DataType.INTEGER64.parse(text, node_id)
     except ValueError:
         return False
     return True

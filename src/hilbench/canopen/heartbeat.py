@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from hilbench.canopen.data_types import UNSIGNED16
+from hilbench.canopen.data_types import DataType
 from hilbench.canopen.object_store import INCOMPATIBLE, Cell, ObjectStore, SdoAbort
 
 _MS = 1_000_000
@@ -15,7 +15,7 @@ class HeartbeatProducer:
     """Sends the NMT state every 1017h ms."""
 
     def __init__(self, store: ObjectStore, now_ns: Callable[[], int]) -> None:
-        self._period = store.conditional(0x1017, UNSIGNED16, 0)
+        self._period = store.conditional(0x1017, DataType.UNSIGNED16, 0)
         self._now_ns = now_ns
         self._next_ns = 0
         self._period.on_write = self._restart

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hilbench.canopen.data_types import UNSIGNED8, UNSIGNED16
+from hilbench.canopen.data_types import DataType
 from hilbench.canopen.identifiers import NmtState
 from hilbench.canopen.object_store import ObjectStore
 
@@ -27,8 +27,8 @@ class NodeGuarding:
         on_back: Callable[[], None],
     ) -> None:
         self.offered = (0x100C, 0) in store
-        self._guard_time = store.conditional(0x100C, UNSIGNED16, 0)
-        self._factor = store.conditional(0x100D, UNSIGNED8, 0)
+        self._guard_time = store.conditional(0x100C, DataType.UNSIGNED16, 0)
+        self._factor = store.conditional(0x100D, DataType.UNSIGNED8, 0)
         self._now_ns = now_ns
         self._on_lost = on_lost
         self._on_back = on_back

@@ -10,7 +10,7 @@ from canopen.objectdictionary import ODVariable
 
 import canopen
 from hilbench.canopen import eds
-from hilbench.canopen.data_types import STRUCT_CODES, data_type
+from hilbench.canopen.data_types import data_type
 
 #: Transmission types (CiA 301, table of 1400h/1800h sub 2).
 EVENT_DRIVEN_TYPES = (254, 255)
@@ -60,10 +60,10 @@ class PdoMap:
         self.transmission_type = transmission_type
         self.variables = tuple(variables)
         self.size = size
-        self._layout = struct.Struct("<" + "".join(STRUCT_CODES.get(kind.code, f"{kind.width}s") for kind in kinds))
+        self._layout = struct.Struct("<" + "".join(kind.letter or f"{kind.width}s" for kind in kinds))
         self.kinds = tuple(kinds)
         #: BOOLEAN (one bit, CiA 301, 7.4.7) and integers of 24, 40, 48 and 56 bits: struct does not know them.
-        self._odd = any(kind.code not in STRUCT_CODES for kind in kinds)
+        self._odd = any(not kind.letter for kind in kinds)
         self.unpack: Callable[[bytes], tuple[Any, ...]] = self._unpack_bits if self._odd else self._layout.unpack
 
     @classmethod

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hilbench.can import wire
-from hilbench.canopen.data_types import BOOLEAN
+from hilbench.canopen.data_types import DataType
 from hilbench.canopen.object_store import Cell
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402 import objects
@@ -121,7 +121,7 @@ def _fields(row: int, content: PdoMap, slots: Sequence[int]) -> list[tuple[int, 
     for kind, slot in zip(content.kinds, slots, strict=True):
         width = kind.width or 0
         is_of = lay.FLOAT if kind.is_float else lay.SIGNED if kind.is_signed else lay.UNSIGNED
-        if kind.code == BOOLEAN or (is_of == lay.UNSIGNED and width == 8):
+        if kind is DataType.BOOLEAN or (is_of == lay.UNSIGNED and width == 8):
             raise FastPathRefusedError  # less than a byte; no signed number of 64 bits holds it
         fields.append((row, slot, offset, width, is_of))
         offset += width

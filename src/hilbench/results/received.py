@@ -14,7 +14,7 @@ from hilbench.bench.operator.operator_objects import INDEX
 from hilbench.bench.prediction.create import foreseeable
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
-from hilbench.canopen.data_types import REAL32, data_type
+from hilbench.canopen.data_types import DataType
 from hilbench.canopen.identifiers import SYNC
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording
@@ -65,5 +65,5 @@ def _with_asked(config: BenchConfig, recording: Recording, reader: Reader) -> Re
                 data = reader.upload(config.master.node_id, INDEX, OPERATOR_OBJECTS[path][0])
             except (SdoAbortedError, SdoCommunicationError):
                 continue  # who asks for it is told
-            channels[signal] = np.full(len(recording.time_s), data_type(REAL32).decode(data))
+            channels[signal] = np.full(len(recording.time_s), DataType.REAL32.decode(data))
     return Recording(channels)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hilbench.apps.cli.options import BusOption, ForceOption, JsonOption
+from hilbench.apps.cli.options import BusOption, ForceOption, JsonOption, print_json
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_CRITERION_FAILED, EXIT_PASSED
 
 if TYPE_CHECKING:
@@ -34,8 +34,6 @@ def boot(
 
     Example: hilbench boot network/master.dcf --bus socketcan:can0
     """
-    from json import dumps
-
     from hilbench.apps.canopen_tools.attach import config_and_bus, only_master
     from hilbench.can.open import open_python_can
     from hilbench.canopen.master import Master
@@ -52,7 +50,7 @@ def boot(
     failed = [booted for booted in found if booted.error is not None]
     mandatory = any(booted.slave.mandatory for booted in failed)
     if json:
-        print(dumps({"nodes": [_as_data(booted) for booted in found], "started": not mandatory}, indent=2))
+        print_json({"nodes": [_as_data(booted) for booted in found], "started": not mandatory})
     elif mandatory:
         print("no node was started: a mandatory one is not as it should be")
     raise typer.Exit(EXIT_BENCH_FAULT if mandatory else EXIT_CRITERION_FAILED if failed else EXIT_PASSED)

@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hilbench.apps.cli.options import BusOption, ConfigOption, EdsOption, ForceOption, JsonOption, NodeArgument
+from hilbench.apps.cli.options import (
+    BusOption,
+    ConfigOption,
+    EdsOption,
+    ForceOption,
+    JsonOption,
+    NodeArgument,
+    print_json,
+)
 from hilbench.errors import UnusableInputError
 
 if TYPE_CHECKING:
@@ -385,14 +393,13 @@ def _keys() -> Iterator[Callable[[float], str | None]]:
 
 def _print(by_hand: SetUpDrive, *, as_json: bool) -> None:
     from dataclasses import asdict
-    from json import dumps
 
     from hilbench.cia402.set_up import mode_name, usable
 
     status, modes = by_hand.drive.status(), usable(by_hand)
     if as_json:
         lacking = {mode_name(mode): list(missing) for mode, missing in modes.items()}
-        print(dumps({**asdict(status), "lacking": lacking}, indent=2))
+        print_json({**asdict(status), "lacking": lacking})
         return
     print(f"{status.state}  (statusword {status.statusword:04X}h: {', '.join(status.flags) or 'no flags'})")
     print(

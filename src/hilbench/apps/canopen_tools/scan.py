@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hilbench.apps.canopen_tools.lss import unconfigured, words
-from hilbench.apps.cli.options import BusOption, ConfigOption, JsonOption
+from hilbench.apps.cli.options import BusOption, ConfigOption, JsonOption, print_json
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
 
 if TYPE_CHECKING:
@@ -44,7 +44,6 @@ def scan(
     Example: hilbench scan --bus socketcan:can0 --lss
     """
     from dataclasses import asdict
-    from json import dumps
 
     from hilbench.apps.canopen_tools.attach import MASTER_ID, config_and_bus, left_out
     from hilbench.apps.canopen_tools.bus_scan import scan as scan_bus
@@ -73,7 +72,7 @@ def scan(
     nameless = unconfigured(address, _LSS_TIMEOUT_S) if lss and ask and not found.master_at_work else []
     problems = _problems(found, bench) if bench is not None else []
     if json:
-        print(dumps(_as_data(found, bench, problems) | {"without_node_id": list(map(asdict, nameless))}, indent=2))
+        print_json(_as_data(found, bench, problems) | {"without_node_id": list(map(asdict, nameless))})
     else:
         _show(found, bench, problems, str(address))
         for device in nameless:

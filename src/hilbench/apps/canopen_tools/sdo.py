@@ -22,6 +22,7 @@ from hilbench.apps.cli.options import (
     JsonOption,
     NodeArgument,
     TimeoutOption,
+    print_json,
 )
 from hilbench.errors import BenchFaultError, UnusableInputError
 
@@ -284,12 +285,10 @@ def _looks_like(data: bytes) -> dict[str, int | float | str]:
 
 
 def _print_bytes(found: _UnknownObject, data: bytes, *, as_json: bool) -> None:
-    from json import dumps
-
     like = _looks_like(data)
     if as_json:
         known = {"node": found.node_id, "object": found.key, "name": None, "value": data.hex()}
-        print(dumps(known | {"si": None, "si_unit": None, "looks_like": like}, indent=2, ensure_ascii=False))
+        print_json(known | {"si": None, "si_unit": None, "looks_like": like}, ensure_ascii=False)
         return
     words = [
         f"{name} {value} ({value:X}h)" if name == "unsigned" else f"{name} {value}" for name, value in like.items()
@@ -300,8 +299,6 @@ def _print_bytes(found: _UnknownObject, data: bytes, *, as_json: bool) -> None:
 
 
 def _print(found: _Object, value: Any, *, as_json: bool) -> None:
-    from json import dumps
-
     si = value * found.unit[0] if found.unit is not None and isinstance(value, int | float) else None
     if as_json:
         data = {
@@ -312,7 +309,7 @@ def _print(found: _Object, value: Any, *, as_json: bool) -> None:
             "si": si,
             "si_unit": None if found.unit is None else found.unit[1],
         }
-        print(dumps(data, indent=2, ensure_ascii=False))
+        print_json(data, ensure_ascii=False)
         return
     shown = "written" if value is None else value.hex(" ") if isinstance(value, bytes) else str(value)
     shown += f" ({value:X}h)" if isinstance(value, int) and value >= 0 else ""

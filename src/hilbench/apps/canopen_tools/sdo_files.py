@@ -19,6 +19,7 @@ from hilbench.apps.cli.options import (
     JsonOption,
     NodeArgument,
     TimeoutOption,
+    print_json,
 )
 from hilbench.errors import EXIT_CRITERION_FAILED, BenchFaultError, UnusableInputError
 
@@ -131,15 +132,13 @@ def diff(
 
     Example: hilbench sdo diff axis1.dcf axis2.dcf
     """
-    from json import dumps
-
     from hilbench.canopen.device_configuration import differences
 
     both = _both(first, second, config, bus, eds, timeout)
     found = differences(*both, all_objects=everything)
     if json:
         rows = [{**asdict(row), "key": f"{row.key[0]:04X}h:{row.key[1]}"} for row in found]
-        print(dumps(rows, indent=2, ensure_ascii=False))
+        print_json(rows, ensure_ascii=False)
     else:
         _show(found, first, second)
     raise typer.Exit(EXIT_CRITERION_FAILED if found else 0)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from math import isfinite
 
+from hilbench.apps.cli.options import print_json
 from hilbench.bench.bus_options import BusOption
 from hilbench.bench.schedule import Slot
 from hilbench.can.open import open_link
@@ -18,7 +18,7 @@ def check_command(loaded: LoadedConfig, *, as_json: bool) -> None:
     _check_bus(loaded)
     checked = check_experiment(loaded, with_margins=True)
     if as_json:
-        print(json.dumps(_summary(loaded.config, checked), indent=2, ensure_ascii=False))
+        print_json(_summary(loaded.config, checked), ensure_ascii=False)
         return
     config, bench, load = loaded.config, checked.bench, checked.bench.load
     print(f"{config.name}: usable")

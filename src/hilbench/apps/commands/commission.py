@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from hilbench.apps.cli.config_file import load_config
-from hilbench.apps.cli.options import BusOption, ConfigArgument, ForceOption, JsonOption, PaceOption, SetOption
+from hilbench.apps.cli.options import (
+    BusOption,
+    ConfigArgument,
+    ForceOption,
+    JsonOption,
+    PaceOption,
+    SetOption,
+    print_json,
+)
 from hilbench.errors import EXIT_INTERRUPTED, UnusableInputError
 
 if TYPE_CHECKING:
@@ -67,8 +75,6 @@ def commission(
 
     Example: hilbench commission CONFIG --set stand=pilot_line --forward-only --modulus-known 1
     """
-    from json import dumps
-
     from rich.console import Console
 
     from hilbench.apps.cli.progress import ProgressDisplay
@@ -103,7 +109,7 @@ def commission(
     quantities = keep_commissioning(folder, found)
     if json:
         data = {"stand": loaded.config.stand, "run": str(folder.path.resolve()), "plan": plan.text}
-        print(dumps(data | {"quantities": [vars(each) for each in quantities]}, indent=2))
+        print_json(data | {"quantities": [vars(each) for each in quantities]})
         return
     console = Console(highlight=False)
     console.width = max(console.width, _WIDTH)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hilbench.apps.cli.options import BusOption, ForceOption, JsonOption
+from hilbench.apps.cli.options import BusOption, ForceOption, JsonOption, print_json
 from hilbench.errors import UnusableInputError
 from hilbench.machine_kinds import DEFAULT
 
@@ -44,9 +44,7 @@ def replay(
     """
     data = _twin(run, method, out) if twin else _trace(run, bus, speed, commands=commands, force=force)
     if json:
-        from json import dumps
-
-        print(dumps(data, indent=2))
+        print_json(data)
     else:
         for name, value in data.items():
             print(f"{name.replace('_', ' ')}: {value:.6g}" if isinstance(value, float) else f"{name}: {value}")

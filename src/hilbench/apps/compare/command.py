@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hilbench.apps.cli.options import JsonOption
+from hilbench.apps.cli.options import JsonOption, print_json
 
 
 def compare(
@@ -21,7 +21,6 @@ def compare(
     Example: hilbench compare runs/before-20260101-120000 runs/after-20260101-121500 --out compare.html
     """
     from dataclasses import asdict
-    from json import dumps
 
     from hilbench.apps.compare.page import labels, metric_rows, read_runs, write_compare_page
     from hilbench.apps.library.query import find_run
@@ -32,7 +31,7 @@ def compare(
         write_compare_page(found, out)
     if json:
         names = [{"name": run.name, "verdict": run.verdict} for run in found]
-        print(dumps({"runs": names, "metrics": [asdict(row) for row in rows]}, indent=2))
+        print_json({"runs": names, "metrics": [asdict(row) for row in rows]})
         return
     from rich.console import Console
     from rich.table import Table

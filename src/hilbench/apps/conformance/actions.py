@@ -1,7 +1,8 @@
 """What cases are made of: actions by name, and the types of the arguments that `cases/*.yaml` gives them.
 
-An action is a function of the device under test: one exchange (`write`, `ask`, `nmt`), or an examination that is no
-list of exchanges. A case names it alone, with its first argument (`nmt: START`), or with several by their names.
+An action is a public function of the device under test in a module of cases: one exchange (`write`, `ask`, `nmt`), or
+an examination that is no list of exchanges. A case names it alone, with its first argument (`nmt: START`), or with
+several by their names.
 """
 
 from __future__ import annotations
@@ -10,15 +11,15 @@ import re
 from collections.abc import Callable, Mapping
 from enum import EnumType
 from functools import cache
-from inspect import Parameter, signature
-from typing import Annotated, Any, Final, TypeVar
+from inspect import Parameter, isfunction, signature
+from types import ModuleType
+from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, BeforeValidator, create_model
 
 from hilbench.block import Strict
 from hilbench.canopen import object_store
 
-_Function = TypeVar("_Function", bound=Callable[..., object])
 #: Abort codes (CiA 301, table 22) by name; two that the simulated device never sends: the length does not match, in
 #: either direction, and "sub-index can't be written, sub-index 0 must be 0 for write access".
 ABORT_CODES: Final[Mapping[str, int]] = {
@@ -51,10 +52,11 @@ AbortCode = Annotated[int, BeforeValidator(lambda name: ABORT_CODES.get(name, na
 Digits = Annotated[bytes, BeforeValidator(lambda digits: bytes.fromhex(str(digits)))]
 
 
-def action(function: _Function) -> _Function:
-    """A function of the device under test that cases name."""
-    ACTIONS[function.__name__] = function
-    return function
+def register(*modules: ModuleType) -> None:
+    """Make the public functions of modules of cases actions."""
+    for module in modules:
+        made = (each for each in vars(module).values() if isfunction(each) and each.__module__ == module.__name__)
+        ACTIONS.update({each.__name__: each for each in made if not each.__name__.startswith("_")})
 
 
 @cache

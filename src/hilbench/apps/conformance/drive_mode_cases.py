@@ -5,7 +5,6 @@ from __future__ import annotations
 from math import pi
 from typing import Final
 
-from hilbench.apps.conformance.actions import action
 from hilbench.apps.conformance.dut import DeviceUnderTest, taken_text
 from hilbench.apps.conformance.power import (
     SLOW_RAMP_S,
@@ -44,7 +43,6 @@ _MOTION_S: Final = 10.0
 _STEEP_RAMP_S: Final = 0.01  #: from rest to 60 rpm: shorter than a position loop of 40 1/s settles
 
 
-@action
 def each_mode(dut: DeviceUnderTest) -> None:
     """Without power."""
     for mode in supported(dut):
@@ -53,7 +51,6 @@ def each_mode(dut: DeviceUnderTest) -> None:
         dut.reads(f"6061h after 6060h = {int(mode)}", objects.MODES_OF_OPERATION_DISPLAY, 0, int(mode))
 
 
-@action
 def other_mode(dut: DeviceUnderTest) -> None:
     """Refused, or never shown."""
     there = supported(dut)
@@ -68,7 +65,6 @@ def other_mode(dut: DeviceUnderTest) -> None:
         dut.check(f"{mode} to 6060h", f"refused, or 6061h stays {before}", seen, ok)
 
 
-@action
 def status_bit(dut: DeviceUnderTest, what: str, bit: int, set_: bool = True, duration_s: float = 1.0) -> bool:
     """Expect a bit of the statusword within a time."""
     came = wait(dut, lambda: bool(statusword(dut) & bit) is set_, duration_s) is not None
@@ -76,7 +72,6 @@ def status_bit(dut: DeviceUnderTest, what: str, bit: int, set_: bool = True, dur
     return dut.check(what, f"statusword bit {number} {'set' if set_ else 'clear'}", f"{statusword(dut):04X}h", came)
 
 
-@action
 def profile_position(dut: DeviceUnderTest) -> None:
     """A quarter of a turn, and back; then halted."""
     at = speed(dut)
@@ -113,7 +108,6 @@ def _set_point(dut: DeviceUnderTest, target: int) -> None:
     status_bit(dut, "bit 4 taken back: acknowledgement too", STATUS_MODE_12, set_=False, duration_s=_MOTION_S)
 
 
-@action
 def profile_velocity(dut: DeviceUnderTest) -> None:
     """At speed bit 10, at rest bit 12."""
     at = speed(dut)
@@ -129,7 +123,6 @@ def profile_velocity(dut: DeviceUnderTest) -> None:
     switch_off(dut)
 
 
-@action
 def homing(dut: DeviceUnderTest) -> None:
     """Methods 37 and 35 move nothing: the present position becomes the home offset."""
     index = objects.HOMING_METHOD
@@ -152,7 +145,6 @@ def homing(dut: DeviceUnderTest) -> None:
 # -- limits ----------------------------------------------------------------------------------------------------
 
 
-@action
 def software_limits(dut: DeviceUnderTest) -> None:
     """A set-point beyond 607Dh is refused, or the drive stays within."""
     limit = objects.SOFTWARE_POSITION_LIMIT
@@ -178,7 +170,6 @@ def software_limits(dut: DeviceUnderTest) -> None:
     switch_off(dut)
 
 
-@action
 def velocity_limits(dut: DeviceUnderTest) -> None:
     """Half the speed is the limit."""
     at = speed(dut)
@@ -200,7 +191,6 @@ def velocity_limits(dut: DeviceUnderTest) -> None:
         dut.write(index, 0, before)
 
 
-@action
 def following_error(dut: DeviceUnderTest) -> None:
     """A window of one unit is left as soon as it turns: at a ramp that no loop follows within that."""
     at = speed(dut)

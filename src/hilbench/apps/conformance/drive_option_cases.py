@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from hilbench.apps.conformance.actions import Key, action
+from hilbench.apps.conformance.actions import Key
 from hilbench.apps.conformance.dut import DeviceUnderTest, taken_text
 from hilbench.apps.conformance.power import (
     QUICK_RAMP_S,
@@ -69,7 +69,6 @@ def _has_ramps(dut: DeviceUnderTest) -> bool:
 _RAMPS: Final = {1: SLOW_RAMP_S, 2: QUICK_RAMP_S, 5: SLOW_RAMP_S, 6: QUICK_RAMP_S}
 
 
-@action
 def quick_stop(dut: DeviceUnderTest) -> None:
     """0 to 4 end in SWITCH ON DISABLED, 5 to 8 stay in QUICK STOP ACTIVE; 1 and 5 by 6084h, 2 and 6 by 6085h."""
     for code, velocity in _codes(dut, objects.QUICK_STOP_OPTION_CODE, range(9)):
@@ -79,7 +78,6 @@ def quick_stop(dut: DeviceUnderTest) -> None:
         expect_state(dut, f"605Ah = {code}", State.QUICK_STOP_ACTIVE if code >= 5 else State.SWITCH_ON_DISABLED)
 
 
-@action
 def disabling(dut: DeviceUnderTest, key: Key, asked: Command, after: State) -> None:
     """0: power off at once; 1: down the ramp first."""
     for code, velocity in _codes(dut, key[0], range(2)):
@@ -92,7 +90,6 @@ def disabling(dut: DeviceUnderTest, key: Key, asked: Command, after: State) -> N
             expect_state(dut, what, after, duration_s=0.3)
 
 
-@action
 def halt(dut: DeviceUnderTest) -> None:
     """1: 6084h, 2: 6085h, 3 and 4 as hard as it can; OPERATION ENABLED stays, and the motion goes on without halt."""
     for code, velocity in _codes(dut, objects.HALT_OPTION_CODE, range(1, 5)):
@@ -107,7 +104,6 @@ def halt(dut: DeviceUnderTest) -> None:
         )
 
 
-@action
 def fault_reaction(dut: DeviceUnderTest) -> None:
     """A fault while turning: 0 without a ramp, 1 by 6084h, 2 by 6085h; FAULT in the end."""
     for code, _ in _codes(dut, objects.FAULT_REACTION_OPTION_CODE, range(5)):
@@ -116,7 +112,6 @@ def fault_reaction(dut: DeviceUnderTest) -> None:
         find_connection(dut)
 
 
-@action
 def connection_lost(dut: DeviceUnderTest) -> None:
     """0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
     ends = {

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from hilbench.apps.conformance.actions import action
 from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.apps.conformance.power import (
     bring,
@@ -48,7 +47,6 @@ def _destinations(before: State, asked: Command) -> Sequence[State]:
     return (before,) if transition is None else (DESTINATION[transition],)
 
 
-@action
 def every_command(dut: DeviceUnderTest, before: State) -> None:
     """Each from this state; without permission those that take no power."""
     for asked in Command:
@@ -89,7 +87,6 @@ def _needs_staying(dut: DeviceUnderTest) -> None:
     raise NotApplicableError("605Ah takes none of 5 to 8: the drive never stays in QUICK STOP ACTIVE")
 
 
-@action
 def in_quick_stop_active(dut: DeviceUnderTest) -> None:
     """Left by transition 12, and by 16 where the drive has it."""
     _needs_staying(dut)
@@ -108,7 +105,6 @@ def in_quick_stop_active(dut: DeviceUnderTest) -> None:
     switch_off(dut)
 
 
-@action
 def in_fault(dut: DeviceUnderTest) -> None:
     """Left by the rising edge of bit 7 alone."""
     bring(dut, State.OPERATION_ENABLED)
@@ -122,7 +118,6 @@ def in_fault(dut: DeviceUnderTest) -> None:
     command(dut, Command.DISABLE_VOLTAGE.value)
 
 
-@action
 def statusword_bits(dut: DeviceUnderTest) -> None:
     """The pattern of the state, remote (9), voltage (4) while enabled, and no quick stop (5 is 1)."""
     switch_off(dut)
@@ -156,7 +151,6 @@ def _bits(dut: DeviceUnderTest, wanted: State) -> None:
     dut.check(f"statusword in {wanted.label}", f"{pattern:04X}h in the bits {mask:04X}h", seen, ok)
 
 
-@action
 def several_axes(dut: DeviceUnderTest) -> None:
     """1000h states several axes, and its profile is that of the first; each axis may have a type of its own."""
     if len(dut.eds.axes) == 1:

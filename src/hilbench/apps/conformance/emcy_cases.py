@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-from hilbench.apps.conformance.actions import action
 from hilbench.apps.conformance.dut import DeviceUnderTest, answer_text
 from hilbench.apps.conformance.process_data import receive_pdo, set_up
 from hilbench.canopen.identifiers import NmtCommand
@@ -15,7 +14,6 @@ _TOO_SHORT: Final = "10 82"
 _SOON_S: Final = 0.1
 
 
-@action
 def error_register(dut: DeviceUnderTest) -> None:
     """1001h is 0 without an error; with one (1003h:0) it is not."""
     errors = dut.value(0x1003, 0) if dut.eds.has(0x1003) else 0
@@ -24,7 +22,6 @@ def error_register(dut: DeviceUnderTest) -> None:
         dut.notes.append(f"1003h:0 tells of {errors} errors")
 
 
-@action
 def error_history(dut: DeviceUnderTest) -> None:
     """Without an error the history has no entry."""
     count = dut.value(0x1003, 0)
@@ -37,7 +34,6 @@ def error_history(dut: DeviceUnderTest) -> None:
         dut.check("read 1003h:1, no error", f"abort {NO_DATA:08X}h", answer_text(seen), ok)
 
 
-@action
 def sound_rpdo(dut: DeviceUnderTest) -> None:
     """RPDO in OPERATIONAL that was received once correctly: an earlier error would not be reported again."""
     dut.needs((0x1014, 0))
@@ -48,7 +44,6 @@ def sound_rpdo(dut: DeviceUnderTest) -> None:
     dut.receive(_SOON_S)
 
 
-@action
 def short_rpdo(dut: DeviceUnderTest) -> int:
     """Check that the EMCY of a too short RPDO comes, and return its error register (1001h)."""
     dut.forget()
@@ -66,7 +61,6 @@ def _send_rpdo(dut: DeviceUnderTest) -> None:
     dut.send(dut.pdo.cob_id, value.to_bytes(dut.pdo.size, "little"))
 
 
-@action
 def register_after_short_rpdo(dut: DeviceUnderTest) -> None:
     """1001h is as in the message: an error, until an RPDO of the right length comes; then EMCY 0000h is sent."""
     if not short_rpdo(dut):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Final
 
-from hilbench.apps.conformance.actions import action
 from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.apps.conformance.record import NotApplicableError
 from hilbench.apps.conformance.wire import ReceivedFrame, periods, steady
@@ -19,7 +18,6 @@ _PRE_OPERATIONAL: Final = NmtState.PRE_OPERATIONAL.heartbeat
 _MOST_ENTRIES: Final = 4
 
 
-@action
 def twenty_heartbeats(dut: DeviceUnderTest) -> None:
     """20 in 2 s, one each 100 ms."""
     dut.forget()
@@ -30,14 +28,12 @@ def twenty_heartbeats(dut: DeviceUnderTest) -> None:
     dut.check("heartbeats of 100 ms", "20 in 2 s, 100 ms on average, 7f", seen, ok)
 
 
-@action
 def four_heartbeats(dut: DeviceUnderTest) -> None:
     """Four in 2 s at 500 ms, and one at once from a device whose period begins with a heartbeat."""
     dut.forget()
     _expect_beats(dut, "heartbeats of 500 ms", dut.receive_id(HEARTBEAT + dut.node_id, 2.1))
 
 
-@action
 def heartbeats_beside_requests(dut: DeviceUnderTest) -> None:
     """Remote requests bring nothing, and move no heartbeat."""
     dut.forget()
@@ -71,7 +67,6 @@ def _beat(dut: DeviceUnderTest, node: int) -> None:
     dut.send(HEARTBEAT + node, _PRE_OPERATIONAL)
 
 
-@action
 def watched_once(dut: DeviceUnderTest) -> None:
     """A node that one entry watches can't be watched by another."""
     first, *others = _entries(dut)
@@ -83,7 +78,6 @@ def watched_once(dut: DeviceUnderTest) -> None:
     dut.refuses("the same node in another entry", 0x1016, others[0], value, INCOMPATIBLE)
 
 
-@action
 def received_in_time(dut: DeviceUnderTest) -> None:
     """No EMCY while heartbeats come."""
     for entry, node in zip(_entries(dut), dut.strangers(0.2), strict=False):
@@ -100,7 +94,6 @@ def received_in_time(dut: DeviceUnderTest) -> None:
         dut.forget()
 
 
-@action
 def missed(dut: DeviceUnderTest) -> None:
     """EMCY 8130h when they stay away."""
     for entry, node in zip(_entries(dut), dut.strangers(0.2), strict=False):
@@ -113,7 +106,6 @@ def missed(dut: DeviceUnderTest) -> None:
         dut.forget()
 
 
-@action
 def reset_ends_watch(dut: DeviceUnderTest) -> None:
     """The consumer time begins with the first heartbeat; after a reset no node is missed that was not received
     again."""
@@ -131,14 +123,12 @@ def reset_ends_watch(dut: DeviceUnderTest) -> None:
 # -- node guarding ---------------------------------------------------------------------------------------------
 
 
-@action
 def guard(dut: DeviceUnderTest) -> list[ReceivedFrame]:
     """A remote request, and what it brings."""
     dut.send(REMOTE_FLAG | HEARTBEAT + dut.node_id, b"\0")
     return dut.receive_id(HEARTBEAT + dut.node_id, 0.1)
 
 
-@action
 def guarding_answers(dut: DeviceUnderTest) -> None:
     """A remote frame brings the NMT state."""
     found = [received.data for received in guard(dut)]
@@ -146,7 +136,6 @@ def guarding_answers(dut: DeviceUnderTest) -> None:
     dut.check("remote request", "7f or ff", " ".join(data.hex() for data in found) or "nothing", ok)
 
 
-@action
 def guarding_toggles(dut: DeviceUnderTest) -> None:
     """The top bit alternates."""
     found = [received.data[0] for _ in range(4) for received in guard(dut)]

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from hilbench.apps.conformance import (  # noqa: F401 - their actions
+from hilbench.apps.conformance import (
     drive_mode_cases,
     drive_option_cases,
     drive_state_cases,
@@ -20,16 +20,21 @@ from hilbench.apps.conformance import (  # noqa: F401 - their actions
     nmt_cases,
     od_cases,
     pdo_cases,
+    power,
+    process_data,
     sdo_cases,
     steps,
     store_cases,
     sync_cases,
 )
-from hilbench.apps.conformance.actions import Action
+from hilbench.apps.conformance.actions import Action, register
 from hilbench.apps.conformance.dut import DeviceUnderTest
-from hilbench.apps.conformance.power import needs_drive
 from hilbench.block import Strict
 from hilbench.strict_yaml import load, validate
+
+register(power, process_data, steps)
+register(sdo_cases, pdo_cases, od_cases, emcy_cases, sync_cases, heartbeat_cases, store_cases, nmt_cases)
+register(drive_state_cases, drive_option_cases, drive_mode_cases)
 
 _FOLDER: Final = Path(__file__).parent / "cases"
 #: The files in the order in which their cases are examined.
@@ -71,7 +76,7 @@ class Case:
     def examine(self, dut: DeviceUnderTest) -> None:
         """Examine a device by it. Raises NotApplicableError, NotAllowedError and CaseEndedError."""
         if self.of_drives:
-            needs_drive(dut)
+            power.needs_drive(dut)
         for act in self.actions:
             act(dut)
 

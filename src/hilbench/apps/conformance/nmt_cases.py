@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-from hilbench.apps.conformance.actions import action
 from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.apps.conformance.process_data import receive_pdo, set_up, transmit_pdo
 from hilbench.apps.conformance.record import NotAllowedError, NotApplicableError
@@ -18,7 +17,6 @@ _STATES: Final = {
 }
 
 
-@action
 def pdos_act(dut: DeviceUnderTest, state: NmtCommand, act: bool) -> None:
     """Check whether SYNC triggers a TPDO, and an RPDO acts."""
     try:
@@ -49,14 +47,12 @@ def pdos_act(dut: DeviceUnderTest, state: NmtCommand, act: bool) -> None:
     dut.write(0x6040, 0, 0)
 
 
-@action
 def no_sdo(dut: DeviceUnderTest) -> None:
     """Expect that SDO is not answered."""
     answer = dut.exchange(bytes.fromhex("4000100000000000"))
     dut.check("read 1000h:0", "no answer", "no answer" if answer is None else answer.hex(" "), answer is None)
 
 
-@action
 def resets_from_every_state(dut: DeviceUnderTest) -> None:
     """Each with the boot-up message."""
     for before in _STATES:
@@ -67,7 +63,6 @@ def resets_from_every_state(dut: DeviceUnderTest) -> None:
             dut.shows(NmtState.PRE_OPERATIONAL)
 
 
-@action
 def service(dut: DeviceUnderTest, command: NmtCommand) -> None:
     """Command from each of the other states."""
     dut.produce_heartbeats()
@@ -78,7 +73,6 @@ def service(dut: DeviceUnderTest, command: NmtCommand) -> None:
             dut.shows(_STATES[command])
 
 
-@action
 def commands_without_effect(dut: DeviceUnderTest) -> None:
     """Commands for another node, unknown, or too short change nothing."""
     for data in (bytes((1, dut.node_id % 127 + 1)), bytes((0x77, dut.node_id)), bytes((1,))):

@@ -7,7 +7,6 @@ import subprocess
 import sys
 from typing import Final, Literal
 
-from hilbench.apps.conformance.actions import action
 from hilbench.apps.conformance.description import REFUSE_READ, REFUSE_WRITE, Entry
 from hilbench.apps.conformance.dut import DeviceUnderTest, answer_text, taken_text
 from hilbench.apps.conformance.record import NotApplicableError
@@ -40,7 +39,6 @@ _BAD_DEFAULT: Final = re.compile(r"invalid DefaultValue in \[([0-9A-Fa-f]{4})(?:
 _NO_VALUE_NOW: Final = (NO_DATA, GENERAL_ERROR)
 
 
-@action
 def eds_checker(dut: DeviceUnderTest) -> None:
     """An independent checker (dcf-tools) has nothing to say about the file."""
     try:
@@ -65,7 +63,6 @@ def _is_number_of_a_real(dut: DeviceUnderTest, warning: str) -> bool:
     return key is not None and dut.eds.has(*key) and isinstance(dut.eds.entry(*key).variable.default, float)
 
 
-@action
 def access(dut: DeviceUnderTest, area: _Area) -> None:
     """Reading gives data of the object's length; what is writable takes them back."""
     first, last = _AREAS[area]
@@ -128,7 +125,6 @@ def _open_pdos(dut: DeviceUnderTest) -> None:
                     dut.try_to_write(base + number + 0x200, 0, b"\0")
 
 
-@action
 def defaults(dut: DeviceUnderTest, area: _Area) -> None:
     """Defaults after a reset; what a device stores (1010h) may be another value, and is reported."""
     dut.reset()
@@ -147,7 +143,6 @@ def defaults(dut: DeviceUnderTest, area: _Area) -> None:
         dut.check(f"default of {entry}", default.hex(" "), seen, data == default)
 
 
-@action
 def read_only(dut: DeviceUnderTest) -> None:
     """The value that it has already is refused."""
     found = [entry for entry in dut.eds.entries() if entry.constant]
@@ -168,7 +163,6 @@ def _refuses_long(dut: DeviceUnderTest, entry: Entry, data: bytes) -> None:
     dut.check(f"write {entry}", f"abort {READ_ONLY:08X}h", taken_text(answer), ok)
 
 
-@action
 def sub_index_255(dut: DeviceUnderTest) -> None:
     """Sub-index 255 is absent, or has object and data type of the file."""
     for index in sorted({entry.index for entry in dut.eds.entries()}):
@@ -189,7 +183,6 @@ def _check_structure(dut: DeviceUnderTest, index: int, found: int) -> None:
     dut.check(f"structure in {index:04X}h:255", f"object type {wanted}, data type {code:02X}h", f"{found:08X}h", ok)
 
 
-@action
 def limits(dut: DeviceUnderTest) -> None:
     """A value beyond a limit of the file is refused."""
     examined = 0
@@ -214,7 +207,6 @@ def _is_of_type(entry: Entry, value: int) -> bool:
     return True
 
 
-@action
 def write_back(dut: DeviceUnderTest) -> None:
     """A value that was read is accepted when written back."""
     found = [e for e in dut.eds.entries(*_AREAS["device"]) if e.writable and not e.flags & (REFUSE_WRITE | REFUSE_READ)]

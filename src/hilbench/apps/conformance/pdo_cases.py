@@ -6,7 +6,7 @@ from collections.abc import Callable
 from itertools import pairwise
 from typing import Final, Literal
 
-from hilbench.apps.conformance.actions import ABORT_CODES, action
+from hilbench.apps.conformance.actions import ABORT_CODES
 from hilbench.apps.conformance.description import Entry
 from hilbench.apps.conformance.dut import DeviceUnderTest, answers
 from hilbench.apps.conformance.process_data import (
@@ -47,7 +47,6 @@ _BASES: Final = {"receive": RPDO, "transmit": TPDO}
 _Direction = Literal["receive", "transmit"]
 
 
-@action
 def scan(dut: DeviceUnderTest, direction: _Direction) -> None:
     """PDOs of the file are there, and the next one is not."""
     base = _BASES[direction]
@@ -59,7 +58,6 @@ def scan(dut: DeviceUnderTest, direction: _Direction) -> None:
 # -- communication in an NMT state -----------------------------------------------------------------------------
 
 
-@action
 def remote_request(dut: DeviceUnderTest, state: NmtCommand) -> None:
     """A remote frame brings the TPDO in OPERATIONAL alone."""
     pdo = transmit_pdo(dut)
@@ -74,7 +72,6 @@ def remote_request(dut: DeviceUnderTest, state: NmtCommand) -> None:
     dut.frames("remote request", found, pdo.cob_id, *(["??" * pdo.size] if state is NmtCommand.START else []))
 
 
-@action
 def sent_on_change(dut: DeviceUnderTest) -> None:
     """Sent on a change in OPERATIONAL, not without one, and not before the inhibit time is over."""
     pdo = dut.pdo
@@ -105,7 +102,6 @@ def _inhibit_time(dut: DeviceUnderTest) -> None:
     dut.check("changes within the inhibit time", f"{1000.0 * _INHIBIT_S:g} ms between frames at least", seen, ok)
 
 
-@action
 def sent_by_event_timer(dut: DeviceUnderTest) -> None:
     """Sent every 100 ms without a change."""
     found = dut.receive_id(dut.pdo.cob_id, 1.0)
@@ -113,7 +109,6 @@ def sent_by_event_timer(dut: DeviceUnderTest) -> None:
     dut.check("event timer of 100 ms", "10 frames in 1 s, one each 100 ms", f"{len(found)} frames{periods(found)}", ok)
 
 
-@action
 def every_third_sync(dut: DeviceUnderTest, state: NmtCommand) -> None:
     """Every third SYNC, whichever the device counts from: CiA 301 leaves that open without a SYNC counter."""
     transmit_pdo(dut)
@@ -125,7 +120,6 @@ def every_third_sync(dut: DeviceUnderTest, state: NmtCommand) -> None:
     dut.check("six SYNCs, type 3", _marks(wanted), _marks(came), came == wanted)
 
 
-@action
 def start_value(dut: DeviceUnderTest, state: NmtCommand) -> None:
     """SYNC start value with the SYNC counter: every second one from 4 on.
 
@@ -155,7 +149,6 @@ def _marks(came: list[bool]) -> str:
 # -- mapping ---------------------------------------------------------------------------------------------------
 
 
-@action
 def default_mapping(dut: DeviceUnderTest) -> None:
     """Mapped objects are in the file, as long as the mapping states."""
     indices = [base + number for base in (RPDO, TPDO) for number in dut.eds.pdos(base)]
@@ -193,7 +186,6 @@ def _opened(dut: DeviceUnderTest, base: int) -> int:
     return index
 
 
-@action
 def mapping_procedure(dut: DeviceUnderTest) -> None:
     """An RPDO that is mapped anew acts on the object that it then carries."""
     receive_pdo(dut)
@@ -247,7 +239,6 @@ def _may_carry(entry: Entry, base: int) -> bool:
     return bool(entry.variable.pdo_mappable) and entry.access in allowed and entry.mapping & 0xFF > 0
 
 
-@action
 def mapping_without_procedure(dut: DeviceUnderTest) -> None:
     """An entry can't be written while the number of entries is not 0."""
     for index in _of_each(dut, _with_one_object):
@@ -255,7 +246,6 @@ def mapping_without_procedure(dut: DeviceUnderTest) -> None:
         dut.refuses("an entry, the number being 1", index + MAPPING, 1, entry.to_bytes(4, "little"), *_NOT_NOW)
 
 
-@action
 def mapping_of_valid_pdo(dut: DeviceUnderTest) -> None:
     """Nor anything while the PDO is valid."""
     for index in _of_each(dut, _with_one_object):
@@ -265,7 +255,6 @@ def mapping_of_valid_pdo(dut: DeviceUnderTest) -> None:
         dut.refuses("an entry of a valid PDO", index + MAPPING, 1, entry.to_bytes(4, "little"), *_NOT_NOW)
 
 
-@action
 def too_many_objects(dut: DeviceUnderTest) -> None:
     """One more than the device has places for."""
     codes = (PDO_LENGTH, NOT_MAPPABLE, INVALID_VALUE, VALUE_TOO_HIGH)
@@ -276,7 +265,6 @@ def too_many_objects(dut: DeviceUnderTest) -> None:
             dut.refuses("an entry more", index + MAPPING, places + 1, bytes(4), NO_SUB_INDEX)
 
 
-@action
 def objects_too_long(dut: DeviceUnderTest) -> None:
     """More than eight bytes."""
     examined = 0
@@ -307,7 +295,6 @@ def objects_too_long(dut: DeviceUnderTest) -> None:
         raise NotApplicableError(dut.notes[-1])
 
 
-@action
 def maps(dut: DeviceUnderTest, direction: _Direction, kinds: list[str], mappable: bool, taken: bool) -> None:
     """Write an entry of objects of an access type; whether it is taken."""
     found = [e for e in dut.eds.entries(0x1000) if e.access in kinds and bool(e.variable.pdo_mappable) is mappable]
@@ -324,7 +311,6 @@ def maps(dut: DeviceUnderTest, direction: _Direction, kinds: list[str], mappable
         dut.refuses(f"map {entry}", index + MAPPING, 1, data, *_NOT_THERE)
 
 
-@action
 def placeholder(dut: DeviceUnderTest) -> None:
     """A dummy takes its place in the frame, and the object after it what follows."""
     dut.first(dut.eds.dummies, "a placeholder ([DummyUsage])")

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from hilbench.apps.conformance.actions import action
 from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.apps.conformance.record import NotApplicableError
 from hilbench.canopen.identifiers import HEARTBEAT
@@ -75,7 +74,6 @@ def wait(dut: DeviceUnderTest, condition: Callable[[], bool], duration_s: float 
     return dut.wire.now_s() - begun_s
 
 
-@action
 def expect_state(dut: DeviceUnderTest, what: str, *wanted: State, duration_s: float = _STATE_S) -> bool:
     """Expect one of some states within a time."""
     wait(dut, lambda: state(dut) in wanted, duration_s)
@@ -90,7 +88,6 @@ def expect_stays(dut: DeviceUnderTest, what: str, wanted: State) -> bool:
     return dut.check(what, f"stays in {wanted.label}", label(found), found is wanted)
 
 
-@action
 def switch_off(dut: DeviceUnderTest) -> None:
     """To SWITCH ON DISABLED, by a fault reset if need be."""
     command(dut, Command.DISABLE_VOLTAGE.value)
@@ -137,7 +134,6 @@ def _takes(dut: DeviceUnderTest, mode: OperationMode) -> bool:
     return wait(dut, lambda: dut.value(objects.MODES_OF_OPERATION_DISPLAY) == mode, 0.1) is not None
 
 
-@action
 def needs_mode(dut: DeviceUnderTest, mode: OperationMode) -> None:
     """Choose it. Raises NotApplicableError when 6502h lacks it."""
     name = mode.name.replace("_", " ").lower()
@@ -153,7 +149,6 @@ def choose(dut: DeviceUnderTest, mode: OperationMode) -> None:
         wait(dut, lambda: dut.value(objects.MODES_OF_OPERATION_DISPLAY) == mode, 1.0)
 
 
-@action
 def enable(dut: DeviceUnderTest, mode: OperationMode) -> None:
     """OPERATION ENABLED in a mode."""
     bring(dut, State.OPERATION_ENABLED)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from hilbench.apps.conformance.actions import action
 from hilbench.apps.conformance.description import Entry, Pdo
 from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.apps.conformance.record import NotApplicableError
@@ -24,7 +23,6 @@ _QUICK_STOP_S, _STEP_S = 3.0, 0.02
 _SHUTDOWN, _DISABLE = Command.SHUTDOWN.value, Command.DISABLE_VOLTAGE.value
 
 
-@action
 def transmit_pdo(dut: DeviceUnderTest) -> Pdo:
     """A TPDO with what `change` changes in it. Raises NotApplicableError when the device can't have one."""
     if dut.eds.is_drive:
@@ -37,7 +35,6 @@ def transmit_pdo(dut: DeviceUnderTest) -> Pdo:
     return _pdo(dut, TPDO, found[0])
 
 
-@action
 def receive_pdo(dut: DeviceUnderTest) -> Pdo:
     """An RPDO with an output in it. Raises NotApplicableError when the device can't have one, NotAllowedError when it
     would be an output of something else than a drive, and nothing may move.
@@ -74,7 +71,6 @@ def mapped(dut: DeviceUnderTest, index: int) -> list[int]:
     return [dut.value(index + MAPPING, sub) for sub in range(1, dut.value(index + MAPPING, 0) + 1)]
 
 
-@action
 def set_up(
     dut: DeviceUnderTest,
     kind: int,
@@ -118,7 +114,6 @@ def map_objects(dut: DeviceUnderTest, index: int, entries: Sequence[int]) -> Non
     dut.write(index + MAPPING, 0, len(entries))
 
 
-@action
 def change(dut: DeviceUnderTest) -> None:
     """Change what the case's TPDO carries."""
     if dut.eds.is_drive:

@@ -6,7 +6,7 @@ from binascii import crc_hqx
 from collections.abc import Mapping
 from typing import Final, Literal
 
-from hilbench.apps.conformance.actions import ABORT_CODES, AbortCode, Key, action
+from hilbench.apps.conformance.actions import ABORT_CODES, AbortCode, Key
 from hilbench.apps.conformance.dut import DeviceUnderTest, aborted, multiplexed
 from hilbench.apps.conformance.record import NotApplicableError
 from hilbench.apps.conformance.steps import read_if_there
@@ -18,7 +18,6 @@ _STRINGS: Final = (0x1008, 0x1009, 0x100A)
 _WITH_CRC: Final = 0x04
 
 
-@action
 def read_write_only(dut: DeviceUnderTest) -> None:
     """Refused, in all that the file calls write-only."""
     found = [entry for entry in dut.eds.entries() if not entry.readable]
@@ -29,7 +28,6 @@ def read_write_only(dut: DeviceUnderTest) -> None:
         dut.ask(f"read {entry}", request, aborted(entry.index, entry.sub, WRITE_ONLY))
 
 
-@action
 def read_no_object(dut: DeviceUnderTest) -> None:
     """An object that is not there."""
     absent = [index for index in (0x1004, *range(0x1030, 0x1200)) if index not in dut.eds.od.indices]
@@ -37,7 +35,6 @@ def read_no_object(dut: DeviceUnderTest) -> None:
     dut.ask(f"read {index:04X}h:0", multiplexed(0x40, index, 0).hex(), aborted(index, 0, NO_OBJECT))
 
 
-@action
 def wrong_length(dut: DeviceUnderTest, widths: list[int], length: int, code: AbortCode) -> None:
     """So many bytes into objects of other lengths."""
     areas = (0x1003, 0x1005, 0x1006, 0x1015, 0x1017, 0x1019)
@@ -52,7 +49,6 @@ def wrong_length(dut: DeviceUnderTest, widths: list[int], length: int, code: Abo
         )
 
 
-@action
 def beyond_limit(dut: DeviceUnderTest, limit: Literal["min", "max"], code: AbortCode, known: Mapping[Key, int]) -> None:
     """Refused are values that the standard forbids, and the one beyond the first limit in the file."""
     step = 1 if limit == "max" else -1
@@ -83,7 +79,6 @@ def _fits(width: int | None, limit: int | None, step: int) -> bool:
     return low <= limit + step < 1 << (8 * width - (1 if limit < 0 else 0))
 
 
-@action
 def segmented_download(dut: DeviceUnderTest, key: Key) -> None:
     """Two bytes in a segment."""
     dut.touched.add(key)
@@ -104,7 +99,6 @@ def _long_text(dut: DeviceUnderTest) -> tuple[int, bytes]:
     raise NotApplicableError("no object has more than four bytes")
 
 
-@action
 def segmented_upload(dut: DeviceUnderTest) -> None:
     """The size is announced, the toggle bit alternates, the last segment is marked."""
     index, data = _long_text(dut)
@@ -125,7 +119,6 @@ def _segmented_upload(dut: DeviceUnderTest, index: int, data: bytes) -> None:
         toggle ^= 0x10
 
 
-@action
 def wrong_toggle_bit(dut: DeviceUnderTest) -> None:
     """The first segment has toggle bit 0, the second 1."""
     index, data = _long_text(dut)
@@ -139,7 +132,6 @@ def wrong_toggle_bit(dut: DeviceUnderTest) -> None:
         dut.ask("second segment with toggle bit 0", "60 00000000000000", refused)
 
 
-@action
 def all_segmented(dut: DeviceUnderTest) -> None:
     """Every text of the communication profile, and nothing after the last segment."""
     texts = [(i, d) for i in _STRINGS if dut.eds.has(i) and isinstance(d := dut.peek(i, 0), bytes) and len(d) > 4]
@@ -161,7 +153,6 @@ def _begin_block(dut: DeviceUnderTest, request: bytes) -> bytes:
     return answer
 
 
-@action
 def begin_block_upload(dut: DeviceUnderTest, key: Key, crc: bool = False) -> bytes:
     """The answer to the beginning."""
     answer = _begin_block(dut, multiplexed(0xA0 | crc * _WITH_CRC, *key, bytes((20, 0, 0, 0))))
@@ -171,7 +162,6 @@ def begin_block_upload(dut: DeviceUnderTest, key: Key, crc: bool = False) -> byt
     return answer
 
 
-@action
 def block_upload(dut: DeviceUnderTest, crc: bool, key: Key | None = None) -> None:
     """An object of four bytes, by default a text, with or without CRC."""
     if key is None:
@@ -195,7 +185,6 @@ def block_upload(dut: DeviceUnderTest, crc: bool, key: Key | None = None) -> Non
     dut.ask("the server is ready again", "40 00 10 00 00000000", "43 00 10 00 ????????")
 
 
-@action
 def block_download(dut: DeviceUnderTest, key: Key, crc: bool) -> None:
     """Two bytes in a block."""
     dut.touched.add(key)
@@ -212,7 +201,6 @@ def block_download(dut: DeviceUnderTest, key: Key, crc: bool) -> None:
 # -- servers and clients ---------------------------------------------------------------------------------------
 
 
-@action
 def further_servers(dut: DeviceUnderTest) -> None:
     """SDO servers of the file are there, and no others."""
     read_if_there(dut, "43", *((index, 1) for index in range(0x1201, 0x1280)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hilbench.apps.conformance.actions import Key, action
+from hilbench.apps.conformance.actions import Key
 from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.apps.conformance.record import CaseEndedError, NotApplicableError
 from hilbench.canopen.identifiers import COB_ID, INVALID, is_restricted
@@ -10,13 +10,11 @@ from hilbench.canopen.object_store import INVALID_VALUE, VALUE_TOO_HIGH, VALUE_T
 from hilbench.canopen.sdo_client import Refusal
 
 
-@action
 def sign(dut: DeviceUnderTest, key: Key, signature: str) -> None:
     """Write the signature "save" or "load", which has to be taken."""
     dut.write(*key, int.from_bytes(signature.encode("ascii"), "little"))
 
 
-@action
 def restricted_identifiers(dut: DeviceUnderTest) -> None:
     """No service takes an identifier of another (table 40)."""
     keys = [key for key in ((0x1005, 0), (0x1014, 0), (0x1400, 1), (0x1800, 1)) if dut.eds.can_write(*key)]

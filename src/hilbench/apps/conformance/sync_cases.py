@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-from hilbench.apps.conformance.actions import action
 from hilbench.apps.conformance.dut import DeviceUnderTest, answers
 from hilbench.apps.conformance.wire import ReceivedFrame
 from hilbench.canopen.identifiers import PRODUCE_SYNC, SYNC
@@ -22,14 +21,12 @@ def _produced(dut: DeviceUnderTest) -> list[ReceivedFrame]:
     return dut.receive_id(SYNC, 1.0)
 
 
-@action
 def produces_sync(dut: DeviceUnderTest) -> None:
     """Ten in a second."""
     found = _produced(dut)
     dut.check("SYNC every 100 ms", "10 in 1 s", f"{len(found)} in 1 s", 9 <= len(found) <= 11)
 
 
-@action
 def every_tenth_sync(dut: DeviceUnderTest) -> None:
     """Transmission type 10: with every tenth SYNC, whichever the device counts from."""
     came = [number for number in range(1, 41) if answers(dut.sync(), dut.pdo.cob_id, lambda _: True)]
@@ -37,7 +34,6 @@ def every_tenth_sync(dut: DeviceUnderTest) -> None:
     dut.check("40 SYNCs, type 10", f"sent with {wanted}", f"sent with {came or 'none'}", came == wanted)
 
 
-@action
 def produces_sync_counter(dut: DeviceUnderTest) -> None:
     """1 to 5, and again."""
     seen = [received.data.hex() for received in _produced(dut)][:7]

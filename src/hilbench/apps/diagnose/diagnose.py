@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ from rich.table import Table
 
 from hilbench.apps.cli.columns import report_section, report_unknown
 from hilbench.apps.cli.model_option import any_model_from, config_from
+from hilbench.apps.cli.options import print_json
 from hilbench.apps.cli.progress import ProgressDisplay
 from hilbench.apps.diagnose.page import write_diagnosis_page
 from hilbench.apps.history.entries import keep_diagnosis
@@ -144,7 +144,7 @@ def diagnose_command(
     data = as_data(found, files, written)
     _remember(found, source, data, errors)
     if as_json:
-        print(json.dumps(data, indent=2))
+        print_json(data)
     else:
         _show_all(console, found, files)
         if next_experiment is not None:

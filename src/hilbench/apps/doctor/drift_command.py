@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hilbench.apps.cli.config_file import load_config
-from hilbench.apps.cli.options import BusOption, ConfigArgument, JsonOption, SetOption
+from hilbench.apps.cli.options import BusOption, ConfigArgument, JsonOption, SetOption, print_json
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, UnusableInputError
 
 if TYPE_CHECKING:
@@ -47,8 +47,6 @@ def drift(
 
     Example: hilbench drift bench_configs/web_section_step.yaml --bus socketcan:can0 --json
     """
-    from json import dumps
-
     from rich.console import Console
 
     from hilbench.apps.canopen_tools.attach import left_out
@@ -82,7 +80,7 @@ def drift(
     )
     written = _write(config, found, write or ())
     if json:
-        print(dumps(_as_data(found, last, problems, written), indent=2))
+        print_json(_as_data(found, last, problems, written))
     else:
         _show(found, last, problems, written)
     raise typer.Exit(EXIT_CRITERION_FAILED if found else EXIT_PASSED)

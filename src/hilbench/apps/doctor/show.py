@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from hilbench.apps.cli.options import print_json
 from hilbench.apps.doctor.examination import Examination, Start, Subject, examine
 from hilbench.apps.doctor.findings import Finding, Level
 from hilbench.can.open import BusAddress
@@ -30,7 +30,7 @@ def doctor_command(loaded: LoadedConfig | None, bus: BusAddress | None, *, start
     examination = examine(subject, start=start_nodes, announce=lambda text: console.print(f"{text} ..."))
     show(console, examination)
     if as_json:
-        print(json.dumps(as_data(examination), indent=2))
+        print_json(as_data(examination))
     return EXIT_PASSED if examination.passed else EXIT_CRITERION_FAILED
 
 

@@ -10,8 +10,7 @@ from functools import partial
 from math import isinf
 
 from hilbench.apps.gateway.errors import GatewayError, RequestError
-from hilbench.canopen import data_types as types
-from hilbench.canopen.data_types import Value, data_type
+from hilbench.canopen.data_types import DataType, Value, data_type
 
 
 @dataclass(frozen=True)
@@ -102,14 +101,14 @@ _TIME = TextForm(_parse_time, _show_time)
 
 #: By the names of CiA 309-3; x… and hex are CANopenNode's.
 _FORMS = {
-    "b": TextForm(partial(_parse, types.BOOLEAN), lambda data: str(int(_decode(types.BOOLEAN, data) != 0))),
-    "i8": _number(types.INTEGER8), "i16": _number(types.INTEGER16),
-    "i32": _number(types.INTEGER32), "i64": _number(types.INTEGER64),
-    "u8": _number(types.UNSIGNED8), "u16": _number(types.UNSIGNED16),
-    "u32": _number(types.UNSIGNED32), "u64": _number(types.UNSIGNED64),
-    "x8": _hexadecimal(types.UNSIGNED8), "x16": _hexadecimal(types.UNSIGNED16),
-    "x32": _hexadecimal(types.UNSIGNED32), "x64": _hexadecimal(types.UNSIGNED64),
-    "r32": _number(types.REAL32), "r64": _number(types.REAL64),
+    "b": TextForm(partial(_parse, DataType.BOOLEAN), lambda data: str(int(_decode(DataType.BOOLEAN, data) != 0))),
+    "i8": _number(DataType.INTEGER8), "i16": _number(DataType.INTEGER16),
+    "i32": _number(DataType.INTEGER32), "i64": _number(DataType.INTEGER64),
+    "u8": _number(DataType.UNSIGNED8), "u16": _number(DataType.UNSIGNED16),
+    "u32": _number(DataType.UNSIGNED32), "u64": _number(DataType.UNSIGNED64),
+    "x8": _hexadecimal(DataType.UNSIGNED8), "x16": _hexadecimal(DataType.UNSIGNED16),
+    "x32": _hexadecimal(DataType.UNSIGNED32), "x64": _hexadecimal(DataType.UNSIGNED64),
+    "r32": _number(DataType.REAL32), "r64": _number(DataType.REAL64),
     "t": _TIME, "td": _TIME,
     "vs": TextForm(lambda text: text.encode("latin-1", errors="replace"), _show_text),
     "os": _BASE64, "us": _BASE64, "d": _BASE64,

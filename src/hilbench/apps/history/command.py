@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from hilbench.apps.cli.options import JsonOption
+from hilbench.apps.cli.options import JsonOption, print_json
 from hilbench.errors import UnusableInputError
 
 if TYPE_CHECKING:
@@ -56,8 +56,6 @@ def history(
 
     Example: hilbench history --rebuild --runs runs --json
     """
-    from json import dumps
-
     from hilbench.apps.history import entries
     from hilbench.apps.history.quantities import quantities_of
     from hilbench.apps.history.store import History, history_beside, history_of
@@ -87,7 +85,7 @@ def history(
         write_history_page(found, html)
     if json:
         stands = [{"stand": name, "quantities": [as_data(each) for each in of]} for name, of in found.items()]
-        print(dumps({"file": str(path), "stands": stands, "notes": problems}, indent=2))
+        print_json({"file": str(path), "stands": stands, "notes": problems})
         return
     _show(found, path, problems, html)
 

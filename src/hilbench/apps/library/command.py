@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hilbench.apps.cli.options import JsonOption
+from hilbench.apps.cli.options import JsonOption, print_json
 from hilbench.errors import UnusableInputError, printable
 
 if TYPE_CHECKING:
@@ -138,9 +138,7 @@ def list_runs(
 
         print(write_runs_page(runs, found, html))
     elif json:
-        from json import dumps
-
-        print(dumps({"folder": str(runs), "runs": [run.as_data() for run in found[:last]]}, indent=2))
+        print_json({"folder": str(runs), "runs": [run.as_data() for run in found[:last]]})
     elif paths:
         for run in found[:last]:
             print(runs / run.path)
@@ -241,14 +239,12 @@ def show(
     entry = entry_of(folder)
     files = {name: str(path) for name, path in folder.files().items()}
     if json:
-        from json import dumps
-
         data = entry.as_data() | {"folder": str(folder.path), "files": files}
         data["verdicts"] = [
             {"criterion": each.name, "verdict": each.verdict, "verifies": list(each.verifies)}
             for each in entry.verdicts
         ]
-        print(dumps(data, indent=2))
+        print_json(data)
         return
     typer.echo(f"{entry.name}  {typer.style(entry.state, fg=_COLOURS.get(entry.state))}")
     about = {
@@ -307,7 +303,6 @@ def trend(
     Example: hilbench runs trend E_noise_pct --over machine.web.youngs_modulus_Pa --out noise.png
     """
     from dataclasses import asdict
-    from json import dumps
 
     from hilbench.apps.library.query import Query
     from hilbench.apps.library.runs_picture import points_of, summary_of, write_runs_picture
@@ -323,7 +318,7 @@ def trend(
         write_runs_picture(points, metric, over, out)
     if json:
         rows = [{"run": each.run.path, "result": each.run.state, over: each.x, metric: each.value} for each in points]
-        print(dumps({**asdict(summary), "left_out": left_out, "points": rows}, indent=2))
+        print_json({**asdict(summary), "left_out": left_out, "points": rows})
         return
     typer.echo(
         f"{metric} of {_count(summary.runs)} over {over}: {summary.direction}, median {summary.median:.5g}, "
@@ -455,7 +450,6 @@ def gc(
     Example: hilbench runs gc --max-size 20GB --yes
     """
     import time
-    from json import dumps
 
     from hilbench.apps.library.query import seconds_of
     from hilbench.apps.library.retention import Keep, delete_all, to_clear
@@ -479,7 +473,7 @@ def gc(
     if json:
         rows = [{"run": each.run.path, "why": each.why, "size_bytes": each.run.size_bytes} for each in deletions]
         kept = len(known) - len(deletions)
-        print(dumps({"deleted": not dry_run, "freed_bytes": freed, "kept": kept, "runs": rows}, indent=2))
+        print_json({"deleted": not dry_run, "freed_bytes": freed, "kept": kept, "runs": rows})
         if left:
             raise UnusableInputError.of([*left.values()])
         return
@@ -530,8 +524,6 @@ def matrix(
 
     Example: hilbench runs matrix --reqif specification.reqif --html matrix.html
     """
-    from json import dumps
-
     from hilbench.apps.library.matrix import matrix_of
     from hilbench.apps.library.query import Query
     from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
@@ -548,7 +540,7 @@ def matrix(
 
         typer.echo(write_matrix_page(made, runs, html))
     elif json:
-        print(dumps(made.as_data(), indent=2))
+        print_json(made.as_data())
     else:
         _print_matrix(made)
     raise typer.Exit(EXIT_PASSED if made.fulfilled else EXIT_CRITERION_FAILED)

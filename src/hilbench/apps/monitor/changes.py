@@ -15,7 +15,7 @@ from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
 from hilbench.bench.operator.operator_objects import INDEX
 from hilbench.bench.prediction.create import foreseeable
 from hilbench.can.frame import Frame
-from hilbench.canopen.data_types import REAL32, data_type
+from hilbench.canopen.data_types import DataType
 from hilbench.canopen.object_store import PRESENT_STATE, VALUE_TOO_HIGH, VALUE_TOO_LOW
 from hilbench.canopen.sdo_client import SdoClient
 from hilbench.errors import BusError, HilbenchError
@@ -113,7 +113,7 @@ class ChangeRequests:
 
     def _write(self, path: str, asked: str, value: float, expected: str) -> str:
         """SI; `asked` and `expected`: how the value and what may be asked for are called."""
-        node_id, data = self._config.master.node_id, data_type(REAL32).encode(value)
+        node_id, data = self._config.master.node_id, DataType.REAL32.encode(value)
         try:
             with self._on_bus:
                 self._joined().download(node_id, INDEX, OPERATOR_OBJECTS[path][0], data)

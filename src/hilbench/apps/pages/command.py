@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hilbench.apps.cli.config_file import load_config
-from hilbench.apps.cli.options import BusOption, JsonOption
+from hilbench.apps.cli.options import BusOption, JsonOption, print_json
 
 if TYPE_CHECKING:
     from hilbench.apps.monitor.picture import BusPicture
@@ -122,9 +122,8 @@ def _refuse_without_browser(given: Mapping[str, object]) -> None:
 
 def _print(picture: BusPicture, link: Link, duration_s: float) -> None:
     import time
-    from json import dumps
 
     until_s = time.monotonic() + duration_s
     while (left_s := until_s - time.monotonic()) > 0:
         picture.take(link.receive(min(left_s, _READ_S)))
-    print(dumps(picture.as_data(), indent=2))
+    print_json(picture.as_data())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hilbench.apps.cli.options import ConfigArgument, JsonOption, SetOption
+from hilbench.apps.cli.options import ConfigArgument, JsonOption, SetOption, print_json
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
 
 if TYPE_CHECKING:
@@ -52,8 +52,6 @@ def sweep(
 
     Example: hilbench sweep bench_configs/web_section_step.yaml --vary seed=1..200:200 --cluster tcp://10.0.0.5:8786
     """  # noqa: E501
-    from json import dumps
-
     from hilbench.apps.sweep.sweep import Sweep, parse_axis, points
 
     runs = points([parse_axis(text) for text in vary], samples, seed)
@@ -64,7 +62,7 @@ def sweep(
     failed = sum(row.passed is False for row in made.rows.values())
     unjudged = sum(row.passed is None for row in made.rows.values())
     if json:
-        print(dumps({"table": str(table), "runs": made.as_data()}, indent=2))
+        print_json({"table": str(table), "runs": made.as_data()})
     else:
         _show(made)
         completed = f", {unjudged} completed, nothing judged" if unjudged else ""

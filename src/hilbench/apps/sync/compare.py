@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from math import isfinite
 from pathlib import Path
@@ -14,6 +13,7 @@ from rich.table import Table
 
 from hilbench.apps.cli.columns import report, report_section, report_unknown
 from hilbench.apps.cli.model_option import machine_of, model_from, web_line_of
+from hilbench.apps.cli.options import print_json
 from hilbench.apps.sweep.sweep import Row, Sweep
 from hilbench.apps.sync.page import COLUMNS, ESTIMATES, rows, write_comparison
 from hilbench.diagnosis.synchronization import (
@@ -112,7 +112,7 @@ def sync_command(
 
 def _show(comparison: Comparison, page: Path | None, as_json: bool) -> None:
     if as_json:
-        print(json.dumps(as_data(comparison), indent=2))
+        print_json(as_data(comparison))
         return
     console = Console(highlight=False)
     console.print(_table(comparison))

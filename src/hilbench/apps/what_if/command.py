@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hilbench.apps.cli.config_file import load_config
-from hilbench.apps.cli.options import BusOption, JsonOption
+from hilbench.apps.cli.options import BusOption, JsonOption, print_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -78,9 +78,7 @@ def what_if(
 
         write_what_if_page(answer, texts, name, out)
     if json:
-        from json import dumps
-
-        print(dumps(_as_object(answer), indent=2))
+        print_json(_as_object(answer))
         return
     _print(answer, texts, "now" if run.is_file() else f"t = {answer.outlook.now_s:.3f} s")
     if out is not None:

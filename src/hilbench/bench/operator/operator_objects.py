@@ -16,7 +16,7 @@ from canopen.objectdictionary import ODRecord, ODVariable
 
 import canopen
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
-from hilbench.canopen.data_types import REAL32, UNSIGNED8, UNSIGNED32
+from hilbench.canopen.data_types import DataType
 from hilbench.canopen.object_store import INVALID_VALUE, PRESENT_STATE, Cell, ObjectStore, SdoAbort
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import permitted
@@ -64,17 +64,19 @@ class OperatorObjects:
 def dictionary(paths: Iterable[str] = OPERATOR_OBJECTS) -> canopen.ObjectDictionary:
     """Object dictionary of the bench's own node (``eds/hilbench_bench.eds``); `paths`: the machine's quantities."""
     od = canopen.ObjectDictionary()
-    od.add_object(_variable("Device type", 0x1000, 0, UNSIGNED32, "const", 0))
-    od.add_object(_variable("Error register", 0x1001, 0, UNSIGNED8, "ro", 0))
+    od.add_object(_variable("Device type", 0x1000, 0, DataType.UNSIGNED32, "const", 0))
+    od.add_object(_variable("Error register", 0x1001, 0, DataType.UNSIGNED8, "ro", 0))
     identity = ODRecord("Identity object", 0x1018)
     for sub, (name, value) in enumerate(_IDENTITY):
-        identity.add_member(_variable(name, 0x1018, sub, UNSIGNED32 if sub else UNSIGNED8, "const", value))
+        identity.add_member(
+            _variable(name, 0x1018, sub, DataType.UNSIGNED32 if sub else DataType.UNSIGNED8, "const", value)
+        )
     od.add_object(identity)
     entries = [OPERATOR_OBJECTS[path] for path in paths]
     record = ODRecord("Operator", INDEX)
-    record.add_member(_variable("Highest sub-index supported", INDEX, 0, UNSIGNED8, "const", max(entries)[0]))
+    record.add_member(_variable("Highest sub-index supported", INDEX, 0, DataType.UNSIGNED8, "const", max(entries)[0]))
     for sub, name in entries:
-        record.add_member(_variable(name, INDEX, sub, REAL32, "rw"))
+        record.add_member(_variable(name, INDEX, sub, DataType.REAL32, "rw"))
     od.add_object(record)
     return od
 
