@@ -517,39 +517,28 @@ class Result(_WithOptions, JsonFile):
         timing: Timing,
         faults: Sequence[Fault],
         environment: Environment | None = None,
-        warnings: Sequence[Warned] = (),
+        *,
         judged: Judgement | None = None,
-        provenance: Provenance | None = None,
         predicted: Sequence[Announcement] | None = None,
-        found: Sequence[FoundRecord] | None = None,
-        gap_history: GapHistory | None = None,
         estimated: Sequence[EstimatedModelError] = (),
-        began: datetime | None = None,
-        streams: Sequence[StreamRecord] = (),
-        commissioned: str | None = None,
+        **further: Any,
     ) -> Self:
-        """A result whose `passed` follows from its criteria and faults."""
+        """A result whose `passed` follows from its criteria and faults; `further` fields are as they are."""
         judgements = [criterion.of_cut_off_run() if faults else criterion for criterion in criteria]
         holds = all(criterion.passed for criterion in judgements) if judgements else None
         return cls(
             passed=False if faults else holds,
-            began=began,
             criteria=judgements,
             metrics=metrics,
             timing=timing,
             faults=list(faults),
             environment=environment,
-            provenance=provenance,
-            warnings=list(warnings) or None,
             not_judged=judged.not_judged() if judged else None,
             steps=[StepRecord.of(step) for step in judged.steps[:MOST_EVENTS]] if judged else None,
             events=[EventRecord.of(event) for event in judged.events[:MOST_EVENTS]] if judged else None,
             predicted=None if predicted is None else [PredictedLimit.of(made) for made in predicted[:MOST_EVENTS]],
-            found=None if found is None else list(found),
-            gap_history=gap_history,
-            streams=list(streams) or None,
             estimated=[EstimatedRecord.of(each) for each in estimated] or None,
-            commissioned=commissioned,
+            **further,
         )
 
     @property

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib.metadata import version
-from typing import Final, Protocol
+from typing import Final
 
 import canopen
 from hilbench.apps.gateway import requests
 from hilbench.apps.gateway.errors import GatewayError, RequestError
+from hilbench.apps.gateway.network import GatewayNetwork
 from hilbench.apps.gateway.requests import Request
 from hilbench.apps.gateway.values import form
 from hilbench.canopen.identifiers import LAST_NODE, NmtCommand
+from hilbench.canopen.lss_master import LssMaster
 from hilbench.canopen.master import Identity
 from hilbench.errors import BenchFaultError, BusError
 
@@ -32,38 +34,10 @@ _RESETS: Final = {
 _TIMED_OUT: Final = "0x05040000"
 
 
-class Network(Protocol):
-    """Bus operations of the gateway. `why_not(node)`: None where it may write, or why not."""
-
-    def upload(self, node_id: int, index: int, sub: int) -> bytes:
-        """Read an object, as `SdoClient.upload`."""
-
-    def download(self, node_id: int, index: int, sub: int, data: bytes) -> None:
-        """Write an object, as `SdoClient.download`."""
-
-    def nmt(self, command: NmtCommand, node_id: int = 0) -> None:
-        """Send an NMT command, as `Master.nmt`."""
-
-    def why_not(self, node_id: int) -> str | None:
-        """Why nothing may be changed at a node (0: of the network)."""
-
-
-class LssNetwork(Protocol):
-    """LSS on the same bus, as `LssMaster` has it."""
-
-    def find_unconfigured(self) -> list[Identity]: ...
-    def select(self, identity: Identity) -> None: ...
-    def release(self) -> None: ...
-    def node_id(self) -> int | None: ...
-    def give_node_id(self, node_id: int) -> None: ...
-    def give_bit_rate(self, index: int) -> None: ...
-    def store(self) -> None: ...
-
-
 class Session:
     """Handles lines of one client. Default net and node are its own (CiA 309-3: set network, set node)."""
 
-    def __init__(self, network: Network, lss: Callable[[], LssNetwork]) -> None:
+    def __init__(self, network: GatewayNetwork, lss: Callable[[], LssMaster]) -> None:
         self._network, self._lss = network, lss
         self._default_node: int | None = None
         self._commands: dict[str, Callable[[Request], str]] = {
@@ -183,7 +157,7 @@ class Session:
 
     # -- LSS ---------------------------------------------------------------------------------------------
 
-    def _lss_done(self, do: Callable[[LssNetwork], None], error_code: GatewayError) -> str:
+    def _lss_done(self, do: Callable[[LssMaster], None], error_code: GatewayError) -> str:
         self._may_change(0)
         try:
             do(self._lss())

@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hilbench.apps.history import servo_axis, web_line
+from hilbench.apps.history.estimates import estimates, place
 from hilbench.apps.history.store import COMMISSIONING, Entry, History, Quantity, history_of
 from hilbench.diagnosis.commissioning import Commissioned
 from hilbench.errors import UnusableInputError
@@ -111,8 +111,7 @@ def keep_commissioning(folder: RunFolder, found: Iterable[Commissioned]) -> list
 
 
 def _quantity(one: Commissioned) -> Quantity:
-    place = _place({"axis": one.axis, "span": one.section})
-    name = f"{place}.{one.effect}.{one.parameter}"
+    name = f"{place({'axis': one.axis, 'span': one.section})}.{one.effect}.{one.parameter}"
     return Quantity(name, one.value, one.deviation, one.unit, ", ".join(one.tied_with))
 
 
@@ -141,8 +140,8 @@ def _of_twin(recording: Recording) -> Iterator[Quantity]:
     if not good.any():
         return
     last = int(np.flatnonzero(good)[-1])
-    for estimate in (*web_line.estimates(recording.channels), *servo_axis.estimates()):
-        if estimate.value not in recording or estimate.deviation not in recording:
+    for estimate in estimates(recording.channels):
+        if estimate.deviation not in recording:
             continue
         values = np.asarray(recording[estimate.value], np.float64)
         sd = np.asarray(recording[estimate.deviation], np.float64)[last]
@@ -161,13 +160,6 @@ def _beside(folder: RunFolder) -> Iterator[Quantity]:
             yield Quantity(f"{each.place}.{each.effect}.{each.parameter}", each.value, sd, each.unit, tied)
 
 
-def _place(effect: Mapping[str, Any]) -> str:
-    """Place of an effect as a diagnosis writes it, in the path of a quantity."""
-    if effect["axis"]:
-        return f"axis{effect['axis']}"
-    return web_line.place(effect)
-
-
 def _of_diagnosis(folder: RunFolder) -> Iterator[Quantity]:
     """The parameters of the effects that were named, from the diagnosis in a run folder."""
     if not folder.diagnosis.is_file():
@@ -175,12 +167,12 @@ def _of_diagnosis(folder: RunFolder) -> Iterator[Quantity]:
     try:
         found = json.loads(folder.diagnosis.read_text(encoding="utf-8"))
         for effect in [*found["effects"], *found["nuisance"]]:
-            place, tied = _place(effect), ", ".join(effect["tied_with"])
+            where, tied = place(effect), ", ".join(effect["tied_with"])
             for name, parameter in effect["parameters"].items():
                 low, high = parameter["ci95"]
                 sd, value = (float(high) - float(low)) / (2.0 * _NORMAL_95), float(parameter["value"])
                 if name not in _PLACES and np.isfinite([sd, value]).all() and sd >= 0.0:
-                    yield Quantity(f"{place}.{effect['effect']}.{name}", value, sd, str(parameter["unit"]), tied)
+                    yield Quantity(f"{where}.{effect['effect']}.{name}", value, sd, str(parameter["unit"]), tied)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UnusableInputError(
             folder.diagnosis, f"is no diagnosis ({' '.join(str(error).split())}), expected what diagnose has written"

@@ -59,7 +59,7 @@ def note(folder: RunFolder, text: str) -> Labels:
     if not words or len(words) > _LONGEST_NOTE:
         raise UnusableInputError("note", f"of {len(words)} characters, expected 1 to {_LONGEST_NOTE}")
     labels = Labels.of(folder)
-    made = Note(time=datetime.now(UTC).isoformat(timespec="seconds"), by=_user(), text=words)
+    made = Note(time=datetime.now(UTC).isoformat(timespec="seconds"), by=user_name("unknown"), text=words)
     return _write(folder, labels.model_copy(update={"notes": [*labels.notes, made]}))
 
 
@@ -68,8 +68,9 @@ def _write(folder: RunFolder, labels: Labels) -> Labels:
     return labels
 
 
-def _user() -> str:
+def user_name(otherwise: str) -> str:
+    """Name of the user of this process."""
     try:
         return getpass.getuser()
     except (OSError, KeyError):  # a user id without a name, as in some containers
-        return "unknown"
+        return otherwise

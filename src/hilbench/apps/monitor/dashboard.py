@@ -12,7 +12,7 @@ from contextlib import suppress
 from functools import partial
 from math import floor, log10
 from textwrap import wrap
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
@@ -47,19 +47,28 @@ _WHAT_IF_KEY = "w"
 _STOP_KEY = "e"
 _STOP_HINT = f"{_STOP_KEY}: EMERGENCY STOP"
 
+Answered = TypeVar("Answered")
 
-class _Question(ModalScreen[bool]):
+
+class _Dialogue(ModalScreen[Answered]):
+    """Asks for an answer by a key."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self._text = text
+
+    def compose(self) -> ComposeResult:
+        """The question."""
+        yield Static(self._text, classes="dialogue")
+
+
+class _Question(_Dialogue[bool]):
     """Asks once more; only `y` means yes."""
 
     BINDINGS: ClassVar[list[BindingType]] = [("y", "dismiss(True)", "yes"), ("n,escape", "dismiss(False)", "no")]
 
     def __init__(self, text: str, hint: str = f"y: yes   n: no   {_STOP_HINT}") -> None:
-        super().__init__()
-        self._text = f"{text}\n{hint}"
-
-    def compose(self) -> ComposeResult:
-        """The question."""
-        yield Static(self._text, classes="dialogue")
+        super().__init__(f"{text}\n{hint}")
 
 
 class _StopQuestion(_Question):
@@ -77,7 +86,7 @@ class _Number(Input):
         return key != _STOP_KEY and super().check_consume_key(key, character)
 
 
-class _YesOrNo(ModalScreen[bool | None]):
+class _YesOrNo(_Dialogue[bool | None]):
     """Asks for one of two answers; Esc gives none."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -87,38 +96,27 @@ class _YesOrNo(ModalScreen[bool | None]):
     ]
 
     def __init__(self, title: str, yes: str, no: str) -> None:
-        super().__init__()
-        self._text = f"{title}?\ny: {yes}\nn: {no}\nEsc leaves it   {_STOP_HINT}"
-
-    def compose(self) -> ComposeResult:
-        """The question."""
-        yield Static(self._text, classes="dialogue")
+        super().__init__(f"{title}?\ny: {yes}\nn: {no}\nEsc leaves it   {_STOP_HINT}")
 
 
-class _OneOf(ModalScreen[str | None]):
+class _OneOf(_Dialogue[str | None]):
     """Asks for one of some quantities, each by its key."""
 
     def __init__(self, quantities: Mapping[str, MainQuantity]) -> None:
-        super().__init__()
+        lines = [f"{key}: {quantity.title}" for key, quantity in quantities.items()]
+        super().__init__("\n".join(["What if another", *lines, f"Esc leaves it   {_STOP_HINT}"]))
         for key in quantities:
             self._bindings.bind(key, f"dismiss('{key}')")
         self._bindings.bind("escape", "dismiss(None)")
-        lines = [f"{key}: {quantity.title}" for key, quantity in quantities.items()]
-        self._text = "\n".join(["What if another", *lines, f"Esc leaves it   {_STOP_HINT}"])
-
-    def compose(self) -> ComposeResult:
-        """The choice."""
-        yield Static(self._text, classes="dialogue")
 
 
-class _NewValue(ModalScreen[float | None]):
+class _NewValue(_Dialogue[float | None]):
     """Asks for a number."""
 
     BINDINGS: ClassVar[list[BindingType]] = [("escape", "dismiss(None)", "leave it")]
 
     def __init__(self, text: str, low: float, high: float, unit: str) -> None:
-        super().__init__()
-        self._text = f"{text} in {unit} ({low:g} to {high:g}); Esc leaves it"
+        super().__init__(f"{text} in {unit} ({low:g} to {high:g}); Esc leaves it")
         self._range = Number(low, high)
 
     def compose(self) -> ComposeResult:

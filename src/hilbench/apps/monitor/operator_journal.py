@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import getpass
 import time
 from pathlib import Path
 
+from hilbench.apps.library.labels import user_name
 from hilbench.apps.library.live_run import LiveRun
 from hilbench.bench.reports.change import Change
 from hilbench.results.journal import append_to_journal
@@ -13,11 +13,7 @@ from hilbench.results.journal import append_to_journal
 
 def somebody_here() -> str:
     """Name of the user at this terminal, as written in a journal."""
-    try:
-        name = getpass.getuser()
-    except (KeyError, OSError):  # an account without a name
-        name = "somebody"
-    return f"{name} (terminal)"
+    return f"{user_name('somebody')} (terminal)"
 
 
 class OperatorJournal:

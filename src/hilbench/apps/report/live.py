@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
@@ -119,35 +119,26 @@ def _page_data(pictures: Sequence[Picture], marks: Sequence[Mark]) -> dict[str, 
     tables = {key: _Table(t_s, stretches(t_s, fine, points)) for key, t_s in bases.items()}
     numbers = {key: number for number, key in enumerate(tables)}
 
-    def curve(each: Curve) -> dict[str, Any]:
+    def shown(each: Curve | Band, values: Mapping[str, Array]) -> dict[str, Any]:
         table = tables[id(each.t_s)]
-        return {
-            "label": each.name,
-            "table": numbers[id(each.t_s)],
-            "column": table.add(each.values),
-            "colour": VARIABLES[each.colour],
-            "width": each.width,
-            "dash": list(each.dash),
-            "alpha": each.alpha,
-        }
-
-    def band(each: Band) -> dict[str, Any]:
-        table = tables[id(each.t_s)]
-        return {
-            "table": numbers[id(each.t_s)],
-            "low": table.add(each.low),
-            "high": table.add(each.high),
-            "colour": VARIABLES[each.colour],
-            "alpha": each.alpha,
-        }
+        columns = {name: table.add(column) for name, column in values.items()}
+        return {"table": numbers[id(each.t_s)], **columns, "colour": VARIABLES[each.colour], "alpha": each.alpha}
 
     plots = [
         {
             "picture": picture.name,
             "y": chart.y_label,
             "least": chart.least,
-            "curves": [curve(each) for each in chart.curves],
-            "bands": [band(each) for each in chart.bands],
+            "curves": [
+                {
+                    "label": each.name,
+                    "width": each.width,
+                    "dash": list(each.dash),
+                    **shown(each, {"column": each.values}),
+                }
+                for each in chart.curves
+            ],
+            "bands": [shown(each, {"low": each.low, "high": each.high}) for each in chart.bands],
         }
         for picture in pictures
         for chart in picture.charts

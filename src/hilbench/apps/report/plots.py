@@ -154,24 +154,13 @@ class DrawnAxes:
         middle, half = (low + high) / 2, max((high - low) / 2 * 1.12, least / 2, 1e-9 * abs(high), 1e-12)
         self.axes.set_ylim(middle - half, middle + half)
         if cut:
-            beyond = [
-                (place, arrow, value)
-                for place, arrow, value, out in (
-                    (0.985, "▲", highest, highest > middle + half),
-                    (0.015, "▼", lowest, lowest < middle - half),
-                )
-                if out
-            ]
-            for place, arrow, value in beyond:
-                self.axes.text(
-                    0.99,
-                    place,
-                    f"{arrow} cut: up to {value:.4g}" if arrow == "▲" else f"{arrow} cut: down to {value:.4g}",
-                    transform=self.axes.transAxes,
-                    ha="right",
-                    va="top" if arrow == "▲" else "bottom",
-                    color=VERMILLION,
-                )
+            for at, words, edge, value in (
+                (0.985, "▲ cut: up to", "top", highest),
+                (0.015, "▼ cut: down to", "bottom", lowest),
+            ):
+                if abs(value - middle) > half:
+                    place: dict[str, Any] = {"transform": self.axes.transAxes, "ha": "right", "va": edge}
+                    self.axes.text(0.99, at, f"{words} {value:.4g}", color=VERMILLION, **place)
 
     def write_names(self) -> None:
         """Names in their curve's colour beside the right end, moved apart where they would overlap."""

@@ -87,10 +87,7 @@ def envelope(t_s: ArrayLike, values: ArrayLike, columns: int) -> tuple[Array, Ar
     if len(data) <= columns:
         return time_s, data, data
     edges = np.linspace(0, len(data), columns + 1).astype(int)
-    lower = np.minimum.reduceat(np.where(np.isnan(data), np.inf, data), edges[:-1])
-    upper = np.maximum.reduceat(np.where(np.isnan(data), -np.inf, data), edges[:-1])
-    empty = lower > upper
-    lower[empty], upper[empty] = np.nan, np.nan
+    lower, upper = (extreme.reduceat(data, edges[:-1]) for extreme in (np.fmin, np.fmax))
     centres = (time_s[edges[:-1]] + time_s[edges[1:] - 1]) / 2
     return centres, lower, upper
 
@@ -100,16 +97,7 @@ def thinned(t_s: ArrayLike, values: ArrayLike, columns: int) -> tuple[Array, Arr
     time_s, data = np.asarray(t_s, np.float64), np.asarray(values, np.float64)
     if len(data) <= 2 * columns:
         return time_s, data
-    edges = np.linspace(0, len(data), columns + 1).astype(int)
-    keep: list[int] = []
-    for start, stop in pairwise(edges.tolist()):
-        part = data[start:stop]
-        known = np.flatnonzero(np.isfinite(part))
-        if not len(known):
-            keep.append(int(start))
-            continue
-        low, high = known[np.argmin(part[known])], known[np.argmax(part[known])]
-        keep.extend(sorted({int(start + low), int(start + high)}))
+    keep = np.unique(_extremes(data, np.linspace(0, len(data), columns + 1).astype(int)))
     return time_s[keep], data[keep]
 
 
@@ -158,17 +146,22 @@ def reduced(values: ArrayLike, edges: NDArray[np.int_]) -> Array:
     starts, long = edges[:-1], np.diff(edges) > 1
     if not len(starts):
         return data[:0]
-    known = np.isfinite(data)
-    lows, highs = np.where(known, data, np.inf), np.where(known, data, -np.inf)
-    low, high = np.minimum.reduceat(lows, starts), np.maximum.reduceat(highs, starts)
-    owner = np.repeat(np.arange(len(starts)), np.diff(edges))
-    position = np.arange(len(data))
-    at_low = np.minimum.reduceat(np.where(lows == low[owner], position, len(data)), starts)
-    at_high = np.minimum.reduceat(np.where(highs == high[owner], position, len(data)), starts)
-    empty = low > high
-    low, high = np.where(empty, np.nan, low), np.where(empty, np.nan, high)
-    rising = at_low <= at_high
-    return _interleaved(np.where(rising, low, high), np.where(rising, high, low), long)
+    first, second = _extremes(data, edges)
+    known = np.where(np.isfinite(data), data, np.nan)
+    return _interleaved(known[first], known[second], long)
+
+
+def _extremes(data: Array, edges: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Places of the least and the largest value of each stretch, in the order in which they came, (2, stretches); its
+    start twice where it has no number."""
+    starts, owner = edges[:-1], np.repeat(np.arange(len(edges) - 1), np.diff(edges))
+    known, places = np.isfinite(data), np.arange(len(data))
+    found = []
+    for extreme, beyond in ((np.minimum, np.inf), (np.maximum, -np.inf)):
+        values = np.where(known, data, beyond)
+        is_extreme = values == extreme.reduceat(values, starts)[owner]
+        found.append(np.minimum.reduceat(np.where(is_extreme, places, len(data)), starts))
+    return np.sort(found, axis=0)
 
 
 def _interleaved(first: Array, second: Array, both: NDArray[np.bool_]) -> Array:

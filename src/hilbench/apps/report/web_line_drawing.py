@@ -63,6 +63,11 @@ class DrawnRoller:
     behind_hanging: bool
     span: int  #: the one behind it
 
+    @property
+    def is_reel(self) -> bool:
+        """Whether the web ends on it."""
+        return isinstance(self.roller.station, Reel)
+
 
 def line_picture(config: Path, recording: Recording) -> list[Picture]:
     """The drawing of a run's line; none for another machine, or a config too old to be understood."""
@@ -109,10 +114,7 @@ def drawing(model: ModelParameters, notes: LineNotes) -> Picture:
         axes.set_aspect("equal")
         axes.set_xlim(-1.0 - beside, width + beside)
         axes.set_ylim(low, high)
-        points = [point for circle in circles for point in contact_points(circle)]
-        web = [(-1.0, circles[0].y + circles[0].r), *points, (width, circles[-1].y + circles[-1].r)]
-        ends = slice(int(_is_reel(circles[0])), len(web) - int(_is_reel(circles[-1])))
-        axes.plot(*np.array(web[ends]).T, color=BLUE, linewidth=1.8)
+        axes.plot(*np.array(web_path(circles, width)).T, color=BLUE, linewidth=1.8)
         for circle in circles:
             _draw_roller(axes, circle, notes)
         for before, behind in pairwise(circles):
@@ -123,10 +125,6 @@ def drawing(model: ModelParameters, notes: LineNotes) -> Picture:
 
     height_in = float(np.clip(7.6 * (high - low) / (width + 1.0 + 2.0 * beside), 1.2, 3.2))
     return Picture("line", _TITLE, _CAPTION, drawing=Drawing(draw, height_in, "line", _TITLE))
-
-
-def _is_reel(circle: DrawnRoller) -> bool:
-    return isinstance(circle.roller.station, Reel)
 
 
 def placed_rollers(model: ModelParameters) -> list[DrawnRoller]:
@@ -154,7 +152,15 @@ def placed_rollers(model: ModelParameters) -> list[DrawnRoller]:
     return placed
 
 
-def contact_points(circle: DrawnRoller) -> list[tuple[float, float]]:
+def web_path(circles: Sequence[DrawnRoller], end: float) -> list[tuple[float, float]]:
+    """Points of the web, which goes on to `end` unless it is wound there, and comes from -1 unless it is unwound."""
+    first, last = circles[0], circles[-1]
+    points = [point for circle in circles for point in _contact_points(circle)]
+    coming = [] if first.is_reel else [(-1.0, first.y + first.r)]
+    return [*coming, *points, *([] if last.is_reel else [(end, last.y + last.r)])]
+
+
+def _contact_points(circle: DrawnRoller) -> list[tuple[float, float]]:
     """Where the web touches it, in its direction."""
     if circle.hangs:
         angles = np.linspace(pi, 2 * pi, 13)
@@ -168,7 +174,7 @@ def _draw_roller(axes: Any, circle: DrawnRoller, notes: LineNotes) -> None:
 
     centre, axis = (circle.x, circle.y), circle.roller.axis
     axes.add_patch(Circle(centre, circle.r, fill=False, edgecolor=INK, linewidth=1.1))
-    if _is_reel(circle):
+    if circle.is_reel:
         for share in (0.45, 0.63, 0.81):
             axes.add_patch(Circle(centre, share * circle.r, fill=False, edgecolor=INK, linewidth=0.5, alpha=0.6))
     name = "" if isinstance(circle.roller.station, CarriageStation) else circle.roller.name
@@ -204,7 +210,7 @@ def _write_span(axes: Any, model: ModelParameters, notes: LineNotes, before: Dra
         text = f"span {number}" + "".join(f"\n{notes.tensions_N[n]:.1f} N" for n in (number,) if n in notes.tensions_N)
         beside = before if leftmost else behind
         # A reel reaches so far down that its name stands there.
-        y = beside.y - beside.r - 0.62 if _is_reel(beside) else -0.75 * _HANGS
+        y = beside.y - beside.r - 0.62 if beside.is_reel else -0.75 * _HANGS
         axes.text(x, y, text, ha=side, va="center", fontsize=8, color=VERMILLION)
 
 

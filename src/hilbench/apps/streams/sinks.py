@@ -7,6 +7,7 @@ import re
 import socket
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -56,8 +57,13 @@ def open_sink(target: Target, signals: Sequence[Signal], bench: str, began_s: fl
             return sink
 
 
-def _needs(package: str, target: object) -> UnusableInputError:
-    return UnusableInputError(f"--stream {target}", f"needs {package}, expected 'pip install hilbench[streams]'")
+def _imported(module: str, package: str, target: object) -> Any:
+    """A module of an optional package."""
+    try:
+        return import_module(module)
+    except ImportError:
+        problem = f"needs {package}, expected 'pip install hilbench[streams]'"
+        raise UnusableInputError(f"--stream {target}", problem) from None
 
 
 class FoxgloveSink:
@@ -76,15 +82,11 @@ class FoxgloveSink:
     @classmethod
     def file(cls, path: Path, signals: Sequence[Signal], bench: str, began_s: float) -> FoxgloveSink:
         """An MCAP file, which must not be there yet. Raises UnusableInputError."""
-        try:
-            import foxglove
-            from foxglove.mcap import MCAPWriteOptions
-        except ImportError:
-            raise _needs("foxglove-sdk", path) from None
+        foxglove = _imported("foxglove", "foxglove-sdk", path)
         context = foxglove.Context()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            options = MCAPWriteOptions(profile="hilbench", compression_threads=0)
+            options = foxglove.mcap.MCAPWriteOptions(profile="hilbench", compression_threads=0)
             writer = foxglove.open_mcap(path, context=context, writer_options=options)
         except FileExistsError:
             raise UnusableInputError(path, "is there already, expected a new file") from None
@@ -96,10 +98,7 @@ class FoxgloveSink:
     @classmethod
     def server(cls, target: Target, signals: Sequence[Signal], bench: str, began_s: float) -> FoxgloveSink:
         """A WebSocket server that only shows: who looks can send nothing. Raises UnusableInputError."""
-        try:
-            import foxglove
-        except ImportError:
-            raise _needs("foxglove-sdk", target) from None
+        foxglove = _imported("foxglove", "foxglove-sdk", target)
         context = foxglove.Context()
         try:
             server = foxglove.start_server(
@@ -161,15 +160,11 @@ class MqttSink:
     """A message a group to a broker, ten times a second of bus time: ``hilbench/BENCH/measured``."""
 
     def __init__(self, target: Target, signals: Sequence[Signal], bench: str) -> None:
-        try:
-            from paho.mqtt.client import Client
-            from paho.mqtt.enums import CallbackAPIVersion
-        except ImportError:
-            raise _needs("paho-mqtt", target) from None
+        mqtt = _imported("paho.mqtt.client", "paho-mqtt", target)
         self._groups, self._time = groups_of(signals), time_place(signals)
         self._below = f"hilbench/{re.sub(r'[^A-Za-z0-9_.-]+', '-', bench)}"
         self._next_s = float("-inf")
-        self._client = Client(CallbackAPIVersion.VERSION2)
+        self._client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
         self._client.max_queued_messages_set(_MQTT_QUEUE)
         try:
             self._client.connect(target.host, target.port)

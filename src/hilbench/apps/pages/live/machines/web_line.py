@@ -8,8 +8,8 @@ from typing import Final
 
 from hilbench.apps.pages.live.history import Array
 from hilbench.apps.pages.live.machines import svg
-from hilbench.apps.report.web_line_drawing import DrawnRoller, contact_points, placed_rollers
-from hilbench.plant.web_line.stations import CarriageStation, Reel
+from hilbench.apps.report.web_line_drawing import DrawnRoller, placed_rollers, web_path
+from hilbench.plant.web_line.stations import CarriageStation
 from hilbench.topology.config import BenchConfig
 
 #: Where a point of the drawing is, in pixels.
@@ -40,20 +40,12 @@ def drawing(config: BenchConfig) -> str:
         return (x + 1.0) * unit, _ABOVE_PX - y * unit
 
     shapes: list[str] = []
-    points = [point for circle in circles for point in contact_points(circle)]
-    first, last = circles[0], circles[-1]
-    web = [(-1.0, first.y + first.r), *points, (width - 1.0, last.y + last.r)]
-    ends = slice(int(_is_reel(first)), len(web) - int(_is_reel(last)))
-    shapes.append(svg.line([at(*point) for point in web[ends]], "web"))
+    shapes.append(svg.line([at(*point) for point in web_path(circles, width - 1.0)], "web"))
     for circle in circles:
         shapes += _roller(config, circle, at(circle.x, circle.y), unit)
     for before, behind in pairwise(circles):
         shapes += _span(config, before, behind, at)
     return svg.picture(width * unit, _ABOVE_PX - deepest * unit + _BELOW_PX, "The line", shapes)
-
-
-def _is_reel(circle: DrawnRoller) -> bool:
-    return isinstance(circle.roller.station, Reel)
 
 
 def _roller(config: BenchConfig, circle: DrawnRoller, centre: tuple[float, float], unit: float) -> Iterator[str]:
