@@ -7,6 +7,7 @@ per turn of the unbalance.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -22,7 +23,7 @@ from hilbench.plant.parameters import (
     NotNegative,
 )
 from hilbench.plant.sensors import SensorParameters
-from hilbench.plant.servo_axis.effects import ShaftEffect, effects_problem
+from hilbench.plant.servo_axis.effects import ShaftEffect, find
 
 Phase = Annotated[FiniteFloat, Field(ge=-7.0, le=7.0)]
 
@@ -74,9 +75,15 @@ class ServoAxisParameters(Block):
     @field_validator("effects")
     @classmethod
     def _effects_fit(cls, entries: tuple[ShaftEffect, ...]) -> tuple[ShaftEffect, ...]:
-        problem = effects_problem([(entry.effect, entry.axis) for entry in entries])
-        if problem:
-            raise ValueError(problem)
+        used: Counter[str] = Counter()
+        for position, entry in enumerate(entries):
+            effect = find(entry.effect)
+            problem = effect.axis_problem(entry.axis, 1)
+            used[effect.id] += 1
+            if problem is None and used[effect.id] > effect.slots:
+                problem = f"effect '{effect.id}' is given more than {effect.slots} times"
+            if problem:
+                raise ValueError(f"entry {position + 1}: {problem}")
         return entries
 
     @property

@@ -94,6 +94,8 @@ def _simple_step(
         return False
     if counted and pace == lay.PLAIN:
         motion.integrate(p, s, u, w, n, m, k, t, h, True)
+    elif pace == lay.PLAIN:
+        motion.integrate_plain(p, s, u, w, t, h)
     else:
         motion.integrate_any(p, s, u, w, t, h)
     if not events.still_slides(p, s, w, n, k):

@@ -89,9 +89,10 @@ def shaft_of_motor(p: Vector, n: int, j: int) -> int:
     return int(p[places.motor(n, j) + lay.M_AXIS])
 
 
-@inlined
+@compiled
 def acceleration_behind_m_s2(p: Vector, w: Vector, n: int, i: int, y: int) -> float:
     """Acceleration of the load behind the twisting shaft of axis i."""
+    noinline()
     twist, rate = w[y + 2 * n + i] - w[y + i], w[y + 3 * n + i] - w[y + n + i]
     return laws.acceleration_behind(p, places.axis(i), twist, rate)
 
@@ -361,6 +362,14 @@ def integrate(
     _stage(p, s, u, w, n, m, k, t + h, 1.0, h, slides)
     for j in range(size):
         w[lay.STAGE * size + j] = w[lay.NOW * size + j] + h / 6.0 * w[lay.SUM * size + j]
+
+
+@compiled
+def integrate_plain(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
+    """`integrate` for any line in the usual mode that has no roller that sticks."""
+    noinline()
+    n, m, k = places.counts(p)
+    integrate(p, s, u, w, n, m, k, t, h, True)
 
 
 @compiled

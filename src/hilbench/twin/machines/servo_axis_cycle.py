@@ -21,6 +21,7 @@ from hilbench.estimation.problems import PROBLEMS, Problem
 from hilbench.estimation.servo_axis import balance, inertia
 from hilbench.estimation.servo_axis.balance import ShaftSample
 from hilbench.estimation.servo_axis.inertia import InertiaEstimator, take_next
+from hilbench.plant.sensor_rows import silence
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.shaft import ServoAxis
 from hilbench.plant.web_line import kernel, laws, rig_cycle
@@ -37,9 +38,10 @@ _COMPARE, NOT_NEXT, _MISLED, HOLD, _SIMULATE, _FINISH, _DONE, _LOOK = range(8)
 _STAGE_OF = {NOT_NEXT: inertia.NOT_NEXT, _MISLED: inertia.MISLED}
 #: Machine result of each final code.
 _ENDS = {_DONE: WENT_ON, _LOOK: LOOK}
-# Rows of the table: those of `rig_cycle.step`, then the machine's own, then those of the estimator.
-_P, _S, _U, _WORK, _OUT, _MOTORS, _SET_POINTS, _SENSORS, _SILENCE, _SHOWN = range(10)
-_FIGURES, _OUTPUTS, _MEASURED, _VALUES, _WHOLE, _AT, _PLAUSIBILITY, _STATED, _INPUTS = range(10, 19)
+# Rows of the table: those of `rig_cycle.step_by`, then the machine's own, then those of the estimator.
+_P, _S, _U, _WORK, _OUT = range(5)
+_SHOWN = 8
+_FIGURES, _OUTPUTS, _MEASURED, _VALUES, _WHOLE, _AT, _PLAUSIBILITY, _STATED, _INPUTS = range(11, 20)
 #: Column of the mean torque in the kernel's report.
 _MEAN = 3
 _BANK = _INPUTS + len(balance.InputVectors._fields)
@@ -140,10 +142,7 @@ def _run(stage: int, table: Places) -> int:
     p, s, u, w = floats(table, _P, (1,)), floats(table, _S, (1,)), floats(table, _U, (1,)), floats(table, _WORK, (1,))
     if stage == _SIMULATE:
         _simulate(p, s, u, w, out, outputs, stated, floats(table, _BANK + 7, (1,)), position_rad)
-    rig_cycle.step(
-        p, s, u, w, out, integers(table, _MOTORS, (1,)), floats(table, _SET_POINTS, (1,)), int(figures[_SAMPLES]),
-        floats(table, _SENSORS, (1,)), floats(table, _SILENCE, (1,)), shown,
-    )  # fmt: skip
+    rig_cycle.step_by(int(figures[_SAMPLES]), table)
     _publish(floats(table, _VALUES, (1,)), at, stated, outputs, shown[_TORQUE])
     outputs[_STATUS] = whole[at[_STATUS_AT]]
     whole[at[_STATUS_AT]] = _status(stated, outputs[PROBLEM], figures[_KNOWN])
@@ -184,7 +183,7 @@ class ShaftInVectors:
         at = np.array([vectors.number, vectors.status, *vectors.published], np.int64)
         step = plant.step_in_vectors(cycle_s)
         self._own: tuple[NDArray[Any], ...] = (
-            *(*plant.vectors, step.motors, vectors.asked, step.sensors, step.silence, vectors.shown),
+            *(*plant.vectors, step.motors, vectors.asked, step.sensors, vectors.shown, *silence(len(step.motors))),
             *(np.array([float(step.samples), known]), self._outputs, vectors.measured, vectors.values, vectors.whole),
             *(at, of_torque.state, estimator.stated),
         )
