@@ -12,6 +12,7 @@ from tools.random_machines import Case, drawn, in_short, tried
         (9, True),
         (14, False),
         pytest.param(165, False, id="motors stronger than their EDS file's", marks=pytest.mark.slow),
+        pytest.param(177, False, id="torque just below the limit in ramps", marks=pytest.mark.slow),
         pytest.param(168, True, id="the web pulls a roller away when it is enabled"),
     ],
 )
