@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -336,6 +337,22 @@ def test_a_line_of_long_cycles_is_followed_from_its_first_ramp_on(tmp_path: Path
     assert outcome.result.all_warnings() == []
     errors_pct = [outcome.result.metrics[f"E{span}_final_error_pct"] for span in range(1, count)]
     assert max(abs(error_pct or 0.0) for error_pct in errors_pct) < 0.3
+
+
+@pytest.mark.parametrize(("count", "cycle_s", "ramp_s"), [(10, 0.03, 0.4), *slow((24, 0.03, 1.0))])
+def test_a_whole_web_is_not_broken_where_many_rollers_end_their_ramp_within_a_long_cycle(
+    tmp_path: Path, count: int, cycle_s: float, ramp_s: float
+) -> None:
+    given = of_rollers(tmp_path, count, cycle_s, LONG_VIRTUAL_IO)
+    step = type(given.config.steps[0]).model_validate
+    steps = [
+        step({"ramp": {"path": "line_speed_m_s", "to": 2.0, "duration_s": ramp_s}}),
+        step({"hold": {"duration_s": 1.0}}),
+    ]
+    given = replace(given, config=given.config.model_copy(update={"steps": steps}))
+    outcome = run_experiment(given, tmp_path / "runs", participants=Participants.IN_PROCESS)
+    assert outcome.result.faults == []
+    assert not [text for text in outcome.result.all_warnings() if "FF15h" in text]
 
 
 def test_each_value_of_24_rollers_has_a_place_and_each_pdo_an_identifier_of_its_own(tmp_path: Path) -> None:

@@ -118,12 +118,12 @@ def test_what_the_steps_make_of_e_is_looked_at(tmp_path: Path) -> None:
         (
             ["ramp: {path: line_speed_m_s, to: 3, duration_s: 4}"],
             ["drives.axis2.parameters={6072h: 200}"],
-            "from 0 to 3 m/s within 4 s asks for 1.32 N·m of axis 2, which has 1 N·m",
+            "from 0 to 3 m/s within 4 s asks for 1.3 N·m of axis 2, which has 1 N·m",
         ),
         (
             ["ramp: {path: line_speed_m_s, to: 3, duration_s: 4}"],
             ["machine.boundary.downstream_tension_N=0", "machine.drives.torque_limit_Nm=4"],
-            "from 0 to 3 m/s within 4 s asks for 4.12 N·m of axis 2, which has 4 N·m",
+            "from 0 to 3 m/s within 4 s asks for 4.1 N·m of axis 2, which has 4 N·m",
         ),
     ],
 )
@@ -169,10 +169,20 @@ def test_a_web_that_pulls_a_roller_away_when_it_is_enabled_is_told_before_the_ru
     assert not check(config, far).warnings
 
 
+def test_torque_that_the_current_loop_smooths_between_two_set_points_is_not_told(tmp_path: Path) -> None:
+    ramp = config_of(tmp_path, "ramp: {path: line_speed_m_s, to: 3, duration_s: 4}")
+    flat, soft = "machine.boundary.downstream_tension_N=80", "machine.web.youngs_modulus_Pa=1e8"
+    stiff, weak = "machine.drives.velocity_kp_Nm_s_per_rad=3", "machine.drives.torque_limit_Nm=1.05"
+    asked, current = ("cycle_time_s=0.008", flat, soft, stiff, weak), "machine.drives.current_loop_time_constant_s="
+    assert not check(ramp, *asked, f"{current}0.001").warnings
+    (warning,) = check(ramp, *asked, f"{current}0").warnings
+    assert "asks for 1.14 N·m of axis 1, which has 1.05 N·m" in warning
+
+
 def test_a_virtual_axis_with_less_torque_than_its_motor_needs_is_told_before_the_run(tmp_path: Path) -> None:
     ramp = config_of(tmp_path, "ramp: {path: line_speed_m_s, to: 3, duration_s: 4}")
     (warning,) = check(ramp, "drives.axis2.virtual.parameters={6072h: 200}").warnings
-    assert "from 0 to 3 m/s within 4 s asks for 1.32 N·m of virtual axis 2, which has 1 N·m" in warning
+    assert "from 0 to 3 m/s within 4 s asks for 1.3 N·m of virtual axis 2, which has 1 N·m" in warning
 
 
 def test_a_gentle_experiment_has_no_warning(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from tools.random_machines import Case, drawn, in_short, tried
         (9, True),
         (14, False),
         pytest.param(165, False, id="motors stronger than their EDS file's", marks=pytest.mark.slow),
+        pytest.param(177, False, id="torque just below the limit in ramps", marks=pytest.mark.slow),
         pytest.param(168, True, id="the web pulls a roller away when it is enabled"),
     ],
 )
@@ -33,6 +34,8 @@ def test_what_check_tells_of_a_machine_is_what_its_run_shows_and_a_whole_web_is_
         pytest.param(55, id="other web is suspected when it is long through"),
         pytest.param(98, id="a ramp begins within a block"),
         pytest.param(118, id="a ramp takes many times the tension"),
+        pytest.param(136, id="E steps by little more than the noise"),
+        pytest.param(200, id="the torque is off by its noise when a step of E is judged"),
     ],
 )
 def test_a_whole_web_neither_breaks_nor_slips(seed: int) -> None:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from math import acos, acosh, copysign, exp, expm1, inf, isfinite, nan, prod, sqrt
 
+import numpy as np
+
 from hilbench.bench.check import CheckedBench
 from hilbench.bench.tasks.tension_loop import Moduli, OperatingPoint, TensionLoop
 from hilbench.bench.web_line_check import alike, check_stability, stiffness_reserves
 from hilbench.cia402.units import RPM
 from hilbench.plant.effects import find_effect
+from hilbench.plant.matrix_exponential import matrix_exponential
 from hilbench.plant.parameters import per_item
 from hilbench.runs.check import CheckedExperiment, Worst
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
@@ -25,6 +28,8 @@ from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_spa
 _SAME_SPEED_M_S = 0.05
 #: So many operating points are looked at; of more those with extreme values.
 _MOST_POINTS = 24
+#: Instants of a cycle at which torque is looked at.
+_PARTS = 16
 #: Margins below which a loop is noted.
 _LEAST_GAIN, _LEAST_PHASE_DEG = 2.0, 30.0
 
@@ -241,9 +246,8 @@ def _too_fast(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
         rad_per_m, most_Nm, mass_kg = model.motor_rad_per_m(axis), torque_limit_Nm(config, part), model.mass_kg(axis)
         pull_N = _pull_N(config, axis, move.after)
         if move.duration_s > 0.0:
-            # Set points go in steps: right behind each of them the velocity loop asks for more than the mean.
-            settled = model.velocity_loop_per_s(axis) * config.cycle_time_s
-            peak = settled / -expm1(-settled) if settled else 1.0
+            lag_s = per_item(drives.current_loop_time_constant_s, axis)
+            peak = _peak_of_torque(model.velocity_loop_per_s(axis), lag_s, config.cycle_time_s)
             asks_Nm = abs(mass_kg * gained_m_s * peak / move.duration_s + pull_N) / rad_per_m
         else:
             kp = per_item(drives.velocity_kp_Nm_s_per_rad, axis)
@@ -260,6 +264,22 @@ def _too_fast(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
             f"{needed_Nm:.3g} N·m of {named}, which has {limit_Nm:g} N·m: it is at its limit and there no sooner "
             f"than {longest_s:.2g} s later, expected a ramp of more than that"
         )
+
+
+def _peak_of_torque(loop_per_s: float, lag_s: float, cycle_s: float) -> float:
+    """Largest torque over the mean in a ramp: set points go in steps, behind each of which the velocity loop (bandwidth
+    `loop_per_s`) asks for more, as fast as the current loop (`lag_s`) follows."""
+    settled = loop_per_s * cycle_s
+    if settled == 0.0 or lag_s == 0.0:
+        return settled / -expm1(-settled) if settled else 1.0
+    # Velocity error and acceleration between two set points, periodic.
+    a_while = matrix_exponential(np.array([[0.0, -1.0], [loop_per_s / lag_s, -1.0 / lag_s]]) * cycle_s / _PARTS)
+    state = np.linalg.solve(np.eye(2) - np.linalg.matrix_power(a_while, _PARTS), [cycle_s, 0.0])
+    peak = 0.0
+    for _ in range(_PARTS):
+        state = a_while @ state
+        peak = max(peak, float(state[1]))
+    return peak
 
 
 def _pull_N(config: ExperimentConfig, axis: int, state: State) -> float:

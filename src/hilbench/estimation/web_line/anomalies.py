@@ -129,8 +129,7 @@ def look(s: Array, block: Array) -> None:
     if not broken:
         s[_USUAL_N] += smoothing * (tension_N - s[_USUAL_N])
     s[_SCATTER_N2] += smoothing * (gained_N * gained_N - s[_SCATTER_N2])
-    changed = max(_CHANGED, sure_N / promised_N)
-    _look_for_slip(s, ratio, changed, abs(block[block_means.VELOCITY_M_S]) * block[block_means.DURATION_S])
+    _look_for_slip(s, ratio, sure_N / promised_N, abs(block[block_means.VELOCITY_M_S]) * block[block_means.DURATION_S])
 
 
 @inlined
@@ -142,15 +141,16 @@ def found(s: Array) -> int:
 
 
 @compiled
-def _look_for_slip(s: Array, ratio: float, changed: float, moved_m: float) -> None:
+def _look_for_slip(s: Array, ratio: float, sure: float, moved_m: float) -> None:
+    """`sure`: a change of the ratio that is no noise."""
     ratios, swung = int(s[_RATIOS]), int(s[_SWUNG])
     s[_SINCE_NOTED_M] += moved_m
     if is_judging(s):
-        _judge(s, ratio, changed, moved_m)
+        _judge(s, ratio, sure, moved_m)
     elif s[_QUIET_M] > 0.0:
         s[_QUIET_M] -= moved_m
         ring.clear(s, ratios)
-    elif ring.is_full(s, ratios) and abs(ratio / _ratio_before(s) - 1.0) > changed:
+    elif ring.is_full(s, ratios) and abs(ratio / _ratio_before(s) - 1.0) > max(_CHANGED, sure):
         before = _ratio_before(s)
         s[_SINCE_CHANGE_M] = 0.0
         s[_RATIO_BEFORE] = before
@@ -178,8 +178,9 @@ def _ratio_before(s: Array) -> float:
 
 
 @compiled
-def _judge(s: Array, ratio: float, changed: float, moved_m: float) -> None:
-    """Judge an open change by its ratio soon after detection and now."""
+def _judge(s: Array, ratio: float, sure: float, moved_m: float) -> None:
+    """Judge an open change by its ratio soon after detection and now: of a slip, more is missing now than noise."""
+    changed = max(_CHANGED, sure)
     s[_SINCE_CHANGE_M] += moved_m
     s[_SETTLING] -= 1.0
     if s[_SETTLING] == 0.0:
@@ -195,7 +196,7 @@ def _judge(s: Array, ratio: float, changed: float, moved_m: float) -> None:
     if abs(change) <= changed:  # back to its earlier value
         s[_SLIPPING] = 0.0
     elif s[_BROKEN_NOW] == 0.0:
-        s[_SLIPPING] = 1.0 if change < 0.0 and at_once / change < _AT_ONCE and ratio < s[_LEAST] else 0.0
+        s[_SLIPPING] = 1.0 if change < 0.0 and at_once > _AT_ONCE * change + 0.5 * sure and ratio < s[_LEAST] else 0.0
 
 
 def new_state(model_modulus_Pa: float, usual_tension_N: float, span_length_m: float) -> Array:

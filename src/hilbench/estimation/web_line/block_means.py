@@ -1,4 +1,5 @@
-"""Block means of a span's momentum balance over 20 ms, in which changes of web or torque are detected.
+"""Block means of a span's momentum balance over 20 ms, and six cycles at least, in which changes of web or
+torque are detected.
 
 The roller's inertial force is subtracted by the speeds at the block's ends. Single missing cycles do no harm: a block
 goes on over them, as long as it is mostly measured. Compiled.
@@ -131,7 +132,6 @@ def new_state(mass_kg: float, cycle_s: float) -> Array:
     """State of the block means of axis 2's balance. `mass_kg`: at the web, of the roller after the span."""
     s = np.zeros(_SIZE)
     s[_MASS_KG], s[_CYCLE_S] = mass_kg, cycle_s
-    cycles = max(2, round(BLOCK_S / cycle_s))
-    # These middle speeds have to be apart: an acceleration over one cycle is mostly noise.
-    s[_CYCLES] = max(cycles, 2 * ENDS) if cycles > ENDS else cycles
+    # The middle speeds have to be apart: an acceleration over one cycle is mostly noise, and not that of the torques.
+    s[_CYCLES] = max(round(BLOCK_S / cycle_s), 2 * ENDS)
     return s
