@@ -299,7 +299,7 @@ _KINDS = (np.dtype, types.Array)
 
 def _fields(kind: type[tuple[Any, ...]]) -> tuple[Any, ...]:
     """Types of the fields of a NamedTuple of arrays: numba's of an array, numpy's of a record, another NamedTuple."""
-    hints = get_type_hints(kind, include_extras=True).values()
+    hints = get_type_hints(kind, include_extras=True).values() if hasattr(kind, "_fields") else ()
     return tuple([hint.__metadata__[0] if hasattr(hint, "__metadata__") else hint for hint in hints])
 
 
@@ -320,9 +320,8 @@ def table_of(arrays: Sequence[Any]) -> NDArray[np.int64]:
     Raises ValueError for an array that is not of float64 or int64, in one piece, with one to three dimensions; of a
     NamedTuple of arrays for one that is not as its field says.
     """
-    if isinstance(arrays, tuple) and hasattr(arrays, "_fields"):
-        if any(isinstance(each, _KINDS) for each in _fields(type(arrays))):
-            return _table_of_fields(arrays)
+    if isinstance(arrays, tuple) and any(isinstance(each, _KINDS) for each in _fields(type(arrays))):
+        return _table_of_fields(arrays)
     if arrays and all(hasattr(each, "_fields") for each in arrays):
         return np.concatenate([table_of(each) for each in arrays])
     table = np.zeros((len(arrays), TABLE_WIDTH), np.int64)
