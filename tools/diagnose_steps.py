@@ -1,6 +1,6 @@
 """Whether the diagnosis names a step of Young's modulus on the bench's own recordings, and nothing else.
 
-    diagnose_steps.py [--every N] [--jobs N] [--cases FILE] [--docs FILE]
+    diagnose_steps.py [--every N] [--jobs N] [--cases FILE] [--write]
 
 Steps of 2 to 40 % up and down, at 0.5 to 8 m/s, forward and in reverse, held for 3 to 40 s before the line stops, and
 in the middle of a ramp of the speed, with four seeds; each on a bench inside this process (lockstep, simulated
