@@ -103,8 +103,8 @@ def summary(rows: list[docs_page.Row]) -> str:
         of = [row for row in rows if row["quantity"] == quantity]
         worst = max(of, key=lambda row: float(row[OFF].split()[0]))
         held = min((row[HELD] for row in of), key=lambda share: float(share.split()[0]))
-        lines.append([quantity, worst[OFF], worst["lead"], held])
-    return docs_page.markdown(["quantity", "median off by, rms, most", "lead", "band of 90 % held, least"], lines)
+        lines.append([quantity, f"{worst[OFF]} ({worst['lead']} ahead)", held])
+    return docs_page.markdown(["quantity", "median off by at most, rms", "band of 90 % held, least"], lines)
 
 
 OFF, HELD = "median off by, rms", "band of 90 % held"
