@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
+from typing import Annotated, Any, NamedTuple
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, TABLE, entry_point, floats, table_of
+from hilbench.compiled import COUNT, TABLE, arrays_in, entry_point, record_type
 from hilbench.cycle_program import CompiledStage, CycleProgram, StageAbortedError, never
 
 
-def _entry_point():
-    @entry_point(COUNT, TABLE)
-    def add(summand: int, table: NDArray[np.int64]) -> int:
-        """One more in the sum; 1, and nothing done, where it is at its bound."""
-        total = floats(table, 0, (1,))
-        if total[0] == total[1]:
-            return 1
-        total[0] += summand
-        return 0
-
-    return add
+class Total(NamedTuple):
+    total: Annotated[Any, record_type("sum", "bound")]
 
 
-ADD = _entry_point()
+@entry_point(COUNT, TABLE)
+def add(summand: int, table: NDArray[np.int64]) -> int:
+    """One more in the sum; 1, and nothing done, where it is at its bound."""
+    total = arrays_in(table, Total).total
+    if total.sum == total.bound:
+        return 1
+    total.sum += summand
+    return 0
 
 
 class Sum:
@@ -31,12 +31,11 @@ class Sum:
 
     def __init__(self, bound: float = np.inf) -> None:
         self.vector = np.array([0.0, bound])
-        self.table = table_of((self.vector,))
         self.stops = 0
         self.continues = True
 
     def piece(self, summand: int) -> CompiledStage:
-        return CompiledStage(ADD, summand, self.table, fallback=self._stopped, keeps=self.vector)
+        return CompiledStage(add, summand, Total(self.vector), fallback=self._stopped)
 
     def _stopped(self, code: int) -> bool:
         assert code == 1
@@ -84,9 +83,7 @@ def test_what_python_raises_leaves_the_chain_where_it_was() -> None:
     def leave(code: int) -> bool:
         raise StageAbortedError
 
-    chain = CycleProgram(
-        [before.piece(1), CompiledStage(ADD, 2, one.table, fallback=leave, keeps=one.vector), behind.piece(1)]
-    )
+    chain = CycleProgram([before.piece(1), CompiledStage(add, 2, Total(one.vector), fallback=leave), behind.piece(1)])
     with pytest.raises(StageAbortedError):
         chain.run(5)
     assert (chain.done, chain.stopped_at) == (1, 1)
@@ -96,4 +93,4 @@ def test_what_python_raises_leaves_the_chain_where_it_was() -> None:
 def test_what_is_never_pythons_says_so() -> None:
     one = Sum(bound=0.0)
     with pytest.raises(AssertionError, match="has returned 1"):
-        CycleProgram([CompiledStage(ADD, 1, one.table, fallback=never, keeps=one.vector)]).run(1)
+        CycleProgram([CompiledStage(add, 1, Total(one.vector), fallback=never)]).run(1)

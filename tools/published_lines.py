@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from hilbench.apps.report.web_line_drawing import LineNotes, drawing
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.tension_cycle import LOOP, MODULUS_PA, SET_POINT_N
+from hilbench.bench.tasks.tension_cycle import LOOP
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.web_winding_control import ROUNDED, CarriageForce, ReelMechanics, ReelTension, eased
-from hilbench.compiled import record_at
+from hilbench.compiled import of_record, record_at
 from hilbench.control.web_line.strain_trajectory import TRAJECTORY, velocity_before
 from hilbench.control.web_line.tension import CONTROLLER, control, tension_controller
 from hilbench.plant.motor_port import MotorMode, MotorPort
@@ -241,8 +241,7 @@ class KnownTension:
     """What keeps the tension of a span, as the feed-forward asks it."""
 
     def __init__(self, goal_N: float, modulus_Pa: float) -> None:
-        self.loop = np.zeros(LOOP)
-        self.loop[[SET_POINT_N, MODULUS_PA]] = goal_N, modulus_Pa
+        self.loop = np.array([of_record(LOOP, set_point_N=goal_N, modulus_Pa=modulus_Pa)], LOOP)
 
 
 def film(duration_s: float = 2.0, *, feed_forward: bool = True, modulus_error: float = 0.01) -> Course:

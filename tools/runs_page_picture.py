@@ -33,10 +33,10 @@ def runs() -> list[RunEntry]:
         began_s = _BEGAN_S + _APART_S * number
         metrics = {"E_time_to_1pct_s": time_s, "E_noise_pct": 0.011 + random.normal(0.0, 0.001)}
         entry = RunEntry(
-            f"web_section_step-{number:04d}",
-            "web_section_step",
-            began_s,
-            "passed" if passed else "failed",
+            path=f"web_section_step-{number:04d}",
+            bench="web_section_step",
+            began_s=began_s,
+            state="passed" if passed else "failed",
             duration_s=54.8,
             met=7 if passed else 6,
             criteria=7,

@@ -18,7 +18,7 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
 import numba
 import numpy as np
@@ -31,8 +31,8 @@ from numba.core.runtime.nrt import rtsys
 os.environ.setdefault("NUMBA_CPU_NAME", "generic")  # of child processes, too
 config.reload_config()
 
-#: Modules whose functions numba knows by their names; its own version is in each key.
-_NOT_OURS = ("math", "numpy", "numba")
+#: Modules whose functions numba knows by their names, or that only name types; its own version is in each key.
+_NOT_OURS = ("math", "numpy", "numba", "typing")
 
 
 class _Nowhere(InTreeCacheLocator):
@@ -154,7 +154,7 @@ def _parts_of_value(name: str, value: Any, attributes: tuple[str, ...]) -> Itera
     elif isinstance(value, _Intrinsic):
         yield value._defn
     elif isinstance(value, FunctionType):
-        yield value
+        yield name if value.__module__.partition(".")[0] in _NOT_OURS else value
     elif isinstance(value, ModuleType):
         yield name
         for each in attributes:
@@ -167,13 +167,27 @@ def _parts_of_value(name: str, value: Any, attributes: tuple[str, ...]) -> Itera
         yield f"{name} {_text_of(value)}"
 
 
+def _types_of_fields(record: type) -> str:
+    """Text of the types of a record of arrays (`compiled.arrays_in`), "" of another."""
+    hints = get_type_hints(record, include_extras=True).values() if hasattr(record, "_fields") else ()
+    texts = (
+        repr(hint.__metadata__)
+        if hasattr(hint, "__metadata__")
+        else _types_of_fields(hint)
+        if isinstance(hint, type)
+        else ""
+        for hint in hints
+    )
+    return "".join(texts)
+
+
 def _text_of(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"{value.dtype.descr} {value.shape} {sha256(value.tobytes()).hexdigest()}"
     if isinstance(value, np.dtype):
         return str(value.descr)
     if isinstance(value, type):  # a record of arguments
-        return f"{value.__module__}.{value.__qualname__} {getattr(value, '_fields', ())}"
+        return f"{value.__module__}.{value.__qualname__} {getattr(value, '_fields', ())}{_types_of_fields(value)}"
     if isinstance(value, types.ExternalFunction):
         return f"{value} {value.sig}"
     if value is None or isinstance(value, bool | int | float | str | bytes | BuiltinFunctionType | types.Type):

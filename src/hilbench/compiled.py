@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, partial
 from types import ModuleType, SimpleNamespace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import numba
 import numpy as np
@@ -27,6 +27,29 @@ Vector = NDArray[np.float64]
 REAL, COUNT, FLAG = types.float64, types.int64, types.boolean
 VECTOR, MATRIX, CUBE = (types.Array(types.float64, dimensions, "C") for dimensions in (1, 2, 3))
 INDICES, TABLE = (types.Array(types.int64, dimensions, "C") for dimensions in (1, 2))
+
+
+#: Types of the fields of a NamedTuple of arrays (`table_of`, `arrays_in`): of float64 and of int64, with so many
+#: dimensions. A field can be another such NamedTuple, too, Annotated[Any, `record_type`] a vector whose elements have
+#: names, and Annotated[Any, `records`] an array of these.
+Reals = Annotated[NDArray[np.float64], VECTOR]
+Reals2 = Annotated[NDArray[np.float64], MATRIX]
+Reals3 = Annotated[NDArray[np.float64], CUBE]
+Wholes = Annotated[NDArray[np.int64], INDICES]
+Wholes2 = Annotated[NDArray[np.int64], TABLE]
+
+
+#: A record, and an array of records, in annotations of compiled functions.
+Record = Any
+Records = Any
+
+
+def records(kind: np.dtype[Any], dimensions: int = 1) -> Any:
+    """Type of an array of records, as a field of a NamedTuple of arrays."""
+    return types.Array(numba.from_dtype(kind), dimensions, "C")
+
+
+Arrays = TypeVar("Arrays", bound=tuple[Any, ...])
 
 
 def reals(count: int) -> Any:
@@ -67,6 +90,11 @@ if TYPE_CHECKING:
 
     def integers(table: NDArray[np.int64], row: int, dimensions: tuple[int, ...]) -> NDArray[np.int64]:
         """Array of int64 in a row of a `table_of`, like `floats`."""
+        raise NotImplementedError
+
+    def arrays_in(table: NDArray[np.int64], kind: type[Arrays]) -> Arrays:
+        """The NamedTuple of arrays that a `table_of` is made of, in the body of an entry point. The caller who made the
+        table keeps them alive."""
         raise NotImplementedError
 
     def viewed(array: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
@@ -175,6 +203,48 @@ else:
 
     floats, integers = _array_of(types.float64), _array_of(types.int64)
 
+    def _numba_type(kind):
+        """What numba sees of a field's type."""
+        if isinstance(kind, np.dtype):
+            return numba.from_dtype(kind)
+        return types.NamedTuple([_numba_type(each) for each in _fields(kind)], kind) if isinstance(kind, type) else kind
+
+    @intrinsic
+    def arrays_in(typing_context, table, kind):
+        result = _numba_type(kind.instance_class)
+
+        def generate(context, builder, signature, arguments):
+            from numba.np.arrayobj import make_array
+
+            rows, at = make_array(signature.args[0])(context, builder, arguments[0]), iter(range(1000))
+
+            def field(kind):
+                if isinstance(kind, types.BaseTuple):
+                    return context.make_tuple(builder, kind, [field(each) for each in kind])
+                row = next(at) * TABLE_WIDTH
+                cells = [
+                    builder.load(builder.gep(rows.data, [context.get_constant(types.intp, row + column)]))
+                    for column in range(1 + getattr(kind, "ndim", 0))
+                ]
+                if isinstance(kind, types.Record):
+                    return builder.inttoptr(cells[0], context.get_value_type(kind))
+                return _array_at(context, builder, kind, *cells)
+
+            return field(result)
+
+        return result(table, kind), generate
+
+    def _array_at(context, builder, kind, address, *shape):
+        from numba.np.arrayobj import make_array, populate_array  # what is only called needs none of it
+
+        found, size = make_array(kind)(context, builder), context.get_abi_sizeof(context.get_data_type(kind.dtype))
+        step = context.get_constant(types.intp, size)
+        strides = [step]
+        for size in reversed(shape[1:]):
+            strides.insert(0, builder.mul(strides[0], size))
+        populate_array(found, builder.inttoptr(address, found.data.type), shape, strides, step, None)
+        return found._getvalue()
+
     @intrinsic
     def viewed(typing_context, array, kind):
         result = types.Array(kind.dtype, array.ndim, "C")
@@ -223,12 +293,37 @@ else:
 TABLE_WIDTH = 4
 
 
-def table_of(arrays: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
-    """Table of the arrays' addresses and shapes, a row each: for an entry point with more arrays than a call from
-    Python should pass one by one (70 ns each). The caller keeps the arrays.
+#: Types of fields that are no NamedTuple themselves.
+_KINDS = (np.dtype, types.Array)
 
-    Raises ValueError for an array that is not of float64 or int64, in one piece, with one to three dimensions.
+
+def _fields(kind: type[tuple[Any, ...]]) -> tuple[Any, ...]:
+    """Types of the fields of a NamedTuple of arrays: numba's of an array, numpy's of a record, another NamedTuple."""
+    hints = get_type_hints(kind, include_extras=True).values()
+    return tuple([hint.__metadata__[0] if hasattr(hint, "__metadata__") else hint for hint in hints])
+
+
+def _flat(arrays: tuple[Any, ...]) -> Iterator[tuple[str, Any, NDArray[Any]]]:
+    """Name, type and array of each row of the table of a NamedTuple of arrays."""
+    names: tuple[str, ...] = type(arrays)._fields  # type: ignore[attr-defined]
+    for name, kind, array in zip(names, _fields(type(arrays)), arrays, strict=True):
+        if isinstance(kind, type):
+            yield from _flat(array)
+        else:
+            yield name, kind, array
+
+
+def table_of(arrays: Sequence[Any]) -> NDArray[np.int64]:
+    """Table of the addresses and shapes of arrays, of a NamedTuple of arrays, or of several of these, a row each: for
+    an entry point with more arrays than a call from Python should pass one by one (70 ns each). The caller keeps them.
+
+    Raises ValueError for an array that is not of float64 or int64, in one piece, with one to three dimensions; of a
+    NamedTuple of arrays for one that is not as its field says.
     """
+    if hasattr(arrays, "_fields") and any(isinstance(each, _KINDS) for each in _fields(type(arrays))):
+        return _table_of_fields(arrays)  # type: ignore[arg-type]
+    if arrays and all(hasattr(each, "_fields") for each in arrays):
+        return np.concatenate([table_of(each) for each in arrays])
     table = np.zeros((len(arrays), TABLE_WIDTH), np.int64)
     for row, array in zip(table, arrays, strict=True):
         if array.dtype not in (np.float64, np.int64) or not array.flags.c_contiguous or not 1 <= array.ndim <= 3:
@@ -237,12 +332,39 @@ def table_of(arrays: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
     return table
 
 
-def record_type(*names: str) -> np.dtype[Any]:
-    """Type of a record of floats: a vector's elements by their names."""
-    return np.dtype([(name, np.float64) for name in names])
+def _table_of_fields(arrays: tuple[Any, ...]) -> NDArray[np.int64]:
+    rows = list(_flat(arrays))
+    table = np.zeros((len(rows), TABLE_WIDTH), np.int64)
+    for row, (name, kind, array) in zip(table, rows, strict=True):
+        fits = (
+            array.nbytes == kind.itemsize
+            if isinstance(kind, np.dtype)
+            else (array.ndim, numba.from_dtype(array.dtype)) == (kind.ndim, kind.dtype)
+        )
+        if not fits or not array.flags.c_contiguous:
+            raise ValueError(f"{name} is an array of {array.dtype} {array.shape}, expected {kind} in one piece")
+        row[: 1 + array.ndim] = (array.ctypes.data, *array.shape)
+    return table
 
 
-def record_at(vector: Vector, kind: np.dtype[Any]) -> Any:
+def record_type(*names: str, of: type[np.generic] = np.float64) -> np.dtype[Any]:
+    """Type of a record of floats, or of int64: a vector's elements by their names."""
+    return np.dtype([(name, of) for name in names])
+
+
+def of_record(kind: np.dtype[Any], **values: float) -> tuple[float, ...]:
+    """Values of a record in the order of its fields; those that are not given are 0.
+
+    Raises KeyError for a name that it has not.
+    """
+    record = np.zeros(1, kind)
+    for name, value in values.items():
+        record[name] = value
+    found: tuple[float, ...] = record[0].item()
+    return found
+
+
+def record_at(vector: NDArray[Any], kind: np.dtype[Any]) -> Any:
     """Record at the start of a vector, with its fields as attributes; in compiled code `viewed(vector, kind)[0]`."""
     return vector[: kind.itemsize // 8].view(kind).view(np.recarray)[0]
 
@@ -250,10 +372,17 @@ def record_at(vector: Vector, kind: np.dtype[Any]) -> Any:
 def address_of(function: Callable[[int, NDArray[np.int64]], int]) -> int:
     """Address of the machine code of an entry point of (COUNT, TABLE), for `call_at`; compiled, or loaded, if need
     be. It is valid as long as the process lives."""
+    load(function)
     dispatcher: Any = function
-    dispatcher.compile(dispatcher.arguments)
     found = dispatcher.overloads[dispatcher.arguments]
     return int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
+
+
+def load(*functions: Callable[..., Any]) -> None:
+    """Compile entry points, or load their machine code, before a cycle has to wait for it."""
+    for function in functions:
+        dispatcher: Any = function
+        dispatcher.compile(dispatcher.arguments)
 
 
 def interpreted(function: Function) -> Function:

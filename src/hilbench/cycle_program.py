@@ -8,46 +8,54 @@ its part of that stage, and the program continues after it. So a stage is define
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, INDICES, TABLE, TABLE_WIDTH, address_of, call_at, entry_point
+from hilbench.compiled import COUNT, TABLE, address_of, arrays_in, call_at, entry_point, record_type, records, table_of
 
 Table = NDArray[np.int64]
 Function = Callable[[int, Table], int]
 
 #: Regular return code of a stage, unless another is given.
 CONTINUE = 0
-#: Columns of the program's table: address of the function, its argument, address and length of its table, its
-#: regular return code.
-_FUNCTION, _ARGUMENT, _TABLE, _ROWS, _CONTINUE, _COLUMNS = range(6)
+#: A row of the program: address of the function, its argument, address and length of its table, its regular return
+#: code.
+_STAGE = record_type("function", "argument", "table", "rows", "continues", of=np.int64)
 #: Its state: cycles to run, and the stage to begin with; cycles that were run whole; the stage that has returned
 #: something else, and what; -1: none.
-_CYCLES, _FIRST, _DONE, _STOPPED, _CODE, _STATE = range(6)
+_STATE = record_type("cycles", "first", "done", "stopped", "code", of=np.int64)
+
+
+class _Program(NamedTuple):
+    stages: Annotated[Any, records(_STAGE)]
+    state: Annotated[Any, _STATE]
 
 
 class CompiledStage:
-    """A compiled stage of a cycle: `function`, with `argument` and a table of the vectors that `keeps` keeps.
+    """A compiled stage of a cycle: `function`, with `argument` and the table of `arrays`, which it keeps.
 
+    `table`: that of the arrays, if there is one already.
     `fallback`: Python's part where it returns anything but `continues`; true if the next cycle may still follow
     without Python.
     """
 
-    __slots__ = ("argument", "continues", "fallback", "function", "keeps", "table")
+    __slots__ = ("argument", "arrays", "continues", "fallback", "function", "table")
 
     def __init__(
         self,
         function: Function,
         argument: int,
-        table: Table,
+        arrays: Sequence[Any],
         *,
         fallback: Callable[[int], bool],
         continues: int = CONTINUE,
-        keeps: object = None,
+        table: Table | None = None,
     ) -> None:
-        self.function, self.argument, self.table = function, argument, table
-        self.fallback, self.continues, self.keeps = fallback, continues, keeps
+        self.function, self.argument, self.arrays = function, argument, arrays
+        self.table = table_of(arrays) if table is None else table
+        self.fallback, self.continues = fallback, continues
 
     def __call__(self) -> bool:
         """Run the stage alone; returns as `fallback`."""
@@ -73,73 +81,59 @@ class CycleProgram:
             (address_of(each.function), each.argument, each.table.ctypes.data, len(each.table), each.continues)
             for each in self._pieces
         ]
-        self._rows = np.array(rows, np.int64).reshape(-1, _COLUMNS)
-        self._state = np.zeros(_STATE, np.int64)
-        self._at = self._state.data
+        self._state = np.zeros(1, _STATE)
+        self._program = _Program(np.array(rows, _STAGE), self._state)
+        self._table = table_of(self._program)
+        self._at = self._state[0]
         self.stopped_at = -1  #: the stage whose part Python does, or has done last
 
     def run(self, cycles: int) -> int:
         """Run so many cycles, or fewer, where Python has the next one. Returns the number run. Fallbacks may raise;
         `done` and `stopped_at` show where."""
         at, pieces = self._at, self._pieces
-        at[_CYCLES], at[_FIRST], at[_DONE] = cycles, 0, 0
-        while _run(self._rows, self._state):
-            stopped = self.stopped_at = at[_STOPPED]
-            if not pieces[stopped].fallback(at[_CODE]):
-                at[_CYCLES] = 1
+        at["cycles"], at["first"], at["done"] = cycles, 0, 0
+        while _run(self._table):
+            stopped = self.stopped_at = int(at["stopped"])
+            if not pieces[stopped].fallback(int(at["code"])):
+                at["cycles"] = 1
             if stopped + 1 == len(pieces):
-                at[_DONE] += 1
-                at[_CYCLES] -= 1
-                at[_FIRST] = 0
+                at["done"] += 1
+                at["cycles"] -= 1
+                at["first"] = 0
             else:
-                at[_FIRST] = stopped + 1
+                at["first"] = stopped + 1
         return self.done
 
     @property
     def done(self) -> int:
         """Cycles of the last `run` until now that were run whole."""
-        return int(self._at[_DONE])
+        return int(self._at["done"])
 
 
-def _entry_point() -> Callable[[Table, NDArray[np.int64]], bool]:
-    """Make the entry point that Python calls."""
-
-    @entry_point(TABLE, INDICES)
-    def run(pieces: Table, state: NDArray[np.int64]) -> bool:
-        first = state[_FIRST]
-        while state[_CYCLES] > 0:
-            for k in range(first, len(pieces)):
-                row = pieces[k]
-                code = call_at(row[_FUNCTION], row[_ARGUMENT], row[_TABLE], row[_ROWS])
-                if code != row[_CONTINUE]:
-                    state[_STOPPED], state[_CODE] = k, code
-                    return True
-            first = 0
-            state[_DONE] += 1
-            state[_CYCLES] -= 1
-        return False
-
-    return run
+#: run(table of a `_Program`): true if a stage has returned to Python.
+@entry_point(TABLE)
+def _run(table: Table) -> bool:
+    program = arrays_in(table, _Program)
+    stages, state = program.stages, program.state
+    first = state.first
+    while state.cycles > 0:
+        for k in range(first, len(stages)):
+            stage = stages[k]
+            code = call_at(stage.function, stage.argument, stage.table, stage.rows)
+            if code != stage.continues:
+                state.stopped, state.code = k, code
+                return True
+        first = 0
+        state.done += 1
+        state.cycles -= 1
+    return False
 
 
-#: run(the program's table, its state): true if a stage has returned to Python.
-_run = _entry_point()
-
-
-def _handing_over() -> Function:
-    """Make the stage that returns to Python."""
-
-    @entry_point(COUNT, TABLE)
-    def hand_over(code: int, _: Table) -> int:
-        return code
-
-    return hand_over
-
-
-_hand_over = _handing_over()
+@entry_point(COUNT, TABLE)
+def _hand_over(code: int, _: Table) -> int:
+    return code
 
 
 def python_stage(act: Callable[[], bool]) -> CompiledStage:
     """Stage that Python runs in each cycle; returns as `fallback` of `CompiledStage`."""
-    table = np.zeros((0, TABLE_WIDTH), np.int64)
-    return CompiledStage(_hand_over, CONTINUE + 1, table, fallback=lambda _: act(), keeps=table)
+    return CompiledStage(_hand_over, CONTINUE + 1, (), fallback=lambda _: act())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,6 +18,14 @@ EXIT_INTERRUPTED = 130
 _LONGEST_TEXT = 1500
 #: Most errors shown in addition to the first one.
 _MOST_NOTES = 40
+
+
+class EndSignal(KeyboardInterrupt):
+    """SIGTERM or SIGHUP has come: ends what Ctrl-C ends, so that files, buses and drives are left in order."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.exit_code = 128 + number
 
 
 class HilbenchError(Exception):

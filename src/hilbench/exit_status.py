@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from hilbench.crash_report import crash_report
-from hilbench.errors import EXIT_BENCH_FAULT, EXIT_INTERRUPTED, HilbenchError
+from hilbench.errors import EXIT_BENCH_FAULT, EXIT_INTERRUPTED, EndSignal, HilbenchError
 from hilbench.output import OutputError, hold_standard_descriptors, honest_output
 
 
@@ -45,14 +45,6 @@ def _threads_reported() -> Iterator[None]:
         yield
     finally:
         threading.excepthook = before
-
-
-class EndSignal(KeyboardInterrupt):
-    """SIGTERM or SIGHUP has come: ends what Ctrl-C ends, so that files and buses are left in order."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(signal.Signals(number).name)
-        self.exit_code = 128 + number
 
 
 @contextmanager

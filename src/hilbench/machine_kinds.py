@@ -33,9 +33,8 @@ class MachineDescription:
     check_steps: str  #: `hilbench.runs.check.CheckedExperiment`: (loaded, bench, moves, with_margins=…)
     start_values: str  #: of the quantities, by path: (config)
     metrics: str  #: `hilbench.runs.machines.machine.MachineMetrics`: (shape)
-    pictures: str  #: `hilbench.apps.report.machines.picture.MachinePictures`: (shape)
-    page: str  #: with `panel` and `settled`, as of `hilbench.apps.pages.live.machines.servo_axis`
-    terminal: str  #: `hilbench.apps.commands.shown.machine.Shown`: (shape)
+    panels: str  #: what is shown of it, `hilbench.apps.report.panel.MachinePanels`: (shape)
+    page: str  #: with `drawing` and `settled`, as of `hilbench.apps.pages.live.machines.servo_axis`
     prediction: str = ""  #: with `look` and `foreseen`, as of `hilbench.bench.prediction.servo_axis`
     diagnosis: str = ""  #: with the names of `hilbench.diagnosis.servo_axis`
     live_diagnosis: str = ""  #: with `machine` and `warm_up`, as of `hilbench.live.servo_axis.warm_up`

@@ -19,7 +19,7 @@ from types import MappingProxyType
 from typing import Any
 
 from hilbench.crash_report import TRACEBACK_FOLDER
-from hilbench.errors import BenchFaultError
+from hilbench.errors import BenchFaultError, EndSignal
 from hilbench.forked_workers import ForkedWorker
 
 _END_TIMEOUT_S = 5.0
@@ -212,17 +212,27 @@ def _handled_by(handler: Callable[[int, Any], None]) -> Iterator[Mapping[signal.
 
 
 @contextmanager
-def end_requests() -> Iterator[Callable[[], bool]]:
-    """Only note the signals that request the end meanwhile; yields a function that is true once one has come."""
-    asked = threading.Event()
+def end_requests() -> Iterator[Callable[[], None]]:
+    """Only note the signals that request the end meanwhile; yields a function that raises the first that has come.
 
-    def ask(number: int, _frame: object) -> None:
+    It raises once (KeyboardInterrupt, EndSignal), so that what is left in order afterwards is undisturbed.
+    """
+    noted: list[int] = []
+    raised = False
+
+    def note(number: int, _frame: object) -> None:
         if number == signal.SIGHUP:
             leave_terminal()
-        asked.set()
+        noted.append(number)
 
-    with _handled_by(ask):
-        yield asked.is_set
+    def raise_noted() -> None:
+        nonlocal raised
+        if noted and not raised:
+            raised = True
+            raise KeyboardInterrupt if noted[0] == signal.SIGINT else EndSignal(noted[0])
+
+    with _handled_by(note):
+        yield raise_noted
 
 
 class HeldSignals:

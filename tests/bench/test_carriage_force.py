@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from tests.plant.models import DEMONSTRATOR
 
-from hilbench.apps.report.machines.web_line import pictures_of
+from hilbench.apps.report.machines.web_line import panels_of
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.state import BenchState
@@ -349,5 +349,5 @@ def test_the_check_tells_what_a_cylinder_does_not_have(tmp_path: Path, changes: 
 
 
 def test_the_report_shows_the_force() -> None:
-    pictures = pictures_of(shape_of(change_of_reels())).pictures
+    pictures = panels_of(shape_of(change_of_reels())).pictures
     assert [picture.title for picture in pictures][-1] == "Forces on the carriages"

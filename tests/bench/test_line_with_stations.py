@@ -14,7 +14,7 @@ import pytest
 import yaml
 from tests.tiers import slow
 
-from hilbench.apps.report.machines.web_line import pictures_of
+from hilbench.apps.report.machines.web_line import panels_of
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.web_line_check import start_point, stiffness_reserves
@@ -318,7 +318,7 @@ def test_the_report_shows_where_carriages_are_and_how_large_reels_are(tmp_path: 
     given = load_with_overrides(WINDING, bus=f"embedded:{tmp_path.name}", changes=(*changes, *ended))
     shape = shape_of(channels(run(given, tmp_path)))
     assert (shape.carriages, shape.reels) == (("store",), ("unwinder", "rewinder"))
-    titles = [picture.title for picture in pictures_of(shape).pictures]
+    titles = [picture.title for picture in panels_of(shape).pictures]
     assert titles[-2:] == ["Positions of the carriages", "Radii of the reels"]
     assert [title for title in titles if title.startswith("Torque")] == ["Torque of axis 3"]
 

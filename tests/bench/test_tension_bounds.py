@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import nan, pi, sin
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,23 +33,27 @@ def demonstrator() -> ModelParameters:
     return load_with_overrides(SHIPPED).config.web_line
 
 
-def figures(**changes: float) -> np.ndarray:
-    f = np.zeros(bounds.SPAN)
-    f[bounds.USUAL_N], f[bounds.USUAL_M2] = SET_POINT_N, SET_POINT_N / MODULUS_PA
-    f[bounds.STRAIN_SHARE], f[bounds.CREEP_SHARE], f[bounds.NEXT_N] = 0.02, 0.6, 70.0
-    f[bounds.WARMS_N], f[bounds.OF_SPEED], f[bounds.CHANGES] = FRICTION_N, FRICTION_N / AT_SPEED_M_S, 1.0
+def records(count: int, kind: np.dtype) -> Any:
+    return np.zeros(count, kind).view(np.recarray)
+
+
+def figures(**changes: float) -> Any:
+    f = records(1, bounds.SPAN)[0]
+    f.usual_N, f.usual_m2 = SET_POINT_N, SET_POINT_N / MODULUS_PA
+    f.strain_share, f.creep_share, f.next_N = 0.02, 0.6, 70.0
+    f.warms_N, f.of_speed, f.changes = FRICTION_N, FRICTION_N / AT_SPEED_M_S, 1.0
     for name, value in changes.items():
-        f[getattr(bounds, name)] = value
+        f[name] = value
     return f
 
 
 class Opinion:
     """The verdicts on a twin, block by block; tensions in N by the time in s."""
 
-    def __init__(self, f: np.ndarray | None = None) -> None:
+    def __init__(self, f: Any = None) -> None:
         self.f = figures() if f is None else f
-        self.state = np.zeros(bounds.STATE)
-        self.ring = np.zeros((bounds.BLOCK, bounds.BLOCKS))
+        self.state = records(1, bounds.STATE)[0]
+        self.ring = records(bounds.BLOCKS, bounds.BLOCK)
         self.t_s = 0.0
         self.said: list[tuple[float, float]] = []
 
@@ -63,43 +68,43 @@ class Opinion:
     ) -> None:
         while self.t_s < until_s - 1e-9:
             self.t_s += BLOCK_S
-            block = np.zeros(bounds.BLOCK)
-            block[bounds.TENSION_N], block[bounds.TWIN_N] = torques_N(self.t_s), twin_N(self.t_s)
-            block[bounds.VARIANCE_N2], block[bounds.TURNING_N] = 2.0 * FRICTION_N**2, 1.0
-            block[bounds.TWIN_PA], block[bounds.STRETCH_M2] = twin_Pa, SECTION_M2 * strain
-            block[bounds.LINE_M_S], block[bounds.BLOCK_S] = 3.0, BLOCK_S
-            block[bounds.CLOSED] = block[bounds.UNCHANGED] = 1.0
+            block = records(1, bounds.BLOCK)[0]
+            block.tension_N, block.twin_N = torques_N(self.t_s), twin_N(self.t_s)
+            block.variance_N2, block.turning_N = 2.0 * FRICTION_N**2, 1.0
+            block.twin_Pa, block.stretch_m2 = twin_Pa, SECTION_M2 * strain
+            block.line_m_s, block.block_s = 3.0, BLOCK_S
+            block.closed = block.unchanged = 1.0
             for name, value in changes.items():
-                block[getattr(bounds, name)] = value
+                block[name] = value
             if bounds.judge(self.f, self.state, self.ring, block):
-                self.said.append((self.t_s, self.state.item(bounds.REPORTED)))
+                self.said.append((self.t_s, float(self.state.reported)))
 
 
 def test_the_balance_of_the_rollers_behind_a_span_is_its_tension() -> None:
     """F = (i/r)·τ + F_next − m·v': 0.8 N·m at a gear of 5 and 0.2 m are 20 N, and 2 m/s² of the mass are taken off."""
     model = demonstrator()
-    rollers, motion, block = np.zeros((2, bounds.ROLLER)), np.zeros((2, bounds.MOTION)), np.zeros(bounds.BLOCK)
-    rollers[1, bounds.RAD_PER_M], rollers[1, bounds.MASS_KG] = 25.0, model.mass_kg(2)
-    rollers[1, bounds.DRY_N], rollers[1, bounds.VISCOUS] = 8.0, 2.0
-    rollers[1, bounds.SCALE], rollers[1, bounds.INERTIA_KG], rollers[1, bounds.RADIUS_M] = 0.1, 3.0, 0.2
-    rollers[1, bounds.UNBALANCE_N] = 4.0
+    rollers, motion, block = records(2, bounds.ROLLER), records(2, bounds.MOTION), records(1, bounds.BLOCK)[0]
+    rollers[1].rad_per_m, rollers[1].mass_kg = 25.0, model.mass_kg(2)
+    rollers[1].dry_N, rollers[1].viscous = 8.0, 2.0
+    rollers[1].scale, rollers[1].inertia_kg, rollers[1].radius_m = 0.1, 3.0, 0.2
+    rollers[1].unbalance_N = 4.0
     motion[1] = 0.8, 3.0, 2.0
-    block[bounds.TENSION_N] = 70.0
+    block.tension_N = 70.0
     bounds.momentum_balance(lay.pack(model), figures(), rollers, motion, 1, 1.0, block)
-    assert block[bounds.TENSION_N] == pytest.approx(70.0 + 20.0 - 2.0 * model.mass_kg(2))
-    assert block[bounds.VARIANCE_N2] == pytest.approx(8.0**2 + 6.0**2 + 2.0**2 + 6.0**2)
-    assert block[bounds.TURNING_N] == pytest.approx(4.0 * 2.0 * 0.2 / 3.0)  # of a swing over 3 m of a roller of 0.2 m
+    assert block.tension_N == pytest.approx(70.0 + 20.0 - 2.0 * model.mass_kg(2))
+    assert block.variance_N2 == pytest.approx(8.0**2 + 6.0**2 + 2.0**2 + 6.0**2)
+    assert block.turning_N == pytest.approx(4.0 * 2.0 * 0.2 / 3.0)  # of a swing over 3 m of a roller of 0.2 m
 
 
 def test_a_roller_that_stands_may_hold_by_the_dry_friction_of_the_model() -> None:
     entry = {"effect": "coulomb_friction", "axis": 2, "parameters": {"force_N": 5.0}}
     model = ModelParameters.model_validate(demonstrator().model_dump() | {"effects": [entry]})
-    rollers, motion, block = np.zeros((2, bounds.ROLLER)), np.zeros((2, bounds.MOTION)), np.zeros(bounds.BLOCK)
+    rollers, motion, block = records(2, bounds.ROLLER), records(2, bounds.MOTION), records(1, bounds.BLOCK)[0]
     bounds.momentum_balance(lay.pack(model), figures(), rollers, motion, 1, 1.0, block)
-    assert block[bounds.STICKS_N] == 5.0
-    motion[1, bounds.SPEED_M_S] = 1.0
+    assert block.sticks_N == 5.0
+    motion[1].speed_m_s = 1.0
     bounds.momentum_balance(lay.pack(model), figures(), rollers, motion, 1, 1.0, block)
-    assert block[bounds.STICKS_N] == 0.0
+    assert block.sticks_N == 0.0
 
 
 @pytest.mark.parametrize("forward", [True, False])
@@ -134,7 +139,7 @@ def test_a_tension_that_stays_while_the_torques_say_that_it_has_changed_is_said(
     opinion = Opinion()
     opinion.see(30.0, torques_N=lambda t: 96.6 if t > 25.0 else 80.0)
     assert [said for _, said in opinion.said] == [bounds.CHANGE]
-    assert opinion.state[bounds.ASSUMED_PA] == pytest.approx(MODULUS_PA * 96.6 / 80.0, rel=0.02)
+    assert opinion.state.assumed_Pa == pytest.approx(MODULUS_PA * 96.6 / 80.0, rel=0.02)
 
 
 def test_what_no_usual_errors_of_a_model_explain_is_said_whatever_was_before() -> None:
@@ -149,7 +154,7 @@ def test_an_E_that_torques_and_encoders_do_not_allow_is_said() -> None:
     opinion = Opinion()
     opinion.see(5.0, twin_Pa=2.0 * MODULUS_PA)
     assert [said for _, said in opinion.said] == [bounds.MODULUS]
-    assert opinion.state[bounds.LOW_PA] < MODULUS_PA < opinion.state[bounds.HIGH_PA] < 2.0 * MODULUS_PA
+    assert opinion.state.low_Pa < MODULUS_PA < opinion.state.high_Pa < 2.0 * MODULUS_PA
 
 
 @pytest.mark.parametrize("lasts_s", [0.2, 0.7])
@@ -176,8 +181,8 @@ def test_a_tension_upstream_that_swings_is_no_event(amplitude_N: float, frequenc
 def test_an_open_loop_is_told_another_E_that_the_torques_show() -> None:
     opinion = Opinion()
     opinion.see(15.0, lambda t: 1.3 * SET_POINT_N if t > 10.0 else SET_POINT_N)
-    opinion.see(20.0, lambda t: 1.3 * SET_POINT_N, lambda t: 0.8 * SET_POINT_N, CLOSED=0.0)
-    assert opinion.state[bounds.ASSUMED_PA] == pytest.approx(0.8 * MODULUS_PA, rel=0.02)
+    opinion.see(20.0, lambda t: 1.3 * SET_POINT_N, lambda t: 0.8 * SET_POINT_N, closed=0.0)
+    assert opinion.state.assumed_Pa == pytest.approx(0.8 * MODULUS_PA, rel=0.02)
     assert {said for _, said in opinion.said} == {bounds.CHANGE}
 
 
@@ -190,7 +195,7 @@ def test_a_twin_that_finds_behind_a_step_of_E_that_it_was_friction_before_is_no_
     assert opinion.said == []
 
 
-@pytest.mark.parametrize("name", ["UNCHANGED", "CLOSED"])
+@pytest.mark.parametrize("name", ["unchanged", "closed"])
 def test_a_difference_is_another_one_when_somebody_has_changed_the_conditions(name: str) -> None:
     opinion = Opinion()
     opinion.see(10.0)
@@ -200,14 +205,14 @@ def test_a_difference_is_another_one_when_somebody_has_changed_the_conditions(na
 
 
 def test_a_method_that_takes_longer_for_a_step_is_judged_by_the_usual_errors_alone() -> None:
-    opinion = Opinion(figures(CHANGES=0.0))
+    opinion = Opinion(figures(changes=0.0))
     opinion.see(20.0, torques_N=lambda t: 96.6 if t > 10.0 else 80.0)
     assert opinion.said == []
 
 
 def test_a_twin_that_is_back_for_five_seconds_is_believed_again() -> None:
     opinion = Opinion()
-    opinion.see(30.0, lambda t: 1.3 * SET_POINT_N if 10.0 < t < 15.0 else SET_POINT_N, CLOSED=1.0)
+    opinion.see(30.0, lambda t: 1.3 * SET_POINT_N if 10.0 < t < 15.0 else SET_POINT_N, closed=1.0)
     assert [said for _, said in opinion.said] == [bounds.CHANGE, bounds.NOTHING]
     assert 20.0 < opinion.said[1][0] < 21.5
 
@@ -215,6 +220,6 @@ def test_a_twin_that_is_back_for_five_seconds_is_believed_again() -> None:
 def test_a_twin_that_is_not_back_stays_refused_at_another_speed_and_at_rest() -> None:
     opinion = Opinion()
     opinion.see(15.0, lambda t: 1.3 * SET_POINT_N if t > 10.0 else SET_POINT_N)
-    opinion.see(40.0, lambda t: 1.3 * SET_POINT_N, LINE_M_S=2.0, CLOSED=0.0)
-    opinion.see(60.0, lambda t: 1.3 * SET_POINT_N, LINE_M_S=0.0, CLOSED=0.0)
+    opinion.see(40.0, lambda t: 1.3 * SET_POINT_N, line_m_s=2.0, closed=0.0)
+    opinion.see(60.0, lambda t: 1.3 * SET_POINT_N, line_m_s=0.0, closed=0.0)
     assert [said for _, said in opinion.said] == [bounds.CHANGE]

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from tests.bench.samples import sample_of_two_axes
 
-from hilbench.bench.tasks.tension_trust import TRUSTED, VirtualSensorSupervision, judged
-from hilbench.compiled import interpreted
+from hilbench.bench.tasks.tension_trust import PLACES, TRUSTED, TrustArrays, VirtualSensorSupervision, judged
+from hilbench.compiled import interpreted, record_at
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import TensionControlConfig
 from hilbench.twin.virtual_io import TwinStatus
@@ -28,8 +28,9 @@ def sample(**changes: Any) -> CycleSample:
 
 def believes(trust: VirtualSensorSupervision, sample: CycleSample) -> bool:
     """A cycle on: whether the loop may be closed on the twin's data in a sample."""
-    figures, state, at = trust.vectors(sample)
-    found = _judged(figures, state, sample.reals, sample.wholes, at)
+    arrays = trust.arrays(type(sample))
+    kinds = arrays.figures.dtype, arrays.state.dtype, PLACES
+    found = _judged(TrustArrays(*map(record_at, arrays, kinds)), sample.reals, sample.wholes)
     if found != TRUSTED:
         trust.doubts(found, sample)
     return trust.trusted

@@ -151,20 +151,25 @@ def eventually(condition: Callable[[], bool]) -> None:
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize(("end", "code"), [(signal.SIGKILL, -9), *slow((signal.SIGINT, 130), (signal.SIGTERM, 130))])
+@pytest.mark.parametrize(
+    ("end", "code"),
+    [(signal.SIGKILL, -9), *slow((signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129))],
+)
 def test_however_it_ends_the_motor_is_at_rest_without_torque(bus: Bus, end: signal.Signals, code: int) -> None:
     link = open_link(BusAddress.parse(str(bus.servo[1])))
     command = [*HILBENCH, "drive", "1", "velocity", "60 rpm", *map(str, bus.servo)]
     turning = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    told = False
-    while not told:  # a second SDO client would disturb the first: only listen
-        told = any(frame.can_id == 0x601 and frame.data == SPEED for frame in receive_for(link, 0.1))
+    turns = False
+    while not turns:  # a second SDO client would disturb the first: only listen
+        turns = any(frame.can_id == 0x601 and frame.data == SPEED for frame in receive_for(link, 0.1))
         assert turning.poll() is None
     receive_for(link, 1.0)
     turning.send_signal(end)
-    turning.communicate(timeout=30)
+    _, told = turning.communicate(timeout=30)
     link.close()
     assert turning.returncode == code
+    said = {signal.SIGKILL: "", signal.SIGINT: "hilbench: interrupted\n"}
+    assert told.decode() == said.get(end, f"hilbench: interrupted ({end.name})\n")
     eventually(lambda: status(1, bus.servo)["state"] == "SWITCH ON DISABLED")
     eventually(lambda: abs(float(str(status(1, bus.servo)["velocity_rad_s"]))) < 0.5)
     if end is signal.SIGKILL:  # nobody was there to take the watch back

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import signal
+
 import pytest
 
 from hilbench.apps.conformance.wire import LinkWire
 from hilbench.can.frame import Frame
+from hilbench.errors import EndSignal
+from hilbench.processes import end_requests
 
 
 class Given:
@@ -36,8 +40,13 @@ def test_what_comes_behind_the_awaited_frame_is_kept_for_the_next_look() -> None
     assert [received.can_id for received in wire.listen(0.0)] == [0x185]
 
 
-def test_who_is_asked_to_end_is_interrupted_once_and_can_put_things_in_order() -> None:
-    wire = LinkWire(Given(Frame(0x585, b"\x01")), lambda: True)
-    with pytest.raises(KeyboardInterrupt):
-        wire.listen(1.0)
-    assert len(wire.listen(0.0)) == 1
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_who_is_asked_to_end_is_interrupted_once_and_can_put_things_in_order(number: signal.Signals, code: int) -> None:
+    with end_requests() as end_if_requested:
+        wire = LinkWire(Given(Frame(0x585, b"\x01")), end_if_requested)
+        signal.raise_signal(number)
+        with pytest.raises(EndSignal) as raised:
+            wire.listen(1.0)
+        signal.raise_signal(number)
+        assert len(wire.listen(0.0)) == 1
+    assert raised.value.exit_code == code

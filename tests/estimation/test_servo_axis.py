@@ -25,7 +25,7 @@ from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.emulation import EmulatedShaft
 from hilbench.plant.servo_axis.offline import simulate
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters, ShaftParameters
-from hilbench.plant.servo_axis.rig import ServoRig
+from hilbench.plant.servo_axis.shaft import ServoRig
 from hilbench.plant.servo_axis.stability import sampled_shaft
 
 CYCLE_S = 0.002
@@ -169,8 +169,7 @@ def test_a_step_of_the_inertia_by_25_percent_is_found_within_1_percent(
 
 def test_constant_speed_tells_friction_and_says_that_it_does_not_tell_inertia() -> None:
     parameters = lay.pack(axis(coulomb=0.35))
-    under_way = lay.new_state(parameters)
-    under_way[lay.S_V] = 10.0
+    under_way = lay.new_state(parameters, v_rad_s=10.0)
     run = simulate(parameters, under_way, np.full(4000, 10.0), CYCLE_S)
     rest = slice(1000, None)  # the loop has settled
     noise = NOISE_NM * np.random.default_rng(1).standard_normal(3000)

@@ -15,7 +15,7 @@ import pytest
 from hilbench.apps.library.live_run import LiveRun
 from hilbench.apps.pages.live.history import History
 from hilbench.apps.pages.live.listener import event_of
-from hilbench.apps.pages.live.machines.kinds import panel_of
+from hilbench.apps.pages.live.machines.kinds import live_panels, signals_of
 from hilbench.apps.pages.live.samples import LiveSamples
 from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
@@ -62,7 +62,7 @@ def going_on(ran: Ran, tmp_path: Path) -> Iterator[GoingOn]:
     frames, lines = list(TraceReader(outcome.folder.trace)), outcome.folder.trace.read_bytes().splitlines(True)
     channel = lines[0].split()[1].decode()
     (folder / "trace.log").write_bytes(lines[0])
-    history = History(panel_of(loaded.config).signals, loaded.config.cycle_time_s)
+    history = History(signals_of(live_panels(loaded.config)), loaded.config.cycle_time_s)
     samples = LiveSamples(loaded.config, history, partial(LiveRun.on, tmp_path / "runs"), channel)
     with open(folder / "trace.log", "ab") as trace:
         fcntl.flock(trace, fcntl.LOCK_EX)  # as a bench holds it

@@ -44,8 +44,7 @@ def turned(*effects: dict[str, Any], torque: np.ndarray = TORQUE_NM, v0: float =
     """The same as a servo axis."""
     parameters = servo_model(*effects, **SHAFT)
     p = servo_lay.pack(parameters, substeps=4)
-    start = servo_lay.new_state(p)
-    start[servo_lay.S_V] = v0
+    start = servo_lay.new_state(p, v_rad_s=v0)
     return servo_offline.simulate(p, start, torque, ROW_S, MotorMode.TORQUE)
 
 

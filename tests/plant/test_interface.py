@@ -17,10 +17,9 @@ from hilbench.plant.effects import find_effect
 from hilbench.plant.interface import Follower, Machine, Plant, Quantity, checked_name
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.sensors import SensorParameters
-from hilbench.plant.servo_axis.axis import ServoAxis
 from hilbench.plant.servo_axis.emulation import EmulatedShaft
 from hilbench.plant.servo_axis.parameters import ServoRigParameters
-from hilbench.plant.servo_axis.rig import ServoRig
+from hilbench.plant.servo_axis.shaft import ServoAxis, ServoRig
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilbench.apps.report.machines.kinds import pictures_of
-from hilbench.apps.report.machines.picture import ShownRun
+from hilbench.apps.report.panel import ShownRun, recorded_panels
 from hilbench.results.recording import Recording
 
 SPEED_M_S, STRAIN, WOUND = 2.0, 0.0034, 0.003
@@ -47,7 +46,7 @@ def winding(duration_s: float = 20.0) -> Recording:
 
 def test_reels_are_drawn_with_the_velocity_of_their_web() -> None:
     recording = winding()
-    (picture,) = (each for each in pictures_of(recording).pictures if each.name == "velocities")
+    (picture,) = (each for each in recorded_panels(recording).pictures if each.name == "velocities")
     velocities, fine = picture.charts(ShownRun(recording))
     middle = slice(200, -200)
     assert len(velocities.curves) == 6

@@ -159,6 +159,22 @@ def test_a_speed_that_a_motor_cannot_turn_at_is_told_before_the_run(
     assert all(f"config.yaml:3: {said}" in warning for warning in warnings)
 
 
+def test_a_web_that_pulls_a_roller_away_when_it_is_enabled_is_told_before_the_run(tmp_path: Path) -> None:
+    slow, far = "drives.axis2.parameters={6080h: 12}", "machine.boundary.downstream_tension_N=400"
+    config = config_of(tmp_path, "hold: {duration_s: 1}")
+    (warning,) = check(config, slow, far).warnings
+    assert "+320 N behind axis 2" in warning
+    assert "axis2 goes up to 12 rpm (6080h): it may report overspeed, expected tensions that are at most" in warning
+    assert not check(config, slow).warnings
+    assert not check(config, far).warnings
+
+
+def test_a_virtual_axis_with_less_torque_than_its_motor_needs_is_told_before_the_run(tmp_path: Path) -> None:
+    ramp = config_of(tmp_path, "ramp: {path: line_speed_m_s, to: 3, duration_s: 4}")
+    (warning,) = check(ramp, "drives.axis2.virtual.parameters={6072h: 200}").warnings
+    assert "from 0 to 3 m/s within 4 s asks for 1.32 N·m of virtual axis 2, which has 1 N·m" in warning
+
+
 def test_a_gentle_experiment_has_no_warning(tmp_path: Path) -> None:
     found = check(
         config_of(

@@ -6,7 +6,15 @@ import pytest
 from tools.random_machines import Case, drawn, in_short, tried
 
 
-@pytest.mark.parametrize(("seed", "told"), [(9, True), (14, False)])
+@pytest.mark.parametrize(
+    ("seed", "told"),
+    [
+        (9, True),
+        (14, False),
+        pytest.param(165, False, id="motors stronger than their EDS file's", marks=pytest.mark.slow),
+        pytest.param(168, True, id="the web pulls a roller away when it is enabled"),
+    ],
+)
 def test_what_check_tells_of_a_machine_is_what_its_run_shows_and_a_whole_web_is_not_broken(
     seed: int, told: bool
 ) -> None:

@@ -10,12 +10,11 @@ from typing import cast
 import numpy as np
 import pytest
 
-from hilbench.apps.commands.shown.web_line import shown
 from hilbench.apps.monitor.picture import BusPicture
-from hilbench.apps.pages.live.machines.web_line import panel
+from hilbench.apps.pages.live.machines.kinds import live_panels
 from hilbench.apps.report.chart import Chart
-from hilbench.apps.report.machines.picture import ShownRun
-from hilbench.apps.report.machines.web_line import pictures_of
+from hilbench.apps.report.machines.web_line import panels_of
+from hilbench.apps.report.panel import ShownRun
 from hilbench.can.frame import Frame
 from hilbench.exchange.nodes import Nodes
 from hilbench.results.recording import Recording
@@ -48,7 +47,7 @@ def recorded(bench: BenchConfig, deviation_Pa: np.ndarray) -> Recording:
 
 
 def drawn(bench: BenchConfig, deviation_Pa: np.ndarray) -> Chart:
-    (picture,) = (each for each in pictures_of(bench.shape).pictures if each.name == "elasticity3")
+    (picture,) = (each for each in panels_of(bench.shape).pictures if each.name == "elasticity3")
     run = ShownRun(recorded(bench, deviation_Pa))
     assert "estimated" not in picture.words(run)
     (chart,) = picture.charts(run)
@@ -77,9 +76,10 @@ def test_a_report_of_what_is_estimated_says_nothing_else(bench: BenchConfig) -> 
 
 @pytest.mark.parametrize(("deviation_Pa", "heading"), [(inf, "E3 true / of the model"), (1e8, "E3 true / estimated")])
 def test_the_terminal_says_which_it_is(bench: BenchConfig, deviation_Pa: float, heading: str) -> None:
-    sample = cast("CycleSample", SimpleNamespace(E3_sd_Pa=deviation_Pa))
-    (row,) = (row for row in shown(bench.shape).live if "E3_sim_Pa" in row.signals)
-    assert row.heading(sample) == heading
+    of_span = {"E3_true_Pa": MODULUS_PA, "E3_sim_Pa": MODULUS_PA, "E3_sd_Pa": deviation_Pa}
+    sample = cast("CycleSample", SimpleNamespace(**of_span))
+    (panel,) = (panel for panel in panels_of(bench.shape).panels if panel.name == "elasticity3")
+    assert panel.text(sample, of_span) == (heading, "8700 / 8700 N/mm²")
 
 
 def test_the_figures_of_its_steps_say_that_nothing_tells_it(bench: BenchConfig) -> None:
@@ -104,9 +104,9 @@ def test_the_monitor_says_so_while_it_is_so(bench: BenchConfig) -> None:
 
 
 def test_the_page_has_a_curve_for_each(bench: BenchConfig) -> None:
-    (plot,) = (plot for plot in panel(bench).plots if plot.name == "modulus3")
-    of_twin = [(trace.name, trace.told, trace.deviation) for trace in plot.traces if trace.signal == "E3_sim_Pa"]
+    (panel,) = (panel for panel in live_panels(bench) if panel.name == "elasticity3")
+    of_twin = [(each.name, each.told, each.deviation) for each in panel.series if each.signal == "E3_sim_Pa"]
     assert of_twin == [("estimated", True, "E3_sd_Pa"), ("of the model", False, "E3_sd_Pa")]
     rollers = load(SHIPPED / "line_two_spans.yaml")[0]
-    (plot,) = (plot for plot in panel(rollers).plots if plot.name == "modulus1")
-    assert [trace.name for trace in plot.traces] == ["true", "estimated"]
+    (panel,) = (panel for panel in live_panels(rollers) if panel.name == "elasticity1")
+    assert [each.name for each in panel.series] == ["true", "estimated"]

@@ -28,6 +28,20 @@ def recorded(path: Path) -> Recording:
     return read_recording(run_folders(path)[0] / "recording.mf4")
 
 
+def test_a_virtual_axis_has_the_torque_of_the_units_that_the_config_gives(tmp_path: Path) -> None:
+    path = config(tmp_path, steps=[{"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 0.5}}])
+    changed = yaml.safe_load(path.read_text())
+    for drive in changed["drives"].values():  # 5 N·m by the EDS file, of which 6072h allows three times
+        drive["units"] = drive["virtual"]["units"] = {"rated_torque_Nm": 10.0}
+    changed["machine"]["drives"]["torque_limit_Nm"] = 30.0
+    changed["machine"]["rollers"]["inertia_kg_m2"] = 3.0
+    changed["safety"] = {"limits": {"torque_Nm": {"warning": None, "trip": None}}}
+    path.write_text(yaml.safe_dump(changed))
+    found = recorded(path)
+    assert np.max(found["tau2_Nm"]) > 17.0
+    assert np.max(np.abs(found["tau2_sim_Nm"] - found["tau2_Nm"])[50:]) < 4.0
+
+
 def test_a_twin_joins_a_running_plant_and_only_then_the_loop_closes(tmp_path: Path) -> None:
     steps = [
         {"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 1.0}},

@@ -11,13 +11,13 @@ from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion, coupled_motion
 from hilbench.diagnosis.predictor import RECORDED_COMMANDS, Choice, is_cycle
 from hilbench.plant.effect import Effect, MachineSizes, Section
-from hilbench.plant.servo_axis.effects import ShaftEffect
+from hilbench.plant.servo_axis.effects import KIND, ShaftEffect
 from hilbench.plant.servo_axis.emulated_run import ShaftEmulation
-from hilbench.plant.servo_axis.inverse import required_torque_Nm as required_torque_Nm
 from hilbench.plant.servo_axis.layout import pack as pack
-from hilbench.plant.servo_axis.layout import place
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.sizes import machine_sizes
+from hilbench.plant.web_line import layout as line
+from hilbench.plant.web_line.inverse import required_torque_Nm as required_torque_Nm
 from hilbench.topology.config import BenchConfig
 
 ENTRY: Final = ShaftEffect
@@ -33,9 +33,7 @@ def write_effect(
     section: Section | None,
 ) -> None:
     """Write an effect's values into a parameter vector; others stay."""
-    for number, parameter in enumerate(effect.parameters):
-        if parameter.name in values:
-            parameters[place(effect.id, number, slot)] = values[parameter.name]
+    line.write_effect(parameters, effect.id, 1, slot, values, kind=KIND)
 
 
 def sizes(

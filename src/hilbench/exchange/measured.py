@@ -171,7 +171,7 @@ class Measured:
             place = type(sample).place("twin_status")
             self._filled, self._filling = (
                 sample,
-                CompiledStage(_fill, place, table_of(kept), fallback=never, keeps=kept),
+                CompiledStage(_fill, place, kept, fallback=never),
             )
         return self._filling
 

@@ -28,7 +28,7 @@ def fmu(config: BenchConfig, ports: Sequence[MotorPort], seed: int) -> Plant:
 
 def servo_axis(config: BenchConfig, ports: Sequence[MotorPort], seed: int) -> Plant:
     """The shaft that is really there, with its motor and the load motor."""
-    from hilbench.plant.servo_axis.rig import ServoRig
+    from hilbench.plant.servo_axis.shaft import ServoRig
 
     return ServoRig(config.servo_rig_parameters(), ports, seed)
 

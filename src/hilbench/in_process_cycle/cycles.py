@@ -19,7 +19,6 @@ from hilbench.can.frame import Frame
 from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.identifiers import HEARTBEAT
 from hilbench.cia402.state_machine import Command
-from hilbench.compiled import table_of
 from hilbench.cycle_program import CONTINUE, CompiledStage, StageAbortedError, never
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import ExchangeStages
@@ -227,14 +226,13 @@ class _Run:
             *(self._given, self._left, self._vectors.frames.view(np.int64).reshape(-1), self._whole),
             *(self._nodes.measured.counted, self._totals, self._received, np.array([row, of_status.start])),
         )
-        counted = table_of(kept)
-        self._exchange = CompiledStage(kernel.exchange, config.bus.bitrate, self._table, fallback=never)
-        self._publish = CompiledStage(kernel.publish, 0, self._table, fallback=self._publish_by_objects)
-        self._count = CompiledStage(counting.count, config.cycle_ns, counted, fallback=never, keeps=kept)
+        self._exchange = CompiledStage(kernel.exchange, config.bus.bitrate, (), fallback=never, table=self._table)
+        self._publish = CompiledStage(kernel.publish, 0, (), fallback=self._publish_by_objects, table=self._table)
+        self._count = CompiledStage(counting.count, config.cycle_ns, kept, fallback=never)
         self._alive: CompiledStage | None = None
         if self._own_heartbeat >= 0:
             self._alive = CompiledStage(
-                counting.heartbeat_sent, self._own_heartbeat, counted, fallback=self._send_heartbeat
+                counting.heartbeat_sent, self._own_heartbeat, kept, fallback=self._send_heartbeat
             )
 
     def _join_motors(self) -> None:
@@ -380,11 +378,16 @@ class _Run:
 
             self.pieces = (
                 self._ask(sample, shown),
-                CompiledStage(kernel.exchange, self._exchange.argument, self._table, fallback=_left),
+                CompiledStage(kernel.exchange, self._exchange.argument, (), fallback=_left, table=self._table),
                 *(() if self._alive is None else (self._alive,)),
                 hardware,
                 CompiledStage(
-                    machine.function, machine.argument, machine.table, continues=machine.continues, fallback=fallback
+                    machine.function,
+                    machine.argument,
+                    machine.arrays,
+                    continues=machine.continues,
+                    fallback=fallback,
+                    table=machine.table,
                 ),
                 self._publish,
                 self._count,
@@ -401,7 +404,7 @@ class _Run:
             *(sample.reals, self._set_points, np.array([per_unit for _, _, per_unit in outputs])),
             *(np.array(places, np.int64), self._real, np.array(boundary_slots, np.int64)),
         )
-        return CompiledStage(counting.ask, 0, table_of(kept), fallback=never, keeps=kept)
+        return CompiledStage(counting.ask, 0, kept, fallback=never)
 
     def cycles(self) -> int:
         """Number of cycles that may run compiled (`exchange.exchange.ExchangeStages`)."""

@@ -1,7 +1,7 @@
 """Vocabulary of effects that a model may lack: one table for configs, injection, kernels, bus and diagnosis.
 
-A row defines an effect (`hilbench.plant.effect`). To add one: a row in `EFFECTS`, and its law in the plants that have
-it (`hilbench.plant.web_line.laws`; the offsets of its parameters in the kernel's arrays,
+A row defines an effect (`hilbench.plant.effect`). To add one: a row in `EFFECTS`, and its law
+(`hilbench.plant.web_line.laws`; the offsets of its parameters in the kernel's arrays,
 `hilbench.plant.web_line.layout`, follow from this table).
 """
 

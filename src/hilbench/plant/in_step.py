@@ -39,7 +39,7 @@ class CompiledInStep(ABC):
     def piece(self, values: Vector, places: NDArray[np.int64], fallback: Callable[[int], bool]) -> CompiledStage:
         """Compiled stage; see `InStep`."""
         table, kept = self._table_on(values, places), (self._kept, values, places)
-        return CompiledStage(self._function, 0, table, continues=self._followed, fallback=fallback, keeps=kept)
+        return CompiledStage(self._function, 0, kept, continues=self._followed, fallback=fallback, table=table)
 
     @abstractmethod
     def has_followed(self, code: int) -> HasFollowed:

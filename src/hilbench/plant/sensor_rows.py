@@ -45,4 +45,4 @@ def chained_with_noise(
         function(argument, table)
         return True
 
-    return CompiledStage(function, argument, table, fallback=draw, keeps=vectors)
+    return CompiledStage(function, argument, vectors, fallback=draw, table=table)

@@ -45,4 +45,4 @@ class Keeping:
                 table[:] = table_of(kept)
             return len(of) - int(builder.used[0])
 
-        return CompiledStages(after=[CompiledStage(_keep, 0, table, fallback=never, keeps=kept)], cycles=cycles)
+        return CompiledStages(after=[CompiledStage(_keep, 0, kept, fallback=never, table=table)], cycles=cycles)

@@ -73,6 +73,12 @@ def _allowed(config: ExperimentConfig, part: Part) -> _Allowed:
     return _Allowed(part, by[least], least, limit(objects.MAX_ACCELERATION, units.acceleration_rad_s2))
 
 
+def max_motor_speed_rpm(part: Part) -> float:
+    """6080h of a drive; inf without it."""
+    read = default_reader(shared_eds(part.node.eds, part.node.node_id), part.node.writes, part.node_axis)
+    return float(read(objects.MAX_MOTOR_SPEED, 0) or inf)
+
+
 def torque_limit_Nm(config: ExperimentConfig, part: Part) -> float:
     """Torque limit of the drive of an axis: its motor's limit in the machine's model, or less by 6072h."""
     od = shared_eds(part.node.eds, part.node.node_id)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from math import copysign, expm1, inf, isfinite, nan, prod
+from math import acos, acosh, copysign, exp, expm1, inf, isfinite, nan, prod, sqrt
 
 from hilbench.bench.check import CheckedBench
 from hilbench.bench.tasks.tension_loop import Moduli, OperatingPoint, TensionLoop
 from hilbench.bench.web_line_check import alike, check_stability, stiffness_reserves
+from hilbench.cia402.units import RPM
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import per_item
 from hilbench.runs.check import CheckedExperiment, Worst
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
-from hilbench.runs.drive_check import beyond, torque_limit_Nm
+from hilbench.runs.drive_check import beyond, max_motor_speed_rpm, torque_limit_Nm
 from hilbench.runs.set_point_schedule import Move, State, start_of
 from hilbench.runs.web_force_check import beyond_cylinders
 from hilbench.strict_yaml import Location
@@ -40,7 +41,7 @@ def check_steps(
     reserve = min(reserves.values(), default=inf)
     stations = config.shape.has_stations
     worst = _worst(config, list(places)) if with_margins and not stations else None
-    warnings = list(step_warnings(loaded, asked))
+    warnings = [*_too_far_apart_at_first(loaded), *step_warnings(loaded, asked)]
     notes = list(bench.notes)
     if worst is not None and (worst.margins.gain < _LEAST_GAIN or worst.margins.phase_deg < _LEAST_PHASE_DEG):
         warnings.append(
@@ -180,6 +181,38 @@ def step_warnings(loaded: LoadedConfig, asked: list[Move]) -> Iterator[str]:
         yield from _of_a_change_of_E(loaded.config, at, move)
 
 
+def _too_far_apart_at_first(loaded: LoadedConfig) -> Iterator[str]:
+    """Outer tensions so far apart that the last roller turns too fast when it is enabled.
+
+    All spans begin with the upstream tension, so that the web pulls at the last roller alone: against its velocity loop
+    and the last span, whose force the load motor emulates one and a half cycles late.
+    """
+    config, model = loaded.config, loaded.config.web_line
+    axis, around = model.axis_count, model.boundary
+    if config.shape.has_stations or axis not in config.loaded_axes or not model.carries_web_load(axis):
+        return
+    assert model.drives is not None, "a bench's model has drives"
+    rad_per_m, span = model.motor_rad_per_m(axis), model.span_count
+    web_N_per_m = model.stiffness_N(span) / model.span_length_m(span)
+    held_N_per_m = web_N_per_m + per_item(model.drives.velocity_ki_Nm_per_rad, axis) * rad_per_m**2
+    damping_kg_s = model.mass_kg(axis) * model.velocity_loop_per_s(axis) - 1.5 * config.cycle_time_s * web_N_per_m
+    natural_kg_s = sqrt(held_N_per_m * model.mass_kg(axis))
+    ratio = max(damping_kg_s, 0.0) / (2.0 * natural_kg_s)
+    root = sqrt(abs(1.0 - ratio**2))
+    decay = ratio * (acos(ratio) if ratio < 1.0 else acosh(ratio)) / root if root else 1.0
+    pull_N = around.downstream_tension_N - around.upstream_tension_N
+    peak_rpm = abs(pull_N) / natural_kg_s * exp(-decay) * rad_per_m / RPM
+    shaft = [part for part in config.parts if part.axis == axis and part.role is not Role.VIRTUAL_AXIS]
+    slowest_rpm, part = min(((max_motor_speed_rpm(part), part) for part in shaft), key=lambda found: found[0])
+    if peak_rpm > slowest_rpm:
+        yield (
+            f"{loaded.document.place(('machine', 'boundary', 'downstream_tension_N'))}: {pull_N:+.4g} N behind axis "
+            f"{axis} against the upstream tension turns it at up to {peak_rpm:.0f} rpm when it is enabled, and "
+            f"{part.name} goes up to {slowest_rpm:.0f} rpm (6080h): it may report overspeed, expected tensions that "
+            f"are at most {abs(pull_N) * slowest_rpm / peak_rpm:.3g} N apart"
+        )
+
+
 def _of_a_change_of_E(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
     """Warnings on the span whose E is then off the most, or jumps the most."""
     limits, model = config.safety.limits, config.web_line
@@ -202,8 +235,8 @@ def _too_fast(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
     drives, model = config.web_line.drives, config.web_line
     assert drives is not None, "a bench's model has drives"
     gained_m_s = move.after.line_speed_m_s - move.before.line_speed_m_s
-    longest_s, named, needed_Nm, limit_Nm = 0.0, 0, 0.0, inf
-    for part in config.parts_of(Role.AXIS):
+    longest_s, named, needed_Nm, limit_Nm = 0.0, "", 0.0, inf
+    for part in (*config.parts_of(Role.AXIS), *config.parts_of(Role.VIRTUAL_AXIS)):
         axis = part.axis or 1
         rad_per_m, most_Nm, mass_kg = model.motor_rad_per_m(axis), torque_limit_Nm(config, part), model.mass_kg(axis)
         pull_N = _pull_N(config, axis, move.after)
@@ -218,12 +251,13 @@ def _too_fast(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
         left_N = most_Nm * rad_per_m - pull_N * copysign(1.0, gained_m_s)
         at_least_s = mass_kg * abs(gained_m_s) * peak / left_N if left_N > 0.0 else inf
         if asks_Nm > most_Nm and at_least_s > longest_s:
-            longest_s, named, needed_Nm, limit_Nm = at_least_s, axis, asks_Nm, most_Nm
+            named = f"virtual axis {axis}" if part.is_virtual else f"axis {axis}"
+            longest_s, needed_Nm, limit_Nm = at_least_s, asks_Nm, most_Nm
     if named:
         how = f"within {move.duration_s:g} s" if move.duration_s > 0.0 else "at once"
         yield (
             f"{at}: line speed from {move.before.line_speed_m_s:g} to {move.after.line_speed_m_s:g} m/s {how} asks for "
-            f"{needed_Nm:.3g} N·m of axis {named}, which has {limit_Nm:g} N·m: it is at its limit and there no sooner "
+            f"{needed_Nm:.3g} N·m of {named}, which has {limit_Nm:g} N·m: it is at its limit and there no sooner "
             f"than {longest_s:.2g} s later, expected a ramp of more than that"
         )
 

@@ -21,8 +21,8 @@ class TwinNode:
 
 
 @dataclass(frozen=True)
-class RealAxis(TwinNode):
-    """Real axis that the twin listens to, with its drive's units."""
+class AxisNode(TwinNode):
+    """Node of an axis, real or virtual, with its drive's units."""
 
     units: DriveUnits
     axis: int = 1  #: of its node
@@ -31,7 +31,7 @@ class RealAxis(TwinNode):
 class AxisListener:
     """Decoder of the TPDO1 of one real axis by its EDS."""
 
-    def __init__(self, axis: RealAxis, cycle_s: float) -> None:
+    def __init__(self, axis: AxisNode, cycle_s: float) -> None:
         od, node_id = shared_eds(axis.eds, axis.node_id), axis.node_id
         mode = OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY
         settings = DriveSettings(f"axis of node {node_id}", node_id, mode, cycle_s, axis=axis.axis)

@@ -25,7 +25,7 @@ from hilbench.real_time import ProcessSettings, right_behind
 from hilbench.topology.blocks import MachineParameters, TwinConfig
 from hilbench.topology.signals import Shape
 from hilbench.twin import virtual_io
-from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
+from hilbench.twin.axis_listener import AxisListener, AxisNode, TwinNode
 from hilbench.twin.bus_clock import BusClock
 from hilbench.twin.cycle_count_from_position import CycleCountFromPosition
 from hilbench.twin.estimated_errors import as_text
@@ -56,8 +56,8 @@ class TwinSetup:
     model: MachineParameters
     shape: Shape
     twin: TwinConfig
-    real_axes: tuple[RealAxis, ...]
-    virtual_axes: tuple[TwinNode, ...]
+    real_axes: tuple[AxisNode, ...]
+    virtual_axes: tuple[AxisNode, ...]
     virtual_io: TwinNode
     process: ProcessSettings | None  #: priority and affinity of the twin's process
 
@@ -503,7 +503,10 @@ def twin(setup: TwinSetup) -> HostedDevices:
         beside = _beside(setup.process)
         make("[]")  # the first validation of a model is slow
     machine = ModelSwitcher(make, setup.cycle_s, beside)
-    drives = [SimulatedDrive(device, port) for device, port in zip(devices, machine.ports, strict=True)]
+    drives = [
+        SimulatedDrive(device, port, node.units)
+        for device, port, node in zip(devices, machine.ports, setup.virtual_axes, strict=True)
+    ]
     application = TwinApplication(setup, machine, drives, io_device, virtual_io)
 
     def on_nmt(state: NmtState) -> None:

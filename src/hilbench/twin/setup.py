@@ -9,7 +9,7 @@ from hilbench.exchange.device_clock import device_clock
 from hilbench.topology.blocks import TwinConfig
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
-from hilbench.twin.axis_listener import RealAxis, TwinNode
+from hilbench.twin.axis_listener import AxisNode, TwinNode
 from hilbench.twin.process import TwinSetup
 
 #: Deviation of a simulated drive's loop gains from the model's, %.
@@ -19,13 +19,11 @@ _SIMULATED_LOOP_PCT = 0.2
 def twin_setup(config: BenchConfig) -> TwinSetup:
     """Twin setup from a bench config."""
 
-    def node(part: Part) -> TwinNode:
-        return TwinNode(part.node.node_id, part.node.eds)
-
-    def axis(part: Part) -> RealAxis:
+    def axis(part: Part) -> AxisNode:
         od = shared_eds(part.node.eds, part.node.node_id)
-        return RealAxis(part.node.node_id, part.node.eds, declared_units(part, od), part.node_axis)
+        return AxisNode(part.node.node_id, part.node.eds, declared_units(part, od), part.node_axis)
 
+    (virtual_io,) = config.parts_of(Role.VIRTUAL_IO)
     return TwinSetup(
         bus=config.bus_address,
         clock=device_clock(config),
@@ -34,8 +32,8 @@ def twin_setup(config: BenchConfig) -> TwinSetup:
         shape=config.shape,
         twin=_twin(config),
         real_axes=tuple(map(axis, config.parts_of(Role.AXIS))),
-        virtual_axes=tuple(map(node, config.parts_of(Role.VIRTUAL_AXIS))),
-        virtual_io=node(*config.parts_of(Role.VIRTUAL_IO)),
+        virtual_axes=tuple(map(axis, config.parts_of(Role.VIRTUAL_AXIS))),
+        virtual_io=TwinNode(virtual_io.node.node_id, virtual_io.node.eds),
         process=config.process_settings("twin"),
     )
 

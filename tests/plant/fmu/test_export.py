@@ -18,8 +18,8 @@ from hilbench.plant.fmu.export import archive, servo_axis, web_line
 from hilbench.plant.fmu.follower import FmuFollower
 from hilbench.plant.fmu.model import FmuModel
 from hilbench.plant.motor_port import MotorMode, MotorPort
-from hilbench.plant.servo_axis.axis import ServoAxis
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.plant.servo_axis.shaft import ServoAxis
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_follower import LineFollower
 

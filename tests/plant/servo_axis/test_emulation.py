@@ -14,7 +14,7 @@ from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.emulation import EmulatedShaft
 from hilbench.plant.servo_axis.offline import simulate
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters, ShaftParameters
-from hilbench.plant.servo_axis.rig import ServoRig
+from hilbench.plant.servo_axis.shaft import ServoRig
 from hilbench.plant.servo_axis.stability import imitable_inertia_kg_m2, sampled_shaft, spectral_radius
 from hilbench.plant.servo_axis.tracking_filter import TrackingFilter
 

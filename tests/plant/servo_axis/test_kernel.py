@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.axis import ServoAxis
 from hilbench.plant.servo_axis.offline import simulate
+from hilbench.plant.servo_axis.shaft import ServoAxis
 
 from .models import axis, effect
 
@@ -46,8 +46,7 @@ def test_kernel_solves_the_equations_as_written() -> None:
         return [v, (torque - friction) / (J * 1.1), (command - tau) / 0.001]
 
     # Fast enough never to stand: the sign of dry friction stays.
-    start = lay.new_state(parameters)
-    start[lay.S_V] = 60.0
+    start = lay.new_state(parameters, v_rad_s=60.0)
     result = simulate(parameters, start, commands, ROW_S, MotorMode.TORQUE, outside)
     y, states = np.array([0.0, 60.0, 0.0]), []
     for command in commands:
@@ -104,8 +103,7 @@ def test_shaft_that_reverses_agrees_with_an_integrator_that_stops_at_each_stands
 
 def test_coast_down_follows_the_closed_form_and_ends_at_standstill_for_good() -> None:
     model = axis()
-    state = lay.new_state(lay.pack(model))
-    state[lay.S_V] = 30.0
+    state = lay.new_state(lay.pack(model), v_rad_s=30.0)
     result = simulate(lay.pack(model), state, np.zeros(6000), ROW_S, MotorMode.OFF)
     stop_s = J / B * log(1.0 + B * 30.0 / TC)
     t = np.arange(6000) * ROW_S
@@ -118,8 +116,7 @@ def test_coast_down_follows_the_closed_form_and_ends_at_standstill_for_good() ->
 
 def test_coulomb_friction_alone_stops_a_shaft_after_j_v_over_tc() -> None:
     parameters = lay.pack(axis(viscous_friction_Nm_s_per_rad=0.0))
-    state = lay.new_state(parameters)
-    state[lay.S_V] = -20.0
+    state = lay.new_state(parameters, v_rad_s=-20.0)
     result = simulate(parameters, state, np.zeros(4000), ROW_S, MotorMode.OFF)
     assert result.x_rad[-1] == pytest.approx(-J * 20.0**2 / (2.0 * TC), rel=1e-9)
     assert np.flatnonzero(result.v_rad_s == 0.0)[0] == pytest.approx(J * 20.0 / TC / ROW_S, abs=1.0)
@@ -160,8 +157,7 @@ def test_pendulum_keeps_its_energy() -> None:
     parameters = lay.pack(
         axis(coulomb_friction_Nm=0.0, viscous_friction_Nm_s_per_rad=0.0, unbalance_Nm=0.5), substeps=2
     )
-    state = lay.new_state(parameters)
-    state[lay.S_X] = 0.5
+    state = lay.new_state(parameters, x_rad=0.5)
     result = simulate(parameters, state, np.zeros(5000), ROW_S, MotorMode.OFF)
     energy = 0.5 * J * result.v_rad_s**2 + 0.5 * np.cos(result.x_rad)
     assert np.ptp(result.v_rad_s) > 5.0
@@ -194,8 +190,7 @@ def test_less_than_breakaway_never_keeps_a_shaft_turning(
     parameters = lay.pack(
         axis(inertia_kg_m2=inertia, viscous_friction_Nm_s_per_rad=viscous, drives={"current_loop_time_constant_s": 0.0})
     )
-    state = lay.new_state(parameters)
-    state[lay.S_V] = speed
+    state = lay.new_state(parameters, v_rad_s=speed)
     longest_s = (inertia + 0.001) * 3.0 / (TC - abs(torque))
     rows = int(longest_s / ROW_S) + 2
     if rows > 50000:

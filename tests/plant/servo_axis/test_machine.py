@@ -15,11 +15,9 @@ from hilbench.plant.model_file import load_machine
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.parameters import LoadMotorParameters
 from hilbench.plant.sensors import SensorParameters
-from hilbench.plant.servo_axis.axis import ServoAxis
 from hilbench.plant.servo_axis.effects import IDS
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters, ShaftParameters
-from hilbench.plant.servo_axis.rig import ServoRig
-from hilbench.plant.servo_axis.shaft import Shaft
+from hilbench.plant.servo_axis.shaft import ServoAxis, ServoRig, Shaft
 
 from .models import axis, effect
 

@@ -8,9 +8,9 @@ from scipy.integrate import solve_ivp
 
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.inverse import required_torque_Nm
-from hilbench.plant.servo_axis.layout import Vector
 from hilbench.plant.servo_axis.offline import Simulation, simulate
+from hilbench.plant.web_line.inverse import required_torque_Nm
+from hilbench.plant.web_line.layout import Vector
 
 from .models import axis, effect
 
@@ -67,13 +67,13 @@ def test_the_motor_hardly_moves_at_the_antiresonance_and_most_at_the_resonance(a
 def test_what_is_behind_a_shaft_that_sticks_swings_on() -> None:
     parameters = free(coulomb_friction_Nm=50.0)
     start, twist = lay.new_state(parameters), 0.01
-    start[lay.S_TWIST] = twist
+    start[lay.S_X_BEHIND] = twist
     damped = OMEGA * np.sqrt(1.0 - DAMPING**2)
     for rows in (7, 20, 60):
         found = simulate(parameters, start, np.zeros(rows), ROW_S, MotorMode.TORQUE)
         t = rows * ROW_S
         swing = np.cos(damped * t) + DAMPING / np.sqrt(1.0 - DAMPING**2) * np.sin(damped * t)
-        assert found.state[lay.S_TWIST] == pytest.approx(twist * np.exp(-DAMPING * OMEGA * t) * swing, abs=1e-8)
+        assert found.state[lay.S_X_BEHIND] == pytest.approx(twist * np.exp(-DAMPING * OMEGA * t) * swing, abs=1e-8)
         assert found.state[lay.S_X] == found.state[lay.S_V] == 0.0
 
 
@@ -82,7 +82,7 @@ def test_a_twist_that_pulls_more_than_dry_friction_holds_turns_the_motor() -> No
     for friction, turns in ((1.05 * K * twist, False), (0.95 * K * twist, True)):
         parameters = free(coulomb_friction_Nm=friction)
         start = lay.new_state(parameters)
-        start[lay.S_TWIST] = twist
+        start[lay.S_X_BEHIND] = twist
         found = simulate(parameters, start, np.zeros(3), ROW_S, MotorMode.TORQUE)
         assert (found.x_rad[-1] > 0.0) == turns
 

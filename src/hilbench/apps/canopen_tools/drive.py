@@ -234,18 +234,14 @@ def _drive(
 class _Alive:
     """Sends this program's heartbeat when it is due; called often, and never within an SDO transfer."""
 
-    def __init__(self, heartbeat: Callable[[], None], asked_to_end: Callable[[], bool]) -> None:
+    def __init__(self, heartbeat: Callable[[], None], end_if_requested: Callable[[], None]) -> None:
         self._heartbeat = heartbeat
-        self._asked_to_end = asked_to_end
-        self._interrupted = False
+        self._end_if_requested = end_if_requested
         self._next_s = 0.0
 
     def __call__(self) -> None:
-        """Send it, if it is due. The first time that the program is asked to end it raises KeyboardInterrupt."""
-        if self._asked_to_end() and not self._interrupted:
-            self._interrupted = True
-            raise KeyboardInterrupt
-
+        """Send it, if it is due. Raises KeyboardInterrupt once the program is asked to end, a single time."""
+        self._end_if_requested()
         if time.monotonic() >= self._next_s:
             self._next_s = time.monotonic() + _HEARTBEAT_S
             self._heartbeat()

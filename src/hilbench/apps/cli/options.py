@@ -1,4 +1,4 @@
-"""Options that several commands share."""
+"""Options that several commands share, and how they print what `--json` asks for."""
 
 from __future__ import annotations
 
@@ -48,3 +48,10 @@ TimeoutOption = Annotated[
     float, typer.Option("--timeout", metavar="S", min=0.01, help="for the answer to each SDO request")
 ]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="run folder")]
+
+
+def print_json(data: object, *, ensure_ascii: bool = True) -> None:
+    """Print data as JSON on standard output, indented; `ensure_ascii` is that of `json.dumps`."""
+    from json import dumps
+
+    print(dumps(data, indent=2, ensure_ascii=ensure_ascii))

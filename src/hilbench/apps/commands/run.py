@@ -14,13 +14,12 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from hilbench.apps.commands.shown.machine import Shown
+from hilbench.apps.report.panel import panels_of
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.tasks.task import MANY, CompiledStages
 from hilbench.errors import EXIT_CRITERION_FAILED, UnusableInputError
 from hilbench.forked_workers import ForkedWorker
-from hilbench.machine_kinds import machine_part
 from hilbench.processes import finishing
 from hilbench.results.commissioned import commissioned_text
 from hilbench.results.result import Result, StepRecord, Timing
@@ -31,7 +30,6 @@ from hilbench.runs.machines.web_line import shape_of_figures
 from hilbench.runs.metrics import kind_of_figures
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample
-from hilbench.topology.signals import Shape
 
 _REFRESH_S = 0.2
 _TEXT_LINE_EVERY_S = 5.0
@@ -128,7 +126,8 @@ class Progress:
 
     def __init__(self, console: Console, config: BenchConfig) -> None:
         cycle_s, bitrate = config.cycle_time_s, config.bus.bitrate
-        self._shown = _shown(config.machine.kind, config.shape)
+        self._panels = panels_of(config.machine.kind, config.shape).panels
+        self._signals = {signal.name for signal in config.signals}
         self._console = console
         self._cycle_s = cycle_s
         self._bits_per_cycle = bitrate * cycle_s
@@ -189,7 +188,7 @@ class Progress:
         return [
             ("t", f"{sample.t_s:6.2f} s (real-time factor {factor:.1f})"),
             ("cycle", f"{sample.cycle:.0f}"),
-            *((row.heading(sample), row.text(sample)) for row in self._shown.live),
+            *filter(None, (panel.text(sample, self._signals) for panel in self._panels)),
             ("bus load", f"{100 * sample.bus_bits / self._bits_per_cycle:.0f} %"),
         ]
 
@@ -241,15 +240,10 @@ def _show_criteria(console: Console, result: Result) -> None:
 _MOST_STEPS = 20
 
 
-def _shown(kind: str, shape: Shape) -> Shown:
-    """What is shown of a machine."""
-    shown: Shown = machine_part(kind, "terminal")(shape)
-    return shown
-
-
 def _steps_table(steps: list[StepRecord]) -> Table:
     judged = steps[0].figures | steps[0].reasons
-    of_steps = _shown(kind_of_figures(judged), shape_of_figures(judged)).of_steps
+    panels = panels_of(kind_of_figures(judged), shape_of_figures(judged)).panels
+    of_steps = [each for panel in panels for each in panel.steps]
     shown = steps[:_MOST_STEPS]
     left_out = f", the first {_MOST_STEPS} of {len(steps)}" if len(steps) > _MOST_STEPS else ""
     unknown = any(metric in step.reasons for step in shown for _, metric in of_steps)

@@ -10,9 +10,8 @@ from typing import Final
 import numpy as np
 
 from hilbench.apps.report.chart import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, Chart, Curve
-from hilbench.apps.report.machines.kinds import pictures_of
-from hilbench.apps.report.machines.picture import ShownRun
 from hilbench.apps.report.page import quantity, write_page
+from hilbench.apps.report.panel import ShownRun, recorded_panels
 from hilbench.apps.report.plots import Picture, drawn
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording, read_recording
@@ -91,15 +90,15 @@ def labels(runs: Sequence[ComparedRun]) -> list[str]:
 def _pictures(runs: Sequence[ComparedRun]) -> list[Picture]:
     """What the first run's machine is compared by."""
     pictures = []
-    for compared in pictures_of(runs[0].recording).compared:
+    for panel in recorded_panels(runs[0].recording).panels:
         found = [
-            Curve(letter, run.recording.time_s, values, colour, 1.2)
+            Curve(letter, run.recording.time_s, values / panel.si_per_unit, colour, 1.2)
             for letter, run, colour in zip(labels(runs), runs, _COLOURS, strict=False)
-            if (values := compared.of(_shown(run.recording))) is not None
+            if panel.compared is not None and (values := panel.compared.of(_shown(run.recording))) is not None
         ]
-        if found:
-            chart = Chart(compared.label, found)
-            pictures.append(drawn(Picture(f"compare-{compared.name}", compared.title, "", [chart])))
+        if found and panel.compared is not None:
+            chart = Chart(panel.label, found)
+            pictures.append(drawn(Picture(f"compare-{panel.name}", panel.compared.title, "", [chart])))
     return pictures
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hilbench.apps.cli.options import ForceOption, JsonOption
+from hilbench.apps.cli.options import ForceOption, JsonOption, print_json
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, UnusableInputError
 
 if TYPE_CHECKING:
@@ -55,8 +55,6 @@ def conformance(
 
     Example: hilbench conformance --bus embedded --node 1 --eds eds/hilbench_servo.eds --only SDO --junit verdicts.xml
     """
-    from json import dumps
-
     from rich.console import Console
 
     from hilbench.apps.conformance.junit import write_junit
@@ -69,7 +67,7 @@ def conformance(
 
         write_conformance_page(examination, html)
     if json:
-        print(dumps(_as_data(examination), indent=2))
+        print_json(_as_data(examination))
     else:
         _sum_up(Console(highlight=False), examination, [path for path in (junit, html) if path is not None])
     raise typer.Exit(EXIT_CRITERION_FAILED if examination.failed else EXIT_PASSED)
@@ -109,8 +107,8 @@ def _examined(
     with only_master(address, None, f"conformance of node {node}", force=force):
         link = open_link(address)
         try:
-            with end_requests() as asked:
-                wire = LinkWire(link, asked)
+            with end_requests() as end_if_requested:
+                wire = LinkWire(link, end_if_requested)
                 dut = DeviceUnderTest(wire, node, description, Allowed(motion, store), Patience(boot_s=boot_s))
                 cases = examine(dut, only, display.on_result)
         finally:

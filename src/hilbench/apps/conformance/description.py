@@ -86,6 +86,20 @@ class Entry:
         return f"{self.index:04X}h:{self.sub} '{self.variable.name}'"
 
 
+@dataclass(frozen=True)
+class Pdo:
+    """One PDO of the device: index of its communication parameters, COB-ID, the object that it carries."""
+
+    index: int
+    cob_id: int
+    carries: Entry
+
+    @property
+    def size(self) -> int:
+        """Bytes of its data."""
+        return self.carries.width or 1
+
+
 class Description:
     """An EDS file, for the device with this node id. Raises UnusableInputError for a file that can't be used."""
 

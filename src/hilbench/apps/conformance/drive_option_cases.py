@@ -1,21 +1,20 @@
-"""Option codes of CiA 402, each code from a turning motor: how long it takes to rest, and the state after it."""
+"""Actions of cases of CiA 402 about option codes: how long each takes a turning motor to rest, and the state then."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from typing import Final
 
+from hilbench.apps.conformance.actions import Key, action
 from hilbench.apps.conformance.dut import DeviceUnderTest, taken_text
 from hilbench.apps.conformance.power import (
     QUICK_RAMP_S,
     SLOW_RAMP_S,
     actual_velocity,
-    can_lose_connection,
     command,
     expect_state,
     find_connection,
     lose_connection,
-    needs_drive,
     speed,
     state,
     switch_off,
@@ -24,12 +23,9 @@ from hilbench.apps.conformance.power import (
     wait,
 )
 from hilbench.apps.conformance.record import NotApplicableError
-from hilbench.canopen.object_store import INVALID_VALUE, VALUE_TOO_HIGH
 from hilbench.cia402 import objects
 from hilbench.cia402.state_machine import CONTROLWORD_HALT, Command, State
 
-#: A code that no option code of the standard has, nor any of a maker's (those are negative).
-_RESERVED: Final = 100
 _HALT: Final = Command.ENABLE_OPERATION.value | CONTROLWORD_HALT
 #: How far the time of a ramp may be off: inertia and the drive's own smoothing are the machine's.
 _LONGEST, _SHORTEST = 1.8, 0.45
@@ -38,8 +34,6 @@ _ASKED_S: Final = 0.1  #: a value is read when its answer comes
 
 def _codes(dut: DeviceUnderTest, index: int, codes: range) -> Iterator[tuple[int, int]]:
     """Each code that the drive takes, the motor turning; and its speed. The drive is off after each."""
-    needs_drive(dut)
-    dut.needs_motion("turns the motor")
     dut.needs_to_write((index, 0))
     at = speed(dut)
     taken = 0
@@ -75,6 +69,7 @@ def _has_ramps(dut: DeviceUnderTest) -> bool:
 _RAMPS: Final = {1: SLOW_RAMP_S, 2: QUICK_RAMP_S, 5: SLOW_RAMP_S, 6: QUICK_RAMP_S}
 
 
+@action
 def quick_stop(dut: DeviceUnderTest) -> None:
     """0 to 4 end in SWITCH ON DISABLED, 5 to 8 stay in QUICK STOP ACTIVE; 1 and 5 by 6084h, 2 and 6 by 6085h."""
     for code, velocity in _codes(dut, objects.QUICK_STOP_OPTION_CODE, range(9)):
@@ -84,11 +79,12 @@ def quick_stop(dut: DeviceUnderTest) -> None:
         expect_state(dut, f"605Ah = {code}", State.QUICK_STOP_ACTIVE if code >= 5 else State.SWITCH_ON_DISABLED)
 
 
-def _disabling(dut: DeviceUnderTest, index: int, asked: Command, after: State) -> None:
+@action
+def disabling(dut: DeviceUnderTest, key: Key, asked: Command, after: State) -> None:
     """0: power off at once; 1: down the ramp first."""
-    for code, velocity in _codes(dut, index, range(2)):
+    for code, velocity in _codes(dut, key[0], range(2)):
         command(dut, asked.value)
-        what = f"{index:04X}h = {code}"
+        what = f"{key[0]:04X}h = {code}"
         if code:
             _ramp(dut, what, velocity, SLOW_RAMP_S)
             expect_state(dut, what, after)
@@ -96,6 +92,7 @@ def _disabling(dut: DeviceUnderTest, index: int, asked: Command, after: State) -
             expect_state(dut, what, after, duration_s=0.3)
 
 
+@action
 def halt(dut: DeviceUnderTest) -> None:
     """1: 6084h, 2: 6085h, 3 and 4 as hard as it can; OPERATION ENABLED stays, and the motion goes on without halt."""
     for code, velocity in _codes(dut, objects.HALT_OPTION_CODE, range(1, 5)):
@@ -110,26 +107,18 @@ def halt(dut: DeviceUnderTest) -> None:
         )
 
 
-def _lost(dut: DeviceUnderTest) -> None:
-    dut.needs_motion("turns the motor")
-    can_lose_connection(dut)
-
-
+@action
 def fault_reaction(dut: DeviceUnderTest) -> None:
     """A fault while turning: 0 without a ramp, 1 by 6084h, 2 by 6085h; FAULT in the end."""
-    needs_drive(dut)
-    _lost(dut)
-    dut.write(objects.ABORT_CONNECTION_OPTION_CODE, 0, 1)
     for code, _ in _codes(dut, objects.FAULT_REACTION_OPTION_CODE, range(5)):
         lose_connection(dut)
         expect_state(dut, f"605Eh = {code}, a watched heartbeat stays away", State.FAULT)
         find_connection(dut)
 
 
+@action
 def connection_lost(dut: DeviceUnderTest) -> None:
     """0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
-    needs_drive(dut)
-    _lost(dut)
     ends = {
         0: (State.OPERATION_ENABLED,),
         1: (State.FAULT,),
@@ -142,37 +131,3 @@ def connection_lost(dut: DeviceUnderTest) -> None:
         if code == 3 and state(dut) is State.QUICK_STOP_ACTIVE:
             dut.notes.append("6007h = 3: stays in QUICK STOP ACTIVE, by 605Ah")
         find_connection(dut)
-
-
-def reserved_code(dut: DeviceUnderTest) -> None:
-    """Refused."""
-    needs_drive(dut)
-    codes = (
-        objects.ABORT_CONNECTION_OPTION_CODE,
-        objects.QUICK_STOP_OPTION_CODE,
-        objects.SHUTDOWN_OPTION_CODE,
-        objects.DISABLE_OPERATION_OPTION_CODE,
-        objects.HALT_OPTION_CODE,
-        objects.FAULT_REACTION_OPTION_CODE,
-    )
-    there = [index for index in codes if dut.eds.can_write(index)]
-    if not there:
-        raise NotApplicableError("no option code can be written by the EDS file")
-    for index in there:
-        data = dut.data_of(index, 0, _RESERVED)
-        dut.refuses(f"{_RESERVED} to {index:04X}h", index, 0, data, INVALID_VALUE, VALUE_TOO_HIGH)
-
-
-CASES: Final[Mapping[str, Callable[[DeviceUnderTest], None]]] = {
-    "Option codes 1": quick_stop,
-    "Option codes 2": lambda dut: _disabling(
-        dut, objects.SHUTDOWN_OPTION_CODE, Command.SHUTDOWN, State.READY_TO_SWITCH_ON
-    ),
-    "Option codes 3": lambda dut: _disabling(
-        dut, objects.DISABLE_OPERATION_OPTION_CODE, Command.SWITCH_ON, State.SWITCHED_ON
-    ),
-    "Option codes 4": halt,
-    "Option codes 5": fault_reaction,
-    "Option codes 6": connection_lost,
-    "Option codes 7": reserved_code,
-}

@@ -1,20 +1,19 @@
-"""The power drive system FSA of CiA 402: every command in every state, and the statusword."""
+"""Actions of cases about the power drive system FSA of CiA 402: every command in every state, and the statusword."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
+from hilbench.apps.conformance.actions import action
 from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.apps.conformance.power import (
     bring,
-    can_lose_connection,
     command,
     expect_state,
     expect_stays,
     fail,
     label,
-    needs_drive,
     state,
     statusword,
     switch_off,
@@ -36,17 +35,9 @@ from hilbench.cia402.stopping import QUICK_STOP_OPTIONS
 
 _HARMLESS: Final = (Command.DISABLE_VOLTAGE, Command.QUICK_STOP, Command.SHUTDOWN)
 _CIA_402, _TYPE_OF_AXIS = 402, 0x67FF
-_POWER: Final = "switches the power stage on"
 #: Quick stop option codes by which a drive stays in QUICK STOP ACTIVE.
 _STAYS: Final = tuple(code for code, (_, stays) in QUICK_STOP_OPTIONS.items() if stays)
 _NAMES: Final = {each: each.name.replace("_", " ").lower() for each in Command}
-
-
-def after_reset(dut: DeviceUnderTest) -> None:
-    """Transitions 0 and 1 are the drive's own."""
-    needs_drive(dut)
-    dut.reset()
-    expect_state(dut, "after the reset", State.SWITCH_ON_DISABLED)
 
 
 def _destinations(before: State, asked: Command) -> Sequence[State]:
@@ -57,11 +48,9 @@ def _destinations(before: State, asked: Command) -> Sequence[State]:
     return (before,) if transition is None else (DESTINATION[transition],)
 
 
+@action
 def every_command(dut: DeviceUnderTest, before: State) -> None:
     """Each from this state; without permission those that take no power."""
-    needs_drive(dut)
-    if before not in (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON):
-        dut.needs_motion(_POWER)
     for asked in Command:
         if asked not in _HARMLESS and not dut.allowed.motion:
             dut.notes.append(f"'{_NAMES[asked]}' was not sent: --allow-motion")
@@ -100,10 +89,9 @@ def _needs_staying(dut: DeviceUnderTest) -> None:
     raise NotApplicableError("605Ah takes none of 5 to 8: the drive never stays in QUICK STOP ACTIVE")
 
 
+@action
 def in_quick_stop_active(dut: DeviceUnderTest) -> None:
     """Left by transition 12, and by 16 where the drive has it."""
-    needs_drive(dut)
-    dut.needs_motion(_POWER)
     _needs_staying(dut)
     for asked in Command:
         _quick_stop_active(dut)
@@ -120,11 +108,9 @@ def in_quick_stop_active(dut: DeviceUnderTest) -> None:
     switch_off(dut)
 
 
+@action
 def in_fault(dut: DeviceUnderTest) -> None:
     """Left by the rising edge of bit 7 alone."""
-    needs_drive(dut)
-    dut.needs_motion(_POWER)
-    can_lose_connection(dut)
     bring(dut, State.OPERATION_ENABLED)
     fail(dut)
     for asked in Command:
@@ -136,9 +122,9 @@ def in_fault(dut: DeviceUnderTest) -> None:
     command(dut, Command.DISABLE_VOLTAGE.value)
 
 
+@action
 def statusword_bits(dut: DeviceUnderTest) -> None:
     """The pattern of the state, remote (9), voltage (4) while enabled, and no quick stop (5 is 1)."""
-    needs_drive(dut)
     switch_off(dut)
     _bits(dut, State.SWITCH_ON_DISABLED)
     bring(dut, State.READY_TO_SWITCH_ON)
@@ -170,9 +156,9 @@ def _bits(dut: DeviceUnderTest, wanted: State) -> None:
     dut.check(f"statusword in {wanted.label}", f"{pattern:04X}h in the bits {mask:04X}h", seen, ok)
 
 
+@action
 def several_axes(dut: DeviceUnderTest) -> None:
     """1000h states several axes, and its profile is that of the first; each axis may have a type of its own."""
-    needs_drive(dut)
     if len(dut.eds.axes) == 1:
         raise NotApplicableError("one axis: 6840h and 6841h are not in the EDS file")
     kind = dut.value(0x1000)
@@ -187,16 +173,3 @@ def several_axes(dut: DeviceUnderTest) -> None:
         )
     else:
         dut.notes.append(f"{dut.name(_TYPE_OF_AXIS, 0)} is not in the EDS file")
-
-
-CASES: Final[Mapping[str, Callable[[DeviceUnderTest], None]]] = {
-    "Drive states 1": after_reset,
-    "Drive states 2": lambda dut: every_command(dut, State.SWITCH_ON_DISABLED),
-    "Drive states 3": lambda dut: every_command(dut, State.READY_TO_SWITCH_ON),
-    "Drive states 4": lambda dut: every_command(dut, State.SWITCHED_ON),
-    "Drive states 5": lambda dut: every_command(dut, State.OPERATION_ENABLED),
-    "Drive states 6": in_quick_stop_active,
-    "Drive states 7": in_fault,
-    "Drive states 8": statusword_bits,
-    "Drive states 9": several_axes,
-}

@@ -9,7 +9,8 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from hilbench.apps.conformance.description import Description
+from hilbench.apps.conformance.actions import Key
+from hilbench.apps.conformance.description import Description, Pdo
 from hilbench.apps.conformance.record import CaseEndedError, NotAllowedError, NotApplicableError, Step
 from hilbench.apps.conformance.wire import ReceivedFrame, Wire
 from hilbench.can.frame import REMOTE_FLAG
@@ -18,12 +19,15 @@ from hilbench.canopen.identifiers import (
     COB_ID,
     EMERGENCY,
     HEARTBEAT,
+    LAST_NODE,
     NMT,
+    NODE_ID,
     SDO_ANSWER,
     SDO_REQUEST,
     SYNC,
     NmtCommand,
     NmtState,
+    node_of,
 )
 from hilbench.canopen.sdo_client import Answer, Refusal
 
@@ -57,6 +61,9 @@ class Patience:
 class DeviceUnderTest:
     """A node on a wire. Expectations are recorded in `steps`; those that must hold to go on end the case."""
 
+    #: PDO of the present case, once it has chosen one (`process_data.transmit_pdo`, `receive_pdo`).
+    pdo: Pdo
+
     def __init__(
         self,
         wire: Wire,
@@ -75,6 +82,8 @@ class DeviceUnderTest:
         #: Objects that were written, and whether all may be others since a reset.
         self.touched: set[tuple[int, int]] = set()
         self.was_reset = False
+        #: Values of before, of a case that compares them with those of later.
+        self.remembered: dict[tuple[int, int], int] = {}
         self._sent: list[str] = []
         self._received: list[ReceivedFrame] = []
 
@@ -90,13 +99,13 @@ class DeviceUnderTest:
         if not self.allowed.store:
             raise NotAllowedError("writes the device's memory (1010h, 1011h): --allow-store")
 
-    def needs(self, *keys: tuple[int, int]) -> None:
+    def needs(self, *keys: Key) -> None:
         """Raises NotApplicableError when the EDS file lacks one of them."""
         for index, sub in keys:
             if not self.eds.has(index, sub):
                 raise NotApplicableError(f"{self.name(index, sub)} is not in the EDS file")
 
-    def needs_to_write(self, *keys: tuple[int, int]) -> None:
+    def needs_to_write(self, *keys: Key) -> None:
         """Raises NotApplicableError when the EDS file lacks one of them, or has it read-only."""
         self.needs(*keys)
         for index, sub in keys:
@@ -146,7 +155,7 @@ class DeviceUnderTest:
         """Discard the frames received up to now."""
         self.receive(0.0)
 
-    def nmt(self, command: int, node_id: int | None = None) -> None:
+    def nmt(self, command: NmtCommand, node_id: int | None = None) -> None:
         """An NMT command, by default to the device."""
         self.send(NMT, bytes((command, self.node_id if node_id is None else node_id)))
         self.receive(_SYNC_PAUSE_S)
@@ -159,14 +168,14 @@ class DeviceUnderTest:
     @property
     def sync_id(self) -> int:
         """1005h of the device, or the default."""
-        known = self.peek(0x1005, 0) if self.eds.has(0x1005) else None
-        return int.from_bytes(known, "little") & COB_ID if isinstance(known, bytes) else SYNC
+        known = self.number(0x1005) if self.eds.has(0x1005) else None
+        return SYNC if known is None else known & COB_ID
 
     @property
     def emergency_id(self) -> int:
         """1014h of the device, or the default."""
-        known = self.peek(0x1014, 0) if self.eds.has(0x1014) else None
-        return int.from_bytes(known, "little") & COB_ID if isinstance(known, bytes) else EMERGENCY + self.node_id
+        known = self.number(0x1014) if self.eds.has(0x1014) else None
+        return EMERGENCY + self.node_id if known is None else known & COB_ID
 
     # -- expectations ----------------------------------------------------------------------------------------
 
@@ -260,6 +269,11 @@ class DeviceUnderTest:
             if segment[0] & 0x01:
                 return data
             toggle ^= 0x10
+
+    def number(self, index: int, sub: int = 0) -> int | None:
+        """A number (unsigned), without an expectation; None: it is not there."""
+        answer = self.peek(index, sub)
+        return int.from_bytes(answer, "little") if isinstance(answer, bytes) else None
 
     def value(self, index: int, sub: int = 0) -> int:
         """A number that the case can't do without (unsigned)."""
@@ -379,6 +393,12 @@ class DeviceUnderTest:
         found = self.wire.listen(_HEARTBEAT_S, lambda received: received.can_id == can_id)
         beats = [received for received in found if received.can_id == can_id]
         return self.frames(f"heartbeat in {state.name.replace('_', '-')}", beats, can_id, state.heartbeat.hex())
+
+    def strangers(self, duration_s: float) -> list[int]:
+        """Node ids that are not received in a time, and that no heartbeat consumer entry watches."""
+        known = {node_of(received.can_id, HEARTBEAT) for received in self.receive(duration_s)} | {self.node_id}
+        known |= {self.value(*entry.key) >> 16 & NODE_ID for entry in self.eds.entries(0x1016, 0x1016) if entry.sub}
+        return [node for node in range(LAST_NODE, 0, -1) if node not in known]
 
     def first(self, of: Collection[int], what: str) -> int:
         """The lowest of some numbers. Raises NotApplicableError when there is none."""

@@ -1,28 +1,21 @@
-"""EMCY cases (CiA 301, 7.2.7): an RPDO that is too short makes the device report 8210h."""
+"""Actions of EMCY cases (CiA 301, 7.2.7): an RPDO that is too short makes the device report 8210h."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from typing import Final
 
+from hilbench.apps.conformance.actions import action
 from hilbench.apps.conformance.dut import DeviceUnderTest, answer_text
-from hilbench.apps.conformance.process_data import Pdo, receive_pdo, set_up
-from hilbench.apps.conformance.record import NotApplicableError
-from hilbench.canopen.identifiers import EMERGENCY, NmtCommand
+from hilbench.apps.conformance.process_data import receive_pdo, set_up
+from hilbench.canopen.identifiers import NmtCommand
 from hilbench.canopen.object_store import GENERAL_ERROR, NO_DATA
 from hilbench.canopen.sdo_client import Refusal
 
-TOO_SHORT: Final = "10 82"
+_TOO_SHORT: Final = "10 82"
 _SOON_S: Final = 0.1
 
 
-def identifier(dut: DeviceUnderTest) -> None:
-    """1014h has the predefined one."""
-    dut.needs((0x1014, 0))
-    value = (EMERGENCY + dut.node_id).to_bytes(4, "little").hex()
-    dut.ask("read 1014h:0", "40 14 10 00 00000000", f"43 14 10 00 {value}")
-
-
+@action
 def error_register(dut: DeviceUnderTest) -> None:
     """1001h is 0 without an error; with one (1003h:0) it is not."""
     errors = dut.value(0x1003, 0) if dut.eds.has(0x1003) else 0
@@ -31,9 +24,9 @@ def error_register(dut: DeviceUnderTest) -> None:
         dut.notes.append(f"1003h:0 tells of {errors} errors")
 
 
+@action
 def error_history(dut: DeviceUnderTest) -> None:
     """Without an error the history has no entry."""
-    dut.needs((0x1003, 0))
     count = dut.value(0x1003, 0)
     seen = dut.peek(0x1003, 1)
     if count:
@@ -44,70 +37,45 @@ def error_history(dut: DeviceUnderTest) -> None:
         dut.check("read 1003h:1, no error", f"abort {NO_DATA:08X}h", answer_text(seen), ok)
 
 
-def _ready(dut: DeviceUnderTest) -> Pdo:
+@action
+def sound_rpdo(dut: DeviceUnderTest) -> None:
     """RPDO in OPERATIONAL that was received once correctly: an earlier error would not be reported again."""
     dut.needs((0x1014, 0))
-    pdo = receive_pdo(dut)
-    set_up(dut, pdo, 255)
+    receive_pdo(dut)
+    set_up(dut, 255)
     dut.nmt(NmtCommand.START)
-    _right_length(dut, pdo)
+    _send_rpdo(dut)
     dut.receive(_SOON_S)
-    return pdo
 
 
-def _too_short(dut: DeviceUnderTest, pdo: Pdo) -> int:
+@action
+def short_rpdo(dut: DeviceUnderTest) -> int:
     """Check that the EMCY of a too short RPDO comes, and return its error register (1001h)."""
     dut.forget()
-    dut.send(pdo.cob_id)
+    dut.send(dut.pdo.cob_id)
     found = dut.hear_until(dut.emergency_id, _SOON_S)
-    dut.must(dut.frames("an RPDO without data", found, dut.emergency_id, f"{TOO_SHORT} ?? ??????????"))
+    dut.must(dut.frames("an RPDO without data", found, dut.emergency_id, f"{_TOO_SHORT} ?? ??????????"))
     return next(received.data[2] for received in found if received.can_id == dut.emergency_id)
 
 
-def _right_length(dut: DeviceUnderTest, pdo: Pdo) -> None:
+def _send_rpdo(dut: DeviceUnderTest) -> None:
     """The RPDO with what its object has (of a drive: no command)."""
-    dut.touched.add(pdo.carries.key)
-    value = 0 if dut.eds.is_drive else dut.value(*pdo.carries.key)
-    dut.send(pdo.cob_id, value.to_bytes(pdo.size, "little"))
+    key = dut.pdo.carries.key
+    dut.touched.add(key)
+    value = 0 if dut.eds.is_drive else dut.value(*key)
+    dut.send(dut.pdo.cob_id, value.to_bytes(dut.pdo.size, "little"))
 
 
-def force(dut: DeviceUnderTest) -> None:
-    """It comes."""
-    _too_short(dut, _ready(dut))
-
-
-def register_after(dut: DeviceUnderTest) -> None:
+@action
+def register_after_short_rpdo(dut: DeviceUnderTest) -> None:
     """1001h is as in the message: an error, until an RPDO of the right length comes; then EMCY 0000h is sent."""
-    pdo = _ready(dut)
-    if not _too_short(dut, pdo):
+    if not short_rpdo(dut):
         dut.notes.append("the device reports the error once, and has none in 1001h")
         dut.reads("1001h as in the message", 0x1001, 0, 0)
         return
     dut.reads_bits("1001h: generic and communication error", 0x1001, 0, 0x11)
     emergency_id = dut.emergency_id
-    _right_length(dut, pdo)
+    _send_rpdo(dut)
     found = dut.hear_until(emergency_id, _SOON_S)
     dut.frames("an RPDO of the right length", found, dut.emergency_id, "00 00 ?? ??????????")
     dut.reads("1001h is 0 again", 0x1001, 0, 0)
-
-
-def history_after(dut: DeviceUnderTest) -> None:
-    """1003h:1 begins with its code."""
-    dut.needs((0x1003, 0), (0x1003, 1))
-    if not dut.eds.can_write(0x1003):
-        raise NotApplicableError("1003h:0 can't be written by the EDS file: the history can't be emptied")
-    pdo = _ready(dut)
-    dut.write(0x1003, 0, 0)
-    _too_short(dut, pdo)
-    dut.reads("number of errors", 0x1003, 0, 1)
-    dut.ask("read 1003h:1", "40 03 10 01 00000000", f"43 03 10 01 {TOO_SHORT} ????")
-
-
-CASES: Final[Mapping[str, Callable[[DeviceUnderTest], None]]] = {
-    "EMCY 1": identifier,
-    "EMCY 2": error_register,
-    "EMCY 3": error_history,
-    "EMCY 4": force,
-    "EMCY 5": register_after,
-    "EMCY 6": history_after,
-}

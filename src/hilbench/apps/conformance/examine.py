@@ -10,21 +10,9 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from typing import Final
 
-from hilbench.apps.conformance import (
-    drive_mode_cases,
-    drive_option_cases,
-    drive_state_cases,
-    emcy_cases,
-    heartbeat_cases,
-    nmt_cases,
-    od_cases,
-    pdo_cases,
-    sdo_cases,
-    store_cases,
-    sync_cases,
-)
 from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.apps.conformance.listing import Case, listed_cases
+from hilbench.apps.conformance.process_data import shown_state
 from hilbench.apps.conformance.record import (
     CaseEndedError,
     CaseResult,
@@ -35,26 +23,11 @@ from hilbench.apps.conformance.record import (
 )
 from hilbench.apps.conformance.restore import Lost, Values, restore, snapshot
 from hilbench.canopen.identifiers import NmtCommand
-from hilbench.cia402.objects import STATUSWORD
-from hilbench.cia402.state_machine import POWERED, decode_statusword
+from hilbench.cia402.state_machine import POWERED
 from hilbench.errors import BenchFaultError, UnusableInputError
 
-OF_DRIVES: Final[Mapping[str, Callable[[DeviceUnderTest], object]]] = {
-    **drive_state_cases.CASES,
-    **drive_option_cases.CASES,
-    **drive_mode_cases.CASES,
-}
-CASES: Final[Mapping[str, Callable[[DeviceUnderTest], object]]] = {
-    **sdo_cases.CASES,
-    **pdo_cases.CASES,
-    **od_cases.CASES,
-    **emcy_cases.CASES,
-    **sync_cases.CASES,
-    **heartbeat_cases.CASES,
-    **store_cases.CASES,
-    **nmt_cases.CASES,
-    **OF_DRIVES,
-}
+CASES: Final[Mapping[str, Callable[[DeviceUnderTest], object]]] = {case.name: case.examine for case in listed_cases()}
+OF_DRIVES: Final = [case.name for case in listed_cases() if case.of_drives]
 AFTERWARDS: Final = Case("Afterwards", 1, "Every parameter is what it was before", "no case of a standard")
 
 
@@ -127,8 +100,7 @@ def _check_ready(dut: DeviceUnderTest) -> None:
         if not isinstance(dut.peek(0x1000, 0), bytes):
             raise BenchFaultError(f"node {dut.node_id}: no answer to an SDO read of 1000h")
     for _ in dut.eds.each_axis():
-        statusword = dut.peek(STATUSWORD, 0) if dut.eds.is_drive else None
-        state = decode_statusword(int.from_bytes(statusword, "little")) if isinstance(statusword, bytes) else None
+        state = shown_state(dut) if dut.eds.is_drive else None
         if state in POWERED:
             raise UnusableInputError(f"node {dut.node_id}", f"is in {state.label}, expected a drive without power")
     dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)

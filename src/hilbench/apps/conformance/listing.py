@@ -1,12 +1,55 @@
-"""The list of cases: groups, numbers, titles and clauses (`cases.yaml`)."""
+"""The list of cases (`cases/*.yaml`): group, number, title, clause, what it needs and what is done.
+
+Those of CiA 301 are titled as in the report that CANopenNode publishes of its demo device; those of CiA 402 are ours.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
+from pathlib import Path
+from typing import Final
 
-import yaml
+from hilbench.apps.conformance import (  # noqa: F401 - their actions
+    drive_mode_cases,
+    drive_option_cases,
+    drive_state_cases,
+    emcy_cases,
+    heartbeat_cases,
+    nmt_cases,
+    od_cases,
+    pdo_cases,
+    sdo_cases,
+    steps,
+    store_cases,
+    sync_cases,
+)
+from hilbench.apps.conformance.actions import Action
+from hilbench.apps.conformance.dut import DeviceUnderTest
+from hilbench.apps.conformance.power import needs_drive
+from hilbench.block import Strict
+from hilbench.strict_yaml import load, validate
+
+_FOLDER: Final = Path(__file__).parent / "cases"
+#: The files in the order in which their cases are examined.
+_FILES: Final = ("eds", "sdo", "pdo", "od", "emcy", "sync", "heartbeat", "store", "nmt", "drive")
+
+
+class Entry(Strict):
+    """One case in its file: where the standard asks for it, what the device has to have for it, what is done."""
+
+    title: str
+    clause: str
+    needs: tuple[Action, ...] = ()
+    do: tuple[Action, ...]
+
+
+class Group(Strict):
+    """Cases of one group by number."""
+
+    of_drives: bool = False  #: each axis is examined, if it is a drive of CiA 402
+    cases: dict[int, Entry]
 
 
 @dataclass(frozen=True)
@@ -17,19 +60,28 @@ class Case:
     number: int
     title: str
     clause: str
+    of_drives: bool = False
+    actions: Sequence[Callable[[DeviceUnderTest], object]] = ()
 
     @property
     def name(self) -> str:
         """Group and number: "SDO 5"."""
         return f"{self.group} {self.number}"
 
+    def examine(self, dut: DeviceUnderTest) -> None:
+        """Examine a device by it. Raises NotApplicableError, NotAllowedError and CaseEndedError."""
+        if self.of_drives:
+            needs_drive(dut)
+        for act in self.actions:
+            act(dut)
+
 
 @cache
 def listed_cases() -> tuple[Case, ...]:
     """All of them in the order in which they are examined."""
-    text = resources.files("hilbench.apps.conformance").joinpath("cases.yaml").read_text(encoding="utf-8")
     return tuple(
-        Case(group, number, entry["title"], entry["clause"])
-        for group, entries in yaml.safe_load(text).items()
-        for number, entry in entries.items()
+        Case(name, number, case.title, case.clause, group.of_drives, (*case.needs, *case.do))
+        for document in (load(_FOLDER / f"{file}.yaml") for file in _FILES)
+        for name, group in ((name, validate(document, Group, (name,))) for name in document.data)
+        for number, case in group.cases.items()
     )

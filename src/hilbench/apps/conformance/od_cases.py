@@ -1,15 +1,15 @@
-"""OD cases: every object behaves as in the EDS file (CiA 301, 7.4; CiA 306)."""
+"""Actions of OD cases: every object behaves as in the EDS file (CiA 301, 7.4; CiA 306)."""
 
 from __future__ import annotations
 
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
-from typing import Final
+from typing import Final, Literal
 
+from hilbench.apps.conformance.actions import action
 from hilbench.apps.conformance.description import REFUSE_READ, REFUSE_WRITE, Entry
-from hilbench.apps.conformance.dut import DeviceUnderTest, aborted, answer_text, multiplexed, taken_text
+from hilbench.apps.conformance.dut import DeviceUnderTest, answer_text, taken_text
 from hilbench.apps.conformance.record import NotApplicableError
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.eds import variable
@@ -21,12 +21,12 @@ from hilbench.canopen.object_store import (
     READ_ONLY,
     VALUE_TOO_HIGH,
     VALUE_TOO_LOW,
-    WRITE_ONLY,
 )
 from hilbench.canopen.sdo_client import Refusal
 from hilbench.cia402.axis import of_first_axis
 
-COMMUNICATION, DEVICE = (0x1000, 0x1FFF), (0x2000, 0x9FFF)
+_AREAS: Final = {"communication": (0x1000, 0x1FFF), "device": (0x2000, 0x9FFF)}
+_Area = Literal["communication", "device"]
 _VAR: Final = 7  #: object type VAR
 #: They take a signature only: cases of their own. A program's control and download are no parameters.
 _COMMANDS: Final = (0x1010, 0x1011, *range(0x1F50, 0x1F60))
@@ -40,6 +40,7 @@ _BAD_DEFAULT: Final = re.compile(r"invalid DefaultValue in \[([0-9A-Fa-f]{4})(?:
 _NO_VALUE_NOW: Final = (NO_DATA, GENERAL_ERROR)
 
 
+@action
 def eds_checker(dut: DeviceUnderTest) -> None:
     """An independent checker (dcf-tools) has nothing to say about the file."""
     try:
@@ -64,12 +65,14 @@ def _is_number_of_a_real(dut: DeviceUnderTest, warning: str) -> bool:
     return key is not None and dut.eds.has(*key) and isinstance(dut.eds.entry(*key).variable.default, float)
 
 
-def access(dut: DeviceUnderTest, area: tuple[int, int]) -> None:
+@action
+def access(dut: DeviceUnderTest, area: _Area) -> None:
     """Reading gives data of the object's length; what is writable takes them back."""
-    found = list(dut.eds.entries(*area))
+    first, last = _AREAS[area]
+    found = list(dut.eds.entries(first, last))
     if not found:
-        raise NotApplicableError(f"no object of {area[0]:04X}h to {area[1]:04X}h is in the EDS file")
-    if area is COMMUNICATION:
+        raise NotApplicableError(f"no object of {first:04X}h to {last:04X}h is in the EDS file")
+    if area == "communication":
         _open_pdos(dut)
     for entry in found:
         if entry.readable and not entry.flags & REFUSE_READ:
@@ -125,14 +128,15 @@ def _open_pdos(dut: DeviceUnderTest) -> None:
                     dut.try_to_write(base + number + 0x200, 0, b"\0")
 
 
-def defaults(dut: DeviceUnderTest, area: tuple[int, int]) -> None:
+@action
+def defaults(dut: DeviceUnderTest, area: _Area) -> None:
     """Defaults after a reset; what a device stores (1010h) may be another value, and is reported."""
     dut.reset()
-    for entry in dut.eds.entries(*area):
+    for entry in dut.eds.entries(*_AREAS[area]):
         default = entry.default
         if default is None or not entry.readable or entry.index in _OF_THE_MOMENT or entry.flags & REFUSE_READ:
             continue
-        if entry.access == "ro" and area is DEVICE:
+        if entry.access == "ro" and area == "device":
             continue  # an actual value
         data = dut.peek(*entry.key)
         seen = answer_text(data)
@@ -143,6 +147,7 @@ def defaults(dut: DeviceUnderTest, area: tuple[int, int]) -> None:
         dut.check(f"default of {entry}", default.hex(" "), seen, data == default)
 
 
+@action
 def read_only(dut: DeviceUnderTest) -> None:
     """The value that it has already is refused."""
     found = [entry for entry in dut.eds.entries() if entry.constant]
@@ -163,16 +168,7 @@ def _refuses_long(dut: DeviceUnderTest, entry: Entry, data: bytes) -> None:
     dut.check(f"write {entry}", f"abort {READ_ONLY:08X}h", taken_text(answer), ok)
 
 
-def write_only(dut: DeviceUnderTest) -> None:
-    """It can't be read."""
-    found = [entry for entry in dut.eds.entries() if not entry.readable]
-    if not found:
-        raise NotApplicableError("no object is write-only in the EDS file")
-    for entry in found:
-        request = multiplexed(0x40, *entry.key).hex()
-        dut.ask(f"read {entry}", request, aborted(*entry.key, WRITE_ONLY))
-
-
+@action
 def sub_index_255(dut: DeviceUnderTest) -> None:
     """Sub-index 255 is absent, or has object and data type of the file."""
     for index in sorted({entry.index for entry in dut.eds.entries()}):
@@ -193,6 +189,7 @@ def _check_structure(dut: DeviceUnderTest, index: int, found: int) -> None:
     dut.check(f"structure in {index:04X}h:255", f"object type {wanted}, data type {code:02X}h", f"{found:08X}h", ok)
 
 
+@action
 def limits(dut: DeviceUnderTest) -> None:
     """A value beyond a limit of the file is refused."""
     examined = 0
@@ -217,9 +214,10 @@ def _is_of_type(entry: Entry, value: int) -> bool:
     return True
 
 
+@action
 def write_back(dut: DeviceUnderTest) -> None:
     """A value that was read is accepted when written back."""
-    found = [e for e in dut.eds.entries(*DEVICE) if e.writable and not e.flags & (REFUSE_WRITE | REFUSE_READ)]
+    found = [e for e in dut.eds.entries(*_AREAS["device"]) if e.writable and not e.flags & (REFUSE_WRITE | REFUSE_READ)]
     if not found:
         raise NotApplicableError("no object from 2000h on can be written by the EDS file")
     for entry in found:
@@ -229,17 +227,3 @@ def write_back(dut: DeviceUnderTest) -> None:
         elif _may_write_back(dut, entry, data):
             _write_back(dut, entry, data)
     _note_maker_objects(dut, found)
-
-
-CASES: Final[Mapping[str, Callable[[DeviceUnderTest], None]]] = {
-    "EDS 1": eds_checker,
-    "OD 1": lambda dut: access(dut, COMMUNICATION),
-    "OD 2": lambda dut: defaults(dut, COMMUNICATION),
-    "OD 3": read_only,
-    "OD 4": write_only,
-    "OD 5": sub_index_255,
-    "OD 6": limits,
-    "OD 7": lambda dut: access(dut, DEVICE),
-    "OD 8": lambda dut: defaults(dut, DEVICE),
-    "OD 9": write_back,
-}

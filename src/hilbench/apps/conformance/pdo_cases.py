@@ -1,18 +1,17 @@
-"""PDO cases (CiA 301, 7.2.2, 7.5.2.35 to 7.5.2.38): communication in every NMT state, and mapping."""
+"""Actions of PDO cases (CiA 301, 7.2.2, 7.5.2.35 to 7.5.2.38): communication in every NMT state, and mapping."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable
 from itertools import pairwise
-from typing import Final
+from typing import Final, Literal
 
+from hilbench.apps.conformance.actions import ABORT_CODES, action
 from hilbench.apps.conformance.description import Entry
-from hilbench.apps.conformance.dut import DeviceUnderTest, answers, multiplexed
+from hilbench.apps.conformance.dut import DeviceUnderTest, answers
 from hilbench.apps.conformance.process_data import (
     RPDO,
     TPDO,
-    Pdo,
     change,
     map_objects,
     mapped,
@@ -21,13 +20,13 @@ from hilbench.apps.conformance.process_data import (
     transmit_pdo,
 )
 from hilbench.apps.conformance.record import NotApplicableError
+from hilbench.apps.conformance.steps import read_if_there
 from hilbench.apps.conformance.wire import ReceivedFrame, periods, steady
 from hilbench.can.frame import REMOTE_FLAG
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.identifiers import COB_ID, INVALID, MAPPING, NO_REMOTE_REQUEST, NmtCommand
 from hilbench.canopen.object_store import (
     INVALID_VALUE,
-    NO_OBJECT,
     NO_SUB_INDEX,
     NOT_MAPPABLE,
     PDO_LENGTH,
@@ -38,78 +37,67 @@ from hilbench.canopen.object_store import (
     WRITE_ONLY,
 )
 
-#: "Sub-index can't be written, sub-index 0 must be 0 for write access" (CiA 301, table 22).
-_COUNT_NOT_ZERO: Final = 0x06010003
-_NOT_NOW: Final = (UNSUPPORTED_ACCESS, _COUNT_NOT_ZERO, PRESENT_STATE)
+_NOT_NOW: Final = (UNSUPPORTED_ACCESS, ABORT_CODES["COUNT_NOT_ZERO"], PRESENT_STATE)
 _NOT_THERE: Final = (NOT_MAPPABLE, READ_ONLY, WRITE_ONLY, UNSUPPORTED_ACCESS)
-_INHIBIT_S, _EVENT_S = 0.1, 0.1
+_INHIBIT_S: Final = 0.1
 _QUIET_S, _SOON_S = 0.3, 0.05
 _TOLERANCE_S: Final = 0.003
 _LARGEST_PDO: Final = 64
+_BASES: Final = {"receive": RPDO, "transmit": TPDO}
+_Direction = Literal["receive", "transmit"]
 
 
-def scan(dut: DeviceUnderTest, base: int) -> None:
+@action
+def scan(dut: DeviceUnderTest, direction: _Direction) -> None:
     """PDOs of the file are there, and the next one is not."""
+    base = _BASES[direction]
     numbers = dut.eds.pdos(base)
-    for number in numbers:
-        request = multiplexed(0x40, base + number, 1).hex()
-        dut.ask(f"read {base + number:04X}h:1", request, f"43 {request[2:8]} ????????")
     absent = next(number for number in range(513) if number not in numbers)
-    request = multiplexed(0x40, base + absent, 1).hex()
-    dut.ask(f"read {base + absent:04X}h:1", request, f"80 {request[2:8]} {NO_OBJECT.to_bytes(4, 'little').hex()}")
+    read_if_there(dut, "43", *((base + number, 1) for number in (*numbers, absent)))
 
 
 # -- communication in an NMT state -----------------------------------------------------------------------------
 
 
-def _any_data(pdo: Pdo) -> str:
-    return "??" * pdo.size
-
-
+@action
 def remote_request(dut: DeviceUnderTest, state: NmtCommand) -> None:
     """A remote frame brings the TPDO in OPERATIONAL alone."""
     pdo = transmit_pdo(dut)
     forbidden = bool(dut.value(pdo.index, 1) & NO_REMOTE_REQUEST)
-    set_up(dut, pdo, 1, remote=True)
+    set_up(dut, 1, remote=True)
     dut.nmt(state)
     dut.forget()
     dut.send(REMOTE_FLAG | pdo.cob_id, bytes(pdo.size))
     found = [each for each in dut.receive(_SOON_S) if not each.can_id & REMOTE_FLAG]
     if forbidden and not found and state is NmtCommand.START:
         raise NotApplicableError(f"{pdo.index:04X}h:1 forbids remote requests; allowed by hand, none is answered")
-    wanted = [_any_data(pdo)] if state is NmtCommand.START else []
-    dut.frames("remote request", found, pdo.cob_id, *wanted)
+    dut.frames("remote request", found, pdo.cob_id, *(["??" * pdo.size] if state is NmtCommand.START else []))
 
 
-def event_driven(dut: DeviceUnderTest, state: NmtCommand) -> None:
+@action
+def sent_on_change(dut: DeviceUnderTest) -> None:
     """Sent on a change in OPERATIONAL, not without one, and not before the inhibit time is over."""
-    pdo = transmit_pdo(dut)
-    set_up(dut, pdo, 254)
-    dut.nmt(state)
-    if state is not NmtCommand.START:
-        if state is NmtCommand.ENTER_PRE_OPERATIONAL:
-            change(dut, pdo)
-        dut.silent("nothing is sent", dut.receive(_QUIET_S), pdo.cob_id)
-        return
+    pdo = dut.pdo
     dut.receive(_SOON_S)
     dut.silent("nothing changes", dut.receive(_QUIET_S), pdo.cob_id)
-    change(dut, pdo)
+    change(dut)
     found = dut.receive_id(pdo.cob_id, _SOON_S)
     dut.check("a change", f"{pdo.cob_id:03X} with the new value", _frames(found), bool(found))
     if dut.eds.can_write(pdo.index, 3):
-        _inhibit_time(dut, pdo)
+        _inhibit_time(dut)
     else:
         dut.notes.append(f"no inhibit time ({pdo.index:04X}h:3) in the EDS file")
 
 
-def _inhibit_time(dut: DeviceUnderTest, pdo: Pdo) -> None:
+def _inhibit_time(dut: DeviceUnderTest) -> None:
+    pdo = dut.pdo
     dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
-    set_up(dut, pdo, 254, inhibit=round(_INHIBIT_S * 10_000))
+    set_up(dut, 254, inhibit=round(_INHIBIT_S * 10_000))
     dut.nmt(NmtCommand.START)
     dut.receive(2.0 * _INHIBIT_S)
-    change(dut, pdo)
+    change(dut)
     found = dut.receive_id(pdo.cob_id, 0.1 * _INHIBIT_S)
-    change(dut, pdo)
+    change(dut)
     found += dut.receive_id(pdo.cob_id, 3.0 * _INHIBIT_S)
     gaps = [later.at_s - earlier.at_s for earlier, later in pairwise(found)]
     seen = ", ".join(f"{1000.0 * gap:.1f} ms" for gap in gaps) or f"{len(found)} frames"
@@ -117,47 +105,27 @@ def _inhibit_time(dut: DeviceUnderTest, pdo: Pdo) -> None:
     dut.check("changes within the inhibit time", f"{1000.0 * _INHIBIT_S:g} ms between frames at least", seen, ok)
 
 
-def event_timer(dut: DeviceUnderTest, state: NmtCommand) -> None:
-    """Sent every 100 ms in OPERATIONAL without a change."""
-    pdo = transmit_pdo(dut)
-    set_up(dut, pdo, 254, event_ms=round(1000.0 * _EVENT_S))
-    dut.nmt(state)
-    dut.forget()
-    duration_s = 10.0 * _EVENT_S
-    found = dut.receive_id(pdo.cob_id, duration_s if state is NmtCommand.START else 3.0 * _EVENT_S)
-    if state is not NmtCommand.START:
-        dut.silent("nothing is sent", found, pdo.cob_id)
-        return
-    ok = 9 <= len(found) <= 11 and steady(found, _EVENT_S)
+@action
+def sent_by_event_timer(dut: DeviceUnderTest) -> None:
+    """Sent every 100 ms without a change."""
+    found = dut.receive_id(dut.pdo.cob_id, 1.0)
+    ok = 9 <= len(found) <= 11 and steady(found, 0.1)
     dut.check("event timer of 100 ms", "10 frames in 1 s, one each 100 ms", f"{len(found)} frames{periods(found)}", ok)
 
 
-def cyclic(dut: DeviceUnderTest, state: NmtCommand) -> None:
+@action
+def every_third_sync(dut: DeviceUnderTest, state: NmtCommand) -> None:
     """Every third SYNC, whichever the device counts from: CiA 301 leaves that open without a SYNC counter."""
-    pdo = transmit_pdo(dut)
-    set_up(dut, pdo, 3)
+    transmit_pdo(dut)
+    set_up(dut, 3)
     dut.nmt(state)
-    came = [bool([each for each in dut.sync() if each.can_id == pdo.cob_id]) for _ in range(6)]
+    came = [answers(dut.sync(), dut.pdo.cob_id, lambda _: True) for _ in range(6)]
     first = came.index(True) if any(came[:3]) else 2
     wanted = [number % 3 == first for number in range(6)] if state is NmtCommand.START else [False] * 6
     dut.check("six SYNCs, type 3", _marks(wanted), _marks(came), came == wanted)
 
 
-def acyclic(dut: DeviceUnderTest, state: NmtCommand) -> None:
-    """Type 0: with the SYNC after a change, and not with the next."""
-    pdo = transmit_pdo(dut)
-    set_up(dut, pdo, 0)
-    dut.nmt(state)
-    active = state is NmtCommand.START
-    dut.sync()
-    dut.silent("SYNC without a change", dut.sync(), pdo.cob_id)
-    if state is not NmtCommand.STOP:
-        change(dut, pdo)
-    dut.silent("a change before the SYNC", dut.receive(_SOON_S), pdo.cob_id)
-    dut.frames("SYNC after it", dut.sync(), pdo.cob_id, *([_any_data(pdo)] if active else []))
-    dut.silent("the next SYNC", dut.sync(), pdo.cob_id)
-
-
+@action
 def start_value(dut: DeviceUnderTest, state: NmtCommand) -> None:
     """SYNC start value with the SYNC counter: every second one from 4 on.
 
@@ -168,7 +136,7 @@ def start_value(dut: DeviceUnderTest, state: NmtCommand) -> None:
     if dut.eds.can_write(0x1006) and dut.value(0x1006):
         dut.write(0x1006, 0, 0)
     dut.write(0x1019, 0, 10)
-    set_up(dut, pdo, 2, start=4)
+    set_up(dut, 2, start=4)
     dut.nmt(state)
     came = [counter for counter in range(1, 11) if answers(dut.sync(bytes((counter,))), pdo.cob_id, lambda _: True)]
     wanted = ([4, 6, 8, 10], [5, 7, 9]) if state is NmtCommand.START else ([],)
@@ -187,6 +155,7 @@ def _marks(came: list[bool]) -> str:
 # -- mapping ---------------------------------------------------------------------------------------------------
 
 
+@action
 def default_mapping(dut: DeviceUnderTest) -> None:
     """Mapped objects are in the file, as long as the mapping states."""
     indices = [base + number for base in (RPDO, TPDO) for number in dut.eds.pdos(base)]
@@ -224,34 +193,44 @@ def _opened(dut: DeviceUnderTest, base: int) -> int:
     return index
 
 
+@action
 def mapping_procedure(dut: DeviceUnderTest) -> None:
     """An RPDO that is mapped anew acts on the object that it then carries."""
-    pdo = receive_pdo(dut)
+    receive_pdo(dut)
     _variable(dut, RPDO)
-    set_up(dut, pdo, 1)
+    set_up(dut, 1)
     dut.nmt(NmtCommand.START)
-    value = 0x06 if dut.eds.is_drive else dut.value(*pdo.carries.key) ^ 1
-    dut.touched.add(pdo.carries.key)
-    dut.send(pdo.cob_id, value.to_bytes(pdo.size, "little"))
+    _acts(dut, "what the RPDO carried")
+
+
+def _acts(dut: DeviceUnderTest, what: str, placeholder: bytes = b"") -> None:
+    """Expect that the RPDO brings its object another value."""
+    carries = dut.pdo.carries
+    value = 0x06 if dut.eds.is_drive else dut.value(*carries.key) ^ 1
+    dut.touched.add(carries.key)
+    dut.send(dut.pdo.cob_id, placeholder + value.to_bytes(dut.pdo.size, "little"))
     dut.sync()
-    dut.reads(f"{pdo.carries} has what the RPDO carried", *pdo.carries.key, value)
+    dut.reads(f"{carries} has {what}", *carries.key, value)
 
 
-def _mapped_pdos(dut: DeviceUnderTest) -> list[int]:
-    """A PDO of each direction with something in it."""
+def _of_each(dut: DeviceUnderTest, prepare: Callable[[DeviceUnderTest, int], int], otherwise: str = "") -> list[int]:
+    """An RPDO and a TPDO, or that of the two which the device can have. Raises NotApplicableError for neither."""
     found = []
     for base in (RPDO, TPDO):
         try:
-            carried = _carried(dut, base)[0]
-            index = _opened(dut, base)
+            found.append(prepare(dut, base))
         except NotApplicableError as error:
             dut.notes.append(str(error))
-            continue
-        map_objects(dut, index, [carried.mapping])
-        found.append(index)
     if not found:
-        raise NotApplicableError(dut.notes[-1])
+        raise NotApplicableError(otherwise or dut.notes[-1])
     return found
+
+
+def _with_one_object(dut: DeviceUnderTest, base: int) -> int:
+    carried = _carried(dut, base)[0]
+    index = _opened(dut, base)
+    map_objects(dut, index, [carried.mapping])
+    return index
 
 
 def _carried(dut: DeviceUnderTest, base: int) -> list[Entry]:
@@ -268,48 +247,40 @@ def _may_carry(entry: Entry, base: int) -> bool:
     return bool(entry.variable.pdo_mappable) and entry.access in allowed and entry.mapping & 0xFF > 0
 
 
+@action
 def mapping_without_procedure(dut: DeviceUnderTest) -> None:
     """An entry can't be written while the number of entries is not 0."""
-    for index in _mapped_pdos(dut):
+    for index in _of_each(dut, _with_one_object):
         entry = dut.value(index + MAPPING, 1)
         dut.refuses("an entry, the number being 1", index + MAPPING, 1, entry.to_bytes(4, "little"), *_NOT_NOW)
 
 
+@action
 def mapping_of_valid_pdo(dut: DeviceUnderTest) -> None:
     """Nor anything while the PDO is valid."""
-    for index in _mapped_pdos(dut):
+    for index in _of_each(dut, _with_one_object):
         dut.write(index, 1, dut.value(index, 1) & ~INVALID)
         dut.refuses("the number of entries of a valid PDO", index + MAPPING, 0, b"\0", *_NOT_NOW)
         entry = dut.value(index + MAPPING, 1)
         dut.refuses("an entry of a valid PDO", index + MAPPING, 1, entry.to_bytes(4, "little"), *_NOT_NOW)
 
 
-def _each_opened(dut: DeviceUnderTest) -> list[int]:
-    found = []
-    for base in (RPDO, TPDO):
-        try:
-            found.append(_opened(dut, base))
-        except NotApplicableError as error:
-            dut.notes.append(str(error))
-    if not found:
-        raise NotApplicableError("no mapping can be written by the EDS file")
-    return found
-
-
+@action
 def too_many_objects(dut: DeviceUnderTest) -> None:
     """One more than the device has places for."""
     codes = (PDO_LENGTH, NOT_MAPPABLE, INVALID_VALUE, VALUE_TOO_HIGH)
-    for index in _each_opened(dut):
+    for index in _of_each(dut, _opened, "no mapping can be written by the EDS file"):
         places = max(entry.sub for entry in dut.eds.entries(index + MAPPING, index + MAPPING))
         dut.refuses(f"{places + 1} entries", index + MAPPING, 0, bytes((places + 1,)), *codes)
         if places < _LARGEST_PDO:
             dut.refuses("an entry more", index + MAPPING, places + 1, bytes(4), NO_SUB_INDEX)
 
 
+@action
 def objects_too_long(dut: DeviceUnderTest) -> None:
     """More than eight bytes."""
     examined = 0
-    for index in _each_opened(dut):
+    for index in _of_each(dut, _opened, "no mapping can be written by the EDS file"):
         base = TPDO if index >= TPDO else RPDO
         try:
             longest = max(_carried(dut, base), key=lambda e: e.mapping & 0xFF)
@@ -336,14 +307,15 @@ def objects_too_long(dut: DeviceUnderTest) -> None:
         raise NotApplicableError(dut.notes[-1])
 
 
-def maps(dut: DeviceUnderTest, base: int, kinds: tuple[str, ...], mappable: bool, taken: bool) -> None:
+@action
+def maps(dut: DeviceUnderTest, direction: _Direction, kinds: list[str], mappable: bool, taken: bool) -> None:
     """Write an entry of objects of an access type; whether it is taken."""
     found = [e for e in dut.eds.entries(0x1000) if e.access in kinds and bool(e.variable.pdo_mappable) is mappable]
     found = [entry for entry in found if entry.mapping & 0xFF]
     if not found:
         may = "may" if mappable else "may not"
         raise NotApplicableError(f"no object of access type {' or '.join(kinds)} {may} be mapped by the EDS file")
-    index = _opened(dut, base)
+    index = _opened(dut, _BASES[direction])
     entry = max(found, key=lambda each: each.index >= 0x6000)  # the device's profile before its maker's
     data = entry.mapping.to_bytes(4, "little")
     if taken:
@@ -352,6 +324,7 @@ def maps(dut: DeviceUnderTest, base: int, kinds: tuple[str, ...], mappable: bool
         dut.refuses(f"map {entry}", index + MAPPING, 1, data, *_NOT_THERE)
 
 
+@action
 def placeholder(dut: DeviceUnderTest) -> None:
     """A dummy takes its place in the frame, and the object after it what follows."""
     dut.first(dut.eds.dummies, "a placeholder ([DummyUsage])")
@@ -363,36 +336,4 @@ def placeholder(dut: DeviceUnderTest) -> None:
     dut.configure(opened, 2, 1, "transmission type 1")
     dut.write(opened, 1, pdo.cob_id)
     dut.nmt(NmtCommand.START)
-    value = 0x06 if dut.eds.is_drive else dut.value(*pdo.carries.key) ^ 1
-    dut.touched.add(pdo.carries.key)
-    dut.send(pdo.cob_id, b"\xff" * (bits // 8) + value.to_bytes(pdo.size, "little"))
-    dut.sync()
-    dut.reads(f"{pdo.carries} has what followed the placeholder", *pdo.carries.key, value)
-
-
-_STATES: Final = (NmtCommand.START, NmtCommand.STOP, NmtCommand.ENTER_PRE_OPERATIONAL)
-_IN_A_STATE: Final = (remote_request, event_driven, event_timer, cyclic, acyclic, start_value)
-_OUTPUT, _INPUT, _ANY = ("rww", "wo"), ("rwr", "ro"), ("ro", "rw", "rwr", "rww", "const", "wo")
-
-CASES: Final[Mapping[str, Callable[[DeviceUnderTest], None]]] = {
-    "PDO 1": lambda dut: scan(dut, RPDO),
-    "PDO 2": lambda dut: scan(dut, TPDO),
-    **{
-        f"PDO {3 + 6 * place + number}": partial(case, state=state)
-        for place, state in enumerate(_STATES)
-        for number, case in enumerate(_IN_A_STATE)
-    },
-    "PDO 21": default_mapping,
-    "PDO 22": mapping_procedure,
-    "PDO 23": mapping_without_procedure,
-    "PDO 24": mapping_of_valid_pdo,
-    "PDO 25": too_many_objects,
-    "PDO 26": objects_too_long,
-    "PDO 27": lambda dut: maps(dut, RPDO, (*_OUTPUT, "rw"), mappable=True, taken=True),
-    "PDO 28": lambda dut: maps(dut, RPDO, _INPUT, mappable=True, taken=False),
-    "PDO 29": lambda dut: maps(dut, RPDO, _ANY, mappable=False, taken=False),
-    "PDO 30": lambda dut: maps(dut, TPDO, _INPUT, mappable=True, taken=True),
-    "PDO 31": lambda dut: maps(dut, TPDO, _OUTPUT, mappable=True, taken=False),
-    "PDO 32": lambda dut: maps(dut, TPDO, _ANY, mappable=False, taken=False),
-    "PDO 33": placeholder,
-}
+    _acts(dut, "what followed the placeholder", b"\xff" * (bits // 8))

@@ -6,8 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from hilbench.apps.conformance.actions import action
 from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.apps.conformance.record import NotApplicableError
+from hilbench.canopen.identifiers import HEARTBEAT
 from hilbench.cia402 import objects
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.state_machine import (
@@ -73,6 +75,7 @@ def wait(dut: DeviceUnderTest, condition: Callable[[], bool], duration_s: float 
     return dut.wire.now_s() - begun_s
 
 
+@action
 def expect_state(dut: DeviceUnderTest, what: str, *wanted: State, duration_s: float = _STATE_S) -> bool:
     """Expect one of some states within a time."""
     wait(dut, lambda: state(dut) in wanted, duration_s)
@@ -87,6 +90,7 @@ def expect_stays(dut: DeviceUnderTest, what: str, wanted: State) -> bool:
     return dut.check(what, f"stays in {wanted.label}", label(found), found is wanted)
 
 
+@action
 def switch_off(dut: DeviceUnderTest) -> None:
     """To SWITCH ON DISABLED, by a fault reset if need be."""
     command(dut, Command.DISABLE_VOLTAGE.value)
@@ -133,6 +137,7 @@ def _takes(dut: DeviceUnderTest, mode: OperationMode) -> bool:
     return wait(dut, lambda: dut.value(objects.MODES_OF_OPERATION_DISPLAY) == mode, 0.1) is not None
 
 
+@action
 def needs_mode(dut: DeviceUnderTest, mode: OperationMode) -> None:
     """Choose it. Raises NotApplicableError when 6502h lacks it."""
     name = mode.name.replace("_", " ").lower()
@@ -146,6 +151,13 @@ def choose(dut: DeviceUnderTest, mode: OperationMode) -> None:
     dut.write(objects.MODES_OF_OPERATION, 0, int(mode))
     if dut.eds.has(objects.MODES_OF_OPERATION_DISPLAY):
         wait(dut, lambda: dut.value(objects.MODES_OF_OPERATION_DISPLAY) == mode, 1.0)
+
+
+@action
+def enable(dut: DeviceUnderTest, mode: OperationMode) -> None:
+    """OPERATION ENABLED in a mode."""
+    bring(dut, State.OPERATION_ENABLED)
+    choose(dut, mode)
 
 
 def rest(dut: DeviceUnderTest) -> None:
@@ -230,27 +242,15 @@ def time_to_rest(dut: DeviceUnderTest, velocity: int) -> float | None:
 
 def lose_connection(dut: DeviceUnderTest) -> None:
     """Stop a heartbeat that the drive consumes (1016h). Call `find_connection` when it is over."""
-    node = _stranger(dut)
+    node = dut.strangers(0.1)[0]
     dut.write(0x1016, 1, node << 16 | _HEARTBEAT_MS)
-    dut.send(0x700 + node, b"\x05")
+    dut.send(HEARTBEAT + node, b"\x05")
     dut.wait(3e-3 * _HEARTBEAT_MS)
-
-
-def can_lose_connection(dut: DeviceUnderTest) -> None:
-    """Raises NotApplicableError for a drive that watches no heartbeat."""
-    dut.needs_to_write((0x1016, 1), (objects.ABORT_CONNECTION_OPTION_CODE, 0))
 
 
 def find_connection(dut: DeviceUnderTest) -> None:
     """Nobody is watched any more."""
     dut.write(0x1016, 1, 0)
-
-
-def _stranger(dut: DeviceUnderTest) -> int:
-    """Node id that was not received, and that no heartbeat consumer entry watches."""
-    received = {each.can_id & 0x7F for each in dut.receive(0.1) if each.can_id & 0x780 == 0x700}
-    watched = {dut.value(*entry.key) >> 16 & 0x7F for entry in dut.eds.entries(0x1016, 0x1016) if entry.sub}
-    return next(node for node in range(127, 0, -1) if node not in received | watched | {dut.node_id})
 
 
 def fail(dut: DeviceUnderTest) -> None:

@@ -7,10 +7,10 @@ SWITCH ON); that of its RPDO is the controlword. Of other devices it is a parame
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
-from hilbench.apps.conformance.description import Entry
+from hilbench.apps.conformance.actions import action
+from hilbench.apps.conformance.description import Entry, Pdo
 from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.apps.conformance.record import NotApplicableError
 from hilbench.canopen.identifiers import COB_ID, INVALID, MAPPING, NO_REMOTE_REQUEST
@@ -24,20 +24,7 @@ _QUICK_STOP_S, _STEP_S = 3.0, 0.02
 _SHUTDOWN, _DISABLE = Command.SHUTDOWN.value, Command.DISABLE_VOLTAGE.value
 
 
-@dataclass(frozen=True)
-class Pdo:
-    """One PDO of the device: index of its communication parameters, COB-ID, the object that it carries."""
-
-    index: int
-    cob_id: int
-    carries: Entry
-
-    @property
-    def size(self) -> int:
-        """Bytes of its data."""
-        return self.carries.width or 1
-
-
+@action
 def transmit_pdo(dut: DeviceUnderTest) -> Pdo:
     """A TPDO with what `change` changes in it. Raises NotApplicableError when the device can't have one."""
     if dut.eds.is_drive:
@@ -50,6 +37,7 @@ def transmit_pdo(dut: DeviceUnderTest) -> Pdo:
     return _pdo(dut, TPDO, found[0])
 
 
+@action
 def receive_pdo(dut: DeviceUnderTest) -> Pdo:
     """An RPDO with an output in it. Raises NotApplicableError when the device can't have one, NotAllowedError when it
     would be an output of something else than a drive, and nothing may move.
@@ -75,10 +63,10 @@ def _pdo(dut: DeviceUnderTest, base: int, entry: Entry) -> Pdo:
     cob_id = dut.value(index, 1) & COB_ID
     if cob_id == 0:
         cob_id = _DEFAULT_IDS[base][number % 4] + dut.node_id
-    found = Pdo(index, cob_id, entry)
+    dut.pdo = Pdo(index, cob_id, entry)
     if not dut.eds.can_write(index + MAPPING, 0) and mapped(dut, index) != [entry.mapping]:
         raise NotApplicableError(f"{index + MAPPING:04X}h can't be written by the EDS file, and maps something else")
-    return found
+    return dut.pdo
 
 
 def mapped(dut: DeviceUnderTest, index: int) -> list[int]:
@@ -86,9 +74,9 @@ def mapped(dut: DeviceUnderTest, index: int) -> list[int]:
     return [dut.value(index + MAPPING, sub) for sub in range(1, dut.value(index + MAPPING, 0) + 1)]
 
 
+@action
 def set_up(
     dut: DeviceUnderTest,
-    pdo: Pdo,
     kind: int,
     *,
     inhibit: int = 0,
@@ -96,10 +84,11 @@ def set_up(
     start: int = 0,
     remote: bool = False,
 ) -> None:
-    """The procedure of CiA 301, 7.5.2.36: invalid, mapping, parameters, valid. Inhibit time in units of 100 µs.
+    """Set up the case's PDO as in CiA 301, 7.5.2.36: invalid, mapping, parameters, valid. Inhibit time in 100 µs.
 
     Raises NotApplicableError for what the device lacks or refuses: which of them it has is its maker's choice.
     """
+    pdo = dut.pdo
     index = pdo.index
     flags = NO_REMOTE_REQUEST if index >= TPDO and not remote else 0
     dut.write(index, 1, INVALID | flags | pdo.cob_id)
@@ -129,14 +118,15 @@ def map_objects(dut: DeviceUnderTest, index: int, entries: Sequence[int]) -> Non
     dut.write(index + MAPPING, 0, len(entries))
 
 
-def change(dut: DeviceUnderTest, pdo: Pdo) -> None:
-    """Change what a TPDO carries."""
+@action
+def change(dut: DeviceUnderTest) -> None:
+    """Change what the case's TPDO carries."""
     if dut.eds.is_drive:
         before = dut.value(STATUSWORD) & 0x6F
         word = _DISABLE if before == 0x21 else _SHUTDOWN
         dut.write(CONTROLWORD, 0, word)
         return
-    index, sub = pdo.carries.key
+    index, sub = dut.pdo.carries.key
     dut.write(index, sub, dut.value(index, sub) ^ 1)
 
 
@@ -145,7 +135,7 @@ def at_rest(dut: DeviceUnderTest) -> None:
     if not dut.eds.is_drive:
         return
     for word, states in ((Command.QUICK_STOP, POWERED), (Command.DISABLE_VOLTAGE, None)):
-        if states is not None and _state(dut) not in states:
+        if states is not None and shown_state(dut) not in states:
             continue
         answer = dut.try_to_write(CONTROLWORD, 0, word.value.to_bytes(2, "little"))
         if isinstance(answer, Refusal):
@@ -154,16 +144,16 @@ def at_rest(dut: DeviceUnderTest) -> None:
             _wait_for_rest(dut)
 
 
-def _state(dut: DeviceUnderTest) -> State | None:
-    found = dut.peek(STATUSWORD, 0)
-    return decode_statusword(int.from_bytes(found, "little")) if isinstance(found, bytes) else None
+def shown_state(dut: DeviceUnderTest) -> State | None:
+    """Power state of the drive; None: it shows none."""
+    word = dut.number(STATUSWORD)
+    return None if word is None else decode_statusword(word)
 
 
 def _wait_for_rest(dut: DeviceUnderTest) -> None:
     """Until a quick stop is over: target reached, or without power."""
     for _ in range(round(_QUICK_STOP_S / _STEP_S)):
-        found = dut.peek(STATUSWORD, 0)
-        word = int.from_bytes(found, "little") if isinstance(found, bytes) else 0
+        word = dut.number(STATUSWORD) or 0
         if decode_statusword(word) not in POWERED or word & STATUS_TARGET_REACHED:
             return
         dut.wait(_STEP_S)

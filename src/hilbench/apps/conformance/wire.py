@@ -42,14 +42,13 @@ class Wire(Protocol):
 class LinkWire:
     """A bus of this machine, in real time.
 
-    Raises BusError when the bus is lost. `asked_to_end` is polled while frames are waited for; the first time that it
-    is true, KeyboardInterrupt is raised, so that the cleanup after it is undisturbed.
+    Raises BusError when the bus is lost. `end_if_requested` is called while frames are waited for; what it raises ends
+    the wait.
     """
 
-    def __init__(self, link: Link, asked_to_end: Callable[[], bool] = lambda: False) -> None:
+    def __init__(self, link: Link, end_if_requested: Callable[[], None] = lambda: None) -> None:
         self._link = link
-        self._asked_to_end = asked_to_end
-        self._interrupted = False
+        self._end_if_requested = end_if_requested
         self._waiting: deque[ReceivedFrame] = deque()
 
     def now_s(self) -> float:
@@ -73,9 +72,7 @@ class LinkWire:
             left_s = max(0.0, deadline_s - time.monotonic())
             if looked and left_s == 0.0:
                 return found
-            if self._asked_to_end() and not self._interrupted:
-                self._interrupted = True
-                raise KeyboardInterrupt
+            self._end_if_requested()
             looked = True
             for frame in self._link.receive(min(left_s, _LONGEST_WAIT_S)):
                 at_s = frame.time_ns * 1e-9 if frame.time_ns else time.monotonic()

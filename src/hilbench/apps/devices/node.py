@@ -13,7 +13,7 @@ from hilbench.cia402.simulated import SimulatedDrive as Cia402Drive
 from hilbench.cia402.simulated import supported_modes
 from hilbench.cia402.units import DriveUnits
 from hilbench.plant.motor_port import MotorPort
-from hilbench.plant.servo_axis.rig import ServoRig
+from hilbench.plant.servo_axis.shaft import ServoRig
 
 
 @dataclass(frozen=True)

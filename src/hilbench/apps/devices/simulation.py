@@ -34,7 +34,7 @@ from hilbench.plant.servo_axis.parameters import (
     ServoRigParameters,
     ShaftParameters,
 )
-from hilbench.plant.servo_axis.rig import ServoRig
+from hilbench.plant.servo_axis.shaft import ServoRig
 
 #: Name of the device as it says it itself (CiA 301).
 _DEVICE_NAME = 0x1008

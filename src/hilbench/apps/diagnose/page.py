@@ -10,7 +10,7 @@ import numpy as np
 
 from hilbench.apps.report.chart import BLUE, VERMILLION, Chart, Curve, Mark
 from hilbench.apps.report.page import number, write_page
-from hilbench.apps.report.plots import Drawing, Panel, Picture, drawn
+from hilbench.apps.report.plots import Drawing, DrawnAxes, Picture, drawn
 from hilbench.apps.report.reduce import moving_average
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Unobservable
 from hilbench.diagnosis.live import LiveGap
@@ -120,7 +120,7 @@ def _held_out(found: Diagnosis) -> list[Mark]:
 def _profiles(found: Diagnosis) -> Picture:
     rows = (len(found.profiles) + 1) // 2
 
-    def draw(figure: Any) -> list[Panel]:
+    def draw(figure: Any) -> list[DrawnAxes]:
         figure.subplots_adjust(right=0.985, hspace=0.62, wspace=0.3)
         grid = np.atleast_1d(figure.subplots(rows, 2)).ravel()
         for axes in grid[len(found.profiles) :]:

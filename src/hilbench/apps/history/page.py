@@ -12,7 +12,7 @@ from hilbench.apps.history.quantities import SECONDS_PER_DAY, QuantityTrend
 from hilbench.apps.history.wording import date, figures, sentences
 from hilbench.apps.report.chart import BLUE, INK, ORANGE, VERMILLION
 from hilbench.apps.report.page import typeset, write_page
-from hilbench.apps.report.plots import Drawing, Panel, Picture
+from hilbench.apps.report.plots import Drawing, DrawnAxes, Picture
 
 _HEIGHT_IN: Final = 2.5
 _TICKS: Final = 6
@@ -47,9 +47,9 @@ def row(one: QuantityTrend) -> list[str]:
 def picture(stand: str, one: QuantityTrend) -> Picture:
     """The runs with what they state, the band of the mean, changes, and the limit."""
 
-    def draw(figure: Any) -> list[Panel]:
+    def draw(figure: Any) -> list[DrawnAxes]:
         axes = figure.subplots(1, 1)
-        panel, found = Panel(axes), one.trend
+        panel, found = DrawnAxes(axes), one.trend
         for source, mark in _SOURCE_MARKS.items():
             rows = [each for each in one.rows if each.source == source]
             if rows:

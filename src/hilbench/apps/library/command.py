@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,30 +19,32 @@ if TYPE_CHECKING:
     from hilbench.apps.library.matrix import Matrix
     from hilbench.apps.library.query import Library, Query
     from hilbench.results.run_folder import RunFolder
+    from hilbench.runs.criteria import CriterionResult
 
 app = typer.Typer(no_args_is_help=True, help="The runs in a folder: list, show, tag, note, trend, matrix, delete, gc.")
 
 RunsOption = Annotated[Path, typer.Option("--runs", metavar="DIR", help="folder with the run folders")]
-NameOption = Annotated[str | None, typer.Option("--name", metavar="PATTERN", help="of the folder, with * and ?")]
-BenchOption = Annotated[str | None, typer.Option("--bench", metavar="PATTERN", help="name of the bench, with * and ?")]
-ResultOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--result",
-        help="passed, failed, completed (nothing judged), fault, interrupted, unfinished or running; repeatable",
-    ),
-]
-TagOption = Annotated[list[str] | None, typer.Option("--tag", help="that it has; repeatable: all of them")]
-SinceOption = Annotated[str | None, typer.Option("--since", metavar="WHEN", help="a date, or an age such as 7d")]
-UntilOption = Annotated[str | None, typer.Option("--until", metavar="WHEN", help="a date, or an age such as 7d")]
-WhereOption = Annotated[
-    str | None,
-    typer.Option(
-        "--where",
-        metavar="CONDITION",
-        help="on metrics, keys that were set, and fields such as bench, seed, duration_s",
-    ),
-]
+
+
+def _option(name: str, kind: Any, option: str, metavar: str | None, help: str) -> Parameter:
+    annotation = Annotated[kind | None, typer.Option(option, metavar=metavar, help=help)]
+    return Parameter(name, Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=annotation)
+
+
+_STATES = "passed, failed, completed (nothing judged), fault, interrupted, unfinished or running; repeatable"
+_ASKED_OF = "on metrics, keys that were set, and fields such as bench, seed, duration_s"
+#: Options that find runs, by what `Query.parse` calls them.
+_FILTERS = (
+    _option("name", str, "--name", "PATTERN", "of the folder, with * and ?"),
+    _option("bench", str, "--bench", "PATTERN", "name of the bench, with * and ?"),
+    _option("results", list[str], "--result", None, _STATES),
+    _option("tags", list[str], "--tag", None, "that it has; repeatable: all of them"),
+    _option("since", str, "--since", "WHEN", "a date, or an age such as 7d"),
+    _option("until", str, "--until", "WHEN", "a date, or an age such as 7d"),
+    _option("where", str, "--where", "CONDITION", _ASKED_OF),
+)
+Filters = dict[str, Any]
+OneRunArgument = Annotated[str, typer.Argument(metavar="RUN", help="run folder, a name in --runs, or last")]
 RunArguments = Annotated[list[str], typer.Argument(metavar="RUN...", help="run folders, names in --runs, or last")]
 _DIR = Path("runs")
 #: Runs that a table shows unless asked for more.
@@ -57,6 +61,19 @@ _COLOURS = {
     "running": "cyan",
     "not covered": "yellow",
 }
+
+
+def _with_filters(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options that find runs, behind its `--runs`; its `filters` are what they say."""
+    own = [each for each in signature(command, eval_str=True).parameters.values() if each.name != "filters"]
+    at = 1 + [each.name for each in own].index("runs")
+
+    @wraps(command)
+    def filtered(**given: Any) -> None:
+        command({each.name: given.pop(each.name) for each in _FILTERS}, **given)
+
+    filtered.__signature__ = Signature([*own[:at], *_FILTERS, *own[at:]])  # type: ignore[attr-defined]
+    return filtered
 
 
 def _folder(run: str, runs: Path) -> RunFolder:
@@ -76,15 +93,10 @@ def _library(folder: Path) -> Library:
 
 
 @app.command("list")
+@_with_filters
 def list_runs(
+    filters: Filters,
     runs: RunsOption = _DIR,
-    name: NameOption = None,
-    bench: BenchOption = None,
-    result: ResultOption = None,
-    tag: TagOption = None,
-    since: SinceOption = None,
-    until: UntilOption = None,
-    where: WhereOption = None,
     metric: Annotated[list[str] | None, typer.Option("--metric", help="show it as a column; repeatable")] = None,
     sort: Annotated[
         str, typer.Option("--sort", metavar="KEY", help="began, or a metric or field: largest first")
@@ -112,7 +124,7 @@ def list_runs(
     """
     from hilbench.apps.library.query import Query, values_of
 
-    query = Query.parse(name, bench, result, tag, since, until, where)
+    query = Query.parse(**filters)
     library = _library(runs)
     shown = [*(metric or ()), *_metrics_of(query)]
     every = html is not None or json
@@ -178,7 +190,7 @@ def _print_table(found: Sequence[RunEntry], metrics: Sequence[str]) -> None:
                 run.path,
                 run.began,
                 run.state,
-                f"{run.met}/{run.criteria}" if run.criteria else "",
+                run.held,
                 "" if run.duration_s is None else f"{run.duration_s:.1f} s",
                 *(_text(values.get(name)) for name in metrics),
                 ", ".join(run.tags),
@@ -206,9 +218,16 @@ def _text(value: object) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
+def _found(criterion: CriterionResult) -> str:
+    """Value, unit and limit."""
+    value = criterion.value
+    known = criterion.reason or "no value" if value is None else f"{value:.5g} {criterion.unit}".strip()
+    return f"{known} ({criterion.limit})"
+
+
 @app.command()
 def show(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="run folder, a name in --runs, or last")] = "last",
+    run: OneRunArgument = "last",
     runs: RunsOption = _DIR,
     json: JsonOption = False,
 ) -> None:
@@ -226,7 +245,7 @@ def show(
 
         data = entry.as_data() | {"folder": str(folder.path), "files": files}
         data["verdicts"] = [
-            {"criterion": each.criterion, "verdict": each.verdict, "verifies": list(each.verifies)}
+            {"criterion": each.name, "verdict": each.verdict, "verifies": list(each.verifies)}
             for each in entry.verdicts
         ]
         print(dumps(data, indent=2))
@@ -240,7 +259,7 @@ def show(
         "config": entry.config,
         "commit": entry.commit,
         "host": entry.host,
-        "set": ", ".join(f"{key}={value}" for key, value in entry.settings.items()),
+        "set": entry.set_values,
         "fault": entry.fault,
         "tags": ", ".join(entry.tags),
         "size": f"{entry.size_bytes / 1e6:.1f} MB",
@@ -255,7 +274,7 @@ def show(
         typer.echo(f"  it was cut off: hilbench recover {folder.path} makes its result from the trace")
     if entry.verdicts:
         typer.echo()
-        rows = [[each.criterion, each.verdict, each.found, ", ".join(each.verifies)] for each in entry.verdicts]
+        rows = [[each.name, each.verdict, _found(each), ", ".join(each.verifies)] for each in entry.verdicts]
         _print_rows(["criterion", "result", "found (limit)", "verifies"], rows, right=set(), coloured="result")
     if entry.metrics:
         typer.echo()
@@ -267,20 +286,15 @@ def show(
 
 
 @app.command()
+@_with_filters
 def trend(
+    filters: Filters,
     metric: Annotated[str, typer.Argument(metavar="METRIC", help="a metric")],
     over: Annotated[
         str,
         typer.Option("--over", metavar="KEY", help="began, or another number: a key that was set, a metric"),
     ] = "began",
     runs: RunsOption = _DIR,
-    name: NameOption = None,
-    bench: BenchOption = None,
-    result: ResultOption = None,
-    tag: TagOption = None,
-    since: SinceOption = None,
-    until: UntilOption = None,
-    where: WhereOption = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="draw it there: .svg or .png")] = None,
     json: JsonOption = False,
 ) -> None:
@@ -299,7 +313,7 @@ def trend(
     from hilbench.apps.library.runs_picture import points_of, summary_of, write_runs_picture
 
     library = _library(runs)
-    found = library.runs(Query.parse(name, bench, result, tag, since, until, where), [metric, over])
+    found = library.runs(Query.parse(**filters), [metric, over])
     _check_names(library, [metric, over], found)
     points = points_of(found, metric, over)
     if not points:
@@ -342,7 +356,7 @@ def tag_runs(
 
 @app.command("note")
 def note_run(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="run folder, a name in --runs, or last")],
+    run: OneRunArgument,
     text: Annotated[str, typer.Argument(metavar="TEXT", help="what is to be known of it")],
     runs: RunsOption = _DIR,
 ) -> None:
@@ -357,16 +371,11 @@ def note_run(
 
 
 @app.command()
+@_with_filters
 def delete(
+    filters: Filters,
     run: Annotated[list[str] | None, typer.Argument(metavar="[RUN...]", help="run folders, or names in --runs")] = None,
     runs: RunsOption = _DIR,
-    name: NameOption = None,
-    bench: BenchOption = None,
-    result: ResultOption = None,
-    tag: TagOption = None,
-    since: SinceOption = None,
-    until: UntilOption = None,
-    where: WhereOption = None,
     yes: Annotated[bool, typer.Option("--yes", help="don't ask")] = False,
 ) -> None:
     """Delete runs, those named or all that are found, after a question. What is no run folder is refused.
@@ -378,7 +387,7 @@ def delete(
     from hilbench.apps.library.query import Query
     from hilbench.apps.library.retention import check_deletable
 
-    query = Query.parse(name, bench, result, tag, since, until, where)
+    query = Query.parse(**filters)
     if bool(run) == query.asks:
         raise UnusableInputError(
             "RUN", "expected either runs, or options that find some (--result, --until, --where …)"
@@ -501,15 +510,10 @@ def _bytes(text: str) -> int:
 
 
 @app.command()
+@_with_filters
 def matrix(
+    filters: Filters,
     runs: RunsOption = _DIR,
-    name: NameOption = None,
-    bench: BenchOption = None,
-    result: ResultOption = None,
-    tag: TagOption = None,
-    since: SinceOption = None,
-    until: UntilOption = None,
-    where: WhereOption = None,
     last: Annotated[int, typer.Option("--last", min=1, help="runs at most, the newest")] = 10,
     reqif: Annotated[
         Path | None,
@@ -537,7 +541,7 @@ def matrix(
         from hilbench.apps.library.specification import read_reqif
 
         specified = read_reqif(reqif)
-    query = Query.parse(name, bench, result, tag, since, until, where)
+    query = Query.parse(**filters)
     made = matrix_of([run for run in _library(runs).runs(query) if run.verifies][:last], specified)
     if html is not None:
         from hilbench.apps.library.matrix_page import write_matrix_page

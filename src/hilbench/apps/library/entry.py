@@ -5,19 +5,21 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final, Literal, Self, get_args
+from typing import Any, Final, Literal, get_args
 
 import yaml
+from pydantic import Field
 
+from hilbench.block import Strict
 from hilbench.errors import UnusableInputError
 from hilbench.files import content
 from hilbench.results.run_folder import RunFolder
 from hilbench.results.verdict import RunVerdict, verdict_of
+from hilbench.runs.criteria import CriterionResult
 
 State = RunVerdict | Literal["unfinished", "running"]
 STATES: Final[tuple[State, ...]] = (*get_args(RunVerdict), "unfinished", "running")
@@ -31,18 +33,7 @@ _MOST_BYTES: Final = 16_000_000
 _LOADER: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """Of a criterion, with the requirements that it verifies; `found`: value, unit and limit (not in the index)."""
-
-    criterion: str
-    verdict: str
-    verifies: tuple[str, ...] = ()
-    found: str = ""
-
-
-@dataclass(frozen=True)
-class RunEntry:
+class RunEntry(Strict):
     """A run. `path`: of its folder, from the library's; `began_s`: since 1970, UTC; `size_bytes` of all its files.
 
     `state`: passed; failed (a criterion); completed (nothing was judged); fault; interrupted; unfinished (it was cut
@@ -50,13 +41,13 @@ class RunEntry:
     config's own values. `problem`: what could not be read.
     """
 
-    path: str
+    path: str = Field(serialization_alias="run")
     bench: str
-    began_s: float
-    state: State
-    duration_s: float | None = None
-    met: int = 0
+    began_s: float = Field(serialization_alias="began")
+    state: State = Field(default="unfinished", serialization_alias="result")
+    met: int = Field(default=0, serialization_alias="criteria_met")
     criteria: int = 0
+    duration_s: float | None = None
     description: str = ""
     stand: str = ""
     pace: str = ""
@@ -66,13 +57,13 @@ class RunEntry:
     commit: str = ""
     fault: str = ""
     size_bytes: int = 0
-    has_report: bool = False
+    has_report: bool = Field(default=False, serialization_alias="report")
     tags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     problem: str = ""
-    metrics: Mapping[str, float] = field(default_factory=dict)
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    verdicts: Sequence[Verdict] = ()
+    metrics: dict[str, float] = Field(default_factory=dict)
+    settings: dict[str, Any] = Field(default_factory=dict)
+    verdicts: tuple[CriterionResult, ...] = ()
 
     @property
     def name(self) -> str:
@@ -89,48 +80,20 @@ class RunEntry:
         """Whether any of its criteria verifies a requirement."""
         return any(each.verifies for each in self.verdicts)
 
+    @property
+    def held(self) -> str:
+        """How many of its criteria held, "" of none: ``2/3``."""
+        return f"{self.met}/{self.criteria}" if self.criteria else ""
+
+    @property
+    def set_values(self) -> str:
+        """What options gave: ``seed=7, pace=lockstep``."""
+        return ", ".join(f"{key}={value}" for key, value in self.settings.items())
+
     def as_data(self) -> dict[str, Any]:
         """For a program; times in ISO 8601, UTC."""
-        return {
-            "run": self.path,
-            "bench": self.bench,
-            "began": datetime.fromtimestamp(self.began_s, UTC).isoformat(timespec="seconds"),
-            "result": self.state,
-            "criteria_met": self.met,
-            "criteria": self.criteria,
-            "duration_s": self.duration_s,
-            "description": self.description,
-            "stand": self.stand,
-            "pace": self.pace,
-            "seed": self.seed,
-            "config": self.config,
-            "host": self.host,
-            "commit": self.commit,
-            "fault": self.fault,
-            "size_bytes": self.size_bytes,
-            "report": self.has_report,
-            "tags": list(self.tags),
-            "notes": list(self.notes),
-            "problem": self.problem,
-            "metrics": dict(self.metrics),
-            "settings": dict(self.settings),
-        }
-
-    def as_text(self) -> str:
-        """All but its metrics, for the index."""
-        kept = {name: value for name, value in vars(self).items() if name not in ("metrics", "verdicts")}
-        return json.dumps(
-            kept | {"verdicts": [(each.criterion, each.verdict, each.verifies) for each in self.verdicts]}
-        )
-
-    @classmethod
-    def of_text(cls, text: str, metrics: Mapping[str, float]) -> Self:
-        """What `as_text` wrote."""
-        known = json.loads(text)
-        verdicts = [Verdict(name, verdict, tuple(verifies)) for name, verdict, verifies in known.pop("verdicts")]
-        for name in ("tags", "notes"):
-            known[name] = tuple(known[name])
-        return cls(**known, metrics=metrics, verdicts=verdicts)
+        began = datetime.fromtimestamp(self.began_s, UTC).isoformat(timespec="seconds")
+        return self.model_dump(mode="json", by_alias=True, exclude={"verdicts"}) | {"began": began}
 
 
 def read_entry(base: Path, path: str) -> RunEntry:
@@ -140,29 +103,27 @@ def read_entry(base: Path, path: str) -> RunEntry:
     about = _config(folder, problems)
     result = _json(folder.result, problems)
     labels = _json(folder.labels, problems)
+    known = {
+        "path": path,
+        "bench": str(about.get("name") or folder.path.name),
+        "began_s": min(max(_began_s(folder, result), 0.0), _LATEST_S),
+        "description": str(about.get("description") or ""),
+        "stand": str(about.get("stand") or about.get("name") or ""),
+        "pace": str(about.get("pace") or ""),
+        "seed": seed if isinstance(seed := about.get("seed"), int) and abs(seed) < _LARGEST_SEED else None,
+        "size_bytes": _size(folder.path),
+        "has_report": folder.report.exists(),
+    }
     try:
-        known = _of_result(result) if result else {"state": "unfinished"}
-        labelled: dict[str, Any] = {
+        labelled = {
             "tags": tuple(map(str, labels.get("tags", ()))),
             "notes": tuple(f"{note['time']} {note['by']}: {note['text']}" for note in labels.get("notes", ())),
         }
+        of_result = _of_result(result) if result else {}
+        return RunEntry.model_validate({**known, **labelled, **of_result, "problem": "; ".join(problems)})
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
         problems.append(f"not understood ({' '.join(str(error).split())})")
-        known, labelled = {"state": "unfinished"}, {}
-    return RunEntry(
-        path=path,
-        bench=str(about.get("name") or folder.path.name),
-        began_s=min(max(_began_s(folder, result), 0.0), _LATEST_S),
-        description=str(about.get("description") or ""),
-        stand=str(about.get("stand") or about.get("name") or ""),
-        pace=str(about.get("pace") or ""),
-        seed=seed if isinstance(seed := about.get("seed"), int) and abs(seed) < _LARGEST_SEED else None,
-        size_bytes=_size(folder.path),
-        has_report=folder.report.exists(),
-        problem="; ".join(problems),
-        **known,
-        **labelled,
-    )
+        return RunEntry.model_validate({**known, "problem": "; ".join(problems)})
 
 
 def _config(folder: RunFolder, problems: list[str]) -> dict[str, Any]:
@@ -200,9 +161,6 @@ def _mapping(path: Path, found: object, problems: list[str]) -> dict[str, Any]:
 def _of_result(result: Mapping[str, Any]) -> dict[str, Any]:
     criteria, faults = result["criteria"], result["faults"]
     provenance, timing = result.get("provenance") or {}, result["timing"]
-    verdicts = [
-        Verdict(each["name"], _verdict(each), tuple(each.get("verifies", ())), _found(each)) for each in criteria
-    ]
     return {
         "state": verdict_of(faults[0]["source"] if faults else None, judged=bool(criteria), passed=result["passed"]),
         "duration_s": timing["cycles"] * timing["cycle_us"] * 1e-6,
@@ -216,21 +174,8 @@ def _of_result(result: Mapping[str, Any]) -> dict[str, Any]:
             name: float(value) for name, value in result["metrics"].items() if value is not None and isfinite(value)
         },
         "settings": {each["key"]: each["value"] for each in provenance.get("overridden", ())},
-        "verdicts": verdicts,
+        "verdicts": criteria,
     }
-
-
-def _verdict(criterion: Mapping[str, Any]) -> str:
-    """As `runs.criteria.CriterionResult.verdict` says it."""
-    if criterion["passed"]:
-        return "marginal" if criterion.get("marginal") else "passed"
-    return "error" if criterion["value"] is None and not criterion.get("never") else "failed"
-
-
-def _found(criterion: Mapping[str, Any]) -> str:
-    value = criterion["value"]
-    known = criterion.get("reason") or "no value" if value is None else f"{value:.5g} {criterion['unit']}".strip()
-    return f"{known} ({criterion['limit']})"
 
 
 def _commit(git: Mapping[str, Any] | None) -> str:

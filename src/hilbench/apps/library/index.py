@@ -35,7 +35,7 @@ _OF_ANOTHER: Final = (
     sqlite3.SQLITE_FULL,
     sqlite3.SQLITE_CANTOPEN,
 )
-_VERSION: Final = 2
+_VERSION: Final = 3
 #: Folders below that of the runs in which runs are looked for (sweeps have theirs deeper).
 _DEEPEST: Final = 4
 _TABLES: Final = """
@@ -96,7 +96,10 @@ class Index:
                 connection.executemany("DELETE FROM metric WHERE path = ?", [(path,) for path in [*removed, *changed]])
             connection.executemany(
                 "INSERT OR REPLACE INTO run VALUES (?, ?, ?, ?)",
-                [(each.path, found[each.path], each.began_s, each.as_text()) for each in entries],
+                [
+                    (each.path, found[each.path], each.began_s, each.model_dump_json(exclude={"metrics"}))
+                    for each in entries
+                ],
             )
             connection.executemany(
                 "INSERT OR REPLACE INTO metric VALUES (?, ?, ?)",
@@ -124,8 +127,8 @@ class Index:
 
 def _entry(text: str, metrics: Mapping[str, float]) -> RunEntry:
     try:
-        return RunEntry.of_text(text, metrics)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        return RunEntry.model_validate_json(text).model_copy(update={"metrics": metrics})
+    except ValueError as error:
         raise sqlite3.DatabaseError("a row of the index is damaged") from error
 
 

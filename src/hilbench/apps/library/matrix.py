@@ -88,7 +88,7 @@ def matrix_of(runs: Sequence[RunEntry], specified: Iterable[Requirement] = ()) -
         for verdict in run.verdicts:
             for name in verdict.verifies:
                 requirements.setdefault(name, Requirement(name))
-                criteria.setdefault(name, {})[verdict.criterion] = None
+                criteria.setdefault(name, {})[verdict.name] = None
                 of_run = cells.setdefault(name, {})
                 of_run[run.path] = _worse(of_run.get(run.path, ""), _cell(run, verdict.verdict))
     shown = [run for run in runs if any(run.path in found for found in cells.values())]

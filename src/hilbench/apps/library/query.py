@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from fnmatch import fnmatchcase
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,24 +25,13 @@ _SECONDS: Final = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 7 * 86
 
 #: What a condition may ask of a run, beside its metrics and the keys of its settings.
 FIELDS: Final[dict[str, Callable[[RunEntry], Any]]] = {
-    "run": lambda run: run.path,
+    named: attrgetter(name)
+    for name, field in RunEntry.model_fields.items()
+    if (named := field.serialization_alias or name) not in ("report", "problem", "metrics", "settings", "verdicts")
+} | {
     "name": lambda run: run.name,
-    "bench": lambda run: run.bench,
     "began": lambda run: run.began,
-    "result": lambda run: run.state,
-    "criteria": lambda run: float(run.criteria),
-    "criteria_met": lambda run: float(run.met),
-    "duration_s": lambda run: run.duration_s,
-    "description": lambda run: run.description,
-    "stand": lambda run: run.stand,
-    "pace": lambda run: run.pace,
-    "seed": lambda run: None if run.seed is None else float(run.seed),
-    "config": lambda run: run.config,
-    "host": lambda run: run.host,
-    "commit": lambda run: run.commit,
     "fault": lambda run: run.fault or None,
-    "size_bytes": lambda run: float(run.size_bytes),
-    "tags": lambda run: run.tags,
     "notes": lambda run: "\n".join(run.notes),
 }
 
@@ -120,15 +110,13 @@ def entry_of(folder: RunFolder) -> RunEntry:
 
 def values_of(run: RunEntry, names: Iterable[str]) -> dict[str, Any]:
     """What is known of a run under these names."""
-    found = {}
+    found: dict[str, Any] = {}
     for name in names:
-        if name in run.metrics:
-            found[name] = run.metrics[name]
-        elif name in FIELDS:
-            found[name] = FIELDS[name](run)
-        elif name in run.settings:
-            value = run.settings[name]
-            found[name] = float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+        for known in (run.metrics, FIELDS, run.settings):
+            if name in known:
+                value = known[name] if known is not FIELDS else FIELDS[name](run)
+                found[name] = float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+                break
     return found
 
 
@@ -212,4 +200,4 @@ def _as_it_is(base: Path, run: RunEntry) -> RunEntry:
     """A run without a result either goes on or was cut off; no file of its folder says which."""
     if run.state != "unfinished" or not continues(RunFolder(base / run.path)):
         return run
-    return replace(run, state="running")
+    return run.model_copy(update={"state": "running"})

@@ -2,6 +2,7 @@
 // Finds, sorts, draws and compares the runs of a page; all of them are in it, nothing is loaded.
 (() => {
   const { runs, metrics } = JSON.parse(document.getElementById("hilbench-data").textContent);
+  const { colour, missing, minus, axis, height } = window.axes;
   const names = Object.keys(metrics).sort();
   const place = (id) => document.getElementById(id);
   const made = (tag, text, kind) => {
@@ -10,7 +11,7 @@
     if (kind) element.className = kind;
     return element;
   };
-  const number = (value) => (value === null || value === undefined ? "\u2013" : String(Number(value.toPrecision(5))).replace("-", "\u2212"));
+  const number = (value) => (missing(value) ? "\u2013" : minus(String(Number(value.toPrecision(5)))));
   const PASSED = "passed", ROWS = 200;
   const state = { sort: "began_s", down: true, rows: ROWS, chosen: new Set() };
   const text = runs.map((run) => [run.path, run.bench, run.began, run.set, run.fault, ...run.tags, ...run.notes].join(" ").toLowerCase());
@@ -32,10 +33,10 @@
       if ((least !== null && values[at] < least) || (most !== null && values[at] > most)) continue;
       if (words.every((word) => text[at].includes(word))) rows.push(at);
     }
-    const missing = (value) => value === null || value === undefined || value === "";
+    const blank = (value) => missing(value) || value === "";
     return rows.sort((a, b) => {
       const x = valueOf(a, state.sort), y = valueOf(b, state.sort);
-      if (missing(x) || missing(y)) return missing(x) - missing(y);
+      if (blank(x) || blank(y)) return blank(x) - blank(y);
       return sign * (x < y ? -1 : x > y ? 1 : 0) || a - b;
     });
   };
@@ -126,7 +127,6 @@
   };
 
   let plot = null;
-  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const draw = (rows) => {
     const name = metric();
     place("trend").hidden = !name;
@@ -138,20 +138,15 @@
     const data = [drawn.map((at) => runs[at].began_s), ...groups.map(of)];
     if (plot) plot.destroy();
     const points = (paint) => ({ show: true, size: 5, stroke: () => colour(paint), fill: () => colour(paint) });
-    const axis = { stroke: () => colour("--ink"), grid: { stroke: () => colour("--rule"), width: 1 }, ticks: { stroke: () => colour("--rule"), width: 1 }, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif" };
-    const value = (u, v) => (v === null || v === undefined ? "" : number(v));
+    const value = (u, v) => (missing(v) ? "" : number(v));
     plot = new uPlot({
       width: place("plot").clientWidth || 900, height: 260, padding: [12, 14, 0, 0],
       series: [
         { label: "began" },
         ...groups.map(([label, paint]) => ({ label, paths: () => null, points: points(paint), stroke: () => colour(paint), value })),
       ],
-      axes: [axis, { ...axis, label: name, labelSize: 18, size: 68 }],
-      scales: { y: { range: (u, low, high) => {
-        if (low === null) return [0, 1];
-        const half = Math.max((high - low) / 2, Math.abs(high) * 1e-6, 1e-12) * 1.1;
-        return [(low + high) / 2 - half, (low + high) / 2 + half];
-      } } },
+      axes: [axis(12), { ...axis(12), label: name, labelSize: 18, size: 68 }],
+      scales: { y: { range: (u, low, high) => height(low, high, null, 0, 0) } },
     }, data, place("plot"));
     let from = 0;
     plot.over.addEventListener("mousedown", (event) => { from = event.clientX; });

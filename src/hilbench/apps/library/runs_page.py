@@ -17,6 +17,8 @@ from hilbench.files import write_whole
 _STATIC_ROWS: Final = 200
 #: Results of runs that can't be played again (yet).
 _NOT_PLAYED: Final = frozenset({"running"})
+#: Of an entry, what the page's script knows as it is.
+_IN_PAGE: Final = {"path", "bench", "began_s", "met", "criteria", "tags", "notes", "fault"}
 #: Address of something of a run.
 Link = Callable[[RunEntry], str]
 COLUMNS: Final = ("Run", "Began", "Result", ">Criteria", ">Lasted, s", "Tags")
@@ -47,7 +49,7 @@ def row(run: RunEntry) -> tuple[str, ...]:
         run.path,
         run.began,
         run.state,
-        f"{run.met}/{run.criteria}" if run.criteria else "",
+        run.held,
         "" if run.duration_s is None else f"{run.duration_s:.1f}",
         ", ".join(run.tags),
     )
@@ -60,18 +62,11 @@ def page_data(runs: Sequence[RunEntry], link: Link, replay: Link | None = None) 
     return {
         "runs": [
             {
-                "path": run.path,
-                "bench": run.bench,
-                "began_s": run.began_s,
+                **run.model_dump(mode="json", include=_IN_PAGE),
                 "began": run.began,
                 "result": run.state,
-                "met": run.met,
-                "criteria": run.criteria,
                 "duration_s": None if run.duration_s is None else round(run.duration_s, 3),
-                "tags": list(run.tags),
-                "notes": list(run.notes),
-                "set": ", ".join(f"{key}={value}" for key, value in run.settings.items()),
-                "fault": run.fault,
+                "set": run.set_values,
                 "link": link(run) if run.has_report else None,
                 "replay": replay(run) if replay is not None and run.state not in _NOT_PLAYED else None,
             }

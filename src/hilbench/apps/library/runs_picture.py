@@ -13,7 +13,7 @@ import numpy as np
 from hilbench.apps.library.entry import RunEntry
 from hilbench.apps.library.query import values_of
 from hilbench.apps.report.chart import BLUE, GREEN, INK, VERMILLION
-from hilbench.apps.report.plots import Drawing, ImageFormat, Panel
+from hilbench.apps.report.plots import Drawing, DrawnAxes, ImageFormat
 from hilbench.errors import UnusableInputError
 from hilbench.files import written_whole
 
@@ -61,9 +61,9 @@ def medians(points: Sequence[Point]) -> list[float]:
 def draw_runs(points: Sequence[Point], metric: str, over: str = BEGAN) -> Drawing:
     """A point a run, in the colour of its result, and a line through the medians of neighbours."""
 
-    def draw(figure: Any) -> list[Panel]:
+    def draw(figure: Any) -> list[DrawnAxes]:
         axes = figure.subplots()
-        panel = Panel(axes)
+        panel = DrawnAxes(axes)
         of_state = {"passed": ("passed", GREEN), "completed": ("nothing judged", BLUE)}
         groups: dict[tuple[str, str], list[Point]] = {}
         for point in points:

@@ -21,6 +21,7 @@ from hilbench.apps.report.page import page_text
 #: Every file that there is to ask for, where it stands, and what it is.
 _FILES: Final = {
     "live.js": ("pages/static/live.js", "text/javascript"),
+    "axes.js": ("report/axes.js", "text/javascript"),
     "session.js": ("pages/static/session.js", "text/javascript"),
     "icon.svg": ("pages/static/icon.svg", "image/svg+xml"),
     "live.css": ("pages/static/live.css", "text/css"),

@@ -20,6 +20,8 @@ SKY: Final = "#56b4e9"
 ORANGE: Final = "#e69f00"
 PURPLE: Final = "#cc79a7"
 BROWN: Final = "#8c6d31"
+#: Of axes, spans and stations, in their order.
+COLOURS: Final = (BLUE, GREEN, ORANGE, PURPLE, BROWN, SKY)
 
 #: The variables of the page's style sheet that the colours are.
 VARIABLES: Final = {

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hilbench.apps.report.chart import GREEN, INK, VERMILLION
 from hilbench.apps.report.page import number
-from hilbench.apps.report.plots import Drawing, Panel, Picture
+from hilbench.apps.report.plots import Drawing, DrawnAxes, Picture
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
 from hilbench.results.result import FoundRecord, GapHistory, Result
@@ -84,7 +84,7 @@ def _row(found: FoundRecord) -> Iterator[str]:
     yield ", ".join(found.tied_with).replace("_", " ")
 
 
-def _draw(figure: Any, history: GapHistory, found: Sequence[FoundRecord]) -> list[Panel]:
+def _draw(figure: Any, history: GapHistory, found: Sequence[FoundRecord]) -> list[DrawnAxes]:
     axes = figure.subplots()
     t_s, in_use, configured = (_array(values) for values in (history.t_s, history.in_use, history.configured))
     parts = _parts(t_s, found)
@@ -97,7 +97,7 @@ def _draw(figure: Any, history: GapHistory, found: Sequence[FoundRecord]) -> lis
     axes.set_ylabel(f"gap of {history.signal} in {history.unit}")
     for begun_s, together in groupby(found, key=lambda each: each.t_s):
         _mark(axes, begun_s, list(together))
-    return [Panel(axes)]
+    return [DrawnAxes(axes)]
 
 
 def _mark(axes: Any, t_s: float, found: Sequence[FoundRecord]) -> None:

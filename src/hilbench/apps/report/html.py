@@ -10,8 +10,8 @@ from typing import Self
 
 from hilbench.apps.report.chart import Mark
 from hilbench.apps.report.found import COLUMNS, ESTIMATED_COLUMNS, estimated_rows, found_pictures, found_rows
-from hilbench.apps.report.machines.kinds import pictures_of
 from hilbench.apps.report.page import number, quantity, write_page
+from hilbench.apps.report.panel import recorded_panels
 from hilbench.apps.report.plots import ImageFormat, Picture, draw_histogram, run_pictures, zooms
 from hilbench.apps.report.web_line_drawing import line_picture
 from hilbench.errors import UnusableInputError
@@ -91,7 +91,7 @@ class ReportPictures:
     def of(cls, run_folder: RunFolder, recording: Recording, result: Result) -> Self:
         """Of what was read from a run folder."""
         marks = marks_of(result, recording)
-        run = run_pictures(recording, marks, pictures_of(recording).reference(run_folder.config, recording))
+        run = run_pictures(recording, marks, recorded_panels(recording).reference(run_folder.config, recording))
         histogram = result.timing.jitter_histogram
         return cls(
             line_picture(run_folder.config, recording),

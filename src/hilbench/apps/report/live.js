@@ -4,25 +4,13 @@
   const source = document.getElementById("hilbench-data");
   if (!source || typeof uPlot === "undefined") return;
   const page = JSON.parse(source.textContent);
+  const { colour, missing, minus, ticks, axis, beginning, extent, height } = window.axes;
   const AXIS_PX = 68, PLOT_PX = 230;
 
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
   const numbers = (text) => Array.from(new Float32Array(bytes(text)), (v) => (Number.isNaN(v) ? null : v));
   const tables = page.tables.map((t) => ({ x: Array.from(new Float64Array(bytes(t.x))), columns: t.columns.map(numbers) }));
   const first = Math.min(...tables.map((t) => t.x[0])), last = Math.max(...tables.map((t) => t.x[t.x.length - 1]));
-
-  const colour = (name, alpha) => {
-    const text = getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-    const part = (at) => parseInt(text.slice(at, at + 2), 16);
-    return alpha === undefined || alpha === 1 ? text : `rgba(${part(1)},${part(3)},${part(5)},${alpha})`;
-  };
-  const minus = (text) => text.replace("-", "\u2212");
-  const decimals = (step) => {
-    let count = 0;  // as many as tell multiples of 2.5 apart, too
-    while (count < 9 && Math.abs(step * 10 ** count - Math.round(step * 10 ** count)) > 1e-6 * step * 10 ** count) count += 1;
-    return count;
-  };
-  const ticks = (u, values, axis, space, step) => values.map((v) => (v === null || v === undefined ? "" : minus(v.toFixed(decimals(step)))));
 
   const plots = [];
   let shown = [first, last];
@@ -90,39 +78,27 @@
     ctx.restore();
   };
 
-  // A band is shown whole, unless it is so much wider than the curves that these could not be read.
-  const BAND_ROOM = 2;
+  const WIDER = 2;
   const range = (least, bands) => (u, low, high) => {
-    if (low === null || high === null) return [0, 1];
-    const room = BAND_ROOM * Math.max(high - low, least), [first, last] = u.series[0].idxs ?? [0, u.data[0].length - 1];
-    let bottom = low, top = high;
-    for (const edge of u.data.slice(1, 1 + 2 * bands))
-      for (const value of edge.slice(first, last + 1)) if (value != null) { bottom = Math.min(bottom, value); top = Math.max(top, value); }
-    low = Math.max(bottom, low - room);
-    high = Math.min(top, high + room);
-    const half = Math.max((high - low) / 2, least / 2, Math.abs(high) * 1e-9, 1e-12) * 1.08, middle = (low + high) / 2;
-    return [middle - half, middle + half];
+    const [first, last] = u.series[0].idxs ?? [0, u.data[0].length - 1];
+    return height(low, high, extent(u.data.slice(1, 1 + 2 * bands).map((edge) => edge.slice(first, last + 1))), WIDER, least);
   };
 
   const draw = (plot, place) => {
-    const data = aligned(plot), series = [{ label: "t", value: (u, v) => (v === null || v === undefined ? "" : `${v.toFixed(3)} s`) }], bands = [];
-    for (const band of plot.bands) {
-      bands.push({ series: [series.length, series.length + 1], fill: () => colour(band.colour, band.alpha) });
-      for (const edge of ["high", "low"]) series.push({ label: edge, width: 0, points: { show: false }, auto: false, class: "edge" });
-    }
+    const data = aligned(plot), { series, bands } = beginning(plot.bands);
     const unit = plot.y.split(" in ").pop();
     for (const curve of plot.curves) {
       series.push({
         label: curve.label, width: curve.width, dash: curve.dash, spanGaps: page.tables.length > 1,
         stroke: () => colour(curve.colour, curve.alpha), points: { show: false },
-        value: (u, v) => (v === null || v === undefined ? "" : minus(v.toPrecision(6)) + " " + unit),
+        value: (u, v) => (missing(v) ? "" : minus(v.toPrecision(6)) + " " + unit),
       });
     }
-    const axis = { stroke: () => colour("--ink"), grid: { stroke: () => colour("--rule"), width: 1 }, ticks: { stroke: () => colour("--rule"), width: 1 }, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif", values: ticks };
+    const numbered = { ...axis(12), values: ticks };
     const u = new uPlot({
       width: place.clientWidth, height: PLOT_PX, series, bands, padding: [18, 14, 0, 0],
       scales: { x: { time: false }, y: { range: range(plot.least, plot.bands.length) } },
-      axes: [{ ...axis, label: "time in s", labelSize: 18, size: 34 }, { ...axis, label: plot.y, labelSize: 18, size: AXIS_PX }],
+      axes: [{ ...numbered, label: "time in s", labelSize: 18, size: 34 }, { ...numbered, label: plot.y, labelSize: 18, size: AXIS_PX }],
       legend: { markers: { width: 2 } },
       cursor: {
         sync: { key: "hilbench", scales: ["x", null], filters: { pub: (type) => type !== "mousedown" && type !== "mouseup" } },

@@ -67,8 +67,8 @@ class Program:
     data: Any
 
     def scripts(self) -> tuple[str, ...]:
-        """uPlot, and the script."""
-        return _read("report/uplot/uPlot.iife.min.js"), _read(self.file)
+        """What it draws with, and the script."""
+        return _with_uplot(self.file)
 
     def markup(self) -> str:
         """What stands at the end of the page."""
@@ -89,7 +89,11 @@ def _read(path: str) -> str:
 
 def scripts() -> tuple[str, ...]:
     """The scripts of a page of pictures: uPlot as it was published, and what draws with it."""
-    return _read("report/uplot/uPlot.iife.min.js"), _read("report/live.js")
+    return _with_uplot("report/live.js")
+
+
+def _with_uplot(file: str) -> tuple[str, ...]:
+    return tuple(map(_read, ("report/uplot/uPlot.iife.min.js", "report/axes.js", file)))
 
 
 def style() -> str:

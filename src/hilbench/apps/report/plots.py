@@ -20,22 +20,8 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.apps.report.chart import (
-    BLUE,
-    BROWN,
-    GREEN,
-    INK,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILLION,
-    Band,
-    Chart,
-    Curve,
-    Mark,
-)
-from hilbench.apps.report.machines.kinds import pictures_of
-from hilbench.apps.report.machines.picture import ShownRun
+from hilbench.apps.report.chart import BLUE, INK, PURPLE, VARIABLES, VERMILLION, Band, Chart, Curve, Mark
+from hilbench.apps.report.panel import ShownRun, recorded_panels
 from hilbench.apps.report.reduce import envelope, thinned
 from hilbench.results.recording import Recording
 from hilbench.results.result import Histogram
@@ -59,16 +45,7 @@ _MOST_TEXTS: Final = 3
 _TEXT_SHARE: Final = 0.025
 
 #: What each colour of a picture is called in the page's style sheet.
-CSS_COLOURS: Final = {
-    INK: "currentColor",
-    BLUE: "var(--blue)",
-    VERMILLION: "var(--vermillion)",
-    GREEN: "var(--green)",
-    SKY: "var(--sky)",
-    ORANGE: "var(--orange)",
-    PURPLE: "var(--purple)",
-    BROWN: "var(--brown)",
-}
+CSS_COLOURS: Final = {colour: f"var({name})" for colour, name in VARIABLES.items()} | {INK: "currentColor"}
 
 _STYLE: Final[dict[str, Any]] = {
     "svg.fonttype": "none",
@@ -127,7 +104,7 @@ class Picture:
 
 
 @dataclass
-class Panel:
+class DrawnAxes:
     """Draws the curves of one set of axes and puts their names at their right ends."""
 
     axes: Any
@@ -242,7 +219,7 @@ def run_pictures(recording: Recording, marks: Sequence[Mark] = (), reference: Ar
     run = ShownRun(recording, breaks, reference)
     return [
         drawn(Picture(each.name, each.title, each.words(run), each.charts(run), zoomed=each.zoomed), marks)
-        for each in pictures_of(recording).pictures
+        for each in recorded_panels(recording).pictures
     ]
 
 
@@ -270,7 +247,7 @@ def draw_histogram(histogram: Histogram) -> Picture:
     """Lateness of SYNC over all cycles, logarithmic, so that the rare late one shows."""
     edges, counts = np.array(histogram.edges_us), np.array(histogram.counts, np.float64)
 
-    def draw(figure: Any) -> list[Panel]:
+    def draw(figure: Any) -> list[DrawnAxes]:
         axes = figure.subplots()
         axes.stairs(counts, edges, baseline=0.5, fill=True, color=BLUE, alpha=0.8)
         axes.set_yscale("log")
@@ -296,7 +273,7 @@ def drawn(picture: Picture, marks: Sequence[Mark] = (), *, side_by_side: Sequenc
     across = min(count, _MOST_ACROSS) if side_by_side else 1
     down = ceil(count / across)
 
-    def draw(figure: Any) -> list[Panel]:
+    def draw(figure: Any) -> list[DrawnAxes]:
         if side_by_side:
             figure.subplots_adjust(wspace=0.5 if across < _MOST_ACROSS else 1.0, hspace=0.5)
         grid = np.ravel(figure.subplots(down, across, sharex=not side_by_side))
@@ -318,8 +295,8 @@ def drawn(picture: Picture, marks: Sequence[Mark] = (), *, side_by_side: Sequenc
     return replace(picture, drawing=Drawing(draw, height_in, picture.name, picture.title))
 
 
-def _draw_chart(axes: Any, chart: Chart, columns: int, marks: Sequence[Mark]) -> Panel:
-    panel = Panel(axes, columns)
+def _draw_chart(axes: Any, chart: Chart, columns: int, marks: Sequence[Mark]) -> DrawnAxes:
+    panel = DrawnAxes(axes, columns)
     for band in chart.bands:
         panel.band(band)
     for curve in chart.curves:
@@ -330,7 +307,7 @@ def _draw_chart(axes: Any, chart: Chart, columns: int, marks: Sequence[Mark]) ->
     return panel
 
 
-def _draw_marks(marks: Sequence[Mark], panels: Sequence[Panel], *, texts: bool) -> None:
+def _draw_marks(marks: Sequence[Mark], panels: Sequence[DrawnAxes], *, texts: bool) -> None:
     """Every step and event as a line, every ramp as an area, in all axes; one path for all of a kind."""
     lines = {
         (0, (1, 1.5)): [mark.start_s for mark in marks if mark.number],
@@ -382,7 +359,7 @@ class Drawing:
     """What `draw` draws on a figure of page width, `height_in` inches high; `name` keeps its identifiers apart from
     others' on a page, `title` says what it is to who can't see it."""
 
-    draw: Callable[[Any], list[Panel]]
+    draw: Callable[[Any], list[DrawnAxes]]
     height_in: float
     name: str
     title: str

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from hilbench.apps.report.chart import BLUE, INK, ORANGE, VERMILLION
-from hilbench.apps.report.plots import Drawing, Panel, Picture
+from hilbench.apps.report.plots import Drawing, DrawnAxes, Picture
 from hilbench.errors import UnusableInputError
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import CarriageStation, Dancer, LineRoller, Reel
@@ -103,7 +103,7 @@ def drawing(model: ModelParameters, notes: LineNotes) -> Picture:
     deepest = min(circle.y for circle in circles)
     low, high = deepest - 1.35, 0.6
 
-    def draw(figure: Any) -> list[Panel]:
+    def draw(figure: Any) -> list[DrawnAxes]:
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.set_axis_off()
         axes.set_aspect("equal")

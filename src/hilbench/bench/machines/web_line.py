@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from math import inf
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.reports.change import Change
@@ -36,7 +36,7 @@ from hilbench.bench.tasks.web_reel_torque import LoadCells, ReelTorqueTask
 from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelTravel
 from hilbench.bench.tasks.web_standstill_excitation import StandstillExcitation, excitation_amplitudes_m
 from hilbench.bench.tasks.web_winding_control import DancerPosition
-from hilbench.compiled import table_of
+from hilbench.compiled import Vector, load
 from hilbench.control.web_line.swing_damping import SwingDamping, SwingPlant
 from hilbench.control.web_line.tension import tension_controller
 from hilbench.cycle_program import CompiledStage, Function, never
@@ -314,28 +314,28 @@ class _AxisWithoutLoop(CyclicTask):
         self._drive = drive
         self._command = f"v{axis}_cmd_m_s"
         self._function = function
-        self.speeds, self._moved = np.zeros(SPEEDS), web_axis_cycle.not_moved()
+        self.speeds = np.zeros(1, SPEEDS)
+        self._excitations = np.array([(0.0, np.nan)], web_axis_cycle.EXCITATION)
+        self._excitation = self._excitations[0]
         self._piece = PerSample(self._on)
-        web_axis_cycle.warm_up(function)
+        load(function)
 
     @abstractmethod
-    def _vectors(self, sample: CycleSample) -> tuple[NDArray[np.float64], ...]:
-        """Vectors of the table of `function`."""
+    def _arrays(self, values: Vector) -> tuple[Any, ...]:
+        """What `function` works on with the `reals` of a sample."""
 
     def _on(self, sample: CycleSample) -> CompiledStage:
-        kept = self._vectors(sample)
-        return CompiledStage(
-            self._function, type(sample).place(self._command), table_of(kept), fallback=never, keeps=kept
-        )
+        arrays = self._arrays(sample.reals)
+        return CompiledStage(self._function, type(sample).place(self._command), arrays, fallback=never)
 
     @property
     def pull_m_s(self) -> float:
         """Standstill excitation of this axis alone, see `StandstillExcitation`; nan: there is none."""
-        return float(self._moved[web_axis_cycle.PULL_M_S])
+        return float(self._excitation["pull_m_s"])
 
     @pull_m_s.setter
     def pull_m_s(self, value: float) -> None:
-        self._moved[web_axis_cycle.PULL_M_S] = value
+        self._excitation["pull_m_s"] = value
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, m/s at the web."""
@@ -354,17 +354,17 @@ class LeadingAxis(_AxisWithoutLoop):
         super().__init__(drive, axis, web_axis_cycle.lead)
         self._line_speed = line_speed
 
-    def _vectors(self, sample: CycleSample) -> tuple[NDArray[np.float64], ...]:
-        return self._line_speed.vector, self._moved, self.speeds, sample.reals
+    def _arrays(self, values: Vector) -> web_axis_cycle.LeadingArrays:
+        return web_axis_cycle.LeadingArrays(self._line_speed.vector, self._excitations, self.speeds, values)
 
     @property
     def creep_m_s(self) -> float:
         """Standstill excitation common to all axes, see `StandstillExcitation`."""
-        return float(self._moved[web_axis_cycle.CREEP_M_S])
+        return float(self._excitation["creep_m_s"])
 
     @creep_m_s.setter
     def creep_m_s(self, value: float) -> None:
-        self._moved[web_axis_cycle.CREEP_M_S] = value
+        self._excitation["creep_m_s"] = value
 
     @property
     def speed_m_s(self) -> float:
@@ -386,8 +386,8 @@ class FollowingAxis(_AxisWithoutLoop):
         self._leader = leader
         self._lead = ahead.lead(axis) if ahead else np.zeros(1)
 
-    def _vectors(self, sample: CycleSample) -> tuple[NDArray[np.float64], ...]:
-        return self._leader.speeds, self._lead, self.speeds, sample.reals, self._moved
+    def _arrays(self, values: Vector) -> web_axis_cycle.FollowingArrays:
+        return web_axis_cycle.FollowingArrays(self._leader.speeds, self._lead, self._excitations, self.speeds, values)
 
     @property
     def speed_m_s(self) -> float:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from math import inf
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.cycle_program import Function
+from hilbench.compiled import table_of
+from hilbench.cycle_program import CompiledStage, Function
 from hilbench.errors import BenchFaultError
 from hilbench.topology.safety import Limit
 from hilbench.topology.sample import CycleSample
@@ -38,13 +39,22 @@ class LimitReading:
 
     function: Function
     argument: int
-    table: NDArray[np.int64]
-    keeps: object
+    arrays: Sequence[Any]
+    _table: NDArray[np.int64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_table", table_of(self.arrays))
 
     @property
     def is_below_limits(self) -> bool:
         """True if the check finds nothing now."""
-        return self.function(self.argument, self.table) == BELOW_LIMITS
+        return self.function(self.argument, self._table) == BELOW_LIMITS
+
+    def stage(self, fallback: Callable[[int], bool]) -> CompiledStage:
+        """Compiled stage of a cycle that makes the check."""
+        return CompiledStage(
+            self.function, self.argument, self.arrays, continues=BELOW_LIMITS, fallback=fallback, table=self._table
+        )
 
 
 class LimitMonitor(Protocol):

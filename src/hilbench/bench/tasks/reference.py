@@ -3,37 +3,47 @@
 from __future__ import annotations
 
 from math import copysign
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, table_of
+from hilbench.compiled import COUNT, TABLE, Reals, Wholes2, arrays_in, entry_point, load, record_type
 from hilbench.cycle_program import CONTINUE, CompiledStage, never
 from hilbench.topology.sample import CycleSample
 
 #: Cycles that a course is laid down for at once.
 _LONGEST_COURSE = 256
 #: Of a course: the value of the next cycle, and how many there are.
-_NEXT, _END = range(2)
+_PROGRESS = record_type("next", "end", of=np.int64)
 
 
-#: follow(0, table of the present value (1,), a course, where it is (2,)): the value of the next cycle.
-#: show(place of a signal, table of the present value (1,), `reals` of a sample): write the value.
+class _Course(NamedTuple):
+    present: Reals  #: (1,)
+    course: Reals
+    progress: Annotated[Any, _PROGRESS]
+
+
+class _Shown(NamedTuple):
+    present: Reals  #: (1,)
+    values: Reals  #: of a sample
+
+
 @entry_point(COUNT, TABLE)
-def _follow(_: int, table: NDArray[np.int64]) -> int:
-    if len(table) == 0:
-        return CONTINUE
-    at = integers(table, 2, (1,))
-    if at[_NEXT] < at[_END]:
-        floats(table, 0, (1,))[0] = floats(table, 1, (1,))[at[_NEXT]]
-        at[_NEXT] += 1
+def _follow(_: int, table: Wholes2) -> int:
+    """Take the value of the next cycle."""
+    a = arrays_in(table, _Course)
+    if a.progress.next < a.progress.end:
+        a.present[0] = a.course[a.progress.next]
+        a.progress.next += 1
     return CONTINUE
 
 
 @entry_point(COUNT, TABLE)
-def _show(place: int, table: NDArray[np.int64]) -> int:
-    if len(table) > 0:
-        floats(table, 1, (1,))[place] = floats(table, 0, (1,))[0]
+def _show(place: int, table: Wholes2) -> int:
+    """Write the value into a sample."""
+    a = arrays_in(table, _Shown)
+    a.values[place] = a.present[0]
     return CONTINUE
 
 
@@ -45,10 +55,9 @@ class Reference:
         self.path = path
         self.vector = np.zeros(1)  #: of the present value
         self._at = self.vector.data.cast("B").cast("d")  # faster access to one value
-        self._course, self._progress = np.zeros(_LONGEST_COURSE), np.zeros(2, np.int64)
-        kept = self.vector, self._course, self._progress
+        self._course, self._progress = np.zeros(_LONGEST_COURSE), np.zeros(1, _PROGRESS)
         #: Compiled stage: follow the trajectory.
-        self.piece = CompiledStage(_follow, 0, table_of(kept), fallback=never, keeps=kept)
+        self.piece = CompiledStage(_follow, 0, _Course(self.vector, self._course, self._progress), fallback=never)
         self._step = step
         self._goal: float | None = None
         self._ceiling: float | None = None
@@ -66,12 +75,11 @@ class Reference:
     @staticmethod
     def warm_up_shown() -> None:
         """Compile, or load, the stage of `shown_in`, before a cycle has to wait for it."""
-        _show(0, np.zeros((0, TABLE_WIDTH), np.int64))
+        load(_show)
 
     def shown_in(self, sample: CycleSample, signal: str) -> CompiledStage:
         """Compiled stage that writes the reference into a signal."""
-        kept = self.vector, sample.reals
-        return CompiledStage(_show, type(sample).place(signal), table_of(kept), fallback=never, keeps=kept)
+        return CompiledStage(_show, type(sample).place(signal), _Shown(self.vector, sample.reals), fallback=never)
 
     def owns(self, path: str) -> bool:
         """True if the path is this reference's."""
@@ -106,13 +114,13 @@ class Reference:
         """Load values for the next cycles, one per cycle that begins with `piece`; returns how many fit."""
         count = min(len(values), _LONGEST_COURSE)
         self._course[:count] = values[:count]
-        self._progress[:] = 0, count
+        self._progress[0] = 0, count
         return count
 
     def end_trajectory(self) -> int:
         """Keep the present value; returns the number of values of the trajectory that were used."""
-        had = int(self._progress[_NEXT])
-        self._progress[:] = 0
+        had = int(self._progress["next"][0])
+        self._progress[0] = 0, 0
         return had
 
     def move_to(self, goal: float) -> None:

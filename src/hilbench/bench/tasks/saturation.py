@@ -6,14 +6,14 @@ The drive reports it (statusword 6041h bit 11, internal limit active), or its to
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.bench.tasks.limits import BELOW_LIMITS, LIMIT_REACHED, LimitReading, load_motor_labels
 from hilbench.bench.tasks.task import PerSample
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
-from hilbench.compiled import COUNT, TABLE, TABLE_WIDTH, entry_point, floats, integers, table_of
+from hilbench.compiled import COUNT, TABLE, Reals, Wholes, Wholes2, arrays_in, entry_point, load, record_type, records
 from hilbench.plant.parameters import per_item
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
@@ -34,21 +34,29 @@ class _Limited:
     total_s: float = 0.0
 
 
-Vector = NDArray[np.float64]
-Places = NDArray[np.int64]
+#: Places of a drive's signals in a sample.
+_DRIVE_AT = record_type("torque", "statusword", of=np.int64)
 
 
-#: look(0, table of a sample, `reals` and `wholes`, where of each drive torque and statusword are in these (2 D,), the
-#: torque from which it is at its limit, N·m (D,), drives that were in the last cycle (1,)): QUIET where none is, as in
-#: nearly every cycle.
+class _Arrays(NamedTuple):
+    """A sample, and of each drive (D,) places in it and the torque from which it is at its limit; `limited` (1,): how
+    many were so in the last cycle."""
+
+    values: Reals
+    words: Wholes
+    at: Annotated[Any, records(_DRIVE_AT)]
+    at_limit_Nm: Reals
+    limited: Wholes
+
+
+#: look(0, table of `_Arrays`): BELOW_LIMITS where no drive is at its limit, as in nearly every cycle.
 @entry_point(COUNT, TABLE)
-def _look(_: int, table: Places) -> int:
-    if len(table) == 0:
-        return BELOW_LIMITS
-    values, words, at = floats(table, 0, (1,)), integers(table, 1, (1,)), integers(table, 2, (1,))
-    at_limit_Nm, limited = floats(table, 3, (1,)), integers(table, 4, (1,))[0]
-    for k in range(len(at_limit_Nm)):
-        limited += abs(values[at[2 * k]]) >= at_limit_Nm[k] or words[at[2 * k + 1]] & _LIMITED != 0
+def _look(_: int, table: Wholes2) -> int:
+    a = arrays_in(table, _Arrays)
+    limited = a.limited[0]
+    for k in range(len(a.at)):
+        at = a.at[k]
+        limited += abs(a.values[at.torque]) >= a.at_limit_Nm[k] or a.words[at.statusword] & _LIMITED != 0
     return BELOW_LIMITS if limited == 0 else LIMIT_REACHED
 
 
@@ -71,12 +79,11 @@ class SaturationWatch:
         self._at = PlacesIn([name for _, torque, status in self._signals for name in (torque, status)])
         self._at_limit_Nm = np.array([_AT_LIMIT * self._limits_Nm[drive] for drive, _, _ in self._signals])
         self._known, self._looks = np.zeros(1, np.int64), PerSample(self._on)
-        # Compiled, or loaded, before a cycle waits for it.
-        _look(0, np.zeros((0, TABLE_WIDTH), np.int64))
+        load(_look)
 
     def _on(self, sample: CycleSample) -> LimitReading:
-        kept = sample.reals, sample.wholes, self._at.of(sample), self._at_limit_Nm, self._known
-        return LimitReading(_look, 0, table_of(kept), kept)
+        at = self._at.of(sample).view(_DRIVE_AT)
+        return LimitReading(_look, 0, _Arrays(sample.reals, sample.wholes, at, self._at_limit_Nm, self._known))
 
     def look(self, sample: CycleSample) -> LimitReading:
         """Compiled check of a sample (`limits.LimitMonitor`)."""

@@ -15,8 +15,9 @@ from hilbench.bench.tasks import tension_cycle as cycle
 from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, PerSample
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_trust import TwinSignals, VirtualSensorSupervision
-from hilbench.bench.tasks.web_entering_strain import EnteringStrain, entering_vectors
-from hilbench.compiled import Vector, record_at, table_of
+from hilbench.bench.tasks.web_entering_strain import EnteringStrain, entering_records
+from hilbench.compiled import Records, Vector, load, of_record, record_at
+from hilbench.control.web_line.strain_trajectory import TRAJECTORY
 from hilbench.control.web_line.swing_damping import SwingDamping
 from hilbench.control.web_line.tension import CONTROLLER
 from hilbench.cycle_program import CompiledStage
@@ -28,10 +29,10 @@ from hilbench.topology.web_line_signals import tension_loop_words
 
 
 class Leader(Protocol):
-    """An axis whose speed the axis before it follows. `speeds`: those speeds for compiled callers, by LEADS_BY and so
-    on of `tension_cycle`."""
+    """An axis whose speed the axis before it follows. `speeds`: those speeds for compiled callers, `SPEEDS` of
+    `tension_cycle`."""
 
-    speeds: Vector
+    speeds: Records
 
     @property
     def speed_m_s(self) -> float:
@@ -116,50 +117,63 @@ class TensionTask(CyclicTask):
         self._reports = reports
         self._ahead = feed_forward
         self.opened_s = -inf  #: when it was closed last, in experiment time
-        #: As of `tension_cycle`; access to one value is faster through `_at`.
-        self.loop = np.zeros(cycle.LOOP)
-        self.loop[[cycle.SET_POINT_N, cycle.MODULUS_PA, cycle.CYCLE_S]] = set_point_N, modulus_Pa, cycle_s
-        self.loop[[cycle.CONTROLLED_CYCLE, cycle.CLOSED]] = cycle.NEVER
-        self.loop[cycle.PULL_M_S] = np.nan
-        self.speeds = self.loop[cycle.SPEED_M_S : cycle.DAMPED_M_S + 1]
-        self._at = self.loop.data.cast("B").cast("d")
+        figures = {"set_point_N": set_point_N, "modulus_Pa": modulus_Pa, "cycle_s": cycle_s, "pull_m_s": np.nan}
+        loop = of_record(cycle.LOOP, controlled_cycle=cycle.NEVER, closed=cycle.NEVER, **figures)
+        self.loop, self.speeds = np.array([loop], cycle.LOOP), np.zeros(1, cycle.SPEEDS)
+        self._at, self._speeds = self.loop[0], self.speeds[0]
         self._piece = PerSample(self._on)
-        cycle.warm_up()
+        load(cycle.run)
 
     def _on(self, sample: CycleSample) -> CompiledStage:
         """Make the compiled stage."""
         self._sample = sample
-        names, kind, ahead = self._names, type(sample), None
-        of_web = (
-            [cycle.NOWHERE, cycle.NOWHERE] if self._trajectories else kind.places([names.before, names.behind]).tolist()
+        names, kind, damping = self._names, type(sample), self._damping
+        signals = {
+            "closed": names.closed,
+            "command": names.command,
+            "tension": names.twin.tension,
+            "modulus": names.twin.modulus,
+            "before": names.before,
+            "behind": names.behind,
+            "age": "twin_age_cycles",
+            "cycle": "cycle",
+        }
+        places = {name: kind.place(signal) for name, signal in signals.items()}
+        if self._trajectories:
+            places |= {"before": cycle.NOWHERE, "behind": cycle.NOWHERE}
+        arrays = cycle.LoopArrays(
+            controller=self._controller,
+            damping=damping.vector,
+            coherence=damping.coherence,
+            positions_m=damping.positions_m,
+            loop=self.loop,
+            speeds=self.speeds,
+            leader=self._leader.speeds,
+            values=sample.reals,
+            words=sample.wholes,
+            at=np.array([of_record(cycle.AT, **places)], cycle.AT),
+            trust=self._trust.arrays(kind),
         )
-        of_twin = [names.twin.tension, names.twin.modulus]
-        at = [*kind.places([names.closed, names.command, *of_twin]).tolist(), *of_web]
-        at += kind.places(["twin_age_cycles", "cycle"]).tolist()
         if self._ahead is not None:
-            of_strains = entering_vectors(kind, (self._ahead.strain_before, self._ahead.strain_behind))
             plan = self._ahead.plan
-            ahead = plan.trajectory(names.axis), *of_strains, plan.lead(names.axis)
-        kept = cycle.in_order(
-            self._controller,
-            (self._damping.vector, self._damping.coherence, self._damping.positions_m),
-            self.loop,
-            self._leader.speeds,
-            (sample.reals, sample.wholes, np.array(at, np.int64)),
-            self._trust.vectors(sample),
-            ahead,
-        )
-        return CompiledStage(cycle.run, cycle.JUDGE, table_of(kept), fallback=self._decide, keeps=kept)
+            entering, at = entering_records(kind, (self._ahead.strain_before, self._ahead.strain_behind))
+            arrays = arrays._replace(
+                trajectory=plan.trajectory(names.axis).view(TRAJECTORY),
+                entering=entering,
+                entering_at=at,
+                leads_m_s=plan.lead(names.axis),
+            )
+        return CompiledStage(cycle.run, cycle.JUDGE, arrays, fallback=self._decide)
 
     @property
     def speed_m_s(self) -> float:
         """Commanded web speed of the axis, without the damping."""
-        return float(self._at[cycle.SPEED_M_S])
+        return float(self._speeds["undamped"])
 
     @property
     def damped_m_s(self) -> float:
         """Commanded web speed of the axis, with the damping."""
-        return float(self._at[cycle.DAMPED_M_S])
+        return float(self._speeds["damped"])
 
     @property
     def names(self) -> LoopNames:
@@ -174,25 +188,25 @@ class TensionTask(CyclicTask):
     @property
     def set_point_N(self) -> float:
         """The set-point without a probe's shift."""
-        return float(self._at[cycle.SET_POINT_N])
+        return float(self._at["set_point_N"])
 
     @property
     def pull_m_s(self) -> float:
         """Standstill excitation of this axis, see `StandstillExcitation`."""
-        return float(self.loop[cycle.PULL_M_S])
+        return float(self._at["pull_m_s"])
 
     @pull_m_s.setter
     def pull_m_s(self, value: float) -> None:
-        self.loop[cycle.PULL_M_S] = value
+        self._at["pull_m_s"] = value
 
     @property
     def set_point_shift_N(self) -> float:
         """Set-point shift by a probe."""
-        return float(self._at[cycle.SHIFT_N])
+        return float(self._at["shift_N"])
 
     @set_point_shift_N.setter
     def set_point_shift_N(self, value: float) -> None:
-        self._at[cycle.SHIFT_N] = value
+        self._at["shift_N"] = value
 
     @property
     def goal_N(self) -> float:
@@ -202,11 +216,11 @@ class TensionTask(CyclicTask):
     @property
     def modulus_Pa(self) -> float:
         """E of the web there, as it was known last."""
-        return float(self._at[cycle.MODULUS_PA])
+        return float(self._at["modulus_Pa"])
 
     def assume_modulus(self, modulus_Pa: float) -> None:
         """Set E for the ratio of speeds of an open loop, in place of the twin's."""
-        self._at[cycle.MODULUS_PA] = modulus_Pa
+        self._at["modulus_Pa"] = modulus_Pa
         record_at(self._controller, CONTROLLER).modulus_Pa = modulus_Pa
 
     @property
@@ -217,7 +231,7 @@ class TensionTask(CyclicTask):
     @property
     def closed(self) -> bool:
         """True if the loop was closed in the last cycle."""
-        return bool(self._at[cycle.CLOSED] == 1.0)
+        return bool(self._at["closed"] == 1.0)
 
     def owns(self, path: str) -> bool:
         """True if it is the set-point."""
@@ -229,13 +243,13 @@ class TensionTask(CyclicTask):
 
     def set(self, path: str, value: float) -> None:
         """Another set-point, N."""
-        self._at[cycle.SET_POINT_N] = value
+        self._at["set_point_N"] = value
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis from the last sample."""
-        self._at[cycle.FRESH] = self._twin.fresh(sample)
+        self._at["fresh"] = self._twin.fresh(sample)
         if self._trajectories is not None:
-            self._at[cycle.BEFORE_M], self._at[cycle.BEHIND_M] = self._trajectories(sample)
+            self._at["before_m"], self._at["behind_m"] = self._trajectories(sample)
         self._piece(sample)()
         outputs[self._names.drive] = getattr(sample, self._names.command)
 
@@ -251,7 +265,7 @@ class TensionTask(CyclicTask):
         def cycles() -> int:
             fresh = self._twin.fresh(sample)
             shown = getattr(sample, self._names.set_point) == self.goal_N
-            return MANY if fresh == bool(self._at[cycle.FRESH]) and shown else 0
+            return MANY if fresh == bool(self._at["fresh"]) and shown else 0
 
         return CompiledStages(
             before=[self._piece(sample)], cycles=cycles, shown={self._names.drive: self._names.command}
@@ -276,7 +290,7 @@ class TensionTask(CyclicTask):
 
     def _look_whether_closed(self) -> None:
         """Open or close the loop by the trust in the twin, and report it."""
-        closed, was_closed = self._trust.trusted, self._at[cycle.CLOSED]
+        closed, was_closed = self._trust.trusted, self._at["closed"]
         loop, axis = self._names.of_loop, self._names.axis
         if was_closed == 1.0 and not closed:
             self.opened_s = self._sample.t_s
@@ -284,4 +298,4 @@ class TensionTask(CyclicTask):
         elif closed and was_closed == 0.0:
             self._reports.note("twin", f"{loop} closed again: the twin is synchronized")
         if closed or was_closed != cycle.NEVER:
-            self._at[cycle.CLOSED] = closed
+            self._at["closed"] = closed

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.bench.state import TwinState
 from hilbench.bench.tasks import tension_bounds as bounds
@@ -22,13 +22,18 @@ from hilbench.bench.tasks.tension_trust import VirtualSensorSupervision
 from hilbench.compiled import (
     COUNT,
     TABLE,
-    TABLE_WIDTH,
+    Reals,
+    Wholes,
+    Wholes2,
+    arrays_in,
     compiled,
     entry_point,
-    floats,
-    integers,
     interpreted,
-    table_of,
+    load,
+    of_record,
+    record_at,
+    record_type,
+    records,
 )
 from hilbench.cycle_program import CONTINUE, CompiledStage
 from hilbench.estimation.problems import TORQUE_SHIFT, UNDECIDED
@@ -44,10 +49,6 @@ from hilbench.plant.web_line.stations import CarriageStation, Idler, Reel
 from hilbench.topology.sample import CycleSample
 from hilbench.twin.virtual_io import MODEL_CHANGING
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
-Places = NDArray[np.int64]
-
 #: Duration of a block; ten of them are a mean over 1 s, two turns of a roller of 0.2 m at 2.5 m/s.
 _BLOCK_S = 0.1
 #: Share of a drive's torque limit from which what its torque shows is the limit.
@@ -55,161 +56,175 @@ _AT_LIMIT = 0.98
 #: What turns with a roller is in no block mean: a deviation of those, not a known force.
 _TURNING = ("unbalance", "torque_ripple", "torque_ripple_load")
 
-#: The twin switches to another model.
 #: Outcome of `run`: the verdict on a twin has changed.
 _LOOK = CONTINUE + 1
-# Rows of the table.
-(_VALUES, _WORDS, _AT, _PARAMETERS, _ROLLERS, _MOTION, _BEGUN, _LINE, _COHERENCE, _POSITIONS, _WEB) = range(11)
-(_FIGURES, _STATES, _RINGS, _SUMS, _PLACED, _BLOCK) = range(11, 17)
 #: Of a line: cycles of a block and how many it has; the cycle in which it began; samples whose positions are of one
 #: instant; the leading axis' command; 1 if that, or the twin's model, has changed, or a torque is at its limit;
 #: sum of the tension
 #: after the line; a cycle in s; tolerance of position differences, m; strain after the line; 1 if a block has
 #: begun, and 1 if the web's state matches the rollers.
-_CYCLES, _COUNTED, _BEGAN, _PAIRED, _COMMAND_M_S, _CHANGED, _NEXT_SUM_N = range(7)
-_CYCLE_S, _TRAVEL_M, _DOWNSTREAM, _HAS, _HAS_WEB, _LINE_SIZE = range(7, 13)
+_LINE = record_type(
+    *("cycles", "counted", "began", "paired", "command_m_s", "changed", "next_sum_N"),
+    *("cycle_s", "travel_m", "downstream", "has_block", "has_web"),
+)
 #: Of an axis, when a block began and since: position, speed, sum of torques; its limit.
-_AT_M, _AT_M_S, _SUM_NM, _LIMIT_NM, _BEGUN_SIZE = range(5)
-#: Of the axes' positions: now, the last that were of one instant, and the travels since.
-_NOW_M, _LAST_M, _TRAVEL, _POSITIONS_SIZE = range(4)
-#: Of the web in the sections: length, unstretched, strain, sum of strains.
-_LENGTH_M, _UNSTRETCHED_M, _STRAIN, _STRAIN_SUM, _WEB_SIZE = range(5)
+_AXIS = record_type("at_m", "at_m_s", "sum_Nm", "limit_Nm")
 #: Of a span: sums of the twin's tension and E; set-point; whether that changed; cycles with an open loop.
-_TWIN_SUM_N, _TWIN_SUM_PA, _GOAL_N, _GOAL_CHANGED, _OPEN, _SUMS_SIZE = range(6)
+_SUMS = record_type("twin_N", "twin_Pa", "goal_N", "goal_changed", "open")
 #: Of a span: index of the roller behind it, and of its section where its strain is known, else NOWHERE.
-_FIRST, _SECTION, _PLACED_SIZE = range(3)
+_PLACED = record_type("first", "section", of=np.int64)
 _NOWHERE = -1
-#: Places in a sample: position, speed, torque of each axis, then these, then of each span tension and E of the twin,
-#: set-point, whether the loop is closed.
-_OF_AXIS, _OF_LINE, _OF_SPAN = 3, 5, 4
-_COMMAND_AT, _PREV_AT, _NEXT_AT, _CYCLE_AT, _STATUS_AT = range(5)
+#: Places in a sample of each axis, of the line, and of each span: tension and E of the twin, set-point, and whether the
+#: loop is closed.
+_AXIS_AT = record_type("position", "speed", "torque", of=np.int64)
+_LINE_AT = record_type("command", "strain_prev", "F_next", "cycle", "status", of=np.int64)
+_SPAN_AT = record_type("tension", "modulus", "goal", "closed", of=np.int64)
+
+
+class _Arrays(NamedTuple):
+    """What the compiled stage works on: a sample and places in it; of the line with its axes (N,) and sections
+    (N − 1,); of the loops (K,), with rings of the last blocks (K, BLOCKS)."""
+
+    values: Reals
+    words: Wholes
+    axes_at: Annotated[Any, records(_AXIS_AT)]
+    line_at: Annotated[Any, _LINE_AT]
+    spans_at: Annotated[Any, records(_SPAN_AT)]
+    parameters: Reals
+    rollers: Annotated[Any, records(bounds.ROLLER)]
+    motion: Annotated[Any, records(bounds.MOTION)]
+    axes: Annotated[Any, records(_AXIS)]
+    line: Annotated[Any, _LINE]
+    coherence: Reals
+    now_m: Reals  #: positions of the axes
+    last_m: Reals  #: the last ones that were of one instant
+    travel_m: Reals  #: since these
+    length_m: Reals  #: of the sections
+    unstretched_m: Reals
+    strain: Reals
+    strain_sum: Reals
+    figures: Annotated[Any, records(bounds.SPAN)]
+    states: Annotated[Any, records(bounds.STATE)]
+    rings: Annotated[Any, records(bounds.BLOCK, 2)]
+    sums: Annotated[Any, records(_SUMS)]
+    placed: Annotated[Any, records(_PLACED)]
+    block: Annotated[Any, bounds.BLOCK]
 
 
 @compiled
-def _begin(values: Vector, words: Places, at: Places, begun: Matrix, line: Vector, web: Matrix, sums: Matrix) -> None:
+def _begin(a: _Arrays) -> None:
     """A block."""
-    axes = begun.shape[1]
-    for j in range(axes):
-        begun[_AT_M, j], begun[_AT_M_S, j] = values[at[3 * j]], values[at[3 * j + 1]]
-        begun[_SUM_NM, j] = 0.0
-    line[_COUNTED], line[_BEGAN], line[_HAS] = 0.0, words[at[_OF_AXIS * axes + _CYCLE_AT]], 1.0
-    line[_PAIRED], line[_CHANGED], line[_NEXT_SUM_N] = 0.0, 0.0, 0.0
-    line[_COMMAND_M_S] = values[at[_OF_AXIS * axes + _COMMAND_AT]]
-    web[_STRAIN_SUM] = 0.0
-    for k in range(len(sums)):
-        goal = at[_OF_AXIS * axes + _OF_LINE + _OF_SPAN * k + 2]
-        sums[k] = 0.0
-        sums[k, _GOAL_N] = values[goal]
+    line, at = a.line, a.line_at
+    for j in range(len(a.axes)):
+        axis = a.axes[j]
+        axis.at_m, axis.at_m_s = a.values[a.axes_at[j].position], a.values[a.axes_at[j].speed]
+        axis.sum_Nm = 0.0
+    line.counted, line.began, line.has_block = 0.0, a.words[at.cycle], 1.0
+    line.paired, line.changed, line.next_sum_N = 0.0, 0.0, 0.0
+    line.command_m_s = a.values[at.command]
+    for k in range(len(a.strain_sum)):
+        a.strain_sum[k] = 0.0
+    for k in range(len(a.sums)):
+        sums = a.sums[k]
+        sums.twin_N, sums.twin_Pa, sums.goal_changed, sums.open = 0.0, 0.0, 0.0, 0.0
+        sums.goal_N = a.values[a.spans_at[k].goal]
 
 
 @compiled
-def _add(values: Vector, words: Places, at: Places, begun: Matrix, line: Vector, sums: Matrix) -> None:
+def _add(a: _Arrays) -> None:
     """Add a cycle to a block."""
-    axes = begun.shape[1]
-    for j in range(axes):
-        torque_Nm = values[at[3 * j + 2]]
-        begun[_SUM_NM, j] += torque_Nm
-        if abs(torque_Nm) >= begun[_LIMIT_NM, j]:
-            line[_CHANGED] = 1.0
-    of_line = at[_OF_AXIS * axes :]
-    status = words[of_line[_STATUS_AT]]
-    if values[of_line[_COMMAND_AT]] != line[_COMMAND_M_S] or status & MODEL_CHANGING != 0:
-        line[_CHANGED] = 1.0
-    line[_NEXT_SUM_N] += values[of_line[_NEXT_AT]]
-    line[_COUNTED] += 1.0
-    for k in range(len(sums)):
-        of_span = of_line[_OF_LINE + _OF_SPAN * k :]
-        sums[k, _TWIN_SUM_N] += values[of_span[0]]
-        sums[k, _TWIN_SUM_PA] += values[of_span[1]]
-        if values[of_span[2]] != sums[k, _GOAL_N]:
-            sums[k, _GOAL_CHANGED] = 1.0
-        if words[of_span[3]] == 0:
-            sums[k, _OPEN] += 1.0
+    line, at = a.line, a.line_at
+    for j in range(len(a.axes)):
+        torque_Nm = a.values[a.axes_at[j].torque]
+        a.axes[j].sum_Nm += torque_Nm
+        if abs(torque_Nm) >= a.axes[j].limit_Nm:
+            line.changed = 1.0
+    if a.values[at.command] != line.command_m_s or a.words[at.status] & MODEL_CHANGING != 0:
+        line.changed = 1.0
+    line.next_sum_N += a.values[at.F_next]
+    line.counted += 1.0
+    for k in range(len(a.sums)):
+        sums, of_span = a.sums[k], a.spans_at[k]
+        sums.twin_N += a.values[of_span.tension]
+        sums.twin_Pa += a.values[of_span.modulus]
+        if a.values[of_span.goal] != sums.goal_N:
+            sums.goal_changed = 1.0
+        if a.words[of_span.closed] == 0:
+            sums.open += 1.0
 
 
 @compiled
-def _follow(values: Vector, at: Places, line: Vector, coherence: Vector, positions: Matrix, web: Matrix) -> None:
+def _follow(a: _Arrays) -> None:
     """The web by mass conservation, where the positions are of one instant."""
-    axes = positions.shape[1]
-    now_m, last_m, travel_m = positions[_NOW_M], positions[_LAST_M], positions[_TRAVEL]
+    line, axes = a.line, len(a.axes)
     for j in range(axes):
-        now_m[j] = values[at[3 * j]]
-    if not coherent(coherence, now_m, line[_TRAVEL_M]):
+        a.now_m[j] = a.values[a.axes_at[j].position]
+    if not coherent(a.coherence, a.now_m, line.travel_m):
         return
-    of_line = at[_OF_AXIS * axes :]
-    if line[_HAS_WEB] == 0.0:  # at rest, and strained as the web upstream
+    before = a.values[a.line_at.strain_prev]
+    if line.has_web == 0.0:  # at rest, and strained as the web upstream
         for k in range(axes - 1):
-            web[_STRAIN, k] = values[of_line[_PREV_AT]]
-            web[_UNSTRETCHED_M, k] = web[_LENGTH_M, k] / (1.0 + web[_STRAIN, k])
-        line[_HAS_WEB] = 1.0
+            a.strain[k] = before
+            a.unstretched_m[k] = a.length_m[k] / (1.0 + before)
+        line.has_web = 1.0
     else:
         for j in range(axes):
-            travel_m[j] = now_m[j] - last_m[j]
-        before, behind = values[of_line[_PREV_AT]], line[_DOWNSTREAM]
-        bounds.stretch(web[_UNSTRETCHED_M], web[_STRAIN], web[_LENGTH_M], travel_m, before, behind)
+            a.travel_m[j] = a.now_m[j] - a.last_m[j]
+        bounds.stretch(a.unstretched_m, a.strain, a.length_m, a.travel_m, before, line.downstream)
     for j in range(axes):
-        last_m[j] = now_m[j]
+        a.last_m[j] = a.now_m[j]
     for k in range(axes - 1):
-        web[_STRAIN_SUM, k] += web[_STRAIN, k]
-    line[_PAIRED] += 1.0
+        a.strain_sum[k] += a.strain[k]
+    line.paired += 1.0
 
 
 @compiled
-def _move(values: Vector, at: Places, begun: Matrix, counted: float, lasted_s: float, motion: Matrix) -> None:
+def _move(a: _Arrays, lasted_s: float) -> None:
     """Means of the axes over a block."""
-    for j in range(len(motion)):
-        motion[j, bounds.TORQUE_NM] = begun[_SUM_NM, j] / counted
-        motion[j, bounds.SPEED_M_S] = (values[at[3 * j]] - begun[_AT_M, j]) / lasted_s
-        motion[j, bounds.RATE_M_S2] = (values[at[3 * j + 1]] - begun[_AT_M_S, j]) / lasted_s
+    for j in range(len(a.axes)):
+        motion, axis, at = a.motion[j], a.axes[j], a.axes_at[j]
+        motion.torque_Nm = axis.sum_Nm / a.line.counted
+        motion.speed_m_s = (a.values[at.position] - axis.at_m) / lasted_s
+        motion.rate_m_s2 = (a.values[at.speed] - axis.at_m_s) / lasted_s
 
 
 @compiled
-def _fill(line: Vector, web: Matrix, sums: Vector, placed: Places, f: Vector, lasted_s: float, block: Vector) -> None:
-    """Fill a block's values other than the momentum balance."""
-    counted, section = line[_COUNTED], placed[_SECTION]
-    block[bounds.TWIN_N], block[bounds.TWIN_PA] = sums[_TWIN_SUM_N] / counted, sums[_TWIN_SUM_PA] / counted
-    block[bounds.STRETCH_M2] = 0.0
-    if section != _NOWHERE and line[_PAIRED] > 0.0:
-        block[bounds.STRETCH_M2] = f[bounds.SECTION_M2] * web[_STRAIN_SUM, section] / line[_PAIRED]
-    block[bounds.BLOCK_S] = lasted_s
-    block[bounds.CLOSED] = 1.0 if sums[_OPEN] == 0.0 else 0.0
-    block[bounds.UNCHANGED] = 1.0 if line[_CHANGED] == 0.0 and sums[_GOAL_CHANGED] == 0.0 else 0.0
+def _fill(a: _Arrays, k: int, lasted_s: float) -> None:
+    """Fill a block's values of a span other than the momentum balance."""
+    line, sums, section, block = a.line, a.sums[k], a.placed[k].section, a.block
+    block.twin_N, block.twin_Pa = sums.twin_N / line.counted, sums.twin_Pa / line.counted
+    block.stretch_m2 = 0.0
+    if section != _NOWHERE and line.paired > 0.0:
+        block.stretch_m2 = a.figures[k].section_m2 * a.strain_sum[section] / line.paired
+    block.block_s = lasted_s
+    block.closed = 1.0 if sums.open == 0.0 else 0.0
+    block.unchanged = 1.0 if line.changed == 0.0 and sums.goal_changed == 0.0 else 0.0
 
 
-#: run(0, table of `TensionWatch`): CONTINUE, or that the verdict on a twin has changed.
+#: run(0, table of `_Arrays`): CONTINUE, or that the verdict on a twin has changed.
 @entry_point(COUNT, TABLE)
-def _run(_: int, table: Places) -> int:
-    if len(table) == 0:
+def _run(_: int, table: Wholes2) -> int:
+    a = arrays_in(table, _Arrays)
+    line = a.line
+    _follow(a)
+    if line.has_block == 0.0:
+        _begin(a)
         return CONTINUE
-    values, words, at = floats(table, _VALUES, (1,)), integers(table, _WORDS, (1,)), integers(table, _AT, (1,))
-    begun, line, web = floats(table, _BEGUN, (1, 2)), floats(table, _LINE, (1,)), floats(table, _WEB, (1, 2))
-    sums, placed = floats(table, _SUMS, (1, 2)), integers(table, _PLACED, (1, 2))
-    _follow(values, at, line, floats(table, _COHERENCE, (1,)), floats(table, _POSITIONS, (1, 2)), web)
-    if line[_HAS] == 0.0:
-        _begin(values, words, at, begun, line, web, sums)
+    _add(a)
+    if line.counted < line.cycles:
         return CONTINUE
-    _add(values, words, at, begun, line, sums)
-    if line[_COUNTED] < line[_CYCLES]:
-        return CONTINUE
-    motion, rollers = floats(table, _MOTION, (1, 2)), floats(table, _ROLLERS, (1, 2))
-    figures, states, rings = (
-        floats(table, _FIGURES, (1, 2)),
-        floats(table, _STATES, (1, 2)),
-        floats(table, _RINGS, (1, 2, 3)),
-    )
-    block, p = floats(table, _BLOCK, (1,)), floats(table, _PARAMETERS, (1,))
-    lasted_s = (words[at[_OF_AXIS * begun.shape[1] + _CYCLE_AT]] - line[_BEGAN]) * line[_CYCLE_S]
-    _move(values, at, begun, line[_COUNTED], lasted_s, motion)
+    lasted_s = (a.words[a.line_at.cycle] - line.began) * line.cycle_s
+    _move(a, lasted_s)
     code = CONTINUE
-    for k in range(len(sums)):
-        _fill(line, web, sums[k], placed[k], figures[k], lasted_s, block)
-        block[bounds.TENSION_N] = line[_NEXT_SUM_N] / line[_COUNTED]
-        block[bounds.LINE_M_S] = motion[len(motion) - 1, bounds.SPEED_M_S]
-        mean_s = bounds.BLOCKS * lasted_s
-        bounds.momentum_balance(p, figures[k], rollers, motion, placed[k, _FIRST], mean_s, block)
-        if bounds.judge(figures[k], states[k], rings[k], block):
+    for k in range(len(a.sums)):
+        _fill(a, k, lasted_s)
+        block, mean_s = a.block, bounds.BLOCKS * lasted_s
+        block.tension_N = line.next_sum_N / line.counted
+        block.line_m_s = a.motion[len(a.motion) - 1].speed_m_s
+        bounds.momentum_balance(a.parameters, a.figures[k], a.rollers, a.motion, a.placed[k].first, mean_s, block)
+        if bounds.judge(a.figures[k], a.states[k], a.rings[k], block):
             code = _LOOK
-    _begin(values, words, at, begun, line, web, sums)
+    _begin(a)
     return code
 
 
@@ -241,53 +256,69 @@ class TensionWatch(CyclicTask):
             sections.model_copy(update={"effects": tuple(e for e in sections.effects if e.effect not in _TURNING)})
         )
         usual_N = max(loop.task.set_point_N for loop in loops)
-        self._rollers = np.array([_roller(sections, axis, errors, usual_N) for axis in range(1, axes + 1)])
-        self._motion = np.zeros((axes, bounds.MOTION))
-        self._begun, self._positions = np.zeros((_BEGUN_SIZE, axes)), np.zeros((_POSITIONS_SIZE, axes))
         limits_Nm = [
             per_item(sections.drives.torque_limit_Nm, k + 1) if sections.drives else np.inf for k in range(axes)
         ]
-        self._begun[_LIMIT_NM] = _AT_LIMIT * np.array(limits_Nm)
-        self._line, self._coherence = np.zeros(_LINE_SIZE), coherence_state(axes)
-        self._line[_CYCLES] = max(1, round(_BLOCK_S / cycle_s))
-        travel_m = least_travel_m(model, cycle_s)
-        self._line[[_CYCLE_S, _TRAVEL_M, _DOWNSTREAM]] = cycle_s, travel_m, model.downstream_strain
-        self._web = np.zeros((_WEB_SIZE, axes - 1))
-        self._web[_LENGTH_M] = [sections.span_length_m(k) for k in range(1, axes)]
-        self._figures = np.array([_figures(model, sections, loop, errors) for loop in loops])
+        self._axes = np.zeros(axes, _AXIS)
+        self._axes["limit_Nm"] = _AT_LIMIT * np.array(limits_Nm)
+        self._line_array, self._coherence = np.zeros(1, _LINE), coherence_state(axes)
+        self._line = record_at(self._line_array, _LINE)
+        self._line.cycles, self._line.cycle_s = max(1, round(_BLOCK_S / cycle_s)), cycle_s
+        self._line.travel_m, self._line.downstream = least_travel_m(model, cycle_s), model.downstream_strain
         known = model.stations is None and twin_config.web_at_rest == "as_upstream"
         estimated = twin_config.by_span(model.span_count) if known else ()
-        self._placed = np.array(
-            [[loop.task.names.axis, loop.task.span - 1 if loop.task.span in estimated else _NOWHERE] for loop in loops],
-            np.int64,
-        )
-        self._states = np.zeros((len(loops), bounds.STATE))
-        self._rings = np.zeros((len(loops), bounds.BLOCK, bounds.BLOCKS))
-        self._sums, self._block = np.zeros((len(loops), _SUMS_SIZE)), np.zeros(bounds.BLOCK)
+        placed = [
+            (loop.task.names.axis, loop.task.span - 1 if loop.task.span in estimated else _NOWHERE) for loop in loops
+        ]
+        self._states = np.zeros(len(loops), bounds.STATE)
+        self._of_model = {
+            "parameters": lay.pack(
+                sections.model_copy(update={"effects": tuple(e for e in sections.effects if e.effect not in _TURNING)})
+            ),
+            "rollers": np.array([_roller(sections, k, errors, usual_N) for k in range(1, axes + 1)], bounds.ROLLER),
+            "figures": np.array([_figures(model, sections, loop, errors) for loop in loops], bounds.SPAN),
+            "placed": np.array(placed, _PLACED),
+            "length_m": np.array([sections.span_length_m(k) for k in range(1, axes)]),
+        }
         self._reported = [bounds.NOTHING] * len(loops)
         twin.refusals = 0
         self._piece = PerSample(self._on)
-        _run(0, np.zeros((0, TABLE_WIDTH), np.int64))  # compiled, or loaded, before a cycle waits for it
+        load(_run)
 
     def _on(self, sample: CycleSample) -> CompiledStage:
-        kind, axes = type(sample), len(self._rollers)
-        names = [name for k in range(1, axes + 1) for name in (f"x{k}_m", f"v{k}_m_s", f"tau{k}_Nm")]
-        names += [f"v{axes}_cmd_m_s", "strain_prev", "F_next_N", "cycle", "twin_status"]
-        for loop in self._loops:
-            of = loop.task.names
-            names += [of.twin.tension, of.twin.modulus, of.set_point, of.closed]
-        kept = (
-            *(sample.reals, sample.wholes, kind.places(names), self._parameters, self._rollers, self._motion),
-            *(self._begun, self._line, self._coherence, self._positions, self._web),
-            *(self._figures, self._states, self._rings, self._sums, self._placed, self._block),
+        kind, axes, loops = type(sample), len(self._axes), len(self._loops)
+        of_axes = [name for k in range(1, axes + 1) for name in (f"x{k}_m", f"v{k}_m_s", f"tau{k}_Nm")]
+        of_line = [f"v{axes}_cmd_m_s", "strain_prev", "F_next_N", "cycle", "twin_status"]
+        of_spans = [
+            name
+            for each in (loop.task.names for loop in self._loops)
+            for name in (each.twin.tension, each.twin.modulus, each.set_point, each.closed)
+        ]
+        arrays = _Arrays(
+            values=sample.reals,
+            words=sample.wholes,
+            axes_at=kind.places(of_axes).view(_AXIS_AT),
+            line_at=kind.places(of_line),
+            spans_at=kind.places(of_spans).view(_SPAN_AT),
+            axes=self._axes,
+            motion=np.zeros(axes, bounds.MOTION),
+            line=self._line_array,
+            coherence=self._coherence,
+            **{name: np.zeros(axes) for name in ("now_m", "last_m", "travel_m")},
+            **{name: np.zeros(axes - 1) for name in ("unstretched_m", "strain", "strain_sum")},
+            states=self._states,
+            rings=np.zeros((loops, bounds.BLOCKS), bounds.BLOCK),
+            sums=np.zeros(loops, _SUMS),
+            block=np.zeros(1, bounds.BLOCK),
+            **self._of_model,
         )
-        return CompiledStage(_run, 0, table_of(kept), fallback=self._report, keeps=kept)
+        return CompiledStage(_run, 0, arrays, fallback=self._report)
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Take a cycle."""
         self._look_for_a_new_twin()
         if any(emergency.code in (TORQUE_SHIFT, UNDECIDED) for emergency in inputs.emergencies):
-            for state in self._states:
+            for state in self._states.view(np.recarray):
                 _change_conditions(state)
         self._piece(sample)()
 
@@ -302,8 +333,8 @@ class TensionWatch(CyclicTask):
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The drives are off: nothing is known of the web or the twin when they are enabled again."""
-        self._line[[_HAS, _HAS_WEB]] = 0.0
-        self._coherence[:] = coherence_state(len(self._rollers))
+        self._line.has_block = self._line.has_web = 0.0
+        self._coherence[:] = coherence_state(len(self._axes))
         self._begin_anew()
 
     def _look_for_a_new_twin(self) -> None:
@@ -313,15 +344,15 @@ class TensionWatch(CyclicTask):
             self._begin_anew()
 
     def _begin_anew(self) -> None:
-        self._states[:] = 0.0
+        self._states[:] = np.zeros(1, bounds.STATE)
         self._report(_LOOK)
 
     def _report(self, _: int) -> bool:
         """Open loops, or let them close, by the verdicts on their twin."""
         for k, (loop, state) in enumerate(zip(self._loops, self._states, strict=True)):
-            verdict, before = state.item(bounds.REPORTED), self._reported[k]
-            if verdict != bounds.NOTHING and state.item(bounds.ASSUMED_PA) > 0.0:
-                loop.task.assume_modulus(state.item(bounds.ASSUMED_PA))
+            verdict, before = float(state["reported"]), self._reported[k]
+            if verdict != bounds.NOTHING and state["assumed_Pa"] > 0.0:
+                loop.task.assume_modulus(float(state["assumed_Pa"]))
             self._reported[k] = verdict
             if verdict == before:
                 continue
@@ -329,20 +360,20 @@ class TensionWatch(CyclicTask):
                 loop.trust.allow()
             else:
                 self._twin.refusals = (self._twin.refusals or 0) + 1
-                loop.trust.refuse(_reason(loop.task.names.span if len(self._rollers) > 2 else 0, state))
+                loop.trust.refuse(_reason(loop.task.names.span if len(self._axes) > 2 else 0, state))
         return True
 
 
-def _reason(span: int, state: Vector) -> str:
+def _reason(span: int, state: Any) -> str:
     """Text: which value is beyond which interval, and why."""
-    where, verdict = f" of span {span}" if span else "", state.item(bounds.REPORTED)
+    where, verdict = f" of span {span}" if span else "", state["reported"]
     if verdict == bounds.MODULUS:
-        found_Pa, low_Pa, high_Pa = state[[bounds.MEAN_PA, bounds.LOW_PA, bounds.HIGH_PA]].tolist()
+        found_Pa, low_Pa, high_Pa = state[["mean_Pa", "low_Pa", "high_Pa"]].item()
         return (
             f"E{where} by the twin is {found_Pa:.4g} Pa, torques and encoders allow {max(low_Pa, 0.0):.4g} to "
             f"{high_Pa:.4g} Pa with any usual errors of the model"
         )
-    found_N, low_N, high_N = state[[bounds.MEAN_N, bounds.LOW_N, bounds.HIGH_N]].tolist()
+    found_N, low_N, high_N = state[["mean_N", "low_N", "high_N"]].item()
     why = "with any usual errors of the model" if verdict == bounds.TENSION else "by how they have changed since"
     return f"tension{where} by the twin is {found_N:.1f} N, the torques allow {low_N:.1f} to {high_N:.1f} N {why}"
 
@@ -370,33 +401,47 @@ def watched_loops(
     return found
 
 
-def _roller(model: ModelParameters, axis: int, errors: ModelErrorsConfig, usual_N: float) -> Vector:
-    """Figures of a driven roller."""
-    r, ratio, mass_kg = np.zeros(bounds.ROLLER), model.motor_rad_per_m(axis), model.mass_kg(axis)
+def _roller(model: ModelParameters, axis: int, errors: ModelErrorsConfig, usual_N: float) -> tuple[float, ...]:
+    """Figures of a driven roller, as `tension_bounds.ROLLER`."""
+    ratio, mass_kg = model.motor_rad_per_m(axis), model.mass_kg(axis)
     friction_N = 0.01 * errors.friction_pct * usual_N
     limit_Nm = per_item(model.drives.torque_limit_Nm, axis) if model.drives else 0.0
-    r[[bounds.RAD_PER_M, bounds.MASS_KG, bounds.RADIUS_M]] = ratio, mass_kg, model.radius_m(axis)
-    r[bounds.DRY_N], r[bounds.VISCOUS] = friction_N, friction_N / errors.at_speed_m_s
-    r[bounds.OFFSET_N] = 0.01 * errors.torque_offset_pct * limit_Nm * ratio
-    r[bounds.SCALE], r[bounds.INERTIA_KG] = 0.01 * errors.torque_scale_pct, 0.01 * errors.inertia_pct * mass_kg
-    r[bounds.UNBALANCE_N] = 0.01 * errors.unbalance_pct * usual_N
-    return r
+    return of_record(
+        bounds.ROLLER,
+        rad_per_m=ratio,
+        mass_kg=mass_kg,
+        radius_m=model.radius_m(axis),
+        dry_N=friction_N,
+        viscous=friction_N / errors.at_speed_m_s,
+        offset_N=0.01 * errors.torque_offset_pct * limit_Nm * ratio,
+        scale=0.01 * errors.torque_scale_pct,
+        inertia_kg=0.01 * errors.inertia_pct * mass_kg,
+        unbalance_N=0.01 * errors.unbalance_pct * usual_N,
+    )
 
 
-def _figures(model: ModelParameters, sections: ModelParameters, loop: WatchedLoop, errors: ModelErrorsConfig) -> Vector:
-    """Figures of a watched span."""
-    f, axis, usual_N = np.zeros(bounds.SPAN), loop.task.names.axis, loop.task.set_point_N
+def _figures(
+    model: ModelParameters, sections: ModelParameters, loop: WatchedLoop, errors: ModelErrorsConfig
+) -> tuple[float, ...]:
+    """Figures of a watched span, as `tension_bounds.SPAN`."""
+    axis, usual_N = loop.task.names.axis, loop.task.set_point_N
     stiffness_N, behind = sections.stiffness_N(axis), sections.axis_count - axis
     friction_N = 0.01 * errors.friction_pct * usual_N * sqrt(behind)
-    f[bounds.USUAL_N], f[bounds.USUAL_M2] = usual_N, usual_N / sections.youngs_modulus_Pa(axis)
-    f[bounds.SECTION_M2], f[bounds.NEXT_N] = sections.section_m2(axis), model.boundary.downstream_tension_N
-    f[bounds.STRAIN_SHARE], f[bounds.CREEP_SHARE] = 0.01 * errors.strain_pct, 0.01 * errors.creep_pct
-    f[bounds.WARMS_N], f[bounds.OF_SPEED] = friction_N, friction_N / errors.at_speed_m_s
-    f[bounds.ECCENTRIC_N] = sqrt(2.0) * 1e-6 * errors.eccentricity_um * stiffness_N / sections.span_length_m(axis)
-    f[bounds.CHANGES] = loop.follows_at_once
     at = next(number for number, roller in enumerate(model.line_rollers) if roller.axis == axis)
     idlers = [roller.station for roller in model.line_rollers[at:] if isinstance(roller.station, Idler)]
-    f[bounds.IDLERS_KG] = sum(idler.inertia_kg_m2 / idler.radius_m**2 for idler in idlers)
-    f[bounds.IDLERS_DRY_N] = sum(idler.roller_coulomb_friction_N for idler in idlers)
-    f[bounds.IDLERS_VISCOUS] = sum(idler.roller_viscous_friction_N_s_per_m for idler in idlers)
-    return f
+    return of_record(
+        bounds.SPAN,
+        usual_N=usual_N,
+        usual_m2=usual_N / sections.youngs_modulus_Pa(axis),
+        section_m2=sections.section_m2(axis),
+        next_N=model.boundary.downstream_tension_N,
+        strain_share=0.01 * errors.strain_pct,
+        creep_share=0.01 * errors.creep_pct,
+        warms_N=friction_N,
+        of_speed=friction_N / errors.at_speed_m_s,
+        eccentric_N=sqrt(2.0) * 1e-6 * errors.eccentricity_um * stiffness_N / sections.span_length_m(axis),
+        changes=loop.follows_at_once,
+        idlers_kg=sum(idler.inertia_kg_m2 / idler.radius_m**2 for idler in idlers),
+        idlers_dry_N=sum(idler.roller_coulomb_friction_N for idler in idlers),
+        idlers_viscous=sum(idler.roller_viscous_friction_N_s_per_m for idler in idlers),
+    )

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from hilbench.bench.state import Reports, TwinState
-from hilbench.bench.tasks.limits import BELOW_LIMITS, LimitMonitor
+from hilbench.bench.tasks.limits import LimitMonitor
 from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
 from hilbench.can.confinement import ControllerState
-from hilbench.cycle_program import CompiledStage
 from hilbench.exchange.exchange import Exchange, Inputs
 from hilbench.exchange.timeliness import Timeliness
 from hilbench.processes import ChildProcess
@@ -50,10 +49,7 @@ class QuietWatch(Watch):
             self._note(self._watching.found(sample))
             return True
 
-        piece = CompiledStage(
-            look.function, look.argument, look.table, continues=BELOW_LIMITS, fallback=fallback, keeps=look
-        )
-        return CompiledStages(after=[piece])
+        return CompiledStages(after=[look.stage(fallback)])
 
 
 class SupervisorWatch(CyclicTask):

@@ -6,18 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilbench.compiled import Vector, compiled
+from hilbench.compiled import Record, Records, Vector, compiled, record_type
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample
 
-Places = NDArray[np.int64]
-
-#: What enters a span, on the side before it and then on that behind it: strain while nothing is known, and section of
-#: the span there; places of its tension and E, NOWHERE: it stays so.
-_WANTED, _OF_SECTION_M2, _ENTERING = range(3)
-_TENSION_AT, _MODULUS_AT, _PLACES = range(3)
+#: What enters a span on one side: strain while nothing is known, and section of the span there; places of its tension
+#: and E, NOWHERE: it stays so.
+ENTERING = record_type("wanted", "section_m2")
+ENTERING_AT = record_type("tension", "modulus", of=np.int64)
 NOWHERE = -1
 
 
@@ -34,16 +31,14 @@ def strains_around(config: BenchConfig, span: int) -> tuple[float, float]:
 
 
 @compiled
-def entering_strain(entering: Vector, at: Places, values: Vector, forward: bool, fresh: bool) -> float:
+def entering_strain(entering: Record, at: Record, values: Vector, fresh: bool) -> float:
     """Strain of the web that enters, from what the twin has sent last, where that is `fresh`."""
-    side = 0 if forward else 1
-    of, place = entering[side * _ENTERING :], at[side * _PLACES :]
-    if not fresh or place[_MODULUS_AT] == NOWHERE:
-        return float(of[_WANTED])
-    modulus_Pa = values[place[_MODULUS_AT]]
+    if not fresh or at.modulus == NOWHERE:
+        return float(entering.wanted)
+    modulus_Pa = values[at.modulus]
     if not modulus_Pa > 0.0:
-        return float(of[_WANTED])
-    return float(values[place[_TENSION_AT]] / (modulus_Pa * of[_OF_SECTION_M2]))
+        return float(entering.wanted)
+    return float(values[at.tension] / (modulus_Pa * entering.section_m2))
 
 
 @dataclass(frozen=True)
@@ -57,8 +52,8 @@ class EnteringStrain:
     section_m2: float = 0.0
 
 
-def entering_vectors(kind: type[CycleSample], sides: Sequence[EnteringStrain]) -> tuple[Vector, Places]:
-    """Vectors of `entering_strain`: of the web before the span, then of that after it."""
-    figures = [value for side in sides for value in (side.wanted, side.section_m2)]
-    places = [kind.place(name) if name else NOWHERE for side in sides for name in (side.tension, side.modulus)]
-    return np.array(figures), np.array(places, np.int64)
+def entering_records(kind: type[CycleSample], sides: Sequence[EnteringStrain]) -> tuple[Records, Records]:
+    """ENTERING and ENTERING_AT of the web before the span, then of that after it."""
+    figures = [(side.wanted, side.section_m2) for side in sides]
+    places = [tuple(kind.place(name) if name else NOWHERE for name in (side.tension, side.modulus)) for side in sides]
+    return np.array(figures, ENTERING), np.array(places, ENTERING_AT)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hilbench.bench.tasks.task import CyclicTask, Outputs
-from hilbench.bench.tasks.tension_cycle import LEADS_BY, SPEEDS
+from hilbench.bench.tasks.tension_cycle import SPEEDS
 from hilbench.bench.tasks.tension_task import Leader
 from hilbench.bench.tasks.web_winding_control import DancerPosition, eased
 from hilbench.errors import BenchFaultError
@@ -50,13 +50,13 @@ class PositionTask(CyclicTask):
         self._feed = position_path(station, FEED)
         self._values = {self._set_point: set_point_m, self._feed: 1.0}
         self._ramped = 1.0  # share of the ramp from standstill to feeding
-        self.speeds = np.zeros(SPEEDS)
+        self.speeds = np.zeros(1, SPEEDS)
         self._moved = False  # until then the sensor has reported nothing
 
     @property
     def speed_m_s(self) -> float:
         """Commanded web speed of the axis."""
-        return float(self.speeds[LEADS_BY])
+        return float(self.speeds["undamped"][0])
 
     @property
     def damped_m_s(self) -> float:
@@ -83,7 +83,8 @@ class PositionTask(CyclicTask):
         else:
             wanted_m, position_m = self._values[self._set_point], getattr(sample, self._measured)
             velocity_m_s = self._loop.velocity(behind_m_s, wanted_m, 0.0, position_m, self._cycle_s)
-        self.speeds[:] = outputs[self._drive] = speed_m_s = share * velocity_m_s
+        outputs[self._drive] = speed_m_s = share * velocity_m_s
+        self.speeds[0] = speed_m_s, speed_m_s
         setattr(sample, self._command, speed_m_s)
 
     def _share(self) -> float:

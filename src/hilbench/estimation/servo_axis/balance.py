@@ -27,11 +27,13 @@ from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.servo_axis import kalman
 from hilbench.estimation.servo_axis.config import InertiaConfig
+from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.parameters import per_item
-from hilbench.plant.servo_axis import kernel, laws
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.plant.servo_axis.shaft import look
 from hilbench.plant.servo_axis.tracking_filter import ORDER, TrackingFilter, follow, gains, later, transition
+from hilbench.plant.web_line import laws
 
 #: Encoder noise assumed until it is measured, and its least value; least noise of the torque.
 _POSITION_NOISE_RAD, _POSITION_FLOOR_RAD = 3e-6, 1e-7
@@ -127,10 +129,10 @@ _SIZE = 13
 @compiled
 def _known_torque_Nm(p: Array, measured_Nm: float, x: float, v: float) -> float:
     """Torque on the shaft by the model: from the reported one, without offset, friction and unbalance."""
-    motor = laws.shaft_torque_Nm(p, measured_Nm - laws.reported_offset_Nm(p), x)
-    torque = motor + laws.unbalance_Nm(p, x) - laws.smooth_friction_Nm(p, v)
-    direction = min(max(v / _STANDSTILL_RAD_S, -1.0), 1.0)
-    return float(torque - direction * (laws.dry_friction_Nm(p, v) + laws.load_friction_Nm(p, motor)))
+    motor = laws.shaft_torque_Nm(p, lay.MOTOR, laws.true_torque_Nm(p, lay.MOTOR, measured_Nm), x)
+    direction = measured_direction(v, _STANDSTILL_RAD_S)
+    resistance = laws.measured_resistance_N(p, lay.AXIS, x, v, direction)
+    return float(laws.passed_on_N(p, lay.AXIS, motor, direction) - resistance)
 
 
 @compiled
@@ -289,7 +291,7 @@ class FilterInputs:
     def __init__(self, model: ServoAxisParameters, config: InertiaConfig) -> None:
         also = config.also
         self._p = lay.pack(model)
-        factor, breakaway_Nm, _ = kernel.look(self._p, 0.0)
+        factor, breakaway_Nm, _ = look(self._p, 0.0)
         self._state = np.zeros(_SIZE)
         self._state[_BREAKAWAY_NM] = breakaway_Nm + also.coulomb_friction_Nm
         self._state[_GEAR_RATIO] = model.shaft.gear_ratio

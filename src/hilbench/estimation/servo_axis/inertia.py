@@ -15,9 +15,9 @@ from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.servo_axis import balance, kalman
 from hilbench.estimation.servo_axis.balance import LOST, FilterInputs, InputVectors, ShaftSample
 from hilbench.estimation.servo_axis.config import InertiaConfig
-from hilbench.plant.servo_axis import kernel
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.plant.servo_axis.shaft import look
 
 #: Nuisance parameters, in the order of the filter's state.
 _NAMES = (
@@ -209,7 +209,7 @@ class InertiaEstimator:
         figures[PRIORS:OF_MODEL] = self._inputs.priors
         figures[OF_MODEL + 1] = model.shaft.viscous_friction_Nm_s_per_rad
         figures[OF_MODEL + 2] = model.shaft.coulomb_friction_Nm
-        figures[OF_MODEL] = kernel.look(p, 0.0)[2]
+        figures[OF_MODEL] = look(p, 0.0)[2]
         self._settings = np.zeros(bank.SETTINGS + 1)
         self._settings[bank.JUMP_VARIANCE] = (0.01 * config.jump_pct) ** 2
         self._settings[bank.DRIFT_VARIANCE] = (0.01 * config.drift_pct_per_s) ** 2

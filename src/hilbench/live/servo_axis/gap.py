@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from hilbench.live.machine import SHORT
 from hilbench.live.servo_axis.models import inertia_factor
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.inverse import required_torque_Nm
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.plant.web_line.inverse import required_torque_Nm
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]

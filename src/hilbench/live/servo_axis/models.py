@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from hilbench.plant.model_file import Machine
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.kernel import look
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.plant.servo_axis.shaft import look
 
 #: Effects that are a change of the inertia.
 _OF_INERTIA = ("inertia_mismatch", "inertia_step")

@@ -15,11 +15,10 @@ from hilbench.plant.fmu.model import FmuModel, FmuState
 from hilbench.plant.interface import PlantState
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.axis import ServoAxis
-from hilbench.plant.servo_axis.layout import PARAMETERS, Vector
+from hilbench.plant.servo_axis.layout import PARAMETERS
 from hilbench.plant.servo_axis.parameters import ServoRigParameters
-from hilbench.plant.servo_axis.rig import ServoRig
-from hilbench.plant.servo_axis.shaft import Shaft
+from hilbench.plant.servo_axis.shaft import ServoAxis, ServoRig, Shaft
+from hilbench.plant.web_line.layout import SM_MEAN_NM, Vector
 
 
 class FmuMechanics(WithoutEffects, Shaft):
@@ -43,17 +42,19 @@ class FmuMechanics(WithoutEffects, Shaft):
         self._model.start()
         position, speed = self._model.values
         self._offset_rad = self._state.item(lay.S_X) - position
-        self._state[lay.S_V] = speed
+        self._put_motion(self._state.item(lay.S_X), speed)
 
-    def _go(self, samples: int) -> None:
-        state, sample_s = self._state, self._p.item(lay.P_SAMPLE_TIME_S)
-        state[lay.S_MEAN] = 0.0
+    def _put_motion(self, position_rad: float, speed_rad_s: float) -> None:
+        self._state[lay.S_X : lay.S_V_BEHIND + 1] = position_rad, speed_rad_s, position_rad, speed_rad_s
+
+    def _advance(self, samples: int) -> None:
+        means, sample_s = self._layout.motor_states(self._state)[:, SM_MEAN_NM], self._p.item(lay.P_SAMPLE_TIME_S)
+        means[:] = 0.0
         for _ in range(samples):
-            torque = drives.sample(self._p, state, self._inputs)
+            torque = drives.sample(self._p, self._state, self._inputs)
             position, speed = self._model.advance([torque], sample_s)
-            state[lay.S_X] = position + self._offset_rad + speed * self._model.behind_s
-            state[lay.S_V] = speed
-        state[lay.S_MEAN] /= samples
+            self._put_motion(position + self._offset_rad + speed * self._model.behind_s, speed)
+        means /= samples
 
     def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> None:
         """None: the FMU's step is its own code."""
@@ -71,28 +72,29 @@ class FmuMechanics(WithoutEffects, Shaft):
         A position is set by an offset; the only possible speed is that of the FMU's start: other speeds are left to the
         drive, which reaches its set point within its loop's time.
         """
-        super().set_state(state)
         if isinstance(state, PlantState):
+            match state.memory:
+                case (of_drives, FmuState() as kept, float() as offset_rad):
+                    super().set_state(PlantState(state.values, of_drives))
+                    self._offset_rad = offset_rad
+                    self._model.give_state(kept)
+                case _:
+                    raise ValueError("a state of another machine, expected one of this FMU")
             return
+        super().set_state(state)
         if state.get("v1_rad_s") == 0.0:
             self._restart()
         else:
             position, speed = self._model.values
             self._offset_rad = self._state.item(lay.S_X) - position - speed * self._model.behind_s
-            self._state[lay.S_V] = speed
+            self._put_motion(self._state.item(lay.S_X), speed)
         self._observe()
 
-    def _memory(self) -> object:
-        return super()._memory(), self._model.take_state(), self._offset_rad
-
-    def _restore(self, memory: object) -> None:
-        match memory:
-            case (of_drives, FmuState() as kept, float() as offset_rad):
-                super()._restore(of_drives)
-                self._model.give_state(kept)
-                self._offset_rad = offset_rad
-            case _:
-                raise ValueError("a state of another machine, expected one of this FMU")
+    def get_state(self) -> PlantState:
+        """Present state, with the FMU's."""
+        of_drives = super().get_state()
+        memory = of_drives.memory, self._model.take_state(), self._offset_rad
+        return PlantState(of_drives.values, memory)
 
 
 class FmuAxis(FmuMechanics, ServoAxis):

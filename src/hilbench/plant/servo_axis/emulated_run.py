@@ -14,23 +14,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, CUBE, MATRIX, REAL, VECTOR, entry_point
-from hilbench.plant import drive_loops as loops
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.sampled_shaft import emulation_delay_s
 from hilbench.plant.sampling import on_all_cores, samples_per
-from hilbench.plant.servo_axis import kernel, laws
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.effects import find
+from hilbench.plant.servo_axis.effects import KIND, find
 from hilbench.plant.servo_axis.emulation import FILTER_CYCLES, load_torque_Nm, most_rad_s2, steepest_Nm_s_per_rad
-from hilbench.plant.servo_axis.layout import Vector
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.stability import sampled_shaft
 from hilbench.plant.servo_axis.tracking_filter import ORDER, gains, transition
+from hilbench.plant.web_line import kernel, laws
+from hilbench.plant.web_line import layout as line
+from hilbench.plant.web_line.layout import Layout, Vector
 
 _INERTIA = lay.place("inertia_mismatch")
 _STEPS = slice(lay.place("inertia_step"), lay.place("inertia_step") + 2 * find("inertia_step").slots)
 _FED_FORWARD = slice(lay.place("feed_forward"), lay.place("feed_forward") + 3)
-_EFFECTS = slice(lay.P_EFFECTS, lay.P_LOOPS)
+#: Motors of the rig, and columns of the axis's speed and torque in the kernel's report.
+_MOTORS = 2
+_SPEED, _TORQUE = _MOTORS, 2 * _MOTORS
 
 
 @dataclass(frozen=True)
@@ -51,13 +53,16 @@ class ShaftEmulation:
         return commands_rad_s if unit is None else np.asarray(np.round(commands_rad_s / unit) * unit)
 
 
-@entry_point(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, COUNT, REAL, MATRIX, VECTOR, MATRIX, *[REAL] * 3, CUBE)
+@entry_point(
+    MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, VECTOR, COUNT, REAL, MATRIX, VECTOR, MATRIX, *[REAL] * 3, CUBE
+)
 def _simulate_rows(
     p: Vector,
     emulated: Vector,
     believed: Vector,
     s: Vector,
     u: Vector,
+    w: Vector,
     commands: Vector,
     samples: int,
     cycle_s: float,
@@ -70,31 +75,31 @@ def _simulate_rows(
     out: Vector,
 ) -> None:
     motion, predicted = np.empty(ORDER), np.empty(ORDER)
-    observed = np.empty(lay.O_TORQUE + 2)
-    drive, load = lay.U_MOTORS + loops.IN_SETPOINT, lay.U_MOTORS + loops.IN_SIZE + loops.IN_SETPOINT
+    observed = np.empty(4 * _MOTORS)
     for b in range(p.shape[0]):
         state = s[b]
         motion[:] = 0.0
         motion[0], motion[1] = state[lay.S_X], state[lay.S_V]
-        torque = state[lay.S_MOTORS + loops.STATE_SIZE + loops.TORQUE_NM]
+        torque = state[lay.S_MOTORS + line.SM_SIZE + line.SM_TORQUE_NM]
+        kernel.enter(p[b], state, u, w)
         for row in range(commands.shape[0]):
-            kernel.report(p[b], state, observed, 0)
-            fed = 0.0
-            if laws.has_feed_forward(emulated[b]):
-                a = kernel.acceleration_rad_s2(p[b], state, u)
-                fed = laws.fed_forward_Nm(emulated[b], row * cycle_s, observed[lay.O_V], a, state[lay.S_DIRECTION])
-            out[b, row, 0], out[b, row, 1] = observed[lay.O_X], observed[lay.O_V]
-            out[b, row, 2] = observed[lay.O_TORQUE] - fed
+            kernel.report(p[b], state, u, w, observed, 0)
+            fed, time_s = 0.0, row * cycle_s
+            if laws.has_feed_forward(emulated[b], lay.MOTOR):
+                a = kernel.acceleration_m_s2(p[b], state, u, w, time_s, 0)
+                inertia, direction = laws.mass_kg(emulated[b], lay.AXIS, time_s), state[lay.S_DIRECTION]
+                fed = laws.fed_forward_N(emulated[b], lay.AXIS, lay.MOTOR, inertia, observed[_SPEED], a, direction)
+            out[b, row, 0], out[b, row, 1], out[b, row, 2] = observed[0], observed[_SPEED], observed[_TORQUE] - fed
             if row > 0:
                 predicted[:] = step @ motion
-                motion[:] = predicted + gain * (observed[lay.O_X] - predicted[0])
+                motion[:] = predicted + gain * (observed[0] - predicted[0])
             predicted[:] = ahead @ motion
             acceleration = min(max(predicted[2], -most), most)
-            speed = observed[lay.O_V] + lead_s * (acceleration - 0.5 * lead_s * predicted[3])
-            u[drive], u[load] = commands[row], torque
+            speed = observed[_SPEED] + lead_s * (acceleration - 0.5 * lead_s * predicted[3])
+            u[lay.U_SETPOINT], u[lay.U_LOAD_SETPOINT] = commands[row], torque
             # The torque for the measurement at this SYNC is sent with the next.
-            torque = load_torque_Nm(emulated[b], believed, row * cycle_s, predicted[0], speed, acceleration, steepest)
-            kernel.go_on(p[b], state, u, samples)
+            torque = load_torque_Nm(emulated[b], believed, time_s, predicted[0], speed, acceleration, steepest)
+            kernel.go_on(p[b], state, u, w, samples)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,9 +127,11 @@ def simulate_emulated(
     many = np.atleast_2d(np.ascontiguousarray(parameters))
     believed = lay.pack(bench.stand.axis.model_copy(update={"effects": ()}), bench.stand.load_motor)
     rigs, emulated = _rigs(believed, many), _emulated(many)
-    states = np.array([_started(stand, *start) for stand in rigs])
-    inputs = lay.new_inputs(believed)
-    lay.motor_inputs(inputs)[:, loops.IN_MODE] = MotorMode.VELOCITY, MotorMode.TORQUE
+    # In steady motion; the motors build up their torques from there.
+    states = np.array([lay.new_state(stand, *start) for stand in rigs])
+    layout = Layout.of(believed)
+    inputs = layout.new_inputs()
+    layout.motor_inputs(inputs)[:, line.UM_MODE] = MotorMode.VELOCITY, MotorMode.TORQUE
     samples = samples_per(bench.cycle_s, believed.item(lay.P_SAMPLE_TIME_S))
     lead_s = emulation_delay_s(sampled_shaft(bench.stand, bench.cycle_s))
     rows = np.ascontiguousarray(commands_rad_s, dtype=np.float64)
@@ -134,8 +141,8 @@ def simulate_emulated(
 
     def run(share: slice) -> None:
         _simulate_rows(
-            rigs[share], emulated[share], believed, states[share], inputs.copy(), rows, samples, bench.cycle_s, step,
-            gain, transition(lead_s), lead_s, steepest, most, out[share],
+            rigs[share], emulated[share], believed, states[share], inputs.copy(), layout.new_work(), rows, samples,
+            bench.cycle_s, step, gain, transition(lead_s), lead_s, steepest, most, out[share],
         )  # fmt: skip
 
     on_all_cores(run, len(many))
@@ -148,7 +155,7 @@ def _rigs(believed: Vector, many: Vector) -> Vector:
     Effects that are a share of an inertia are the shares of the model's: the rig has another.
     """
     rigs = np.tile(believed, (len(many), 1))
-    rigs[:, _EFFECTS] = many[:, _EFFECTS]
+    rigs[:, lay.P_EFFECTS] = many[:, lay.P_EFFECTS]
     rigs[:, lay.P_INERTIA] += many[:, _INERTIA] * many[:, lay.P_INERTIA]
     for of_model in (_INERTIA, _STEPS, _FED_FORWARD):
         rigs[:, of_model] = 0.0
@@ -158,16 +165,8 @@ def _rigs(believed: Vector, many: Vector) -> Vector:
 def _emulated(many: Vector) -> Vector:
     """Parameters (B, P) of the emulated shafts, without effects on the rig; inertia steps and feed-forward stay."""
     shafts = many.copy()
-    neutral = many[0].copy()
-    lay.write_entries(neutral, ())
-    shafts[:, _EFFECTS] = neutral[_EFFECTS]
+    for shaft in shafts:
+        line.clear_effects(shaft, KIND)
     for of_model in (_STEPS, _FED_FORWARD):
         shafts[:, of_model] = many[:, of_model]
     return shafts
-
-
-def _started(stand: Vector, position_rad: float, speed_rad_s: float) -> Vector:
-    """State (S,) of the rig in steady motion; its motors build up their torques from there."""
-    state = lay.new_state(stand)
-    state[[lay.S_X, lay.S_V]] = position_rad, speed_rad_s
-    return state

@@ -31,14 +31,14 @@ from hilbench.plant.in_step import CompiledInStep
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion, ahead_s, elapsed_s
 from hilbench.plant.parameters import per_item
-from hilbench.plant.servo_axis import laws
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import IDS, emulated_effect_problem
-from hilbench.plant.servo_axis.layout import Vector
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.shaft import Shaft
 from hilbench.plant.servo_axis.tracking_filter import TrackingFilter, gains, later, transition
 from hilbench.plant.servo_axis.tracking_filter import follow as follow_position
+from hilbench.plant.web_line import laws
+from hilbench.plant.web_line.layout import Vector
 
 #: Time constant of the acceleration filter, in bus cycles: longer ones allow more inertia, and emulate it worse.
 FILTER_CYCLES = 2.5
@@ -71,11 +71,12 @@ def load_torque_Nm(
 
     steepest: N·m·s/rad, slope of the dry friction at standstill.
     """
-    inertia = laws.inertia_kg_m2(emulated, time_s) - laws.inertia_kg_m2(real, time_s)
-    smooth = laws.smooth_friction_Nm(emulated, v) - laws.smooth_friction_Nm(real, v)
-    dry = laws.dry_friction_Nm(emulated, v) - laws.dry_friction_Nm(real, v)
+    inertia = laws.mass_kg(emulated, lay.AXIS, time_s) - laws.mass_kg(real, lay.AXIS, time_s)
+    smooth = laws.smooth_resistance_N(emulated, lay.AXIS, v) - laws.smooth_resistance_N(real, lay.AXIS, v)
+    smooth += laws.drag_N(emulated, lay.AXIS, v) - laws.drag_N(real, lay.AXIS, v)
+    dry = laws.dry_friction_N(emulated, lay.AXIS, v) - laws.dry_friction_N(real, lay.AXIS, v)
     limited = min(max(steepest * v, -abs(dry)), abs(dry)) * (1.0 if dry > 0.0 else -1.0)
-    unbalance = laws.unbalance_Nm(emulated, x) - laws.unbalance_Nm(real, x)
+    unbalance = laws.unbalance_N(emulated, lay.AXIS, x) - laws.unbalance_N(real, lay.AXIS, x)
     return unbalance - inertia * a - smooth - limited
 
 
@@ -156,7 +157,8 @@ class EmulatedShaft:
         self._own = np.zeros(_OWN_SIZE)
         self._own[_MOST_RAD_S2] = most_rad_s2(real)
         #: Vectors of the first rows of the table.
-        self._kept = self._machine.packed, self._real, self._machine.inputs, self._filter.motion, self._own
+        machine = self._machine.vectors
+        self._kept = machine.p, self._real, machine.u, self._filter.motion, self._own
         self._table = table_of(self._kept)
         self._stale = True  # something was changed since the last step
 

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hilbench.plant import drive_loops as loops
 from hilbench.plant.motor_port import MotorMode
-from hilbench.plant.sampling import on_all_cores, samples_per
-from hilbench.plant.servo_axis import kernel
-from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.layout import Vector
+from hilbench.plant.servo_axis.layout import U_TORQUE_NM
+from hilbench.plant.web_line import offline as line
+from hilbench.plant.web_line.layout import Layout, Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,21 +40,13 @@ def simulate(
     of the sample time, or shapes do not fit.
     """
     many = np.atleast_2d(np.ascontiguousarray(parameters))
+    layout = Layout.of(many[0])
     rows = np.ascontiguousarray(commands, dtype=np.float64)
-    if rows.ndim != 1 or lay.motor_count(many[0]) != 1 or np.ndim(external_torque_Nm) > 1:
-        raise ValueError(f"commands {rows.shape} for {lay.motor_count(many[0])} motors, expected (n,) for one")
-    outside = np.array(np.broadcast_to(np.asarray(external_torque_Nm, dtype=np.float64), rows.shape))
-    shape = (len(many), len(lay.new_state(many[0])))
-    states = np.array(np.broadcast_to(np.atleast_2d(state), shape), order="C")
-    inputs = lay.new_inputs(many[0])
-    lay.motor_inputs(inputs)[:, loops.IN_MODE] = mode
-    samples = samples_per(dt_s, many.item(lay.P_SAMPLE_TIME_S))
-    out = np.empty((len(many), len(rows), lay.output_size(many[0])))
-
-    def run(share: slice) -> None:
-        kernel.simulate(many[share], states[share], inputs.copy(), rows[:, None], outside, samples, out[share])
-
-    on_all_cores(run, len(many))
-    if np.ndim(parameters) == 1:
-        out, states = out[0], states[0]
-    return Simulation(out[..., lay.O_X], out[..., lay.O_V], out[..., lay.O_TORQUE], out[..., lay.O_MEAN], states)
+    if rows.ndim != 1 or layout.motors != 1 or np.ndim(external_torque_Nm) > 1:
+        raise ValueError(f"commands {rows.shape} for {layout.motors} motors, expected (n,) for one")
+    around = np.zeros((len(rows), 2))
+    around[:, U_TORQUE_NM] = external_torque_Nm
+    found = line.simulate(parameters, state, rows[:, None], around, dt_s, mode)
+    assert found.mean_tau_Nm is not None, "it was simulated alone"
+    of_motion, torques = (found.x_m[..., 0], found.v_m_s[..., 0]), (found.tau_Nm[..., 0], found.mean_tau_Nm[..., 0])
+    return Simulation(*of_motion, *torques, found.state)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point
-from hilbench.plant.servo_axis.layout import Vector
+from hilbench.plant.web_line.layout import Vector
 
 Matrix = NDArray[np.float64]
 

@@ -90,12 +90,12 @@ def _run(
     (N,). Room for a `guess` of its state, for `loads` (N,) and for its outputs `seen`; `pulls` (N,): N·m at the motor
     per N. `commands` (n, N) rad/s at the motors, `boundary` (n, 2) upstream strain and downstream tension (N), a row of
     `samples` drive samples each. Carriages `pushed`, rows of the line, get `forces` (n, C), each of which acts to the
-    next row; `more` (C,): forces added by effects. Rows of 3·M + 2·K columns and the `sensors` go into `out` from
+    next row; `more` (C,): forces added by effects. Rows of 4·M + 2·K columns and the `sensors` go into `out` from
     offset `at` on.
     """
     n, m, k = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(web[lay.W_SPANS])
     count, first = len(rows), lay.U_MOTORS + lay.UM_SETPOINT
-    columns, step_s = 3 * m + 2 * k + len(sensors), memory[line_kernel.STEP_S]
+    columns, step_s = 4 * m + 2 * k + len(sensors), memory[line_kernel.STEP_S]
     sample_s = memory[line_kernel.SAMPLE_S]
     a, v = memory[line_kernel.FIRST + count :], memory[line_kernel.FIRST + 2 * count :]
     for i in range(len(memory) - line_kernel.FIRST):
@@ -120,8 +120,8 @@ def _run(
         web[lay.W_SUBSTEPS] = sample_s / cycle_s
         line_kernel.observe(web, line, line_u, line_w, seen)
         for j in range(2 * k):
-            out[place + 3 * m + j] = seen[3 * int(web[lay.W_MOTORS]) + j]
-        _show(web, line, sensors, out, place + 3 * m + 2 * k)
+            out[place + 4 * m + j] = seen[3 * int(web[lay.W_MOTORS]) + j]
+        _show(web, line, sensors, out, place + 4 * m + 2 * k)
         line_u[lay.U_STRAIN_PREV], line_u[lay.U_F_NEXT_N] = boundary[row, 0], boundary[row, 1]
         for j in range(len(line)):
             guess[j] = line[j]

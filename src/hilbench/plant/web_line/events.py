@@ -60,7 +60,7 @@ def _violations(p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y:
     n, m, k = places.counts(p)
     axis, mode = places.axis(i), places.axis_state(n, k, i)
     v, gear, friction = w[y + n + i], -1.0, -1.0
-    drive = motion.motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i], False)
+    drive = motion.motor_force_N(p, w, n, m, k, i, w[y + motion.shaft_of_motor(p, n, i)], False)
     web = motion.web_force_N(p, u, w, n, m, k, i, y, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), False)
     apart, sticks = motion.is_apart(p, s, n, k, i), motion.sticks(p, s, n, k, i)
     own = motion.own_force_N(p, w, n, m, k, i, y, False) + (0.0 if apart else drive)
@@ -128,7 +128,7 @@ def _stick(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int) -> None:
     """Stop the roller: it sticks."""
     s[places.axis_state(n, k, i) + lay.SA_DIRECTION] = 0.0
     w[n + i] = 0.0
-    if not motion.is_apart(p, s, n, k, i):
+    if not (motion.is_apart(p, s, n, k, i) or laws.twists(p, places.axis(i))):
         w[3 * n + i] = 0.0
 
 

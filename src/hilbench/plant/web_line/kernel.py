@@ -38,42 +38,37 @@ from hilbench.plant.web_line.layout import Vector
 
 
 @inlined
-def _motor_motion(p: Vector, n: int, j: int) -> int:
-    """Index of the position of motor j's shaft in the integrated quantities.
-
-    An axis's own motor is on the motor's side of the gear play, a load motor on the roller's.
-    """
-    return 2 * n + j if j < n else int(p[places.motor(n, j) + lay.M_AXIS])
-
-
-@inlined
 def _sample_drive(
     p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, j: int, position: float, velocity: float
 ) -> None:
-    """Sample the loops of motor j once, on its measured shaft motion, rad and rad/s."""
+    """Sample the loops of motor j once, on its measured shaft motion, rad and rad/s; its mean torque till the next."""
     gains, state, inputs = places.motor(n, j) + lay.M_LOOPS, places.motor_state(n, k, j), lay.U_MOTORS + j * lay.UM_SIZE
     kp, ki = w[places.part(n, m, k, lay.LOOP_KP) + j], w[places.part(n, m, k, lay.LOOP_KI) + j]
     current_s = w[places.part(n, m, k, lay.LOOP_CURRENT_S) + j]
     loops.drive_sample(p, s, u, gains, state, inputs, p[lay.W_SAMPLE_TIME_S], position, velocity, kp, ki, current_s)
+    command, lag_share = s[state + lay.SM_COMMAND_NM], w[places.part(n, m, k, lay.LAG_SHARE) + j]
+    s[state + lay.SM_MEAN_NM] += command + (s[state + lay.SM_TORQUE_NM] - command) * lag_share
 
 
 @inlined
 def _sample_drives(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int) -> None:
     for j in range(m):
-        at, ratio = _motor_motion(p, n, j), p[places.motor(n, j) + lay.M_RAD_PER_M]
+        at, ratio = motion.shaft_of_motor(p, n, j), p[places.motor(n, j) + lay.M_RAD_PER_M]
         _sample_drive(p, s, u, w, n, m, k, j, w[at] * ratio, w[at + n] * ratio)
 
 
 @compiled
 def _sample_erring_drives(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
-    """Sample all drives, with encoder errors."""
+    """Sample all drives, with encoder errors; steps of inertia come in, and feed-forward is left out of the means."""
     noinline()
     n, m, k = places.counts(p)
+    motion.set_masses(p, w, s[lay.S_COUNT] * p[lay.W_SAMPLE_TIME_S])
     for j in range(m):
-        at, motor = _motor_motion(p, n, j), places.motor(n, j)
+        at, motor = motion.shaft_of_motor(p, n, j), places.motor(n, j)
         ratio = p[motor + lay.M_RAD_PER_M]
         position, velocity = laws.measured_motion(p, motor, w[at] * ratio, w[at + n] * ratio)
         _sample_drive(p, s, u, w, n, m, k, j, position, velocity)
+    _leave_out_of_means(p, s, u, w)
 
 
 @merged
@@ -112,11 +107,13 @@ def advance_line(
     p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, samples: int, counted: bool
 ) -> None:
     """`go_on` of a line with these counts; `counted`: the counts are compile-time constants."""
-    substeps = int(p[lay.W_SUBSTEPS])
+    substeps = int(w[places.part(n, m, k, lay.SUBSTEPS)])
     period = p[lay.W_SAMPLE_TIME_S]
     h = period / substeps
     pace, reports = w[places.part(n, m, k, lay.PACE)], w[places.part(n, m, k, lay.REPORTS)] != 0.0
     spliced = k > 0 and splice_laws.has_splice(p, s, places.pieces(n, m, k))
+    for j in range(m):
+        s[places.motor_state(n, k, j) + lay.SM_MEAN_NM] = 0.0
     for _ in range(samples):
         if reports:
             _sample_erring_drives(p, s, u, w)
@@ -135,28 +132,37 @@ def advance_line(
             s[place] = s[places.motor_state(n, k, j) + lay.SM_TORQUE_NM]
         if reports:
             _leave_out(p, s, u, w)
+    for j in range(m):
+        s[places.motor_state(n, k, j) + lay.SM_MEAN_NM] /= samples
+
+
+@compiled
+def acceleration_m_s2(p: Vector, s: Vector, u: Vector, w: Vector, t: float, j: int) -> float:
+    """Acceleration of the motor of axis j now; 0 where it sticks. Between `enter` and `leave`."""
+    noinline()
+    n, m, k = places.counts(p)
+    motion.torques_now(s, w, n, m, k)
+    events.web_at(p, s, u, w, t, 0)
+    drive = motion.motor_force_N(p, w, n, m, k, j, w[motion.shaft_of_motor(p, n, j)], False)
+    if motion.is_apart(p, s, n, k, j):
+        return drive * w[places.part(n, m, k, lay.PER_MOTOR_MASS) + j]
+    if motion.sticks(p, s, n, k, j):
+        return 0.0
+    strain_prev = laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
+    web = motion.web_force_N(p, u, w, n, m, k, j, 0, strain_prev, False)
+    force = motion.own_force_N(p, w, n, m, k, j, 0, False) + drive
+    per_mass = motion.per_mass(p, w, n, m, k, j, 0)
+    return motion.acceleration_m_s2(p, s, n, k, j, w[n + j], per_mass, force, web, drive, False)
 
 
 @compiled
 def _fed_forward_Nm(p: Vector, s: Vector, u: Vector, w: Vector, t: float, j: int) -> float:
     """Torque of motor j now that its record excludes."""
-    noinline()
-    n, m, k = places.counts(p)
+    n, _, k = places.counts(p)
     axis, motor = places.axis(j), places.motor(n, j)
-    motion.torques_now(s, w, n, m, k)
-    events.web_at(p, s, u, w, t, 0)
-    drive = motion.motor_force_N(p, w, n, m, k, j, w[2 * n + j], False)
-    acceleration, direction = 0.0, s[places.axis_state(n, k, j) + lay.SA_DIRECTION]
-    if motion.is_apart(p, s, n, k, j):
-        acceleration = drive * w[places.part(n, m, k, lay.PER_MOTOR_MASS) + j]
-    elif not motion.sticks(p, s, n, k, j):
-        strain_prev = laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
-        web = motion.web_force_N(p, u, w, n, m, k, j, 0, strain_prev, False)
-        force = motion.own_force_N(p, w, n, m, k, j, 0, False) + drive
-        per_mass = motion.per_mass(p, w, n, m, k, j, 0)
-        acceleration = motion.acceleration_m_s2(p, s, n, k, j, w[n + j], per_mass, force, web, drive, False)
-    mass = (p[axis + lay.A_MOTOR_MASS_KG] + p[axis + lay.A_ROLLER_MASS_KG]) * laws.inertia_factor(p, axis)
-    fed = laws.fed_forward_N(p, axis, motor, mass, w[3 * n + j], acceleration, direction)
+    acceleration, direction = acceleration_m_s2(p, s, u, w, t, j), s[places.axis_state(n, k, j) + lay.SA_DIRECTION]
+    speed = w[n + motion.shaft_of_motor(p, n, j)]
+    fed = laws.fed_forward_N(p, axis, motor, laws.mass_kg(p, axis, t), speed, acceleration, direction)
     return fed / p[motor + lay.M_RAD_PER_M]
 
 
@@ -190,6 +196,18 @@ def _leave_out(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
         if laws.has_feed_forward(p, places.motor(n, j)):
             fed = _fed_forward_Nm(p, s, u, w, s[lay.S_COUNT] * p[lay.W_SAMPLE_TIME_S], j)
             s[places.past(n, m, k, j) + int(s[lay.S_COUNT]) % lay.RING] -= fed
+    _leave_out_of_means(p, s, u, w)
+
+
+@compiled
+def _leave_out_of_means(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
+    """Subtract half of the excluded feed-forward now, at the start or end of a sample time, from the mean torques."""
+    noinline()
+    n, m, k = places.counts(p)
+    for j in range(m):
+        if laws.has_feed_forward(p, places.motor(n, j)):
+            fed = _fed_forward_Nm(p, s, u, w, s[lay.S_COUNT] * p[lay.W_SAMPLE_TIME_S], j)
+            s[places.motor_state(n, k, j) + lay.SM_MEAN_NM] -= 0.5 * fed
 
 
 @compiled
@@ -233,14 +251,14 @@ def enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
         w[j] = s[lay.S_Y + j]
     for j in range(k):
         w[places.part(n, m, k, lay.LENGTH_RATE) + j] = u[lay.U_MOTORS + m * lay.UM_SIZE + j]
-    pace = lay.PLAIN
+    period, substeps = p[lay.W_SAMPLE_TIME_S], p[lay.W_SUBSTEPS]
+    motion.set_masses(p, w, s[lay.S_COUNT] * period)
+    pace, reports = lay.PLAIN, False
     for i in range(n):
         axis = places.axis(i)
-        factor = laws.inertia_factor(p, axis)
-        motor_mass, roller_mass = p[axis + lay.A_MOTOR_MASS_KG] * factor, p[axis + lay.A_ROLLER_MASS_KG] * factor
-        w[places.part(n, m, k, lay.PER_MASS) + i] = 1.0 / (motor_mass + roller_mass)
-        w[places.part(n, m, k, lay.PER_ROLLER_MASS) + i] = 1.0 / roller_mass
-        w[places.part(n, m, k, lay.PER_MOTOR_MASS) + i] = 1.0 / motor_mass
+        reports |= laws.has_inertia_step(p, axis)
+        if laws.twists(p, axis):
+            substeps = max(substeps, laws.swing_steps(p, axis, period))
         if laws.has_gap(p, axis):
             pace = lay.PLAY
         elif laws.has_rare_force(p, axis, places.motor(n, i)):
@@ -249,17 +267,19 @@ def enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
         pace = max(pace, lay.RARE)
     if k > 0 and splice_laws.has_splice(p, s, places.pieces(n, m, k)):
         pace = max(pace, lay.RARE)
-        _set_blur(w, n, m, k, p[lay.W_SAMPLE_TIME_S] / p[lay.W_SUBSTEPS])
-    w[places.part(n, m, k, lay.PACE)] = pace
-    reports = False
+        _set_blur(w, n, m, k, period / substeps)
+    w[places.part(n, m, k, lay.PACE)], w[places.part(n, m, k, lay.SUBSTEPS)] = pace, substeps
     for j in range(m):
         motor = places.motor(n, j)
         reports |= laws.has_feed_forward(p, motor) or laws.has_encoder_error(p, motor)
         w[places.part(n, m, k, lay.LOOP_KP) + j] = laws.velocity_kp(p, motor)
         w[places.part(n, m, k, lay.LOOP_KI) + j] = laws.velocity_ki(p, motor)
-        w[places.part(n, m, k, lay.LOOP_CURRENT_S) + j] = laws.current_loop_s(p, motor)
+        current_s = laws.current_loop_s(p, motor)
+        w[places.part(n, m, k, lay.LOOP_CURRENT_S) + j] = current_s
+        decay = loops.current_decay(period, current_s)
+        w[places.part(n, m, k, lay.LAG_SHARE) + j] = current_s * (1.0 - decay) / period
     w[places.part(n, m, k, lay.REPORTS)] = 1.0 if reports else 0.0
-    motion.set_decays(p, w, p[lay.W_SAMPLE_TIME_S] / p[lay.W_SUBSTEPS])
+    motion.set_decays(p, w, period / substeps)
 
 
 @compiled
@@ -273,13 +293,13 @@ def leave(s: Vector, w: Vector, size: int) -> None:
 def _report_line(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, out: Vector, at: int) -> None:
     period = p[lay.W_SAMPLE_TIME_S]
     t = s[lay.S_COUNT] * period
-    step = period / p[lay.W_SUBSTEPS]
+    step = period / w[places.part(n, m, k, lay.SUBSTEPS)]
     laws.put_step_factors(p, places.first_span(n, m), k, t, step, w, places.part(n, m, k, lay.STEPS))
     motion.web(p, s, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), 0, False)
     reports = w[places.part(n, m, k, lay.REPORTS)] != 0.0
     for j in range(m):
-        shaft = _motor_motion(p, n, j)
-        motor, torque = places.motor(n, j), s[places.motor_state(n, k, j) + lay.SM_TORQUE_NM]
+        shaft, state = motion.shaft_of_motor(p, n, j), places.motor_state(n, k, j)
+        motor, torque = places.motor(n, j), s[state + lay.SM_TORQUE_NM]
         out[at + j] = w[shaft]
         out[at + m + j] = w[shaft + n]
         if reports and laws.has_encoder_error(p, motor):
@@ -290,6 +310,7 @@ def _report_line(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: 
         if reports and laws.has_feed_forward(p, motor):
             torque -= _fed_forward_Nm(p, s, u, w, t, j)
         out[at + 2 * m + j] = laws.measured_torque_Nm(p, motor, torque, s, places.past(n, m, k, j), int(s[lay.S_COUNT]))
+        out[at + 3 * m + 2 * k + j] = s[state + lay.SM_MEAN_NM] + laws.reported_offset_Nm(p, motor)
     for j in range(k):
         out[at + 3 * m + j] = w[places.part(n, m, k, lay.TENSION) + j]
         scale = laws.length_factor(p, places.first_span(n, m) + j * lay.SP_SIZE)
@@ -327,7 +348,7 @@ def _rows(
         u[lay.U_F_NEXT_N] = boundary[row, 1]
         for j in range(commands.shape[1]):
             u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = commands[row, j]
-        report(p, s, u, w, out, at + row * (3 * m + 2 * k))
+        report(p, s, u, w, out, at + row * (4 * m + 2 * k))
         go_on(p, s, u, w, samples)
 
 

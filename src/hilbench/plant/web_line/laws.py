@@ -6,10 +6,11 @@ the parameter vector of `hilbench.plant.web_line.layout`; in it, rows begin at `
 
 from __future__ import annotations
 
-from math import cos, exp, pi, sin
+from math import cos, exp, pi, sin, sqrt
 
 from hilbench.compiled import compiled, inlined, noinline
 from hilbench.plant import motor_laws as motors
+from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector, place
@@ -22,6 +23,11 @@ _ASYMMETRY = place("friction_asymmetry", "viscous_difference_N_s_per_m")
 _ECCENTRICITY_M = place("roller_eccentricity", "amplitude_m")
 _ECCENTRICITY_PHASE = place("roller_eccentricity", "phase_rad")
 _INERTIA = place("inertia_mismatch", "relative_change")
+_INERTIA_STEP = place("inertia_step", "time_s")
+_INERTIA_STEPS = find_effect("inertia_step", MachineKind.SERVO_AXIS).slots
+_BEHIND = place("resonance", "inertia_share")
+_FREQUENCY_HZ = place("resonance", "frequency_Hz")
+_TWIST_DAMPING = place("resonance", "damping")
 _UNBALANCE_NM = place("unbalance", "amplitude_Nm")
 _UNBALANCE_PHASE = place("unbalance", "phase_rad")
 _GAP_RAD = place("backlash", "gap_rad")
@@ -58,6 +64,8 @@ _LENGTH = place("span_length_error", "relative_change")
 #: Width of the change of dry friction around standstill, m/s, for measured motion: a force computed from it must not
 #: flip with the noise of v.
 FRICTION_WIDTH_M_S = 1e-3
+#: Largest phase angle of a twisting shaft's oscillation in an integration step, rad.
+_SWING_STEP = 0.2
 #: Tension change (N) at which the iteration for damping with creep stops.
 _TENSION_TOLERANCE_N = 1e-10
 _MOST_PASSES = 100
@@ -66,7 +74,19 @@ _MOST_PASSES = 100
 @inlined
 def smooth_resistance_N(p: Vector, axis: int, v_m_s: float) -> float:
     """Resistance that is continuous in v: b·v + d·|v|; without drag."""
-    return p[axis + _VISCOUS] * v_m_s + p[axis + _ASYMMETRY] * abs(v_m_s)
+    return viscous(p, axis) * v_m_s + p[axis + _ASYMMETRY] * abs(v_m_s)
+
+
+@inlined
+def viscous(p: Vector, axis: int) -> float:
+    """Viscous friction, N·s/m."""
+    return p[axis + lay.A_VISCOUS] + p[axis + _VISCOUS]
+
+
+@inlined
+def coulomb_N(p: Vector, axis: int) -> float:
+    """Dry friction of a part that slides fast."""
+    return p[axis + lay.A_COULOMB_N] + p[axis + _COULOMB_N]
 
 
 @inlined
@@ -78,7 +98,7 @@ def drag_N(p: Vector, axis: int, v_m_s: float) -> float:
 @inlined
 def breakaway_N(p: Vector, axis: int) -> float:
     """Dry friction at standstill without a load: Fc + Fs."""
-    return p[axis + _COULOMB_N] + p[axis + _STRIBECK_N]
+    return coulomb_N(p, axis) + p[axis + _STRIBECK_N]
 
 
 @inlined
@@ -96,7 +116,7 @@ def load_friction_N(p: Vector, axis: int, load_N: float) -> float:
 @inlined
 def dry_friction_N(p: Vector, axis: int, v_m_s: float) -> float:
     """Magnitude of the dry friction at speed v: Fc + Fs·exp(-(v/vs)²)."""
-    force = p[axis + _COULOMB_N]
+    force = coulomb_N(p, axis)
     if p[axis + _STRIBECK_N] != 0.0:
         force += p[axis + _STRIBECK_N] * exp(-((v_m_s / p[axis + _STRIBECK_SPEED]) ** 2))
     return force
@@ -105,15 +125,23 @@ def dry_friction_N(p: Vector, axis: int, v_m_s: float) -> float:
 @inlined
 def has_unbalance(p: Vector, axis: int) -> bool:
     """True if the roller has an unbalance."""
-    return p[axis + _UNBALANCE_NM] != 0.0
+    return p[axis + _UNBALANCE_NM] != 0.0 or p[axis + lay.A_UNBALANCE_NM] != 0.0
+
+
+@inlined
+def unbalance_N(p: Vector, axis: int, x_m: float) -> float:
+    """Force at the web of a roller's unbalance: A·sin(phi + phi0)/r, forward, phi the angle of what is unbalanced."""
+    return _unbalance_N(p, axis, x_m) if has_unbalance(p, axis) else 0.0
 
 
 @compiled
-def unbalance_N(p: Vector, axis: int, x_m: float) -> float:
-    """Force at the web of a roller's unbalance: A·sin(phi + phi0)/r, forward; roller angle phi = x/r."""
+def _unbalance_N(p: Vector, axis: int, x_m: float) -> float:
     noinline()
-    radius = p[axis + lay.A_RADIUS_M]
-    return p[axis + _UNBALANCE_NM] * sin(x_m / radius + p[axis + _UNBALANCE_PHASE]) / radius
+    phi = x_m / p[axis + lay.A_M_PER_TURNED_RAD]
+    torque_Nm = p[axis + _UNBALANCE_NM] * sin(phi + p[axis + _UNBALANCE_PHASE])
+    if p[axis + lay.A_UNBALANCE_NM] != 0.0:
+        torque_Nm += p[axis + lay.A_UNBALANCE_NM] * sin(phi + p[axis + lay.A_UNBALANCE_PHASE])
+    return torque_Nm / p[axis + lay.A_RADIUS_M]
 
 
 @inlined
@@ -123,6 +151,7 @@ def has_rare_force(p: Vector, axis: int, motor: int) -> bool:
         has_unbalance(p, axis)
         or p[axis + _DRAG] != 0.0
         or p[axis + _LOAD_SHARE] != 0.0
+        or twists(p, axis)
         or motors.is_any(p, motor + _LOAD_RIPPLE, 3, _LOAD_RIPPLES)
     )
 
@@ -133,10 +162,7 @@ def measured_resistance_N(p: Vector, axis: int, x_m: float, v_m_s: float, direct
     event at standstill, acts in a `direction` from -1 to 1 (`motor_laws.measured_direction`), and unbalance is a
     resistance by the angle. Load-dependent friction is the gear's: see `passed_on_N`."""
     resistance = smooth_resistance_N(p, axis, v_m_s) + direction * dry_friction_N(p, axis, v_m_s)
-    resistance += drag_N(p, axis, v_m_s)
-    if has_unbalance(p, axis):
-        resistance -= unbalance_N(p, axis, x_m)
-    return resistance
+    return resistance + drag_N(p, axis, v_m_s) - unbalance_N(p, axis, x_m)
 
 
 @inlined
@@ -171,8 +197,67 @@ def eccentric_travel_m(p: Vector, axis: int, x_m: float, end_m: float) -> float:
 
 @inlined
 def inertia_factor(p: Vector, axis: int) -> float:
-    """Factor on the moving mass."""
+    """Factor on the moving mass, without steps."""
     return 1.0 + p[axis + _INERTIA]
+
+
+@inlined
+def has_inertia_step(p: Vector, axis: int) -> bool:
+    """True if the moving mass steps."""
+    return motors.is_any(p, axis + _INERTIA_STEP + 1, 2, _INERTIA_STEPS)
+
+
+@inlined
+def inertia_factor_at(p: Vector, axis: int, t_s: float) -> float:
+    """Factor on the moving mass at a time.
+
+    A step grows within the drive's sample before its time, so that a fit can find the time.
+    """
+    factor = inertia_factor(p, axis)
+    if has_inertia_step(p, axis):
+        factor *= _factor_of_steps(p, axis + _INERTIA_STEP, _INERTIA_STEPS, t_s, p[lay.W_SAMPLE_TIME_S])
+    return factor
+
+
+@inlined
+def mass_kg(p: Vector, axis: int, t_s: float) -> float:
+    """Mass of roller and motor at a time, without web on it."""
+    return (p[axis + lay.A_MOTOR_MASS_KG] + p[axis + lay.A_ROLLER_MASS_KG]) * inertia_factor_at(p, axis, t_s)
+
+
+@inlined
+def twists(p: Vector, axis: int) -> bool:
+    """True if a part of the moving mass is behind a twisting shaft."""
+    return p[axis + _BEHIND] != 0.0
+
+
+@inlined
+def share_behind(p: Vector, axis: int) -> float:
+    """Share of the moving mass behind the twisting shaft."""
+    return p[axis + _BEHIND]
+
+
+@inlined
+def acceleration_behind(p: Vector, axis: int, twist: float, rate: float) -> float:
+    """Acceleration of the load behind a twisted shaft: force of spring and damper by its mass.
+
+    twist, rate: how far it is ahead of the motor, and how much faster.
+    """
+    omega = 2.0 * pi * p[axis + _FREQUENCY_HZ]
+    return -omega * (omega * twist + 2.0 * p[axis + _TWIST_DAMPING] * rate)
+
+
+@inlined
+def twist_under(p: Vector, axis: int, acceleration: float) -> float:
+    """Twist of a shaft under steady acceleration."""
+    return -acceleration / (2.0 * pi * p[axis + _FREQUENCY_HZ]) ** 2
+
+
+@inlined
+def swing_steps(p: Vector, axis: int, period_s: float) -> int:
+    """Number of integration steps in a time, for both sides of a twisting shaft to oscillate correctly."""
+    omega = 2.0 * pi * p[axis + _FREQUENCY_HZ] / sqrt(1.0 - p[axis + _BEHIND])
+    return 1 + int(omega * period_s / _SWING_STEP)
 
 
 @inlined
@@ -230,8 +315,8 @@ def fed_forward_N(
     """Feed-forward force, at the web, for a motion: s_J·m·a + s_b·b·v + s_C·Fc·direction (-1 to 1)."""
     return (
         p[motor + _FED_INERTIA] * mass_kg * a_m_s2
-        + p[motor + _FED_VISCOUS] * p[axis + _VISCOUS] * v_m_s
-        + p[motor + _FED_COULOMB] * p[axis + _COULOMB_N] * direction
+        + p[motor + _FED_VISCOUS] * viscous(p, axis) * v_m_s
+        + p[motor + _FED_COULOMB] * coulomb_N(p, axis) * direction
     )
 
 
@@ -310,14 +395,21 @@ def step_factor(p: Vector, span: int, t_s: float, duration_s: float) -> float:
 
 
 @compiled
-def _step_factor(p: Vector, span: int, t_s: float, duration_s: float) -> float:
-    noinline()
+def _factor_of_steps(p: Vector, first: int, slots: int, t_s: float, duration_s: float) -> float:
+    """Factor of steps (time and relative change) in slots from `first` on, averaged over [t, t + duration]."""
     factor = 1.0
-    for slot in range(_STEPS):
-        at = span + _STEP + 2 * slot
+    for slot in range(slots):
+        at = first + 2 * slot
         if p[at + 1] != 0.0:
             share = min(max((t_s + duration_s - p[at]) / duration_s, 0.0), 1.0)
             factor *= 1.0 + p[at + 1] * share
+    return factor
+
+
+@compiled
+def _step_factor(p: Vector, span: int, t_s: float, duration_s: float) -> float:
+    noinline()
+    factor = _factor_of_steps(p, span + _STEP, _STEPS, t_s, duration_s)
     for slot in range(_RAMPS):
         at = span + _RAMP + 3 * slot
         if p[at + 2] != 0.0:

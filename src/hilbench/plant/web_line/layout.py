@@ -11,7 +11,8 @@ web;
 
 Axes are the rollers in the direction of the web, K + 1 where there are spans, then the carriages. Motor k drives axis
 k; of an axis that is not driven it is never on. Motors beyond the last axis (load motors of a rig) are on the roller's
-side of the gear play of the axis named in their row.
+side of the gear play of the axis named in their row. Without a span the tension behind the line is a force on its axis,
+and a unit of position may be a radian as well (`hilbench.plant.servo_axis.layout`).
 """
 
 from __future__ import annotations
@@ -29,15 +30,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.effect import Domain, Effect, MachineKind, Section
-from hilbench.plant.effects import effects_of, find_effect
+from hilbench.plant.effects import EFFECTS, find_effect
 from hilbench.plant.motor_port import MotorMode
-from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
+from hilbench.plant.parameters import DriveParameters, EffectEntry, LoadMotorParameters, per_item
 from hilbench.plant.web_line.parameters import ModelParameters, places_of
 from hilbench.plant.web_line.stations import IdlerRollers, LineCarriage, Reel, Station, station_name
 
 Vector = NDArray[np.float64]
-
-_EFFECTS: Final = effects_of(MachineKind.WEB_LINE)
 
 # Web row.
 W_AXES: Final = 0
@@ -65,7 +64,12 @@ A_UPPER_STOP_M: Final = 13
 A_FIRST_SPAN: Final = 14  #: first span lengthened by its travel, from 0
 A_LAST_SPAN: Final = 15
 A_RADIUS_SHARE: Final = 16  #: of a reel: relative error of the assumed radius at the start
-A_FIXED: Final = 17  #: effects from here on
+A_COULOMB_N: Final = 17  #: dry friction, without effects, as all following ones
+A_VISCOUS: Final = 18  #: N·s/m
+A_UNBALANCE_NM: Final = 19
+A_UNBALANCE_PHASE: Final = 20
+A_M_PER_TURNED_RAD: Final = 21  #: position per angle of what is unbalanced
+A_FIXED: Final = 22  #: effects from here on
 # Motor rows.
 M_RAD_PER_M: Final = 0  #: i/r
 M_LOOPS: Final = 1  #: from here on as in `drive_loops`
@@ -78,7 +82,8 @@ M_AXIS: Final = M_LOOPS + loops.LOOPS_SIZE  #: axis of its shaft, from 0; arbitr
 # Span rows.
 SP_SECTION_M2: Final = 0
 SP_MODULUS_PA: Final = 1
-_FIXED = {"web": 7, "axis": A_FIXED, "motor": M_AXIS + 1, "span": 2}
+M_FIXED: Final = M_AXIS + 1  #: effects from here on
+_FIXED = {"web": 7, "axis": A_FIXED, "motor": M_FIXED, "span": 2}
 
 # State.
 S_COUNT: Final = 0
@@ -92,7 +97,8 @@ SM_INTEGRAL_NM: Final = loops.INTEGRAL_NM
 SM_REFERENCE: Final = loops.REFERENCE
 SM_LIMITED: Final = loops.LIMITED
 SM_MODE: Final = loops.MODE
-SM_SIZE: Final = loops.STATE_SIZE
+SM_MEAN_NM: Final = loops.STATE_SIZE  #: mean torque in the last call of the kernel
+SM_SIZE: Final = loops.STATE_SIZE + 1
 RING: Final = 128  #: past torques kept per motor, one per sample time
 # Pieces of other web in the line, after the past torques: a ring of the last ones.
 PIECES_CAME: Final = 0  #: whether the splice of the present effect has come in
@@ -135,12 +141,14 @@ PER_MOTOR_MASS: Final = 9
 STEPS: Final = 10  #: factor of the steps of E in each span in this step
 DECAY_STEP_S: Final = 11  #: step length of the decays
 PACE: Final = 12  #: one number: integration mode that the line's effects allow
-REPORTS: Final = 13  #: one number: whether any drive's measurement or record differs from the true value
+REPORTS: Final = 13  #: one number: whether a drive's measurement or record isn't the true value, or an inertia steps
 LOOP_KP: Final = 14  #: gains and current loop of a motor's drive, with effects
 LOOP_KI: Final = 15
 LOOP_CURRENT_S: Final = 16
 SPLICE_BLUR: Final = 17  #: one number: travel of the web in a step, over which the ends of a piece are blurred, m
-PARTS: Final = 18
+LAG_SHARE: Final = 18  #: share of a torque's distance to its command in its mean over a sample time
+SUBSTEPS: Final = 19  #: one number: integration steps per sample time
+PARTS: Final = 20
 #: Least travel over which the ends of a piece are blurred, m.
 LEAST_BLUR_M: Final = 1e-9
 #: Integration modes: the usual step; the general one, with every force; gear play, whose contact is an event.
@@ -167,7 +175,7 @@ def row_of(effect: Effect) -> str:
 
 def _allocate() -> tuple[dict[str, int], dict[str, int]]:
     sizes, first = dict(_FIXED), {}
-    for effect in _EFFECTS:
+    for effect in EFFECTS:
         first[effect.id] = sizes[row_of(effect)]
         sizes[row_of(effect)] += effect.slots * len(effect.parameters)
     return sizes, first
@@ -181,11 +189,11 @@ SP_SIZE: Final = _SIZES["span"]
 
 
 @cache
-def place(effect_id: str, parameter: str, slot: int = 0) -> int:
-    """Column of an effect's parameter in its row. Raises KeyError."""
-    effect = find_effect(effect_id)
-    names = [p.name for p in effect.parameters]
-    return _FIRST[effect_id] + slot * len(names) + names.index(parameter)
+def place(effect_id: str, parameter: str | int, slot: int = 0) -> int:
+    """Column of an effect's parameter in its row: by its name in a line, or by its number, from 0. Raises KeyError."""
+    names = [p.name for effect in EFFECTS if effect.id == effect_id for p in effect.parameters]
+    number = names.index(parameter) if isinstance(parameter, str) else parameter
+    return _FIRST[effect_id] + slot * len(names) + number
 
 
 #: Column that an effect of a carriage or idler changes, and its name in the station's block.
@@ -246,11 +254,11 @@ class Layout:
     @property
     def output_size(self) -> int:
         """Number of columns of `kernel.simulate`: see `columns`."""
-        return 3 * self.motors + 2 * self.spans
+        return 4 * self.motors + 2 * self.spans
 
     @property
     def columns(self) -> Mapping[str, slice]:
-        """Columns of `kernel.simulate`: motor motion at the web, measured torque, tensions, strains."""
+        """Columns of `kernel.simulate`: motor motion at the web, measured torque, tensions, strains, mean torque."""
         return _columns(self.motors, self.spans)
 
     def axis_rows(self, parameters: Vector) -> Vector:
@@ -298,7 +306,7 @@ class Layout:
 
 @cache
 def _columns(motors: int, spans: int) -> Mapping[str, slice]:
-    edges = {"x_m": motors, "v_m_s": motors, "tau_Nm": motors, "F_N": spans, "strain": spans}
+    edges = {"x_m": motors, "v_m_s": motors, "tau_Nm": motors, "F_N": spans, "strain": spans, "mean_tau_Nm": motors}
     result, start = {}, 0
     for name, width in edges.items():
         result[name] = slice(start, start + width)
@@ -314,13 +322,14 @@ def write_effect(
     values: Mapping[str, float],
     *,
     span: int | None = None,
+    kind: MachineKind = MachineKind.WEB_LINE,
 ) -> None:
-    """Write an effect's (checked, complete) parameters, by name and in their units, into a parameter vector (P,).
+    """Write an effect's (checked) parameters, by name and in their units, into a parameter vector (P,); others stay.
 
     axis: number of the driven axis, from 1, None for an effect of the web; span: from 1, None for all of them; slot:
-    from 0, for effects that can be given several times.
+    from 0, for effects that can be given several times; kind: of the machine, which has the names and units.
     """
-    layout, effect = Layout.of(parameters), find_effect(effect_id)
+    layout, effect = Layout.of(parameters), find_effect(effect_id, kind)
     of = row_of(effect)
     if of == "span":
         every = layout.span_rows(parameters)
@@ -330,12 +339,13 @@ def write_effect(
     else:
         row = driven_row(parameters, axis)
         targets = (layout.axis_rows(parameters) if of == "axis" else layout.motor_rows(parameters))[row : row + 1]
-    for name, value in values.items():
-        targets[:, place(effect_id, name, slot)] = value
+    for number, parameter in enumerate(effect.parameters):
+        if parameter.name in values:
+            targets[:, place(effect_id, number, slot)] = values[parameter.name]
 
 
-def clear_effects(parameters: Vector) -> None:
-    """Set every effect of a parameter vector neutral."""
+def clear_effects(parameters: Vector, kind: MachineKind = MachineKind.WEB_LINE) -> None:
+    """Set every effect of the parameter vector of a kind of machine neutral."""
     layout = Layout.of(parameters)
     rows = {
         "web": parameters[np.newaxis],
@@ -343,10 +353,11 @@ def clear_effects(parameters: Vector) -> None:
         "motor": layout.motor_rows(parameters),
         "span": layout.span_rows(parameters),
     }
-    for effect in _EFFECTS:
+    for effect in EFFECTS:
+        of_kind = find_effect(effect.id, kind) if kind in effect.kinds else effect
         for slot in range(effect.slots):
-            for p in effect.parameters:
-                rows[row_of(effect)][:, place(effect.id, p.name, slot)] = p.neutral
+            for number, p in enumerate(of_kind.parameters):
+                rows[row_of(effect)][:, place(effect.id, number, slot)] = p.neutral
 
 
 def driven_rows(parameters: Vector) -> tuple[int, ...]:
@@ -368,6 +379,16 @@ def write_drive(row: Vector, drives: DriveParameters | None, axis: int) -> None:
     row[M_POSITION_KP] = per_item(drives.position_kp_per_s, axis) if drives else 0.0
     row[M_LIMIT_NM] = per_item(drives.torque_limit_Nm, axis) if drives else inf
     row[M_CURRENT_S] = per_item(drives.current_loop_time_constant_s, axis) if drives else 0.0
+
+
+def write_load_motor(row: Vector, motor: LoadMotorParameters, axis: int, rad_per_m: float) -> None:
+    """Write the row of a load motor on the shaft of an axis, from 1."""
+    row[M_AXIS], row[M_RAD_PER_M] = axis - 1, rad_per_m
+    row[M_KP] = motor.velocity_kp_Nm_s_per_rad
+    row[M_KI] = motor.velocity_ki_Nm_per_rad
+    row[M_POSITION_KP] = motor.position_kp_per_s
+    row[M_LIMIT_NM] = motor.torque_limit_Nm
+    row[M_CURRENT_S] = motor.current_loop_time_constant_s
 
 
 def pack(model: ModelParameters, substeps: int = 1) -> Vector:
@@ -432,7 +453,7 @@ def write_station_effect(
 
 def _write_driven(row: Vector, motor: Vector, model: ModelParameters, axis: int) -> None:
     row[A_AXIS] = axis
-    row[A_RADIUS_M] = model.radius_m(axis)
+    row[A_RADIUS_M] = row[A_M_PER_TURNED_RAD] = model.radius_m(axis)
     row[A_MOTOR_MASS_KG] = model.motor_mass_kg(axis)
     row[A_ROLLER_MASS_KG] = model.roller_mass_kg(axis)
     row[A_WEB_LOAD] = model.carries_web_load(axis)
@@ -442,7 +463,7 @@ def _write_driven(row: Vector, motor: Vector, model: ModelParameters, axis: int)
 
 def _write_idler(row: Vector, motor: Vector, station: Station | None) -> None:
     assert isinstance(station, IdlerRollers), "a roller without a motor has a station of its own"
-    row[A_RADIUS_M] = station.radius_m
+    row[A_RADIUS_M] = row[A_M_PER_TURNED_RAD] = station.radius_m
     row[A_ROLLER_MASS_KG] = station.inertia_kg_m2 / station.radius_m**2
     row[A_WEB_LOAD] = 1.0
     row[place("coulomb_friction", "force_N")] = station.roller_coulomb_friction_N
@@ -482,7 +503,7 @@ def write_entries(parameters: Vector, entries: Iterable[EffectEntry]) -> None:
     used: Counter[tuple[str, Section | None]] = Counter()
     spans = Layout.of(parameters).spans
     for entry in entries:
-        effect = find_effect(entry.effect)
+        effect = find_effect(entry.effect, entry.machine_kind)
         for at in places_of(effect, entry.axis, entry.span, spans):
             slot = used[effect.id, at]
             used[effect.id, at] += 1
@@ -496,6 +517,7 @@ def write_entries(parameters: Vector, entries: Iterable[EffectEntry]) -> None:
                 slot,
                 values,
                 span=at if isinstance(at, int) and effect.per_section else None,
+                kind=entry.machine_kind,
             )
     check_effects(parameters)
 
@@ -511,8 +533,9 @@ def check_effects(parameters: Vector) -> None:
         axis, play = int(row[A_AXIS]), row[place("backlash", "gap_rad")] > 0.0
         if play and row[A_REEL_SLOPE_PER_M] != 0.0:
             raise ValueError(f"effect 'backlash' at axis {axis}, expected none at a reel")
-        if motor[place("torque_delay", "delay_s")] > longest:
-            raise ValueError(f"effect 'torque_delay' at axis {axis}, expected at most {longest:g} s")
+        delay_s = motor[place("torque_delay", "delay_s")]
+        if delay_s > longest:
+            raise ValueError(f"effect 'torque_delay' of {delay_s:g} s, expected at most {longest:g} s at axis {axis}")
 
 
 def check_play(parameters: Vector) -> None:
@@ -571,10 +594,11 @@ def forget_pieces(state: Vector) -> None:
 def refresh_modes(parameters: Vector, state: Vector) -> None:
     """Set friction direction and gear contact by the motion after external changes of state or effects."""
     n, gap = int(parameters[W_AXES]), W_SIZE + place("backlash", "gap_rad")
+    behind = W_SIZE + place("resonance", "inertia_share")
     modes = S_Y + 4 * n + 2 * int(parameters[W_SPANS])
     for axis in range(n):  # scalar access: of two axes, every cycle, a fifth of numpy's time
         speed = state.item(S_Y + n + axis)
         state[modes + axis * SA_SIZE + SA_DIRECTION] = 1.0 if speed > 0.0 else -1.0 if speed < 0.0 else speed
-        if parameters[gap + axis * A_SIZE] == 0.0:
+        if parameters[gap + axis * A_SIZE] == 0.0 == parameters[behind + axis * A_SIZE]:
             state[modes + axis * SA_SIZE + SA_CONTACT] = 0.0
             state[S_Y + 3 * n + axis] = speed

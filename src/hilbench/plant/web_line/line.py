@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.plant.effect import Domain
 from hilbench.plant.effects import effects_of, find_effect
@@ -18,7 +16,7 @@ from hilbench.plant.sampling import samples_per
 from hilbench.plant.web_line import laws, motion, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
-from hilbench.plant.web_line.line_vectors import LineVectors, torque_ripples
+from hilbench.plant.web_line.line_vectors import torque_ripples
 from hilbench.plant.web_line.modes import needed_substeps
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -33,15 +31,6 @@ from hilbench.plant.web_line.simulated import (
 )
 from hilbench.plant.web_line.splices import WHOLE, SplicedSpan, has_pieces, spliced_spans
 from hilbench.plant.web_line.stations import Reel, force_input, reel_name
-
-
-class LineStep(NamedTuple):
-    """Arguments of `rig_cycle.step` in addition to the vectors of a line."""
-
-    samples: int  #: of the drives
-    motors: NDArray[np.int64]  #: rows of those with ports
-    sensors: Vector
-    silence: Vector  #: zeros in place of noise
 
 
 class Line(SimulatedLine):
@@ -85,16 +74,6 @@ class Line(SimulatedLine):
     first_axis = 0  #: index of the first roller of its first span, from 0
 
     @property
-    def vectors(self) -> LineVectors:
-        """Vectors of the line, for compiled callers; call `show` after they have changed them."""
-        return LineVectors(self._p, self._state, self._inputs, self._work, self._out)
-
-    def step_in_vectors(self, duration_s: float) -> LineStep:
-        """Step arguments for compiled callers. Raises ValueError as `step`."""
-        samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
-        return LineStep(samples, self._places_of_motors, self._figures, self._silence[0])
-
-    @property
     def moduli(self) -> Vector:
         """Parameter index of E of each span, and 1 for each; (2, K)."""
         layout = self._layout
@@ -109,10 +88,6 @@ class Line(SimulatedLine):
     def set_boundary(self, strain_prev: float, F_next_N: float) -> None:
         """Set the boundary inputs of these names from now on."""
         self._inputs[lay.U_STRAIN_PREV], self._inputs[lay.U_F_NEXT_N] = strain_prev, F_next_N
-
-    def show(self) -> None:
-        """Write the outputs `out` of changed vectors to the ports."""
-        self._write_ports()
 
     def parameter(self, name: str) -> float:
         """Present value of a parameter. Raises ValueError for an unknown name."""

@@ -110,7 +110,7 @@ def _required_torques(
             pull = _pull_N(p, w, tension, i, n, upstream, downstream)
             x, v, a = xs[row, i], vs[row, i], accelerations[row, i]
             direction = measured_direction(v, laws.FRICTION_WIDTH_M_S)
-            tau_Nm[row, i] = reported_torque_Nm(p, axis, motor, x, v, a, pull, direction, 1.0)
+            tau_Nm[row, i] = reported_torque_Nm(p, axis, motor, t, x, v, a, a, pull, direction, 1.0)
         if row + 1 == x_m.shape[0]:
             break
         # To the next row by Heun's rule, with the web's travel instead of speeds: it is exact, whatever the period.

@@ -78,6 +78,47 @@ def _put_rates_of_stations(p: Vector, u: Vector, w: Vector, n: int, m: int, k: i
 
 
 @inlined
+def shaft_of_motor(p: Vector, n: int, j: int) -> int:
+    """Index of the position of motor j's shaft in the integrated quantities.
+
+    An axis's own motor is on the motor's side of the gear play, a load motor on the roller's. Behind a twisting shaft,
+    in place of the motor's side, is a part of the load.
+    """
+    if j < n:
+        return j if laws.twists(p, places.axis(j)) else 2 * n + j
+    return int(p[places.motor(n, j) + lay.M_AXIS])
+
+
+@inlined
+def acceleration_behind_m_s2(p: Vector, w: Vector, n: int, i: int, y: int) -> float:
+    """Acceleration of the load behind the twisting shaft of axis i."""
+    twist, rate = w[y + 2 * n + i] - w[y + i], w[y + 3 * n + i] - w[y + n + i]
+    return laws.acceleration_behind(p, places.axis(i), twist, rate)
+
+
+@compiled
+def set_masses(p: Vector, w: Vector, t: float) -> None:
+    """Set the inverse masses of all axes at a time; a twisting shaft separates the motor's mass from the load's."""
+    n, m, k = places.counts(p)
+    both, roller, motor = (
+        places.part(n, m, k, lay.PER_MASS),
+        places.part(n, m, k, lay.PER_ROLLER_MASS),
+        places.part(n, m, k, lay.PER_MOTOR_MASS),
+    )
+    for i in range(n):
+        axis = places.axis(i)
+        factor = laws.inertia_factor_at(p, axis, t)
+        motor_mass, roller_mass = p[axis + lay.A_MOTOR_MASS_KG] * factor, p[axis + lay.A_ROLLER_MASS_KG] * factor
+        moved = motor_mass + roller_mass
+        if laws.twists(p, axis):
+            roller_mass = laws.share_behind(p, axis) * moved
+            moved -= roller_mass
+        w[both + i] = 1.0 / moved
+        w[roller + i] = 1.0 / roller_mass
+        w[motor + i] = 1.0 / motor_mass
+
+
+@inlined
 def web_force_N(
     p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int, strain_prev: float, slides: bool
 ) -> float:
@@ -111,14 +152,15 @@ def motor_force_N(p: Vector, w: Vector, n: int, m: int, k: int, j: int, x_m: flo
 
 @inlined
 def own_force_N(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int, slides: bool) -> float:
-    """Force on the roller's side of gear i without web and dry friction: load motors, resistance, unbalance."""
+    """Force on the roller's side of gear i without web and dry friction: load motors, resistance, unbalance, twist."""
     force = -laws.smooth_resistance_N(p, places.axis(i), w[y + n + i])
     if not slides:
         force -= laws.drag_N(p, places.axis(i), w[y + n + i])
-        if laws.has_unbalance(p, places.axis(i)):
-            force += laws.unbalance_N(p, places.axis(i), w[y + i])
+        force += laws.unbalance_N(p, places.axis(i), w[y + i])
         if carriages.is_carriage(k, i):
             force += carriages.force_N(p, places.axis(i), w[y + i])
+        if laws.twists(p, places.axis(i)):
+            force -= acceleration_behind_m_s2(p, w, n, i, y) / w[places.part(n, m, k, lay.PER_ROLLER_MASS) + i]
     for j in range(n, m):  # load motors; of a line without any, the loop is not compiled
         if p[places.motor(n, j) + lay.M_AXIS] == i:
             force += motor_force_N(p, w, n, m, k, j, w[y + i], slides)
@@ -203,8 +245,8 @@ def _go_axis(
     ahead: float,
     slides: bool,
 ) -> None:
-    """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play; it may stick, a
-    carriage be at a stop, and a roller without 1/mass keeps its speed.
+    """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play, or by a twisting
+    shaft; it may stick, a carriage be at a stop, and a roller without 1/mass keeps its speed.
 
     `weight`, `ahead` (s): of this stage of the Runge-Kutta step. `slides`: compile-time constant, true if no gear has
     play, no roller sticks and no rare force acts, which saves the checks.
@@ -218,7 +260,8 @@ def _go_axis(
         _go(w, size, 2 * n + i, v, weight, ahead)
         _go(w, size, 3 * n + i, 0.0, weight, ahead)
         return
-    drive = motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i], slides)
+    twists = not slides and laws.twists(p, places.axis(i))
+    drive = motor_force_N(p, w, n, m, k, i, w[y + (i if twists else 2 * n + i)], slides)
     own = own_force_N(p, w, n, m, k, i, y, slides)
     pull = web_force_N(p, u, w, n, m, k, i, y, strain_prev, slides)
     apart = not slides and is_apart(p, s, n, k, i)
@@ -229,11 +272,14 @@ def _go_axis(
     else:
         force, load = own if apart else own + drive, 0.0 if apart else drive
         acceleration = acceleration_m_s2(p, s, n, k, i, v, of_mass, force, pull, load, slides)
-    motor_acceleration = drive * w[places.part(n, m, k, lay.PER_MOTOR_MASS) + i] if apart else acceleration
+    other = drive * w[places.part(n, m, k, lay.PER_MOTOR_MASS) + i] if apart else acceleration
+    if twists:
+        other = acceleration_behind_m_s2(p, w, n, i, y)
+    other_speed = w[y + 3 * n + i] if apart or twists else v
     _go(w, size, i, v, weight, ahead)
     _go(w, size, n + i, acceleration, weight, ahead)
-    _go(w, size, 2 * n + i, w[y + 3 * n + i] if apart else v, weight, ahead)
-    _go(w, size, 3 * n + i, motor_acceleration, weight, ahead)
+    _go(w, size, 2 * n + i, other_speed, weight, ahead)
+    _go(w, size, 3 * n + i, other, weight, ahead)
 
 
 @merged

@@ -27,6 +27,8 @@ class Simulation:
     state: Vector  #: at the end, to continue from
     #: Readings of station sensors, (…, n, stations): positions of carriages, radii of reels, m.
     sensors_m: Vector | None = None
+    #: Means of the measured torques over the time since the previous row; None of an emulated line.
+    mean_tau_Nm: Vector | None = None
 
 
 def start_state(parameters: Vector, model: ModelParameters, strain: ArrayLike | None = None) -> Vector:
@@ -96,4 +98,5 @@ def simulate(
         F_N=out[..., columns["F_N"]],
         strain=out[..., columns["strain"]],
         state=states,
+        mean_tau_Nm=out[..., columns["mean_tau_Nm"]],
     )

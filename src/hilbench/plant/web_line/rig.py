@@ -19,11 +19,10 @@ from hilbench.plant.effects import effect_problem, effects_of
 from hilbench.plant.interface import Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import DriveParameters, EffectEntry, LoadMotorParameters, per_item
-from hilbench.plant.sensors import SensorNoise, SensorParameters, Sensors, show
+from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.ports import write_ports
 from hilbench.plant.web_line.simulated import KIND, SimulatedLine
 
 OfAxes = FiniteFloat | Annotated[list[FiniteFloat], Field(min_length=1)]
@@ -139,7 +138,7 @@ def pack_rig(rig: RigParameters, substeps: int = 1) -> Vector:
         turned = per_item(rig.flywheel_inertia_kg_m2, axis) + rig.rotors_kg_m2(axis)
         row = layout.axis_rows(p)[axis - 1]
         row[lay.A_AXIS] = axis
-        row[lay.A_RADIUS_M] = per_item(rig.radius_m, axis)
+        row[lay.A_RADIUS_M] = row[lay.A_M_PER_TURNED_RAD] = per_item(rig.radius_m, axis)
         row[lay.A_MOTOR_MASS_KG] = per_item(rig.motor_inertia_kg_m2, axis) * ratio**2
         row[lay.A_ROLLER_MASS_KG] = turned * ratio**2
         motor = layout.motor_rows(p)[axis - 1]
@@ -147,23 +146,13 @@ def pack_rig(rig: RigParameters, substeps: int = 1) -> Vector:
         motor[lay.M_AXIS] = axis - 1
         lay.write_drive(motor, rig.drives, axis)
     for row, coupled in zip(layout.motor_rows(p)[rig.axes :], rig.load_motors, strict=True):
-        row[lay.M_AXIS] = coupled.axis - 1
-        row[lay.M_RAD_PER_M] = _rad_per_m(rig, coupled.axis)
-        _write_loops(row, coupled.motor)
+        lay.write_load_motor(row, coupled.motor, coupled.axis, _rad_per_m(rig, coupled.axis))
     lay.write_entries(p, rig.effects)
     return p
 
 
 def _rad_per_m(rig: RigParameters, axis: int) -> float:
     return per_item(rig.gear_ratio, axis) / per_item(rig.radius_m, axis)
-
-
-def _write_loops(row: Vector, motor: LoadMotorParameters) -> None:
-    row[lay.M_KP] = motor.velocity_kp_Nm_s_per_rad
-    row[lay.M_KI] = motor.velocity_ki_Nm_per_rad
-    row[lay.M_POSITION_KP] = motor.position_kp_per_s
-    row[lay.M_LIMIT_NM] = motor.torque_limit_Nm
-    row[lay.M_CURRENT_S] = motor.current_loop_time_constant_s
 
 
 class TestRig(SimulatedLine):
@@ -182,18 +171,19 @@ class TestRig(SimulatedLine):
             raise ValueError(f"{len(ports)} ports, expected those of {n} axes and {m - n} load motors")
         p = pack_rig(parameters, substeps)
         effects = [effect.id for effect in effects_of(KIND) if effect.enters(EffectPlace.HARDWARE)]
-        super().__init__(p, np.zeros(Layout.of(p).state_size), ports, "rad", effects, _values(parameters))
+        sensors = [parameters.sensors] * n + [parameters.load_sensors] * (m - n)
+        super().__init__(
+            p,
+            np.zeros(Layout.of(p).state_size),
+            ports,
+            "rad",
+            effects,
+            _values(parameters),
+            sensors=sensors,
+            seed=seed,
+        )
         self._rig = parameters
-        self._noise = SensorNoise(np.random.SeedSequence(seed).spawn(m))
-        self._sensors = [Sensors(kind) for kind in [parameters.sensors] * n + [parameters.load_sensors] * (m - n)]
-        self._figures = np.array([figure for sensors in self._sensors for figure in sensors.figures])
         self._observe()
-
-    def _observe(self) -> None:
-        self._refresh()
-        write_ports(self._layout, self._motors, self._p, self._ports, self._state, self._out)
-        assert self._noise is not None, "it has sensors"
-        show(self._ports, self._sensors, self._noise)
 
     def set_parameter(self, name: str, value: float) -> None:
         """Set a flywheel's inertia from now on. Raises ValueError for an unknown name or impossible value."""

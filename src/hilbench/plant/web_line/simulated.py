@@ -1,7 +1,7 @@
-"""Base of the closed line and its test rig: the kernel's vectors, motor ports, states and effects by name.
+"""Base of a closed line, its test rig and servo axes: the kernel's vectors, motor ports, states and effects by name.
 
-Both are driven axes moved by the kernel; a line has web between them and uses metres, a rig has load motors on its
-shafts and uses radians.
+All are driven axes moved by the kernel; a line has web between them and uses metres, a rig and a servo axis may have
+load motors on their shafts and use radians.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hilbench.cycle_program import CompiledStage
 from hilbench.plant.drive_loops import OFF
@@ -22,10 +23,11 @@ from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quanti
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.sampling import locked_sample_time_s, samples_per
 from hilbench.plant.sensor_rows import chained_with_noise, silence
-from hilbench.plant.sensors import SensorNoise
+from hilbench.plant.sensors import SensorNoise, SensorParameters, Sensors, show
 from hilbench.plant.web_line import kernel, rig_cycle
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.ports import read_ports, write_ports
 
 KIND = MachineKind.WEB_LINE
@@ -39,6 +41,15 @@ class _Memory:
     state: bytes
     feedback: tuple[tuple[float, float, float, float, bool], ...]
     noise: SensorNoise | None
+
+
+class LineStep(NamedTuple):
+    """Arguments of `rig_cycle.step` in addition to the vectors of a line."""
+
+    samples: int  #: of the drives
+    motors: NDArray[np.int64]  #: rows of those with ports
+    sensors: Vector
+    silence: Vector  #: zeros in place of noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,10 +118,10 @@ def moduli_by_name(p: Vector) -> dict[str, Vector]:
     return {quantity.name: view for quantity, view in zip(modulus_names(len(moduli)), views, strict=False)}
 
 
-def known_effect(effect_id: str) -> Effect:
-    """Effect with this id. Raises ValueError that lists the known ones."""
+def known_effect(effect_id: str, kind: MachineKind = KIND) -> Effect:
+    """Effect of a kind of machine with this id. Raises ValueError that lists the known ones."""
     try:
-        return find_effect(effect_id)
+        return find_effect(effect_id, kind)
     except KeyError as error:
         raise ValueError(error.args[0]) from None
 
@@ -123,12 +134,13 @@ def set_effect(
     slot: int,
     parameters: Mapping[str, float],
     able: Iterable[str],
+    kind: MachineKind = KIND,
 ) -> None:
     """Check and write one effect into a parameter vector (P,); on an error leave it unchanged and raise ValueError.
 
     `able`: ids of the effects that this machine can have.
     """
-    effect = known_effect(effect_id)
+    effect = known_effect(effect_id, kind)
     layout = Layout.of(p)
     axes = len(lay.driven_rows(p)) if effect.per_axis else None
     problem = (
@@ -141,7 +153,7 @@ def set_effect(
     if problem:
         raise ValueError(problem)
     changed = p.copy()
-    lay.write_effect(changed, effect_id, axis, slot, effect.filled(parameters), span=span)
+    lay.write_effect(changed, effect_id, axis, slot, effect.filled(parameters), span=span, kind=kind)
     lay.check_effects(changed)
     p[:] = changed
 
@@ -158,8 +170,11 @@ class SimulatedLine:
 
     `p` (P,): parameter vector, owned by the machine; `state` (S,): initial state; `unit`: of positions. `effects`: ids
     of the supported ones. `further`: motion of parts without a motor; `derived`: outputs computed from the integrated
-    quantities (`Layout.y`); `forces`: force inputs of carriages. Without ports every motor is off.
+    quantities (`Layout.y`); `forces`: force inputs of carriages; `sensors` of the motors, with noise by `seed`. Without
+    ports every motor is off.
     """
+
+    kind = KIND
 
     def __init__(
         self,
@@ -172,12 +187,15 @@ class SimulatedLine:
         further: Sequence[FurtherState] = (),
         derived: Mapping[Quantity, Callable[[Vector], float]] = MappingProxyType({}),
         forces: Mapping[Quantity, CarriagePush] = MappingProxyType({}),
+        sensors: Sequence[SensorParameters] = (),
+        seed: int = 0,
     ) -> None:
         self._p, self._state = p, state
         self._sample_time_s = p.item(lay.W_SAMPLE_TIME_S)
         self._layout = layout = Layout.of(p)
         self._ports = tuple(ports)
-        self._noise: SensorNoise | None = None  # only with sensors
+        self._sensors = [Sensors(each) for each in sensors]
+        self._noise = SensorNoise(np.random.SeedSequence(seed).spawn(len(sensors))) if sensors else None
         self._inputs, self._work = layout.new_inputs(), layout.new_work()
         self._out = np.zeros(layout.output_size)
         self._parameters = {quantity.name: value for quantity, value in parameters.items()}
@@ -189,13 +207,14 @@ class SimulatedLine:
         rows = layout.motor_rows(p)
         shown = [rows[motor] for motor in self._motors]
         self._places_of_motors = np.array(self._motors, np.int64)
-        self._figures = np.zeros(rig_cycle.SENSOR * len(shown))  # sensors without errors:
+        figures = [each.figures for each in self._sensors] or np.zeros((len(shown), rig_cycle.SENSOR))
+        self._figures = np.array(figures, dtype=float).reshape(-1)
         self._silence, self._always = silence(len(shown))
         axis_of = {row: number for number, row in enumerate(self._driven, 1)}
         self._per_m = [1.0 if unit == "m" else float(rows[row, lay.M_RAD_PER_M]) for row in self._driven]
         axes, spans = axis_names(n, unit), span_names(k)
-        self._description = PlantDescription(
-            kind=KIND,
+        description = PlantDescription(
+            kind=self.kind,
             position_unit=unit,
             axes=n,
             motors=tuple(
@@ -219,17 +238,20 @@ class SimulatedLine:
             parameters=tuple(parameters),
             effects=tuple(effects),
         )
-        self._output_names = [quantity.name for quantity in self._description.outputs]
         self._further = tuple(further)
         self._derived = tuple(derived.values())
         self._forces = {quantity.name: push for quantity, push in forces.items()}
-        #: Columns of the outputs in the kernel's report, and their scales.
         columns = [(row, scale) for row, scale in zip(self._driven, self._per_m, strict=True)]
         columns += [(m + row, scale) for row, scale in columns[:n]]
         columns += [(2 * m + motor, 1.0) for motor in self._motors]
         columns += [(3 * m + place, 1.0) for place in range(2 * k)]
-        self._columns = columns
-        self._places = {quantity.name: i for i, quantity in enumerate(self._description.states)}
+        self._describe_as(description, columns)
+
+    def _describe_as(self, description: PlantDescription, columns: Sequence[tuple[int, float]]) -> None:
+        """Take names; `columns`: those of the outputs in the kernel's report, and their scales."""
+        self._description, self._columns = description, columns
+        self._output_names = [quantity.name for quantity in description.outputs]
+        self._places = {quantity.name: i for i, quantity in enumerate(description.states)}
 
     def describe(self) -> PlantDescription:
         """Description; see `hilbench.plant.interface.Machine`."""
@@ -239,6 +261,11 @@ class SimulatedLine:
     def ports(self) -> tuple[MotorPort, ...]:
         """Ports of the axes' motors, then of load motors."""
         return self._ports
+
+    @property
+    def vectors(self) -> LineVectors:
+        """Vectors for compiled callers; call `show` after they have changed them."""
+        return LineVectors(self._p, self._state, self._inputs, self._work, self._out)
 
     @property
     def time_s(self) -> float:
@@ -257,30 +284,43 @@ class SimulatedLine:
         Raises ValueError for another duration.
         """
         samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
-        read_ports(self._layout, self._motors, self._ports, self._state, self._inputs)
-        kernel.advance(self._p, self._state, self._inputs, self._work, samples)
+        self._read_ports()
+        self._advance(samples)
         self._observe()
 
-    def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> CompiledStage:
+    def _read_ports(self) -> None:
+        read_ports(self._layout, self._motors, self._ports, self._state, self._inputs)
+
+    def _advance(self, samples: int) -> None:
+        kernel.advance(self._p, self._state, self._inputs, self._work, samples)
+
+    def step_in_vectors(self, duration_s: float) -> LineStep:
+        """Step arguments for compiled callers, with the ports' modes and limits. Raises ValueError as `step`."""
+        samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
+        self._read_ports()
+        return LineStep(samples, self._places_of_motors, self._figures, self._silence[0])
+
+    def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> CompiledStage | None:
         """`step` with set points (M,) in place of the ports', whose modes and limits are kept; the feedback goes into
         `shown`, (5 M,): position, velocity, torque, reference, torque limited.
 
         The ports are not updated; the caller keeps the vectors. Raises ValueError as `step`.
         """
-        samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
-        own = self._p, self._state, self._inputs, self._work, self._out, self._places_of_motors
-        noise = self._noise
+        step, noise = self.step_in_vectors(duration_s), self._noise
         numbers = (self._silence, self._always) if noise is None else (noise.rows, noise.next)
-        vectors = *own, set_points, self._figures, shown, *numbers
-        return chained_with_noise(rig_cycle.step_by, samples, vectors, noise)
+        vectors = *self.vectors, step.motors, set_points, step.sensors, shown, *numbers
+        return chained_with_noise(rig_cycle.step_by, step.samples, vectors, noise)
 
     def _observe(self) -> None:
         """Update `_out` to the state, and the ports' feedback."""
         self._refresh()
-        self._write_ports()
+        self.show()
 
-    def _write_ports(self) -> None:
+    def show(self) -> None:
+        """Write the outputs `out` of changed vectors to the ports."""
         write_ports(self._layout, self._motors, self._p, self._ports, self._state, self._out)
+        if self._noise is not None:
+            show(self._ports, self._sensors, self._noise)
 
     def _refresh(self) -> None:
         kernel.observe(self._p, self._state, self._inputs, self._work, self._out)
@@ -322,7 +362,7 @@ class SimulatedLine:
             return
         memory = state.memory
         if not isinstance(memory, _Memory) or len(memory.state) != self._state.nbytes:
-            raise ValueError(f"a state of another machine, expected one of a {KIND} of {len(self._driven)} axes")
+            raise ValueError(f"a state of another machine, expected one of a {self.kind} of {len(self._driven)} axes")
         self._state[:] = np.frombuffer(memory.state)
         self._refresh()
         for port, shown in zip(self._ports, memory.feedback, strict=True):
@@ -340,7 +380,9 @@ class SimulatedLine:
             place = self._places[name]
             if place < 2 * driven:
                 at = lay.S_Y + self._driven[place % driven] + (n if place >= driven else 0)
-                state[at] = state[at + 2 * n] = value / self._per_m[place % driven]
+                apart = state.item(at + 2 * n) - state.item(at) if self._twists(self._driven[place % driven]) else -0.0
+                state[at] = value / self._per_m[place % driven]
+                state[at + 2 * n] = state.item(at) + apart
             elif place < 2 * driven + motors:
                 torque = first_torque + self._motors[place - 2 * driven] * lay.SM_SIZE
                 state[torque] = value
@@ -354,6 +396,10 @@ class SimulatedLine:
                 self._set_further(self._further[place - 2 * driven - motors - k], value)
         lay.refresh_modes(self._p, state)
         self._observe()
+
+    def _twists(self, row: int) -> bool:
+        """True if a part of the load of an axis is behind a twisting shaft."""
+        return self._p.item(lay.W_SIZE + row * lay.A_SIZE + lay.place("resonance", "inertia_share")) != 0.0
 
     def _set_further(self, state: FurtherState, value: float) -> None:
         """Transfer the motion of a part without a motor; the strains of spans that a carriage lengthens stay."""
@@ -395,7 +441,7 @@ class SimulatedLine:
         parameter.
         """
         strain = self._out[self._layout.columns["strain"]].copy()
-        set_effect(self._p, effect_id, axis, section, slot, parameters, self.describe().effects)
+        set_effect(self._p, effect_id, axis, section, slot, parameters, self.describe().effects, self.kind)
         if effect_id == "splice":
             lay.await_splice(self._state)
         lay.set_strain(self._p, self._state, strain)
@@ -405,7 +451,7 @@ class SimulatedLine:
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0
     ) -> None:
         """Make an effect neutral from now on. Raises as `set_effect`."""
-        self.set_effect(effect_id, axis, section=section, slot=slot, **known_effect(effect_id).filled({}))
+        self.set_effect(effect_id, axis, section=section, slot=slot, **known_effect(effect_id, self.kind).filled({}))
 
     def _set_inertia(self, name: str, value: float, axis: int, roller_mass_kg: float) -> None:
         """Set another mass on the roller's side of the gear of an axis (from 1). Raises ValueError."""

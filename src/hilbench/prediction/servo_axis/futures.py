@@ -9,15 +9,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.plant import drive_loops as loops
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import per_item
 from hilbench.plant.sampled_shaft import emulation_delay_s
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.emulation import steepest_Nm_s_per_rad
-from hilbench.plant.servo_axis.kernel import look as look_at
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
+from hilbench.plant.servo_axis.shaft import look as look_at
 from hilbench.plant.servo_axis.stability import sampled_shaft
+from hilbench.plant.web_line import layout as line
+from hilbench.plant.web_line.layout import Layout
 from hilbench.prediction.draws import normal_draws
 from hilbench.prediction.futures import Futures
 from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
@@ -99,8 +100,9 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         self._kp = kp * (1.0 + self._p.item(lay.place("drive_gain")))
         self._real = lay.pack(real.axis, real.load_motor)
         self._steepest = steepest_Nm_s_per_rad(self._real, emulation_delay_s(sampled_shaft(real, cycle_s)))
-        self._inputs = lay.new_inputs(self._p)
-        lay.motor_inputs(self._inputs)[:, loops.IN_MODE] = MotorMode.VELOCITY
+        self._layout = Layout.of(self._p)
+        self._inputs = self._layout.new_inputs()
+        self._layout.motor_inputs(self._inputs)[:, line.UM_MODE] = MotorMode.VELOCITY
 
     def prepare(
         self, present: ShaftPresent, courses_at: CoursesAt, offsets: Offsets, *key: int
@@ -117,7 +119,7 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         def run() -> None:
             kernel.run_futures(
                 p, self._real, self._steepest, start, shaft, courses, lay.new_state(p), self._inputs.copy(),
-                np.zeros(lay.output_size(p)), np.zeros(self.quantities),
+                self._layout.new_work(), np.zeros(self._layout.output_size), np.zeros(self.quantities),
                 tally.table, step_s / self._cycle_s, tally.every,
             )  # fmt: skip
 
@@ -173,17 +175,17 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
 
     def _start(self, p: Array, present: ShaftPresent, z: Array) -> Array:
         """States (B, S): the shaft at its speed in the drive's loop; z (B,): draws of the speed."""
-        state = lay.new_state(p)
-        state[lay.S_COUNT] = round(present.now_s / p[lay.P_SAMPLE_TIME_S])  # effects follow the experiment's time
-        state[lay.S_X] = present.position_rad
-        state[lay.S_PAST : lay.S_PAST + lay.RING] = present.torque_Nm
-        (motor,) = lay.motor_states(state)
-        motor[loops.MODE], motor[loops.REFERENCE] = MotorMode.VELOCITY, present.command_rad_s
-        motor[loops.TORQUE_NM] = motor[loops.COMMAND_NM] = present.torque_Nm
-        motor[loops.INTEGRAL_NM] = present.torque_Nm - self._kp * present.error_rad_s
+        state = lay.new_state(p, present.position_rad)
+        state[line.S_COUNT] = round(present.now_s / p[lay.P_SAMPLE_TIME_S])  # effects follow the experiment's time
+        past = lay.S_MOTORS + line.SM_SIZE
+        state[past : past + line.RING] = present.torque_Nm
+        (motor,) = self._layout.motor_states(state)
+        motor[line.SM_MODE], motor[line.SM_REFERENCE] = MotorMode.VELOCITY, present.command_rad_s
+        motor[line.SM_TORQUE_NM] = motor[line.SM_COMMAND_NM] = present.torque_Nm
+        motor[line.SM_INTEGRAL_NM] = present.torque_Nm - self._kp * present.error_rad_s
         states = np.tile(state, (self._futures, 1))
         at_standstill = abs(present.speed_rad_s) <= _STANDSTILL * present.speed_sd_rad_s
         speeds = present.speed_rad_s + present.speed_sd_rad_s * z
-        states[:, lay.S_V] = 0.0 if at_standstill else speeds
+        states[:, lay.S_V] = states[:, lay.S_V_BEHIND] = 0.0 if at_standstill else speeds
         states[:, lay.S_DIRECTION] = np.sign(states[:, lay.S_V])
         return states

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, MATRIX, REAL, TABLE, VECTOR, compiled, entry_point, inlined
 from hilbench.plant import drive_loops as loops
-from hilbench.plant.servo_axis import kernel
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.emulation import load_torque_Nm
-from hilbench.plant.servo_axis.layout import Vector
+from hilbench.plant.web_line import kernel, places
+from hilbench.plant.web_line import layout as line
+from hilbench.plant.web_line.layout import Vector
 from hilbench.prediction.judging import TallyVectors, keep, of_table, see
 
 Matrix = NDArray[np.float64]
@@ -43,20 +44,23 @@ DRAWN: Final = 3
 
 
 @inlined
-def _change_shaft(p: Vector, shaft: Matrix, b: int, courses: Matrix, i: int) -> None:
-    """Set inertia and friction of future b in step i."""
+def _change_shaft(p: Vector, s: Vector, shaft: Matrix, b: int, courses: Matrix, i: int) -> None:
+    """Set inertia and friction of future b in step i; dry friction that begins in motion is against it."""
     p[lay.P_INERTIA] = shaft[b, D_INERTIA] * courses[i, C_INERTIA]
     p[lay.P_COULOMB], p[lay.P_VISCOUS] = max(shaft[b, D_DRY] + courses[i, C_DRY], 0.0), max(shaft[b, D_VISCOUS], 0.0)
+    if s[lay.S_V] != 0.0:
+        s[lay.S_DIRECTION] = 1.0 if s[lay.S_V] > 0.0 else -1.0
 
 
 @inlined
-def _watched(p: Vector, real: Vector, steepest: float, s: Vector, u: Vector, out: Vector, q: Vector) -> None:
-    """Write the present quantities to q (Q,); out: scratch for observed values."""
-    kernel.report(p, s, out, 0)
-    q[Q_TORQUE], q[Q_SPEED] = out[lay.O_TORQUE], out[lay.O_V]
-    now_s, a = s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S], kernel.acceleration_rad_s2(p, s, u)
-    emulated = load_torque_Nm(p, real, now_s, s[lay.S_X], s[lay.S_V], a, steepest)
-    q[Q_LOAD_TORQUE] = loops.clip(emulated, real[lay.P_LOOPS + loops.LOOPS_SIZE + loops.LIMIT_NM])
+def _watched(p: Vector, real: Vector, steepest: float, s: Vector, u: Vector, w: Vector, out: Vector, q: Vector) -> None:
+    """Write the present quantities to q (Q,); out: scratch for observed values; between `enter` and `leave`."""
+    kernel.report(p, s, u, w, out, 0)
+    q[Q_SPEED], q[Q_TORQUE] = out[1], out[2]
+    now_s, x, v = s[line.S_COUNT] * p[lay.P_SAMPLE_TIME_S], w[0], w[1]
+    a = kernel.acceleration_m_s2(p, s, u, w, now_s, 0)
+    emulated = load_torque_Nm(p, real, now_s, x, v, a, steepest)
+    q[Q_LOAD_TORQUE] = loops.clip(emulated, real[lay.LOAD_MOTOR + line.M_LIMIT_NM])
 
 
 @compiled
@@ -68,6 +72,7 @@ def _run(
     courses: Matrix,
     s: Vector,
     u: Vector,
+    w: Vector,
     out: Vector,
     q: Vector,
     tally: TallyVectors,
@@ -78,10 +83,12 @@ def _run(
     """Run future b to its end."""
     row, until_row = 0, every
     for i in range(courses.shape[0]):
-        _change_shaft(p, shaft, b, courses, i)
-        u[lay.U_MOTORS + loops.IN_SETPOINT] = courses[i, C_COMMAND]
-        kernel.go_on(p, s, u, 1)
-        _watched(p, real, steepest, s, u, out, q)
+        _change_shaft(p, s, shaft, b, courses, i)
+        u[lay.U_SETPOINT] = courses[i, C_COMMAND]
+        kernel.enter(p, s, u, w)
+        kernel.go_on(p, s, u, w, 1)
+        _watched(p, real, steepest, s, u, w, out, q)
+        kernel.leave(s, w, places.block(1, 0, 1))
         see(tally, q, samples, b, i)
         until_row -= 1
         if until_row == 0:
@@ -90,13 +97,13 @@ def _run(
 
 
 #: run_futures(parameters, those of the rig as assumed, slope of the emulated dry friction at standstill, states (B, S),
-#: draws (B, DRAWN), courses (T, COURSES), state, inputs, observed, quantities, table of the tally (`Tally.table`),
-#: measurements in a step, steps in a row).
+#: draws (B, DRAWN), courses (T, COURSES), state, inputs, scratch, observed, quantities, table of the tally
+#: (`Tally.table`), measurements in a step, steps in a row).
 @entry_point(
     *[VECTOR] * 2,
     REAL,
     *[MATRIX] * 3,
-    *[VECTOR] * 4,
+    *[VECTOR] * 5,
     TABLE,
     REAL,
     COUNT,
@@ -110,6 +117,7 @@ def run_futures(
     courses: Matrix,
     s: Vector,
     u: Vector,
+    w: Vector,
     out: Vector,
     q: Vector,
     table: Indices,
@@ -119,4 +127,4 @@ def run_futures(
     tally = of_table(table)
     for b in range(start.shape[0]):
         s[:] = start[b]
-        _run(p, real, steepest, shaft, courses, s, u, out, q, tally, samples, every, b)
+        _run(p, real, steepest, shaft, courses, s, u, w, out, q, tally, samples, every, b)

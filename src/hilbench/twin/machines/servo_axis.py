@@ -13,9 +13,9 @@ from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.fmu.shaft import FmuAxis
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import per_item
-from hilbench.plant.servo_axis.axis import ServoAxis
-from hilbench.plant.servo_axis.layout import Vector
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.plant.servo_axis.shaft import ServoAxis
+from hilbench.plant.web_line.layout import Vector
 from hilbench.processes import log
 from hilbench.topology.blocks import TwinConfig
 from hilbench.topology.signals import Shape
@@ -185,7 +185,7 @@ class ServoAxisTwin:
         return ShaftInVectors(
             self._estimator,
             self._plausibility,
-            self.plant.step_in_vectors(self._cycle_s, vectors.asked, vectors.shown),
+            self.plant,
             self._cycle_s,
             0.01 * self._config.synchronized_pct,
             estimates,

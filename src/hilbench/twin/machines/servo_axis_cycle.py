@@ -21,10 +21,11 @@ from hilbench.estimation.problems import PROBLEMS, Problem
 from hilbench.estimation.servo_axis import balance, inertia
 from hilbench.estimation.servo_axis.balance import ShaftSample
 from hilbench.estimation.servo_axis.inertia import InertiaEstimator, take_next
-from hilbench.plant.servo_axis import kernel, laws, rig_cycle
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.layout import Vector
-from hilbench.plant.servo_axis.shaft import ShaftStep
+from hilbench.plant.servo_axis.shaft import ServoAxis
+from hilbench.plant.web_line import kernel, laws, rig_cycle
+from hilbench.plant.web_line import layout as line
+from hilbench.plant.web_line.layout import Vector
 from hilbench.twin.machines.machine import LOOK, WENT_ON, MachineVectors
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED
 
@@ -37,8 +38,10 @@ _STAGE_OF = {NOT_NEXT: inertia.NOT_NEXT, _MISLED: inertia.MISLED}
 #: Machine result of each final code.
 _ENDS = {_DONE: WENT_ON, _LOOK: LOOK}
 # Rows of the table: those of `rig_cycle.step`, then the machine's own, then those of the estimator.
-_P, _S, _U, _OUT, _SET_POINTS, _SENSORS, _SHOWN = range(7)
-_SILENCE, _FIGURES, _OUTPUTS, _MEASURED, _VALUES, _WHOLE, _AT, _PLAUSIBILITY, _STATED, _INPUTS = range(7, 17)
+_P, _S, _U, _WORK, _OUT, _MOTORS, _SET_POINTS, _SENSORS, _SILENCE, _SHOWN = range(10)
+_FIGURES, _OUTPUTS, _MEASURED, _VALUES, _WHOLE, _AT, _PLAUSIBILITY, _STATED, _INPUTS = range(10, 19)
+#: Column of the mean torque in the kernel's report.
+_MEAN = 3
 _BANK = _INPUTS + len(balance.InputVectors._fields)
 #: Figures: drive samples of a cycle, share of the inertia up to which its deviation counts as known.
 _SAMPLES, _KNOWN = range(2)
@@ -56,23 +59,33 @@ _NUMBERS = 0x10000
 def _ripple_Nm(outputs: Vector, out: Vector, simulated_Nm: float) -> float:
     """Excess of the simulated torque's mean over that of both ends of the cycle."""
     before_Nm, outputs[BEFORE_NM] = outputs[BEFORE_NM], simulated_Nm
-    return 0.0 if isnan(before_Nm) else out[lay.O_MEAN] - 0.5 * (before_Nm + simulated_Nm)
+    return 0.0 if isnan(before_Nm) else out[_MEAN] - 0.5 * (before_Nm + simulated_Nm)
 
 
 @compiled
 def _simulate(
-    p: Vector, s: Vector, out: Vector, outputs: Vector, stated: Vector, figures: Vector, position_rad: float
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    out: Vector,
+    outputs: Vector,
+    stated: Vector,
+    figures: Vector,
+    position_rad: float,
 ) -> None:
     """Compiled `ServoAxisTwin._simulate`; `figures`: those of the bank."""
     if figures[inertia.PRIORS + 1] > 0.0:
         outputs[VISCOUS] = stated[inertia.VISCOUS]
     if figures[inertia.PRIORS + 2] > 0.0:
         outputs[COULOMB] = stated[inertia.COULOMB]
-    p[lay.P_INERTIA] = stated[inertia.INERTIA] / laws.inertia_factor(p, s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S])
+    time_s = s[line.S_COUNT] * p[lay.P_SAMPLE_TIME_S]
+    p[lay.P_INERTIA] = stated[inertia.INERTIA] / laws.inertia_factor_at(p, lay.AXIS, time_s)
     p[lay.P_COULOMB], p[lay.P_VISCOUS] = max(outputs[COULOMB], 0.0), max(outputs[VISCOUS], 0.0)
+    s[lay.S_X_BEHIND] = position_rad + (s[lay.S_X_BEHIND] - s[lay.S_X])
     s[lay.S_X], speed = position_rad, s[lay.S_V]
     s[lay.S_DIRECTION] = 1.0 if speed > 0.0 else (-1.0 if speed < 0.0 else 0.0)
-    kernel.report(p, s, out, 0)
+    kernel.observe(p, s, u, w, out)
 
 
 @compiled
@@ -124,10 +137,13 @@ def _run(stage: int, table: Places) -> int:
         if found != inertia.TAKEN:
             return NOT_NEXT if found == inertia.NOT_NEXT else _MISLED
         stage = _SIMULATE
-    p, s = floats(table, _P, (1,)), floats(table, _S, (1,))
+    p, s, u, w = floats(table, _P, (1,)), floats(table, _S, (1,)), floats(table, _U, (1,)), floats(table, _WORK, (1,))
     if stage == _SIMULATE:
-        _simulate(p, s, out, outputs, stated, floats(table, _BANK + 7, (1,)), position_rad)
-    rig_cycle.step(table, int(figures[_SAMPLES]), floats(table, _SILENCE, (1,)))
+        _simulate(p, s, u, w, out, outputs, stated, floats(table, _BANK + 7, (1,)), position_rad)
+    rig_cycle.step(
+        p, s, u, w, out, integers(table, _MOTORS, (1,)), floats(table, _SET_POINTS, (1,)), int(figures[_SAMPLES]),
+        floats(table, _SENSORS, (1,)), floats(table, _SILENCE, (1,)), shown,
+    )  # fmt: skip
     _publish(floats(table, _VALUES, (1,)), at, stated, outputs, shown[_TORQUE])
     outputs[_STATUS] = whole[at[_STATUS_AT]]
     whole[at[_STATUS_AT]] = _status(stated, outputs[PROBLEM], figures[_KNOWN])
@@ -151,7 +167,7 @@ class ShaftInVectors:
         self,
         estimator: InertiaEstimator,
         of_torque: Plausibility,
-        shaft: ShaftStep,
+        plant: ServoAxis,
         cycle_s: float,
         known: float,
         outputs: dict[int, float],
@@ -166,11 +182,11 @@ class ShaftInVectors:
         for place, value in outputs.items():
             self._outputs[place] = value
         at = np.array([vectors.number, vectors.status, *vectors.published], np.int64)
-        figures = np.array([float(shaft.samples), known])
-        own = figures, self._outputs, vectors.measured, vectors.values, vectors.whole, at
+        step = plant.step_in_vectors(cycle_s)
         self._own: tuple[NDArray[Any], ...] = (
-            *(*shaft.vectors, shaft.silence, *own),
-            *(of_torque.state, estimator.stated),
+            *(*plant.vectors, step.motors, vectors.asked, step.sensors, step.silence, vectors.shown),
+            *(np.array([float(step.samples), known]), self._outputs, vectors.measured, vectors.values, vectors.whole),
+            *(at, of_torque.state, estimator.stated),
         )
         self._take_table()
 
@@ -178,7 +194,9 @@ class ShaftInVectors:
         """Update the table after a change of the estimator's vectors."""
         self._of = self._estimator.table
         self._table = np.concatenate([table_of(self._own), self._of])
-        self.piece = CompiledStage(_run, _COMPARE, self._table, continues=_DONE, fallback=self._fallback)
+        self.piece = CompiledStage(
+            _run, _COMPARE, self._own, continues=_DONE, fallback=self._fallback, table=self._table
+        )
 
     def has_ended(self, code: int) -> bool:
         """True if the cycle was completed; see `machine.InVectors`."""

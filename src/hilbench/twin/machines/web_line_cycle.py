@@ -28,7 +28,7 @@ from hilbench.plant.sample_coherence import IncrementCheck, SampleCoherence, coh
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import line_vectors, rig_cycle
 from hilbench.plant.web_line.layout import Vector
-from hilbench.plant.web_line.line import LineStep
+from hilbench.plant.web_line.simulated import LineStep
 from hilbench.twin.machines import web_splice_tracker
 from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, MachineVectors
 from hilbench.twin.machines.web_section import WebSection
@@ -332,7 +332,9 @@ class LineInVectors:
         if not len(self._table) or any(now is not then for now, then in zip(tables, self._of, strict=True)):
             self._of = tables
             self._table = np.concatenate([table_of(self._own), *tables])
-            self.piece = CompiledStage(_run, cycle.COMPARE, self._table, continues=_DONE, fallback=self._fallback)
+            self.piece = CompiledStage(
+                _run, cycle.COMPARE, self._own, continues=_DONE, fallback=self._fallback, table=self._table
+            )
         self._figures[_INPUT_STRAIN] = self._estimated[0].tracking.input_strain
         self._spans[:, _SEPARABLE] = [each.tracking.separable for each in self._estimated]
 

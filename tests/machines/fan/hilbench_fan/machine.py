@@ -6,12 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from hilbench.apps.pages.live.machines import servo_axis as page
-from hilbench.apps.pages.live.machines.panel import Panel, Plot, Trace
-from hilbench.apps.pages.live.machines.servo_axis import settled as settled
 from hilbench.apps.report.chart import BLUE
 from hilbench.apps.report.machines import servo_axis as report
-from hilbench.apps.report.machines.picture import Line, MachinePictures, RunPicture, lines
+from hilbench.apps.report.panel import MachinePanels, Panel, Series
 from hilbench.bench.machines import servo_axis as bench
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState
@@ -23,9 +20,9 @@ from hilbench.diagnosis.servo_axis import *  # noqa: F403  # what is not given b
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.interface import PlantDescription, Quantity
 from hilbench.plant.motor_port import MotorPort
-from hilbench.plant.servo_axis.axis import ServoAxis
 from hilbench.plant.servo_axis.emulation import EmulatedShaft
 from hilbench.plant.servo_axis.parameters import ServoRigParameters
+from hilbench.plant.servo_axis.shaft import ServoAxis
 from hilbench.runs import servo_axis_check
 from hilbench.runs.config import ExperimentConfig
 from hilbench.topology.blocks import TwinConfig
@@ -126,18 +123,13 @@ def start_values(config: ExperimentConfig) -> dict[str, float]:
     return servo_axis_check.start_values(config) | {DRAG.path: config.machine.drag_Nm_s2_per_rad2}
 
 
-def pictures_of(shape: Shape) -> MachinePictures:
-    """The part `pictures`."""
-    torque = lines("torque in N·m", Line("tau_fan_true_Nm", "fan", BLUE))
-    picture = RunPicture("fan", "Torque of the fan", "Torque of the emulated fan.", (torque,))
-    return replace(report.PICTURES, pictures=(*report.PICTURES.pictures, picture))
-
-
-def panel(config: BenchConfig) -> Panel:
-    """Of the part `page`."""
-    of_axis = page.panel(config)
-    plot = Plot("fan", "Torque of the fan", "N·m", (Trace("tau_fan_true_Nm", "fan", BLUE),))
-    return replace(of_axis, plots=(*of_axis.plots, plot))
+def panels_of(shape: Shape) -> MachinePanels:
+    """The part `panels`: those of a shaft, and the torque of the fan."""
+    series = (Series("tau_fan_true_Nm", "fan", BLUE),)
+    caption = "Torque of the emulated fan."
+    fan = Panel("fan", "Torque of the fan", "torque", "N·m", series, caption=caption)
+    of_axis = report.panels_of(shape)
+    return replace(of_axis, panels=(*of_axis.panels, fan))
 
 
 def choice(model: FanParameters, data: Measured, emulation: AnyEmulation | None) -> Choice:

@@ -13,13 +13,12 @@ from math import isfinite
 from typing import Any, Final
 
 from hilbench.apps.library.active_runs import continues
-from hilbench.apps.library.entry import read_entry
 from hilbench.apps.monitor.condition import Condition
 from hilbench.apps.monitor.frame_buffer import RecentFrames
 from hilbench.apps.monitor.picture import BusPicture
 from hilbench.apps.pages.live.events import Entry, Events, Weight
 from hilbench.apps.pages.live.history import History
-from hilbench.apps.pages.live.machines.kinds import panel_of
+from hilbench.apps.pages.live.machines.kinds import live_panels, signals_of
 from hilbench.apps.pages.live.samples import FindRun, LiveSamples
 from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
@@ -55,8 +54,8 @@ class Listener:
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.config = config
-        self.panel = panel_of(config)
-        self.history = History(self.panel.signals, config.cycle_time_s)
+        self.panels = live_panels(config)
+        self.history = History(signals_of(self.panels), config.cycle_time_s)
         self.events = Events()
         self.lock = threading.Lock()  #: of all that changes here
         self._open_link = open_link
@@ -244,7 +243,7 @@ def event_of(change: Change, t_s: float) -> Entry:
 def ended(folder: RunFolder, result: Result) -> dict[str, Any]:
     """Page data of a run that is over."""
     return {
-        "verdict": read_entry(folder.path.parent, folder.name).state,
+        "verdict": result.verdict,
         "faults": [fault.text for fault in result.faults],
         "criteria": [
             {"name": each.name, "passed": each.passed, "value": each.value, "unit": each.unit, "limit": each.limit}

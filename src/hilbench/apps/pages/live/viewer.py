@@ -17,6 +17,7 @@ from hilbench.apps.pages.live.control_lock import ControlLock
 from hilbench.apps.pages.live.controls import ControlAnswer, Viewer
 from hilbench.apps.pages.live.history import LEVELS, Stretches
 from hilbench.apps.pages.live.listener import Listener
+from hilbench.apps.pages.live.machines.kinds import drawing_of, panel_data
 
 #: How often stretches are sent, and the state, s.
 _TICK_S: Final = 0.05
@@ -134,7 +135,7 @@ class Viewers:
 
     def _layout(self, secret: str) -> dict[str, Any]:
         listener = self._listener
-        config, panel = listener.config, listener.panel
+        config = listener.config
         return {
             "kind": "layout",
             "viewer": secret,
@@ -143,8 +144,8 @@ class Viewers:
             "bus": config.bus.address,
             "cycle_s": config.cycle_time_s,
             "signals": listener.history.names,
-            "plots": [plot.as_data() for plot in panel.plots],
-            "drawing": panel.drawing,
+            "plots": [panel_data(panel, config) for panel in listener.panels],
+            "drawing": drawing_of(config),
             "parts": {
                 part.name: "virtual" if part.is_virtual else "simulated" if part.is_simulated else "real"
                 for part in config.parts

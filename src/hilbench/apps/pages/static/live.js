@@ -9,14 +9,14 @@ window.session.then((known) => {
     if (kind) made.className = kind;
     return made;
   };
-  const minus = (text) => text.replace("-", "\u2212");
+  const { colour, missing, minus, ticks, axis, beginning, extent, height } = window.axes;
   const digits = (value, least = 4) => {
     const size = Math.abs(value);
     return size >= 1000 ? 0 : size >= 100 ? 1 : size >= 10 ? 2 : Math.min(least, 3);
   };
-  const number = (value) => (value === null || value === undefined || !Number.isFinite(value) ? "–" : minus(value.toFixed(digits(value))));
+  const number = (value) => (missing(value) || !Number.isFinite(value) ? "–" : minus(value.toFixed(digits(value))));
   const rounded = (value) => minus(String(Number(value.toPrecision(4))));
-  const seconds = (t) => (t === null || t === undefined ? "" : minus(t.toFixed(t >= 100 ? 1 : 2)) + " s");
+  const seconds = (t) => (missing(t) ? "" : minus(t.toFixed(t >= 100 ? 1 : 2)) + " s");
 
   const isReplay = "replay" in document.body.dataset;
 
@@ -66,11 +66,6 @@ window.session.then((known) => {
   let windowS = 30, held = null; // [from, to] while paused
   let plots = [], drawnAt = 0;
 
-  const colour = (name, alpha = 1) => {
-    const text = getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-    const part = (at) => parseInt(text.slice(at, at + 2), 16);
-    return alpha === 1 ? text : `rgba(${part(1)},${part(3)},${part(5)},${alpha})`;
-  };
   const shown = () => {
     if (held) return held;
     const t = levels.length ? levels[0].t : [], last = t.length ? t[t.length - 1] : 0;
@@ -101,12 +96,11 @@ window.session.then((known) => {
     }
     return x;
   };
-  const curve = (store, first, last, column, scale, widen = null, side = 0) => {
+  const curve = (store, first, last, column, scale, half = () => 0, side = 0) => {
     const y = new Array(2 * (last - first)), low = store.low[column], high = store.high[column];
     let before = NaN;
     for (let k = first; k < last; k++) {
-      const more = widen === null ? 0 : 2 * store.high[widen][k];
-      let a = side > 0 ? high[k] + more : side < 0 ? low[k] - more : low[k];
+      let a = side > 0 ? high[k] + half(k) : side < 0 ? low[k] - half(k) : low[k];
       let b = side === 0 ? high[k] : a;
       const middle = 0.5 * (a + b);
       if (middle < before) [a, b] = [b, a];
@@ -162,30 +156,9 @@ window.session.then((known) => {
     }
     ctx.restore();
   };
-  // A band is shown whole, unless it is so much wider than the curves that these could not be read: of an estimate that
-  // has just begun, say.
-  const WIDER = 25;
-  const range = (least) => (u, low, high) => {
-    if (low === null || high === null || !Number.isFinite(low)) return [0, 1];
-    const room = WIDER * Math.max(high - low, least), [bottom, top] = u.extent ?? [low, high];
-    low = Math.max(Math.min(low, bottom), low - room);
-    high = Math.min(Math.max(high, top), high + room);
-    const half = Math.max((high - low) / 2, least / 2, Math.abs(high) * 1e-6, 1e-9) * 1.08, middle = (low + high) / 2;
-    return [middle - half, middle + half];
-  };
-  const extent = (columns) => {
-    let bottom = Infinity, top = -Infinity;
-    for (const column of columns) for (const value of column) if (value !== null) { bottom = Math.min(bottom, value); top = Math.max(top, value); }
-    return bottom <= top ? [bottom, top] : null;
-  };
-  const decimals = (step) => {
-    let count = 0;  // as many as tell multiples of 2.5 apart, too
-    while (count < 9 && Math.abs(step * 10 ** count - Math.round(step * 10 ** count)) > 1e-6 * step * 10 ** count) count += 1;
-    return count;
-  };
-  const ticks = (u, values, axis, space, step) => values.map((v) => (v === null || v === undefined ? "" : minus(v.toFixed(decimals(step)))));
+  const WIDER = 25; // of an estimate that has just begun, say
+  const range = (plot) => (u, low, high) => height(low, high, u.extent, WIDER, Math.max(plot.least, plot.least_share * Math.abs(high)));
 
-  const axisOf = () => ({ stroke: () => colour("--ink"), grid: { stroke: () => colour("--rule"), width: 1 }, ticks: { stroke: () => colour("--rule"), width: 1 }, font: "11px system-ui, sans-serif", values: ticks });
   const makePlot = (plot) => {
     const figure = make("figure");
     figure.append(make("h3", `${plot.title} in ${plot.unit}`));
@@ -193,21 +166,17 @@ window.session.then((known) => {
     figure.append(at);
     figure.dataset.plot = plot.name;
     $("grid").append(figure);
-    const series = [{ label: "t", value: (u, v) => (v === null || v === undefined ? "" : `${v.toFixed(3)} s`) }], bands = [];
-    for (const spread of plot.spreads) {
-      bands.push({ series: [series.length, series.length + 1], fill: () => colour(spread.colour, 0.2) });
-      for (const edge of ["high", "low"]) series.push({ label: edge, width: 0, points: { show: false }, auto: false });
-    }
-    for (const trace of plot.traces)
+    const { series, bands } = beginning(plot.bands);
+    for (const trace of plot.series)
       series.push({
         label: trace.name, width: trace.width, dash: trace.dash.length ? trace.dash : undefined, stroke: () => colour(trace.colour),
-        points: { show: false }, value: (u, v) => (v === null || v === undefined ? "–" : number(v) + " " + plot.unit),
+        points: { show: false }, value: (u, v) => (missing(v) ? "–" : number(v) + " " + plot.unit),
       });
-    const axis = axisOf();
+    const numbered = { ...axis(11), values: ticks };
     const u = new uPlot({
       width: Math.max(at.clientWidth, 200), height: PLOT_PX, series, bands, padding: [8, 8, 0, 0],
-      scales: { x: { time: false, range: () => shown() }, y: { range: range(plot.least) } },
-      axes: [{ ...axis, size: 26 }, { ...axis, size: AXIS_PX }],
+      scales: { x: { time: false, range: () => shown() }, y: { range: range(plot) } },
+      axes: [{ ...numbered, size: 26 }, { ...numbered, size: AXIS_PX }],
       legend: { markers: { width: 2 } },
       cursor: {
         sync: { key: "hilbench", scales: ["x", null] }, drag: { x: true, y: false, setScale: false }, points: { size: 5 },
@@ -224,7 +193,7 @@ window.session.then((known) => {
       },
     }, [[0], ...series.slice(1).map(() => [null])], at);
     u.plot = plot;
-    u.root.querySelectorAll(".u-legend .u-series").forEach((row, k) => { if (k === 0 || k <= 2 * plot.spreads.length) row.hidden = true; });
+    u.root.querySelectorAll(".u-legend .u-series").forEach((row, k) => { if (k === 0 || k <= 2 * plot.bands.length) row.hidden = true; });
     return u;
   };
   const draw = () => {
@@ -235,10 +204,13 @@ window.session.then((known) => {
     const x = times(store, first, last), at = (name) => layout.signals.indexOf(name);
     for (const u of plots) {
       const data = [x];
-      for (const spread of u.plot.spreads)
-        for (const side of [1, -1]) data.push(curve(store, first, last, at(spread.signal), u.plot.scale, at(spread.deviation), side));
+      for (const band of u.plot.bands) {
+        const column = at(band.signal), deviation = at(band.deviation);
+        const half = (k) => (band.deviation ? 2 * store.high[deviation][k] : band.share * Math.abs(store.high[column][k]));
+        for (const side of [1, -1]) data.push(curve(store, first, last, column, u.plot.scale, half, side));
+      }
       u.extent = extent(data.slice(1));
-      for (const trace of u.plot.traces) {
+      for (const trace of u.plot.series) {
         const y = curve(store, first, last, at(trace.signal), u.plot.scale);
         const stated = trace.deviation ? store.high[at(trace.deviation)] : null;
         data.push(stated ? y.map((v, k) => ((stated[first + (k >> 1)] === Infinity) === trace.told ? null : v)) : y);
@@ -334,10 +306,10 @@ window.session.then((known) => {
   const driveState = (node) => (!state.running ? "" : node.stale ? "stale" : !node.drive_state ? "" : /FAULT/.test(node.drive_state) ? "bad" : node.drive_state === "OPERATION ENABLED" ? "on" : "");
   const showMachine = () => {
     const limits = {};
-    for (const plot of layout.plots) for (const trace of plot.traces) limits[trace.signal] = plot.limits.warning * plot.scale;
+    for (const plot of layout.plots) for (const trace of plot.series) limits[trace.signal] = plot.limits.warning * plot.scale;
     for (const text of values) {
       const value = state.running ? state.values[text.dataset.signal] : null;
-      setText(text, text.dataset.before + (value === null || value === undefined ? "–" : `${number(value / text.dataset.per)} ${text.dataset.unit}`));
+      setText(text, text.dataset.before + (missing(value) ? "–" : `${number(value / text.dataset.per)} ${text.dataset.unit}`));
       text.classList.toggle("beyond", Math.abs(value) > limits[text.dataset.signal]);
     }
     const rows = $("nodes").tBodies[0];
@@ -345,9 +317,9 @@ window.session.then((known) => {
       const row = rows.rows[k] ?? rows.insertRow();
       while (row.cells.length < 8) row.insertCell();
       const word = node.statusword === null ? "–" : node.statusword.toString(16).toUpperCase().padStart(4, "0") + "h";
-      const missing = state.running ? (node.stale ? "STALE" : "–") : "–";
-      const drive = layout.parts[node.part] === "virtual" ? node.drive_state ?? "" : node.drive_state ?? missing; // a virtual axis sends none
-      [String(node.node_id), node.part, layout.parts[node.part], node.nmt_state ?? missing, drive, word, number(node.velocity_rad_s), number(node.torque_Nm)]
+      const absent = state.running ? (node.stale ? "STALE" : "–") : "–";
+      const drive = layout.parts[node.part] === "virtual" ? node.drive_state ?? "" : node.drive_state ?? absent; // a virtual axis sends none
+      [String(node.node_id), node.part, layout.parts[node.part], node.nmt_state ?? absent, drive, word, number(node.velocity_rad_s), number(node.torque_Nm)]
         .forEach((words, at) => setText(row.cells[at], words));
       for (const at of [5, 6, 7]) row.cells[at].className = "number";
       row.cells[4].dataset.state = driveState(node);
@@ -477,7 +449,7 @@ window.session.then((known) => {
     for (const button of document.querySelectorAll("[data-needs=control]")) button.disabled = !mine || !state.running;
     for (const row of $("quantities").children) {
       const value = state.running ? state.values[row.quantity.signal] : null;
-      setText(row.querySelector(".now"), value === null || value === undefined ? "–" : `${number(value / row.quantity.scale)} ${row.quantity.unit}`);
+      setText(row.querySelector(".now"), missing(value) ? "–" : `${number(value / row.quantity.scale)} ${row.quantity.unit}`);
     }
   };
   const who = () => $("who").value.trim() || "somebody";
@@ -528,13 +500,13 @@ window.session.then((known) => {
       figure.dataset.course = course.name;
       figure.append(make("h3", `${course.name} in ${course.unit}`), at);
       $("futures").append(figure);
-      const edge = { width: 0, points: { show: false } }, axis = axisOf();
+      const edge = { width: 0, points: { show: false } }, numbered = { ...axis(11), values: ticks }, least = FUTURE_LEAST[course.unit];
       const u = new uPlot({
         width: FUTURE_PX[0], height: FUTURE_PX[1], padding: [8, 8, 0, 0], legend: { show: false }, cursor: { show: false },
         series: [{}, edge, edge, { width: 1.5, stroke: () => colour("--vermillion"), points: { show: false } }],
         bands: [{ series: [1, 2], fill: () => colour("--vermillion", 0.2) }],
-        scales: { x: { time: false }, y: { range: range(FUTURE_LEAST[course.unit]) } },
-        axes: [{ ...axis, size: 26, values: (u, values) => values.map((v) => `+${v} s`) }, { ...axis, size: AXIS_PX }],
+        scales: { x: { time: false }, y: { range: (u, low, high) => height(low, high, null, WIDER, least) } },
+        axes: [{ ...numbered, size: 26, values: (u, values) => values.map((v) => `+${v} s`) }, { ...numbered, size: AXIS_PX }],
         hooks: { draw: [(u) => { u.ctx.save(); u.ctx.beginPath(); u.ctx.rect(u.bbox.left, u.bbox.top, u.bbox.width, u.bbox.height); u.ctx.clip(); markLevels(u, course.levels); u.ctx.restore(); }] },
       }, [course.t_s, course.high, course.low, course.median], at);
       return u;

@@ -1,30 +1,31 @@
-"""A web line: velocities and what mass conservation asks of them, the torque that E is seen by, E, the tension."""
+"""A web line: velocities and what mass conservation asks of them, the tension, E, the torque that E is seen by."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import cache
 from itertools import cycle
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.apps.report.chart import BLUE, BROWN, GREEN, INK, ORANGE, PURPLE, SKY, VERMILLION, Chart, Curve
-from hilbench.apps.report.machines.picture import (
+from hilbench.apps.report.chart import BLUE, BROWN, COLOURS, INK, SKY, VERMILLION, Chart, Curve
+from hilbench.apps.report.panel import (
     AVERAGED,
+    COMMAND_DASH,
+    DASHED,
     SMOOTHING_S,
     Array,
-    ComparedSignal,
-    Line,
-    MachinePictures,
-    RunPicture,
+    Compared,
+    MachinePanels,
+    Panel,
+    Row,
+    Series,
     ShownRun,
     estimate,
-    lines,
 )
-from hilbench.diagnosis.synchronization import reference_estimate
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording
 from hilbench.runs.config import load_with_overrides
@@ -32,6 +33,7 @@ from hilbench.runs.figures import ESTIMATE_BAND, working_window
 from hilbench.runs.machines.web_line import expected_v1_m_s
 from hilbench.topology.main_quantities.web_line import line_speed, modulus
 from hilbench.topology.signals import Shape, shape_of
+from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
 
 def _command(run: ShownRun) -> str:
@@ -68,7 +70,7 @@ def _beyond_the_line(run: ShownRun) -> Chart:
     """A thousand times finer than the velocities: what each axis runs faster than the one behind it."""
     shape, steady = shape_of(run.recording.channels), _steady(run)
     fine, entering = [], "strain_prev"
-    for axis, colour in zip(range(1, shape.axes), cycle(_COLOURS), strict=False):
+    for axis, colour in zip(range(1, shape.axes), cycle(COLOURS), strict=False):
         span = _span_behind(shape, axis)
         before, behind, strain = f"x{axis}_m", f"x{axis + 1}_m", f"strain{span}_true"
         if before in run and behind in run:
@@ -112,6 +114,8 @@ def _working_velocity(run: ShownRun, position: str) -> Array | None:
 
 def _published(config: Path, recording: Recording) -> Array | None:
     """E by the published method; None also for the config of a run that is too old to be understood now."""
+    from hilbench.diagnosis.synchronization import reference_estimate  # slow to import: not for a terminal
+
     try:
         return None if recording.is_reduced else reference_estimate(load_with_overrides(config).config, recording)
     except UnusableInputError:
@@ -120,19 +124,21 @@ def _published(config: Path, recording: Recording) -> Array | None:
 
 #: Slower than this nobody says that a line runs in reverse, m/s: what mass conservation asks there is that of forward.
 _REVERSE_M_S: Final = -1e-3
-#: Of axes and spans, in their order; of two axes the leading one is vermillion.
-_COLOURS: Final = (BLUE, GREEN, ORANGE, PURPLE, BROWN, SKY)
 
 
-def _velocities(shape: Shape) -> RunPicture:
-    last = shape.axes
-    behind = [Line(f"x{last}_m", f"axis {last}", VERMILLION, 2.6, alpha=0.8, values=_surface_velocity)]
-    others = [
-        Line(f"x{axis}_m", f"axis {axis}", colour, 1.3, values=_surface_velocity)
-        for axis, colour in zip(range(1, last), cycle(_COLOURS), strict=False)
+def _each(signal: str, names: Sequence[Any], label: str = "{}", width: float = 1.4, **further: Any) -> list[Series]:
+    """A series of each axis or station, in the order of the colours."""
+    return [
+        Series(signal.format(name), label.format(name), colour, width, **further)
+        for name, colour in zip(names, cycle(COLOURS), strict=False)
     ]
+
+
+def _velocities(shape: Shape) -> Panel:
+    last = shape.axes
+    behind = Series(f"x{last}_m", f"axis {last}", VERMILLION, 2.6, alpha=0.8, values=_surface_velocity)
     commands = [
-        Line(f"v{axis}_cmd_m_s", "commands" if axis == last else "", INK, 0.8, (4, 4), values=_surface_command)
+        Series(f"v{axis}_cmd_m_s", "commands" if axis == last else "", INK, 0.8, COMMAND_DASH, values=_surface_command)
         for axis in range(last, 0, -1)
     ]
     fine = (
@@ -142,153 +148,171 @@ def _velocities(shape: Shape) -> RunPicture:
         else "what each axis turns faster than the one behind it, and what mass conservation asks for at the strains "
         "of the emulated web once they are steady."
     )
-    return RunPicture(
+    return Panel(
         "velocities",
         "Velocities",
-        f"Velocities at the web, averaged over {SMOOTHING_S:g} s, but not over a step or the ends of a ramp. Below: "
-        + fine,
-        (lines("velocity in m/s", *behind, *others, *commands), _beyond_the_line),
+        "velocity",
+        "m/s",
+        (behind, *_each("x{}_m", range(1, last), "axis {}", 1.3, values=_surface_velocity), *commands),
         needs=("x1_m", f"x{last}_m"),
+        caption=f"Velocities at the web, averaged over {SMOOTHING_S:g} s, but not over a step or the ends of a ramp. "
+        f"Below: {fine}",
+        below=_beyond_the_line,
+        live=False,
     )
 
 
-def _torques(axis: int) -> RunPicture:
-    """Of the axis behind a span at which something is estimated."""
-    return RunPicture(
-        "torques",
-        f"Torque of axis {axis}",
-        f"Motor torque of axis {axis}: measured, averaged over {SMOOTHING_S:g} s, and simulated by the twin. Their "
-        "difference is what the twin learns E from.",
-        (
-            lines(
-                "torque in N·m",
-                Line(f"tau{axis}_Nm", "measured", SKY, 0.7, spread=True),
-                Line(f"tau{axis}_Nm", "averaged", BLUE, values=AVERAGED),
-                Line(f"tau{axis}_sim_Nm", "simulated", VERMILLION, 1.2),
-            ),
-        ),
-        needs=(f"tau{axis}_Nm",),
+def _speeds(shape: Shape) -> Panel:
+    axes = range(1, shape.axes + 1)
+    commands = (Series(f"v{axis}_cmd_m_s", f"command {axis}", INK, 0.8, COMMAND_DASH) for axis in axes)
+    return Panel(
+        "speed",
+        "Speeds at the web",
+        "speed",
+        "m/s",
+        (*_each("v{}_m_s", axes, "axis {}"), *commands),
+        least=0.1,
+        limits="speed_m_s",
+        row=Row("line speed", ".3f", LINE_SPEED_SIGNAL if shape.winds else f"v{shape.axes}_m_s"),
     )
 
 
-def _elasticity(number: str) -> RunPicture:
-    """`number`: of the span whose E the twin tells, as names have it."""
-    return RunPicture(
-        f"elasticity{number}",
-        f"Young’s modulus in span {number}" if number else "Young’s modulus",
-        f"Young’s modulus of the emulated web with a band of ±{100 * ESTIMATE_BAND:g} % (grey), and the "
-        "twin’s, with a band of ±2 standard deviations where the twin states one.",
-        (estimate(modulus(number)),),
-        with_reference="PID: what the published tracking simulation makes of the same measurements.",
-        zoomed=True,
+def _difference(shape: Shape, axis: int) -> Panel:
+    """What runs are compared by, of an axis and the one behind it."""
+    both = "Velocity of axis 1 minus line speed", "v1 − line"
+    if shape.axes > 2:
+        both = f"Velocity of axis {axis} minus the next", f"v{axis} − v{axis + 1}"
+    compared, number = Compared(both[0], (f"x{axis}_m",), _working_velocity), axis if shape.axes > 2 else ""
+    return Panel(f"velocity{number}", *both, "mm/s", si_per_unit=1e-3, live=False, compared=compared)
+
+
+def _tension(shape: Shape, span: int) -> Panel:
+    number = shape.numbered(span)
+    title = f"Web tension in span {number}" if number else "Web tension"
+    steps = (
+        (f"F{number} in 1 N, s", f"tension{number}_recovery_s"),
+        (_of("peak", number, "N"), f"tension{number}_peak_error_N"),
     )
-
-
-def _tension(number: str) -> RunPicture:
-    """`number`: of the span, as names have it."""
-    return RunPicture(
+    return Panel(
         f"tension{number}",
-        f"Web tension in span {number}" if number else "Web tension",
-        "Tension of the emulated web, tension simulated by the twin (the virtual sensor that the controller sees),"
-        " and set-point.",
+        title,
+        "tension",
+        "N",
         (
-            lines(
-                "tension in N",
-                Line(f"F{number}_true_N", "true", BLUE),
-                Line(f"F{number}_sim_N", "simulated", VERMILLION, 1.2),
-                Line(f"F{number}_ref_N", "set-point", INK, 0.9, (4.0, 2.0)),
-                least=4.0,
-            ),
+            Series(f"F{number}_true_N", "true", BLUE),
+            Series(f"F{number}_sim_N", "simulated", VERMILLION, 1.2),
+            Series(f"F{number}_ref_N", "set-point", INK, 0.9, DASHED),
         ),
+        least=4.0,
+        caption="Tension of the emulated web, tension simulated by the twin (the virtual sensor that the controller "
+        "sees), and set-point.",
         zoomed=True,
+        limits="tension_N",
+        row=Row(f"tension {number}".strip(), ".1f") if span in shape.simulated else None,
+        steps=steps if span in shape.controlled else (),
+        compared=Compared(title, (f"F{number}_true_N", f"F{number}_sim_N")),
     )
 
 
-def _stations(shape: Shape) -> list[RunPicture]:
+def _of(figure: str, number: str, unit: str) -> str:
+    return f"{figure} {number}".strip() + f", {unit}"
+
+
+def _elasticity(shape: Shape, span: int) -> Panel:
+    number = shape.numbered(span)
+    title = f"Young’s modulus in span {number}" if number else "Young’s modulus"
+    return estimate(
+        modulus(number),
+        f"elasticity{number}",
+        title,
+        f"Young’s modulus of the emulated web with a band of ±{100 * ESTIMATE_BAND:g} % (grey), and the twin’s, with a "
+        "band of ±2 standard deviations where the twin states one.",
+        Row(f"E{number}", ".0f"),
+        reference="PID: what the published tracking simulation makes of the same measurements.",
+        steps=(
+            (f"E{number} in 1 %, s", f"E{number}_time_to_1pct_s"),
+            (_of("noise", number, "%"), f"E{number}_noise_pct"),
+        ),
+        compared=Compared(f"{title}, of the twin", (f"E{number}_sim_Pa",)),
+    )
+
+
+def _torque(shape: Shape, span: int) -> Panel:
+    """Of the axis behind a span at which something is estimated."""
+    axis = shape.axis_before(span) + 1
+    measured = f"tau{axis}_Nm"
+    return Panel(
+        f"torques{shape.numbered(span)}",
+        f"Torque of axis {axis}",
+        "torque",
+        "N·m",
+        (
+            Series(measured, "measured", SKY, 0.7, spread=True),
+            Series(measured, "averaged", BLUE, values=AVERAGED),
+            Series(f"tau{axis}_sim_Nm", "simulated", VERMILLION, 1.2),
+        ),
+        needs=(measured,),
+        caption=f"Motor torque of axis {axis}: measured, averaged over {SMOOTHING_S:g} s, and simulated by the twin. "
+        "Their difference is what the twin learns E from.",
+        live=False,
+        compared=Compared(f"Torque of axis {axis}, averaged", (measured,), AVERAGED),
+    )
+
+
+def _live_torques(shape: Shape) -> tuple[Panel, Panel]:
+    """Of all motors, and what the twin does not explain of those behind an estimate."""
+    behind = [shape.axis_before(span) + 1 for span in shape.estimated]
+    torques = (
+        *_each("tau{}_Nm", range(1, shape.axes + 1), "axis {}", 0.9),
+        *(Series(f"tau{axis}_sim_Nm", f"axis {axis} simulated", VERMILLION, 1.2) for axis in behind),
+        *(Series(f"tau_{name}_Nm", name, BROWN, 0.9) for name in shape.load_motors),
+    )
+    residuals, unexplained = (
+        _each("tau{}_residual_Nm", behind, "axis {}", 0.9),
+        "Residual: torque measured less simulated",
+    )
+    return (
+        Panel("torque", "Torques", "torque", "N·m", torques, least=0.5, limits="torque_Nm"),
+        Panel("residual", unexplained, "residual", "N·m", residuals, least=0.1),
+    )
+
+
+def _stations(shape: Shape) -> Iterator[Panel]:
     """Carriages and reels, of a line that has any."""
-    found = []
-    for key, title, label, symbol, names in (
-        ("positions", "Positions of the carriages", "position in m", "x", shape.carriages),
-        ("radii", "Radii of the reels", "radius in m", "r", shape.reels),
+    for key, title, quantity, symbol, names in (
+        ("positions", "Positions of the carriages", "position", "x", shape.carriages),
+        ("radii", "Radii of the reels", "radius", "r", shape.reels),
     ):
-        true = [
-            Line(f"{symbol}_{name}_true_m", name, colour) for name, colour in zip(names, cycle(_COLOURS), strict=False)
-        ]
-        simulated = [Line(f"{symbol}_{name}_sim_m", "simulated", VERMILLION, 1.2) for name in names]
-        wanted = [Line(f"{symbol}_{name}_ref_m", "set-point", INK, 0.9, (4.0, 2.0)) for name in names]
+        simulated = (Series(f"{symbol}_{name}_sim_m", "simulated", VERMILLION, 1.2) for name in names)
+        wanted = (Series(f"{symbol}_{name}_ref_m", "set-point", INK, 0.9, DASHED) for name in names)
         text = (
             f"{title} of the emulated line, as the twin has them without or with a sensor"
             f"{', and set-points where a controller keeps them' if symbol == 'x' else ''}."
         )
+        series = (*_each(f"{symbol}_{{}}_true_m", names), *simulated, *wanted)
         if names:
-            found.append(RunPicture(key, title, text, (lines(label, *true, *simulated, *wanted, least=0.01),)))
-    force_lines = [
-        Line(f"f_{name}_cmd_N", name, colour) for name, colour in zip(shape.pushed, cycle(_COLOURS), strict=False)
-    ]
-    if force_lines:
-        title = "Forces on the carriages"
-        found.append(RunPicture("forces", title, f"{title}, as sent ahead.", (lines("force in N", *force_lines),)))
-    return found
+            yield Panel(key, title, quantity, "m", series, least=0.01, caption=text, live=False)
+    if shape.pushed:
+        title, forces = "Forces on the carriages", _each("f_{}_cmd_N", shape.pushed)
+        yield Panel("forces", title, "force", "N", forces, caption=f"{title}, as sent ahead.", live=False)
 
 
-@cache
-def pictures_of(shape: Shape) -> MachinePictures:
-    """The pictures of a line, one of the tension a span. Of a recording in which nothing is estimated, or no span is
+def panels_of(shape: Shape) -> MachinePanels:
+    """The panels of a line, one of the tension a span. Of a recording in which nothing is estimated, or no span is
     named, as of the smallest line."""
-    axes = max(shape.axes, 2)
-    estimated = [(span, shape.numbered(span)) for span in shape.estimated or (1,)]
-    behind_estimated = [shape.axis_before(span) + 1 for span, _ in estimated]
-    numbers = [shape.numbered(span) for span in range(1, max(shape.spans, 1) + 1)]
-    shape = replace(shape, axes=axes)
-    return MachinePictures(
+    live = _live_torques(shape)
+    shape = replace(shape, axes=max(shape.axes, 2), estimated=shape.estimated or (1,))
+    spans = max(shape.spans, *shape.estimated, *shape.controlled)
+    return MachinePanels(
         (
             _velocities(shape),
-            *(_torques(behind) for behind in behind_estimated),
-            *(_elasticity(number) for _, number in estimated),
-            *map(_tension, numbers),
+            *(_difference(shape, axis) for axis in range(1, shape.axes)),
+            _speeds(shape),
+            *(_tension(shape, span) for span in range(1, spans + 1)),
+            *(_elasticity(shape, span) for span in shape.estimated),
+            *(_torque(shape, span) for span in shape.estimated),
+            *live,
             *_stations(shape),
         ),
-        compared=(
-            *(
-                ComparedSignal(
-                    f"elasticity{number}",
-                    f"Young’s modulus{f' in span {number}' if number else ''}, of the twin",
-                    "E in N/mm²",
-                    (f"E{number}_sim_Pa",),
-                    1e6,
-                )
-                for _, number in estimated
-            ),
-            *(
-                ComparedSignal(
-                    f"tension{number}",
-                    f"Web tension in span {number}" if number else "Web tension",
-                    "tension in N",
-                    (f"F{number}_true_N", f"F{number}_sim_N"),
-                )
-                for number in numbers
-            ),
-            *(
-                ComparedSignal(
-                    "torque",
-                    f"Torque of axis {behind}, averaged",
-                    "torque in N·m",
-                    (f"tau{behind}_Nm",),
-                    values=AVERAGED,
-                )
-                for behind in behind_estimated
-            ),
-            *(
-                ComparedSignal(
-                    "velocity" if axes == 2 else f"velocity{span}",
-                    "Velocity of axis 1 minus line speed" if axes == 2 else f"Velocity of axis {span} minus the next",
-                    "v1 − line in mm/s" if axes == 2 else f"v{span} − v{span + 1} in mm/s",
-                    (f"x{span}_m",),
-                    1e-3,
-                    values=_working_velocity,
-                )
-                for span in range(1, axes)
-            ),
-        ),
-        reference=_published if shape.spans < 2 else lambda config, recording: None,
+        _published if shape.spans < 2 else lambda config, recording: None,
     )

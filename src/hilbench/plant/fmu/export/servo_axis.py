@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from math import inf
 
-from hilbench.plant import drive_loops as loops
 from hilbench.plant.fmu.export.machine import (
     FORGOTTEN,
     ExportedMachine,
     ExportedVariable,
-    Kernel,
     P,
     Place,
     U,
@@ -17,22 +15,13 @@ from hilbench.plant.fmu.export.machine import (
     output,
     parameter,
 )
+from hilbench.plant.fmu.export.web_line import LINE
 from hilbench.plant.motor_port import MotorMode
-from hilbench.plant.servo_axis import kernel
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.layout import PARAMETERS, Vector
+from hilbench.plant.servo_axis.layout import PARAMETERS
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.servo_axis.shaft import Shaft
-
-
-def _go(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
-    """Step a servo axis with its drive; `out` as of `servo_axis.layout`."""
-    if samples > 0:
-        kernel.go_on(p, s, u, samples)
-    kernel.report(p, s, out, 0)
-
-
-_KERNEL = Kernel("axis", _go)
+from hilbench.plant.web_line import layout as line
 
 
 def exported_axis(model: ServoAxisParameters, *, drives: bool) -> ExportedMachine:
@@ -43,14 +32,14 @@ def exported_axis(model: ServoAxisParameters, *, drives: bool) -> ExportedMachin
     if drives and model.drives is None:
         raise ValueError("'drives:' in the machine for an FMU with its drive")
     machine = Shaft(model, None, (), 1)
-    p, u = machine.packed.copy(), machine._inputs.copy()
-    inputs = lay.motor_inputs(u)
-    inputs[:, loops.IN_MODE] = MotorMode.VELOCITY if drives else MotorMode.TORQUE
+    vectors, layout = machine.vectors, machine._layout
+    p, u = vectors.p.copy(), vectors.u.copy()
+    layout.motor_inputs(u)[:, line.UM_MODE] = MotorMode.VELOCITY if drives else MotorMode.TORQUE
     if not drives:
-        p[lay.P_LOOPS + loops.LIMIT_NM], p[lay.P_LOOPS + loops.CURRENT_S] = inf, 0.0
-    set_point = Place(U, lay.U_MOTORS + loops.IN_SETPOINT)
-    variables = [output(quantity, at) for at, quantity in enumerate(machine.describe().outputs)]
-    variables.append(asked(1, "rad", set_point, drives=drives))
+        p[lay.MOTOR + line.M_LIMIT_NM], p[lay.MOTOR + line.M_CURRENT_S] = inf, 0.0
+    columns = (column for column, _ in machine._columns)
+    variables = [output(quantity, at) for quantity, at in zip(machine.describe().outputs, columns, strict=True)]
+    variables.append(asked(1, "rad", Place(U, lay.U_SETPOINT), drives=drives))
     outside = machine.describe().inputs[0]
     variables.append(ExportedVariable(outside, "input", (Place(U, lay.U_TORQUE_NM),)))
     variables += [parameter(quantity, Place(P, column)) for quantity, column in PARAMETERS.values()]
@@ -58,8 +47,8 @@ def exported_axis(model: ServoAxisParameters, *, drives: bool) -> ExportedMachin
     return ExportedMachine(
         name="servo_axis" if drives else "servo_axis_mechanics",
         description="servo axis" + (" with its drive" if drives else ""),
-        kernel=_KERNEL, p=p, s=machine._state.copy(), u=u, work=1, out=lay.output_size(p),
+        kernel=LINE, p=p, s=vectors.s.copy(), u=u, work=len(vectors.w), out=len(vectors.out),
         variables=tuple(variables),
-        forgotten=(Place(FORGOTTEN, lay.S_MOTORS + loops.LIMITED),),
-        sample_s=sample_s, time=(lay.S_COUNT, 1.0 / sample_s),
+        forgotten=(Place(FORGOTTEN, lay.S_MOTORS + line.SM_LIMITED),),
+        sample_s=sample_s, time=(line.S_COUNT, 1.0 / sample_s),
     )  # fmt: skip

@@ -30,7 +30,7 @@ from hilbench.plant.web_line.stations import ONLY_DRIVEN
 
 
 def _go_line(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
-    """Step a web line with its drives; `out` as the columns of `web_line.layout.Layout`."""
+    """Step a web line or a servo axis with its drives; `out` as the columns of `web_line.layout.Layout`."""
     if samples > 0:
         kernel.enter(p, s, u, w)
         kernel.go_on(p, s, u, w, samples)
@@ -51,14 +51,14 @@ def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: in
     if duration > 0.0:
         line_kernel.roll_on(p, s, u, w, duration, sample_s, line_kernel.LONGEST_STEP_S)
     line_kernel.observe(p, s, u, w, out)
-    line_kernel.put_moduli(p, s, u, out, 3 * m + 2 * k)
+    line_kernel.put_moduli(p, s, u, out, 4 * m + 2 * k)
     for i in range(n):
         loaded, speed = p[places.axis(i) + lay.A_WEB_LOAD] != 0.0, u[first + i * lay.UM_SIZE]
         rad_per_m = p[places.motor(n, i) + lay.M_RAD_PER_M]
-        out[3 * m + 3 * k + i] = line_kernel.web_torque_Nm(p, s, u, out, i, loaded, rad_per_m, speed)
+        out[4 * m + 3 * k + i] = line_kernel.web_torque_Nm(p, s, u, out, i, loaded, rad_per_m, speed)
 
 
-_LINE, _WEB = Kernel("line", _go_line), Kernel("web", _go_web)
+LINE, _WEB = Kernel("line", _go_line), Kernel("web", _go_web)
 
 
 def exported_line(model: ModelParameters, *, drives: bool) -> ExportedMachine:
@@ -101,7 +101,7 @@ def exported_line(model: ModelParameters, *, drives: bool) -> ExportedMachine:
     return ExportedMachine(
         name="web_line" if drives else "web_line_mechanics",
         description=f"web line of {n} driven rollers and {k} spans" + (" with its drives" if drives else ""),
-        kernel=_LINE, p=p, s=state, u=u, work=len(layout.new_work()), out=layout.output_size,
+        kernel=LINE, p=p, s=state, u=u, work=len(layout.new_work()), out=layout.output_size,
         variables=tuple(variables),
         forgotten=tuple(Place(FORGOTTEN, at) for at in _limited(layout)),
         sample_s=float(p[lay.W_SAMPLE_TIME_S]),
@@ -128,17 +128,17 @@ def exported_load(model: ModelParameters) -> ExportedMachine:
         for axis in range(1, n + 1)
     ]
     variables += _boundary()
-    for place, (symbol, unit, what) in enumerate(
-        (("F", "N", "tension"), ("strain", "1", "strain"), ("E", "Pa", "Young's modulus as it acts"))
+    for place, symbol, unit, what in (
+        (3 * m, "F", "N", "tension"),
+        (3 * m + k, "strain", "1", "strain"),
+        (4 * m + 2 * k, "E", "Pa", "Young's modulus as it acts"),
     ):
         for number in range(1, k + 1):
             name = f"{symbol}{number}" + (f"_{unit}" if unit != "1" else "")
-            variables.append(
-                output(Quantity(name, unit, f"{what} of the web in span {number}"), 3 * m + place * k + number - 1)
-            )
+            variables.append(output(Quantity(name, unit, f"{what} of the web in span {number}"), place + number - 1))
     for axis in range(1, n + 1):
         what = f"at the motor of axis {axis}: emulates the web and the roller's resistance"
-        variables.append(output(Quantity(f"tau_load{axis}_Nm", "N·m", what), 3 * m + 3 * k + axis - 1))
+        variables.append(output(Quantity(f"tau_load{axis}_Nm", "N·m", what), 4 * m + 3 * k + axis - 1))
     variables += _moduli(model, layout)
     return ExportedMachine(
         name="web",

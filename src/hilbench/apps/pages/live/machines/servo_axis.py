@@ -6,50 +6,15 @@ from collections.abc import Iterator, Sequence
 
 from hilbench.apps.pages.live.history import Array
 from hilbench.apps.pages.live.machines import svg
-from hilbench.apps.pages.live.machines.panel import Panel, Plot, Spread, Trace
-from hilbench.apps.report.chart import BLUE, BROWN, INK, VERMILLION
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.main_quantities.servo_axis import FRICTION, INERTIA
+from hilbench.topology.main_quantities.servo_axis import INERTIA
 
 _WIDTH, _HEIGHT, _MIDDLE, _RADIUS = 620.0, 190.0, 80.0, 46.0
 
 
-def panel(config: BenchConfig) -> Panel:
-    """Plots and drawing of a bench with one shaft."""
-    limits = config.safety.limits
-    loads = [Trace(f"tau_{name}_Nm", name, BROWN, 0.9) for name in config.load_motors]
-    plots = (
-        Plot(
-            "speed",
-            "Speed of the shaft",
-            "rad/s",
-            (Trace("v1_rad_s", "shaft", BLUE), Trace("v1_cmd_rad_s", "command", INK, 0.9, (4, 3))),
-            limits=limits.speed_rad_s,
-        ),
-        Plot(
-            "torque",
-            "Torques",
-            "N·m",
-            (Trace("tau1_Nm", "measured", BLUE, 1.0), Trace("tau1_sim_Nm", "simulated", VERMILLION, 1.0), *loads),
-            limits=limits.torque_Nm,
-        ),
-        Plot(
-            "inertia",
-            "Inertia of the shaft",
-            INERTIA.in_unit,
-            (Trace(INERTIA.signal, "true", INK, 1.1), Trace(INERTIA.twin_signal, "estimated", VERMILLION)),
-            (Spread(INERTIA.twin_signal, "J_sd_kg_m2", VERMILLION),),
-            si_per_unit=INERTIA.si_per_shown,
-        ),
-        Plot(
-            "friction",
-            "Dry friction of the shaft",
-            "N·m",
-            (Trace(FRICTION.signal, "true", INK, 1.1), Trace(FRICTION.twin_signal, "estimated", VERMILLION)),
-        ),
-        Plot("residual", "Residual of the torque", "N·m", (Trace("tau1_residual_Nm", "residual", BLUE, 0.9),)),
-    )
-    return Panel(plots, svg.picture(_WIDTH, _HEIGHT, "The shaft", _shapes(config)))
+def drawing(config: BenchConfig) -> str:
+    """Drawing of a bench with one shaft."""
+    return svg.picture(_WIDTH, _HEIGHT, "The shaft", _shapes(config))
 
 
 def settled(config: BenchConfig, names: Sequence[str], first: Array, last: Array) -> bool:

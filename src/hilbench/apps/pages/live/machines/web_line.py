@@ -1,37 +1,25 @@
-"""A line: what the web runs over, with the tension of each span, and the plots of tensions, E, torques and speeds."""
+"""A line: what the web runs over, with the tension of each span."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import cycle, pairwise
+from itertools import pairwise
 from typing import Final
 
 from hilbench.apps.pages.live.history import Array
 from hilbench.apps.pages.live.machines import svg
-from hilbench.apps.pages.live.machines.panel import Panel, Plot, Spread, Trace
-from hilbench.apps.report.chart import BLUE, BROWN, GREEN, INK, ORANGE, PURPLE, SKY, VERMILLION
 from hilbench.apps.report.web_line_drawing import DrawnRoller, contact_points, placed_rollers
 from hilbench.plant.web_line.stations import CarriageStation, Reel
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.main_quantities.quantity import ESTIMATED, OF_THE_MODEL, MainQuantity
-from hilbench.topology.main_quantities.web_line import modulus
 
 #: Where a point of the drawing is, in pixels.
 Place = Callable[[float, float], tuple[float, float]]
 
-_COLOURS: Final = (BLUE, GREEN, ORANGE, PURPLE, BROWN, SKY)
-_DASHED: Final = (4.0, 3.0)
 #: Pixels of a unit of the drawing, as far as a line of this length has room for them, and what is around it.
 _LARGEST_PX, _LEAST_PX, _WIDE_PX = 130.0, 78.0, 1300.0
 _ABOVE_PX, _BELOW_PX = 92.0, 96.0
 #: What was taken to be in the spans at first is nearly gone (e^-8) when the web has run so many times their length.
 _TIMES: Final = 8.0
-
-
-def panel(config: BenchConfig) -> Panel:
-    """Plots and drawing of a bench with a web."""
-    plots = (*_tensions(config), *_moduli(config), _torques(config), _speeds(config), _residuals(config))
-    return Panel([plot for plot in plots if plot.traces], _drawing(config))
 
 
 def settled(config: BenchConfig, names: Sequence[str], first: Array, last: Array) -> bool:
@@ -41,82 +29,8 @@ def settled(config: BenchConfig, names: Sequence[str], first: Array, last: Array
     return bool(abs(last[at] - first[at]) > _TIMES * lengths_m)
 
 
-def _tensions(config: BenchConfig) -> Iterator[Plot]:
-    shape, limits = config.shape, config.safety.limits
-    for span in range(1, shape.spans + 1):
-        k = shape.numbered(span)
-        traces = [Trace(f"F{k}_true_N", "true", BLUE)]
-        if span in shape.simulated:
-            traces.append(Trace(f"F{k}_sim_N", "simulated", VERMILLION, 1.2))
-        if span in shape.controlled:
-            traces.append(Trace(f"F{k}_ref_N", "set-point", INK, 0.9, _DASHED))
-        title = f"Web tension in span {span}" if shape.spans > 1 else "Web tension"
-        yield Plot(f"tension{k}", title, "N", traces, least=4.0, limits=limits.tension_N)
-
-
-def _moduli(config: BenchConfig) -> Iterator[Plot]:
-    shape = config.shape
-    for span in shape.estimated:
-        quantity = modulus(shape.numbered(span))
-        yield Plot(
-            f"modulus{shape.numbered(span)}",
-            f"Young’s modulus in span {span}" if shape.spans > 1 else "Young’s modulus",
-            quantity.in_unit,
-            (Trace(quantity.signal, "true", INK, 1.1), *_of_twin(quantity, shape.has_stations)),
-            (Spread(quantity.twin_signal, quantity.twin_deviation, VERMILLION),),
-            si_per_unit=quantity.si_per_shown,
-            least=100.0,
-        )
-
-
-def _of_twin(quantity: MainQuantity, may_be_untold: bool) -> Iterator[Trace]:
-    """Traces of the twin's value of a quantity: estimated, and its model's where it is not identifiable."""
-    if not may_be_untold:
-        yield Trace(quantity.twin_signal, ESTIMATED, VERMILLION)
-        return
-    for name, told in ((ESTIMATED, True), (OF_THE_MODEL, False)):
-        dash = () if told else _DASHED
-        yield Trace(quantity.twin_signal, name, VERMILLION, dash=dash, deviation=quantity.twin_deviation, told=told)
-
-
-def _torques(config: BenchConfig) -> Plot:
-    shape = config.shape
-    axes = [
-        Trace(f"tau{axis}_Nm", f"axis {axis}", colour, 0.9)
-        for axis, colour in zip(range(1, shape.axes + 1), cycle(_COLOURS), strict=False)
-    ]
-    simulated = [
-        Trace(f"tau{axis}_sim_Nm", f"axis {axis} simulated", VERMILLION, 1.2)
-        for axis in (shape.axis_before(span) + 1 for span in shape.estimated)
-    ]
-    loads = [Trace(f"tau_{name}_Nm", name, BROWN, 0.9) for name in config.load_motors]
-    limits = config.safety.limits.torque_Nm
-    return Plot("torque", "Torques", "N·m", (*axes, *simulated, *loads), least=0.5, limits=limits)
-
-
-def _speeds(config: BenchConfig) -> Plot:
-    axes = range(1, config.shape.axes + 1)
-    traces = [
-        *(Trace(f"v{axis}_m_s", f"axis {axis}", colour) for axis, colour in zip(axes, cycle(_COLOURS), strict=False)),
-        *(Trace(f"v{axis}_cmd_m_s", f"command {axis}", INK, 0.8, _DASHED) for axis in axes),
-    ]
-    return Plot("speed", "Speeds at the web", "m/s", traces, least=0.1, limits=config.safety.limits.speed_m_s)
-
-
-def _residuals(config: BenchConfig) -> Plot:
-    shape = config.shape
-    behind = [shape.axis_before(span) + 1 for span in shape.estimated]
-    traces = [
-        Trace(f"tau{axis}_residual_Nm", f"axis {axis}", colour, 0.9)
-        for axis, colour in zip(behind, cycle(_COLOURS), strict=False)
-    ]
-    return Plot("residual", "Residual: torque measured less simulated", "N·m", traces, least=0.1)
-
-
-# -- the drawing ------------------------------------------------------------------------------------------------------
-
-
-def _drawing(config: BenchConfig) -> str:
+def drawing(config: BenchConfig) -> str:
+    """Drawing of a bench with a web."""
     circles = placed_rollers(config.web_line)
     width = max(circle.x + circle.r for circle in circles) + 2.0
     unit = min(max(_WIDE_PX / width, _LEAST_PX), _LARGEST_PX)
